@@ -1,0 +1,1 @@
+//! MyActuator servo motors on a host.
