@@ -1,0 +1,35 @@
+//! The kinds of traffic on a bus, and a data field on one of them.
+//!
+//! Both wires map their addresses to a [`Channel`] and back; everything above them speaks of
+//! channels and never of identifiers or address bytes.
+
+use crate::field::Data;
+use crate::id::{MotorId, Target};
+
+/// Who speaks to whom, and in which of the protocol's three forms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Channel {
+    /// A command to one motor or to all (manual 2, 3, 6).
+    Command(Target),
+    /// A motor's reply.
+    Reply(MotorId),
+    /// Bus id setting and its reply (manual 4, 7): no motor is named, all that are connected listen.
+    BusId,
+    /// A motion (MIT) mode command to one motor, CAN only (manual 5).
+    Motion(MotorId),
+    /// A motor's reply to a motion mode command, CAN only (manual 5).
+    MotionReply(MotorId),
+}
+
+/// One frame without its framing: a data field and the channel it travels on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Packet {
+    /// Who speaks to whom.
+    pub channel: Channel,
+    /// The eight data bytes.
+    pub data: Data,
+}

@@ -1,0 +1,71 @@
+//! Planning accelerations (manual 2.4 and 2.5).
+
+use crate::units::{Acceleration, ReportedAcceleration};
+
+code! {
+    /// Which of the four planning accelerations (2.4.4).
+    AccelerationIndex {
+        /// Position planning, from the start speed to the maximum speed.
+        PositionAcceleration = 0x00 "position-acceleration",
+        /// Position planning, from the maximum speed to standstill.
+        PositionDeceleration = 0x01 "position-deceleration",
+        /// Speed planning, up to the target speed, in either direction of turning.
+        SpeedAcceleration = 0x02 "speed-acceleration",
+        /// Speed planning, down to the target speed in the same direction.
+        SpeedDeceleration = 0x03 "speed-deceleration",
+    }
+}
+
+command! {
+    /// Read one acceleration: 0x42 (2.4).
+    ReadAcceleration -> AccelerationReading {
+        /// Which acceleration.
+        index: AccelerationIndex => 1,
+    }
+}
+
+reply! {
+    /// One acceleration, as 0x42 returns it (2.4.3).
+    AccelerationReading {
+        /// Which acceleration.
+        index: AccelerationIndex => 1,
+        /// Its value.
+        acceleration: ReportedAcceleration => 4,
+    }
+}
+
+command! {
+    /// Write one acceleration to RAM and ROM: 0x43 (2.5). Not while the motor starts or moves. The
+    /// reply is the same frame.
+    WriteAcceleration -> Self {
+        /// Which acceleration.
+        index: AccelerationIndex => 1,
+        /// Its new value.
+        acceleration: Acceleration => 4,
+    }
+}
+
+echo!(WriteAcceleration);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::Command;
+
+    #[test]
+    fn writes_10000_as_the_manual_does() {
+        let write = WriteAcceleration {
+            index: AccelerationIndex::SpeedDeceleration,
+            acceleration: Acceleration::from_dps2(10_000.0).unwrap(),
+        };
+        assert_eq!(write.encode(), [0x43, 0x03, 0, 0, 0x10, 0x27, 0, 0]); // 2.5.5 example 4
+        assert_eq!(WriteAcceleration::decode(&write.encode()), Ok(write));
+    }
+
+    #[test]
+    fn a_write_out_of_range_is_refused_and_a_reading_is_told_as_it_is() {
+        assert!(WriteAcceleration::decode(&[0x43, 0, 0, 0, 99, 0, 0, 0]).is_err());
+        let reading = ReadAcceleration::decode_reply(&[0x42, 0, 0, 0, 99, 0, 0, 0]).unwrap();
+        assert_eq!(reading.acceleration.raw(), 99);
+    }
+}

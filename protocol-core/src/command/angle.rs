@@ -1,0 +1,53 @@
+//! Angles of the output shaft (manual 2.12 and 2.13).
+
+use crate::units::{Angle, SingleTurnAngle};
+
+command! {
+    /// Read the multi-turn angle of the output shaft: 0x92 (2.12).
+    ReadMultiTurnAngle -> MultiTurnAngle
+}
+
+reply! {
+    /// Multi-turn angle of the output shaft, from its zero (2.12.3).
+    ///
+    /// After a restart a drive that does not save its turns (function 4) counts from within half a
+    /// turn of zero again.
+    MultiTurnAngle {
+        /// The angle.
+        angle: Angle => 4,
+    }
+}
+
+command! {
+    /// Read the angle within one turn of a direct-drive motor: 0x94 (2.13).
+    ReadSingleTurnAngle -> CircleAngle
+}
+
+reply! {
+    /// Angle within one turn, clockwise from the encoder's zero (2.13.3; the left column of its
+    /// table, the formulas are one index low).
+    CircleAngle {
+        /// The angle.
+        angle: SingleTurnAngle => 6,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::Command;
+
+    #[test]
+    fn reads_the_manuals_examples() {
+        let reply = [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0]; // 2.12.4
+        assert_eq!(ReadMultiTurnAngle::decode_reply(&reply).unwrap().angle.degrees(), 360.0);
+        let reply = [0x94, 0, 0, 0, 0, 0, 0x10, 0x27]; // 2.13.4
+        assert_eq!(ReadSingleTurnAngle::decode_reply(&reply).unwrap().angle.degrees(), 100.0);
+    }
+
+    #[test]
+    fn a_whole_turn_is_no_single_turn_angle() {
+        let reply = [0x94, 0, 0, 0, 0, 0, 0xA0, 0x8C]; // 36000
+        assert!(ReadSingleTurnAngle::decode_reply(&reply).is_err());
+    }
+}

@@ -1,0 +1,27 @@
+//! The holding brake (manual 2.27 and 2.28).
+//!
+//! Opening takes a brake 50 to 150 ms; a motor that is driven before that works against it.
+
+command! {
+    /// Open the brake: 0x77 (2.27). The reply is the same frame, and comes before the brake is open.
+    ReleaseBrake -> Self
+}
+
+command! {
+    /// Close the brake: 0x78 (2.28). The motor cannot run then; without power it is in this state
+    /// too. The reply is the same frame.
+    LockBrake -> Self
+}
+
+echo!(ReleaseBrake, LockBrake);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn carry_nothing_but_their_command_byte() {
+        assert_eq!(ReleaseBrake.encode(), [0x77, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(LockBrake.encode(), [0x78, 0, 0, 0, 0, 0, 0, 0]);
+    }
+}

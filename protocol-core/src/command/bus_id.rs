@@ -1,0 +1,141 @@
+//! Reading and setting the motor id of whatever is connected (manual 4 on CAN, 7 on RS485).
+//!
+//! The command names no motor: **every** motor on the bus obeys. With more than one connected, a
+//! write gives all of them the same id.
+
+use crate::command::{Command, Reply, expect_opcode};
+use crate::error::DecodeError;
+use crate::field::{self, Data};
+use crate::id::MotorId;
+use crate::opcode::Opcode;
+
+const READ: u8 = 1;
+const WRITE: u8 = 0;
+
+/// Read or set the motor id: 0x79, on CAN at identifier 0x300, on RS485 at address 0xCD.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum BusId {
+    /// Who is there? Every motor answers.
+    Read,
+    /// Take this id, every motor that hears it.
+    Write(MotorId),
+}
+
+impl BusId {
+    /// The data field.
+    #[inline]
+    pub const fn encode(&self) -> Data {
+        match self {
+            Self::Read => [0x79, 0, READ, 0, 0, 0, 0, 0],
+            Self::Write(id) => [0x79, 0, WRITE, 0, 0, 0, 0, id.get()],
+        }
+    }
+}
+
+impl Command for BusId {
+    const OPCODE: Opcode = Opcode::BusId;
+    type Reply = BusIdReply;
+
+    #[inline]
+    fn encode(&self) -> Data {
+        Self::encode(self)
+    }
+
+    fn decode(data: &Data) -> Result<Self, DecodeError> {
+        expect_opcode(data, Self::OPCODE)?;
+        if is_read(data)? { Ok(Self::Read) } else { Ok(Self::Write(MotorId::new(data[7])?)) }
+    }
+}
+
+/// What a drive answers to [`BusId`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum BusIdReply {
+    /// The new id, as it was sent.
+    Written(MotorId),
+    /// The id that was read, as drives on CAN tell it: the reply identifier 0x240 + id in the last
+    /// two bytes (4.4).
+    OnCan(MotorId),
+    /// The id that was read, as drives on RS485 tell it: the bare id in the last byte (7.4).
+    OnRs485(MotorId),
+}
+
+impl BusIdReply {
+    /// The id, however it was told.
+    pub const fn id(&self) -> MotorId {
+        match *self {
+            Self::Written(id) | Self::OnCan(id) | Self::OnRs485(id) => id,
+        }
+    }
+}
+
+impl Reply for BusIdReply {
+    fn to_data(&self, _: Opcode) -> Data {
+        match self {
+            Self::Written(id) => BusId::Write(*id).encode(),
+            Self::OnCan(id) => [0x79, 0, READ, 0, 0, 0, 0x40 + id.get(), 0x02],
+            Self::OnRs485(id) => [0x79, 0, READ, 0, 0, 0, 0, id.get()],
+        }
+    }
+
+    /// For a read, takes a reply identifier, or a bare id in either of the last two bytes: the table
+    /// and the example of 7 disagree about which.
+    fn from_data(data: &Data) -> Result<Self, DecodeError> {
+        if !is_read(data)? {
+            return Ok(Self::Written(MotorId::new(data[7])?));
+        }
+        let told = field::get_u16::<6>(data);
+        match (data[6], data[7]) {
+            (low, 0x02) if (0x41..=0x60).contains(&low) => {
+                Ok(Self::OnCan(MotorId::new(low - 0x40)?))
+            }
+            (0, id) | (id, 0) => {
+                MotorId::new(id).map(Self::OnRs485).map_err(|_| DecodeError::NotABusId(told))
+            }
+            _ => Err(DecodeError::NotABusId(told)),
+        }
+    }
+}
+
+fn is_read(data: &Data) -> Result<bool, DecodeError> {
+    Ok(crate::command::Switch::read::<2>(data)?.is_on())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn id(id: u8) -> MotorId {
+        MotorId::new(id).unwrap()
+    }
+
+    #[test]
+    fn writes_as_the_manual_does() {
+        assert_eq!(BusId::Write(id(2)).encode(), [0x79, 0, 0, 0, 0, 0, 0, 2]); // 4.4 example 1
+        assert_eq!(BusId::decode(&[0x79, 0, 0, 0, 0, 0, 0, 2]), Ok(BusId::Write(id(2))));
+        assert_eq!(BusId::decode(&[0x79, 0, 1, 0, 0, 0, 0, 0]), Ok(BusId::Read));
+        assert!(BusId::decode(&[0x79, 0, 0, 0, 0, 0, 0, 33]).is_err());
+        assert!(BusId::decode(&[0x79, 0, 2, 0, 0, 0, 0, 1]).is_err());
+    }
+
+    #[test]
+    fn an_id_is_told_in_three_ways() {
+        let read = |low, high| BusId::decode_reply(&[0x79, 0, 1, 0, 0, 0, low, high]);
+        assert_eq!(read(0x42, 0x02), Ok(BusIdReply::OnCan(id(2)))); // 4.4 example 2
+        assert_eq!(read(0x00, 0x02), Ok(BusIdReply::OnRs485(id(2)))); // 7.4 example 2
+        assert_eq!(read(0x02, 0x00), Ok(BusIdReply::OnRs485(id(2)))); // 7.3's table
+        assert_eq!(read(0x60, 0x02), Ok(BusIdReply::OnCan(id(32))));
+    }
+
+    #[test]
+    fn anything_else_is_no_id() {
+        let read = |low, high| BusId::decode_reply(&[0x79, 0, 1, 0, 0, 0, low, high]);
+        for (low, high) in [(0, 0), (0x61, 2), (0x40, 2), (33, 0), (0, 33), (1, 1), (0x42, 1)] {
+            let told = u16::from_le_bytes([low, high]);
+            assert_eq!(read(low, high), Err(DecodeError::NotABusId(told)), "{low} {high}");
+        }
+    }
+}

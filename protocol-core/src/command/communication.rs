@@ -1,0 +1,178 @@
+//! Communication-loss protection, bit rate and active reply (manual 2.31, 2.32 and 2.34).
+
+use crate::command::NoReply;
+use crate::field::Data;
+use crate::range::{OutOfRange, Quantity};
+use crate::units::{Milliseconds, ReportInterval};
+
+command! {
+    /// Set after how long without a command the drive cuts its output and locks the brake: 0xB3
+    /// (2.31). It is kept in ROM. Not while the motor starts or moves.
+    ///
+    /// The manual says that the reply is the same frame; its own example returns zeros. So any reply
+    /// acknowledges, and its value is handed on for what it is.
+    CommunicationLossProtection -> Self {
+        /// The longest silence; 0 switches the protection off.
+        timeout: Milliseconds => 4,
+    }
+}
+
+echo!(CommunicationLossProtection);
+
+code! {
+    /// The bit rates that the manual gives a code (2.32.4). It names none for the 1.5 and
+    /// 2.5 Mbit/s of RS485; `Unknown` sends any other code.
+    BaudCode {
+        /// CAN at 500 kbit/s, RS485 at 115200 bit/s.
+        Can500kRs485At115200 = 0 "can-500k-rs485-115200",
+        /// CAN at 1 Mbit/s, RS485 at 500 kbit/s.
+        Can1MRs485At500k = 1 "can-1m-rs485-500k",
+        /// RS485 at 1 Mbit/s; not valid on CAN.
+        Rs485At1M = 2 "rs485-1m",
+    }
+}
+
+impl BaudCode {
+    /// Bit rate on CAN, `None` where the manual gives none.
+    pub const fn can_bits_per_second(self) -> Option<u32> {
+        match self {
+            Self::Can500kRs485At115200 => Some(500_000),
+            Self::Can1MRs485At500k => Some(1_000_000),
+            Self::Rs485At1M | Self::Unknown(_) => None,
+        }
+    }
+
+    /// Bit rate on RS485, `None` where the manual gives none.
+    pub const fn rs485_bits_per_second(self) -> Option<u32> {
+        match self {
+            Self::Can500kRs485At115200 => Some(115_200),
+            Self::Can1MRs485At500k => Some(500_000),
+            Self::Rs485At1M => Some(1_000_000),
+            Self::Unknown(_) => None,
+        }
+    }
+}
+
+command! {
+    /// Set the bit rate of the bus, in ROM: 0xB4 (2.32). What comes back is garbage, for the drive
+    /// has already changed: do not wait for a reply.
+    SetBaudRate -> NoReply {
+        /// The new rate.
+        baud_rate: BaudCode => 7,
+    }
+}
+
+code! {
+    /// What a drive can report by itself (2.34.2).
+    ReportedCommand {
+        /// As 0x60.
+        MultiTurnEncoder = 0x60 "read-multi-turn-encoder",
+        /// As 0x61.
+        MultiTurnEncoderRaw = 0x61 "read-multi-turn-encoder-raw",
+        /// As 0x62.
+        MultiTurnEncoderOffset = 0x62 "read-multi-turn-encoder-offset",
+        /// As 0x92.
+        MultiTurnAngle = 0x92 "read-multi-turn-angle",
+        /// As 0x9A.
+        Status1 = 0x9A "read-status1",
+        /// As 0x9C.
+        Status2 = 0x9C "read-status2",
+        /// As 0x9D.
+        Status3 = 0x9D "read-status3",
+        /// 0x9E stands in the list, but the manual describes no such command.
+        Undescribed9E = 0x9E "undescribed-9e",
+    }
+}
+
+/// A byte that switches something: 0 or 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
+pub enum Switch {
+    /// 0.
+    Off,
+    /// 1.
+    On,
+}
+
+impl Switch {
+    /// Name and allowed range.
+    pub const QUANTITY: Quantity = Quantity { name: "switch", unit: "", min: 0.0, max: 1.0 };
+
+    /// On for `true`.
+    pub const fn from_bool(on: bool) -> Self {
+        if on { Self::On } else { Self::Off }
+    }
+
+    /// Whether it is on.
+    pub const fn is_on(self) -> bool {
+        matches!(self, Self::On)
+    }
+
+    pub(crate) const fn from_raw(raw: u32) -> Result<Self, OutOfRange> {
+        match raw {
+            0 => Ok(Self::Off),
+            1 => Ok(Self::On),
+            other => Err(OutOfRange { quantity: &Self::QUANTITY, given: other as f64 }),
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) const fn put<const AT: usize>(self, data: &mut Data) {
+        data[AT] = self as u8;
+    }
+
+    #[inline(always)]
+    pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
+        Self::from_raw(data[AT] as u32)
+    }
+}
+
+command! {
+    /// Have the reply to a read command sent by itself at an interval: 0xB6 (2.34), CAN only.
+    /// Several commands take turns. There is no reply, and from then on the drive does not answer
+    /// when it is asked for what it reports.
+    ActiveReply -> NoReply {
+        /// Whose reply.
+        command: ReportedCommand => 1,
+        /// Start or end.
+        enable: Switch => 2,
+        /// How often.
+        interval: ReportInterval => 3,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::Command;
+
+    #[test]
+    fn active_reply_is_the_manuals() {
+        let report = ActiveReply {
+            command: ReportedCommand::MultiTurnEncoder,
+            enable: Switch::On,
+            interval: ReportInterval::from_millis(10.0).unwrap(),
+        };
+        assert_eq!(report.encode(), [0xB6, 0x60, 0x01, 0x01, 0, 0, 0, 0]); // 2.34.4
+        assert_eq!(ActiveReply::decode(&report.encode()), Ok(report));
+        assert!(ActiveReply::decode(&[0xB6, 0x60, 2, 1, 0, 0, 0, 0]).is_err());
+    }
+
+    #[test]
+    fn a_baud_rate_without_a_name_can_be_sent() {
+        let set = SetBaudRate { baud_rate: BaudCode::Unknown(4) };
+        assert_eq!(set.encode(), [0xB4, 0, 0, 0, 0, 0, 0, 4]);
+        assert_eq!(SetBaudRate::decode(&set.encode()), Ok(set));
+        assert!(SetBaudRate::decode_reply(&set.encode()).is_err());
+    }
+
+    #[test]
+    fn any_reply_acknowledges_the_protection() {
+        // 2.31.4 example 2 sets 1000 ms and is answered with 0.
+        let reply =
+            CommunicationLossProtection::decode_reply(&[0xB3, 0, 0, 0, 0, 0, 0, 0]).unwrap();
+        assert_eq!(reply.timeout.raw(), 0);
+    }
+}

@@ -1,0 +1,154 @@
+//! Commands that move or stop the motor (manual 2.17 to 2.24).
+
+use crate::command::status::Feedback;
+use crate::units::{
+    Angle, Current, MaxSpeed, MaxTorque, SingleTurnPulses, SingleTurnTarget, SpeedTarget,
+    Temperature,
+};
+
+command! {
+    /// Switch the output off and leave every control mode: 0x80 (2.17). The shaft is free to turn
+    /// unless a brake holds it. The reply is the same frame.
+    Shutdown -> Self
+}
+
+command! {
+    /// Stop, and hold still against outside force: 0x81 (2.18). The reply is the same frame.
+    Stop -> Self
+}
+
+echo!(Shutdown, Stop);
+
+command! {
+    /// Run at a torque current: 0xA1 (2.19). A motor with a brake needs
+    /// [`ReleaseBrake`](crate::command::ReleaseBrake) first.
+    Torque -> Feedback {
+        /// The torque current, positive for positive turning.
+        current: Current => 4,
+    }
+}
+
+command! {
+    /// Run at a speed: 0xA2 (2.20). The speed planning accelerations apply.
+    Speed -> Feedback {
+        /// The largest torque; 0 for no limit but the stall current.
+        max_torque: MaxTorque => 1,
+        /// The speed of the output shaft, positive for positive turning.
+        speed: SpeedTarget => 4,
+    }
+}
+
+command! {
+    /// Go to a multi-turn angle, from wherever the shaft is: 0xA4 (2.21). With a position planning
+    /// acceleration of 0 the drive tracks the angle directly, else along a planned profile.
+    AbsolutePosition -> Feedback {
+        /// The fastest turning on the way.
+        max_speed: MaxSpeed => 2,
+        /// Where to go.
+        angle: Angle => 4,
+    }
+}
+
+code! {
+    /// Which way to turn to a single-turn angle (2.22.1).
+    Direction {
+        /// Clockwise.
+        Clockwise = 0x00 "clockwise",
+        /// Counter-clockwise.
+        CounterClockwise = 0x01 "counter-clockwise",
+    }
+}
+
+command! {
+    /// Go to an angle within one turn: 0xA6 (2.22), for direct-drive motors in single-turn mode.
+    SingleTurnPosition -> SingleTurnFeedback {
+        /// Which way to turn.
+        direction: Direction => 1,
+        /// The fastest turning on the way.
+        max_speed: MaxSpeed => 2,
+        /// Where to go.
+        angle: SingleTurnTarget => 4,
+    }
+}
+
+reply! {
+    /// What 0xA6 answers: as [`Feedback`], with an encoder position in the angle's place (2.22.3).
+    SingleTurnFeedback {
+        /// Motor temperature.
+        temperature: Temperature => 1,
+        /// Torque current.
+        current: Current => 2,
+        /// Speed of the output shaft.
+        speed: crate::units::Speed => 4,
+        /// Encoder position from the zero.
+        encoder: SingleTurnPulses => 6,
+    }
+}
+
+command! {
+    /// Go on by an angle from the current position: 0xA8 (2.23). Sent twice, it moves twice.
+    IncrementalPosition -> Feedback {
+        /// The fastest turning on the way.
+        max_speed: MaxSpeed => 2,
+        /// How far to go; the sign is the direction.
+        angle: Angle => 4,
+    }
+}
+
+command! {
+    /// Go to a multi-turn angle with limited torque: 0xA9 (2.24).
+    ForcePosition -> Feedback {
+        /// The largest torque; above the stall current it limits nothing.
+        max_torque: MaxTorque => 1,
+        /// The fastest turning on the way.
+        max_speed: MaxSpeed => 2,
+        /// Where to go.
+        angle: Angle => 4,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::Command;
+
+    #[test]
+    fn an_absolute_position_is_the_manuals() {
+        let go = AbsolutePosition {
+            max_speed: MaxSpeed::from_raw(500),
+            angle: Angle::from_degrees(-360.0).unwrap(),
+        };
+        assert_eq!(go.encode(), [0xA4, 0x00, 0xF4, 0x01, 0x60, 0x73, 0xFF, 0xFF]); // 2.21.4
+        assert_eq!(AbsolutePosition::decode(&go.encode()), Ok(go));
+    }
+
+    #[test]
+    fn the_torque_limit_is_byte_1() {
+        // 2.20.2 and 2.24.2 print DATA[2] in their formulas; the examples use DATA[1].
+        let force = ForcePosition {
+            max_torque: MaxTorque::from_raw(60),
+            max_speed: MaxSpeed::from_raw(500),
+            angle: Angle::from_raw(36_000),
+        };
+        assert_eq!(force.encode(), [0xA9, 0x3C, 0xF4, 0x01, 0xA0, 0x8C, 0x00, 0x00]);
+        let speed =
+            Speed { max_torque: MaxTorque::from_raw(60), speed: SpeedTarget::from_raw(-10_000) };
+        assert_eq!(speed.encode(), [0xA2, 0x3C, 0, 0, 0xF0, 0xD8, 0xFF, 0xFF]);
+    }
+
+    #[test]
+    fn single_turn_targets_end_at_360_degrees() {
+        let go = [0xA6, 0x01, 0xF4, 0x01, 0xA0, 0x8C, 0, 0]; // 2.22.4 example 2
+        let decoded = SingleTurnPosition::decode(&go).unwrap();
+        assert_eq!(decoded.direction, Direction::CounterClockwise);
+        assert_eq!(decoded.angle.degrees(), 360.0);
+        assert!(SingleTurnPosition::decode(&[0xA6, 0, 0, 0, 0xA1, 0x8C, 0, 0]).is_err());
+    }
+
+    #[test]
+    fn null_bytes_are_not_read() {
+        let torque = Torque::decode(&[0xA1, 9, 9, 9, 0x9C, 0xFF, 9, 9]).unwrap();
+        assert_eq!(torque.current.amperes(), -1.0);
+        assert_eq!(torque.encode(), [0xA1, 0, 0, 0, 0x9C, 0xFF, 0, 0]);
+    }
+}

@@ -1,0 +1,100 @@
+//! Encoder positions and zero offsets, in pulses (manual 2.6 to 2.11).
+
+use crate::units::{EncoderPulses, SingleTurnPulses};
+
+command! {
+    /// Read the multi-turn encoder position, less its zero offset: 0x60 (2.6).
+    ReadMultiTurnEncoder -> MultiTurnEncoder
+}
+
+reply! {
+    /// Multi-turn encoder position, the raw position less the zero offset (2.6.3).
+    MultiTurnEncoder {
+        /// The position.
+        position: EncoderPulses => 4,
+    }
+}
+
+command! {
+    /// Read the multi-turn encoder position without its zero offset: 0x61 (2.7).
+    ReadMultiTurnEncoderRaw -> MultiTurnEncoderRaw
+}
+
+reply! {
+    /// Multi-turn encoder position before the zero offset is taken off (2.7.3).
+    MultiTurnEncoderRaw {
+        /// The raw position.
+        raw: EncoderPulses => 4,
+    }
+}
+
+command! {
+    /// Read the zero offset of the multi-turn encoder: 0x62 (2.8).
+    ReadMultiTurnEncoderOffset -> MultiTurnEncoderOffset
+}
+
+reply! {
+    /// Zero offset of the multi-turn encoder: the raw position that counts as zero (2.8.3, 2.10.3).
+    MultiTurnEncoderOffset {
+        /// The offset.
+        offset: EncoderPulses => 4,
+    }
+}
+
+command! {
+    /// Make a given raw position the zero, in ROM: 0x63 (2.9). It takes effect after a restart. Not
+    /// while the motor starts or moves. The reply is the same frame.
+    SetEncoderZero -> Self {
+        /// The raw position that becomes the zero.
+        offset: EncoderPulses => 4,
+    }
+}
+
+echo!(SetEncoderZero);
+
+command! {
+    /// Make the current position the zero, in ROM: 0x64 (2.10). It takes effect after
+    /// [`Reset`](crate::command::Reset). Not while the motor starts or moves. The reply tells the
+    /// new offset.
+    SetCurrentPositionZero -> MultiTurnEncoderOffset
+}
+
+command! {
+    /// Read the single-turn encoder of a direct-drive motor: 0x90 (2.11).
+    ReadSingleTurnEncoder -> SingleTurnEncoder
+}
+
+reply! {
+    /// Single-turn encoder position (2.11.3; the left column of its table, the formulas are one
+    /// index low).
+    SingleTurnEncoder {
+        /// The position, the raw position less the zero offset.
+        position: SingleTurnPulses => 2,
+        /// The raw position.
+        raw: SingleTurnPulses => 4,
+        /// The zero offset.
+        offset: SingleTurnPulses => 6,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::Command;
+
+    #[test]
+    fn an_offset_fills_all_four_bytes() {
+        // 2.9.2 prints >>8 for the last three; each byte has its own shift.
+        let set = SetEncoderZero { offset: EncoderPulses::from_raw(0x0403_0201) };
+        assert_eq!(set.encode(), [0x63, 0, 0, 0, 1, 2, 3, 4]);
+    }
+
+    #[test]
+    fn reads_the_manuals_single_turn_example() {
+        let reply = [0x90, 0x00, 0x33, 0x08, 0xBE, 0x2C, 0x8B, 0x24]; // 2.11.4
+        let encoder = ReadSingleTurnEncoder::decode_reply(&reply).unwrap();
+        assert_eq!(encoder.position.raw(), 2099);
+        assert_eq!(encoder.raw.raw(), 11454);
+        assert_eq!(encoder.offset.raw(), 9355);
+    }
+}

@@ -1,0 +1,91 @@
+//! Gains of the current, speed and position loops (manual 2.1 to 2.3).
+
+use crate::units::Gain;
+
+code! {
+    /// Which gain (2.1.4).
+    PidIndex {
+        /// Current loop, proportional.
+        CurrentKp = 0x01 "current-kp",
+        /// Current loop, integral.
+        CurrentKi = 0x02 "current-ki",
+        /// Speed loop, proportional.
+        SpeedKp = 0x04 "speed-kp",
+        /// Speed loop, integral.
+        SpeedKi = 0x05 "speed-ki",
+        /// Position loop, proportional.
+        PositionKp = 0x07 "position-kp",
+        /// Position loop, integral.
+        PositionKi = 0x08 "position-ki",
+        /// Position loop, derivative.
+        PositionKd = 0x09 "position-kd",
+    }
+}
+
+command! {
+    /// Read one gain: 0x30 (2.1).
+    ReadPid -> PidGain {
+        /// Which gain.
+        index: PidIndex => 1,
+    }
+}
+
+reply! {
+    /// One gain, as 0x30 returns it (2.1.3).
+    PidGain {
+        /// Which gain.
+        index: PidIndex => 1,
+        /// Its value.
+        value: Gain => 4,
+    }
+}
+
+command! {
+    /// Write one gain to RAM, lost at power-off and reset: 0x31 (2.2). Not while the motor starts or
+    /// moves. The reply is the same frame.
+    WritePidRam -> Self {
+        /// Which gain.
+        index: PidIndex => 1,
+        /// Its new value.
+        value: Gain => 4,
+    }
+}
+
+command! {
+    /// Write one gain to ROM, kept over power-off: 0x32 (2.3). Not while the motor starts or moves.
+    /// The reply is the same frame.
+    WritePidRom -> Self {
+        /// Which gain.
+        index: PidIndex => 1,
+        /// Its new value.
+        value: Gain => 4,
+    }
+}
+
+echo!(WritePidRam, WritePidRom);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::Command;
+
+    #[test]
+    fn a_gain_is_a_little_endian_float() {
+        // 1.5 is 0x3FC00000 (2.2.5).
+        let write = WritePidRam { index: PidIndex::CurrentKp, value: Gain::new(1.5).unwrap() };
+        assert_eq!(write.encode(), [0x31, 0x01, 0, 0, 0, 0, 0xC0, 0x3F]);
+        assert_eq!(WritePidRam::decode(&write.encode()), Ok(write));
+    }
+
+    #[test]
+    fn a_gain_that_is_no_number_is_refused() {
+        assert!(ReadPid::decode_reply(&[0x30, 1, 0, 0, 0, 0, 0xC0, 0x7F]).is_err());
+    }
+
+    #[test]
+    fn an_index_that_the_manual_does_not_name_is_kept() {
+        let read = ReadPid::decode(&[0x30, 3, 0, 0, 0, 0, 0, 0]).unwrap();
+        assert_eq!(read.index, PidIndex::Unknown(3));
+        assert_eq!(read.encode()[1], 3);
+    }
+}

@@ -1,0 +1,259 @@
+//! The three status reads (manual 2.14 to 2.16), and the feedback that motion commands share.
+
+use core::fmt;
+
+use bitflags::bitflags;
+
+use crate::field::{self, Data};
+use crate::range::OutOfRange;
+use crate::units::{CoarseAngle, Current, Speed, Temperature, Voltage};
+
+command! {
+    /// Read temperatures, brake, voltage and error flags: 0x9A (2.14).
+    ReadStatus1 -> Status1
+}
+
+reply! {
+    /// Temperatures, brake, supply voltage and error flags (2.14.3). A drive whose error reporting
+    /// is on sends it unasked every 100 ms while an error lasts (function 3, 2.35.4).
+    Status1 {
+        /// Motor temperature.
+        temperature: Temperature => 1,
+        /// MOSFET temperature.
+        mos_temperature: Temperature => 2,
+        /// What the brake has been told.
+        brake: BrakeCommand => 3,
+        /// Supply voltage.
+        voltage: Voltage => 4,
+        /// Everything that is wrong.
+        errors: ErrorFlags => 6,
+    }
+}
+
+code! {
+    /// What the brake has been told (2.14.3). It is the command, not the brake's true state, and on
+    /// some firmware 1 only while a command runs.
+    BrakeCommand {
+        /// Lock.
+        Lock = 0 "lock",
+        /// Release.
+        Release = 1 "release",
+    }
+}
+
+/// How bad an error is (8.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum ErrorLevel {
+    /// The motor cannot recover: find the cause, then restart it.
+    One,
+    /// The motor runs again by itself once the cause is gone.
+    Two,
+}
+
+macro_rules! error_flags {
+    ($($(#[doc = $doc:literal])+ $flag:ident = $bit:literal $name:literal $level:expr, $text:literal;)+) => {
+        bitflags! {
+            /// Everything that is wrong with a motor, one bit each (2.14.3). Bits that the manual
+            /// does not name are kept.
+            ///
+            /// ```
+            /// use myactuator_protocol_core::command::ErrorFlags;
+            ///
+            /// let errors = ErrorFlags::from_bits_retain(0x0016); // the manual's example
+            /// assert_eq!(
+            ///     errors.to_string(),
+            ///     "motor stalled, supply voltage too low, phase current too high"
+            /// );
+            /// assert!(errors.needs_restart());
+            /// ```
+            #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+            #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+            pub struct ErrorFlags: u16 {
+                $($(#[doc = $doc])+ const $flag = $bit;)+
+                const _ = !0;
+            }
+        }
+
+        impl ErrorFlags {
+            /// Every error that the manual names.
+            pub const NAMED: &'static [Self] = &[$(Self::$flag),+];
+
+            /// The name in tools of a single error, `None` for an unnamed bit or several.
+            pub const fn name(self) -> Option<&'static str> {
+                match self.bits() { $($bit => Some($name),)+ _ => None }
+            }
+
+            /// What a single error means, for people; `None` for an unnamed bit or several.
+            pub const fn description(self) -> Option<&'static str> {
+                match self.bits() { $($bit => Some($text),)+ _ => None }
+            }
+
+            /// The level of a single error (8.2). `None` where the manual gives none, for unnamed
+            /// bits and for several.
+            pub const fn level(self) -> Option<ErrorLevel> {
+                match self.bits() { $($bit => $level,)+ _ => None }
+            }
+        }
+    };
+}
+
+error_flags! {
+    /// The current is at its stall value, the speed is low, and it lasts: too much load.
+    STALL = 0x0002 "stall" Some(ErrorLevel::One), "motor stalled";
+    /// Supply voltage below its limit.
+    UNDER_VOLTAGE = 0x0004 "under-voltage" Some(ErrorLevel::Two), "supply voltage too low";
+    /// Supply voltage above its limit.
+    OVER_VOLTAGE = 0x0008 "over-voltage" Some(ErrorLevel::Two), "supply voltage too high";
+    /// Phase current above its limit: a short, a lost phase, loss of control, a broken motor.
+    OVER_CURRENT = 0x0010 "over-current" Some(ErrorLevel::One), "phase current too high";
+    /// Supply current above its limit: too much load, or too fast.
+    OVER_POWER = 0x0040 "over-power" Some(ErrorLevel::Two), "power too high";
+    /// Calibration values could not be written (2.14.3) or were lost and could not be read (8.2).
+    CALIBRATION_PARAMETERS = 0x0080 "calibration-write" Some(ErrorLevel::One), "calibration values lost";
+    /// Speed above its limit: over-voltage, or driven from outside.
+    OVER_SPEED = 0x0100 "over-speed" Some(ErrorLevel::Two), "speed too high";
+    /// Power electronics too hot. The manual gives no level.
+    COMPONENT_OVER_TEMPERATURE = 0x0800 "component-over-temperature" None, "power electronics too hot";
+    /// Motor too hot.
+    MOTOR_OVER_TEMPERATURE = 0x1000 "motor-over-temperature" Some(ErrorLevel::Two), "motor too hot";
+    /// Encoder calibration too far from the standard value.
+    ENCODER_CALIBRATION = 0x2000 "encoder-calibration" Some(ErrorLevel::Two), "encoder calibration off";
+    /// Encoder data wrong. The manual gives no level.
+    ENCODER_DATA = 0x4000 "encoder-data" None, "encoder data wrong";
+}
+
+impl ErrorFlags {
+    /// Each error by itself, lowest bit first, unnamed bits included.
+    pub fn each(self) -> impl Iterator<Item = Self> + Clone {
+        (0..16)
+            .map(|bit| Self::from_bits_retain(1 << bit))
+            .filter(move |&error| self.contains(error))
+    }
+
+    /// Whether anything is wrong that only a restart ends. Errors whose level the manual does not
+    /// tell count as such, so that nobody waits for a recovery that may not come.
+    pub fn needs_restart(self) -> bool {
+        self.each().any(|error| error.level() != Some(ErrorLevel::Two))
+    }
+
+    #[inline(always)]
+    pub(crate) const fn put<const AT: usize>(self, data: &mut Data) {
+        field::put_u16::<AT>(data, self.bits());
+    }
+
+    #[inline(always)]
+    pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
+        Ok(Self::from_bits_retain(field::get_u16::<AT>(data)))
+    }
+}
+
+impl fmt::Display for ErrorFlags {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_empty() {
+            return f.write_str("no error");
+        }
+        for (place, error) in self.each().enumerate() {
+            if place > 0 {
+                f.write_str(", ")?;
+            }
+            match error.description() {
+                Some(text) => f.write_str(text)?,
+                None => write!(f, "unknown error 0x{:04X}", error.bits())?,
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for ErrorFlags {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "ErrorFlags({=u16:#06x})", self.bits());
+    }
+}
+
+command! {
+    /// Read temperature, torque current, speed and angle: 0x9C (2.15).
+    ReadStatus2 -> Feedback
+}
+
+reply! {
+    /// How the motor does right now: what 0x9C reads and most motion commands answer with (2.15.3,
+    /// 2.19.3, 2.20.3, 2.21.3, 2.23.3, 2.24.3).
+    Feedback {
+        /// Motor temperature.
+        temperature: Temperature => 1,
+        /// Torque current.
+        current: Current => 2,
+        /// Speed of the output shaft.
+        speed: Speed => 4,
+        /// Angle of the output shaft from its zero; it ends at ±32767 degrees.
+        angle: CoarseAngle => 6,
+    }
+}
+
+command! {
+    /// Read temperature and phase currents: 0x9D (2.16).
+    ReadStatus3 -> Status3
+}
+
+reply! {
+    /// Temperature and phase currents (2.16.3).
+    Status3 {
+        /// Motor temperature.
+        temperature: Temperature => 1,
+        /// Current of phase A.
+        phase_a: Current => 2,
+        /// Current of phase B.
+        phase_b: Current => 4,
+        /// Current of phase C.
+        phase_c: Current => 6,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use crate::command::Command;
+    use std::string::ToString;
+
+    #[test]
+    fn reads_the_manuals_examples() {
+        // 2.14.4
+        let status =
+            ReadStatus1::decode_reply(&[0x9A, 0x32, 0x00, 0x01, 0xE5, 0x01, 0x04, 0x00]).unwrap();
+        assert_eq!(status.temperature.celsius(), 50.0);
+        assert_eq!(status.brake, BrakeCommand::Release);
+        assert_eq!(status.voltage.volts(), 48.5);
+        assert_eq!(status.errors, ErrorFlags::UNDER_VOLTAGE);
+        // 2.16.4
+        let status =
+            ReadStatus3::decode_reply(&[0x9D, 0x32, 0xC2, 0x0B, 0x10, 0xFA, 0xC0, 0xF9]).unwrap();
+        assert_eq!(status.phase_a.amperes(), 30.1);
+        assert_eq!(status.phase_b.amperes(), -15.2);
+        assert_eq!(status.phase_c.amperes(), -16.0);
+    }
+
+    #[test]
+    fn errors_the_manual_does_not_name_are_kept_and_told() {
+        let errors = ErrorFlags::from_bits_retain(0x0020 | 0x0002);
+        assert_eq!(errors.bits(), 0x0022);
+        assert_eq!(errors.to_string(), "motor stalled, unknown error 0x0020");
+        assert_eq!(ErrorFlags::empty().to_string(), "no error");
+    }
+
+    #[test]
+    fn levels_are_those_of_8_2() {
+        assert_eq!(ErrorFlags::STALL.level(), Some(ErrorLevel::One));
+        assert_eq!(ErrorFlags::OVER_SPEED.level(), Some(ErrorLevel::Two));
+        assert_eq!(ErrorFlags::ENCODER_DATA.level(), None);
+        assert!(!(ErrorFlags::UNDER_VOLTAGE | ErrorFlags::OVER_POWER).needs_restart());
+        assert!((ErrorFlags::UNDER_VOLTAGE | ErrorFlags::STALL).needs_restart());
+        for &error in ErrorFlags::NAMED {
+            assert!(error.name().is_some() && error.description().is_some());
+        }
+    }
+}

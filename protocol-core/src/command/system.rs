@@ -1,0 +1,219 @@
+//! The drive as a device: mode, restart, run time, version, model (manual 2.25, 2.26, 2.29, 2.30,
+//! 2.33).
+
+use core::fmt;
+
+use crate::command::NoReply;
+use crate::field::{self, Data};
+use crate::range::OutOfRange;
+use crate::units::Milliseconds;
+
+command! {
+    /// Read which control loop runs: 0x70 (2.25).
+    ReadRunningMode -> RunningMode
+}
+
+code! {
+    /// A control loop (2.25.3).
+    Mode {
+        /// Torque current.
+        Current = 1 "current",
+        /// Speed.
+        Speed = 2 "speed",
+        /// Position.
+        Position = 3 "position",
+    }
+}
+
+reply! {
+    /// Which control loop runs (2.25.3).
+    RunningMode {
+        /// The loop.
+        mode: Mode => 7,
+    }
+}
+
+command! {
+    /// Restart the drive: 0x76 (2.26). There is no reply; drives were seen to take about 1.1 s until
+    /// they answer again. It is also what clears errors of level one.
+    Reset -> NoReply
+}
+
+command! {
+    /// Read how long the drive has run since its last start: 0xB1 (2.29).
+    ReadRunTime -> RunTime
+}
+
+reply! {
+    /// Time since the drive's last start (2.29.3).
+    RunTime {
+        /// The time.
+        run_time: Milliseconds => 4,
+    }
+}
+
+command! {
+    /// Read the date of the drive's software: 0xB2 (2.30).
+    ReadVersionDate -> Version
+}
+
+reply! {
+    /// Date of the drive's software (2.30.3).
+    Version {
+        /// The date.
+        date: VersionDate => 4,
+    }
+}
+
+/// A date as a decimal number, 20220206 for 2022-02-06 (2.30.4). Some drives add a two-digit build
+/// number: 2023020601.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(transparent))]
+pub struct VersionDate(u32);
+
+impl VersionDate {
+    /// The date with this number on the wire.
+    pub const fn from_raw(raw: u32) -> Self {
+        Self(raw)
+    }
+
+    /// The number on the wire.
+    pub const fn raw(self) -> u32 {
+        self.0
+    }
+
+    /// Year, month and day, `None` if the number is no date.
+    pub const fn year_month_day(self) -> Option<(u16, u8, u8)> {
+        let date = if self.0 >= 1_000_000_000 { self.0 / 100 } else { self.0 };
+        let (year, month, day) = (date / 10_000, date / 100 % 100, date % 100);
+        if year >= 1000 && year <= 9999 && month >= 1 && month <= 12 && day >= 1 && day <= 31 {
+            Some((year as u16, month as u8, day as u8))
+        } else {
+            None
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) const fn put<const AT: usize>(self, data: &mut Data) {
+        field::put_u32::<AT>(data, self.0);
+    }
+
+    #[inline(always)]
+    pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
+        Ok(Self(field::get_u32::<AT>(data)))
+    }
+}
+
+impl fmt::Display for VersionDate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.year_month_day() {
+            Some((year, month, day)) => write!(f, "{year:04}-{month:02}-{day:02}"),
+            None => self.0.fmt(f),
+        }
+    }
+}
+
+command! {
+    /// Read the motor's model: 0xB5 (2.33).
+    ReadModel -> Model
+}
+
+reply! {
+    /// The motor's model (2.33.3).
+    Model {
+        /// Its name.
+        name: ModelName => 1,
+    }
+}
+
+/// A model's name, up to seven ASCII characters (2.33.3). Shorter ones are filled up with zeros.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(transparent))]
+pub struct ModelName([u8; 7]);
+
+impl ModelName {
+    /// The name with these bytes on the wire, whatever they are.
+    pub const fn from_bytes(bytes: [u8; 7]) -> Self {
+        Self(bytes)
+    }
+
+    /// The bytes on the wire.
+    pub const fn bytes(self) -> [u8; 7] {
+        self.0
+    }
+
+    /// The name without the zeros that fill it up; `None` if it is not printable ASCII.
+    pub fn as_str(&self) -> Option<&str> {
+        let name = self.0.split(|&byte| byte == 0).next()?;
+        let filled = self.0.iter().skip(name.len()).all(|&byte| byte == 0);
+        let printable = name.iter().all(|&byte| byte.is_ascii_graphic() || byte == b' ');
+        if filled && printable { core::str::from_utf8(name).ok() } else { None }
+    }
+
+    #[inline(always)]
+    pub(crate) const fn put<const AT: usize>(self, data: &mut Data) {
+        let [a, b, c, d, e, f, g] = self.0;
+        *data = [data[0], a, b, c, d, e, f, g];
+    }
+
+    #[inline(always)]
+    pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
+        let [_, a, b, c, d, e, f, g] = *data;
+        Ok(Self([a, b, c, d, e, f, g]))
+    }
+}
+
+/// The characters, with a point for whatever is not printable.
+impl fmt::Display for ModelName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.as_str() {
+            Some(name) => f.write_str(name),
+            None => self.0.iter().try_for_each(|&byte| {
+                let printable = byte.is_ascii_graphic() || byte == b' ';
+                write!(f, "{}", if printable { byte as char } else { '.' })
+            }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use crate::command::Command;
+    use std::string::ToString;
+
+    #[test]
+    fn reads_the_manuals_examples() {
+        let model =
+            ReadModel::decode_reply(&[0xB5, 0x58, 0x38, 0x53, 0x32, 0x56, 0x31, 0x30]).unwrap();
+        assert_eq!(model.name.as_str(), Some("X8S2V10")); // 2.33.4
+        let version =
+            ReadVersionDate::decode_reply(&[0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 0x01]).unwrap();
+        assert_eq!(version.date.raw(), 20_220_206); // 2.30.4
+        let run = ReadRunTime::decode_reply(&[0xB1, 0, 0, 0, 0, 0, 0, 0x10]).unwrap();
+        assert_eq!(run.run_time.raw(), 268_435_456); // 2.29.4
+    }
+
+    #[test]
+    fn dates_come_with_and_without_a_build_number() {
+        assert_eq!(VersionDate::from_raw(20_220_206).to_string(), "2022-02-06");
+        assert_eq!(VersionDate::from_raw(2_023_020_601).year_month_day(), Some((2023, 2, 6)));
+        assert_eq!(VersionDate::from_raw(7).to_string(), "7");
+    }
+
+    #[test]
+    fn model_names_are_filled_up_and_never_trusted() {
+        assert_eq!(ModelName::from_bytes(*b"RMD-X8\0").as_str(), Some("RMD-X8"));
+        assert_eq!(ModelName::from_bytes(*b"X8\xFFS2V1").as_str(), None);
+        assert_eq!(ModelName::from_bytes(*b"X8\xFFS2V1").to_string(), "X8.S2V1");
+        assert_eq!(ModelName::from_bytes(*b"X8\0S2V1").as_str(), None);
+    }
+
+    #[test]
+    fn a_reset_has_no_reply() {
+        assert!(Reset::decode_reply(&Reset.encode()).is_err());
+    }
+}

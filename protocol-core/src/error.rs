@@ -1,0 +1,113 @@
+//! What can be wrong with received bytes, and with a request.
+
+use core::fmt;
+
+use crate::channel::Channel;
+use crate::opcode::Opcode;
+pub use crate::range::OutOfRange;
+
+/// Why a data field does not mean anything.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum DecodeError {
+    /// The command byte is none of V4.3's.
+    UnknownOpcode(u8),
+    /// The command byte is another than the asked-for kind's.
+    WrongOpcode {
+        /// The kind that was to be decoded.
+        expected: Opcode,
+        /// The command byte found.
+        found: u8,
+    },
+    /// The kind does not travel on that channel.
+    WrongChannel {
+        /// The kind that the data field names.
+        opcode: Opcode,
+        /// The channel it came on.
+        channel: Channel,
+    },
+    /// The channel carries no commands.
+    NotACommand(Channel),
+    /// The channel carries no replies.
+    NotAReply(Channel),
+    /// The kind has no reply, so this cannot be one (0x76, 0xB4, 0xB6).
+    NoReply(Opcode),
+    /// A field holds a value that is not allowed there.
+    OutOfRange(OutOfRange),
+    /// A reply to a read of the bus id holds neither an id nor a reply identifier (4.3, 7.3).
+    NotABusId(u16),
+}
+
+impl From<OutOfRange> for DecodeError {
+    fn from(error: OutOfRange) -> Self {
+        Self::OutOfRange(error)
+    }
+}
+
+impl fmt::Display for DecodeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownOpcode(byte) => {
+                write!(f, "command byte 0x{byte:02X} is none of protocol V4.3's")
+            }
+            Self::WrongOpcode { expected, found } => {
+                write!(f, "expected {expected}, found command byte 0x{found:02X}")
+            }
+            Self::WrongChannel { opcode, channel } => {
+                write!(f, "{opcode} does not travel on channel {channel:?}")
+            }
+            Self::NotACommand(channel) => write!(f, "channel {channel:?} carries no commands"),
+            Self::NotAReply(channel) => write!(f, "channel {channel:?} carries no replies"),
+            Self::NoReply(opcode) => write!(f, "{opcode} has no reply with a meaning"),
+            Self::OutOfRange(error) => error.fmt(f),
+            Self::NotABusId(found) => {
+                write!(
+                    f,
+                    "expected an id 1 to 32 or a reply identifier 0x241 to 0x260, found 0x{found:03X}"
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for DecodeError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::OutOfRange(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+/// Why a command cannot be sent as asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum RequestError {
+    /// The command goes to one motor; there is no form of it for all (motion mode).
+    OneMotorOnly(Opcode),
+    /// The command goes to whatever is connected and names no motor (bus id setting).
+    AllMotorsOnly(Opcode),
+    /// The command exists on CAN only.
+    CanOnly(Opcode),
+}
+
+impl fmt::Display for RequestError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::OneMotorOnly(opcode) => {
+                write!(f, "{opcode} goes to one motor only: name its id")
+            }
+            Self::AllMotorsOnly(opcode) => {
+                write!(
+                    f,
+                    "{opcode} reaches every motor that is connected and names none: send it to all"
+                )
+            }
+            Self::CanOnly(opcode) => write!(f, "{opcode} exists on CAN only"),
+        }
+    }
+}
+
+impl core::error::Error for RequestError {}

@@ -1,0 +1,130 @@
+//! Which motor is meant: [`MotorId`] and [`Target`].
+
+use core::fmt;
+use core::num::NonZeroU8;
+
+use crate::range::{OutOfRange, Quantity};
+
+/// The number of a motor on its bus, 1 to 32 (manual 1.1.2, 1.2.2).
+///
+/// ```
+/// use myactuator_protocol_core::MotorId;
+///
+/// let elbow = MotorId::new(3).unwrap();
+/// assert_eq!(elbow.get(), 3);
+/// assert!(MotorId::new(33).is_err());
+/// ```
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(try_from = "u8", into = "u8"))]
+pub struct MotorId(NonZeroU8);
+
+impl MotorId {
+    /// What a motor id may be.
+    pub const QUANTITY: Quantity = Quantity { name: "motor id", unit: "", min: 1.0, max: 32.0 };
+    /// How many ids there are.
+    pub const COUNT: usize = 32;
+    /// The smallest id, 1: what a drive leaves the factory with.
+    pub const MIN: Self = Self(NonZeroU8::MIN);
+
+    /// A motor id from its number.
+    ///
+    /// # Errors
+    /// [`OutOfRange`] unless `id` is 1 to 32.
+    #[inline]
+    pub const fn new(id: u8) -> Result<Self, OutOfRange> {
+        match NonZeroU8::new(id) {
+            Some(nonzero) if id <= 32 => Ok(Self(nonzero)),
+            _ => Err(OutOfRange { quantity: &Self::QUANTITY, given: id as f64 }),
+        }
+    }
+
+    /// The number, 1 to 32.
+    #[inline]
+    pub const fn get(self) -> u8 {
+        self.0.get()
+    }
+
+    /// The place of this motor in an array of [`COUNT`](Self::COUNT), 0 to 31.
+    #[inline]
+    pub const fn index(self) -> usize {
+        (self.get() - 1) as usize
+    }
+
+    /// All 32 ids in order.
+    pub fn all() -> impl DoubleEndedIterator<Item = Self> + Clone {
+        (1..=32).filter_map(|id| Self::new(id).ok())
+    }
+}
+
+impl TryFrom<u8> for MotorId {
+    type Error = OutOfRange;
+    fn try_from(id: u8) -> Result<Self, OutOfRange> {
+        Self::new(id)
+    }
+}
+
+impl From<MotorId> for u8 {
+    fn from(id: MotorId) -> u8 {
+        id.get()
+    }
+}
+
+impl fmt::Debug for MotorId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "MotorId({self})")
+    }
+}
+
+impl fmt::Display for MotorId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.get().fmt(f)
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for MotorId {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "motor {}", self.get());
+    }
+}
+
+/// To whom a command goes: one motor, or all on the bus (manual 3 and 6).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Target {
+    /// One motor.
+    Motor(MotorId),
+    /// Every motor on the bus: CAN identifier 0x280, RS485 address 0xCD.
+    All,
+}
+
+impl From<MotorId> for Target {
+    fn from(id: MotorId) -> Self {
+        Target::Motor(id)
+    }
+}
+
+impl fmt::Display for Target {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Target::Motor(id) => write!(f, "motor {id}"),
+            Target::All => f.write_str("all motors"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_1_to_32_are_ids() {
+        for id in 0..=255 {
+            assert_eq!(MotorId::new(id).is_ok(), (1..=32).contains(&id), "{id}");
+        }
+        assert!(MotorId::all().map(MotorId::get).eq(1..=32));
+        assert!(MotorId::all().map(MotorId::index).eq(0..32));
+    }
+}

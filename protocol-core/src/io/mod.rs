@@ -1,0 +1,5 @@
+//! Thin loops that tie the state machines to embedded-can and embedded-io.
+
+mod clock;
+
+pub use clock::Clock;

@@ -1,0 +1,220 @@
+//! CAN identifiers, and any HAL's frames (manual 1.1, 3, 4, 5).
+//!
+//! | identifier | carries |
+//! |---|---|
+//! | 0x140 + id | command to one motor |
+//! | 0x240 + id | its reply |
+//! | 0x280 | command to all motors |
+//! | 0x300 | bus id setting, both ways |
+//! | 0x400 + id | motion mode command |
+//! | 0x500 + id | its reply |
+//!
+//! Standard identifiers, data frames, always eight bytes.
+
+use embedded_can::{Frame, Id, StandardId};
+
+use crate::channel::{Channel, Packet};
+use crate::field::Data;
+use crate::id::{MotorId, Target};
+
+const COMMAND: u16 = 0x140;
+const REPLY: u16 = 0x240;
+const COMMAND_ALL: u16 = 0x280;
+const BUS_ID: u16 = 0x300;
+const MOTION: u16 = 0x400;
+const MOTION_REPLY: u16 = 0x500;
+
+/// The identifier of a channel.
+#[inline]
+pub const fn identifier(channel: Channel) -> u16 {
+    match channel {
+        Channel::Command(Target::Motor(id)) => COMMAND + id.get() as u16,
+        Channel::Command(Target::All) => COMMAND_ALL,
+        Channel::Reply(id) => REPLY + id.get() as u16,
+        Channel::BusId => BUS_ID,
+        Channel::Motion(id) => MOTION + id.get() as u16,
+        Channel::MotionReply(id) => MOTION_REPLY + id.get() as u16,
+    }
+}
+
+/// The channel of an identifier, `None` for one that is not the protocol's.
+#[inline]
+pub const fn channel(identifier: u16) -> Option<Channel> {
+    match identifier {
+        COMMAND_ALL => Some(Channel::Command(Target::All)),
+        BUS_ID => Some(Channel::BusId),
+        _ => {
+            let base = identifier & !0x3F;
+            let Ok(id) = MotorId::new((identifier & 0x3F) as u8) else { return None };
+            match base {
+                COMMAND => Some(Channel::Command(Target::Motor(id))),
+                REPLY => Some(Channel::Reply(id)),
+                MOTION => Some(Channel::Motion(id)),
+                MOTION_REPLY => Some(Channel::MotionReply(id)),
+                _ => None,
+            }
+        }
+    }
+}
+
+/// What a frame from the bus is. Only [`Packet`](Self::Packet) is the protocol's; the rest is told
+/// apart for those who watch a bus, and is no reason to stop one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Received {
+    /// A frame of the protocol.
+    Packet(Packet),
+    /// An identifier of the protocol with another length than eight bytes. Some drives send such
+    /// frames; what they say is not defined.
+    WrongLength {
+        /// Where it came on.
+        channel: Channel,
+        /// How many data bytes it had.
+        length: usize,
+        /// Its first byte, the command byte where there is one.
+        first: Option<u8>,
+    },
+    /// A standard identifier that is not the protocol's.
+    Foreign(u16),
+    /// A frame with an extended identifier.
+    Extended(u32),
+    /// A remote frame.
+    Remote,
+}
+
+/// What this frame is.
+#[inline]
+pub fn decode<F: Frame>(frame: &F) -> Received {
+    let raw = match frame.id() {
+        Id::Standard(id) => id.as_raw(),
+        Id::Extended(id) => return Received::Extended(id.as_raw()),
+    };
+    if frame.is_remote_frame() {
+        return Received::Remote;
+    }
+    let Some(channel) = channel(raw) else { return Received::Foreign(raw) };
+    match <&Data>::try_from(frame.data()) {
+        Ok(data) => Received::Packet(Packet { channel, data: *data }),
+        Err(_) => {
+            let data = frame.data();
+            Received::WrongLength { channel, length: data.len(), first: data.first().copied() }
+        }
+    }
+}
+
+/// The frame that carries a packet. `None` only from a HAL that refuses eight bytes.
+///
+/// ```
+/// use myactuator_protocol_core::{Channel, MotorId, Packet, Target, command::Stop, wire::can};
+/// # use myactuator_protocol_core::wire::can::SimpleFrame as HalFrame;
+/// use embedded_can::Frame;
+///
+/// let to = Target::Motor(MotorId::new(1)?);
+/// let packet = Packet { channel: Channel::Command(to), data: Stop.encode() };
+/// let frame: HalFrame = can::encode(&packet).unwrap();
+/// assert_eq!(frame.data(), [0x81, 0, 0, 0, 0, 0, 0, 0]);
+/// assert_eq!(can::decode(&frame), can::Received::Packet(packet));
+/// # Ok::<(), myactuator_protocol_core::OutOfRange>(())
+/// ```
+#[inline]
+pub fn encode<F: Frame>(packet: &Packet) -> Option<F> {
+    F::new(StandardId::new(identifier(packet.channel))?, &packet.data)
+}
+
+/// A frame in memory, for those who have no HAL: tests, simulated buses, loggers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SimpleFrame {
+    id: Id,
+    remote: bool,
+    length: u8,
+    data: Data,
+}
+
+impl Frame for SimpleFrame {
+    fn new(id: impl Into<Id>, data: &[u8]) -> Option<Self> {
+        let mut bytes = [0; 8];
+        bytes.get_mut(..data.len())?.copy_from_slice(data);
+        Some(Self { id: id.into(), remote: false, length: data.len() as u8, data: bytes })
+    }
+
+    fn new_remote(id: impl Into<Id>, dlc: usize) -> Option<Self> {
+        let length = u8::try_from(dlc).ok().filter(|&dlc| dlc <= 8)?;
+        Some(Self { id: id.into(), remote: true, length, data: [0; 8] })
+    }
+
+    fn is_extended(&self) -> bool {
+        matches!(self.id, Id::Extended(_))
+    }
+
+    fn is_remote_frame(&self) -> bool {
+        self.remote
+    }
+
+    fn id(&self) -> Id {
+        self.id
+    }
+
+    fn dlc(&self) -> usize {
+        self.length.into()
+    }
+
+    fn data(&self) -> &[u8] {
+        if self.remote {
+            return &[];
+        }
+        self.data.get(..self.length.into()).unwrap_or(&self.data)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use embedded_can::ExtendedId;
+
+    #[test]
+    fn identifiers_and_channels_are_each_others_inverse() {
+        let mut known = 0;
+        for raw in 0..=0x7FF {
+            if let Some(found) = channel(raw) {
+                assert_eq!(identifier(found), raw);
+                known += 1;
+            }
+        }
+        assert_eq!(known, 4 * 32 + 2);
+    }
+
+    #[test]
+    fn identifiers_are_the_manuals() {
+        let id = |n| MotorId::new(n).unwrap();
+        assert_eq!(channel(0x141), Some(Channel::Command(Target::Motor(id(1)))));
+        assert_eq!(channel(0x160), Some(Channel::Command(Target::Motor(id(32)))));
+        assert_eq!(channel(0x260), Some(Channel::Reply(id(32))));
+        assert_eq!(channel(0x280), Some(Channel::Command(Target::All)));
+        assert_eq!(channel(0x300), Some(Channel::BusId));
+        assert_eq!(channel(0x401), Some(Channel::Motion(id(1))));
+        assert_eq!(channel(0x520), Some(Channel::MotionReply(id(32))));
+        for foreign in [0x000, 0x140, 0x161, 0x240, 0x261, 0x281, 0x301, 0x400, 0x421, 0x500, 0x521]
+        {
+            assert_eq!(channel(foreign), None, "{foreign:03X}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_the_protocols_is_told_apart() {
+        let reply = StandardId::new(0x241).unwrap();
+        let short = SimpleFrame::new(reply, &[0xF1]).unwrap();
+        let Received::WrongLength { length: 1, first: Some(0xF1), .. } = decode(&short) else {
+            panic!("{:?}", decode(&short))
+        };
+        assert_eq!(decode(&SimpleFrame::new_remote(reply, 8).unwrap()), Received::Remote);
+        let extended = ExtendedId::new(0x241).unwrap();
+        assert_eq!(
+            decode(&SimpleFrame::new(extended, &[0; 8]).unwrap()),
+            Received::Extended(0x241)
+        );
+        let foreign = StandardId::new(0x7FF).unwrap();
+        assert_eq!(decode(&SimpleFrame::new(foreign, &[0; 8]).unwrap()), Received::Foreign(0x7FF));
+        assert!(SimpleFrame::new(foreign, &[0; 9]).is_none());
+    }
+}

@@ -1,0 +1,301 @@
+//! RS485 framing: `3E id 08 D0..D7 CRClow CRChigh`, and a receiver fed byte by byte (manual 1.2, 6).
+
+use crc::{CRC_16_MODBUS, Crc, Table};
+
+use crate::channel::{Channel, Packet};
+use crate::field::Data;
+use crate::id::{MotorId, Target};
+use crate::opcode::Opcode;
+
+/// Bytes in a frame.
+pub const FRAME_LENGTH: usize = 13;
+/// The first byte of every frame.
+pub const HEADER: u8 = 0x3E;
+/// The address of all motors.
+pub const ALL: u8 = 0xCD;
+const DATA_LENGTH: u8 = 8;
+/// Bytes that the CRC covers.
+const COVERED: usize = FRAME_LENGTH - 2;
+
+/// The manual says "CRC16, low byte first" (1.2.2); drives use MODBUS's.
+const CRC: Crc<u16, Table<1>> = Crc::<u16, Table<1>>::new(&CRC_16_MODBUS);
+
+/// One frame on the line.
+///
+/// On RS485 a command and its reply look the same: both carry the motor's address. Which it is,
+/// knows only who listens; see [`as_command`](Self::as_command) and [`as_reply`](Self::as_reply).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Frame {
+    /// Whose frame it is: one motor's, or all motors'.
+    pub address: Target,
+    /// The eight data bytes.
+    pub data: Data,
+}
+
+impl Frame {
+    /// The frame that carries a packet; `None` for motion mode, which RS485 does not have.
+    #[inline]
+    pub const fn from_packet(packet: &Packet) -> Option<Self> {
+        let address = match packet.channel {
+            Channel::Command(target) => target,
+            Channel::Reply(id) => Target::Motor(id),
+            Channel::BusId => Target::All,
+            Channel::Motion(_) | Channel::MotionReply(_) => return None,
+        };
+        Some(Self { address, data: packet.data })
+    }
+
+    /// The frame as a drive hears it.
+    #[inline]
+    pub fn as_command(&self) -> Packet {
+        let channel =
+            if self.is_bus_id() { Channel::BusId } else { Channel::Command(self.address) };
+        Packet { channel, data: self.data }
+    }
+
+    /// The frame as a master hears it; `None` for a command to all, which no drive sends.
+    #[inline]
+    pub fn as_reply(&self) -> Option<Packet> {
+        let channel = match self.address {
+            Target::Motor(id) => Channel::Reply(id),
+            Target::All if self.is_bus_id() => Channel::BusId,
+            Target::All => return None,
+        };
+        Some(Packet { channel, data: self.data })
+    }
+
+    fn is_bus_id(&self) -> bool {
+        self.address == Target::All && Opcode::BusId.byte() == Some(self.data[0])
+    }
+
+    /// The bytes on the line.
+    ///
+    /// ```
+    /// use myactuator_protocol_core::{MotorId, Target, wire::rs485::Frame};
+    ///
+    /// let read_pid = Frame {
+    ///     address: Target::Motor(MotorId::new(1)?),
+    ///     data: [0x30, 0x01, 0, 0, 0, 0, 0, 0],
+    /// };
+    /// let line = [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
+    /// assert_eq!(read_pid.encode(), line);
+    /// # Ok::<(), myactuator_protocol_core::OutOfRange>(())
+    /// ```
+    #[inline]
+    pub const fn encode(&self) -> [u8; FRAME_LENGTH] {
+        let address = match self.address {
+            Target::Motor(id) => id.get(),
+            Target::All => ALL,
+        };
+        let [a, b, c, d, e, f, g, h] = self.data;
+        let covered = [HEADER, address, DATA_LENGTH, a, b, c, d, e, f, g, h];
+        let [low, high] = CRC.checksum(&covered).to_le_bytes();
+        [HEADER, address, DATA_LENGTH, a, b, c, d, e, f, g, h, low, high]
+    }
+}
+
+const fn address(byte: u8) -> Option<Target> {
+    match MotorId::new(byte) {
+        Ok(id) => Some(Target::Motor(id)),
+        Err(_) if byte == ALL => Some(Target::All),
+        Err(_) => None,
+    }
+}
+
+/// What a byte led to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Fed {
+    /// It may be part of a frame: more bytes are wanted.
+    Wanting,
+    /// It completed a frame.
+    Frame(Frame),
+    /// What was held is no frame, and was thrown away up to the next possible start.
+    Discarded {
+        /// How many bytes.
+        bytes: usize,
+        /// What was wrong with them.
+        fault: Fault,
+    },
+}
+
+/// Why bytes are no frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Fault {
+    /// It does not begin with 0x3E.
+    Header,
+    /// The address is neither 1 to 32 nor 0xCD.
+    Address,
+    /// The length is not 8.
+    Length,
+    /// The CRC is wrong.
+    Crc,
+}
+
+/// Finds frames in a stream of bytes.
+///
+/// After garbage or a bad CRC it looks through what it holds for the next possible start, so that
+/// no good frame behind a bad start is lost.
+///
+/// ```
+/// use myactuator_protocol_core::wire::rs485::{Fed, Receiver};
+///
+/// let mut receiver = Receiver::new();
+/// let noise = [0x00, 0x3E, 0x3E];
+/// let line = [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
+/// let mut frames = 0;
+/// for byte in noise.into_iter().chain(line) {
+///     match receiver.feed(byte) {
+///         Fed::Frame(frame) => frames += usize::from(frame.data[0] == 0x30),
+///         Fed::Wanting | Fed::Discarded { .. } => {}
+///     }
+/// }
+/// assert_eq!(frames, 1);
+/// ```
+#[derive(Clone, Debug, Default)]
+pub struct Receiver {
+    held: [u8; FRAME_LENGTH],
+    length: usize,
+}
+
+impl Receiver {
+    /// A receiver that holds nothing.
+    pub const fn new() -> Self {
+        Self { held: [0; FRAME_LENGTH], length: 0 }
+    }
+
+    /// Takes the next byte from the line.
+    pub fn feed(&mut self, byte: u8) -> Fed {
+        // There is always room: 13 bytes are a frame or are cut down before the next byte.
+        if let Some(place) = self.held.get_mut(self.length) {
+            *place = byte;
+            self.length += 1;
+        }
+        match self.check() {
+            Ok(None) => Fed::Wanting,
+            Ok(Some(frame)) => {
+                self.length = 0;
+                Fed::Frame(frame)
+            }
+            Err(fault) => {
+                let before = self.length;
+                // What is left is shorter than a frame, so it can only be wanting or wrong again.
+                loop {
+                    self.drop_first();
+                    if self.check().is_ok() {
+                        return Fed::Discarded { bytes: before - self.length, fault };
+                    }
+                }
+            }
+        }
+    }
+
+    /// Forgets a frame that has begun, and tells how many bytes were held. For masters that start a
+    /// new exchange after a silence.
+    pub fn reset(&mut self) -> usize {
+        core::mem::take(&mut self.length)
+    }
+
+    /// Whether a frame has begun.
+    pub const fn is_within_frame(&self) -> bool {
+        self.length > 0
+    }
+
+    /// Whether what is held can be, or is, a frame.
+    #[inline]
+    fn check(&self) -> Result<Option<Frame>, Fault> {
+        let [header, to, length, data @ .., low, high] = &self.held;
+        if self.length > 0 && *header != HEADER {
+            return Err(Fault::Header);
+        }
+        if self.length > 1 && address(*to).is_none() {
+            return Err(Fault::Address);
+        }
+        if self.length > 2 && *length != DATA_LENGTH {
+            return Err(Fault::Length);
+        }
+        if self.length < FRAME_LENGTH {
+            return Ok(None);
+        }
+        let [covered @ .., _, _] = &self.held;
+        let covered: &[u8; COVERED] = covered;
+        if CRC.checksum(covered) != u16::from_le_bytes([*low, *high]) {
+            return Err(Fault::Crc);
+        }
+        match address(*to) {
+            Some(address) => Ok(Some(Frame { address, data: *data })),
+            None => Err(Fault::Address),
+        }
+    }
+
+    fn drop_first(&mut self) {
+        self.held.rotate_left(1);
+        self.length = self.length.saturating_sub(1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use std::vec::Vec;
+
+    const EXAMPLE: [u8; 13] = [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
+
+    fn frames(bytes: &[u8]) -> Vec<Frame> {
+        let mut receiver = Receiver::new();
+        let fed = bytes.iter().map(|&byte| receiver.feed(byte));
+        fed.filter_map(|fed| if let Fed::Frame(frame) = fed { Some(frame) } else { None }).collect()
+    }
+
+    #[test]
+    fn a_frame_goes_round() {
+        let [frame] = frames(&EXAMPLE)[..] else { panic!("not one frame") };
+        assert_eq!(frame.data, [0x30, 1, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(frame.encode(), EXAMPLE);
+    }
+
+    #[test]
+    fn a_frame_behind_a_cut_off_one_is_found() {
+        for cut in 0..13 {
+            let bytes: Vec<u8> = EXAMPLE[..cut].iter().chain(&EXAMPLE).copied().collect();
+            assert_eq!(frames(&bytes).len(), 1, "after {cut} bytes");
+        }
+    }
+
+    #[test]
+    fn tells_what_it_throws_away() {
+        let mut receiver = Receiver::new();
+        assert_eq!(receiver.feed(0x00), Fed::Discarded { bytes: 1, fault: Fault::Header });
+        assert_eq!(receiver.feed(0x3E), Fed::Wanting);
+        assert_eq!(receiver.feed(0x3E), Fed::Discarded { bytes: 1, fault: Fault::Address });
+        assert_eq!(receiver.feed(0x21), Fed::Discarded { bytes: 2, fault: Fault::Address });
+        let mut bad = EXAMPLE;
+        bad[12] ^= 1;
+        let last = bad.map(|byte| receiver.feed(byte))[12];
+        assert_eq!(last, Fed::Discarded { bytes: 13, fault: Fault::Crc });
+        assert!(!receiver.is_within_frame());
+    }
+
+    #[test]
+    fn the_same_bytes_are_a_command_or_a_reply() {
+        let id = MotorId::new(1).unwrap();
+        let [frame] = frames(&EXAMPLE)[..] else { panic!("not one frame") };
+        assert_eq!(frame.as_command().channel, Channel::Command(Target::Motor(id)));
+        assert_eq!(frame.as_reply().unwrap().channel, Channel::Reply(id));
+        let bus_id = Frame { address: Target::All, data: [0x79, 0, 1, 0, 0, 0, 0, 0] };
+        assert_eq!(bus_id.as_command().channel, Channel::BusId);
+        assert_eq!(bus_id.as_reply().unwrap().channel, Channel::BusId);
+        let to_all = Frame { address: Target::All, data: [0x80, 0, 0, 0, 0, 0, 0, 0] };
+        assert_eq!(to_all.as_reply(), None);
+        assert_eq!(
+            Frame::from_packet(&Packet { channel: Channel::Motion(id), data: [0; 8] }),
+            None
+        );
+    }
+}
