@@ -91,6 +91,17 @@ pub enum RequestError {
     AllMotorsOnly(Opcode),
     /// The command exists on CAN only.
     CanOnly(Opcode),
+    /// A request to that motor, or a broadcast, is still under way: wait for its outcome.
+    Busy,
+    /// The motor reports this reply by itself (0xB6) and does not answer when asked for it.
+    Reported(Opcode),
+    /// The master has no place left for one more motor.
+    TooManyMotors {
+        /// How many it is made for.
+        capacity: usize,
+    },
+    /// The motors were stopped; nothing is sent until the stop is lifted.
+    Stopped,
 }
 
 impl fmt::Display for RequestError {
@@ -106,6 +117,14 @@ impl fmt::Display for RequestError {
                 )
             }
             Self::CanOnly(opcode) => write!(f, "{opcode} exists on CAN only"),
+            Self::Busy => f.write_str("an earlier request is under way: wait for its outcome"),
+            Self::Reported(opcode) => {
+                write!(f, "{opcode} is reported by the motor itself, which then does not answer it")
+            }
+            Self::TooManyMotors { capacity } => {
+                write!(f, "this master is made for {capacity} motors: make it larger")
+            }
+            Self::Stopped => f.write_str("the motors were stopped: lift the stop first"),
         }
     }
 }

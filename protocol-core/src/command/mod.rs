@@ -132,3 +132,16 @@ fn expect_opcode(data: &Data, expected: Opcode) -> Result<(), DecodeError> {
         _ => Ok(()),
     }
 }
+
+/// A command that replaces the one before it: where to be, how fast to turn, how hard to push. It
+/// may be sent over and over, and an old one must never follow a new one.
+///
+/// [`IncrementalPosition`] is none: each sending moves the motor on.
+pub trait SetPoint: Command {}
+
+impl SetPoint for Torque {}
+impl SetPoint for Speed {}
+impl SetPoint for AbsolutePosition {}
+impl SetPoint for SingleTurnPosition {}
+impl SetPoint for ForcePosition {}
+impl SetPoint for RawMotion {}

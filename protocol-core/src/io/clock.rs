@@ -24,3 +24,22 @@ impl<C: Clock + ?Sized> Clock for &C {
         (**self).idle(until);
     }
 }
+
+/// A clock from a function that tells the time, such as a timer's counter.
+///
+/// ```
+/// use myactuator_protocol_core::io::{Clock, FnClock};
+/// use myactuator_protocol_core::time::Instant;
+///
+/// let timer = || 1_500; // microseconds, from a hardware timer
+/// let clock = FnClock(|| Instant::from_micros(timer()));
+/// assert_eq!(clock.now(), Instant::from_micros(1_500));
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct FnClock<F>(pub F);
+
+impl<F: Fn() -> Instant> Clock for FnClock<F> {
+    fn now(&self) -> Instant {
+        (self.0)()
+    }
+}

@@ -1,1 +1,577 @@
-//! The master as a state machine.
+//! The master as a state machine: as many requests in flight as the bus carries, and never an answer
+//! to the wrong question.
+//!
+//! - [`Master::request`] asks one motor for something and gives a [`Ticket`] that knows the answer.
+//! - [`Master::set_point`] streams set-points: only the newest of each motor waits.
+//! - [`Master::broadcast`] asks all motors at once.
+//! - [`Master::stop_all`] stops them, before anything else.
+//!
+//! # How answers find their questions
+//! Each motor has at most one command in flight, so that it is never in doubt what a reply is about.
+//! A reply is the answer to a request only if it comes from that motor, carries its command byte and
+//! index, and comes no sooner than [`Config::shortest_response`]. A request that is given up may
+//! still be answered late; until [`Config::late_window`] has passed, or the late reply has come, no
+//! other request goes to that motor. So an answer can only be wrong if the bus holds a frame back
+//! for longer than that.
+
+mod broadcast;
+mod config;
+mod event;
+mod health;
+mod lane;
+mod motor_set;
+mod receive;
+#[cfg(test)]
+mod tests;
+mod ticks;
+
+pub use config::{Bus, Config, Patience};
+pub use event::{Event, Failure, Ticket, TicketId};
+pub use health::{Health, Presence};
+pub use motor_set::MotorSet;
+
+use crate::channel::Packet;
+use crate::command::{self, Command, SetPoint, Shutdown, Stop};
+use crate::error::RequestError;
+use crate::id::{MotorId, Target};
+use crate::opcode::{Opcode, Repeat};
+use crate::time::{Duration, Instant};
+use broadcast::Broadcast;
+use health::Tally;
+use lane::{Flags, Lane, RequestState};
+use ticks::{CoarseTick, LONGEST_GAP, Span, Tick};
+
+/// How motors are to be stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum StopKind {
+    /// 0x81: stop and hold still (2.18).
+    Hold,
+    /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them.
+    Off,
+}
+
+/// What [`Master::poll_transmit`] has offered last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Offer {
+    Request(u8),
+    SetPoint(u8),
+    Broadcast,
+}
+
+/// [`Config`] in as few bytes as it takes.
+#[derive(Clone, Copy, Debug)]
+struct Compact {
+    rs485: bool,
+    echo: bool,
+    turnaround_us: u16,
+    timeout: Span,
+    attempts: u8,
+    shortest_us: u16,
+    late_ms: u16,
+    max_age_ms: u16,
+    restart_ms: u16,
+    settle_ms: u16,
+}
+
+impl Compact {
+    fn new(config: &Config) -> Self {
+        let micros = |span: Duration| u16::try_from(span.as_micros()).unwrap_or(u16::MAX);
+        let millis = |span: Duration| span.as_micros().div_ceil(1000).min(30_000) as u16;
+        let (rs485, echo, turnaround) = match config.bus {
+            Bus::Can => (false, false, Duration::ZERO),
+            Bus::Rs485 { turnaround, echo } => (true, echo, turnaround),
+        };
+        Self {
+            rs485,
+            echo,
+            turnaround_us: micros(turnaround),
+            timeout: Span::from_duration(config.reply_timeout),
+            attempts: config.attempts,
+            shortest_us: micros(config.shortest_response),
+            late_ms: millis(config.late_window),
+            max_age_ms: millis(config.set_point_max_age),
+            restart_ms: millis(config.restart_time),
+            settle_ms: millis(config.settle_time),
+        }
+    }
+
+    fn late_window(&self) -> Duration {
+        Duration::from_millis(self.late_ms.into())
+    }
+
+    fn patience(&self, opcode: Opcode) -> Patience {
+        let attempts = match opcode.repeat() {
+            Repeat::Harmless => self.attempts,
+            Repeat::Stale | Repeat::ActsAgain => 1,
+        };
+        Patience { reply_timeout: self.timeout.duration(), attempts }
+    }
+
+    /// How long a motor is left alone after a command without reply.
+    fn hold_after(&self, opcode: Opcode) -> Duration {
+        let millis = if opcode == Opcode::Reset { self.restart_ms } else { self.settle_ms };
+        Duration::from_millis(millis.into())
+    }
+}
+
+/// The master of one bus with up to `N` motors.
+///
+/// It does no I/O and reads no clock. Whoever runs it calls, in any order and as often as there is
+/// reason:
+///
+/// 1. [`handle_frame`](Self::handle_frame) (CAN) or [`handle_line`](Self::handle_line) (RS485) with
+///    what was received; each call gives at most one event;
+/// 2. [`handle_timeout`](Self::handle_timeout) with the time, after receiving and at least when
+///    [`poll_at`](Self::poll_at) says;
+/// 3. [`poll_transmit`](Self::poll_transmit) for what to send next, and
+///    [`handle_transmitted`](Self::handle_transmitted) once the bus has taken it, until there is
+///    nothing more to send or the bus takes no more;
+/// 4. [`poll_event`](Self::poll_event) until it gives nothing more.
+///
+/// The loops of [`io`](crate::io) do just that.
+///
+/// ```
+/// use myactuator_protocol_core::command::{Command, ReadMultiTurnAngle, MultiTurnAngle};
+/// use myactuator_protocol_core::master::{Config, Master};
+/// use myactuator_protocol_core::time::Instant;
+/// use myactuator_protocol_core::units::Angle;
+/// use myactuator_protocol_core::wire::can::Received;
+/// use myactuator_protocol_core::{Channel, MotorId, Opcode, Packet, Reply};
+///
+/// let elbow = MotorId::new(1)?;
+/// let mut master = Master::<8>::new(Config::CAN);
+/// let ticket = master.request(elbow, ReadMultiTurnAngle, Instant::from_millis(0))?;
+///
+/// // The bus takes the command.
+/// let command = master.poll_transmit(Instant::from_millis(0)).unwrap();
+/// assert_eq!(command.data[0], 0x92);
+/// master.handle_transmitted(Instant::from_millis(0));
+///
+/// // A millisecond later the drive answers.
+/// let angle = MultiTurnAngle { angle: Angle::from_degrees(360.0)? };
+/// let reply = Packet {
+///     channel: Channel::Reply(elbow),
+///     data: angle.to_data(Opcode::ReadMultiTurnAngle),
+/// };
+/// let event = master.handle_frame(&Received::Packet(reply), Instant::from_millis(1)).unwrap();
+/// assert_eq!(ticket.outcome(&event), Some(Ok(Some(angle))));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Master<const N: usize> {
+    lanes: [Lane; N],
+    tallies: [Tally; N],
+    broadcast: Broadcast,
+    config: Compact,
+    offer: Option<Offer>,
+    /// Where the search for the next motor to serve begins.
+    turn: u8,
+    stopped: bool,
+    /// RS485: bytes of the echo that are still to come.
+    echo_left: u8,
+    /// RS485: when the line may be used again.
+    line_free: Tick,
+    /// The latest time that was told.
+    now: Instant,
+}
+
+impl<const N: usize> Master<N> {
+    const CAPACITY: () = assert!(N >= 1 && N <= 32, "a master has 1 to 32 motors");
+
+    /// A master that knows no motor yet: a place is taken at a motor's first request.
+    pub fn new(config: Config) -> Self {
+        const { Self::CAPACITY };
+        Self {
+            lanes: [Lane::default(); N],
+            tallies: [Tally::default(); N],
+            broadcast: Broadcast::default(),
+            config: Compact::new(&config),
+            offer: None,
+            turn: 0,
+            stopped: false,
+            echo_left: 0,
+            line_free: Tick::default(),
+            now: Instant::ZERO,
+        }
+    }
+
+    /// Asks a motor for something, or tells it to do something, with the configuration's patience.
+    ///
+    /// # Errors
+    /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
+    /// earlier request is under way, the motors were stopped, or there is no place for one more.
+    pub fn request<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        now: Instant,
+    ) -> Result<Ticket<C>, RequestError> {
+        let patience = self.config.patience(C::OPCODE);
+        self.request_with(motor, command, patience, now)
+    }
+
+    /// As [`request`](Self::request), with a patience of its own.
+    ///
+    /// # Errors
+    /// As [`request`](Self::request).
+    pub fn request_with<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        patience: Patience,
+        now: Instant,
+    ) -> Result<Ticket<C>, RequestError> {
+        let opcode = C::OPCODE;
+        self.check(opcode, motor.into())?;
+        let (lane, _) = self.lane_for(motor)?;
+        if lane.request != RequestState::Idle || lane.flags.contains(Flags::TELL_STOPPED) {
+            return Err(RequestError::Busy);
+        }
+        if reported_bit(opcode).is_some_and(|bit| lane.reported & bit != 0) {
+            return Err(RequestError::Reported(opcode));
+        }
+        lane.put_request(opcode, command.encode(), patience);
+        lane.generation = lane.generation.wrapping_add(1);
+        let id = TicketId { motor, generation: lane.generation };
+        self.advance(now);
+        Ok(Ticket::new(id))
+    }
+
+    /// Puts a set-point in a motor's stream. One that still waits is replaced and counted, never
+    /// queued up; one that waits for longer than [`Config::set_point_max_age`] is dropped.
+    ///
+    /// # Errors
+    /// [`RequestError`]: the command does not go over this bus, the motors were stopped, or there is
+    /// no place for one more motor.
+    pub fn set_point<C: SetPoint>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        now: Instant,
+    ) -> Result<(), RequestError> {
+        self.check(C::OPCODE, motor.into())?;
+        let expiry = CoarseTick::after(now, Duration::from_millis(self.config.max_age_ms.into()));
+        // What was offered is older than this.
+        self.offer = None;
+        let (lane, tally) = self.lane_for(motor)?;
+        lane.put_set_point(C::OPCODE, command.encode(), expiry, tally);
+        self.advance(now);
+        Ok(())
+    }
+
+    /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until
+    /// all have come or the time is up. It is sent when no request is in flight, and requests wait
+    /// until it is over. On CAN it reaches motors whose id filter (function 2) is off; on RS485 the
+    /// answers of several motors are likely to collide.
+    ///
+    /// # Errors
+    /// [`RequestError`]: the command has no form for all motors or none on this bus, another
+    /// broadcast is under way, or the motors were stopped.
+    pub fn broadcast<C: Command>(
+        &mut self,
+        command: C,
+        expected: MotorSet,
+        now: Instant,
+    ) -> Result<(), RequestError> {
+        self.check(C::OPCODE, Target::All)?;
+        if self.broadcast.is_active() {
+            return Err(RequestError::Busy);
+        }
+        self.broadcast = Broadcast::new(command.encode(), expected);
+        self.advance(now);
+        Ok(())
+    }
+
+    /// Stops every motor that this master knows and those of `also`, before anything else is sent
+    /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Nothing that
+    /// may move a motor is accepted until [`lift_stop`](Self::lift_stop).
+    ///
+    /// Each motor's confirmation, or its absence, comes as an event.
+    ///
+    /// # Errors
+    /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
+    /// stopped all the same.
+    pub fn stop_all(
+        &mut self,
+        kind: StopKind,
+        also: MotorSet,
+        now: Instant,
+    ) -> Result<(), RequestError> {
+        let (opcode, data) = match kind {
+            StopKind::Hold => (Opcode::Stop, Stop.encode()),
+            StopKind::Off => (Opcode::Shutdown, Shutdown.encode()),
+        };
+        self.advance(now);
+        self.stopped = true;
+        self.offer = None;
+        self.broadcast.cancel();
+        let mut result = Ok(());
+        for motor in also.iter() {
+            result = result.and(self.lane_for(motor).map(|_| ()));
+        }
+        let timeout = self.config.timeout.duration();
+        for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
+            if lane.motor.is_some() {
+                lane.put_stop(opcode, data, timeout, tally);
+            }
+        }
+        result
+    }
+
+    /// Accepts motion again after [`stop_all`](Self::stop_all).
+    pub fn lift_stop(&mut self) {
+        self.stopped = false;
+    }
+
+    /// Whether the motors were stopped and the stop is not lifted.
+    pub const fn is_stopped(&self) -> bool {
+        self.stopped
+    }
+
+    /// What to send next. It counts as sent only after [`handle_transmitted`](Self::handle_transmitted);
+    /// until then each call chooses anew, so that what was offered is never staler than what waits.
+    pub fn poll_transmit(&mut self, now: Instant) -> Option<Packet> {
+        self.advance(now);
+        self.offer = None;
+        if self.config.rs485 && (self.is_anything_in_flight() || !self.line_free.is_reached(now)) {
+            return None;
+        }
+        let (offer, packet) = self.choose()?;
+        self.offer = Some(offer);
+        Some(packet)
+    }
+
+    /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its
+    /// last byte has left.
+    pub fn handle_transmitted(&mut self, now: Instant) {
+        self.advance(now);
+        let config = self.config;
+        match self.offer.take() {
+            Some(Offer::Request(index)) => {
+                if let Some(lane) = self.lanes.get_mut(usize::from(index)) {
+                    let opcode = lane.request_opcode();
+                    let awaits_reply = opcode.is_some_and(Opcode::has_reply);
+                    let hold = opcode.map_or(Duration::ZERO, |opcode| config.hold_after(opcode));
+                    note_report(lane, opcode);
+                    lane.request_was_sent(now, awaits_reply, hold);
+                }
+                self.turn = index.wrapping_add(1);
+            }
+            Some(Offer::SetPoint(index)) => {
+                if let Some(lane) = self.lanes.get_mut(usize::from(index)) {
+                    lane.set_point_was_sent(now, config.timeout);
+                }
+                self.turn = index.wrapping_add(1);
+            }
+            Some(Offer::Broadcast) => self.broadcast.was_sent(now, config.timeout),
+            None => return,
+        }
+        if config.rs485 {
+            self.echo_left = if config.echo { crate::wire::rs485::FRAME_LENGTH as u8 } else { 0 };
+            self.line_free =
+                Tick::not_before(now + Duration::from_micros(config.turnaround_us.into()));
+        }
+    }
+
+    /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        self.advance(now);
+        let late_window = self.config.late_window();
+        for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
+            if lane.motor.is_none() {
+                continue;
+            }
+            lane.age(now);
+            if lane.flags.contains(Flags::SET_POINT_WAITING)
+                && lane.set_point_expiry.is_reached(now)
+            {
+                lane.drop_set_point(tally);
+            }
+            if !lane.is_in_flight() || !lane.deadline.is_reached(now) {
+                continue;
+            }
+            lane.missed(tally);
+            if lane.request != RequestState::InFlight {
+                lane.flags.remove(Flags::SET_POINT_IN_FLIGHT);
+                lane.flags.insert(Flags::TELL_UNANSWERED);
+            } else if lane.attempts_left > 0 {
+                lane.request = RequestState::Waiting;
+            } else if lane.flags.contains(Flags::STOP) {
+                lane.flags.insert(Flags::TELL_UNCONFIRMED);
+                lane.finish_request(RequestState::Idle, now, late_window);
+            } else {
+                lane.finish_request(RequestState::NoReply, now, late_window);
+            }
+        }
+        self.age_broadcast(now);
+    }
+
+    /// The bus carries nothing: the controller is off the bus, or nobody acknowledges. Everything
+    /// waiting that would move a motor is dropped, so that it cannot move when the bus comes back.
+    /// Reads and stops go on waiting.
+    pub fn handle_bus_down(&mut self, now: Instant) {
+        self.advance(now);
+        self.offer = None;
+        for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
+            lane.drop_set_point(tally);
+            let moves =
+                lane.request_opcode().is_some_and(|opcode| opcode.repeat() != Repeat::Harmless);
+            if lane.request == RequestState::Waiting && moves {
+                lane.request = RequestState::BusDown;
+            }
+        }
+    }
+
+    /// The next thing to tell, apart from what the handling of frames told.
+    pub fn poll_event(&mut self) -> Option<Event> {
+        if let Some(silent) = self.broadcast.take_result() {
+            return Some(Event::BroadcastDone { silent });
+        }
+        self.lanes.iter_mut().find_map(lane_event)
+    }
+
+    /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) have
+    /// something to do by themselves; `None` while only a frame or a request can change anything.
+    pub fn poll_at(&self) -> Option<Instant> {
+        let now = self.now;
+        let lanes = self.lanes.iter().filter_map(|lane| lane.poll_at(now)).min();
+        let line = (self.config.rs485 && !self.is_anything_in_flight() && self.choose().is_some())
+            .then(|| self.line_free.instant(now));
+        [lanes, line, self.broadcast.poll_at(now)].into_iter().flatten().min()
+    }
+
+    /// How well a motor answers.
+    pub fn health(&self, motor: MotorId) -> Health {
+        let known =
+            self.lanes.iter().zip(&self.tallies).find(|(lane, _)| lane.motor == Some(motor));
+        known.map_or_else(Health::default, |(lane, tally)| lane.health(tally, self.now))
+    }
+
+    /// The motors that have a place.
+    pub fn motors(&self) -> MotorSet {
+        self.lanes.iter().filter_map(|lane| lane.motor).collect()
+    }
+
+    /// Whether any command waits for its reply.
+    pub fn is_anything_in_flight(&self) -> bool {
+        self.broadcast.is_in_flight() || self.lanes.iter().any(Lane::is_in_flight)
+    }
+
+    fn check(&self, opcode: Opcode, target: Target) -> Result<(), RequestError> {
+        command::channel_of(opcode, target)?;
+        if self.config.rs485 {
+            command::check_on_rs485(opcode)?;
+        }
+        let harmless = opcode.repeat() == Repeat::Harmless && opcode != Opcode::ReleaseBrake;
+        if self.stopped && !harmless { Err(RequestError::Stopped) } else { Ok(()) }
+    }
+
+    fn lane_for(&mut self, motor: MotorId) -> Result<(&mut Lane, &mut Tally), RequestError> {
+        let known = self.lanes.iter().position(|lane| lane.motor == Some(motor));
+        let place = known.or_else(|| self.lanes.iter().position(|lane| lane.motor.is_none()));
+        let found = place
+            .and_then(|place| Some((self.lanes.get_mut(place)?, self.tallies.get_mut(place)?)));
+        let (lane, tally) = found.ok_or(RequestError::TooManyMotors { capacity: N })?;
+        lane.motor = Some(motor);
+        Ok((lane, tally))
+    }
+
+    /// Stops first, then a broadcast that is due, then the motors in turn.
+    fn choose(&self) -> Option<(Offer, Packet)> {
+        let in_turn = || {
+            let turn = usize::from(self.turn) % N;
+            let (before, from) = self.lanes.split_at_checked(turn).unwrap_or((&[], &self.lanes));
+            let from = from.iter().enumerate().map(move |(place, lane)| (place + turn, lane));
+            from.chain(before.iter().enumerate())
+        };
+        let stop = in_turn().find(|(_, lane)| {
+            lane.flags.contains(Flags::STOP) && lane.request == RequestState::Waiting
+        });
+        if let Some((place, lane)) = stop {
+            return Some((Offer::Request(place as u8), lane.request_packet()?));
+        }
+        let requests_quiet = !self
+            .lanes
+            .iter()
+            .any(|lane| lane.request == RequestState::InFlight || lane.flags.contains(Flags::HELD));
+        if self.broadcast.is_waiting() && requests_quiet {
+            return Some((Offer::Broadcast, self.broadcast.packet()));
+        }
+        let free = |lane: &Lane| !lane.is_in_flight() && !lane.flags.contains(Flags::SETTLING);
+        in_turn().filter(|(_, lane)| free(lane)).find_map(|(place, lane)| {
+            let request_may_go = lane.may_send_request() && !self.broadcast.is_active();
+            if lane.is_set_point_next(request_may_go) {
+                Some((Offer::SetPoint(place as u8), lane.set_point_packet()?))
+            } else if request_may_go {
+                Some((Offer::Request(place as u8), lane.request_packet()?))
+            } else {
+                None
+            }
+        })
+    }
+
+    /// Notes the time. After a gap that the ticks cannot bridge, nothing in flight is waited for.
+    fn advance(&mut self, now: Instant) {
+        if now - self.now > LONGEST_GAP {
+            self.lanes.iter_mut().for_each(|lane| lane.bridge_gap(self.now, now));
+            self.broadcast.bridge_gap(now);
+            self.line_free = Tick::at(now);
+        }
+        self.now = self.now.max(now);
+    }
+}
+
+fn lane_event(lane: &mut Lane) -> Option<Event> {
+    let motor = lane.motor?;
+    let ticket = TicketId { motor, generation: lane.generation };
+    let flag_event = |flag: Flags| match flag {
+        Flags::TELL_STOPPED => Event::Failed { ticket, failure: Failure::Stopped },
+        Flags::TELL_UNCONFIRMED => Event::StopUnconfirmed { motor },
+        Flags::TELL_DROPPED => Event::SetPointDropped { motor },
+        _ => Event::SetPointUnanswered { motor },
+    };
+    let tellable =
+        [Flags::TELL_STOPPED, Flags::TELL_UNCONFIRMED, Flags::TELL_DROPPED, Flags::TELL_UNANSWERED];
+    if let Some(flag) = tellable.into_iter().find(|&flag| lane.flags.contains(flag)) {
+        lane.flags.remove(flag);
+        return Some(flag_event(flag));
+    }
+    let event = match lane.request {
+        RequestState::Idle | RequestState::Waiting | RequestState::InFlight => return None,
+        RequestState::Sent => Event::Sent { ticket },
+        RequestState::NoReply => Event::Failed { ticket, failure: Failure::NoReply },
+        RequestState::NotExecuted => Event::Failed { ticket, failure: Failure::NotExecuted },
+        RequestState::BusDown => Event::Failed { ticket, failure: Failure::BusDown },
+    };
+    lane.request = RequestState::Idle;
+    Some(event)
+}
+
+/// The bit of a command that a drive can report by itself (2.34.2).
+fn reported_bit(opcode: Opcode) -> Option<u8> {
+    match opcode {
+        Opcode::ReadMultiTurnEncoder => Some(1 << 0),
+        Opcode::ReadMultiTurnEncoderRaw => Some(1 << 1),
+        Opcode::ReadMultiTurnEncoderOffset => Some(1 << 2),
+        Opcode::ReadMultiTurnAngle => Some(1 << 3),
+        Opcode::ReadStatus1 => Some(1 << 4),
+        Opcode::ReadStatus2 => Some(1 << 5),
+        Opcode::ReadStatus3 => Some(1 << 6),
+        _ => None,
+    }
+}
+
+/// Keeps track of what a motor reports by itself, from the commands that switch it.
+fn note_report(lane: &mut Lane, sent: Option<Opcode>) {
+    match sent {
+        Some(Opcode::Reset) => lane.reported = 0,
+        Some(Opcode::ActiveReply) => {
+            let [_, command, enable, ..] = lane.request_data;
+            let bit = Opcode::from_byte(command).and_then(reported_bit).unwrap_or(0);
+            if enable == 0 { lane.reported &= !bit } else { lane.reported |= bit }
+        }
+        _ => {}
+    }
+}

@@ -1,0 +1,155 @@
+//! The loop over CAN.
+
+use embedded_can::{blocking, nb};
+
+use crate::io::clock::Clock;
+use crate::io::runner::Runner;
+use crate::master::{Config, Event, Master};
+use crate::time::{Duration, Instant};
+use crate::wire::can;
+
+/// Frames that one round takes at the most, so that a babbling bus cannot keep it.
+const FRAMES_A_ROUND: usize = 64;
+/// A controller that takes nothing for so long counts as a bus that is down.
+const STUCK: Duration = Duration::from_millis(20);
+
+/// Runs a [`Master`] on a CAN controller.
+///
+/// ```no_run
+/// # use myactuator_protocol_core::io::{CanMaster, Clock, Runner};
+/// # use myactuator_protocol_core::command::ReadMultiTurnAngle;
+/// # use myactuator_protocol_core::{MotorId, master::Config};
+/// # fn firmware(can: impl embedded_can::nb::Can<Error = core::convert::Infallible>, clock: impl Clock)
+/// # -> Result<(), Box<dyn std::error::Error>> {
+/// let mut arm = CanMaster::<_, _, 8>::new(can, clock, Config::CAN);
+/// let elbow = MotorId::new(3)?;
+/// let reading = arm.ask(elbow, ReadMultiTurnAngle)?;
+/// let degrees = reading.angle.degrees();
+/// # let _ = degrees; Ok(()) }
+/// ```
+#[derive(Debug)]
+pub struct CanMaster<C, K, const N: usize> {
+    can: C,
+    clock: K,
+    master: Master<N>,
+    /// Since when the controller takes nothing.
+    stuck_since: Option<Instant>,
+}
+
+impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
+    /// A loop on this controller, timed by this clock.
+    pub fn new(can: C, clock: K, config: Config) -> Self {
+        Self { can, clock, master: Master::new(config), stuck_since: None }
+    }
+
+    /// The controller and the clock back.
+    pub fn release(self) -> (C, K) {
+        (self.can, self.clock)
+    }
+
+    fn receive(&mut self, now: Instant) -> Result<Option<Event>, C::Error> {
+        for _ in 0..FRAMES_A_ROUND {
+            match self.can.receive() {
+                Ok(frame) => {
+                    let event = self.master.handle_frame(&can::decode(&frame), now);
+                    if event.is_some() {
+                        return Ok(event);
+                    }
+                }
+                Err(::nb::Error::WouldBlock) => break,
+                Err(::nb::Error::Other(error)) => return Err(error),
+            }
+        }
+        Ok(None)
+    }
+
+    fn transmit(&mut self, now: Instant) -> Result<(), C::Error> {
+        while let Some(packet) = self.master.poll_transmit(now) {
+            // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
+            let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(()) };
+            match self.can.transmit(&frame) {
+                // A frame that a more urgent one pushed out of its mailbox is lost for the drive; its
+                // request times out like any other loss.
+                Ok(_pushed_out) => {
+                    self.stuck_since = None;
+                    self.master.handle_transmitted(now);
+                }
+                Err(::nb::Error::WouldBlock) => {
+                    let since = *self.stuck_since.get_or_insert(now);
+                    if now - since > STUCK {
+                        self.master.handle_bus_down(now);
+                    }
+                    return Ok(());
+                }
+                Err(::nb::Error::Other(error)) => {
+                    self.master.handle_bus_down(now);
+                    return Err(error);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
+    type Error = C::Error;
+
+    fn master(&mut self) -> &mut Master<N> {
+        &mut self.master
+    }
+
+    fn now(&self) -> Instant {
+        self.clock.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, C::Error> {
+        let now = self.clock.now();
+        let event = self.receive(now)?;
+        self.master.handle_timeout(now);
+        self.transmit(now)?;
+        Ok(event.or_else(|| self.master.poll_event()))
+    }
+
+    fn idle(&mut self, until: Instant) {
+        let deadline = self.master.poll_at().map_or(until, |at| at.min(until));
+        self.clock.idle(deadline);
+    }
+}
+
+/// Makes a blocking CAN driver fit [`CanMaster`].
+///
+/// `receive` of such a driver waits for a frame; one that waits for ever stalls the loop when a
+/// drive is silent. Give it a time-out, and tell by `is_timeout` which of its errors is that.
+#[derive(Debug)]
+pub struct BlockingCan<C, F> {
+    can: C,
+    is_timeout: F,
+}
+
+impl<C: blocking::Can, F: Fn(&C::Error) -> bool> BlockingCan<C, F> {
+    /// The driver, and which of its errors is a time-out.
+    pub const fn new(can: C, is_timeout: F) -> Self {
+        Self { can, is_timeout }
+    }
+}
+
+impl<C: blocking::Can, F: Fn(&C::Error) -> bool> nb::Can for BlockingCan<C, F> {
+    type Frame = C::Frame;
+    type Error = C::Error;
+
+    fn transmit(&mut self, frame: &C::Frame) -> ::nb::Result<Option<C::Frame>, C::Error> {
+        match self.can.transmit(frame) {
+            Ok(()) => Ok(None),
+            Err(error) if (self.is_timeout)(&error) => Err(::nb::Error::WouldBlock),
+            Err(error) => Err(::nb::Error::Other(error)),
+        }
+    }
+
+    fn receive(&mut self) -> ::nb::Result<C::Frame, C::Error> {
+        match self.can.receive() {
+            Ok(frame) => Ok(frame),
+            Err(error) if (self.is_timeout)(&error) => Err(::nb::Error::WouldBlock),
+            Err(error) => Err(::nb::Error::Other(error)),
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! The direction pin of an RS485 transceiver.
+
+use core::fmt;
+
+use embedded_hal::delay::DelayNs;
+use embedded_hal::digital::OutputPin;
+use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write};
+
+/// A serial port whose transceiver is switched to sending by a pin: high while bytes leave.
+///
+/// The pin goes high with the first byte written and low again in `flush`, after the last byte has
+/// left; so the port's own `flush` must wait for that.
+#[derive(Debug)]
+pub struct HalfDuplex<S, P, D> {
+    serial: S,
+    pin: P,
+    delay: D,
+    setup_ns: u32,
+    hold_ns: u32,
+    sending: bool,
+}
+
+/// What can go wrong: the port or the pin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HalfDuplexError<S, P> {
+    /// The serial port.
+    Serial(S),
+    /// The direction pin.
+    Pin(P),
+}
+
+impl<S: fmt::Debug, P: fmt::Debug> fmt::Display for HalfDuplexError<S, P> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Serial(error) => write!(f, "the serial port reports an error: {error:?}"),
+            Self::Pin(error) => write!(f, "the direction pin reports an error: {error:?}"),
+        }
+    }
+}
+
+impl<S: fmt::Debug, P: fmt::Debug> core::error::Error for HalfDuplexError<S, P> {}
+
+impl<S: embedded_io::Error, P: fmt::Debug> embedded_io::Error for HalfDuplexError<S, P> {
+    fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Serial(error) => error.kind(),
+            Self::Pin(_) => ErrorKind::Other,
+        }
+    }
+}
+
+impl<S, P: OutputPin, D: DelayNs> HalfDuplex<S, P, D> {
+    /// A port with its direction pin. `setup_ns` passes between the pin's rise and the first byte,
+    /// `hold_ns` between the last byte and the pin's fall.
+    ///
+    /// # Errors
+    /// What the pin reports when it is set to receiving.
+    pub fn new(
+        serial: S,
+        mut pin: P,
+        delay: D,
+        setup_ns: u32,
+        hold_ns: u32,
+    ) -> Result<Self, P::Error> {
+        pin.set_low()?;
+        Ok(Self { serial, pin, delay, setup_ns, hold_ns, sending: false })
+    }
+
+    /// The port, the pin and the delay back.
+    pub fn release(self) -> (S, P, D) {
+        (self.serial, self.pin, self.delay)
+    }
+}
+
+impl<S: ErrorType, P: OutputPin, D> HalfDuplex<S, P, D> {
+    fn turn_to_receiving(&mut self) -> Result<(), HalfDuplexError<S::Error, P::Error>> {
+        self.pin.set_low().map_err(HalfDuplexError::Pin)?;
+        self.sending = false;
+        Ok(())
+    }
+}
+
+impl<S: ErrorType, P: OutputPin, D> ErrorType for HalfDuplex<S, P, D> {
+    type Error = HalfDuplexError<S::Error, P::Error>;
+}
+
+impl<S: Read, P: OutputPin, D> Read for HalfDuplex<S, P, D> {
+    fn read(&mut self, buf: &mut [u8]) -> Result<usize, Self::Error> {
+        self.serial.read(buf).map_err(HalfDuplexError::Serial)
+    }
+}
+
+impl<S: ReadReady, P: OutputPin, D> ReadReady for HalfDuplex<S, P, D> {
+    fn read_ready(&mut self) -> Result<bool, Self::Error> {
+        self.serial.read_ready().map_err(HalfDuplexError::Serial)
+    }
+}
+
+impl<S: Write, P: OutputPin, D: DelayNs> Write for HalfDuplex<S, P, D> {
+    fn write(&mut self, buf: &[u8]) -> Result<usize, Self::Error> {
+        if !self.sending {
+            self.pin.set_high().map_err(HalfDuplexError::Pin)?;
+            self.sending = true;
+            self.delay.delay_ns(self.setup_ns);
+        }
+        match self.serial.write(buf) {
+            Ok(written) => Ok(written),
+            Err(error) => {
+                self.turn_to_receiving()?;
+                Err(HalfDuplexError::Serial(error))
+            }
+        }
+    }
+
+    /// Waits until the last byte has left and turns to receiving, whether or not the port reports an
+    /// error: a transceiver that goes on sending would block the line for all.
+    fn flush(&mut self) -> Result<(), Self::Error> {
+        let flushed = self.serial.flush().map_err(HalfDuplexError::Serial);
+        if self.sending {
+            self.delay.delay_ns(self.hold_ns);
+            self.turn_to_receiving()?;
+        }
+        flushed
+    }
+}

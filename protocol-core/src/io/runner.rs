@@ -1,0 +1,168 @@
+//! What every loop offers, whatever its bus.
+
+use core::fmt;
+
+use crate::command::{Command, SetPoint};
+use crate::error::RequestError;
+use crate::id::MotorId;
+use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
+use crate::time::{Duration, Instant};
+
+/// Why a call has no answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum CallError<E> {
+    /// The bus driver reports an error.
+    Bus(E),
+    /// The command could not be sent as asked.
+    Request(RequestError),
+    /// It was sent, and has no answer.
+    Failed(Failure),
+}
+
+impl<E> From<RequestError> for CallError<E> {
+    fn from(error: RequestError) -> Self {
+        Self::Request(error)
+    }
+}
+
+impl<E: fmt::Debug> fmt::Display for CallError<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Bus(error) => write!(f, "the bus reports an error: {error:?}"),
+            Self::Request(error) => error.fmt(f),
+            Self::Failed(failure) => failure.fmt(f),
+        }
+    }
+}
+
+impl<E: fmt::Debug> core::error::Error for CallError<E> {}
+
+/// How long [`Runner::call`] sleeps at most between two looks at the bus.
+const LONGEST_IDLE: Duration = Duration::from_millis(10);
+
+/// A loop that runs a [`Master`] on a bus.
+pub trait Runner<const N: usize> {
+    /// What the bus driver reports when it fails.
+    type Error: fmt::Debug;
+
+    /// The master that is run.
+    fn master(&mut self) -> &mut Master<N>;
+
+    /// The time now.
+    fn now(&self) -> Instant;
+
+    /// One round: receives, lets the master see the time, sends what the bus takes. Gives one event
+    /// if there is any; call it until there is none. Never waits.
+    ///
+    /// # Errors
+    /// What the bus driver reports. The master stays sound: call again.
+    fn poll(&mut self) -> Result<Option<Event>, Self::Error>;
+
+    /// Lets the clock idle until `until`, the master's next deadline or a frame, whichever comes
+    /// first, as well as the clock can.
+    fn idle(&mut self, until: Instant);
+
+    /// Sends a command to one motor and waits for its answer; `None` for commands without one.
+    /// `on_event` gets everything else that happens meanwhile.
+    ///
+    /// # Errors
+    /// [`CallError`].
+    fn call_with<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        patience: Option<Patience>,
+        mut on_event: impl FnMut(Event),
+    ) -> Result<Option<C::Reply>, CallError<Self::Error>>
+    where
+        Self: Sized,
+    {
+        let now = self.now();
+        let ticket = match patience {
+            Some(patience) => self.master().request_with(motor, command, patience, now)?,
+            None => self.master().request(motor, command, now)?,
+        };
+        loop {
+            match self.poll().map_err(CallError::Bus)? {
+                Some(event) => match ticket.outcome(&event) {
+                    Some(outcome) => return outcome.map_err(CallError::Failed),
+                    None => on_event(event),
+                },
+                None => self.idle(self.now() + LONGEST_IDLE),
+            }
+        }
+    }
+
+    /// Sends a command to one motor and waits for its answer; `None` for commands without one. Other
+    /// events are passed over.
+    ///
+    /// # Errors
+    /// [`CallError`].
+    fn call<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<Option<C::Reply>, CallError<Self::Error>>
+    where
+        Self: Sized,
+    {
+        self.call_with(motor, command, None, |_| {})
+    }
+
+    /// Asks a motor for something whose reply cannot be missing, and waits for it.
+    ///
+    /// # Errors
+    /// [`CallError`]; [`Failure::NoReply`] also for a command that has no reply.
+    fn ask<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<C::Reply, CallError<Self::Error>>
+    where
+        Self: Sized,
+    {
+        self.call(motor, command)?.ok_or(CallError::Failed(Failure::NoReply))
+    }
+
+    /// Puts a set-point in a motor's stream; see [`Master::set_point`].
+    ///
+    /// # Errors
+    /// As there.
+    fn set_point<C: SetPoint>(&mut self, motor: MotorId, command: C) -> Result<(), RequestError> {
+        let now = self.now();
+        self.master().set_point(motor, command, now)
+    }
+
+    /// Stops all motors and waits until each has confirmed, or not; see [`Master::stop_all`]. Gives
+    /// those that have not: cut their power.
+    ///
+    /// # Errors
+    /// [`CallError::Bus`], [`CallError::Request`].
+    fn stop_all(
+        &mut self,
+        kind: StopKind,
+        also: MotorSet,
+    ) -> Result<MotorSet, CallError<Self::Error>>
+    where
+        Self: Sized,
+    {
+        let now = self.now();
+        let started = self.master().stop_all(kind, also, now);
+        let mut running = self.master().motors();
+        let mut unconfirmed = MotorSet::EMPTY;
+        while !running.is_empty() {
+            match self.poll().map_err(CallError::Bus)? {
+                Some(Event::StopConfirmed { motor }) => running.remove(motor),
+                Some(Event::StopUnconfirmed { motor }) => {
+                    running.remove(motor);
+                    unconfirmed.insert(motor);
+                }
+                Some(_) => {}
+                None => self.idle(self.now() + LONGEST_IDLE),
+            }
+        }
+        started?;
+        Ok(unconfirmed)
+    }
+}

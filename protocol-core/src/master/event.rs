@@ -1,0 +1,215 @@
+//! What a master has to tell, and the tickets by which a caller knows its own answers.
+
+use core::fmt;
+use core::marker::PhantomData;
+
+use crate::command::{AnyReply, Command};
+use crate::error::DecodeError;
+use crate::field::Data;
+use crate::id::MotorId;
+use crate::master::MotorSet;
+use crate::opcode::Opcode;
+
+/// Names one request; its [`Ticket`] carries the type of its answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct TicketId {
+    pub(super) motor: MotorId,
+    pub(super) generation: u8,
+}
+
+impl TicketId {
+    /// The motor that was asked.
+    pub const fn motor(self) -> MotorId {
+        self.motor
+    }
+}
+
+/// A request under way: it knows its answer among the events, and the answer's type.
+#[must_use = "the ticket is how the answer is known"]
+pub struct Ticket<C> {
+    id: TicketId,
+    command: PhantomData<fn() -> C>,
+}
+
+impl<C> Ticket<C> {
+    pub(super) const fn new(id: TicketId) -> Self {
+        Self { id, command: PhantomData }
+    }
+
+    /// The name of this request.
+    pub const fn id(&self) -> TicketId {
+        self.id
+    }
+}
+
+impl<C: Command> Ticket<C> {
+    /// The outcome of this request if that is what the event tells. `Ok(None)` is a command without
+    /// reply that has been sent.
+    pub fn outcome(&self, event: &Event) -> Option<Result<Option<C::Reply>, Failure>> {
+        match *event {
+            Event::Reply { ticket, data, .. } if ticket == self.id => {
+                Some(C::decode_reply(&data).map(Some).map_err(Failure::Unreadable))
+            }
+            Event::Sent { ticket, .. } if ticket == self.id => Some(Ok(None)),
+            Event::Failed { ticket, failure, .. } if ticket == self.id => Some(Err(failure)),
+            _ => None,
+        }
+    }
+}
+
+impl<C> Clone for Ticket<C> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<C> Copy for Ticket<C> {}
+
+impl<C> fmt::Debug for Ticket<C> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Ticket({:?})", self.id)
+    }
+}
+
+/// Why a request has no answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum Failure {
+    /// No reply came in time, after all attempts.
+    NoReply,
+    /// The drive had lost its master and answered without doing anything (it does so once after its
+    /// 0xF1 frames). What may be sent again has been; this one may not.
+    NotExecuted,
+    /// A reply came, but its fields hold what is not allowed.
+    Unreadable(DecodeError),
+    /// A stop came before it.
+    Stopped,
+    /// The bus carried nothing while the command waited, and it would move the motor.
+    BusDown,
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoReply => f.write_str("no reply: is the motor powered, and is this its id?"),
+            Self::NotExecuted => f.write_str(
+                "the drive had lost its master and ignored the command: send it again if it is still wanted",
+            ),
+            Self::Unreadable(error) => write!(f, "the reply cannot be read: {error}"),
+            Self::Stopped => f.write_str("the motors were stopped first"),
+            Self::BusDown => f.write_str("the bus carried nothing, so the command was dropped"),
+        }
+    }
+}
+
+impl core::error::Error for Failure {}
+
+/// What a master has to tell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum Event {
+    /// A request was answered. [`Ticket::outcome`] reads it.
+    Reply {
+        /// Which request.
+        ticket: TicketId,
+        /// The kind of its command.
+        opcode: Opcode,
+        /// The reply's data field.
+        data: Data,
+    },
+    /// A command without reply was sent.
+    Sent {
+        /// Which request.
+        ticket: TicketId,
+    },
+    /// A request has no answer.
+    Failed {
+        /// Which request.
+        ticket: TicketId,
+        /// Why.
+        failure: Failure,
+    },
+    /// A motor answered its set-point stream. Feedback tells how the motor is, not which set-point
+    /// it is about.
+    Feedback {
+        /// The motor.
+        motor: MotorId,
+        /// What it tells.
+        reply: AnyReply,
+    },
+    /// A set-point was not answered in time. The next one goes out all the same.
+    SetPointUnanswered {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// A set-point waited too long, or the bus carried nothing, and it was dropped.
+    SetPointDropped {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// A motor answered a broadcast.
+    BroadcastReply {
+        /// The motor.
+        motor: MotorId,
+        /// What it tells.
+        reply: AnyReply,
+    },
+    /// A broadcast is over: every expected motor has answered, or the time is up.
+    BroadcastDone {
+        /// The expected motors that were silent.
+        silent: MotorSet,
+    },
+    /// A motor has confirmed the stop.
+    StopConfirmed {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// A motor has not confirmed the stop, after many attempts: cut its power.
+    StopUnconfirmed {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// A motor reports by itself: active reply (0xB6) or error reporting (function 3).
+    Report {
+        /// The motor.
+        motor: MotorId,
+        /// What it tells.
+        reply: AnyReply,
+    },
+    /// A motor has lost its master and says so (0xF1). Its output is cut; it ignores the first
+    /// command from now on.
+    LostMaster {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// A reply that nothing waits for: late, doubled, or to somebody else.
+    Stray {
+        /// The motor.
+        motor: MotorId,
+        /// The data field.
+        data: Data,
+    },
+}
+
+impl Event {
+    /// Temperature, torque current, speed and angle, if the event brings them.
+    pub const fn feedback(&self) -> Option<(MotorId, crate::command::Feedback)> {
+        match self {
+            Self::Feedback { motor, reply }
+            | Self::BroadcastReply { motor, reply }
+            | Self::Report { motor, reply } => match reply {
+                AnyReply::Torque(feedback)
+                | AnyReply::Speed(feedback)
+                | AnyReply::AbsolutePosition(feedback)
+                | AnyReply::ForcePosition(feedback)
+                | AnyReply::ReadStatus2(feedback) => Some((*motor, *feedback)),
+                _ => None,
+            },
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,326 @@
+//! What the master keeps for one motor: a request, the newest set-point, and what is in flight.
+
+use bitflags::bitflags;
+
+use crate::channel::{Channel, Packet};
+use crate::field::Data;
+use crate::id::{MotorId, Target};
+use crate::master::config::Patience;
+use crate::master::health::{Health, Tally};
+use crate::master::ticks::{CoarseTick, LONGEST_COARSE_GAP, Span, Tick};
+use crate::opcode::Opcode;
+use crate::time::{Duration, Instant};
+
+/// Where a motor's request stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum RequestState {
+    /// There is none.
+    #[default]
+    Idle,
+    /// It is to be sent, for the first time or again.
+    Waiting,
+    /// It was sent, and its reply is awaited.
+    InFlight,
+    /// It was sent and has no reply; to be told.
+    Sent,
+    /// It failed; to be told.
+    NoReply,
+    /// It was answered without effect and may not be sent again; to be told.
+    NotExecuted,
+    /// It was dropped because the bus is down; to be told.
+    BusDown,
+}
+
+bitflags! {
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub(super) struct Flags: u16 {
+        /// A set-point waits to be sent.
+        const SET_POINT_WAITING = 1 << 0;
+        /// A set-point was sent and its feedback is awaited.
+        const SET_POINT_IN_FLIGHT = 1 << 1;
+        /// The set-point is a motion mode command.
+        const SET_POINT_MOTION = 1 << 2;
+        /// A set-point was sent last, so that it is a waiting request's turn.
+        const SET_POINT_LAST = 1 << 3;
+        /// The request is a motion mode command.
+        const REQUEST_MOTION = 1 << 4;
+        /// The request is a stop: before everything else, whatever is in flight.
+        const STOP = 1 << 5;
+        /// No request may go out before the quarantine is over.
+        const HELD = 1 << 6;
+        /// The motor has lost its master and will ignore the next command.
+        const LOST_MASTER = 1 << 7;
+        /// To be told: a set-point was not answered.
+        const TELL_UNANSWERED = 1 << 8;
+        /// To be told: a set-point was dropped.
+        const TELL_DROPPED = 1 << 9;
+        /// To be told: a stop took the place of the caller's request.
+        const TELL_STOPPED = 1 << 10;
+        /// To be told: the motor did not confirm the stop.
+        const TELL_UNCONFIRMED = 1 << 11;
+        /// The motor restarts, or settles after another command without reply: it gets nothing.
+        const SETTLING = 1 << 13;
+        /// Anything was heard of the motor within the last 30 s.
+        const SEEN = 1 << 12;
+    }
+}
+
+/// How many stop frames a motor gets before it counts as not stopped.
+const STOP_ATTEMPTS: u8 = 15;
+/// After how many misses in a row counting ends.
+const MOST_MISSES: u8 = 3;
+
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Lane {
+    pub(super) motor: Option<MotorId>,
+    pub(super) generation: u8,
+    pub(super) request: RequestState,
+    pub(super) flags: Flags,
+    pub(super) attempts_left: u8,
+    /// Replies to requests that may still come, in flight or late.
+    owed: u8,
+    misses: u8,
+    pub(super) timeout: Span,
+    /// Which reports (0xB6) are on, a bit each.
+    pub(super) reported: u8,
+    pub(super) request_data: Data,
+    pub(super) set_point: Data,
+    /// When what is in flight counts as lost.
+    pub(super) deadline: Tick,
+    /// When the waiting set-point is too old.
+    pub(super) set_point_expiry: CoarseTick,
+    /// While [`Flags::HELD`]: until when.
+    held_until: CoarseTick,
+    last_seen: CoarseTick,
+}
+
+impl Lane {
+    pub(super) fn is_in_flight(&self) -> bool {
+        self.request == RequestState::InFlight || self.flags.contains(Flags::SET_POINT_IN_FLIGHT)
+    }
+
+    pub(super) fn request_opcode(&self) -> Option<Opcode> {
+        if self.flags.contains(Flags::REQUEST_MOTION) {
+            Some(Opcode::Motion)
+        } else {
+            Opcode::from_byte(self.request_data[0])
+        }
+    }
+
+    pub(super) fn put_request(&mut self, opcode: Opcode, data: Data, patience: Patience) {
+        self.request = RequestState::Waiting;
+        self.flags.set(Flags::REQUEST_MOTION, opcode == Opcode::Motion);
+        self.request_data = data;
+        self.timeout = Span::from_duration(patience.reply_timeout);
+        self.attempts_left = patience.attempts.clamp(1, 15);
+    }
+
+    /// Puts a stop in the place of whatever waits. What is in flight stays owed.
+    pub(super) fn put_stop(
+        &mut self,
+        opcode: Opcode,
+        data: Data,
+        timeout: Duration,
+        tally: &mut Tally,
+    ) {
+        let had_request = matches!(self.request, RequestState::Waiting | RequestState::InFlight);
+        if had_request && !self.flags.contains(Flags::STOP) {
+            self.flags.insert(Flags::TELL_STOPPED);
+        }
+        self.drop_set_point(tally);
+        self.flags.insert(Flags::STOP);
+        self.put_request(
+            opcode,
+            data,
+            Patience { reply_timeout: timeout, attempts: STOP_ATTEMPTS },
+        );
+    }
+
+    pub(super) fn put_set_point(
+        &mut self,
+        opcode: Opcode,
+        data: Data,
+        expiry: CoarseTick,
+        tally: &mut Tally,
+    ) {
+        if self.flags.contains(Flags::SET_POINT_WAITING) {
+            tally.superseded = tally.superseded.saturating_add(1);
+        }
+        self.flags.insert(Flags::SET_POINT_WAITING);
+        self.flags.set(Flags::SET_POINT_MOTION, opcode == Opcode::Motion);
+        self.set_point = data;
+        self.set_point_expiry = expiry;
+    }
+
+    pub(super) fn drop_set_point(&mut self, tally: &mut Tally) {
+        if self.flags.contains(Flags::SET_POINT_WAITING) {
+            self.flags.remove(Flags::SET_POINT_WAITING);
+            self.flags.insert(Flags::TELL_DROPPED);
+            tally.superseded = tally.superseded.saturating_add(1);
+        }
+    }
+
+    /// Whether the set-point is what this motor should be sent next, rather than the request.
+    pub(super) fn is_set_point_next(&self, request_may_go: bool) -> bool {
+        self.flags.contains(Flags::SET_POINT_WAITING)
+            && !(request_may_go && self.flags.contains(Flags::SET_POINT_LAST))
+    }
+
+    pub(super) fn may_send_request(&self) -> bool {
+        self.request == RequestState::Waiting && !self.flags.contains(Flags::HELD)
+    }
+
+    pub(super) fn request_packet(&self) -> Option<Packet> {
+        let motor = self.motor?;
+        let motion = self.flags.contains(Flags::REQUEST_MOTION);
+        Some(Packet { channel: channel(motor, motion), data: self.request_data })
+    }
+
+    pub(super) fn set_point_packet(&self) -> Option<Packet> {
+        let motor = self.motor?;
+        let motion = self.flags.contains(Flags::SET_POINT_MOTION);
+        Some(Packet { channel: channel(motor, motion), data: self.set_point })
+    }
+
+    pub(super) fn request_was_sent(&mut self, now: Instant, awaits_reply: bool, hold: Duration) {
+        self.flags.remove(Flags::SET_POINT_LAST);
+        self.attempts_left = self.attempts_left.saturating_sub(1);
+        if awaits_reply {
+            // Only a stop is sent on top of a set-point in flight; its feedback is not awaited then.
+            self.flags.remove(Flags::SET_POINT_IN_FLIGHT);
+            self.request = RequestState::InFlight;
+            self.deadline = Tick::after(now, self.timeout);
+            self.owed = self.owed.saturating_add(1);
+        } else {
+            self.request = RequestState::Sent;
+            self.flags.insert(Flags::SETTLING);
+            self.hold(now, hold);
+        }
+    }
+
+    pub(super) fn set_point_was_sent(&mut self, now: Instant, timeout: Span) {
+        self.flags.remove(Flags::SET_POINT_WAITING);
+        self.flags.insert(Flags::SET_POINT_IN_FLIGHT | Flags::SET_POINT_LAST);
+        self.deadline = Tick::after(now, timeout);
+    }
+
+    /// Lets no request out until `span` has passed.
+    pub(super) fn hold(&mut self, now: Instant, span: Duration) {
+        self.flags.insert(Flags::HELD);
+        self.held_until = CoarseTick::after(now, span);
+    }
+
+    /// The reply to the request in flight has come.
+    pub(super) fn reply_has_come(&mut self) {
+        self.owed = self.owed.saturating_sub(1);
+    }
+
+    /// A reply has come that nothing waits for. Whether it may be one that was given up: when the
+    /// last of those has come, nothing can be mistaken any more.
+    pub(super) fn late_reply_has_come(&mut self) -> bool {
+        let in_flight = self.request == RequestState::InFlight;
+        if self.owed <= u8::from(in_flight) {
+            return false;
+        }
+        self.owed -= 1;
+        if self.owed == 0 && !self.flags.contains(Flags::SETTLING) {
+            self.flags.remove(Flags::HELD);
+        }
+        true
+    }
+
+    /// Ends a request that was answered or given up. Replies that may still come keep it quiet.
+    pub(super) fn finish_request(
+        &mut self,
+        outcome: RequestState,
+        now: Instant,
+        late_window: Duration,
+    ) {
+        self.request = outcome;
+        self.flags.remove(Flags::STOP);
+        if self.owed > 0 {
+            self.hold(now, late_window);
+        }
+    }
+
+    pub(super) fn owe_one_more(&mut self, now: Instant, late_window: Duration) {
+        self.owed = self.owed.saturating_add(1);
+        self.hold(now, late_window);
+    }
+
+    pub(super) fn missed(&mut self, tally: &mut Tally) {
+        tally.lost = tally.lost.saturating_add(1);
+        self.misses = (self.misses + 1).min(MOST_MISSES);
+    }
+
+    pub(super) fn answered(&mut self, tally: &mut Tally, round_trip: Option<Duration>) {
+        self.misses = 0;
+        tally.answered(round_trip);
+    }
+
+    pub(super) fn seen(&mut self, now: Instant) {
+        self.flags.insert(Flags::SEEN);
+        self.last_seen = CoarseTick::at(now);
+    }
+
+    /// Forgets what its ticks can soon no longer tell, and ends a hold that is over.
+    pub(super) fn age(&mut self, now: Instant) {
+        if self.flags.contains(Flags::HELD) && self.held_until.is_reached(now) {
+            self.flags.remove(Flags::HELD | Flags::SETTLING);
+            if self.request != RequestState::InFlight {
+                self.owed = 0;
+            }
+        }
+        if self.flags.contains(Flags::SEEN)
+            && now - self.last_seen.instant(now) > LONGEST_COARSE_GAP
+        {
+            self.flags.remove(Flags::SEEN);
+        }
+    }
+
+    /// After a gap in which ticks lost their meaning: what was in flight is overdue, and after a long
+    /// one everything else is over too.
+    pub(super) fn bridge_gap(&mut self, before: Instant, now: Instant) {
+        self.deadline = Tick::at(now);
+        if now - before > LONGEST_COARSE_GAP {
+            self.set_point_expiry = CoarseTick::at(now);
+            self.held_until = CoarseTick::at(now);
+            self.flags.remove(Flags::SEEN);
+        }
+    }
+
+    /// Whether this reply is the echo of a drive that has lost its master and ignored the command.
+    /// It does so once.
+    pub(super) fn is_ignored(&mut self, command: &Data, reply: &Data) -> bool {
+        let had_lost = self.flags.contains(Flags::LOST_MASTER);
+        self.flags.remove(Flags::LOST_MASTER);
+        had_lost && command == reply
+    }
+
+    pub(super) fn is_owed(&self) -> bool {
+        self.owed > 0
+    }
+
+    /// When this motor has something to do by itself.
+    pub(super) fn poll_at(&self, now: Instant) -> Option<Instant> {
+        let flight = self.is_in_flight().then(|| self.deadline.instant(now));
+        let waits =
+            self.request == RequestState::Waiting || self.flags.contains(Flags::SET_POINT_WAITING);
+        let waits = waits && self.flags.contains(Flags::HELD);
+        let held = waits.then(|| self.held_until.instant(now));
+        let expiry = self
+            .flags
+            .contains(Flags::SET_POINT_WAITING)
+            .then(|| self.set_point_expiry.instant(now));
+        [flight, held, expiry].into_iter().flatten().min()
+    }
+
+    pub(super) fn health(&self, tally: &Tally, now: Instant) -> Health {
+        let seen = self.flags.contains(Flags::SEEN).then(|| self.last_seen.instant(now));
+        tally.health(self.misses, seen)
+    }
+}
+
+fn channel(motor: MotorId, motion: bool) -> Channel {
+    if motion { Channel::Motion(motor) } else { Channel::Command(Target::Motor(motor)) }
+}

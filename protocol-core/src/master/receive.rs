@@ -1,0 +1,195 @@
+//! What a received frame means to the master.
+
+use crate::channel::{Channel, Packet};
+use crate::command::{AnyReply, BusIdReply, Reply};
+use crate::field::Data;
+use crate::id::MotorId;
+use crate::master::lane::{Flags, RequestState};
+use crate::master::ticks::Tick;
+use crate::master::{Event, Master, TicketId, reported_bit};
+use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
+use crate::time::{Duration, Instant};
+use crate::wire::{can, rs485};
+
+impl<const N: usize> Master<N> {
+    /// Takes a frame from the CAN bus. Commands of other masters, foreign frames and frames of a
+    /// wrong length complete nothing.
+    pub fn handle_frame(&mut self, frame: &can::Received, now: Instant) -> Option<Event> {
+        self.advance(now);
+        match *frame {
+            can::Received::Packet(packet) => self.handle_packet(&packet, now),
+            can::Received::WrongLength { channel: Channel::Reply(motor), first, .. } => {
+                if first == Some(LOST_MASTER_BYTE) {
+                    return self.lost_master(motor, now);
+                }
+                self.count_stray(motor);
+                None
+            }
+            _ => None,
+        }
+    }
+
+    /// Takes what the RS485 [`Receiver`](rs485::Receiver) made of a byte.
+    ///
+    /// With an echoing adapter the first thirteen bytes after a sending are the echo. They are known
+    /// by their place and not by their content, for the reply to 0x80 or 0x81 has the same bytes.
+    pub fn handle_line(&mut self, fed: &rs485::Fed, now: Instant) -> Option<Event> {
+        self.advance(now);
+        match *fed {
+            rs485::Fed::Wanting => None,
+            rs485::Fed::Discarded { bytes, .. } => {
+                let bytes = u8::try_from(bytes).unwrap_or(u8::MAX);
+                self.echo_left = self.echo_left.saturating_sub(bytes);
+                None
+            }
+            rs485::Fed::Frame(_) if self.echo_left > 0 => {
+                self.echo_left = 0;
+                None
+            }
+            rs485::Fed::Frame(frame) => {
+                let pause = Duration::from_micros(self.config.turnaround_us.into());
+                self.line_free = Tick::not_before(now + pause);
+                self.handle_packet(&frame.as_reply()?, now)
+            }
+        }
+    }
+
+    fn handle_packet(&mut self, packet: &Packet, now: Instant) -> Option<Event> {
+        let data = &packet.data;
+        match packet.channel {
+            Channel::Reply(motor) if data[0] == LOST_MASTER_BYTE => self.lost_master(motor, now),
+            Channel::Reply(motor) => self.handle_reply(motor, packet, now),
+            Channel::MotionReply(motor) if data[0] == motor.get() => {
+                self.handle_reply(motor, packet, now)
+            }
+            Channel::BusId => {
+                let motor = BusIdReply::from_data(data).ok()?.id();
+                self.handle_broadcast_reply(motor, packet)
+            }
+            Channel::MotionReply(motor) => Some(self.stray(motor, data)),
+            Channel::Command(_) | Channel::Motion(_) => None,
+        }
+    }
+
+    fn handle_reply(&mut self, motor: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
+        if let Some(event) = self.match_lane(motor, packet, now) {
+            return event;
+        }
+        let event = self.handle_broadcast_reply(motor, packet);
+        event.or_else(|| Some(self.handle_unasked(motor, packet)))
+    }
+
+    /// Gives the reply to what is in flight at its motor; `None` if it belongs to nothing there.
+    fn match_lane(
+        &mut self,
+        motor: MotorId,
+        packet: &Packet,
+        now: Instant,
+    ) -> Option<Option<Event>> {
+        let config = self.config;
+        let shortest = Duration::from_micros(config.shortest_us.into());
+        let data = &packet.data;
+        let is_motion = matches!(packet.channel, Channel::MotionReply(_));
+        let mut lanes = self.lanes.iter_mut().zip(&mut self.tallies);
+        let (lane, tally) = lanes.find(|(lane, _)| lane.motor == Some(motor))?;
+        lane.seen(now);
+
+        let is_request = lane.request == RequestState::InFlight;
+        let timeout = if is_request { lane.timeout } else { config.timeout };
+        let round_trip = lane.deadline.minus(timeout).elapsed(now);
+        if !lane.is_in_flight() || round_trip < shortest {
+            return None;
+        }
+        if !is_request {
+            if !is_motion && !is_control(data[0]) {
+                return None;
+            }
+            let reply = AnyReply::decode(packet).ok()?;
+            lane.flags.remove(Flags::SET_POINT_IN_FLIGHT);
+            let sent = lane.set_point;
+            if lane.is_ignored(&sent, data) {
+                return Some(Some(Event::SetPointUnanswered { motor }));
+            }
+            lane.answered(tally, Some(round_trip));
+            return Some(Some(Event::Feedback { motor, reply }));
+        }
+
+        let opcode = lane.request_opcode()?;
+        if (opcode == Opcode::Motion) != is_motion || !opcode.answers(&lane.request_data, data) {
+            return None;
+        }
+        lane.reply_has_come();
+        let command = lane.request_data;
+        if lane.is_ignored(&command, data) {
+            if lane.attempts_left > 0 && opcode.repeat() == Repeat::Harmless {
+                lane.request = RequestState::Waiting;
+            } else {
+                lane.finish_request(RequestState::NotExecuted, now, config.late_window());
+            }
+            return Some(None);
+        }
+        // With more than one attempt under way nobody knows which one this answers.
+        lane.answered(tally, (!lane.is_owed()).then_some(round_trip));
+        let is_stop = lane.flags.contains(Flags::STOP);
+        let ticket = TicketId { motor, generation: lane.generation };
+        lane.finish_request(RequestState::Idle, now, config.late_window());
+        Some(Some(if is_stop {
+            Event::StopConfirmed { motor }
+        } else {
+            Event::Reply { ticket, opcode, data: *data }
+        }))
+    }
+
+    fn handle_broadcast_reply(&mut self, motor: MotorId, packet: &Packet) -> Option<Event> {
+        let reply = AnyReply::decode(packet).ok()?;
+        self.broadcast
+            .take_reply(motor, &packet.data)
+            .then_some(Event::BroadcastReply { motor, reply })
+    }
+
+    /// A report, a late reply, or anything else that nothing waits for.
+    fn handle_unasked(&mut self, motor: MotorId, packet: &Packet) -> Event {
+        let reported = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
+        let lane = self.lanes.iter_mut().find(|lane| lane.motor == Some(motor));
+        let reply = AnyReply::decode(packet);
+        let is_report = match (lane, &reply) {
+            (Some(lane), _) if lane.reported & reported != 0 => true,
+            (Some(lane), Ok(AnyReply::ReadStatus1(_))) => !lane.late_reply_has_come(),
+            (Some(lane), _) => {
+                lane.late_reply_has_come();
+                false
+            }
+            (None, _) => reported != 0,
+        };
+        match reply {
+            Ok(reply) if is_report => Event::Report { motor, reply },
+            _ => self.stray(motor, &packet.data),
+        }
+    }
+
+    fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {
+        if let Some(lane) = self.lanes.iter_mut().find(|lane| lane.motor == Some(motor)) {
+            lane.seen(now);
+            lane.flags.insert(Flags::LOST_MASTER);
+        }
+        Some(Event::LostMaster { motor })
+    }
+
+    fn stray(&mut self, motor: MotorId, data: &Data) -> Event {
+        self.count_stray(motor);
+        Event::Stray { motor, data: *data }
+    }
+
+    fn count_stray(&mut self, motor: MotorId) {
+        let known =
+            self.lanes.iter().zip(&mut self.tallies).find(|(lane, _)| lane.motor == Some(motor));
+        if let Some((_, tally)) = known {
+            tally.stray = tally.stray.saturating_add(1);
+        }
+    }
+}
+
+/// Whether this is the command byte of a motion command (2.19 to 2.24).
+fn is_control(byte: u8) -> bool {
+    (0xA1..=0xA9).contains(&byte)
+}

@@ -1,0 +1,508 @@
+//! The rules of the master, one test a rule. Times are chosen by hand: the reply time-out of
+//! [`Config::CAN`] is 20 ms and takes at most 21 ms in ticks, its late window 40 ms.
+
+extern crate std;
+
+use std::vec::Vec;
+
+use super::*;
+use crate::channel::{Channel, Packet};
+use crate::command::{
+    AbsolutePosition, ActiveReply, AnyReply, BusId, IncrementalPosition, PidIndex, RawMotion,
+    ReadModel, ReadMultiTurnAngle, ReadPid, ReadStatus1, ReportedCommand, Reset, Switch, Torque,
+};
+use crate::units::{Angle, Current, MaxSpeed, ReportInterval};
+use crate::wire::can::Received;
+use crate::wire::rs485::{Fed, Frame};
+
+const ANGLE_REPLY: [u8; 8] = [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0];
+
+fn id(id: u8) -> MotorId {
+    MotorId::new(id).unwrap()
+}
+
+fn ms(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn torque(amperes: f32) -> Torque {
+    Torque { current: Current::from_amperes(amperes).unwrap() }
+}
+
+fn step() -> IncrementalPosition {
+    IncrementalPosition { max_speed: MaxSpeed::from_raw(100), angle: Angle::from_raw(9_000) }
+}
+
+/// Everything the master sends at this time.
+fn sent<const N: usize>(master: &mut Master<N>, now: Instant) -> Vec<Packet> {
+    let mut packets = Vec::new();
+    while let Some(packet) = master.poll_transmit(now) {
+        master.handle_transmitted(now);
+        packets.push(packet);
+    }
+    packets
+}
+
+fn events<const N: usize>(master: &mut Master<N>, now: Instant) -> Vec<Event> {
+    master.handle_timeout(now);
+    core::iter::from_fn(|| master.poll_event()).collect()
+}
+
+fn reply<const N: usize>(
+    master: &mut Master<N>,
+    motor: u8,
+    data: [u8; 8],
+    now: Instant,
+) -> Option<Event> {
+    let packet = Packet { channel: Channel::Reply(id(motor)), data };
+    master.handle_frame(&Received::Packet(packet), now)
+}
+
+#[test]
+fn fits_its_budget() {
+    assert!(size_of::<Master<32>>() <= 1536, "{}", size_of::<Master<32>>());
+}
+
+#[test]
+fn an_answer_finds_its_question_by_motor_command_byte_and_index() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let angle = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    let gain = master.request(id(2), ReadPid { index: PidIndex::SpeedKp }, ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 2, "both at once");
+    // Another motor's angle, another index, another command byte.
+    for (motor, data) in
+        [(2, ANGLE_REPLY), (2, [0x30, 5, 0, 0, 0, 0, 0, 0]), (1, [0x60, 0, 0, 0, 1, 0, 0, 0])]
+    {
+        let event = reply(&mut master, motor, data, ms(1)).unwrap();
+        assert!(matches!(event, Event::Stray { .. }), "{event:?}");
+    }
+    let event = reply(&mut master, 2, [0x30, 4, 0, 0, 0, 0, 0x80, 0x3F], ms(1)).unwrap();
+    assert!(angle.outcome(&event).is_none());
+    assert_eq!(gain.outcome(&event).unwrap().unwrap().unwrap().value.value(), 1.0);
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(2)).unwrap();
+    assert_eq!(angle.outcome(&event).unwrap().unwrap().unwrap().angle.degrees(), 360.0);
+    assert_eq!(master.health(id(2)).stray, 2);
+    assert_eq!(master.health(id(1)).answered, 1);
+    assert_eq!(master.health(id(1)).presence, Presence::Present);
+}
+
+#[test]
+fn a_read_is_tried_three_times_and_then_given_up() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let ticket = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    for attempt in 0..3 {
+        assert_eq!(sent(&mut master, ms(attempt * 21)).len(), 1);
+        assert!(events(&mut master, ms(attempt * 21 + 20)).is_empty(), "not before 20 ms");
+        assert!(sent(&mut master, ms(attempt * 21 + 20)).is_empty());
+        master.handle_timeout(ms(attempt * 21 + 21));
+    }
+    let event = master.poll_event().unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Err(Failure::NoReply)));
+    assert!(sent(&mut master, ms(63)).is_empty());
+    assert_eq!(master.health(id(1)).lost, 3);
+    assert_eq!(master.health(id(1)).presence, Presence::Silent);
+}
+
+#[test]
+fn a_relative_move_is_never_sent_twice_unless_the_caller_says_so() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let ticket = master.request(id(1), step(), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    let told = events(&mut master, ms(21));
+    assert_eq!(ticket.outcome(&told[0]), Some(Err(Failure::NoReply)));
+    assert!(sent(&mut master, ms(21)).is_empty());
+
+    let patience = Patience { reply_timeout: Duration::from_millis(5), attempts: 2 };
+    let _ticket = master.request_with(id(2), step(), patience, ms(100)).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 1);
+    master.handle_timeout(ms(106));
+    assert_eq!(sent(&mut master, ms(106)).len(), 1);
+}
+
+#[test]
+fn a_late_answer_is_not_taken_for_the_next_ones() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let _first = master.request(id(1), step(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(21));
+    // The next request of the same kind waits ...
+    let second = master.request(id(1), step(), ms(22)).unwrap();
+    assert!(sent(&mut master, ms(22)).is_empty());
+    // ... until the late reply has come,
+    let late = reply(&mut master, 1, [0xA8, 30, 0, 0, 0, 0, 0, 0], ms(25)).unwrap();
+    assert!(matches!(late, Event::Stray { .. }) && second.outcome(&late).is_none());
+    assert_eq!(sent(&mut master, ms(25)).len(), 1);
+    // or until it cannot come any more.
+    events(&mut master, ms(46));
+    let third = master.request(id(1), step(), ms(47)).unwrap();
+    master.handle_timeout(ms(80));
+    assert!(sent(&mut master, ms(80)).is_empty());
+    assert!(master.poll_at().unwrap() > ms(80));
+    master.handle_timeout(ms(89));
+    assert_eq!(sent(&mut master, ms(89)).len(), 1);
+    let event = reply(&mut master, 1, [0xA8, 30, 0, 0, 0, 0, 0, 0], ms(90)).unwrap();
+    assert!(third.outcome(&event).unwrap().is_ok());
+}
+
+#[test]
+fn a_doubled_answer_is_not_taken_for_the_next_ones() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let _first = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    let at = Instant::from_micros;
+    assert!(matches!(reply(&mut master, 1, ANGLE_REPLY, at(900)), Some(Event::Reply { .. })));
+    let second = master.request(id(1), ReadMultiTurnAngle, at(900)).unwrap();
+    sent(&mut master, at(900));
+    // 130 µs after the first: no drive is so quick.
+    let doubled = reply(&mut master, 1, ANGLE_REPLY, at(1_030)).unwrap();
+    assert!(second.outcome(&doubled).is_none());
+    let event = reply(&mut master, 1, ANGLE_REPLY, at(1_800)).unwrap();
+    assert!(second.outcome(&event).is_some());
+}
+
+#[test]
+fn both_answers_of_a_request_sent_twice_are_accounted_for() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let first = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    master.handle_timeout(ms(21));
+    sent(&mut master, ms(21));
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(first.outcome(&event).is_some());
+    let second = master.request(id(1), ReadMultiTurnAngle, ms(22)).unwrap();
+    assert!(sent(&mut master, ms(22)).is_empty(), "one reply may still come");
+    let doubled = reply(&mut master, 1, ANGLE_REPLY, ms(23)).unwrap();
+    assert!(second.outcome(&doubled).is_none());
+    assert_eq!(sent(&mut master, ms(23)).len(), 1);
+}
+
+#[test]
+fn one_request_a_motor_at_a_time_and_no_more_motors_than_places() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _one = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    assert_eq!(master.request(id(1), ReadModel, ms(0)).unwrap_err(), RequestError::Busy);
+    let _two = master.request(id(32), ReadModel, ms(0)).unwrap();
+    let full = master.request(id(3), ReadModel, ms(0)).unwrap_err();
+    assert_eq!(full, RequestError::TooManyMotors { capacity: 2 });
+    assert_eq!(
+        master.request(id(1), BusId::Read, ms(0)).unwrap_err(),
+        RequestError::AllMotorsOnly(Opcode::BusId)
+    );
+}
+
+#[test]
+fn commands_without_reply_are_done_when_sent_and_give_the_drive_time() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let reset = master.request(id(1), Reset, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    let told = events(&mut master, ms(0));
+    assert_eq!(reset.outcome(&told[0]), Some(Ok(None)));
+    // Nothing goes to that motor for two seconds; others are served.
+    let _read = master.request(id(1), ReadMultiTurnAngle, ms(100)).unwrap();
+    let _other = master.request(id(2), ReadMultiTurnAngle, ms(100)).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(packets.len(), 1);
+    assert_eq!(packets[0].channel, Channel::Command(Target::Motor(id(2))));
+    for now in (200..2_000).step_by(100) {
+        master.handle_timeout(ms(now));
+        assert!(
+            sent(&mut master, ms(now))
+                .iter()
+                .all(|packet| packet.channel != Channel::Command(Target::Motor(id(1))))
+        );
+    }
+    master.handle_timeout(ms(2_003));
+    assert_eq!(sent(&mut master, ms(2_003)).len(), 1);
+}
+
+#[test]
+fn only_the_newest_set_point_is_sent() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for amperes in [1.0, 2.0, 3.0] {
+        master.set_point(id(1), torque(amperes), ms(0)).unwrap();
+    }
+    let packets = sent(&mut master, ms(0));
+    assert_eq!(packets.len(), 1);
+    assert_eq!(packets[0].data, torque(3.0).encode());
+    assert_eq!(master.health(id(1)).superseded, 2);
+    // While it is in flight the next waits, and is replaced in turn.
+    master.set_point(id(1), torque(4.0), ms(1)).unwrap();
+    master.set_point(id(1), torque(5.0), ms(1)).unwrap();
+    assert!(sent(&mut master, ms(1)).is_empty());
+    let event = reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(1)).unwrap();
+    assert_eq!(event.feedback().unwrap().1.angle.degrees(), 7.0);
+    assert_eq!(sent(&mut master, ms(1))[0].data, torque(5.0).encode());
+}
+
+#[test]
+fn a_set_point_replaced_between_offer_and_sending_is_not_lost() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(master.poll_transmit(ms(0)).unwrap().data, torque(1.0).encode());
+    master.set_point(id(1), torque(2.0), ms(0)).unwrap();
+    master.handle_transmitted(ms(0));
+    assert_eq!(sent(&mut master, ms(0))[0].data, torque(2.0).encode());
+}
+
+#[test]
+fn a_set_point_that_is_too_old_or_meets_a_dead_bus_is_dropped() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let told = events(&mut master, ms(53));
+    assert_eq!(told, [Event::SetPointDropped { motor: id(1) }]);
+    assert!(sent(&mut master, ms(53)).is_empty());
+
+    master.set_point(id(1), torque(1.0), ms(60)).unwrap();
+    let moving = master.request(id(2), step(), ms(60)).unwrap();
+    master.handle_bus_down(ms(60));
+    assert!(sent(&mut master, ms(60)).is_empty(), "nothing that moves is kept");
+    let told = events(&mut master, ms(60));
+    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }));
+    assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::BusDown))));
+    let _read = master.request(id(1), ReadMultiTurnAngle, ms(60)).unwrap();
+    master.handle_bus_down(ms(60));
+    assert_eq!(sent(&mut master, ms(60)).len(), 1, "a read may wait for the bus");
+}
+
+#[test]
+fn requests_and_set_points_of_a_motor_take_turns() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    let mut answered = false;
+    for tick in 0..4 {
+        let now = ms(tick * 2);
+        master.set_point(id(1), torque(1.0), now).unwrap();
+        let packets = sent(&mut master, now);
+        assert_eq!(packets.len(), 1);
+        let data =
+            if packets[0].data[0] == 0x92 { ANGLE_REPLY } else { [0xA1, 30, 0, 0, 0, 0, 0, 0] };
+        let event = reply(&mut master, 1, data, now + Duration::from_millis(1)).unwrap();
+        answered |= read.outcome(&event).is_some();
+    }
+    assert!(answered, "set-points must not starve a request");
+}
+
+#[test]
+fn an_unanswered_set_point_does_not_hold_up_the_next() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    master.set_point(id(1), torque(2.0), ms(20)).unwrap();
+    assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+    assert_eq!(sent(&mut master, ms(21))[0].data, torque(2.0).encode());
+}
+
+#[test]
+fn motion_mode_feedback_comes_on_its_own_channel() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let set_point = RawMotion::from_data(&[0xE6, 0x66, 0x82, 0xE0, 0x52, 0x33, 0x3B, 0x55]);
+    master.set_point(id(1), set_point, ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0))[0].channel, Channel::Motion(id(1)));
+    let motion_reply = |who| Packet {
+        channel: Channel::MotionReply(id(1)),
+        data: [who, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0],
+    };
+    let wrong = master.handle_frame(&Received::Packet(motion_reply(2)), ms(1));
+    assert!(matches!(wrong, Some(Event::Stray { .. })), "its id byte names another motor");
+    let event = master.handle_frame(&Received::Packet(motion_reply(1)), ms(1)).unwrap();
+    assert!(matches!(event, Event::Feedback { reply: AnyReply::Motion(_), .. }));
+}
+
+#[test]
+fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let report = ActiveReply {
+        command: ReportedCommand::MultiTurnAngle,
+        enable: Switch::On,
+        interval: ReportInterval::from_raw(1),
+    };
+    let _on = master.request(id(1), report, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(7));
+    let refused = master.request(id(1), ReadMultiTurnAngle, ms(7)).unwrap_err();
+    assert_eq!(refused, RequestError::Reported(Opcode::ReadMultiTurnAngle));
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(10)).unwrap();
+    assert!(matches!(event, Event::Report { reply: AnyReply::ReadMultiTurnAngle(_), .. }));
+    let _off =
+        master.request(id(1), ActiveReply { enable: Switch::Off, ..report }, ms(20)).unwrap();
+    sent(&mut master, ms(20));
+    events(&mut master, ms(27));
+    assert!(master.request(id(1), ReadMultiTurnAngle, ms(27)).is_ok());
+}
+
+#[test]
+fn an_error_report_is_told_as_a_report() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    let event = reply(&mut master, 1, [0x9A, 50, 40, 0, 0xE0, 1, 2, 0], ms(1)).unwrap();
+    assert!(matches!(event, Event::Report { reply: AnyReply::ReadStatus1(_), .. }));
+}
+
+#[test]
+fn the_echo_of_a_drive_that_lost_its_master_is_no_answer() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    let lost = reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(1)).unwrap();
+    assert_eq!(lost, Event::LostMaster { motor: id(1) });
+    // The drive echoes the command and does nothing: an angle of 0 would be a lie.
+    assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(2)), None);
+    assert_eq!(sent(&mut master, ms(2)).len(), 1, "sent again");
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(3)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+
+    // The stop that is echoed so is sent again as well.
+    reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(4));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY, ms(5)).unwrap();
+    assert_eq!(sent(&mut master, ms(5)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(6)), None);
+    assert_eq!(sent(&mut master, ms(6)).len(), 1);
+    assert_eq!(
+        reply(&mut master, 1, Stop.encode(), ms(7)),
+        Some(Event::StopConfirmed { motor: id(1) })
+    );
+}
+
+#[test]
+fn a_short_frame_completes_nothing() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    let short = |first| Received::WrongLength {
+        channel: Channel::Reply(id(1)),
+        length: 1,
+        first: Some(first),
+    };
+    assert_eq!(master.handle_frame(&short(0x92), ms(1)), None);
+    assert!(master.is_anything_in_flight());
+    assert_eq!(master.handle_frame(&short(0xF1), ms(1)), Some(Event::LostMaster { motor: id(1) }));
+}
+
+#[test]
+fn a_broadcast_collects_answers_and_names_the_silent() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let expected: MotorSet = [1, 2, 3].into_iter().map(id).collect();
+    let earlier = master.request(id(1), ReadModel, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    master.broadcast(ReadMultiTurnAngle, expected, ms(0)).unwrap();
+    assert!(sent(&mut master, ms(0)).is_empty(), "a request is in flight");
+    let _ = reply(&mut master, 1, *b"\xB5X8S2V10", ms(1))
+        .filter(|event| earlier.outcome(event).is_some())
+        .unwrap();
+    assert_eq!(sent(&mut master, ms(1))[0].channel, Channel::Command(Target::All));
+    assert_eq!(master.broadcast(ReadModel, expected, ms(1)), Err(RequestError::Busy));
+    for motor in [1, 3] {
+        let event = reply(&mut master, motor, ANGLE_REPLY, ms(2)).unwrap();
+        assert!(matches!(event, Event::BroadcastReply { .. }));
+    }
+    let twice = reply(&mut master, 1, ANGLE_REPLY, ms(3)).unwrap();
+    assert!(matches!(twice, Event::Stray { .. }));
+    assert_eq!(events(&mut master, ms(23)), [Event::BroadcastDone { silent: id(2).into() }]);
+}
+
+#[test]
+fn a_stop_goes_before_everything_and_keeps_motion_away() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let in_flight = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let waiting = master.request(id(2), step(), ms(0)).unwrap();
+    master.stop_all(StopKind::Off, id(7).into(), ms(1)).unwrap();
+    let packets = sent(&mut master, ms(1));
+    assert_eq!(packets.len(), 3, "motors 1, 2 and 7, whatever is in flight");
+    assert!(packets.iter().all(|packet| packet.data == Shutdown.encode()));
+    let told = events(&mut master, ms(1));
+    assert!(told.iter().any(|event| in_flight.outcome(event) == Some(Err(Failure::Stopped))));
+    assert!(told.iter().any(|event| waiting.outcome(event) == Some(Err(Failure::Stopped))));
+    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }));
+
+    assert_eq!(master.set_point(id(1), torque(1.0), ms(2)), Err(RequestError::Stopped));
+    assert_eq!(master.request(id(3), step(), ms(2)).unwrap_err(), RequestError::Stopped);
+    for motor in [1, 2] {
+        let event = reply(&mut master, motor, Shutdown.encode(), ms(2));
+        assert_eq!(event, Some(Event::StopConfirmed { motor: id(motor) }));
+    }
+    // Motor 7 is not there: it is told 15 times, then the caller is.
+    let mut frames = 1;
+    let mut now = 2;
+    while master.is_anything_in_flight() {
+        now += 21;
+        master.handle_timeout(ms(now));
+        frames += sent(&mut master, ms(now)).len();
+    }
+    assert_eq!(frames, 15);
+    assert_eq!(events(&mut master, ms(now)), [Event::StopUnconfirmed { motor: id(7) }]);
+    master.lift_stop();
+    assert!(master.set_point(id(1), torque(1.0), ms(now)).is_ok());
+}
+
+#[test]
+fn rs485_carries_one_exchange_at_a_time() {
+    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+    let first = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    let _second = master.request(id(2), ReadMultiTurnAngle, ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(sent(&mut master, ms(1)).len(), 0);
+    let line = |motor, data| Fed::Frame(Frame { address: Target::Motor(id(motor)), data });
+    let event = master.handle_line(&line(1, ANGLE_REPLY), ms(1)).unwrap();
+    assert!(first.outcome(&event).is_some());
+    assert_eq!(sent(&mut master, ms(1)).len(), 0, "the drives turn around for 100 µs");
+    assert!(master.poll_at().unwrap() <= Instant::from_micros(1_120));
+    assert_eq!(sent(&mut master, Instant::from_micros(1_120)).len(), 1);
+    let motion = RawMotion::from_data(&[0; 8]);
+    assert_eq!(master.set_point(id(1), motion, ms(2)), Err(RequestError::CanOnly(Opcode::Motion)));
+}
+
+#[test]
+fn an_echo_is_known_by_its_place() {
+    let mut master = Master::<4>::new(Config::rs485(115_200, true));
+    let line = |data| Fed::Frame(Frame { address: Target::Motor(id(1)), data });
+    let stop = master.request(id(1), Stop, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    // The echo and the reply of 0x81 are the same bytes.
+    assert_eq!(master.handle_line(&line(Stop.encode()), ms(1)), None);
+    let event = master.handle_line(&line(Stop.encode()), ms(3)).unwrap();
+    assert!(stop.outcome(&event).unwrap().is_ok());
+
+    // An echo garbled beyond recognition has its place all the same.
+    let stop = master.request(id(1), Stop, ms(10)).unwrap();
+    sent(&mut master, ms(10));
+    let garbled = Fed::Discarded { bytes: 13, fault: crate::wire::rs485::Fault::Crc };
+    assert_eq!(master.handle_line(&garbled, ms(11)), None);
+    let event = master.handle_line(&line(Stop.encode()), ms(13)).unwrap();
+    assert!(stop.outcome(&event).unwrap().is_ok());
+}
+
+#[test]
+fn a_long_gap_ends_what_was_in_flight() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let step = master.request(id(1), step(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    // 1.05 s later 16-bit ticks look the same; the gap must be noticed.
+    let told = events(&mut master, Instant::from_micros(1_048_576));
+    assert_eq!(step.outcome(&told[0]), Some(Err(Failure::NoReply)));
+}
+
+#[test]
+fn a_motor_that_is_silent_does_not_hold_up_the_others() {
+    let mut master = Master::<8>::new(Config::CAN);
+    let _silent = master.request(id(1), ReadStatus1, ms(0)).unwrap();
+    for tick in 0..10 {
+        let go = AbsolutePosition { max_speed: MaxSpeed::from_raw(1), angle: Angle::from_raw(0) };
+        for motor in 2..=8 {
+            master.set_point(id(motor), go, ms(tick)).unwrap();
+        }
+        let packets = sent(&mut master, ms(tick));
+        assert!(packets.len() >= 7, "tick {tick}");
+        for motor in 2..=8 {
+            let answer = reply(
+                &mut master,
+                motor,
+                [0xA4, 0, 0, 0, 0, 0, 0, 0],
+                ms(tick) + Duration::from_micros(900),
+            );
+            assert!(matches!(answer, Some(Event::Feedback { .. })));
+        }
+    }
+}
