@@ -1,1 +1,12 @@
 //! MyActuator servo motors on a host.
+//!
+//! | module | for |
+//! |---|---|
+//! | [`text`] | frames as people and tools write them: `ID#DATA`, candump lines, RS485 bytes |
+//! | [`explain`] | what a frame says: name, fields with their units, and a sentence |
+
+mod bus_kind;
+pub mod explain;
+pub mod text;
+
+pub use bus_kind::BusKind;

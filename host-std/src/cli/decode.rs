@@ -1,0 +1,211 @@
+//! `myactuator decode`: what frames say.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Write};
+use std::path::PathBuf;
+
+use myactuator_host_std::explain::{Explanation, Rs485Stream, Sender, can_frame};
+use myactuator_host_std::{BusKind, text};
+
+use super::{DONE, NOT_ALL_DECODED, print_line, wrong_usage};
+
+/// Explain frames: one line each for people, or with --json one object a line.
+///
+/// On CAN a frame is ID#DATA or a line of candump or candump -L. On RS485 it is bytes, hexadecimal
+/// or decimal, with commas or spaces or without; they may hold several frames and noise. Exit status:
+/// 0 if every frame was decoded, 1 if some were not, 2 for wrong usage.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// The bus that the frames are from [default: can, with --binary rs485].
+    #[arg(long, value_enum)]
+    bus: Option<BusKind>,
+    /// Print one JSON object a line.
+    #[arg(long)]
+    json: bool,
+    /// Files hold raw RS485 bytes, not text.
+    #[arg(long)]
+    binary: bool,
+    /// Which way frames went whose bytes cannot tell (RS485, and bus id on CAN).
+    #[arg(long, value_enum, value_name = "WAY")]
+    direction: Option<Sender>,
+    /// Frames, files, or - for standard input, which is also read if there is none of these.
+    #[arg(value_name = "FRAME|FILE|-")]
+    inputs: Vec<String>,
+}
+
+/// Why no more is printed.
+enum Stop {
+    /// The reader has left.
+    Closed,
+    /// Wrong usage, told in a sentence.
+    Wrong(String),
+}
+
+impl From<io::Error> for Stop {
+    fn from(error: io::Error) -> Self {
+        Self::Wrong(format!("cannot write: {error}"))
+    }
+}
+
+/// Explains every input, and returns the exit status.
+pub(super) fn run(arguments: &Arguments) -> u8 {
+    let bus = match (arguments.bus, arguments.binary) {
+        (Some(BusKind::Can), true) => {
+            return wrong_usage("--binary: raw bytes are RS485's, but --bus can was given");
+        }
+        (Some(bus), _) => bus,
+        (None, true) => BusKind::Rs485,
+        (None, false) => BusKind::Can,
+    };
+    let mut decoder = Decoder {
+        bus,
+        json: arguments.json,
+        binary: arguments.binary,
+        sender: arguments.direction,
+        out: io::stdout().lock(),
+        all_decoded: true,
+    };
+    match decoder.inputs(&arguments.inputs) {
+        Err(Stop::Wrong(sentence)) => wrong_usage(&sentence),
+        Ok(()) | Err(Stop::Closed) if decoder.all_decoded => DONE,
+        Ok(()) | Err(Stop::Closed) => NOT_ALL_DECODED,
+    }
+}
+
+struct Decoder<W> {
+    bus: BusKind,
+    json: bool,
+    binary: bool,
+    sender: Option<Sender>,
+    out: W,
+    all_decoded: bool,
+}
+
+impl<W: Write> Decoder<W> {
+    fn inputs(&mut self, inputs: &[String]) -> Result<(), Stop> {
+        let mut unreadable = None;
+        let only_standard_input = ["-".to_owned()];
+        let inputs = if inputs.is_empty() { &only_standard_input } else { inputs };
+        let mut rest = inputs;
+        while let [input, after @ ..] = rest {
+            // The bytes of an RS485 frame may come as one argument or as many.
+            let bytes = rest.iter().take_while(|input| self.are_bytes(input)).count();
+            rest = if bytes > 0 {
+                let (bytes, after) = rest.split_at(bytes);
+                self.lines(bytes.join(" ").as_bytes())?;
+                after
+            } else {
+                match self.input(input) {
+                    // The others are still read.
+                    Err(Stop::Wrong(sentence)) => {
+                        unreadable.get_or_insert(sentence);
+                    }
+                    other => other?,
+                }
+                after
+            };
+        }
+        unreadable.map_or(Ok(()), |sentence| Err(Stop::Wrong(sentence)))
+    }
+
+    fn are_bytes(&self, input: &str) -> bool {
+        self.bus == BusKind::Rs485
+            && !self.binary
+            && text::rs485::parse_line(input).is_ok_and(|bytes| !bytes.is_empty())
+    }
+
+    /// Standard input, a frame or a file.
+    fn input(&mut self, input: &str) -> Result<(), Stop> {
+        if input == "-" {
+            return self.source(io::stdin().lock(), "standard input");
+        }
+        let path = PathBuf::from(input);
+        let is_frame =
+            text::can::parse_line(input).is_ok() || (input.contains(['#', '[']) && !path.exists());
+        if self.bus == BusKind::Can && is_frame {
+            return self.lines(input.as_bytes());
+        }
+        match File::open(&path) {
+            Ok(file) => self.source(BufReader::new(file), input),
+            Err(error) => Err(Stop::Wrong(format!(
+                "\"{input}\" is neither a frame on {} nor a file that can be read: {error}",
+                self.bus
+            ))),
+        }
+    }
+
+    fn source(&mut self, mut source: impl BufRead, name: &str) -> Result<(), Stop> {
+        if !self.binary {
+            return self.text(source, name);
+        }
+        let mut stream = Rs485Stream::new(self.sender);
+        let mut bytes = [0; 4096];
+        loop {
+            match source.read(&mut bytes) {
+                Ok(0) => break,
+                Ok(count) => self.tell(stream.feed(&bytes[..count]))?,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(unreadable(name, &error)),
+            }
+        }
+        self.tell(stream.finish())
+    }
+
+    fn lines(&mut self, text: &[u8]) -> Result<(), Stop> {
+        self.text(text, "the arguments")
+    }
+
+    /// Text, line by line: a live bus is explained as it goes.
+    fn text(&mut self, source: impl BufRead, name: &str) -> Result<(), Stop> {
+        let mut stream = Rs485Stream::new(self.sender);
+        for line in source.split(b'\n') {
+            let line = line.map_err(|error| unreadable(name, &error))?;
+            let line = String::from_utf8_lossy(&line);
+            let line = line.trim();
+            if line.is_empty() || line.starts_with('#') {
+                continue;
+            }
+            match self.bus {
+                BusKind::Can => {
+                    let explanation = self.can_line(line);
+                    self.tell([explanation])?;
+                }
+                BusKind::Rs485 => match text::rs485::parse_line(line) {
+                    Ok(bytes) => self.tell(stream.feed(&bytes))?,
+                    Err(error) => {
+                        // What has begun cannot go on behind a line that is not understood.
+                        self.tell(stream.finish())?;
+                        self.tell([Explanation::no_frame(self.bus, line, error.to_string())])?;
+                    }
+                },
+            }
+        }
+        self.tell(stream.finish())
+    }
+
+    fn can_line(&self, line: &str) -> Explanation {
+        let error = match text::can::parse_line(line) {
+            Ok(frame) => return can_frame(&frame, self.sender),
+            Err(error) => error,
+        };
+        let looks_like_rs485 = text::rs485::parse_line(line).is_ok_and(|bytes| bytes.len() > 8);
+        let hint = if looks_like_rs485 { " (for RS485 bytes add --bus rs485)" } else { "" };
+        Explanation::no_frame(self.bus, line, format!("{error}{hint}"))
+    }
+
+    fn tell(&mut self, explanations: impl IntoIterator<Item = Explanation>) -> Result<(), Stop> {
+        for explanation in explanations {
+            self.all_decoded &= explanation.is_decoded();
+            let line =
+                if self.json { explanation.to_json().to_string() } else { explanation.to_string() };
+            if !print_line(&mut self.out, &line)? {
+                return Err(Stop::Closed);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn unreadable(name: &str, error: &io::Error) -> Stop {
+    Stop::Wrong(format!("cannot read {name}: {error}"))
+}

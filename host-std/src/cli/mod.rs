@@ -1,0 +1,102 @@
+//! The command line: one module a subcommand.
+
+mod arguments;
+mod decode;
+mod encode;
+
+use std::error::Error as _;
+use std::io::{self, Write};
+use std::process::ExitCode;
+
+use clap::Parser;
+use clap::error::{ContextKind, ErrorKind};
+
+/// Everything was done.
+const DONE: u8 = 0;
+/// Some frames were not understood.
+const NOT_ALL_DECODED: u8 = 1;
+/// The program was used wrongly.
+const WRONG_USAGE: u8 = 2;
+
+/// Talk to MyActuator servo motors (protocol V4.3), and explain what is on their bus.
+#[derive(Debug, Parser)]
+#[command(name = "myactuator", version, infer_long_args = true)]
+struct Cli {
+    #[command(subcommand)]
+    subcommand: Subcommand,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Subcommand {
+    Encode(encode::Arguments),
+    Decode(decode::Arguments),
+}
+
+/// Runs the program with the arguments that it was started with.
+pub(crate) fn run() -> ExitCode {
+    ExitCode::from(match Cli::try_parse() {
+        Ok(cli) => match cli.subcommand {
+            Subcommand::Encode(arguments) => encode::run(&arguments),
+            Subcommand::Decode(arguments) => decode::run(&arguments),
+        },
+        Err(error) => stop_parsing(&error),
+    })
+}
+
+/// Prints help where it was asked for, else one sentence about what is wrong.
+fn stop_parsing(error: &clap::Error) -> u8 {
+    match error.kind() {
+        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
+            // Nobody is left to tell if the terminal is gone.
+            let _ = error.print();
+            DONE
+        }
+        ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
+            let _ = error.print();
+            WRONG_USAGE
+        }
+        _ => wrong_usage(&parse_sentence(error)),
+    }
+}
+
+/// Tells what is wrong, in one sentence.
+fn wrong_usage(sentence: &str) -> u8 {
+    let _ = writeln!(io::stderr(), "error: {sentence}");
+    WRONG_USAGE
+}
+
+/// What the parser found, without the usage that it prints below.
+fn parse_sentence(error: &clap::Error) -> String {
+    if let (ErrorKind::ValueValidation, Some(argument), Some(cause)) =
+        (error.kind(), error.get(ContextKind::InvalidArg), error.source())
+    {
+        let argument = argument.to_string();
+        let name = argument.split_whitespace().next().unwrap_or_default();
+        return format!("{name}: {cause}");
+    }
+    let text = error.to_string();
+    let told = text.split("\n\nUsage:").next().unwrap_or(&text);
+    let told = told.split("\n\nFor more information").next().unwrap_or(told);
+    let words: Vec<&str> = told.split_whitespace().collect();
+    words.join(" ").trim_start_matches("error: ").replace(" tip: ", "; ")
+}
+
+/// Prints a line. `Ok(false)` if whoever reads it has left, which is no error: `… | head`.
+fn print_line(out: &mut impl Write, line: &str) -> io::Result<bool> {
+    match writeln!(out, "{line}").and_then(|()| out.flush()) {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+}

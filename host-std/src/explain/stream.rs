@@ -1,0 +1,162 @@
+//! Frames in a stream of RS485 bytes, and what lies between them.
+
+use myactuator_protocol_core::wire::rs485::{ALL, FRAME_LENGTH, Fault, Fed, Frame, Receiver};
+use myactuator_protocol_core::{MotorId, Target};
+
+use super::explanation::Explanation;
+use super::reading::{Sender, rs485_frame};
+use crate::{BusKind, text};
+
+/// Explains RS485 bytes as they come.
+///
+/// Bytes that are thrown away come out as one explanation with an error, before the next frame or
+/// from [`finish`](Self::finish).
+///
+/// ```
+/// use myactuator_host_std::explain::Rs485Stream;
+///
+/// let mut stream = Rs485Stream::new(None);
+/// let bytes = [0x00, 0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
+/// let found = stream.feed(&bytes);
+/// assert_eq!(found.len(), 2);
+/// assert!(!found[0].is_decoded() && found[1].is_decoded());
+/// assert!(stream.finish().is_none());
+/// ```
+#[derive(Debug, Default)]
+pub struct Rs485Stream {
+    sender: Option<Sender>,
+    receiver: Receiver,
+    /// What the receiver holds.
+    held: Vec<u8>,
+    noise: Vec<u8>,
+    /// Why the first byte of `noise` was thrown away.
+    reason: Option<String>,
+}
+
+impl Rs485Stream {
+    /// A stream that starts here. `sender` as for [`rs485_frame`].
+    pub fn new(sender: Option<Sender>) -> Self {
+        Self { sender, ..Self::default() }
+    }
+
+    /// Takes the next bytes, and explains what they complete.
+    pub fn feed(&mut self, bytes: &[u8]) -> Vec<Explanation> {
+        let mut found = Vec::new();
+        for &byte in bytes {
+            self.held.push(byte);
+            match self.receiver.feed(byte) {
+                Fed::Wanting => {}
+                Fed::Frame(frame) => {
+                    self.held.clear();
+                    found.extend(self.take_noise());
+                    found.push(rs485_frame(&frame, self.sender));
+                }
+                Fed::Discarded { bytes, fault } => {
+                    self.reason.get_or_insert_with(|| reason(fault, &self.held));
+                    self.noise.extend(self.held.drain(..bytes.min(self.held.len())));
+                }
+            }
+        }
+        found
+    }
+
+    /// Ends the stream: what is left is no frame.
+    pub fn finish(&mut self) -> Option<Explanation> {
+        self.receiver.reset();
+        if !self.held.is_empty() {
+            let reason = format!(
+                "the bytes end within a frame, after {} of {FRAME_LENGTH}",
+                self.held.len()
+            );
+            self.reason.get_or_insert(reason);
+            self.noise.append(&mut self.held);
+        }
+        self.take_noise()
+    }
+
+    fn take_noise(&mut self) -> Option<Explanation> {
+        let noise = std::mem::take(&mut self.noise);
+        let reason = self.reason.take()?;
+        let count = noise.len();
+        let bytes = if count == 1 { "byte is" } else { "bytes are" };
+        Some(Explanation::no_frame(
+            BusKind::Rs485,
+            text::rs485::bytes(&noise),
+            format!("{count} {bytes} no frame: {reason}"),
+        ))
+    }
+}
+
+fn reason(fault: Fault, held: &[u8]) -> String {
+    match (fault, held) {
+        (Fault::Header, [found, ..]) => format!("a frame begins with 3E, found {found:02X}"),
+        (Fault::Address, [_, found, ..]) => {
+            format!("an address is 1 to 32 or 0xCD, found 0x{found:02X}")
+        }
+        (Fault::Length, [_, _, found, ..]) => {
+            format!("the length of every frame is 08, found {found:02X}")
+        }
+        (Fault::Crc, [_, address, _, data @ .., low, high]) => {
+            let found = format!("the CRC is wrong, found {low:02X} {high:02X}");
+            match right_crc(*address, data) {
+                Some([low, high]) => format!("{found}, expected {low:02X} {high:02X}"),
+                None => found,
+            }
+        }
+        (fault, _) => format!("{fault:?}"),
+    }
+}
+
+/// The CRC that belongs to these bytes, as it is on the line.
+fn right_crc(address: u8, data: &[u8]) -> Option<[u8; 2]> {
+    let address = match address {
+        ALL => Target::All,
+        id => Target::Motor(MotorId::new(id).ok()?),
+    };
+    let frame = Frame { address, data: data.try_into().ok()? };
+    let [.., low, high] = frame.encode();
+    Some([low, high])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const READ_PID: [u8; 13] = [0x3E, 1, 8, 0x30, 1, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
+
+    #[test]
+    fn frames_and_noise_come_out_in_order_and_no_byte_is_lost() {
+        let mut bad_crc = READ_PID;
+        bad_crc[11] = 0xE9;
+        let mut bytes = vec![0xFF, 0x3E, 0x3E, 0x00];
+        bytes.extend(READ_PID);
+        bytes.extend(bad_crc);
+        bytes.extend(READ_PID);
+        bytes.extend(&READ_PID[..5]);
+        for split in 0..bytes.len() {
+            let mut stream = Rs485Stream::new(None);
+            let (first, second) = bytes.split_at(split);
+            let mut found = stream.feed(first);
+            found.extend(stream.feed(second));
+            found.extend(stream.finish());
+            assert_eq!(found.len(), 5, "{found:?}");
+            let decoded: Vec<bool> = found.iter().map(Explanation::is_decoded).collect();
+            assert_eq!(decoded, [false, true, false, true, false]);
+            assert_eq!(found[0].raw, "FF 3E 3E 00");
+            assert_eq!(
+                found[0].outcome,
+                Err("4 bytes are no frame: a frame begins with 3E, found FF".into())
+            );
+            assert_eq!(
+                found[2].outcome,
+                Err("13 bytes are no frame: the CRC is wrong, found E9 DD, expected E8 DD".into())
+            );
+            assert_eq!(
+                found[4].outcome,
+                Err("5 bytes are no frame: the bytes end within a frame, after 5 of 13".into())
+            );
+            let raw: Vec<&str> = found.iter().map(|item| item.raw.as_str()).collect();
+            assert_eq!(raw.join(" "), text::rs485::bytes(&bytes));
+        }
+    }
+}

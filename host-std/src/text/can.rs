@@ -1,0 +1,234 @@
+//! CAN frames as text: `ID#DATA` of cansend, and the lines of `candump` and `candump -L`.
+
+use std::fmt;
+
+use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
+use myactuator_protocol_core::wire::can::SimpleFrame;
+
+/// The bit that the interface sets in the identifier of its own error reports.
+const ERROR_FRAME: u32 = 0x2000_0000;
+
+/// Text that is no classic CAN data or remote frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NotAFrame {
+    /// Neither `ID#DATA` nor a line of candump.
+    Notation,
+    /// The identifier is neither 3 nor 8 hexadecimal digits, or too large.
+    Identifier(String),
+    /// The data are not whole bytes in hexadecimal, at most eight.
+    Data(String),
+    /// candump's length and its bytes disagree.
+    Length {
+        /// The length told.
+        told: usize,
+        /// The bytes found.
+        found: usize,
+    },
+    /// A CAN FD frame, which the protocol does not use.
+    Fd,
+    /// A report of the CAN interface about the bus, no frame.
+    ErrorReport,
+}
+
+impl fmt::Display for NotAFrame {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Notation => f.write_str(
+                "expected a CAN frame such as 141#A400F401A08C0000, or a line of candump",
+            ),
+            Self::Identifier(found) => write!(
+                f,
+                "expected an identifier of 3 hexadecimal digits up to 7FF, or of 8 up to 1FFFFFFF, found \"{found}\""
+            ),
+            Self::Data(found) => {
+                write!(
+                    f,
+                    "expected up to 8 data bytes of two hexadecimal digits each, found \"{found}\""
+                )
+            }
+            Self::Length { told, found } => {
+                write!(f, "the length says {told} data bytes, but the line has {found}")
+            }
+            Self::Fd => {
+                f.write_str("this is a CAN FD frame, and the protocol uses classic CAN frames only")
+            }
+            Self::ErrorReport => {
+                f.write_str("this is an error report of the CAN interface, no frame from a motor")
+            }
+        }
+    }
+}
+
+impl std::error::Error for NotAFrame {}
+
+/// A frame in candump's notation: `141#A400F401A08C0000`, `141#R` for a remote frame.
+pub fn frame(frame: &SimpleFrame) -> String {
+    let id = match frame.id() {
+        Id::Standard(id) => format!("{:03X}", id.as_raw()),
+        Id::Extended(id) => format!("{:08X}", id.as_raw()),
+    };
+    match (frame.is_remote_frame(), frame.dlc()) {
+        (false, _) => format!("{id}#{}", super::joined_hex(frame.data(), "")),
+        (true, 0) => format!("{id}#R"),
+        (true, length) => format!("{id}#R{length}"),
+    }
+}
+
+/// The frame on a line: `ID#DATA`, or as `candump` or `candump -L` print it, with time stamps,
+/// interface and flags or without.
+///
+/// ```
+/// use myactuator_host_std::text::can::{frame, parse_line};
+///
+/// for line in [
+///     "141#A400F401A08C0000",
+///     "(1436509052.249713) can0 141#A400F401A08C0000",
+///     "  can0  141   [8]  A4 00 F4 01 A0 8C 00 00",
+/// ] {
+///     assert_eq!(frame(&parse_line(line).unwrap()), "141#A400F401A08C0000");
+/// }
+/// ```
+///
+/// # Errors
+/// [`NotAFrame`] tells what was expected and found.
+pub fn parse_line(line: &str) -> Result<SimpleFrame, NotAFrame> {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    if let Some(at) = words.iter().position(|word| word.starts_with('[') && word.ends_with(']')) {
+        let (before, rest) = words.split_at(at);
+        if let (Some(id), [length, data @ ..]) = (before.last(), rest) {
+            return from_columns(id, length, data);
+        }
+    }
+    let mut notations = words.iter().filter(|word| word.contains('#'));
+    match (notations.next(), notations.next()) {
+        (Some(notation), None) if is_log_line(&words, notation) => from_notation(notation),
+        _ => Err(NotAFrame::Notation),
+    }
+}
+
+/// Whether the words around `ID#DATA` are those of `candump -L`: time, interface, flags.
+fn is_log_line(words: &[&str], notation: &str) -> bool {
+    match words {
+        [only] => *only == notation,
+        [time, _, frame, flags @ ..] => {
+            time.starts_with('(') && *frame == notation && flags.iter().all(|flag| flag.len() == 1)
+        }
+        _ => false,
+    }
+}
+
+/// `141#A400F401A08C0000`, `141#R`, `141##1…`. Points between bytes are allowed, as for cansend.
+fn from_notation(text: &str) -> Result<SimpleFrame, NotAFrame> {
+    let (id, data) = text.split_once('#').ok_or(NotAFrame::Notation)?;
+    let parsed_id = identifier(id)?;
+    if data.starts_with('#') {
+        return Err(NotAFrame::Fd);
+    }
+    let wrong = || NotAFrame::Data(data.to_owned());
+    if let Some(length) = data.strip_prefix(['R', 'r']) {
+        let length = if length.is_empty() { 0 } else { length.parse().map_err(|_| wrong())? };
+        return SimpleFrame::new_remote(parsed_id, length).ok_or_else(wrong);
+    }
+    // `_9` after eight bytes is a length code beyond 8, still eight bytes.
+    let bytes = data.split_once('_').map_or(data, |(bytes, _)| bytes).replace('.', "");
+    let bytes = hex_bytes(&bytes).ok_or_else(wrong)?;
+    SimpleFrame::new(parsed_id, &bytes).ok_or_else(wrong)
+}
+
+/// The columns of `candump`: identifier, length in brackets, bytes, and perhaps characters.
+fn from_columns(id: &str, length: &str, data: &[&str]) -> Result<SimpleFrame, NotAFrame> {
+    let id = identifier(id)?;
+    let length = length.trim_matches(['[', ']']);
+    if length.len() != 1 {
+        return Err(NotAFrame::Fd); // candump writes its lengths with two digits
+    }
+    let told: usize = length.parse().map_err(|_| NotAFrame::Notation)?;
+    if data.first() == Some(&"remote") {
+        return SimpleFrame::new_remote(id, told).ok_or(NotAFrame::Notation);
+    }
+    // Behind the bytes may follow the same as characters in quotes (candump -a).
+    let mut bytes = Vec::new();
+    for word in data.iter().take_while(|word| !word.starts_with('\'')) {
+        match hex_bytes(word).as_deref() {
+            Some([byte]) => bytes.push(*byte),
+            _ => return Err(NotAFrame::Data((*word).to_owned())),
+        }
+    }
+    if bytes.len() != told {
+        return Err(NotAFrame::Length { told, found: bytes.len() });
+    }
+    SimpleFrame::new(id, &bytes).ok_or(NotAFrame::Notation)
+}
+
+fn identifier(text: &str) -> Result<Id, NotAFrame> {
+    let wrong = || NotAFrame::Identifier(text.to_owned());
+    if !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        return Err(wrong());
+    }
+    let raw = u32::from_str_radix(text, 16).map_err(|_| wrong())?;
+    match text.len() {
+        3 => u16::try_from(raw).ok().and_then(StandardId::new).map(Id::from),
+        8 if raw & ERROR_FRAME != 0 => return Err(NotAFrame::ErrorReport),
+        8 => ExtendedId::new(raw).map(Id::from),
+        _ => None,
+    }
+    .ok_or_else(wrong)
+}
+
+/// Bytes of two hexadecimal digits each without anything between.
+pub(super) fn hex_bytes(text: &str) -> Option<Vec<u8>> {
+    let digits: Option<Vec<u8>> =
+        text.chars().map(|c| c.to_digit(16).and_then(|digit| u8::try_from(digit).ok())).collect();
+    let (pairs, rest) = digits.as_ref()?.as_chunks::<2>();
+    rest.is_empty().then(|| pairs.iter().map(|[high, low]| high << 4 | low).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn normal(line: &str) -> Result<String, NotAFrame> {
+        parse_line(line).map(|parsed| frame(&parsed))
+    }
+
+    #[test]
+    fn every_notation_of_can_utils_is_read() {
+        for line in [
+            "141#A400F401A08C0000",
+            "141#a4.00.f4.01.a0.8c.00.00",
+            "  can0  141   [8]  A4 00 F4 01 A0 8C 00 00",
+            " (1436509052.249713)  can0  141   [8]  A4 00 F4 01 A0 8C 00 00   '........'",
+            "  can0  RX - -  141   [8]  A4 00 F4 01 A0 8C 00 00",
+            "(1436509052.249713) can0 141#A400F401A08C0000",
+            "(1436509052.249713) can0 141#A400F401A08C0000 R",
+            "(1436509052.249713) vcan0 141#A400F401A08C0000 T",
+        ] {
+            assert_eq!(normal(line).as_deref(), Ok("141#A400F401A08C0000"), "{line}");
+        }
+        assert_eq!(normal("141#F1").as_deref(), Ok("141#F1"));
+        assert_eq!(normal("can0 241 [0]").as_deref(), Ok("241#"));
+        assert_eq!(normal("241#R").as_deref(), Ok("241#R"));
+        assert_eq!(normal("can0  241   [8]  remote request").as_deref(), Ok("241#R8"));
+        assert_eq!(normal("00000141#01").as_deref(), Ok("00000141#01"));
+    }
+
+    #[test]
+    fn what_is_no_frame_is_told() {
+        assert_eq!(normal("141##1AABB"), Err(NotAFrame::Fd));
+        assert_eq!(normal("can0  141  [08]  A4 00 F4 01 A0 8C 00 00"), Err(NotAFrame::Fd));
+        assert_eq!(normal("1#00"), Err(NotAFrame::Identifier("1".into())));
+        assert_eq!(normal("8FF#00"), Err(NotAFrame::Identifier("8FF".into())));
+        assert_eq!(normal("+41#00"), Err(NotAFrame::Identifier("+41".into())));
+        assert_eq!(normal("141#0"), Err(NotAFrame::Data("0".into())));
+        assert_eq!(normal("141#é0"), Err(NotAFrame::Data("é0".into())));
+        assert!(matches!(normal("141#000000000000000000"), Err(NotAFrame::Data(_))));
+        assert_eq!(normal("can0 141 [3] 01 02"), Err(NotAFrame::Length { told: 3, found: 2 }));
+        assert_eq!(
+            normal("can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME"),
+            Err(NotAFrame::ErrorReport)
+        );
+        for line in ["hello", "see 141#00 there", "[8]", "141#00 142#00"] {
+            assert_eq!(normal(line), Err(NotAFrame::Notation), "{line}");
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! Frames as text, the way people and other tools write them.
+//!
+//! [`can`] reads `ID#DATA` (cansend), `candump` and `candump -L` lines; [`rs485`] reads bytes.
+//! [`packet`] writes either.
+
+pub mod can;
+pub mod rs485;
+
+use myactuator_protocol_core::Packet;
+use myactuator_protocol_core::wire::{can as can_wire, rs485::Frame};
+
+use crate::BusKind;
+
+/// A packet as text: `141#A400F401A08C0000` on CAN, all 13 bytes as hexadecimal on RS485.
+///
+/// `None` for what RS485 cannot carry (motion mode, manual 5).
+///
+/// ```
+/// use myactuator_host_std::{BusKind, text};
+/// use myactuator_protocol_core::command::{AnyCommand, ReadStatus1};
+/// use myactuator_protocol_core::{MotorId, Target};
+///
+/// let read = AnyCommand::from(ReadStatus1);
+/// let packet = read.packet(Target::Motor(MotorId::new(1)?)).unwrap();
+/// assert_eq!(text::packet(BusKind::Can, &packet).unwrap(), "141#9A00000000000000");
+/// # Ok::<(), myactuator_protocol_core::OutOfRange>(())
+/// ```
+pub fn packet(bus: BusKind, packet: &Packet) -> Option<String> {
+    match bus {
+        BusKind::Can => Some(format!(
+            "{:03X}#{}",
+            can_wire::identifier(packet.channel),
+            joined_hex(&packet.data, "")
+        )),
+        BusKind::Rs485 => Frame::from_packet(packet).map(|frame| rs485::bytes(&frame.encode())),
+    }
+}
+
+/// Bytes as upper-case hexadecimal.
+fn joined_hex(bytes: &[u8], separator: &str) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect::<Vec<_>>().join(separator)
+}

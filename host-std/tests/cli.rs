@@ -1,0 +1,515 @@
+//! The program `myactuator`, run as its users run it.
+
+use std::process::{Command, Output, Stdio};
+
+use assert_cmd::assert::OutputAssertExt;
+use assert_cmd::cargo::cargo_bin;
+use serde_json::Value;
+
+/// Every example frame of the manual, as data with the fields that the text beside it tells.
+const VECTORS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/vectors/manual-v4.3.jsonl");
+
+/// Keys beside those of the vectors: numbers behind names, and names behind numbers.
+const EXTRA_KEYS: &[&str] = &[
+    "index_name",
+    "command_name",
+    "mode_raw",
+    "position_raw",
+    "velocity_raw",
+    "kp_raw",
+    "kd_raw",
+    "torque_raw",
+];
+
+fn myactuator() -> Command {
+    Command::new(cargo_bin("myactuator"))
+}
+
+fn run(arguments: &[&str]) -> Output {
+    myactuator().args(arguments).stdin(Stdio::null()).output().unwrap()
+}
+
+fn run_on(input: impl AsRef<[u8]>, arguments: &[&str]) -> Output {
+    assert_cmd::Command::from(myactuator())
+        .args(arguments)
+        .write_stdin(input.as_ref())
+        .output()
+        .unwrap()
+}
+
+fn text(bytes: &[u8]) -> &str {
+    std::str::from_utf8(bytes).unwrap()
+}
+
+fn lines(output: &Output) -> Vec<&str> {
+    text(&output.stdout).lines().collect()
+}
+
+fn objects(output: &Output) -> Vec<Value> {
+    lines(output).into_iter().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// The one sentence of a refusal.
+fn refusal(arguments: &[&str]) -> String {
+    let output = run(arguments);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+    assert_eq!(text(&output.stdout), "", "{arguments:?}");
+    let told = text(&output.stderr);
+    let sentence = told.strip_prefix("error: ").and_then(|told| told.strip_suffix('\n'));
+    let sentence = sentence.unwrap_or_else(|| panic!("{arguments:?}: {told:?}"));
+    assert!(!sentence.contains('\n'), "{arguments:?}: {told:?}");
+    sentence.to_owned()
+}
+
+fn vectors(bus: &str) -> Vec<Value> {
+    let data = std::fs::read_to_string(VECTORS).unwrap();
+    let rows: Vec<Value> = data.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(rows.len(), 199); // 101 CAN, 98 RS485
+    rows.into_iter().filter(|row| row["bus"] == bus).collect()
+}
+
+fn string<'a>(row: &'a Value, key: &str) -> &'a str {
+    row[key].as_str().unwrap()
+}
+
+fn same(told: &Value, expected: &Value) -> bool {
+    match (told.as_f64(), expected.as_f64()) {
+        (Some(told), Some(expected)) => {
+            (told - expected).abs() <= 1e-9 * expected.abs().max(1e-300)
+        }
+        _ => told == expected,
+    }
+}
+
+fn same_fields(told: &Value, expected: &Value) -> bool {
+    let (Some(told), Some(expected)) = (told.as_object(), expected.as_object()) else {
+        return false;
+    };
+    expected.iter().all(|(key, value)| told.get(key).is_some_and(|told| same(told, value)))
+        && told.keys().all(|key| expected.contains_key(key) || EXTRA_KEYS.contains(&key.as_str()))
+}
+
+/// Decodes rows of one direction at once, and compares all but the direction.
+fn decode_rows(rows: &[&Value], arguments: &[&str]) -> Vec<Value> {
+    let input: Vec<&str> = rows.iter().map(|row| string(row, "frame")).collect();
+    let output = run_on(input.join("\n"), &[&["decode", "--json"], arguments].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stdout));
+    let told = objects(&output);
+    assert_eq!(told.len(), rows.len());
+    for (told, row) in told.iter().zip(rows) {
+        assert_eq!(told["raw"], row["frame"]);
+        assert_eq!(told["bus"], row["bus"]);
+        assert_eq!(told["id"], row["id"], "{row}");
+        assert_eq!(told["name"], row["name"], "{row}");
+        assert_eq!(told["canonical"], row["frame"], "{row}");
+        assert_eq!(told.get("error"), None);
+    }
+    told
+}
+
+#[test]
+fn every_can_example_of_the_manual_is_explained() {
+    for direction in ["command", "reply"] {
+        let rows = vectors("can");
+        let rows: Vec<&Value> = rows.iter().filter(|row| row["direction"] == direction).collect();
+        for (told, row) in decode_rows(&rows, &["--direction", direction]).iter().zip(&rows) {
+            assert_eq!(told["direction"], direction, "{row}");
+            assert!(same_fields(&told["fields"], &row["fields"]), "{told}\n{row}");
+        }
+    }
+}
+
+#[test]
+fn can_identifiers_tell_the_direction() {
+    let rows = vectors("can");
+    let rows: Vec<&Value> = rows.iter().collect();
+    for (told, row) in decode_rows(&rows, &[]).iter().zip(&rows) {
+        if string(row, "frame").starts_with("300#") {
+            continue; // both ways
+        }
+        assert_eq!(told["direction"], row["direction"]);
+        assert!(same_fields(&told["fields"], &row["fields"]), "{told}\n{row}");
+    }
+    // Only the reply to a read of the bus id holds an identifier.
+    let told = objects(&run(&["decode", "--json", "300#7900010000004202"]));
+    assert_eq!(told[0]["direction"], "reply");
+    assert_eq!(told[0]["fields"]["motor_id"], 2);
+    // A write and its echo are the same bytes.
+    let told = objects(&run(&["decode", "--json", "300#7900000000000002"]));
+    assert_eq!(told[0]["direction"], "either");
+}
+
+#[test]
+fn every_rs485_example_of_the_manual_is_explained() {
+    for direction in ["command", "reply"] {
+        let rows = vectors("rs485");
+        let rows: Vec<&Value> = rows.iter().filter(|row| row["direction"] == direction).collect();
+        let told = decode_rows(&rows, &["--bus", "rs485", "--direction", direction]);
+        for (told, row) in told.iter().zip(&rows) {
+            assert_eq!(told["direction"], direction, "{row}");
+            assert!(same_fields(&told["fields"], &row["fields"]), "{told}\n{row}");
+        }
+        // Without being told, it is right or leaves the direction open.
+        for (told, row) in decode_rows(&rows, &["--bus", "rs485"]).iter().zip(&rows) {
+            let (first, second) = (&told["fields"], told.get("fields_if_reply"));
+            match told["direction"].as_str() {
+                Some("either") if direction == "reply" => {
+                    assert!(same_fields(second.unwrap_or(first), &row["fields"]), "{told}\n{row}");
+                }
+                Some("either") => assert!(same_fields(first, &row["fields"]), "{told}\n{row}"),
+                told => assert_eq!(told, Some(direction), "{row}"),
+            }
+        }
+    }
+}
+
+/// The flags that encode a command with these fields, which are the JSON keys in kebab-case.
+fn flags(row: &Value) -> Vec<String> {
+    let mut flags = Vec::new();
+    for (key, value) in row["fields"].as_object().unwrap() {
+        let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        match (string(row, "name"), key.as_str()) {
+            ("bus-id", "write") if value == "false" => flags.push("--read".to_owned()),
+            ("bus-id", "write") => {}
+            ("bus-id", "motor_id") => flags.extend(["--write".to_owned(), value]),
+            _ => flags.extend([format!("--{}", key.replace('_', "-")), value]),
+        }
+    }
+    flags
+}
+
+#[test]
+fn every_command_of_the_manual_is_encoded_from_its_fields() {
+    for bus in ["can", "rs485"] {
+        let rows = vectors(bus);
+        let commands: Vec<&Value> =
+            rows.iter().filter(|row| row["direction"] == "command").collect();
+        assert_eq!(commands.len(), if bus == "can" { 50 } else { 48 });
+        for row in commands {
+            let id = row["id"].as_str().map_or_else(|| row["id"].to_string(), str::to_owned);
+            let flags = flags(row);
+            let mut arguments = vec!["encode", "--bus", bus, "--id", &id, string(row, "name")];
+            arguments.extend(flags.iter().map(String::as_str));
+            let output = run(&arguments);
+            assert_eq!(text(&output.stderr), "", "{arguments:?}");
+            assert_eq!(lines(&output), [string(row, "frame")], "{arguments:?}");
+            assert_eq!(output.status.code(), Some(0));
+        }
+    }
+}
+
+#[test]
+fn codes_have_names_and_flags_may_be_short() {
+    for (arguments, frame) in [
+        ("absolute-position --angle -360 --max-speed 500", "141#A400F4016073FFFF"),
+        ("read-pid --index current-kp", "141#3001000000000000"),
+        ("read-acceleration --index position-deceleration", "141#4201000000000000"),
+        ("function-control --index can-id-filter --value 1", "141#2002000001000000"),
+        ("function-control --index clear-multi-turn", "141#2001000000000000"),
+        ("function-control --index 7 --value -90", "141#20070000A6FFFFFF"),
+        (
+            "active-reply --command read-multi-turn-encoder --enabled true --interval 10",
+            "141#B660010100000000",
+        ),
+        ("active-reply --command 0x60 --enabled false --interval 0", "141#B660000000000000"),
+        ("set-baud-rate --baud-code can-1m-rs485-500k", "141#B400000000000001"),
+        ("speed --speed-dps 100", "141#A200000010270000"),
+        (
+            "single-turn-position --direction counter-clockwise --angle 359.99 --max-speed 1",
+            "141#A60101009F8C0000",
+        ),
+        // The ends of the ranges: 2147483647 and -2147483648 hundredths, 32767 and -32768.
+        ("absolute-position --angle-deg 21474836.47 --max-speed-dps 65535", "141#A400FFFFFFFFFF7F"),
+        ("absolute-position --angle-deg -21474836.48 --max-speed-dps 0", "141#A400000000000080"),
+        ("speed --speed-dps 21474836.47 --max-torque-pct 255", "141#A2FF0000FFFFFF7F"),
+        ("torque --current-a 327.67", "141#A1000000FF7F0000"),
+        ("torque --current-a -327.68", "141#A100000000800000"),
+        ("write-acceleration --index 0 --acceleration-dps2 100", "141#4300000064000000"),
+        ("write-acceleration --index 0 --acceleration-dps2 60000", "141#4300000060EA0000"),
+        ("communication-loss-protection --timeout-ms 4294967295", "141#B3000000FFFFFFFF"),
+        ("active-reply --command 0x9A --enabled true --interval-ms 655350", "141#B69A01FFFF000000"),
+        ("set-encoder-zero --offset-pulses -2147483648", "141#6300000000000080"),
+    ] {
+        let words: Vec<&str> =
+            ["encode", "--id", "1"].into_iter().chain(arguments.split(' ')).collect();
+        let output = run(&words);
+        assert_eq!(text(&output.stderr), "", "{arguments}");
+        assert_eq!(lines(&output), [frame], "{arguments}");
+    }
+    // Bus and id may stand behind the command; the bus id names no motor anyway.
+    assert_eq!(lines(&run(&["encode", "stop", "--id", "32"])), ["160#8100000000000000"]);
+    assert_eq!(lines(&run(&["encode", "bus-id", "--read"])), ["300#7900010000000000"]);
+    assert_eq!(lines(&run(&["encode", "--id", "all", "stop"])), ["280#8100000000000000"]);
+}
+
+#[test]
+fn wrong_values_are_refused_in_one_sentence_with_what_is_allowed() {
+    let motion = "motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm";
+    for (arguments, sentence) in [
+        ("--id 33 stop", "--id: motor id must be 1 to 32, or all, but \"33\" was given"),
+        ("--id 0 stop", "--id: motor id must be 1 to 32, or all, but \"0\" was given"),
+        ("--id -1 stop", "--id: motor id must be 1 to 32, or all, but \"-1\" was given"),
+        ("stop", "--id is missing: tell which motor, 1 to 32, or all"),
+        (
+            "--id 1 absolute-position --max-speed 1 --angle 21474836.48",
+            "--angle-deg: angle must be -21474836.48 to 21474836.47 deg, but 21474836.48 deg was given",
+        ),
+        (
+            "--id 1 absolute-position --max-speed 1 --angle -21474836.49",
+            "--angle-deg: angle must be -21474836.48 to 21474836.47 deg, but -21474836.49 deg was given",
+        ),
+        (
+            "--id 1 absolute-position --max-speed 1 --angle up",
+            "--angle-deg: angle must be -21474836.48 to 21474836.47 deg, but \"up\" is no number",
+        ),
+        (
+            "--id 1 absolute-position --max-speed 65536 --angle 1",
+            "--max-speed-dps: maximum speed must be 0 to 65535 dps, but 65536 dps was given",
+        ),
+        (
+            "--id 1 absolute-position --max-speed -1 --angle 1",
+            "--max-speed-dps: maximum speed must be 0 to 65535 dps, but -1 dps was given",
+        ),
+        (
+            "--id 1 speed --speed 21474836.48",
+            "--speed-dps: speed must be -21474836.48 to 21474836.47 dps, but 21474836.48 dps was given",
+        ),
+        (
+            "--id 1 speed --speed 1 --max-torque 256",
+            "--max-torque-pct: maximum torque must be 0 to 255 % of rated current, but 256 % of rated current was given",
+        ),
+        (
+            "--id 1 torque --current 327.68",
+            "--current-a: torque current must be -327.68 to 327.67 A, but 327.68 A was given",
+        ),
+        (
+            "--id 1 torque --current NaN",
+            "--current-a: torque current must be -327.68 to 327.67 A, but NaN A was given",
+        ),
+        (
+            "--id 1 torque --current -inf",
+            "--current-a: torque current must be -327.68 to 327.67 A, but -inf A was given",
+        ),
+        (
+            "--id 1 single-turn-position --max-speed 1 --direction clockwise --angle 360.01",
+            "--angle-deg: single-turn angle must be 0 to 360 deg, but 360.01 deg was given",
+        ),
+        (
+            "--id 1 single-turn-position --max-speed 1 --direction left --angle 1",
+            "--direction: direction must be one of 0 (clockwise), 1 (counter-clockwise), but \"left\" was given",
+        ),
+        (
+            "--id 1 write-acceleration --index 0 --acceleration-dps2 99",
+            "--acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 99 dps/s was given",
+        ),
+        (
+            "--id 1 write-acceleration --index 0 --acceleration-dps2 60001",
+            "--acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 60001 dps/s was given",
+        ),
+        (
+            "--id 1 write-acceleration --index 0 --acceleration-dps2 0",
+            "--acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 0 dps/s was given",
+        ),
+        (
+            "--id 1 communication-loss-protection --timeout-ms 4294967296",
+            "--timeout-ms: time must be 0 to 4294967295 ms, but 4294967296 ms was given",
+        ),
+        (
+            "--id 1 communication-loss-protection --timeout-ms 1.5",
+            "--timeout-ms: time must be 0 to 4294967295 ms, but \"1.5\" is no whole number",
+        ),
+        (
+            "--id 1 active-reply --command 0x60 --enabled true --interval 4",
+            "--interval-ms: report interval must be 0 to 655350 ms in steps of 10 ms, but 4 ms was given",
+        ),
+        (
+            "--id 1 active-reply --command 0x60 --enabled true --interval 655360",
+            "--interval-ms: report interval must be 0 to 655350 ms, but 655360 ms was given",
+        ),
+        (
+            "--id 1 set-encoder-zero --offset-pulses 2147483648",
+            "--offset-pulses: encoder position must be -2147483648 to 2147483647 pulses, but 2147483648 pulses was given",
+        ),
+        (
+            "--id 1 set-baud-rate --baud-code 256",
+            "--baud-code: baud code must be 0 to 255, but 256 was given",
+        ),
+        (
+            "--id 1 read-acceleration --index 4",
+            "--index: acceleration index must be one of 0 (position-acceleration), 1 (position-deceleration), 2 (speed-acceleration), 3 (speed-deceleration), but \"4\" was given",
+        ),
+        (
+            "--id 1 function-control --index 2 --value 2",
+            "--value: switch must be 0 to 1, but 2 was given",
+        ),
+        (
+            "--id 1 function-control --index 5 --value 300",
+            "--value: motor id must be 1 to 32, but 300 was given",
+        ),
+        (
+            "--id 1 function-control --index 1 --value 1",
+            "--value: clear-multi-turn takes no value but 0, but \"1\" was given",
+        ),
+        ("--id 1 function-control --index 3", "--value is missing: function 3 needs one"),
+        ("bus-id --write 33", "--write: motor id must be 1 to 32, but 33 was given"),
+        (
+            "--id 1 bus-id --read",
+            "--id: bus-id (0x79) reaches every motor that is connected and names none: send it to all",
+        ),
+        (
+            &format!("--id 1 {motion} 24.1"),
+            "--torque-nm: torque must be -24 to 24 N·m, but 24.1 N·m was given",
+        ),
+        (
+            &format!("--id 1 {motion} x"),
+            "--torque-nm: torque must be -24 to 24 N·m, but \"x\" is no number",
+        ),
+        (&format!("--id all {motion} 0"), "--id: motion goes to one motor only: name its id"),
+        (&format!("--id 1 --bus rs485 {motion} 0"), "--bus: motion exists on CAN only"),
+        (
+            "--id 1 --bus rs485 active-reply --command 0x60 --enabled true --interval 10",
+            "--bus: active-reply (0xB6) exists on CAN only",
+        ),
+    ] {
+        let words: Vec<&str> = ["encode"].into_iter().chain(arguments.split(' ')).collect();
+        assert_eq!(refusal(&words), sentence, "{arguments}");
+    }
+    // What the parser refuses by itself, is one sentence too.
+    for (arguments, part) in [
+        (vec!["encode", "--id", "1", "speeed"], "'speeed'"),
+        (vec!["encode", "--id", "1", "absolute-position", "--angle", "1"], "--max-speed-dps"),
+        (vec!["encode", "--id", "1", "stop", "--hard"], "'--hard'"),
+        (vec!["encode", "--bus", "spi", "--id", "1", "stop"], "[possible values: can, rs485]"),
+        (vec!["encode", "--id", "1"], "requires a subcommand"),
+        (vec!["decode", "--direction", "up"], "[possible values: command, reply]"),
+        (vec!["decode", "--binary", "--bus", "can"], "--binary"),
+        (vec!["decode", "no-such-file"], "\"no-such-file\" is neither a frame on can nor a file"),
+    ] {
+        let sentence = refusal(&arguments);
+        assert!(sentence.contains(part), "{arguments:?}: {sentence}");
+    }
+}
+
+#[test]
+fn gains_write_their_exact_single() {
+    let output = run(&["encode", "--id", "1", "write-pid-ram", "--index", "7", "--value", "-0.1"]);
+    assert_eq!(lines(&output), ["141#31070000CDCCCCBD"]); // 0xBDCCCCCD
+    let sentence =
+        refusal(&["encode", "--id", "1", "write-pid-ram", "--index", "7", "--value", "inf"]);
+    assert!(sentence.starts_with("--value: gain must be "), "{sentence}");
+}
+
+#[test]
+fn every_notation_of_a_can_log_is_read() {
+    let log = "\
+# what follows is one frame in every notation
+
+141#A400F401A08C0000
+  can0  141   [8]  A4 00 F4 01 A0 8C 00 00
+ (1436509052.249713)  can0  141   [8]  A4 00 F4 01 A0 8C 00 00   '........'
+(1436509052.249713) can0 141#A400F401A08C0000
+(1436509052.249713) can0 141#A400F401A08C0000 R
+";
+    let output = run_on(log, &["decode"]);
+    assert_eq!(output.status.code(), Some(0));
+    let line = "141#A400F401A08C0000  motor 1  command  absolute-position (0xA4): max speed 500 dps, angle 360 deg";
+    assert_eq!(lines(&output), [line; 5]);
+}
+
+#[test]
+fn what_is_not_understood_is_told_and_the_rest_still_is() {
+    let log = "241#F1\r\nhello\n141##1A4\n00000141#00\n141#R\n7DF#0000000000000000\n141#8100000000000000\n";
+    let output = run_on(log, &["decode", "--json", "-"]);
+    assert_eq!(output.status.code(), Some(1));
+    let told = objects(&output);
+    assert_eq!(told.len(), 7);
+    for object in &told[..6] {
+        assert!(object["error"].is_string(), "{object}");
+        assert_eq!(object.get("canonical"), None);
+    }
+    assert_eq!((&told[0]["id"], &told[0]["direction"]), (&1.into(), &"reply".into()));
+    assert_eq!(told[1]["raw"], "hello");
+    assert_eq!(told[5]["id"], Value::Null);
+    assert_eq!(told[6]["name"], "stop");
+    // An unreadable file is wrong usage, but what can be read is.
+    let output = run(&["decode", "no-such-file", "141#8100000000000000"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert_eq!(lines(&output), ["141#8100000000000000  motor 1  command  stop (0x81)"]);
+}
+
+#[test]
+fn bytes_that_mean_nothing_show_in_the_canonical_frame() {
+    let output = run(&["decode", "--json", "141#81000000000000FF"]);
+    let told = &objects(&output)[0];
+    assert_eq!(told["canonical"], "141#8100000000000000");
+    assert_eq!(told["raw"], "141#81000000000000FF");
+    let keys: Vec<&String> = told.as_object().unwrap().keys().collect();
+    assert_eq!(keys, ["raw", "bus", "id", "direction", "name", "opcode", "fields", "canonical"]);
+}
+
+#[test]
+fn rs485_bytes_come_as_arguments_text_or_raw() {
+    let frame = "3E 01 08 76 00 00 00 00 00 00 00 7C 07";
+    let expected = frame.to_owned() + "  motor 1  command  reset (0x76)";
+    let raw: Vec<u8> = frame.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect();
+    let decimal: Vec<String> = raw.iter().map(u8::to_string).collect();
+    let on = ["decode", "--bus", "rs485"];
+    for output in [
+        run(&[&on[..], &[frame]].concat()),
+        run(&[&on[..], &frame.split(' ').collect::<Vec<_>>()].concat()),
+        run(&[&on[..], &[frame.replace(' ', "").as_str()]].concat()),
+        run_on(frame.replace(' ', ", 0x"), &on),
+        run_on(decimal.join(","), &on),
+        run_on(&raw, &["decode", "--binary"]),
+        run_on(&raw, &["decode", "--binary", "--bus", "rs485", "-"]),
+    ] {
+        assert_eq!(lines(&output), [&expected]);
+        assert_eq!(output.status.code(), Some(0));
+    }
+}
+
+#[test]
+fn noise_between_rs485_frames_is_told() {
+    let frame = "3E 01 08 76 00 00 00 00 00 00 00 7C 07";
+    let output = run_on(
+        format!("00 3E {frame} {frame}\nnonsense\n3E 01"),
+        &["decode", "--bus", "rs485", "--json"],
+    );
+    assert_eq!(output.status.code(), Some(1));
+    let told = objects(&output);
+    let raw: Vec<&Value> = told.iter().map(|object| &object["raw"]).collect();
+    assert_eq!(raw, ["00 3E", frame, frame, "nonsense", "3E 01"]);
+    let errors: Vec<bool> = told.iter().map(|object| object.get("error").is_some()).collect();
+    assert_eq!(errors, [true, false, false, true, true]);
+}
+
+#[test]
+fn files_are_read() {
+    let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("decode.log");
+    std::fs::write(&path, "141#8100000000000000\n").unwrap();
+    let output = run(&["decode", path.to_str().unwrap(), "142#8000000000000000"]);
+    assert_eq!(
+        lines(&output),
+        [
+            "141#8100000000000000  motor 1  command  stop (0x81)",
+            "142#8000000000000000  motor 2  command  shutdown (0x80)",
+        ]
+    );
+}
+
+#[test]
+fn a_reader_that_leaves_is_no_error() {
+    let frames = "141#8100000000000000\n".repeat(100_000);
+    let mut child = myactuator()
+        .arg("decode")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    // The program may leave before it has read everything.
+    let _ = std::io::Write::write_all(&mut child.stdin.take().unwrap(), frames.as_bytes());
+    let output = child.wait_with_output().unwrap();
+    output.assert().code(0).stderr("");
+}
