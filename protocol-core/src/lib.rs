@@ -1,4 +1,57 @@
-//! MyActuator Servo Motor Control Protocol V4.3.
+//! The MyActuator Servo Motor Control Protocol V4.3 over CAN and RS485: every frame, the master and
+//! the drive. `no_std`, without allocation, without `unsafe`.
+//!
+//! # The map
+//! | layer | what it is for |
+//! |---|---|
+//! | [`id`], [`units`], [`time`] | who is meant; quantities with their unit; time as an argument |
+//! | [`channel`] | who speaks to whom, free of any wire |
+//! | [`opcode`] | **the** table: one row a kind of frame |
+//! | [`error`], [`range`] | what can be wrong with bytes, requests and values |
+//! | [`command`] | what a data field means: each request, its reply beside it, both ways |
+//! | [`wire`] | how a data field is framed: CAN identifiers, RS485 bytes |
+//! | [`master`] | the master as a state machine |
+//! | [`drive`] | the drive as a state machine |
+//! | [`io`] | thin loops over embedded-can and embedded-io |
+//!
+//! Arrows point down this list only. State machines own no I/O and read no clock.
+//!
+//! # Where to start
+//! - To run motors: [`io::CanMaster`] or [`io::SerialMaster`], which are [`io::Runner`]s.
+//! - To run them from your own loop, interrupt or executor: [`master::Master`].
+//! - To read a bus: [`wire::can::decode`] or [`wire::rs485::Receiver`], then [`AnyCommand`] and
+//!   [`AnyReply`].
+//! - To stand in for a motor: [`drive::Drive`].
+//!
+//! # One frame from end to end
+//! ```
+//! use myactuator_protocol_core::command::{AbsolutePosition, Command};
+//! use myactuator_protocol_core::units::{Angle, MaxSpeed};
+//! use myactuator_protocol_core::{AnyCommand, MotorId, wire::rs485};
+//!
+//! // Ranges are checked when a value is made, so encoding cannot fail.
+//! let go = AbsolutePosition { max_speed: MaxSpeed::from_dps(500.0)?, angle: Angle::from_degrees(360.0)? };
+//! assert_eq!(go.encode(), [0xA4, 0x00, 0xF4, 0x01, 0xA0, 0x8C, 0x00, 0x00]);
+//!
+//! // The same data field on either bus.
+//! let packet = AnyCommand::from(go).packet(MotorId::new(1)?.into())?;
+//! let line = rs485::Frame::from_packet(&packet).unwrap().encode();
+//! assert_eq!(line[..3], [0x3E, 0x01, 0x08]);
+//!
+//! // And back.
+//! assert_eq!(AnyCommand::decode(&packet)?, go.into());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Features
+//! | feature | adds |
+//! |---|---|
+//! | `defmt` | `defmt::Format` for every value that crosses a bus |
+//! | `serde` | `Serialize` and `Deserialize` for them, range checks included |
+//! | `fugit` | conversions between [`time`] and `fugit` |
+//!
+//! Sections in parentheses, such as (2.21.1), are those of the vendor's manual V4.3. Where the manual
+//! contradicts itself, the documentation of the field tells how it is read and why.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -7,8 +7,9 @@
 //! | RS485, `embedded_io` | [`SerialMaster`] |
 //! | RS485 with a direction pin | [`SerialMaster`] over [`HalfDuplex`] |
 //!
-//! All are [`Runner`]s: what works on one bus works on the other.
+//! All are [`Runner`]s: what works on one bus works on the other, [`bring_up`] for example.
 
+pub mod bring_up;
 mod can;
 mod clock;
 mod half_duplex;

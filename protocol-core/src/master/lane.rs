@@ -99,6 +99,13 @@ impl Lane {
         self.request == RequestState::InFlight || self.flags.contains(Flags::SET_POINT_IN_FLIGHT)
     }
 
+    /// Whether it has nothing under way and nothing to tell.
+    pub(super) fn is_idle(&self) -> bool {
+        let busy = Flags::SET_POINT_WAITING | Flags::SET_POINT_IN_FLIGHT | Flags::TELL_UNANSWERED;
+        let busy = busy | Flags::TELL_DROPPED | Flags::TELL_STOPPED | Flags::TELL_UNCONFIRMED;
+        self.request == RequestState::Idle && !self.flags.intersects(busy | Flags::SETTLING)
+    }
+
     pub(super) fn request_opcode(&self) -> Option<Opcode> {
         if self.flags.contains(Flags::REQUEST_MOTION) {
             Some(Opcode::Motion)

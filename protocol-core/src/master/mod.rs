@@ -454,6 +454,23 @@ impl<const N: usize> Master<N> {
         self.lanes.iter().filter_map(|lane| lane.motor).collect()
     }
 
+    /// Gives a motor's place and counters up, so that another motor can have it. `false`, and
+    /// nothing changes, while it has a request or a set-point under way or an event to be told.
+    ///
+    /// A late reply that may still come is no longer guarded against: leave the motor alone for
+    /// [`Config::late_window`] after a request that was not answered.
+    pub fn forget(&mut self, motor: MotorId) -> bool {
+        let mut lanes = self.lanes.iter_mut().zip(&mut self.tallies);
+        let Some((lane, tally)) = lanes.find(|(lane, _)| lane.motor == Some(motor)) else {
+            return false;
+        };
+        let idle = lane.is_idle();
+        if idle {
+            (*lane, *tally) = (Lane::default(), Tally::default());
+        }
+        idle
+    }
+
     /// Whether any command waits for its reply.
     pub fn is_anything_in_flight(&self) -> bool {
         self.broadcast.is_in_flight() || self.lanes.iter().any(Lane::is_in_flight)

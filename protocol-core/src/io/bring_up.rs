@@ -1,0 +1,331 @@
+//! First contact and safe ways of working: plain functions over any [`Runner`].
+//!
+//! They wait for what they ask; use them before a control loop runs, not inside one. Set-points and
+//! events of other motors are passed over meanwhile.
+
+use core::fmt;
+
+use crate::command::{
+    BrakeCommand, BusId, CommunicationLossProtection, Mode, ModelName, ReadModel,
+    ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadRunTime, ReadRunningMode, ReadStatus1,
+    ReadVersionDate, ReleaseBrake, Reset, SetCurrentPositionZero, Shutdown, Status1, VersionDate,
+};
+use crate::error::RequestError;
+use crate::id::MotorId;
+use crate::io::runner::{CallError, Runner};
+use crate::master::{Event, Failure, MotorSet, Patience};
+use crate::time::{Duration, Instant};
+use crate::units::{Angle, EncoderPulses, Milliseconds};
+
+/// Why a motor could not be brought up as asked.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BringUpError<E> {
+    /// A call on the way has no answer.
+    Call(CallError<E>),
+    /// The motor did not answer within the time given.
+    NotThere(MotorId),
+    /// The id that is to be given is somebody's already.
+    IdTaken(MotorId),
+    /// The id can only be changed with this one motor connected, for every motor obeys the command.
+    /// These answered.
+    NotAlone(MotorSet),
+    /// After the restart the zero is not where it was put.
+    ZeroNotKept {
+        /// The offset that the motor said it stored.
+        stored: EncoderPulses,
+        /// The offset that it has now.
+        found: EncoderPulses,
+        /// The angle that it reads now.
+        angle: Angle,
+    },
+    /// The brake does not say that it was told to release.
+    BrakeNotReleased(BrakeCommand),
+}
+
+impl<E> From<CallError<E>> for BringUpError<E> {
+    fn from(error: CallError<E>) -> Self {
+        Self::Call(error)
+    }
+}
+
+impl<E> From<RequestError> for BringUpError<E> {
+    fn from(error: RequestError) -> Self {
+        Self::Call(CallError::Request(error))
+    }
+}
+
+impl<E: fmt::Debug> fmt::Display for BringUpError<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Call(error) => error.fmt(f),
+            Self::NotThere(motor) => write!(f, "motor {motor} does not answer"),
+            Self::IdTaken(motor) => write!(f, "a motor with id {motor} is on the bus already"),
+            Self::NotAlone(motors) if motors.is_empty() => {
+                f.write_str("no motor answers on the bus")
+            }
+            Self::NotAlone(motors) => write!(
+                f,
+                "every connected motor obeys an id change: connect only the one to change (there are: {motors})"
+            ),
+            Self::ZeroNotKept { stored, found, angle } => write!(
+                f,
+                "the zero was not kept: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
+            ),
+            Self::BrakeNotReleased(state) => {
+                write!(f, "the brake was told to release and says {state}")
+            }
+        }
+    }
+}
+
+impl<E: fmt::Debug> core::error::Error for BringUpError<E> {}
+
+/// Two quick attempts: for asking whether a motor is there at all.
+const QUICK: Patience = Patience { reply_timeout: Duration::from_millis(10), attempts: 2 };
+/// How long a brake takes to open at the most.
+const BRAKE_OPENING: Duration = Duration::from_millis(150);
+/// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
+const ZERO_TOLERANCE: i32 = 100;
+const LONGEST_IDLE: Duration = Duration::from_millis(5);
+
+/// Finds out which of `candidates` are on the bus, as many at a time as the master has places free.
+/// `on_answer` is told of each motor that is asked, and whether it is there, as soon as that is
+/// known.
+///
+/// # Errors
+/// [`CallError`]; [`RequestError::TooManyMotors`] if the master has no place free at all.
+pub fn scan<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    candidates: MotorSet,
+    mut on_answer: impl FnMut(MotorId, bool),
+) -> Result<MotorSet, CallError<R::Error>> {
+    let known = runner.master().motors();
+    let (mut waiting, mut asked, mut found) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
+    while !(waiting.is_empty() && asked.is_empty()) {
+        for motor in waiting.iter() {
+            let now = runner.now();
+            match runner.master().request_with(motor, ReadStatus1, QUICK, now) {
+                Ok(_ticket) => {
+                    waiting.remove(motor);
+                    asked.insert(motor);
+                }
+                Err(RequestError::TooManyMotors { .. }) if !asked.is_empty() => break,
+                // What reports by itself, or is busy answering, is there.
+                Err(RequestError::Reported(_) | RequestError::Busy) => {
+                    waiting.remove(motor);
+                    found.insert(motor);
+                    on_answer(motor, true);
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+        let Some(event) = runner.poll().map_err(CallError::Bus)? else {
+            let until = runner.now() + LONGEST_IDLE;
+            runner.idle(until);
+            continue;
+        };
+        let (motor, there) = match event {
+            Event::Reply { ticket, .. } => (ticket.motor(), true),
+            Event::Failed { ticket, failure } => (ticket.motor(), failure != Failure::NoReply),
+            Event::Report { motor, .. } | Event::LostMaster { motor } => (motor, true),
+            _ => continue,
+        };
+        if there {
+            found.insert(motor);
+        }
+        if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {
+            asked.remove(motor);
+            on_answer(motor, found.contains(motor));
+            if !known.contains(motor) {
+                runner.master().forget(motor);
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// What a motor is and how it does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct Identity {
+    /// Its model (0xB5).
+    pub model: ModelName,
+    /// The date of its software (0xB2).
+    pub version: VersionDate,
+    /// How long it has run since its last start (0xB1).
+    pub run_time: Milliseconds,
+    /// Which control loop runs (0x70).
+    pub mode: Mode,
+    /// Temperatures, brake, voltage and errors (0x9A).
+    pub status: Status1,
+}
+
+/// Reads what a motor is and how it does.
+///
+/// # Errors
+/// [`CallError`].
+pub fn identify<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<Identity, CallError<R::Error>> {
+    Ok(Identity {
+        model: runner.ask(motor, ReadModel)?.name,
+        version: runner.ask(motor, ReadVersionDate)?.date,
+        run_time: runner.ask(motor, ReadRunTime)?.run_time,
+        mode: runner.ask(motor, ReadRunningMode)?.mode,
+        status: runner.ask(motor, ReadStatus1)?,
+    })
+}
+
+/// Waits until a motor answers: after power-on or [`Reset`].
+///
+/// # Errors
+/// [`BringUpError::NotThere`] if it does not within `time`; [`BringUpError::Call`] for other errors.
+pub fn wait_until_there<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    time: Duration,
+) -> Result<(), BringUpError<R::Error>> {
+    let deadline = runner.now() + time;
+    loop {
+        match runner.call_with(motor, ReadStatus1, Some(QUICK), |_| {}) {
+            Ok(_) | Err(CallError::Failed(Failure::Unreadable(_))) => return Ok(()),
+            Err(CallError::Failed(_)) if runner.now() < deadline => {}
+            Err(CallError::Failed(_)) => return Err(BringUpError::NotThere(motor)),
+            Err(error) => return Err(error.into()),
+        }
+    }
+}
+
+/// Makes the current position the zero and sees that it is kept: stores it (0x64), restarts the
+/// drive (0x76), and reads offset and angle back. The motor's output is switched off first, so the
+/// shaft must be held by other means if a load pulls at it. Gives the new offset.
+///
+/// # Errors
+/// [`BringUpError::ZeroNotKept`], [`BringUpError::NotThere`], [`BringUpError::Call`].
+pub fn zero_here<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<EncoderPulses, BringUpError<R::Error>> {
+    runner.ask(motor, Shutdown)?;
+    let stored = runner.ask(motor, SetCurrentPositionZero)?.offset;
+    restart(runner, motor, motor)?;
+    let found = runner.ask(motor, ReadMultiTurnEncoderOffset)?.offset;
+    let angle = runner.ask(motor, ReadMultiTurnAngle)?.angle;
+    if found == stored && angle.raw().unsigned_abs() <= ZERO_TOLERANCE.unsigned_abs() {
+        Ok(stored)
+    } else {
+        Err(BringUpError::ZeroNotKept { stored, found, angle })
+    }
+}
+
+/// Gives the only motor on the bus another id (0x79) and restarts it. Every connected motor obeys
+/// that command, so it is sent only if exactly `from` answers.
+///
+/// # Errors
+/// [`BringUpError::NotAlone`], [`BringUpError::IdTaken`], [`BringUpError::NotThere`] if nobody answers
+/// under the new id, [`BringUpError::Call`].
+pub fn change_id<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    from: MotorId,
+    to: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    let there = scan(runner, MotorSet::ALL, |_, _| {})?;
+    if from != to && there.contains(to) {
+        return Err(BringUpError::IdTaken(to));
+    }
+    if there != MotorSet::from(from) {
+        return Err(BringUpError::NotAlone(there));
+    }
+    let now = runner.now();
+    runner.master().broadcast(BusId::Write(to), to.into(), now)?;
+    // The reply is not needed: what counts is who answers after the restart.
+    drain_until(runner, |event| matches!(event, Event::BroadcastDone { .. }))?;
+    restart(runner, from, to)?;
+    runner.master().forget(from);
+    Ok(())
+}
+
+/// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77,
+/// 2.19.1).
+///
+/// # Errors
+/// [`BringUpError::BrakeNotReleased`], [`BringUpError::Call`].
+pub fn release_brake<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    runner.ask(motor, ReleaseBrake)?;
+    let open = runner.now() + BRAKE_OPENING;
+    wait_until(runner, open)?;
+    match runner.ask(motor, ReadStatus1)?.brake {
+        BrakeCommand::Release => Ok(()),
+        other => Err(BringUpError::BrakeNotReleased(other)),
+    }
+}
+
+/// How far a motor has confirmed its communication-loss protection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum Protection {
+    /// It replied with the time that it was given.
+    Confirmed,
+    /// It replied with this time instead; the manual's own example replies 0. No command reads the
+    /// setting back, so try it: stop sending and see that the motor stops.
+    AcknowledgedOnly(Milliseconds),
+}
+
+/// Sets after how long without a command a motor stops by itself (0xB3). It is kept in ROM.
+///
+/// # Errors
+/// [`CallError`].
+pub fn protect<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    timeout: Milliseconds,
+) -> Result<Protection, CallError<R::Error>> {
+    let told = runner.ask(motor, CommunicationLossProtection { timeout })?.timeout;
+    Ok(if told == timeout { Protection::Confirmed } else { Protection::AcknowledgedOnly(told) })
+}
+
+/// Restarts a drive and waits until it answers, under another id perhaps.
+fn restart<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    then: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    const LONGEST_RESTART: Duration = Duration::from_secs(5);
+    runner.call(motor, Reset)?;
+    wait_until_there(runner, then, LONGEST_RESTART)
+}
+
+fn wait_until<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    until: Instant,
+) -> Result<(), CallError<R::Error>> {
+    while runner.now() < until {
+        if runner.poll().map_err(CallError::Bus)?.is_none() {
+            runner.idle(until);
+        }
+    }
+    Ok(())
+}
+
+fn drain_until<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    mut is_it: impl FnMut(&Event) -> bool,
+) -> Result<(), CallError<R::Error>> {
+    loop {
+        match runner.poll().map_err(CallError::Bus)? {
+            Some(event) if is_it(&event) => return Ok(()),
+            Some(_) => {}
+            None => {
+                let until = runner.now() + LONGEST_IDLE;
+                runner.idle(until);
+            }
+        }
+    }
+}
