@@ -1,0 +1,374 @@
+//! Proves, with random bytes, that nothing received makes the library panic, that what decodes
+//! encodes to a frame that decodes to the same value - commands and replies, CAN, RS485 and JSON -
+//! and that no NaN or infinity gets in.
+
+use embedded_can::{ExtendedId, Frame as _, StandardId};
+use myactuator_protocol_core::command::Switch;
+use myactuator_protocol_core::units::{
+    Acceleration, Angle, CoarseAngle, Current, Gain, MaxSpeed, MaxTorque, ReportInterval,
+    ReportedAcceleration, SingleTurnAngle, SingleTurnTarget, Speed, SpeedTarget, Temperature,
+    Voltage,
+};
+use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
+use myactuator_protocol_core::wire::rs485;
+use myactuator_protocol_core::{
+    AnyCommand, AnyReply, Channel, Data, DecodeError, MotorId, Opcode, Packet, Target,
+};
+use myactuator_tests::line::{Line, frame_bytes, frames_by_window};
+use proptest::prelude::*;
+use proptest::test_runner::Config;
+use serde_json::{from_str, to_string};
+
+/// Enough cases to meet every kind of frame many times, few enough to stay within seconds.
+fn config(cases: u32) -> Config {
+    Config { cases, failure_persistence: None, ..Config::default() }
+}
+
+/// Eight bytes: of a known kind more often than not, and small numbers as often as large ones.
+fn any_data() -> impl Strategy<Value = Data> {
+    let known: Vec<u8> = Opcode::ALL.iter().filter_map(|opcode| opcode.byte()).collect();
+    let first = prop_oneof![4 => prop::sample::select(known), 1 => any::<u8>()];
+    let byte = prop_oneof![2 => Just(0), 2 => 0_u8..=40, 2 => any::<u8>(), 1 => Just(0xFF)];
+    (first, prop::array::uniform7(byte))
+        .prop_map(|(a, [b, c, d, e, f, g, h])| [a, b, c, d, e, f, g, h])
+}
+
+/// Any standard identifier, the protocol's more often than not.
+fn any_identifier() -> impl Strategy<Value = u16> {
+    let base = prop::sample::select(vec![0x140_u16, 0x240, 0x400, 0x500]);
+    prop_oneof![
+        4 => (base, 0_u16..=40).prop_map(|(base, id)| base + id),
+        1 => prop::sample::select(vec![0x280_u16, 0x300]),
+        2 => 0_u16..=0x7FF,
+    ]
+}
+
+fn any_target() -> impl Strategy<Value = Target> {
+    prop_oneof![
+        4 => (1_u8..=32).prop_map(|id| Target::Motor(MotorId::new(id).expect("1 to 32"))),
+        1 => Just(Target::All),
+    ]
+}
+
+fn standard(identifier: u16) -> StandardId {
+    StandardId::new(identifier).expect("11 bits")
+}
+
+/// A value that went over CAN, and over RS485 where it exists there.
+fn over_the_wires(packet: &Packet, opcode: Opcode) -> Result<Vec<Packet>, TestCaseError> {
+    let frame: SimpleFrame = can::encode(packet).expect("SimpleFrame takes eight bytes");
+    let Received::Packet(over_can) = can::decode(&frame) else {
+        return Err(TestCaseError::fail(format!("{frame:?} is no packet")));
+    };
+    let mut over = vec![over_can];
+    let is_motion = opcode == Opcode::Motion;
+    let on_rs485 = rs485::Frame::from_packet(packet);
+    prop_assert_eq!(on_rs485.is_none(), is_motion);
+    if let Some(frame) = on_rs485 {
+        let mut receiver = rs485::Receiver::new();
+        let fed = frame.encode().map(|byte| receiver.feed(byte));
+        prop_assert_eq!(fed[12], rs485::Fed::Frame(frame));
+        match packet.channel {
+            Channel::Command(_) => over.push(frame.as_command()),
+            Channel::Reply(_) => over.extend(frame.as_reply()),
+            _ => {
+                over.push(frame.as_command());
+                over.extend(frame.as_reply());
+            }
+        }
+    }
+    Ok(over)
+}
+
+fn check_packet(packet: &Packet) -> Result<(), TestCaseError> {
+    let command = AnyCommand::decode(packet);
+    if let Ok(command) = command {
+        let again = Packet { channel: packet.channel, data: command.encode() };
+        for again in over_the_wires(&again, command.opcode())? {
+            prop_assert_eq!(again.channel, packet.channel);
+            prop_assert_eq!(AnyCommand::decode(&again), Ok(command));
+        }
+        let json = to_string(&command).expect("JSON");
+        prop_assert_eq!(from_str::<AnyCommand>(&json).ok(), Some(command), "{}", json);
+        let text = format!("{command:?}");
+        prop_assert!(!text.contains("NaN") && !text.contains("inf"), "{}", text);
+    }
+    let reply = AnyReply::decode(packet);
+    if let Ok(reply) = reply {
+        let again = Packet { channel: packet.channel, data: reply.encode() };
+        for again in over_the_wires(&again, reply.opcode())? {
+            prop_assert_eq!(again.channel, packet.channel);
+            prop_assert_eq!(AnyReply::decode(&again), Ok(reply));
+        }
+        let json = to_string(&reply).expect("JSON");
+        prop_assert_eq!(from_str::<AnyReply>(&json).ok(), Some(reply), "{}", json);
+        let text = format!("{reply:?}");
+        prop_assert!(!text.contains("NaN") && !text.contains("inf"), "{}", text);
+    }
+    // Errors can be told, and each end refuses the other's frames.
+    for error in [command.err(), reply.err()].into_iter().flatten() {
+        prop_assert!(!error.to_string().is_empty());
+    }
+    match packet.channel {
+        Channel::Command(_) | Channel::Motion(_) => {
+            prop_assert_eq!(reply, Err(DecodeError::NotAReply(packet.channel)));
+        }
+        Channel::Reply(_) | Channel::MotionReply(_) => {
+            prop_assert_eq!(command, Err(DecodeError::NotACommand(packet.channel)));
+        }
+        Channel::BusId => {}
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(config(4_000))]
+
+    #[test]
+    fn any_bytes_on_any_identifier_decode(identifier in any_identifier(), data in any_data()) {
+        let frame = SimpleFrame::new(standard(identifier), &data).expect("eight bytes");
+        match can::decode(&frame) {
+            Received::Packet(packet) => {
+                prop_assert_eq!(packet.data, data);
+                prop_assert_eq!(can::identifier(packet.channel), identifier);
+                check_packet(&packet)?;
+            }
+            Received::Foreign(raw) => {
+                prop_assert_eq!(raw, identifier);
+                prop_assert_eq!(can::channel(identifier), None);
+            }
+            other => prop_assert!(false, "{:?}", other),
+        }
+    }
+
+    #[test]
+    fn any_bytes_on_the_bus_id_channel_decode(rest in prop::array::uniform7(prop_oneof![0_u8..=3, any::<u8>()])) {
+        let [b, c, d, e, f, g, h] = rest;
+        check_packet(&Packet { channel: Channel::BusId, data: [0x79, b, c, d, e, f, g, h] })?;
+    }
+
+    #[test]
+    fn any_bytes_of_any_kind_decode(
+        opcode in prop::sample::select(Opcode::ALL),
+        data in prop::array::uniform8(any::<u8>()),
+    ) {
+        let mut data = data;
+        if let Some(byte) = opcode.byte() {
+            data[0] = byte;
+        }
+        if let Ok(command) = AnyCommand::decode_as(opcode, &data) {
+            prop_assert_eq!(command.opcode(), opcode);
+            prop_assert_eq!(AnyCommand::decode_as(opcode, &command.encode()), Ok(command));
+        }
+        if let Ok(reply) = AnyReply::decode_as(opcode, &data) {
+            prop_assert_eq!(reply.opcode(), opcode);
+            prop_assert_eq!(AnyReply::decode_as(opcode, &reply.encode()), Ok(reply));
+        }
+    }
+
+    #[test]
+    fn any_rs485_frame_decodes(address in any_target(), data in any_data()) {
+        let frame = rs485::Frame { address, data };
+        check_packet(&frame.as_command())?;
+        if let Some(packet) = frame.as_reply() {
+            check_packet(&packet)?;
+        }
+        let json = to_string(&frame).expect("JSON");
+        prop_assert_eq!(from_str::<rs485::Frame>(&json).ok(), Some(frame));
+    }
+
+    #[test]
+    fn short_frames_are_told_apart(
+        identifier in any_identifier(),
+        data in prop::collection::vec(any::<u8>(), 0..8),
+    ) {
+        let frame = SimpleFrame::new(standard(identifier), &data).expect("less than eight bytes");
+        let expected = match can::channel(identifier) {
+            Some(channel) => Received::WrongLength {
+                channel,
+                length: data.len(),
+                first: data.first().copied(),
+            },
+            None => Received::Foreign(identifier),
+        };
+        prop_assert_eq!(can::decode(&frame), expected);
+    }
+
+    #[test]
+    fn extended_frames_are_told_apart(raw in 0_u32..=0x1FFF_FFFF, short in any::<bool>()) {
+        // Also those whose number is one of the protocol's.
+        for raw in [raw, raw & 0x7FF, 0x241] {
+            let id = ExtendedId::new(raw).expect("29 bits");
+            let data: &[u8] = if short { &[0x9A] } else { &[0x9A, 0, 0, 0, 0, 0, 0, 0] };
+            let frame = SimpleFrame::new(id, data).expect("at most eight bytes");
+            prop_assert_eq!(can::decode(&frame), Received::Extended(raw));
+            let remote = SimpleFrame::new_remote(id, 8).expect("at most eight bytes");
+            prop_assert_eq!(can::decode(&remote), Received::Extended(raw));
+        }
+    }
+
+    #[test]
+    fn remote_frames_are_told_apart(identifier in any_identifier(), length in 0_usize..=8) {
+        let frame = SimpleFrame::new_remote(standard(identifier), length).expect("a frame");
+        prop_assert_eq!(can::decode(&frame), Received::Remote);
+    }
+
+    #[test]
+    fn a_gain_is_a_finite_number(bits in any::<u32>(), exponent_full in any::<bool>()) {
+        // Every other case is an infinity or a NaN with some payload.
+        let bits = if exponent_full { bits | 0x7F80_0000 } else { bits };
+        let value = f32::from_bits(bits);
+        let [e, f, g, h] = bits.to_le_bytes();
+        prop_assert_eq!(Gain::new(value).is_ok(), value.is_finite());
+        for opcode in [Opcode::WritePidRam, Opcode::WritePidRom] {
+            let data = [opcode.byte().expect("a byte"), 1, 0, 0, e, f, g, h];
+            prop_assert_eq!(AnyCommand::decode_as(opcode, &data).is_ok(), value.is_finite());
+            prop_assert_eq!(AnyReply::decode_as(opcode, &data).is_ok(), value.is_finite());
+        }
+        let data = [0x30, 1, 0, 0, e, f, g, h];
+        let reply = AnyReply::decode_as(Opcode::ReadPid, &data);
+        prop_assert_eq!(reply.is_ok(), value.is_finite());
+        if let Ok(reply) = reply {
+            prop_assert_eq!(reply.encode(), data); // bit by bit, -0 and the smallest included
+        }
+    }
+
+    #[test]
+    fn a_quantity_takes_no_number_that_it_cannot_hold(bits in any::<u32>(), small in -1e6_f32..1e6) {
+        for value in [f32::from_bits(bits), small] {
+            check_quantities(value)?;
+        }
+    }
+}
+
+macro_rules! check_quantity {
+    ($value:ident, $type:ident, $from:ident, $saturating:ident, $to:ident) => {
+        let (made, near) = ($type::$from($value), $type::$saturating($value));
+        let quantity = $type::QUANTITY;
+        prop_assert_eq!(near.is_ok(), !$value.is_nan(), "{:?}", near);
+        if let Ok(near) = near {
+            let near = f64::from(near.$to());
+            prop_assert!(near >= quantity.min - 1e-3 * quantity.min.abs(), "{} {}", $value, near);
+            prop_assert!(near <= quantity.max + 1e-3 * quantity.max.abs(), "{} {}", $value, near);
+        }
+        match made {
+            // The nearest step and the saturating way agree, and it lies within half a step (the
+            // coarsest, 10 ms, is 5) and what an f32 keeps of the value.
+            Ok(made) => {
+                prop_assert_eq!(near, Ok(made));
+                let slack = if stringify!($type) == "ReportInterval" { 5.0 } else { 0.5 };
+                let error = (f64::from(made.$to()) - f64::from($value)).abs();
+                prop_assert!(error <= slack + 1e-6 * f64::from($value).abs(), "{}", $value);
+            }
+            // Refused is only what lies outside, give or take half a step.
+            Err(error) => {
+                let value = f64::from($value);
+                let half = if stringify!($type) == "ReportInterval" { 5.0 } else { 0.5 };
+                let inside = value > quantity.min + half && value < quantity.max - half;
+                let at_end = value.abs() >= 2e7; // where an f32 no longer holds every step
+                prop_assert!(!inside || at_end, "{} refused: {}", value, error);
+                prop_assert!(error.given.is_nan() == $value.is_nan());
+            }
+        }
+    };
+}
+
+fn check_quantities(value: f32) -> Result<(), TestCaseError> {
+    check_quantity!(value, Temperature, from_celsius, saturating_from_celsius, celsius);
+    check_quantity!(value, Current, from_amperes, saturating_from_amperes, amperes);
+    check_quantity!(value, Speed, from_dps, saturating_from_dps, dps);
+    check_quantity!(value, SpeedTarget, from_dps, saturating_from_dps, dps);
+    check_quantity!(value, MaxSpeed, from_dps, saturating_from_dps, dps);
+    check_quantity!(value, MaxTorque, from_percent, saturating_from_percent, percent);
+    check_quantity!(value, Angle, from_degrees, saturating_from_degrees, degrees);
+    check_quantity!(value, CoarseAngle, from_degrees, saturating_from_degrees, degrees);
+    check_quantity!(value, SingleTurnAngle, from_degrees, saturating_from_degrees, degrees);
+    check_quantity!(value, SingleTurnTarget, from_degrees, saturating_from_degrees, degrees);
+    check_quantity!(value, Voltage, from_volts, saturating_from_volts, volts);
+    check_quantity!(value, Acceleration, from_dps2, saturating_from_dps2, dps2);
+    check_quantity!(value, ReportedAcceleration, from_dps2, saturating_from_dps2, dps2);
+    check_quantity!(value, ReportInterval, from_millis, saturating_from_millis, millis);
+    Ok(())
+}
+
+/// A stretch of an RS485 line: noise, or a frame.
+#[derive(Clone, Debug)]
+enum Stretch {
+    Noise(Vec<u8>),
+    Frame(u8, Data),
+}
+
+fn any_stretch() -> impl Strategy<Value = Stretch> {
+    let byte = prop_oneof![
+        3 => Just(0x3E_u8),
+        1 => 1_u8..=32,
+        1 => Just(0xCD_u8),
+        2 => Just(0x08_u8),
+        2 => any::<u8>(),
+    ];
+    let address = prop_oneof![4 => 1_u8..=32, 1 => Just(0xCD_u8)];
+    prop_oneof![
+        prop::collection::vec(byte.clone(), 0..40).prop_map(Stretch::Noise),
+        (address, prop::array::uniform8(byte)).prop_map(|(to, data)| Stretch::Frame(to, data)),
+    ]
+}
+
+proptest! {
+    #![proptest_config(config(500))]
+
+    #[test]
+    fn any_rs485_stream_is_received(stretches in prop::collection::vec(any_stretch(), 0..20)) {
+        let mut bytes = Vec::new();
+        for stretch in &stretches {
+            match stretch {
+                Stretch::Noise(noise) => bytes.extend(noise),
+                Stretch::Frame(address, data) => bytes.extend(frame_bytes(*address, *data)),
+            }
+        }
+        // The same as a look at the whole recording; the line checks its count after every byte.
+        prop_assert_eq!(Line::after(&bytes).frames(), frames_by_window(&bytes));
+    }
+
+    #[test]
+    fn uniform_noise_is_received(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        prop_assert_eq!(Line::after(&bytes).frames(), frames_by_window(&bytes));
+    }
+}
+
+#[test]
+fn every_identifier_takes_every_first_byte() {
+    for identifier in 0..=0x7FF {
+        for first in 0..=255 {
+            for rest in [0x00, 0x01, 0xFF] {
+                let data = [first, rest, rest, rest, rest, rest, rest, rest];
+                let frame = SimpleFrame::new(standard(identifier), &data).expect("eight bytes");
+                if let Received::Packet(packet) = can::decode(&frame) {
+                    if let Ok(command) = AnyCommand::decode(&packet) {
+                        let again = Packet { channel: packet.channel, data: command.encode() };
+                        assert_eq!(AnyCommand::decode(&again), Ok(command));
+                    }
+                    if let Ok(reply) = AnyReply::decode(&packet) {
+                        let again = Packet { channel: packet.channel, data: reply.encode() };
+                        assert_eq!(AnyReply::decode(&again), Ok(reply));
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn json_is_checked_like_a_constructor() {
+    assert!(from_str::<MotorId>("32").is_ok());
+    assert!(from_str::<MotorId>("0").is_err());
+    assert!(from_str::<MotorId>("33").is_err());
+    assert!(from_str::<Acceleration>("60000").is_ok());
+    assert!(from_str::<Acceleration>("99").is_err());
+    assert!(from_str::<SingleTurnTarget>("36001").is_err());
+    assert!(from_str::<SingleTurnAngle>("36000").is_err());
+    assert!(from_str::<Gain>("1.5").is_ok());
+    // JSON has no NaN and no infinity: null, and numbers that no f32 holds.
+    assert!(from_str::<Gain>("null").is_err());
+    assert!(from_str::<Gain>("1e39").is_err());
+    assert!(from_str::<Switch>("2").is_err());
+}

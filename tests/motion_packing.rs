@@ -1,0 +1,476 @@
+//! Proves motion mode's packing and scales (manual 5) exhaustively: every position, every step of
+//! each 12-bit field, both directions, against bytes that are put together here as one bit string;
+//! and that quantisation takes the nearest step, refuses what is no number and follows its ranges.
+
+use myactuator_protocol_core::command::{
+    Command, MotionFeedback, MotionLimits, MotionRanges, MotionSetPoint, RawMotion,
+    RawMotionFeedback, Reply, U12,
+};
+use myactuator_protocol_core::{AnyCommand, AnyReply, Data, MotorId, Opcode};
+
+const LAST_16: u16 = 65_535;
+const LAST_12: u16 = 4_095;
+
+fn u12(step: u16) -> U12 {
+    U12::new(step).expect("at most 4095")
+}
+
+/// 5.2 as one string of 64 bits, the first on the left: p 16, v 12, kp 12, kd 12, t 12.
+fn command_bits([p, v, kp, kd, t]: [u16; 5]) -> Data {
+    let bits = u64::from(p) << 48
+        | u64::from(v) << 36
+        | u64::from(kp) << 24
+        | u64::from(kd) << 12
+        | u64::from(t);
+    bits.to_be_bytes()
+}
+
+/// 5.3 as one string of 64 bits: id 8, p 16, v 12, t 12, and 16 of NULL.
+fn reply_bits([id, p, v, t]: [u16; 4]) -> Data {
+    let bits = u64::from(id) << 56 | u64::from(p) << 40 | u64::from(v) << 28 | u64::from(t) << 16;
+    bits.to_be_bytes()
+}
+
+/// Both directions of a command, by every way that the library offers.
+fn check_command(steps: [u16; 5]) {
+    let [p, v, kp, kd, t] = steps;
+    let raw = RawMotion { position: p, velocity: u12(v), kp: u12(kp), kd: u12(kd), torque: u12(t) };
+    let bytes = command_bits(steps);
+    assert_eq!(raw.encode(), bytes, "{raw:?}");
+    assert_eq!(RawMotion::from_data(&bytes), raw);
+    assert_eq!(RawMotion::decode(&bytes), Ok(raw));
+    assert_eq!(AnyCommand::decode_as(Opcode::Motion, &bytes), Ok(raw.into()));
+}
+
+/// Both directions of a reply.
+fn check_reply(fields: [u16; 4]) {
+    let [id, p, v, t] = fields;
+    let id = MotorId::new(id as u8).expect("1 to 32");
+    let raw = RawMotionFeedback { id, position: p, velocity: u12(v), torque: u12(t) };
+    let bytes = reply_bits(fields);
+    assert_eq!(raw.encode(), bytes, "{raw:?}");
+    assert_eq!(RawMotionFeedback::from_data(&bytes), Ok(raw));
+    assert_eq!(RawMotion::decode_reply(&bytes), Ok(raw));
+    assert_eq!(AnyReply::Motion(raw).encode(), bytes);
+}
+
+/// A command of all zeros or all ones but for one field.
+fn with(field: usize, step: u16, others_full: bool) -> [u16; 5] {
+    let mut steps =
+        if others_full { [LAST_16, LAST_12, LAST_12, LAST_12, LAST_12] } else { [0; 5] };
+    steps[field] = step;
+    steps
+}
+
+#[test]
+fn every_position_packs_and_unpacks() {
+    for position in 0..=LAST_16 {
+        for full in [false, true] {
+            check_command(with(0, position, full));
+            let rest = if full { LAST_12 } else { 0 };
+            check_reply([if full { 32 } else { 1 }, position, rest, rest]);
+        }
+    }
+}
+
+#[test]
+fn every_step_of_each_12_bit_field_packs_and_unpacks() {
+    for step in 0..=LAST_12 {
+        for full in [false, true] {
+            for field in 1..5 {
+                check_command(with(field, step, full));
+            }
+            let (p, other) = if full { (LAST_16, LAST_12) } else { (0, 0) };
+            check_reply([7, p, step, other]);
+            check_reply([7, p, other, step]);
+        }
+    }
+}
+
+#[test]
+fn every_id_packs_and_unpacks_and_no_other_does() {
+    for id in 0..=255 {
+        if (1..=32).contains(&id) {
+            check_reply([id, 0x1234, 0x567, 0x89A]);
+        } else {
+            assert!(RawMotionFeedback::from_data(&reply_bits([id, 0, 0, 0])).is_err(), "{id}");
+        }
+    }
+}
+
+#[test]
+fn a_walking_bit_belongs_to_one_field() {
+    for place in 0..64 {
+        let bytes = (1_u64 << place).to_be_bytes();
+        let raw = RawMotion::from_data(&bytes);
+        let steps =
+            [raw.position, raw.velocity.get(), raw.kp.get(), raw.kd.get(), raw.torque.get()];
+        // From the right: t 0..12, kd 12..24, kp 24..36, v 36..48, p 48..64.
+        let (field, within) = match place {
+            0..12 => (4, place),
+            12..24 => (3, place - 12),
+            24..36 => (2, place - 24),
+            36..48 => (1, place - 36),
+            _ => (0, place - 48),
+        };
+        assert_eq!(steps, with(field, 1 << within, false), "bit {place}");
+        assert_eq!(raw.encode(), bytes);
+
+        let hole = !(1_u64 << place);
+        assert_eq!(RawMotion::from_data(&hole.to_be_bytes()).encode(), hole.to_be_bytes());
+    }
+}
+
+#[test]
+fn null_bytes_of_a_reply_are_written_0_and_not_read() {
+    let bytes = reply_bits([1, 0x1234, 0x567, 0x89A]);
+    let mut noisy = bytes;
+    noisy[6..].copy_from_slice(&[0xA5, 0x5A]);
+    let raw = RawMotionFeedback::from_data(&noisy).expect("a reply");
+    assert_eq!(raw, RawMotionFeedback::from_data(&bytes).expect("a reply"));
+    assert_eq!(raw.encode(), bytes);
+}
+
+#[test]
+fn a_12_bit_step_has_12_bits() {
+    for step in 0..=u16::MAX {
+        assert_eq!(U12::new(step).ok().map(U12::get), (step <= LAST_12).then_some(step));
+    }
+}
+
+/// One value of a set-point: how to get and set it, and the scale that 5.1 gives it.
+struct Scale {
+    name: &'static str,
+    set: fn(&mut MotionSetPoint, f32),
+    get: fn(&MotionSetPoint) -> f32,
+    set_step: fn(&mut RawMotion, u16),
+    step: fn(&RawMotion) -> u16,
+    /// The largest value; `max` of `MotionLimits`.
+    max: fn(&MotionLimits) -> f32,
+    symmetric: bool,
+    last: u16,
+}
+
+const SCALES: [Scale; 5] = [
+    Scale {
+        name: "position",
+        set: |to, value| to.position_rad = value,
+        get: |from| from.position_rad,
+        set_step: |to, step| to.position = step,
+        step: |from| from.position,
+        max: |limits| limits.position_rad,
+        symmetric: true,
+        last: LAST_16,
+    },
+    Scale {
+        name: "velocity",
+        set: |to, value| to.velocity_rad_s = value,
+        get: |from| from.velocity_rad_s,
+        set_step: |to, step| to.velocity = u12(step),
+        step: |from| from.velocity.get(),
+        max: |limits| limits.velocity_rad_s,
+        symmetric: true,
+        last: LAST_12,
+    },
+    Scale {
+        name: "kp",
+        set: |to, value| to.kp = value,
+        get: |from| from.kp,
+        set_step: |to, step| to.kp = u12(step),
+        step: |from| from.kp.get(),
+        max: |limits| limits.kp,
+        symmetric: false,
+        last: LAST_12,
+    },
+    Scale {
+        name: "kd",
+        set: |to, value| to.kd = value,
+        get: |from| from.kd,
+        set_step: |to, step| to.kd = u12(step),
+        step: |from| from.kd.get(),
+        max: |limits| limits.kd,
+        symmetric: false,
+        last: LAST_12,
+    },
+    Scale {
+        name: "torque",
+        set: |to, value| to.torque_nm = value,
+        get: |from| from.torque_nm,
+        set_step: |to, step| to.torque = u12(step),
+        step: |from| from.torque.get(),
+        max: |limits| limits.torque_nm,
+        symmetric: true,
+        last: LAST_12,
+    },
+];
+
+impl Scale {
+    fn ends(&self, ranges: &MotionRanges) -> (f32, f32) {
+        let max = (self.max)(&ranges.limits());
+        (if self.symmetric { -max } else { 0.0 }, max)
+    }
+
+    fn quantise(&self, ranges: &MotionRanges, value: f32) -> Option<u16> {
+        let mut wanted = MotionSetPoint::default();
+        (self.set)(&mut wanted, value);
+        ranges.quantise(&wanted).ok().map(|raw| (self.step)(&raw))
+    }
+
+    fn saturate(&self, ranges: &MotionRanges, value: f32) -> Option<u16> {
+        let mut wanted = MotionSetPoint::default();
+        (self.set)(&mut wanted, value);
+        ranges.saturating_quantise(&wanted).ok().map(|raw| (self.step)(&raw))
+    }
+
+    fn value(&self, ranges: &MotionRanges, step: u16) -> f32 {
+        let mut raw = RawMotion::from_data(&[0; 8]);
+        (self.set_step)(&mut raw, step);
+        (self.get)(&ranges.set_point(&raw))
+    }
+
+    /// Where `value` lies on this scale, in steps, in double precision.
+    fn place(&self, ranges: &MotionRanges, value: f32) -> f64 {
+        let (min, max) = self.ends(ranges);
+        let (min, max) = (f64::from(min), f64::from(max));
+        (f64::from(value) - min) * f64::from(self.last) / (max - min)
+    }
+
+    /// What three roundings to an `f32` (difference, product, quotient), each of at most 2^-24 of
+    /// the result, can move a step on this scale: 0.012 of a step of 65536, 0.0008 of one of 4096.
+    fn slack(&self) -> f64 {
+        3.1 * f64::from(self.last) / f64::from(1 << 24)
+    }
+}
+
+fn all_ranges() -> Vec<MotionRanges> {
+    let other = [
+        // Scales of other firmware, then odd ones, then a very small and a very large one.
+        [12.5, 65.0, 500.0, 5.0, 50.0],
+        [95.5, 45.0, 500.0, 5.0, 18.0],
+        [std::f32::consts::PI, 0.1, 7.0, 0.3, 123.456],
+        [1e-3, 1e-3, 1e-3, 1e-3, 1e-3],
+        [1e6, 1e6, 1e6, 1e6, 1e6],
+    ]
+    .map(|[position_rad, velocity_rad_s, kp, kd, torque_nm]| {
+        MotionRanges::new(MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm })
+            .expect("positive limits")
+    });
+    [MotionRanges::V4_3].into_iter().chain(other).collect()
+}
+
+#[test]
+fn the_ranges_are_those_of_5_1() {
+    let limits = MotionRanges::V4_3.limits();
+    let found = SCALES.map(|scale| (scale.max)(&limits));
+    assert_eq!(found, [12.5, 45.0, 500.0, 5.0, 24.0]);
+}
+
+#[test]
+fn the_ends_of_a_scale_are_its_first_and_last_step() {
+    for ranges in all_ranges() {
+        for scale in &SCALES {
+            let (min, max) = scale.ends(&ranges);
+            assert_eq!(scale.quantise(&ranges, min), Some(0), "{}", scale.name);
+            assert_eq!(scale.quantise(&ranges, max), Some(scale.last), "{}", scale.name);
+            assert_eq!(scale.value(&ranges, 0), min, "{}", scale.name);
+            let last = scale.value(&ranges, scale.last);
+            assert!((last - max).abs() <= max * 4.0 * f32::EPSILON, "{}: {last}", scale.name);
+        }
+    }
+}
+
+#[test]
+fn every_step_means_its_place_on_the_scale_and_comes_back() {
+    for ranges in all_ranges() {
+        for scale in &SCALES {
+            let (min, max) = scale.ends(&ranges);
+            let span = f64::from(max) - f64::from(min);
+            let mut before = f32::NEG_INFINITY;
+            for step in 0..=scale.last {
+                let value = scale.value(&ranges, step);
+                let exact = f64::from(min) + f64::from(step) * span / f64::from(scale.last);
+                let error = (f64::from(value) - exact).abs();
+                // Three roundings, none of a number larger than the span.
+                assert!(error <= 3.1 * span / f64::from(1 << 24), "{} {step}: {value}", scale.name);
+                assert!(value > before, "{} {step}: not above the step before", scale.name);
+                before = value;
+                let back = scale.quantise(&ranges, value);
+                assert_eq!(back, Some(step), "{}: {value}", scale.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_value_becomes_its_nearest_step() {
+    for ranges in all_ranges() {
+        for scale in &SCALES {
+            let (min, max) = scale.ends(&ranges);
+            let check = |value: f32| {
+                let step = scale.quantise(&ranges, value).expect("within the scale");
+                let error = (f64::from(step) - scale.place(&ranges, value)).abs();
+                assert!(
+                    error <= 0.5 + scale.slack(),
+                    "{}: {value} became step {step}, {error} steps away",
+                    scale.name
+                );
+            };
+            // Five places in each step, near both of its edges and in its middle.
+            let width = (f64::from(max) - f64::from(min)) / f64::from(scale.last);
+            for step in 0..=scale.last {
+                for part in [-0.499, -0.26, 0.0, 0.251, 0.499] {
+                    let value = (f64::from(min) + (f64::from(step) + part) * width) as f32;
+                    if value >= min && value <= max {
+                        check(value);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn steps_never_fall_while_values_rise() {
+    for scale in &SCALES {
+        let (min, max) = scale.ends(&MotionRanges::V4_3);
+        let mut before = 0;
+        for i in 0..=200_000 {
+            let value = (f64::from(min) + f64::from(i) * f64::from(max - min) / 200_000.0) as f32;
+            let step = scale.saturate(&MotionRanges::V4_3, value).expect("a number");
+            assert!(step >= before, "{}: {value} became {step} after {before}", scale.name);
+            before = step;
+        }
+        assert_eq!(before, scale.last);
+    }
+}
+
+#[test]
+fn the_manuals_example_is_rounded_not_cut() {
+    // 5.4: 10 rad lies at 58981.5, kp 10 at 81.9, kd 1 at 819, 10 N·m at 2900.6.
+    let raw = MotionRanges::V4_3
+        .quantise(&MotionSetPoint {
+            position_rad: 10.0,
+            velocity_rad_s: 1.0,
+            kp: 10.0,
+            kd: 1.0,
+            torque_nm: 10.0,
+        })
+        .expect("within the ranges");
+    assert_eq!(raw.position, 58_982);
+    assert_eq!(raw.kp.get(), 82);
+    assert_eq!(raw.kd.get(), 819);
+    assert_eq!(raw.torque.get(), 2_901);
+    // 1 rad/s lies at 46 · 4095 / 90 = 2093.0. The manual prints 2094, which is 1.022 rad/s: a
+    // misprint, or another speed than the one that its text works out.
+    assert_eq!(raw.velocity.get(), 2_093);
+    assert_eq!(raw.encode(), command_bits([58_982, 2_093, 82, 819, 2_901]));
+}
+
+#[test]
+fn a_symmetric_scale_has_no_step_at_zero() {
+    let still = MotionRanges::V4_3.quantise(&MotionSetPoint::default()).expect("within");
+    // 32767.5 and 2047.5: ties, which go up.
+    assert_eq!(still.encode(), command_bits([32_768, 2_048, 0, 0, 2_048]));
+}
+
+#[test]
+fn what_is_no_number_or_beyond_the_scale_is_refused() {
+    for ranges in all_ranges() {
+        for scale in &SCALES {
+            let (min, max) = scale.ends(&ranges);
+            let below = if min == 0.0 { -f32::MIN_POSITIVE } else { min.next_down() };
+            for bad in [
+                f32::NAN,
+                -f32::NAN,
+                f32::from_bits(0x7F80_0001),
+                f32::INFINITY,
+                f32::NEG_INFINITY,
+                max.next_up(),
+                below,
+                f32::MAX,
+                f32::MIN,
+            ] {
+                assert_eq!(scale.quantise(&ranges, bad), None, "{}: {bad}", scale.name);
+                let nearest = match bad {
+                    _ if bad.is_nan() => None,
+                    _ if bad > 0.0 => Some(scale.last),
+                    _ => Some(0),
+                };
+                assert_eq!(scale.saturate(&ranges, bad), nearest, "{}: {bad}", scale.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_refusal_names_the_value_its_range_and_its_unit() {
+    let zero = MotionSetPoint::default();
+    let refused = |wanted: MotionSetPoint| {
+        MotionRanges::V4_3.quantise(&wanted).expect_err("beyond the range").to_string()
+    };
+    assert_eq!(
+        refused(MotionSetPoint { torque_nm: 30.0, ..zero }),
+        "torque must be -24 to 24 N·m, but 30 N·m was given"
+    );
+    assert_eq!(
+        refused(MotionSetPoint { position_rad: f32::NAN, ..zero }),
+        "position must be -12.5 to 12.5 rad, but NaN rad was given"
+    );
+}
+
+#[test]
+fn feedback_lies_on_the_same_scales() {
+    let id = MotorId::new(9).expect("1 to 32");
+    for ranges in all_ranges() {
+        for step in (0..=LAST_16).step_by(13) {
+            let twelve = step >> 4;
+            let raw = RawMotionFeedback {
+                id,
+                position: step,
+                velocity: u12(twelve),
+                torque: u12(LAST_12 - twelve),
+            };
+            let measured = ranges.feedback(&raw);
+            assert_eq!(measured.id, id);
+            let values = [measured.position_rad, measured.velocity_rad_s, measured.torque_nm];
+            let expected = [
+                SCALES[0].value(&ranges, step),
+                SCALES[1].value(&ranges, twelve),
+                SCALES[4].value(&ranges, LAST_12 - twelve),
+            ];
+            assert_eq!(values, expected);
+            assert_eq!(ranges.quantise_feedback(&measured), Ok(raw));
+        }
+    }
+}
+
+#[test]
+fn feedback_ends_with_its_scale_and_is_never_a_nan() {
+    let id = MotorId::MIN;
+    let far =
+        MotionFeedback { id, position_rad: f32::INFINITY, velocity_rad_s: -1e9, torque_nm: 24.001 };
+    let raw = MotionRanges::V4_3.quantise_feedback(&far).expect("numbers");
+    assert_eq!(raw.encode(), reply_bits([1, LAST_16, 0, LAST_12]));
+    for (position_rad, velocity_rad_s, torque_nm) in
+        [(f32::NAN, 0.0, 0.0), (0.0, f32::NAN, 0.0), (0.0, 0.0, f32::NAN)]
+    {
+        let lost = MotionFeedback { id, position_rad, velocity_rad_s, torque_nm };
+        assert!(MotionRanges::V4_3.quantise_feedback(&lost).is_err(), "{lost:?}");
+    }
+}
+
+#[test]
+fn ranges_that_are_no_ranges_are_refused() {
+    let good = MotionRanges::V4_3.limits();
+    for bad in [0.0, -0.0, -1.0, f32::NAN, f32::INFINITY, 1.1e6, f32::MIN_POSITIVE / 2.0] {
+        for limits in [
+            MotionLimits { position_rad: bad, ..good },
+            MotionLimits { velocity_rad_s: bad, ..good },
+            MotionLimits { kp: bad, ..good },
+            MotionLimits { kd: bad, ..good },
+            MotionLimits { torque_nm: bad, ..good },
+        ] {
+            assert!(MotionRanges::new(limits).is_err(), "{bad}");
+        }
+    }
+}

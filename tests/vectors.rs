@@ -1,0 +1,129 @@
+//! The manual's example frames and section headings, as they lie in `vectors/`.
+
+use std::collections::BTreeMap;
+
+use myactuator_protocol_core::{Channel, Data, MotorId, Target};
+use serde::Deserialize;
+use serde_json::{Map, Value};
+
+/// Which bus a row is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Bus {
+    /// CAN.
+    Can,
+    /// RS485.
+    Rs485,
+}
+
+/// Who sends a row's frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Direction {
+    /// The master.
+    Command,
+    /// The motor.
+    Reply,
+}
+
+/// One example frame of the manual; `vectors/README.md` explains the keys.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Row {
+    /// Section of the manual, `"2.1.5"`.
+    pub section: String,
+    /// Number of the example in its section, from 1.
+    pub example: u32,
+    /// Which bus.
+    pub bus: Bus,
+    /// Who sends it.
+    pub direction: Direction,
+    /// The motor's id, or `"all"`.
+    pub id: Value,
+    /// `identifier#data` on CAN, 13 bytes in hex on RS485.
+    pub frame: String,
+    /// The command's name, in both directions.
+    pub name: String,
+    /// What the frame means.
+    pub fields: Map<String, Value>,
+    /// The manual's explanation.
+    pub text: String,
+    /// What print, text and tables disagree about.
+    pub misprint: Option<String>,
+}
+
+impl Row {
+    /// Whose frame it is.
+    pub fn target(&self) -> Target {
+        match &self.id {
+            Value::String(all) if all == "all" => Target::All,
+            Value::Number(id) => {
+                let id = id.as_u64().and_then(|id| u8::try_from(id).ok()).expect("a small id");
+                Target::Motor(MotorId::new(id).expect("an id from 1 to 32"))
+            }
+            other => panic!("{self}: id must be a number or \"all\", found {other}"),
+        }
+    }
+
+    /// The channel that sections 1, 3, 4, 5, 6 and 7 give this frame.
+    pub fn channel(&self) -> Channel {
+        match (self.name.as_str(), self.direction, self.target()) {
+            ("bus-id", _, Target::All) => Channel::BusId,
+            ("motion", Direction::Command, Target::Motor(id)) => Channel::Motion(id),
+            ("motion", Direction::Reply, Target::Motor(id)) => Channel::MotionReply(id),
+            (_, Direction::Command, target) => Channel::Command(target),
+            (_, Direction::Reply, Target::Motor(id)) => Channel::Reply(id),
+            _ => panic!("{self}: no channel carries this"),
+        }
+    }
+
+    /// Identifier and data of a CAN row.
+    pub fn can(&self) -> (u16, Data) {
+        let (identifier, data) = self.frame.split_once('#').expect("identifier#data");
+        let identifier = u16::from_str_radix(identifier, 16).expect("a hexadecimal identifier");
+        (identifier, hex(data).try_into().expect("eight data bytes"))
+    }
+
+    /// All bytes of an RS485 row.
+    pub fn rs485(&self) -> [u8; 13] {
+        hex(&self.frame).try_into().expect("13 bytes")
+    }
+
+    /// The data bytes, whatever the bus.
+    pub fn data(&self) -> Data {
+        match self.bus {
+            Bus::Can => self.can().1,
+            Bus::Rs485 => {
+                let [_, _, _, data @ .., _, _] = self.rs485();
+                data
+            }
+        }
+    }
+}
+
+impl std::fmt::Display for Row {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { section, example, bus, direction, id, frame, .. } = self;
+        write!(f, "{section} example {example}, {bus:?} {direction:?}, id {id}: {frame}")
+    }
+}
+
+/// The bytes of a text of hexadecimal digits, with or without spaces.
+pub fn hex(text: &str) -> Vec<u8> {
+    let digits: Vec<u8> =
+        text.chars().filter(|c| *c != ' ').map(|c| c.to_digit(16).expect("hex") as u8).collect();
+    assert_eq!(digits.len() % 2, 0, "{text}: half a byte is left over");
+    digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
+}
+
+/// Every row of `manual-v4.3.jsonl`, in the manual's order.
+pub fn rows() -> Vec<Row> {
+    let parse = |line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e} in {line}"));
+    include_str!("vectors/manual-v4.3.jsonl").lines().map(parse).collect()
+}
+
+/// The headings of the manual's table of contents by section: `sections.txt`.
+pub fn sections() -> BTreeMap<&'static str, &'static str> {
+    let lines = include_str!("vectors/sections.txt").lines();
+    lines.map(|line| line.split_once(' ').expect("number and heading")).collect()
+}
