@@ -1,3 +1,4 @@
 //! MyActuator servo motors on a host.
 
+pub mod nvm;
 pub mod plant;
