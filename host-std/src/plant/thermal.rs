@@ -1,0 +1,65 @@
+//! A body that heats up by losses and cools to the air.
+
+/// One temperature: heat capacity and thermal resistance to ambient.
+///
+/// Its step is exact for a loss that is constant over the step: the way to the steady temperature
+/// is exponential with the time constant capacity times resistance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ThermalNode {
+    temperature_c: f64,
+    resistance_k_per_w: f64,
+    /// Share of the distance to the steady temperature that is left after one step.
+    remaining: f64,
+}
+
+impl ThermalNode {
+    /// A body at `temperature_c` that is stepped every `step_s` seconds. Capacity in J/K,
+    /// resistance in K/W.
+    pub fn new(
+        temperature_c: f64,
+        capacity_j_per_k: f64,
+        resistance_k_per_w: f64,
+        step_s: f64,
+    ) -> Self {
+        let remaining = (-step_s / (capacity_j_per_k * resistance_k_per_w)).exp();
+        Self { temperature_c, resistance_k_per_w, remaining }
+    }
+
+    /// One step with `loss_w` watts of heating in air of `ambient_c`.
+    pub fn step(&mut self, loss_w: f64, ambient_c: f64) {
+        let steady_c = ambient_c + loss_w * self.resistance_k_per_w;
+        self.temperature_c = steady_c + (self.temperature_c - steady_c) * self.remaining;
+    }
+
+    /// The temperature, °C.
+    pub const fn temperature_c(&self) -> f64 {
+        self.temperature_c
+    }
+
+    /// Puts the body at a temperature, °C; it goes on from there.
+    pub const fn set_temperature_c(&mut self, temperature_c: f64) {
+        self.temperature_c = temperature_c;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 10 W into 2 K/W ends 20 K above the air; after one time constant 63.2 % of it is done.
+    #[test]
+    fn heats_exponentially() {
+        let mut node = ThermalNode::new(25.0, 50.0, 2.0, 0.01);
+        for _ in 0..10_000 {
+            node.step(10.0, 25.0);
+        }
+        assert!((node.temperature_c() - (25.0 + 20.0 * 0.632_120_558_8)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn stays_at_ambient_without_loss() {
+        let mut node = ThermalNode::new(25.0, 50.0, 2.0, 0.01);
+        node.step(0.0, 25.0);
+        assert_eq!(node.temperature_c(), 25.0);
+    }
+}

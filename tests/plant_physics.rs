@@ -1,0 +1,605 @@
+//! The simulated motor against mechanics and circuits worked out by hand.
+//!
+//! Every expected value is a closed form in the parameters of the test; none is taken from a run.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use myactuator_host_std::plant::{
+    CurrentScale, Load, MODELS, MotorParameters, SimulatedMotor, SpringStop, Supply,
+};
+use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
+use myactuator_protocol_core::time::Duration;
+
+const MS: Duration = Duration::from_millis(1);
+const OFF: Actuation = Actuation { current_a: 0.0, output_on: false, brake_released: true };
+const BRAKED: Actuation = Actuation { brake_released: false, ..OFF };
+
+fn amps(current_a: f32) -> Actuation {
+    Actuation { current_a, output_on: true, brake_released: true }
+}
+
+/// A motor of round figures: 0.1 kg·m² at the output, 2 N·m/A, no losses but copper's.
+fn ideal() -> MotorParameters {
+    let mut p = MotorParameters::named("RMD-X8-PRO").unwrap();
+    p.gear.ratio = 10.0;
+    p.gear.efficiency = 1.0;
+    p.gear.output_inertia_kg_m2 = 0.06;
+    p.motor.rotor_inertia_kg_m2 = 4e-4; // 0.04 kg·m² at the output
+    p.motor.torque_constant_nm_per_a = 2.0;
+    p.motor.phase_resistance_ohm = 0.5;
+    p.motor.resistance_coefficient_per_k = 0.0;
+    p.motor.current_scale = CurrentScale::Amplitude;
+    p.friction.static_nm = 0.0;
+    p.friction.coulomb_nm = 0.0;
+    p.friction.viscous_nm_s_per_rad = 0.0;
+    p.inverter.mos_resistance_ohm = 0.0;
+    p.inverter.modulation_limit = 0.5;
+    p.inverter.idle_power_w = 0.0;
+    p
+}
+const INERTIA: f64 = 0.1;
+
+fn motor(parameters: MotorParameters) -> SimulatedMotor {
+    SimulatedMotor::new(parameters).unwrap()
+}
+
+fn with_friction(static_nm: f64, coulomb_nm: f64, viscous: f64) -> MotorParameters {
+    let mut p = ideal();
+    p.friction.static_nm = static_nm;
+    p.friction.coulomb_nm = coulomb_nm;
+    p.friction.viscous_nm_s_per_rad = viscous;
+    p
+}
+
+fn speed(motor: &SimulatedMotor) -> f64 {
+    motor.output_speed_dps().to_radians()
+}
+
+fn angle(motor: &SimulatedMotor) -> f64 {
+    motor.output_angle_deg().to_radians()
+}
+
+#[track_caller]
+fn close(found: f64, expected: f64, share: f64) {
+    let error = (found - expected).abs();
+    assert!(error <= share * expected.abs(), "{found} is not {expected} within {share}");
+}
+
+// Mechanics
+
+/// ω = τ t / J: 4 N·m for 0.2 s on 0.1 kg·m² is 8 rad/s, and the angle is half of that times t.
+#[test]
+fn momentum_is_torque_times_time_without_friction() {
+    let mut m = motor(ideal());
+    m.advance(&amps(2.0), MS.times(200));
+    close(speed(&m), 8.0, 1e-9);
+    close(angle(&m), 0.8, 1e-3);
+    // The opposite torque for as long takes all of it back.
+    m.advance(&amps(-2.0), MS.times(200));
+    assert!(speed(&m).abs() < 1e-9);
+}
+
+/// Without any torque the momentum stays, to the bit.
+#[test]
+fn a_free_shaft_keeps_its_speed() {
+    let mut m = motor(ideal());
+    m.set_output_speed_dps(90.0).unwrap();
+    m.advance(&OFF, Duration::from_secs(10));
+    close(m.output_speed_dps(), 90.0, 1e-12);
+    close(m.output_angle_deg(), 900.0, 1e-9);
+}
+
+/// The rotor counts with the square of the gear ratio, the load as it is.
+#[test]
+fn the_load_adds_its_inertia() {
+    let mut m = motor(ideal());
+    m.set_load(Load::NONE.with_inertia_kg_m2(0.3)).unwrap();
+    close(m.inertia_kg_m2(), 0.4, 1e-12);
+    m.advance(&amps(2.0), MS.times(200));
+    close(speed(&m), 4.0 * 0.2 / 0.4, 1e-9);
+}
+
+/// ω(t) = τ/b (1 - e^(-b t/J)).
+#[test]
+fn constant_torque_against_viscous_friction() {
+    let (torque, viscous) = (1.0, 0.5);
+    let mut m = motor(with_friction(0.0, 0.0, viscous));
+    m.set_external_torque_nm(torque).unwrap();
+    for ms in 1..=1000 {
+        m.advance(&OFF, MS);
+        let t = f64::from(ms) * 1e-3;
+        let expected = torque / viscous * (1.0 - (-viscous * t / INERTIA).exp());
+        close(speed(&m), expected, 1e-9);
+    }
+    // θ(t) = τ/b (t - J/b (1 - e^(-b t/J)))
+    let expected = 2.0 * (1.0 - 0.2 * (1.0 - (-5.0_f64).exp()));
+    close(angle(&m), expected, 1e-5);
+}
+
+/// Coulomb friction alone: a shaft with ω stops after J ω / τ, and stays.
+#[test]
+fn coulomb_friction_stops_the_shaft_after_a_finite_time() {
+    let mut m = motor(with_friction(0.5, 0.5, 0.0));
+    m.set_output_speed_dps(5_f64.to_degrees()).unwrap();
+    // 0.1 * 5 / 0.5 = 1 s; angle ω²J/(2τ) = 2.5 rad
+    m.advance(&OFF, MS.times(999));
+    assert!(speed(&m) > 0.0);
+    m.advance(&OFF, MS.times(2));
+    assert_eq!(speed(&m), 0.0);
+    close(angle(&m), 2.5, 1e-4);
+    let at_rest = m.output_angle_deg();
+    m.advance(&OFF, Duration::from_secs(60));
+    assert_eq!(m.output_angle_deg(), at_rest);
+}
+
+/// Below static friction nothing creeps; above it the shaft goes with Coulomb friction only.
+#[test]
+fn static_friction_holds_up_to_its_limit() {
+    let mut m = motor(with_friction(1.0, 0.6, 0.0));
+    for torque in [0.999, -0.999] {
+        m.set_external_torque_nm(torque).unwrap();
+        m.advance(&OFF, Duration::from_secs(30));
+        assert_eq!((m.output_angle_deg(), m.output_speed_dps()), (0.0, 0.0));
+    }
+    m.set_external_torque_nm(1.001).unwrap();
+    m.advance(&OFF, MS.times(500));
+    // One step with 1.001 - 1.0 N·m, then 1.001 - 0.6 N·m: 0.401 * 0.5 / 0.1
+    close(speed(&m), 2.005, 1e-3);
+}
+
+/// A torque that changes sign every step never moves a shaft that friction can hold, nor makes its
+/// speed chatter.
+#[test]
+fn an_alternating_torque_below_static_friction_does_not_chatter() {
+    let mut m = motor(with_friction(1.0, 0.6, 0.0));
+    for step in 0..10_000 {
+        m.set_external_torque_nm(if step % 2 == 0 { 0.9 } else { -0.9 }).unwrap();
+        let measured = m.advance(&OFF, Duration::from_micros(100));
+        assert_eq!((measured.speed_dps, measured.encoder_pulses), (0.0, 0));
+    }
+}
+
+/// The gear's loss: with efficiency 0.8, 2 N·m at the output need 2.5 N·m in the air gap, and the
+/// 2 N·m accelerate.
+#[test]
+fn the_gear_loses_torque_in_proportion() {
+    let mut p = ideal();
+    p.gear.efficiency = 0.8;
+    let mut m = motor(p);
+    m.advance(&amps(1.0), MS.times(100));
+    close(speed(&m), 2.0 * 0.1 / INERTIA, 1e-9);
+}
+
+/// A load's torque acts like a weight on a drum.
+#[test]
+fn a_constant_load_pulls() {
+    let mut m = motor(ideal());
+    m.set_load(Load::NONE.with_torque_nm(-3.0)).unwrap();
+    m.advance(&OFF, MS.times(100));
+    close(speed(&m), -3.0, 1e-9);
+}
+
+/// f = 1/2π √(k/J) for a spring from both sides: 40 N·m/rad and 0.1 kg·m² give 20 rad/s.
+#[test]
+fn a_spring_oscillates_at_its_frequency_and_keeps_its_energy() {
+    let spring = SpringStop { at_deg: 0.0, stiffness_nm_per_rad: 40.0 };
+    let mut m = motor(ideal());
+    m.set_load(Load::NONE.with_upper_stop(spring).with_lower_stop(spring)).unwrap();
+    m.set_output_angle_deg(30.0).unwrap();
+    let start = angle(&m);
+    let energy = 0.5 * 40.0 * start * start;
+
+    let (mut crossings, mut last_crossing_us, mut before) = (0_u32, 0_u32, start);
+    for step in 1..=320_000_u32 {
+        m.advance(&OFF, Duration::from_micros(100));
+        let now = angle(&m);
+        if before.signum() != now.signum() {
+            crossings += 1;
+            last_crossing_us = step * 100;
+        }
+        before = now;
+        if step % 1000 == 0 {
+            let total = 0.5 * INERTIA * speed(&m) * speed(&m) + m.load().spring_energy_j(now);
+            close(total, energy, 1e-3);
+        }
+    }
+    // The first crossing is a quarter period in, the others half a period apart. 32 s: 203 or 204.
+    let expected_s = (FRAC_PI_2 + f64::from(crossings - 1) * TAU / 2.0) / 20.0;
+    assert!(crossings > 200, "{crossings}");
+    close(f64::from(last_crossing_us) * 1e-6, expected_s, 1e-4);
+}
+
+/// A one-sided stop throws the shaft back with the speed it came with; the contact lasts half a
+/// period, π √(J/k).
+#[test]
+fn a_stop_throws_back() {
+    let stop = SpringStop { at_deg: 45.0, stiffness_nm_per_rad: 1000.0 };
+    let mut m = motor(ideal());
+    m.set_load(Load::NONE.with_upper_stop(stop)).unwrap();
+    m.set_output_speed_dps(180.0).unwrap();
+    let mut deepest: f64 = 0.0;
+    let mut touching = 0;
+    for _ in 0..5000 {
+        m.advance(&OFF, Duration::from_micros(100));
+        deepest = deepest.max(m.output_angle_deg() - 45.0);
+        touching += u32::from(m.output_angle_deg() > 45.0);
+    }
+    close(m.output_speed_dps(), -180.0, 1e-3);
+    // ½Jω² = ½kx²: x = ω √(J/k) = 180° * 0.01 = 1.8°
+    close(deepest, 1.8, 1e-3);
+    close(f64::from(touching) * 1e-4, TAU / 2.0 * 0.01, 0.01);
+}
+
+/// Leaning on a spring with a constant torque, damped, ends where k x = τ.
+#[test]
+fn a_motor_leaning_on_a_stop_comes_to_rest() {
+    let stop = SpringStop { at_deg: 10.0, stiffness_nm_per_rad: 200.0 };
+    let mut m = motor(with_friction(0.0, 0.0, 2.0));
+    m.set_load(Load::NONE.with_upper_stop(stop)).unwrap();
+    m.advance(&amps(2.0), Duration::from_secs(5));
+    close(angle(&m), 10_f64.to_radians() + 4.0 / 200.0, 1e-6);
+}
+
+/// The brake holds anything below its limit without giving way, and slips above it.
+#[test]
+fn the_brake_holds_and_slips_at_its_limit() {
+    let mut p = ideal();
+    p.brake.holding_torque_nm = 5.0;
+    let mut m = motor(p);
+    m.set_external_torque_nm(4.99).unwrap();
+    m.advance(&BRAKED, Duration::from_secs(10));
+    assert_eq!(m.output_angle_deg(), 0.0);
+    m.set_external_torque_nm(6.0).unwrap();
+    m.advance(&BRAKED, MS.times(100));
+    close(speed(&m), (6.0 - 5.0) * 0.1 / INERTIA, 1e-9);
+    // It stops what turns: 1 rad/s against 5 N·m takes 20 ms.
+    m.set_external_torque_nm(0.0).unwrap();
+    m.advance(&BRAKED, MS.times(19));
+    assert!(speed(&m) > 0.0);
+    m.advance(&BRAKED, MS.times(2));
+    assert_eq!(speed(&m), 0.0);
+    // The motor cannot turn it either.
+    m.advance(&Actuation { brake_released: false, ..amps(2.4) }, MS.times(100));
+    assert_eq!(speed(&m), 0.0);
+}
+
+// Electrics
+
+/// A phase has at most half of 48 V. Its back-EMF has the amplitude 2/3 Kt ω (three half waves of
+/// power make Kt i ω), so the motor ends at ω = 24 V / (2/3 * 2 N·m/A) = 18 rad/s, whatever current
+/// is asked for.
+#[test]
+fn back_emf_limits_the_no_load_speed() {
+    for asked in [1.0, 50.0] {
+        let mut m = motor(ideal());
+        m.force_supply_voltage_v(Some(48.0)).unwrap();
+        m.advance(&amps(asked), Duration::from_secs(10));
+        close(speed(&m), 18.0, 1e-6);
+        m.advance(&amps(-asked), Duration::from_secs(20));
+        close(speed(&m), -18.0, 1e-6);
+    }
+}
+
+/// On the voltage limit the current is (V - EMF) / R, and the speed rises exponentially with the
+/// time constant J R / (2/3 Kt²) = 0.1 * 0.5 / (8/3) = 18.75 ms.
+#[test]
+fn voltage_limited_start_is_exponential() {
+    let mut m = motor(ideal());
+    m.force_supply_voltage_v(Some(48.0)).unwrap();
+    let start = m.advance(&amps(1000.0), Duration::from_micros(100));
+    close(f64::from(start.current_a), 24.0 / 0.5, 1e-6);
+    m.advance(&amps(1000.0), Duration::from_micros(18_650));
+    close(speed(&m), 18.0 * (1.0 - (-1.0_f64).exp()), 0.005);
+}
+
+/// A stalled motor takes 3/2 R i² from the supply, and the electronics' own power besides.
+#[test]
+fn a_stalled_motor_draws_copper_loss() {
+    let mut p = ideal();
+    p.inverter.idle_power_w = 6.0;
+    p.inverter.mos_resistance_ohm = 0.1;
+    let mut m = motor(p);
+    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.force_supply_voltage_v(Some(48.0)).unwrap();
+    let measured = m.advance(&amps(4.0), MS.times(10));
+    // (1.5 * 0.6 Ω * 16 A² + 6 W) / 48 V = 20.4 W / 48 V
+    close(f64::from(measured.supply_current_a), 20.4 / 48.0, 1e-6);
+}
+
+/// An ampere (rms) is √2 A at the peak: the loss doubles and the amplitude is √2.
+#[test]
+fn rms_amperes_peak_at_root_two() {
+    let mut p = ideal();
+    p.motor.current_scale = CurrentScale::Rms;
+    let mut m = motor(p);
+    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.force_supply_voltage_v(Some(48.0)).unwrap();
+    let measured = m.advance(&amps(4.0), MS.times(10));
+    close(f64::from(measured.supply_current_a), 3.0 * 0.5 * 16.0 / 48.0, 1e-6);
+    close(amplitude(&measured), 4.0 * 2_f64.sqrt(), 1e-6);
+}
+
+/// Amplitude of three sine currents 120° apart: √(2/3 Σ i²).
+fn amplitude(measured: &Measurement) -> f64 {
+    let squares: f64 = measured.phase_currents_a.iter().map(|&i| f64::from(i).powi(2)).sum();
+    (squares * 2.0 / 3.0).sqrt()
+}
+
+/// At every angle the phases sum to 0 and have the amplitude of the torque current; over one
+/// electrical turn each goes once through its whole range.
+#[test]
+fn phase_currents_are_three_sines_that_sum_to_zero() {
+    let p = ideal();
+    let electrical_turn_deg = 360.0 / (p.gear.ratio * f64::from(p.motor.pole_pairs));
+    let mut m = motor(p);
+    let (mut highest, mut lowest) = ([f32::MIN; 3], [f32::MAX; 3]);
+    for step in 0..360 {
+        m.set_output_angle_deg(electrical_turn_deg * f64::from(step) / 360.0).unwrap();
+        m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+        let measured = m.advance(&amps(3.0), Duration::from_micros(100));
+        let phases = measured.phase_currents_a;
+        assert!(phases.iter().sum::<f32>().abs() < 1e-5, "{phases:?}");
+        close(amplitude(&measured), 3.0, 1e-5);
+        for (phase, &current) in phases.iter().enumerate() {
+            highest[phase] = highest[phase].max(current);
+            lowest[phase] = lowest[phase].min(current);
+        }
+    }
+    for phase in 0..3 {
+        close(f64::from(highest[phase]), 3.0, 1e-3);
+        close(f64::from(lowest[phase]), -3.0, 1e-3);
+    }
+    // With the current all in the quadrature axis, phase A is 0 at electrical angle 0 and is at its
+    // negative peak a quarter of an electrical turn on.
+    m.set_output_angle_deg(0.0).unwrap();
+    let phases = m.advance(&amps(3.0), Duration::from_micros(100)).phase_currents_a;
+    assert!(phases[0].abs() < 1e-3, "{phases:?}");
+    m.set_output_angle_deg(electrical_turn_deg / 4.0).unwrap();
+    let phases = m.advance(&amps(3.0), Duration::from_micros(100)).phase_currents_a;
+    close(f64::from(phases[0]), -3.0, 1e-4);
+}
+
+/// Constant power P through resistance R: V = (V0 + √(V0² - 4 R P)) / 2.
+#[test]
+fn the_supply_sags_under_load() {
+    let mut m = motor(ideal());
+    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_supply(Supply { resistance_ohm: 1.0, ..Supply::battery(48.0) }).unwrap();
+    let measured = m.advance(&amps(16.0), MS.times(100));
+    let power = 1.5 * 0.5 * 16.0 * 16.0; // 192 W
+    let volts = (48.0 + (48.0_f64 * 48.0 - 4.0 * power).sqrt()) / 2.0;
+    close(f64::from(measured.supply_voltage_v), volts, 1e-5);
+    close(f64::from(measured.supply_current_a), power / volts, 1e-5);
+}
+
+/// Feedback: a turning motor that brakes with little current pushes Kt i ω less copper loss into
+/// the supply, whose voltage rises by the same law with the feedback resistance.
+#[test]
+fn feedback_raises_the_voltage() {
+    let mut m = motor(ideal());
+    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_supply(Supply::bench(48.0)).unwrap();
+    m.set_output_speed_dps(10_f64.to_degrees()).unwrap();
+    let measured = m.advance(&amps(-2.0), MS.times(500));
+    let power = 1.5 * 0.5 * 4.0 - 2.0 * 2.0 * 10.0; // -37 W
+    let volts = (48.0 + (48.0_f64 * 48.0 - 4.0 * 20.0 * power).sqrt()) / 2.0;
+    assert!(volts > 60.0);
+    close(f64::from(measured.supply_voltage_v), volts, 1e-4);
+    close(f64::from(measured.supply_current_a), power / volts, 1e-4);
+    assert!(measured.supply_current_a < 0.0);
+}
+
+/// A supply far too weak bends the voltage; nothing breaks, and the voltage never gets negative.
+#[test]
+fn an_overloaded_supply_collapses_without_nonsense() {
+    let mut m = motor(ideal());
+    m.set_supply(Supply { resistance_ohm: 50.0, ..Supply::battery(48.0) }).unwrap();
+    for _ in 0..5000 {
+        let measured = m.advance(&amps(100.0), MS);
+        assert!((0.0..=48.0).contains(&measured.supply_voltage_v), "{measured:?}");
+        assert!(measured.current_a.is_finite() && measured.speed_dps.is_finite());
+    }
+}
+
+// Energy
+
+/// Electrical energy in = copper + friction + kinetic + spring + lifted weight, each reckoned from
+/// what is measured: a start, a reversal, a stop in a spring.
+#[test]
+fn energy_balances() {
+    let mut p = with_friction(0.3, 0.3, 0.2);
+    p.inverter.idle_power_w = 3.0;
+    p.inverter.mos_resistance_ohm = 0.05;
+    let mut m = motor(p);
+    let stop = SpringStop { at_deg: 60.0, stiffness_nm_per_rad: 300.0 };
+    let weight_nm = -1.0;
+    let inertia = 0.05;
+    m.set_load(
+        Load::NONE.with_torque_nm(weight_nm).with_inertia_kg_m2(inertia).with_upper_stop(stop),
+    )
+    .unwrap();
+
+    let dt = 1e-4;
+    let (mut electrical, mut copper, mut friction, mut idle) = (0.0, 0.0, 0.0, 0.0);
+    let mut before = speed(&m);
+    for step in 0..20_000 {
+        let command = match step {
+            0..6_000 => amps(3.0),
+            6_000..9_000 => amps(-2.0),
+            _ => amps(1.5),
+        };
+        let measured = m.advance(&command, Duration::from_micros(100));
+        electrical +=
+            f64::from(measured.supply_voltage_v) * f64::from(measured.supply_current_a) * dt;
+        copper += 1.5 * 0.55 * f64::from(measured.current_a).powi(2) * dt;
+        idle += 3.0 * dt;
+        let mean = (before + speed(&m)) / 2.0;
+        friction += (0.3 * mean.abs() + 0.2 * mean * mean) * dt;
+        before = speed(&m);
+    }
+    let kinetic = 0.5 * (INERTIA + inertia) * speed(&m).powi(2);
+    let spring = m.load().spring_energy_j(angle(&m));
+    let lifted = -weight_nm * angle(&m);
+    assert!(friction > 1.0 && copper > 1.0 && kinetic + spring > 0.1, "all parts take part");
+    close(electrical, copper + idle + friction + kinetic + spring + lifted, 1e-5);
+}
+
+// Heat
+
+/// T = Ta + P R (1 - e^(-t/RC)) for the winding and the output stage, heated by 3/2 R i² each.
+#[test]
+fn winding_and_output_stage_heat_exponentially_and_cool_again() {
+    let mut p = ideal();
+    p.inverter.mos_resistance_ohm = 0.1;
+    p.thermal.winding_capacity_j_per_k = 20.0;
+    p.thermal.winding_resistance_k_per_w = 1.5; // 30 s
+    p.thermal.mos_capacity_j_per_k = 4.0;
+    p.thermal.mos_resistance_k_per_w = 5.0; // 20 s
+    let mut m = motor(p);
+    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_ambient_c(20.0).unwrap();
+    // From 25 °C, the start, towards 20 °C + rise; 4 A: 12 W in the winding, 2.4 W in the stage.
+    let at = |rise: f64, start: f64, tau: f64, t: f64| {
+        20.0 + rise + (start - 20.0 - rise) * (-t / tau).exp()
+    };
+    let hot = m.advance(&amps(4.0), Duration::from_secs(25));
+    let (winding, mos) = (at(18.0, 25.0, 30.0, 25.0), at(12.0, 25.0, 20.0, 25.0));
+    close(f64::from(hot.motor_temperature_c), winding, 1e-6);
+    close(f64::from(hot.mos_temperature_c), mos, 1e-6);
+    let cool = m.advance(&OFF, Duration::from_secs(40));
+    close(f64::from(cool.motor_temperature_c), at(0.0, winding, 30.0, 40.0), 1e-6);
+    close(f64::from(cool.mos_temperature_c), at(0.0, mos, 20.0, 40.0), 1e-6);
+}
+
+/// Copper at 125 °C has 1 + 0.00393 * 100 times the resistance it has at 25 °C.
+#[test]
+fn a_hot_winding_has_more_resistance() {
+    let mut p = ideal();
+    p.motor.resistance_coefficient_per_k = 0.00393;
+    let mut m = motor(p);
+    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.force_supply_voltage_v(Some(48.0)).unwrap();
+    m.force_motor_temperature_c(Some(125.0)).unwrap();
+    let measured = m.advance(&amps(4.0), MS);
+    close(f64::from(measured.supply_current_a), 1.5 * 0.5 * 1.393 * 16.0 / 48.0, 1e-6);
+}
+
+// Determinism
+
+fn bits(measured: &Measurement) -> Vec<u64> {
+    let mut bits = vec![measured.encoder_pulses as u64, u64::from(measured.encoder_ok)];
+    bits.extend(
+        [
+            measured.speed_dps,
+            measured.current_a,
+            measured.motor_temperature_c,
+            measured.mos_temperature_c,
+            measured.supply_voltage_v,
+            measured.supply_current_a,
+        ]
+        .iter()
+        .chain(&measured.phase_currents_a)
+        .map(|figure| u64::from(figure.to_bits())),
+    );
+    bits
+}
+
+/// The same second in other portions gives the same bits, because what is left over is carried.
+#[test]
+fn any_split_of_the_time_gives_the_same_bits() {
+    let run = |portion_us: u64| {
+        let mut m = motor(MotorParameters::named("RMD-X6-P20-60").unwrap());
+        let stop = SpringStop { at_deg: 200.0, stiffness_nm_per_rad: 400.0 };
+        m.set_load(Load::NONE.with_torque_nm(-1.0).with_upper_stop(stop)).unwrap();
+        let mut left_us = 1_000_000;
+        let mut last = Measurement::default();
+        while left_us > 0 {
+            let now = portion_us.min(left_us);
+            last = m.advance(&amps(4.0), Duration::from_micros(now));
+            left_us -= now;
+        }
+        (bits(&last), m.output_angle_deg().to_bits(), m.output_speed_dps().to_bits())
+    };
+    let whole = run(1_000_000);
+    for portion_us in [1_000, 7_000, 7, 99, 101, 333_333] {
+        assert_eq!(run(portion_us), whole, "portions of {portion_us} us");
+    }
+}
+
+/// Time shorter than a step is kept, not lost.
+#[test]
+fn short_portions_add_up() {
+    let mut m = motor(ideal());
+    m.set_output_speed_dps(10.0).unwrap();
+    m.advance(&OFF, Duration::from_micros(60));
+    assert_eq!(m.output_angle_deg(), 0.0);
+    m.advance(&OFF, Duration::from_micros(60));
+    close(m.output_angle_deg(), 10.0 * 100e-6, 1e-9);
+}
+
+// The models
+
+fn at_speed(parameters: &MotorParameters, rpm: f64) -> SimulatedMotor {
+    let mut m = motor(parameters.clone());
+    m.force_supply_voltage_v(Some(parameters.rating.voltage_v)).unwrap();
+    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_output_speed_dps(rpm * 6.0).unwrap();
+    m
+}
+
+/// Without load and with all the current it wants, a model ends at its data sheet's no-load speed.
+#[test]
+fn models_reach_their_no_load_speed() {
+    for model in MODELS {
+        let p = MotorParameters::named(model.name).unwrap();
+        let mut m = motor(p.clone());
+        m.force_supply_voltage_v(Some(p.rating.voltage_v)).unwrap();
+        m.advance(&amps(p.rating.peak_current_a as f32), Duration::from_secs(2));
+        close(m.output_speed_dps() / 6.0, p.rating.no_load_speed_rpm, 0.02);
+    }
+}
+
+/// At rated speed the rated current is reached, balances the rated torque, and the supply's power
+/// is what the rated efficiency says (72.7 %, 79 %, 77 %).
+#[test]
+fn models_meet_their_rated_point() {
+    for (model, efficiency) in MODELS.iter().zip([0.727, 0.79, 0.77]) {
+        let p = MotorParameters::named(model.name).unwrap();
+        let mut m = at_speed(&p, p.rating.speed_rpm);
+        m.set_external_torque_nm(-p.rating.torque_nm).unwrap();
+        let before = speed(&m);
+        let measured = m.advance(&amps(p.rating.current_a as f32), MS.times(10));
+        close(f64::from(measured.current_a), p.rating.current_a, 1e-6);
+        let surplus_nm = (speed(&m) - before) * m.inertia_kg_m2() / 0.01;
+        assert!(surplus_nm.abs() < 0.02 * p.rating.torque_nm, "{}: {surplus_nm}", model.name);
+        let power = f64::from(measured.supply_voltage_v) * f64::from(measured.supply_current_a);
+        close(p.rating.torque_nm * before / power, efficiency, 0.02);
+    }
+}
+
+/// At the rated current, for long, the winding ends 60 K above air of 24 °C.
+#[test]
+fn models_end_at_their_rated_rise() {
+    for model in MODELS {
+        let p = MotorParameters::named(model.name).unwrap();
+        let mut m = motor(p.clone());
+        m.set_ambient_c(24.0).unwrap();
+        let locked = Actuation { brake_released: false, ..amps(p.rating.current_a as f32) };
+        let measured = m.advance(&locked, Duration::from_secs(2400));
+        close(f64::from(measured.motor_temperature_c), 84.0, 0.02);
+    }
+}
+
+/// Nobody's hand turns the shaft below the back-drive torque of the data sheet (N·m).
+#[test]
+fn models_hold_up_to_their_back_drive_torque() {
+    for (model, back_drive_nm) in MODELS.iter().zip([1.6, 1.5, 0.61]) {
+        let mut m = motor(MotorParameters::named(model.name).unwrap());
+        m.set_external_torque_nm(back_drive_nm * 0.99).unwrap();
+        m.advance(&OFF, Duration::from_secs(1));
+        assert_eq!(m.output_angle_deg(), 0.0, "{}", model.name);
+        m.set_external_torque_nm(back_drive_nm * 1.01).unwrap();
+        m.advance(&OFF, Duration::from_secs(1));
+        assert!(m.output_angle_deg() > 0.0, "{}", model.name);
+    }
+}
