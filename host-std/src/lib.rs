@@ -1,1 +1,3 @@
 //! MyActuator servo motors on a host.
+
+pub mod bus;
