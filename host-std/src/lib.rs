@@ -4,9 +4,11 @@
 //! |---|---|
 //! | [`text`] | frames as people and tools write them: `ID#DATA`, candump lines, RS485 bytes |
 //! | [`explain`] | what a frame says: name, fields with their units, and a sentence |
+//! | [`bus`] | the simulated buses: CAN and RS485, in virtual or real time |
 //! | [`plant`] | the physics behind a simulated drive |
 //! | [`nvm`] | a value in a file, safe against a crash |
 
+pub mod bus;
 mod bus_kind;
 pub mod explain;
 pub mod nvm;

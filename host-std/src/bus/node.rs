@@ -1,0 +1,106 @@
+//! Who is on a bus.
+
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use myactuator_protocol_core::time::Instant;
+
+/// One participant of a bus, with a controller of its own that queues what it sends.
+///
+/// `F` is what the bus carries: [`SimpleFrame`](myactuator_protocol_core::wire::can::SimpleFrame) on
+/// CAN, bytes on RS485 (`Vec<u8>`: received one byte at a time, each when it is complete on the
+/// line; sent in any lengths, one message a piece, because faults strike messages).
+///
+/// After [`handle_frame`](Self::handle_frame), at [`poll_at`](Self::poll_at) and whenever its
+/// controller has room again, a node is asked with [`advance`](Self::advance) and then
+/// [`poll_transmit`](Self::poll_transmit) until that returns `None` or the controller is full.
+///
+/// To keep a hand on a node, attach an `Arc<Mutex<N>>` of it. Its lock must not be held while the
+/// world runs.
+pub trait Node<F>: Send {
+    /// A frame received from the bus.
+    fn handle_frame(&mut self, frame: &F, now: Instant);
+
+    /// What it wants to send now.
+    fn poll_transmit(&mut self, now: Instant) -> Option<F>;
+
+    /// When to ask again; `None` for not before the next frame. A time that has passed is taken for
+    /// the next microsecond.
+    fn poll_at(&self) -> Option<Instant>;
+
+    /// Lets its own time go on to `now`. Comes before each round of
+    /// [`poll_transmit`](Self::poll_transmit), also while the controller takes no more frames.
+    fn advance(&mut self, now: Instant) {
+        let _ = now;
+    }
+
+    /// Its power was cycled. Does nothing unless implemented; the controller is emptied in any case.
+    fn reset(&mut self, now: Instant) {
+        let _ = now;
+    }
+}
+
+fn lock<N>(node: &Mutex<N>) -> std::sync::MutexGuard<'_, N> {
+    node.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl<F, N: Node<F>> Node<F> for Arc<Mutex<N>> {
+    fn handle_frame(&mut self, frame: &F, now: Instant) {
+        lock(self).handle_frame(frame, now);
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<F> {
+        lock(self).poll_transmit(now)
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        lock(self).poll_at()
+    }
+
+    fn advance(&mut self, now: Instant) {
+        lock(self).advance(now);
+    }
+
+    fn reset(&mut self, now: Instant) {
+        lock(self).reset(now);
+    }
+}
+
+impl<F, N: Node<F> + ?Sized> Node<F> for Box<N> {
+    fn handle_frame(&mut self, frame: &F, now: Instant) {
+        (**self).handle_frame(frame, now);
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<F> {
+        (**self).poll_transmit(now)
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        (**self).poll_at()
+    }
+
+    fn advance(&mut self, now: Instant) {
+        (**self).advance(now);
+    }
+
+    fn reset(&mut self, now: Instant) {
+        (**self).reset(now);
+    }
+}
+
+/// A participant's place on the bus of its world, counted from 0 in the order of attaching.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct StationId(pub(crate) usize);
+
+impl StationId {
+    /// The place as a number.
+    pub const fn index(self) -> usize {
+        self.0
+    }
+}
+
+impl fmt::Display for StationId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "station {}", self.0)
+    }
+}

@@ -1,0 +1,99 @@
+//! A half-duplex RS485 line: one pair of wires, one sender at a time, and nobody to see to that.
+//!
+//! What is modelled:
+//!
+//! - A byte lasts ten bits (8N1). It arrives when its stop bit is over.
+//! - A station needs a time to switch to sending before its first bit, and a time to switch back
+//!   behind its last, in which its driver still holds the line. It listens to nothing meanwhile,
+//!   unless it [echoes](TransceiverConfig::echo). What is queued meanwhile follows without a gap.
+//! - Nobody looks whether the line is free. A byte that is on the line while another station's
+//!   driver is on as well arrives garbled, as a random byte. A receiver takes ten bits from the
+//!   first start bit for one byte, so two overlapping bytes are heard as one; if the line is in the
+//!   middle of a byte then, the next one that is heard is garbled too, and so on up to a pause.
+//! - A cut station's bytes reach nobody but its own echo, and nobody reaches it.
+//!
+//! Not modelled: parity and framing errors (a garbled byte is a wrong byte), stations at different
+//! bit rates, reflections.
+
+mod line;
+mod port;
+
+use myactuator_protocol_core::time::Duration;
+
+use super::{Node, StationId, World};
+
+pub use line::Rs485Line;
+pub use port::{SerialError, SerialPort};
+
+/// A world with an RS485 line.
+pub type SerialWorld = World<Rs485Line>;
+
+/// An RS485 line's properties.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LineConfig {
+    /// Bits per second.
+    pub bit_rate: u32,
+}
+
+impl Default for LineConfig {
+    /// 115200 bit/s.
+    fn default() -> Self {
+        Self { bit_rate: 115_200 }
+    }
+}
+
+/// A station's transceiver and buffers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TransceiverConfig {
+    /// From having something to send to the first start bit.
+    pub switch_to_send: Duration,
+    /// From the last stop bit until the driver lets go of the line and the station listens.
+    pub switch_to_receive: Duration,
+    /// Whether it hears the line while it sends, its own bytes included, as many USB adapters do.
+    pub echo: bool,
+    /// How likely each switch of direction makes the station hear a random byte that nobody sent,
+    /// from 0 to 1.
+    pub switch_noise: f32,
+    /// How many bytes can wait to be sent, the one on the line included. 0 counts as 1. A
+    /// node's message is taken whole when there is room for its first byte.
+    pub transmit_buffer: usize,
+    /// How many bytes can wait to be read. What comes then is lost, and counted. A [`Node`] takes
+    /// its bytes at once and needs no such buffer.
+    pub receive_buffer: usize,
+}
+
+impl Default for TransceiverConfig {
+    /// Switches at once, hears nothing of itself, and buffers 4096 bytes each way, as Linux does.
+    fn default() -> Self {
+        Self {
+            switch_to_send: Duration::ZERO,
+            switch_to_receive: Duration::ZERO,
+            echo: false,
+            switch_noise: 0.0,
+            transmit_buffer: 4096,
+            receive_buffer: 4096,
+        }
+    }
+}
+
+impl World<Rs485Line> {
+    /// A world with an empty line, at time 0. All chance in it comes from `seed`.
+    pub fn new(config: LineConfig, seed: u64) -> Self {
+        Self::with_medium(Rs485Line::new(config, seed), seed)
+    }
+
+    /// Attaches a node that switches direction at once.
+    pub fn attach(&self, node: impl Node<Vec<u8>> + 'static) -> StationId {
+        self.attach_with(node, TransceiverConfig::default())
+    }
+
+    /// A port for a master that switches direction at once and has no echo.
+    pub fn port(&self) -> SerialPort {
+        self.port_with(TransceiverConfig::default())
+    }
+
+    /// A port for a master.
+    pub fn port_with(&self, transceiver: TransceiverConfig) -> SerialPort {
+        SerialPort::new(self.clone(), self.attach_port(transceiver, transceiver.receive_buffer))
+    }
+}

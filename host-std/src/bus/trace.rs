@@ -1,0 +1,147 @@
+//! What really happened on a bus.
+
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::nanos::{Nanos, to_instant};
+use super::node::StationId;
+use myactuator_protocol_core::time::Instant;
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Record<F> {
+    /// When, in nanoseconds since the world's start.
+    pub at_ns: u64,
+    /// Whom it concerns: the sender for what is on the wire, the receiver for what reaches one.
+    pub station: StationId,
+    /// What it was.
+    pub event: Event<F>,
+}
+
+impl<F> Record<F> {
+    /// When, as the participants see it: rounded up to microseconds.
+    pub const fn at(&self) -> Instant {
+        to_instant(self.at_ns)
+    }
+}
+
+/// What can happen on a bus.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Event<F> {
+    /// A frame (on RS485: a message) has been on the wire whole.
+    Carried {
+        /// The frame as it was sent.
+        frame: F,
+        /// When its first bit began, in nanoseconds.
+        started_ns: u64,
+    },
+    /// A frame (on RS485: a message) went wrong on the wire: a CAN error frame ended it, or it
+    /// collided on the line.
+    Broken {
+        /// The frame as it was to be.
+        frame: F,
+        /// When its first bit began, in nanoseconds.
+        started_ns: u64,
+    },
+    /// Nobody acknowledged a CAN frame.
+    Unacknowledged {
+        /// The frame.
+        frame: F,
+        /// When its first bit began, in nanoseconds.
+        started_ns: u64,
+    },
+    /// A fault struck what this station was to receive.
+    Faulted {
+        /// Who sent it.
+        from: StationId,
+        /// What was done to it.
+        fault: Fault,
+    },
+    /// The station's receive queue was full, so the frame was lost.
+    Overflowed {
+        /// The frame that was lost.
+        frame: F,
+    },
+    /// The CAN controller counted too many errors and left the bus.
+    BusOff,
+    /// The CAN controller is back on the bus.
+    Recovered,
+    /// The station's wire was cut.
+    Cut,
+    /// The station's wire was mended.
+    Mended,
+    /// The station was reset.
+    Reset,
+}
+
+/// What a fault does to a frame on its way to one receiver.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// It does not arrive.
+    Lost,
+    /// One of its bits arrives flipped.
+    Corrupted,
+    /// It arrives twice.
+    Duplicated,
+    /// It arrives late by so many nanoseconds.
+    Delayed(u64),
+    /// It arrives behind the one that follows it.
+    Reordered,
+}
+
+type Observer<F> = Box<dyn FnMut(&Record<F>) + Send>;
+
+/// Whoever watches. Records are made only if somebody does.
+pub(crate) struct Trace<F> {
+    observers: Vec<Observer<F>>,
+}
+
+impl<F> fmt::Debug for Trace<F> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Trace").field("observers", &self.observers.len()).finish()
+    }
+}
+
+impl<F> Trace<F> {
+    pub(crate) const fn new() -> Self {
+        Self { observers: Vec::new() }
+    }
+
+    pub(crate) fn observe(&mut self, observer: Observer<F>) {
+        self.observers.push(observer);
+    }
+
+    pub(crate) fn record(
+        &mut self,
+        at_ns: Nanos,
+        station: usize,
+        event: impl FnOnce() -> Event<F>,
+    ) {
+        if self.observers.is_empty() {
+            return;
+        }
+        let record = Record { at_ns, station: StationId(station), event: event() };
+        for observer in &mut self.observers {
+            observer(&record);
+        }
+    }
+}
+
+/// A list of all that happens from its making on. Clones share the list.
+#[derive(Clone, Debug)]
+pub struct Log<F>(Arc<Mutex<Vec<Record<F>>>>);
+
+impl<F: Clone> Log<F> {
+    pub(crate) fn new() -> Self {
+        Self(Arc::new(Mutex::new(Vec::new())))
+    }
+
+    pub(crate) fn push(&self, record: &Record<F>) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(record.clone());
+    }
+
+    /// Hands over what was noted so far and starts anew.
+    pub fn take(&self) -> Vec<Record<F>> {
+        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}

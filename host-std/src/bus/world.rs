@@ -1,0 +1,365 @@
+//! The world: a clock, a bus and all that is on it.
+
+use std::fmt;
+use std::future::Future;
+use std::pin::pin;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, Wake, Waker};
+
+use myactuator_protocol_core::io::Clock;
+use myactuator_protocol_core::time::{Duration, Instant};
+
+use super::faults::{Babble, Direction, FaultPlan};
+use super::kernel::Kernel;
+use super::medium::Medium;
+use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
+use super::node::{Node, StationId};
+use super::trace::{Log, Record};
+
+/// What makes time go on.
+#[derive(Clone, Copy, Debug)]
+enum TimeBase {
+    /// Whoever waits.
+    Virtual,
+    /// The wall clock: time 0 was then.
+    Wall(std::time::Instant),
+}
+
+struct State<B: Medium> {
+    kernel: Kernel<B>,
+    base: TimeBase,
+}
+
+impl<B: Medium> State<B> {
+    /// In real time, lets everything up to now happen.
+    fn catch_up(&mut self) {
+        if let TimeBase::Wall(zero) = self.base {
+            let wall = u64::try_from(zero.elapsed().as_nanos()).unwrap_or(NEVER);
+            self.kernel.run_until(wall);
+        }
+    }
+}
+
+struct Shared<B: Medium> {
+    state: Mutex<State<B>>,
+    /// Something has changed that a sleeper in real time may wait for.
+    changed: Condvar,
+}
+
+/// A simulated bus with a clock of its own and everything that is on it. A handle: clones share the
+/// world.
+///
+/// In virtual time, which is the default, nothing happens between calls: the world goes on only in
+/// [`run_until`](Self::run_until), [`step`](Self::step) and [`block_on`](Self::block_on), in
+/// [`SimClock::idle`](Clock::idle), and in the ports' blocking calls. Several masters may share it,
+/// in one thread: if several threads wait, each drives time on for all.
+///
+/// After [`in_real_time`](Self::in_real_time) it follows the wall clock, is caught up to it in every
+/// call, and may be used from any number of threads.
+///
+/// Methods that take a [`StationId`] panic on one of another world that has more stations.
+pub struct World<B: Medium>(Arc<Shared<B>>);
+
+impl<B: Medium> Clone for World<B> {
+    fn clone(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
+impl<B: Medium> fmt::Debug for World<B> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("World").field(&self.lock().kernel).finish()
+    }
+}
+
+impl<B: Medium> World<B> {
+    pub(super) fn with_medium(bus: B, seed: u64) -> Self {
+        let state = State { kernel: Kernel::new(bus, seed), base: TimeBase::Virtual };
+        Self(Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() }))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<B>> {
+        self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Works on the world as it is now.
+    pub(super) fn with<T>(&self, work: impl FnOnce(&mut Kernel<B>) -> T) -> T {
+        let mut state = self.lock();
+        state.catch_up();
+        let result = work(&mut state.kernel);
+        drop(state);
+        self.0.changed.notify_all();
+        result
+    }
+
+    /// Lets time go on until `done` has a result, but not beyond `until`. In virtual time `None`
+    /// also if nothing can happen any more and `until` is `NEVER`.
+    pub(super) fn wait<T>(
+        &self,
+        until: Nanos,
+        mut done: impl FnMut(&mut Kernel<B>) -> Option<T>,
+    ) -> Option<T> {
+        let mut state = self.lock();
+        loop {
+            state.catch_up();
+            if let Some(result) = done(&mut state.kernel) {
+                drop(state);
+                self.0.changed.notify_all();
+                return Some(result);
+            }
+            let next = state.kernel.next_event();
+            match state.base {
+                TimeBase::Virtual if next > until || next == NEVER => {
+                    if until != NEVER {
+                        state.kernel.run_until(until);
+                    }
+                    return None;
+                }
+                TimeBase::Virtual => state.kernel.step(next),
+                TimeBase::Wall(zero) => {
+                    if state.kernel.now >= until {
+                        return None;
+                    }
+                    let wake = next.min(until);
+                    let ahead =
+                        std::time::Duration::from_nanos(wake).saturating_sub(zero.elapsed());
+                    let sleep = self.0.changed.wait_timeout(state, ahead);
+                    (state, _) = sleep.unwrap_or_else(PoisonError::into_inner);
+                }
+            }
+        }
+    }
+
+    /// Has the world follow the wall clock from now on.
+    pub fn in_real_time(self) -> Self {
+        let mut state = self.lock();
+        let passed = std::time::Duration::from_nanos(state.kernel.now);
+        let now = std::time::Instant::now();
+        state.base = TimeBase::Wall(now.checked_sub(passed).unwrap_or(now));
+        drop(state);
+        self
+    }
+
+    /// The time now, rounded up to microseconds.
+    pub fn now(&self) -> Instant {
+        self.with(|kernel| to_instant(kernel.now))
+    }
+
+    /// The time now in nanoseconds.
+    pub fn now_ns(&self) -> u64 {
+        self.with(|kernel| kernel.now)
+    }
+
+    /// When something happens next if nobody does anything, rounded up to microseconds; `None` for
+    /// never.
+    pub fn next_event(&self) -> Option<Instant> {
+        let next = self.with(|kernel| kernel.next_event());
+        (next != NEVER).then(|| to_instant(next))
+    }
+
+    /// Lets time go on to `at`. In real time this sleeps.
+    pub fn run_until(&self, at: Instant) {
+        self.wait(from_instant(at), |_| None::<()>);
+    }
+
+    /// Lets time go on by `span`. In real time this sleeps.
+    pub fn run_for(&self, span: Duration) {
+        self.run_until(self.now() + span);
+    }
+
+    /// Lets virtual time go on by `span`; real time does that by itself.
+    pub(super) fn pass(&self, span: Duration) {
+        let mut state = self.lock();
+        if let TimeBase::Virtual = state.base {
+            let until = state.kernel.now.saturating_add(from_duration(span));
+            state.kernel.run_until(until);
+        }
+    }
+
+    /// Goes on to the next event. False if there is none. In real time this sleeps.
+    pub fn step(&self) -> bool {
+        let next = self.with(|kernel| kernel.next_event());
+        if next == NEVER {
+            return false;
+        }
+        let mut state = self.lock();
+        if let TimeBase::Virtual = state.base {
+            state.kernel.step(next);
+        } else {
+            drop(state);
+            self.wait(next, |_| None::<()>);
+        }
+        true
+    }
+
+    /// A clock for masters in this world.
+    pub fn clock(&self) -> SimClock<B> {
+        SimClock { world: self.clone(), seen: AtomicU64::new(self.with(|kernel| kernel.arrivals)) }
+    }
+
+    /// Attaches a node with a controller or transceiver of its own kind.
+    pub fn attach_with(
+        &self,
+        node: impl Node<B::Frame> + 'static,
+        attachment: B::Attachment,
+    ) -> StationId {
+        self.with(|kernel| StationId(kernel.attach(Some(Box::new(node)), attachment, 0)))
+    }
+
+    pub(super) fn attach_port(&self, attachment: B::Attachment, receive_queue: usize) -> StationId {
+        self.with(|kernel| StationId(kernel.attach(None, attachment, receive_queue)))
+    }
+
+    /// What chance does to the frames of one direction from now on.
+    pub fn set_faults(&self, direction: Direction, plan: FaultPlan) {
+        self.with(|kernel| kernel.injector.set(direction, plan));
+    }
+
+    /// What chance does to the frames to or from one node from now on, in place of the direction's
+    /// plan; `None` for the direction's plan again.
+    pub fn set_node_faults(&self, node: StationId, direction: Direction, plan: Option<FaultPlan>) {
+        self.with(|kernel| kernel.injector.set_own(node.0, direction, plan));
+    }
+
+    /// Cuts a station's wire: it is alone on its stub. A CAN frame that it is sending ends in an
+    /// error frame, a byte on RS485 is garbled. Nothing to do if it is cut already.
+    pub fn cut(&self, station: StationId) {
+        self.with(|kernel| kernel.cut(station.0, true));
+    }
+
+    /// Mends a station's wire. It hears what begins after that. Nothing to do if it is not cut.
+    pub fn mend(&self, station: StationId) {
+        self.with(|kernel| kernel.cut(station.0, false));
+    }
+
+    /// Cycles a station's power: empties its controller, clears its error counters and calls
+    /// [`Node::reset`].
+    pub fn reset(&self, station: StationId) {
+        self.with(|kernel| kernel.reset(station.0));
+    }
+
+    /// Slows a node down: all that it sends gets to its controller that much later.
+    /// [`Duration::ZERO`] for its own speed again.
+    pub fn slow_down(&self, node: StationId, by: Duration) {
+        self.with(|kernel| kernel.slow_down(node.0, by));
+    }
+
+    /// Lets a station babble from now on; `None` silences it.
+    pub fn babble(&self, station: StationId, babble: Option<Babble<B::Frame>>) {
+        self.with(|kernel| kernel.babble(station.0, babble));
+    }
+
+    /// Calls `observer` for everything that happens from now on. It must not touch the world, which
+    /// is in the middle of something.
+    pub fn observe(&self, observer: impl FnMut(&Record<B::Frame>) + Send + 'static) {
+        self.with(|kernel| kernel.trace.observe(Box::new(observer)));
+    }
+
+    /// Notes everything that happens from now on.
+    pub fn log(&self) -> Log<B::Frame> {
+        let log = Log::new();
+        let notes = log.clone();
+        self.observe(move |record| notes.push(record));
+        log
+    }
+
+    /// Runs a future of this world's ports and clocks to its end, and lets time go on while it
+    /// waits. `None` if it waits for something that cannot come: nothing will ever happen in a world
+    /// in virtual time.
+    pub fn block_on<F: Future>(&self, future: F) -> Option<F::Output> {
+        let mut future = pin!(future);
+        let flag = Arc::new(Flag { woken: AtomicBool::new(true), shared: Arc::downgrade(&self.0) });
+        let waker = Waker::from(Arc::clone(&flag));
+        loop {
+            if flag.woken.swap(false, Ordering::SeqCst)
+                && let Poll::Ready(output) = future.as_mut().poll(&mut Context::from_waker(&waker))
+            {
+                return Some(output);
+            }
+            self.wait(NEVER, |_| flag.woken.load(Ordering::SeqCst).then_some(()))?;
+        }
+    }
+
+    /// Waits for `done` in a future: it is asked whenever something changes at `station`.
+    pub(super) fn until_change<T>(
+        &self,
+        station: StationId,
+        mut done: impl FnMut(&mut Kernel<B>) -> Option<T>,
+    ) -> impl Future<Output = T> {
+        std::future::poll_fn(move |context| {
+            self.with(|kernel| match done(kernel) {
+                Some(result) => Poll::Ready(result),
+                None => {
+                    kernel.wake_on_change(station.0, context.waker());
+                    Poll::Pending
+                }
+            })
+        })
+    }
+}
+
+/// Wakes [`World::block_on`].
+struct Flag<B: Medium> {
+    woken: AtomicBool,
+    shared: std::sync::Weak<Shared<B>>,
+}
+
+impl<B: Medium> Wake for Flag<B> {
+    fn wake(self: Arc<Self>) {
+        self.woken.store(true, Ordering::SeqCst);
+        if let Some(shared) = self.shared.upgrade() {
+            shared.changed.notify_all();
+        }
+    }
+}
+
+/// A world's clock, for masters.
+///
+/// In virtual time [`idle`](Clock::idle) lets the world go on; in real time it sleeps. Both end early
+/// as soon as something arrives at one of the world's ports, or one of them has room again for what
+/// it had refused, since this clock last looked. Each master has a clock of its own; a clone is one
+/// that has seen as much.
+#[derive(Debug)]
+pub struct SimClock<B: Medium> {
+    world: World<B>,
+    /// What had come to the ports when it last looked.
+    seen: AtomicU64,
+}
+
+impl<B: Medium> Clone for SimClock<B> {
+    fn clone(&self) -> Self {
+        let seen = AtomicU64::new(self.seen.load(Ordering::Relaxed));
+        Self { world: self.world.clone(), seen }
+    }
+}
+
+impl<B: Medium> SimClock<B> {
+    /// Waits in a future until `at`.
+    pub fn wait_until(&self, at: Instant) -> impl Future<Output = ()> {
+        let at = from_instant(at);
+        std::future::poll_fn(move |context| {
+            self.world.with(|kernel| {
+                if kernel.now >= at {
+                    return Poll::Ready(());
+                }
+                kernel.wake_at(at, context.waker());
+                Poll::Pending
+            })
+        })
+    }
+}
+
+impl<B: Medium> Clock for SimClock<B> {
+    fn now(&self) -> Instant {
+        self.world.now()
+    }
+
+    fn idle(&self, until: Instant) {
+        let seen = self.seen.load(Ordering::Relaxed);
+        let come = |kernel: &mut Kernel<B>| (kernel.arrivals != seen).then_some(kernel.arrivals);
+        if let Some(arrivals) = self.world.wait(from_instant(until), come) {
+            self.seen.store(arrivals, Ordering::Relaxed);
+        }
+    }
+}

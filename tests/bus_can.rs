@@ -1,0 +1,558 @@
+//! The simulated CAN bus under the virtual clock. Times are counted by hand in bits, which at
+//! 1 Mbit/s are microseconds.
+
+#[path = "bus_script.rs"]
+mod bus_script;
+
+use bus_script::Hand;
+use embedded_can::{ExtendedId, Frame, Id, StandardId, blocking, nb::Can as _};
+use myactuator_host_std::bus::can::{
+    CanConfig, CanError, CanPort, CanWorld, ControllerConfig, ErrorState, QueueOrder, frame_bits,
+};
+use myactuator_host_std::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::bus::trace::{Event, Record};
+use myactuator_protocol_core::io::Clock;
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::can::SimpleFrame;
+use proptest::prelude::*;
+
+/// A frame of 112 bits for identifier 0x141; others differ by their stuff bits.
+fn frame(id: u16) -> SimpleFrame {
+    data_frame(id, &[0x55; 8])
+}
+
+fn data_frame(id: u16, data: &[u8]) -> SimpleFrame {
+    SimpleFrame::new(StandardId::new(id).unwrap(), data).unwrap()
+}
+
+/// 111 bits: no stuff bits.
+fn smooth() -> SimpleFrame {
+    data_frame(0x61E, &[0x87, 0x87, 0x87, 0x87, 0x87, 0x66, 0x13, 0x87])
+}
+
+fn world() -> CanWorld {
+    CanWorld::new(CanConfig::default(), 1)
+}
+
+fn micros(at: u64) -> Instant {
+    Instant::from_micros(at)
+}
+
+fn ids(heard: &[(u64, SimpleFrame)]) -> Vec<u16> {
+    let id = |frame: &SimpleFrame| match frame.id() {
+        Id::Standard(id) => id.as_raw(),
+        Id::Extended(id) => panic!("{id:?}"),
+    };
+    heard.iter().map(|(_, frame)| id(frame)).collect()
+}
+
+fn send(port: &mut CanPort, frame: SimpleFrame) {
+    assert_eq!(port.transmit(&frame), Ok(None));
+}
+
+/// The length of a frame, bit by bit and as slow as it is plain.
+fn counted_bits(frame: &SimpleFrame) -> u32 {
+    let mut text = String::from("0");
+    let remote = u8::from(frame.is_remote_frame());
+    match frame.id() {
+        Id::Standard(id) => text += &format!("{:011b}{remote}00", id.as_raw()),
+        Id::Extended(id) => {
+            let whole = format!("{:029b}", id.as_raw());
+            text += &format!("{}11{}{remote}00", &whole[..11], &whole[11..]);
+        }
+    }
+    text += &format!("{:04b}", frame.dlc());
+    for byte in frame.data() {
+        text += &format!("{byte:08b}");
+    }
+    // ISO 11898-1: x15 + x14 + x10 + x8 + x7 + x4 + x3 + 1.
+    let mut crc = 0u16;
+    for bit in text.chars() {
+        let next = (bit == '1') != (crc & 0x4000 != 0);
+        crc = crc << 1 & 0x7FFF;
+        if next {
+            crc ^= 0x4599;
+        }
+    }
+    text += &format!("{crc:015b}");
+    let mut line = String::new();
+    for bit in text.chars() {
+        line.push(bit);
+        if line.ends_with("00000") {
+            line.push('1');
+        } else if line.ends_with("11111") {
+            line.push('0');
+        }
+    }
+    // Delimiter, acknowledge and its delimiter, end of frame, intermission.
+    line.len() as u32 + 1 + 2 + 7 + 3
+}
+
+proptest! {
+    #[test]
+    fn every_frame_has_the_bits_that_one_counts(
+        raw in 0u32..0x2000_0000,
+        extended: bool,
+        remote: bool,
+        data in proptest::collection::vec(prop_oneof![Just(0u8), Just(0xFF), any::<u8>()], 0..=8),
+    ) {
+        let id = if extended {
+            Id::Extended(ExtendedId::new(raw).unwrap())
+        } else {
+            Id::Standard(StandardId::new(raw as u16 & 0x7FF).unwrap())
+        };
+        let frame = if remote {
+            SimpleFrame::new_remote(id, data.len())
+        } else {
+            SimpleFrame::new(id, &data)
+        };
+        let frame = frame.unwrap();
+        let bits = frame_bits(&frame);
+        prop_assert_eq!(bits, counted_bits(&frame));
+        if !extended && !remote && data.len() == 8 {
+            prop_assert!((111..=135).contains(&bits), "{}", bits);
+        }
+    }
+}
+
+#[test]
+fn a_frame_arrives_with_its_last_bit() {
+    for (bit_rate, bit_us) in [(1_000_000, 1), (500_000, 2), (250_000, 4)] {
+        let world = CanWorld::new(CanConfig { bit_rate }, 1);
+        let listener = Hand::listening();
+        world.attach(listener.node());
+        let mut port = world.port();
+        send(&mut port, frame(0x141));
+        send(&mut port, smooth());
+        world.run_until(micros(1_000));
+        // The intermission of three bits is behind the arrival, and ahead of the next frame.
+        let expected = [(109 * bit_us, frame(0x141)), ((112 + 108) * bit_us, smooth())];
+        assert_eq!(listener.heard(), expected);
+    }
+}
+
+#[test]
+fn the_lowest_identifier_goes_first() {
+    let world = world();
+    for id in [0x300, 0x141, 0x2FF] {
+        world.attach(Hand::sending([(10, frame(id))]).node());
+    }
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    world.run_until(micros(1_000));
+    assert_eq!(ids(&listener.heard()), [0x141, 0x2FF, 0x300]);
+}
+
+#[test]
+fn a_frame_on_the_wire_is_not_interrupted() {
+    let world = world();
+    world.attach(Hand::sending([(0, frame(0x7FF)), (0, frame(0x7FE))]).node());
+    world.attach(Hand::sending([(50, frame(0x001))]).node());
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    world.run_until(micros(1_000));
+    // 0x7FE wins against 0x7FF in the mailboxes, since both were there before the first bit.
+    assert_eq!(ids(&listener.heard()), [0x7FE, 0x001, 0x7FF]);
+}
+
+#[test]
+fn a_standard_identifier_beats_the_extended_one_that_begins_alike() {
+    let world = world();
+    let extended = SimpleFrame::new(ExtendedId::new(0x141 << 18).unwrap(), &[1]).unwrap();
+    let remote = SimpleFrame::new_remote(StandardId::new(0x141).unwrap(), 1).unwrap();
+    for sent in [extended, remote, frame(0x141)] {
+        world.attach(Hand::sending([(0, sent)]).node());
+    }
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    world.run_until(micros(1_000));
+    let order: Vec<_> = listener.heard().into_iter().map(|(_, frame)| frame).collect();
+    assert_eq!(order, [frame(0x141), remote, extended]);
+}
+
+#[test]
+fn nobody_hears_itself() {
+    let world = world();
+    world.attach(Hand::listening().node());
+    let mut port = world.port();
+    send(&mut port, frame(0x141));
+    world.run_until(micros(1_000));
+    assert_eq!(port.receive(), Err(nb::Error::WouldBlock));
+    assert_eq!(world.controller(port.station()).queued, 0);
+}
+
+#[test]
+fn a_full_queue_would_block_until_a_frame_has_left() {
+    let world = world();
+    world.attach(Hand::listening().node());
+    let mut port = world.port();
+    for _ in 0..10 {
+        send(&mut port, frame(0x141));
+    }
+    assert_eq!(port.transmit(&frame(0x141)), Err(nb::Error::WouldBlock));
+    world.run_until(micros(108));
+    assert_eq!(port.transmit(&frame(0x141)), Err(nb::Error::WouldBlock));
+    world.run_until(micros(109));
+    send(&mut port, frame(0x141));
+    assert_eq!(port.transmit(&frame(0x141)), Err(nb::Error::WouldBlock));
+}
+
+#[test]
+fn a_fifo_keeps_its_order_whatever_the_priority() {
+    let world = world();
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let mut port = world.port();
+    for id in [0x300, 0x200, 0x100] {
+        send(&mut port, frame(id));
+    }
+    world.run_until(micros(1_000));
+    assert_eq!(ids(&listener.heard()), [0x300, 0x200, 0x100]);
+}
+
+#[test]
+fn mailboxes_go_by_priority_and_give_way() {
+    let world = world();
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let mut port = world.port_with(ControllerConfig::MAILBOXES);
+    send(&mut port, frame(0x300));
+    world.run_until(micros(5));
+    send(&mut port, frame(0x200));
+    send(&mut port, frame(0x250));
+    assert_eq!(port.transmit(&frame(0x260)), Err(nb::Error::WouldBlock));
+    // 0x300 is lower still, but on the wire.
+    assert_eq!(port.transmit(&frame(0x100)), Ok(Some(frame(0x250))));
+    // Of equals the first goes first, so an equal one does not give way.
+    assert_eq!(port.transmit(&data_frame(0x200, &[])), Err(nb::Error::WouldBlock));
+    world.run_until(micros(1_000));
+    assert_eq!(ids(&listener.heard()), [0x300, 0x100, 0x200]);
+}
+
+#[test]
+fn equal_identifiers_leave_a_mailbox_in_order() {
+    let world = world();
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let mut port = world.port_with(ControllerConfig::MAILBOXES);
+    let sent = [data_frame(0x141, &[3]), data_frame(0x141, &[2]), data_frame(0x141, &[1])];
+    for frame in sent {
+        send(&mut port, frame);
+    }
+    world.run_until(micros(1_000));
+    let heard: Vec<_> = listener.heard().into_iter().map(|(_, frame)| frame).collect();
+    assert_eq!(heard, sent);
+}
+
+#[test]
+fn silence_makes_error_passive_and_nothing_worse() {
+    let world = world();
+    let mut port = world.port();
+    send(&mut port, smooth());
+    let status = || world.controller(port.station());
+    // The frame's last eleven bits do not come: 100 bits up to the acknowledge slot; then an error
+    // frame of 6 + 8 bits and an intermission of 3. So an attempt takes 117.
+    for attempt in 0..16 {
+        world.run_until(micros(attempt * 117 + 99));
+        assert_eq!(u64::from(status().transmit_errors), attempt * 8);
+        assert_eq!(status().state, ErrorState::Active);
+        world.run_until(micros(attempt * 117 + 100));
+        assert_eq!(u64::from(status().transmit_errors), attempt * 8 + 8);
+    }
+    assert_eq!(status().state, ErrorState::Passive);
+    world.run_until(Instant::ZERO + Duration::from_secs(10));
+    assert_eq!((status().transmit_errors, status().queued), (128, 1));
+    // Somebody joins: the next attempt goes through.
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    world.run_for(Duration::from_millis(1));
+    assert_eq!(listener.heard().len(), 1);
+    assert_eq!((status().transmit_errors, status().queued), (127, 0));
+    assert_eq!(status().state, ErrorState::Active);
+}
+
+#[test]
+fn an_error_passive_sender_waits_eight_bits_more() {
+    let world = world();
+    let log = world.log();
+    let mut port = world.port();
+    send(&mut port, smooth());
+    world.run_until(micros(3_000));
+    let starts: Vec<u64> = log
+        .take()
+        .into_iter()
+        .map(|record| match record.event {
+            Event::Unacknowledged { started_ns, .. } => started_ns / 1_000,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(starts[..3], [0, 117, 234]);
+    // The 16th attempt makes it error-passive.
+    assert_eq!(starts[15..18], [15 * 117, 16 * 117 + 8, 17 * 117 + 16]);
+}
+
+fn times(records: &[Record<SimpleFrame>], event: &Event<SimpleFrame>) -> Vec<u64> {
+    records.iter().filter(|record| record.event == *event).map(|record| record.at_ns).collect()
+}
+
+#[test]
+fn errors_lead_to_bus_off_and_silence_back() {
+    let world = world();
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let mut port = world.port();
+    let log = world.log();
+    world.set_faults(Direction::ToNodes, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE });
+    send(&mut port, frame(0x141));
+    let until_bus_off = || {
+        while world.controller(port.station()).state != ErrorState::BusOff {
+            assert!(world.step());
+        }
+    };
+    until_bus_off();
+    // 32 times 8 is the first count above 255.
+    assert_eq!(world.controller(port.station()).transmit_errors, 256);
+    let broken = log.take();
+    let attempts = broken.iter().filter(|record| matches!(record.event, Event::Broken { .. }));
+    assert_eq!(attempts.count(), 32);
+    let [left] = times(&broken, &Event::BusOff)[..] else { panic!("{broken:?}") };
+    assert_eq!(port.transmit(&frame(0x141)), Err(nb::Error::Other(CanError::BusOff)));
+    assert_eq!(blocking::Can::transmit(&mut port, &frame(0x141)), Err(CanError::BusOff));
+
+    world.set_faults(Direction::ToNodes, FaultPlan::NONE);
+    world.run_for(Duration::from_millis(2));
+    // The last error frame, 20 bits, and the intermission, 3, then 128 times 11 recessive bits.
+    assert_eq!(times(&log.take(), &Event::Recovered), [left + (20 + 3 + 128 * 11) * 1_000]);
+    let status = world.controller(port.station());
+    assert_eq!((status.state, status.transmit_errors, status.queued), (ErrorState::Active, 0, 0));
+    // What was queued is still sent.
+    assert_eq!(ids(&listener.heard()), [0x141]);
+}
+
+#[test]
+fn a_busy_bus_ends_bus_off_later() {
+    let world = world();
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let mut port = world.port();
+    let log = world.log();
+    world.set_faults(Direction::ToNodes, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE });
+    send(&mut port, frame(0x141));
+    while world.controller(port.station()).state != ErrorState::BusOff {
+        assert!(world.step());
+    }
+    let left = times(&log.take(), &Event::BusOff)[0];
+    // Frames without a gap, one sequence of eleven recessive bits each.
+    let begin = left / 1_000 + 23;
+    world.attach(Hand::sending((0..300).map(|_| (begin, data_frame(0, &[])))).node());
+    world.run_for(Duration::from_millis(20));
+    // The 128th sequence ends with the 128th frame's intermission; 53 bits a frame.
+    assert_eq!(times(&log.take(), &Event::Recovered), [(begin + 128 * 53) * 1_000]);
+}
+
+#[test]
+fn a_controller_may_stay_bus_off() {
+    let world = world();
+    world.attach(Hand::listening().node());
+    let config = ControllerConfig { recovers: false, ..ControllerConfig::SOCKETCAN };
+    let mut port = world.port_with(config);
+    world.set_faults(Direction::ToNodes, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE });
+    send(&mut port, frame(0x141));
+    world.run_until(Instant::ZERO + Duration::from_secs(1));
+    assert_eq!(world.controller(port.station()).state, ErrorState::BusOff);
+    world.reset(port.station());
+    assert_eq!(world.controller(port.station()).state, ErrorState::Active);
+}
+
+#[test]
+fn the_same_frame_from_two_is_one_on_the_wire() {
+    let world = world();
+    let twins = [(); 2].map(|()| Hand::sending([(0, frame(0x300))]));
+    let stations = twins.each_ref().map(|twin| world.attach(twin.node()));
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    world.run_until(micros(1_000));
+    assert_eq!(listener.heard().len(), 1);
+    for (twin, station) in twins.iter().zip(stations) {
+        assert_eq!(world.controller(station).queued, 0);
+        assert_eq!(twin.heard(), []);
+    }
+}
+
+#[test]
+fn one_identifier_with_different_data_collides_until_error_passive() {
+    let world = world();
+    let log = world.log();
+    let high = world.attach(Hand::sending([(0, data_frame(0x300, &[0x01; 8]))]).node());
+    let low = world.attach(Hand::sending([(0, data_frame(0x300, &[0x00; 8]))]).node());
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    world.run_until(micros(10_000));
+    let taken = log.take();
+    let broken = |station| {
+        let own = taken.iter().filter(|record| record.station == station);
+        own.filter(|record| matches!(record.event, Event::Broken { .. })).count()
+    };
+    // Sixteen times 8 makes both error-passive. Then the one whose bit is recessive gives in.
+    assert_eq!(broken(low), 16);
+    assert_eq!(broken(high), 17);
+    // One less for the frame that is sent; at 0 and not below for the one that is received.
+    assert_eq!(world.controller(low).transmit_errors, 127);
+    assert_eq!(world.controller(low).receive_errors, 0);
+    let heard: Vec<_> = listener.heard().into_iter().map(|(_, frame)| frame).collect();
+    assert_eq!(heard, [data_frame(0x300, &[0x00; 8]), data_frame(0x300, &[0x01; 8])]);
+    assert_eq!(world.controller(high).transmit_errors, 128 + 8 - 1);
+}
+
+#[test]
+fn a_receive_queue_overflows_and_counts() {
+    let world = world();
+    let config = ControllerConfig { receive_queue: 2, ..ControllerConfig::SOCKETCAN };
+    let mut port = world.port_with(config);
+    let sent = [1, 2, 3].map(|n| (0, data_frame(0x241, &[n])));
+    world.attach(Hand::sending(sent).node());
+    world.run_until(micros(1_000));
+    let status = world.controller(port.station());
+    assert_eq!((status.received, status.overflows), (2, 1));
+    assert_eq!(port.receive(), Ok(sent[0].1));
+    assert_eq!(port.receive(), Ok(sent[1].1));
+    assert_eq!(port.receive(), Err(nb::Error::WouldBlock));
+}
+
+#[test]
+fn blocking_calls_let_time_go_on() {
+    let world = world();
+    world.attach(Hand::mirroring().node());
+    let mut port = world.port();
+    blocking::Can::transmit(&mut port, &frame(0x141)).unwrap();
+    assert_eq!(blocking::Can::receive(&mut port), Ok(frame(0x141)));
+    // There and back: 112 bits and 109 more.
+    assert_eq!(world.now(), micros(221));
+    port.set_give_up(Duration::from_millis(7));
+    let nothing = blocking::Can::receive(&mut port);
+    assert_eq!(nothing, Err(CanError::TimedOut { after: Duration::from_millis(7) }));
+    assert_eq!(world.now(), micros(7_221));
+}
+
+#[test]
+fn a_blocking_transmit_waits_for_room() {
+    let world = world();
+    world.attach(Hand::listening().node());
+    let order = QueueOrder::Fifo;
+    let config = ControllerConfig { transmit_queue: 1, order, ..ControllerConfig::SOCKETCAN };
+    let mut port = world.port_with(config);
+    blocking::Can::transmit(&mut port, &frame(0x141)).unwrap();
+    assert_eq!(world.now(), micros(0));
+    blocking::Can::transmit(&mut port, &frame(0x141)).unwrap();
+    assert_eq!(world.now(), micros(109));
+    // Nobody to acknowledge: it never gets room.
+    world.cut(port.station());
+    let stuck = blocking::Can::transmit(&mut port, &frame(0x141));
+    assert_eq!(stuck, Err(CanError::TimedOut { after: Duration::from_secs(1) }));
+}
+
+#[test]
+fn a_clock_idles_until_something_arrives() {
+    let world = world();
+    let mut port = world.port();
+    world.attach(Hand::sending([(1_000, frame(0x141))]).node());
+    let clock = world.clock();
+    clock.idle(micros(500));
+    assert_eq!(clock.now(), micros(500));
+    clock.idle(micros(5_000));
+    assert_eq!(clock.now(), micros(1_109));
+    assert!(port.receive().is_ok());
+    clock.idle(micros(5_000));
+    assert_eq!(clock.now(), micros(5_000));
+    // A time that has passed changes nothing.
+    clock.idle(micros(1));
+    assert_eq!(clock.now(), micros(5_000));
+}
+
+#[test]
+fn a_clock_idles_until_there_is_room_again() {
+    let world = world();
+    world.attach(Hand::listening().node());
+    let mut port = world.port();
+    while port.transmit(&frame(0x141)).is_ok() {}
+    let clock = world.clock();
+    clock.idle(micros(5_000));
+    assert_eq!(clock.now(), micros(109));
+    send(&mut port, frame(0x141));
+}
+
+#[test]
+fn polling_costs_time_only_if_told() {
+    let world = world();
+    world.attach(Hand::sending([(100, frame(0x141))]).node());
+    let mut port = world.port();
+    for _ in 0..1_000 {
+        assert_eq!(port.receive(), Err(nb::Error::WouldBlock));
+    }
+    assert_eq!(world.now(), micros(0));
+    port.set_poll_time(Duration::from_micros(10));
+    assert_eq!(nb::block!(port.receive()), Ok(frame(0x141)));
+    // 100 + 109, and the poll that finds it is the first one after.
+    assert_eq!(world.now(), micros(210));
+}
+
+#[test]
+fn a_node_is_asked_again_when_its_mailboxes_have_room() {
+    let world = world();
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    world.attach(Hand::sending((0..8).map(|n| (0, data_frame(0x241, &[n; 8])))).node());
+    world.run_until(micros(2_000));
+    let heard: Vec<u8> = listener.heard().iter().map(|(_, frame)| frame.data()[0]).collect();
+    assert_eq!(heard, [0, 1, 2, 3, 4, 5, 6, 7]);
+}
+
+#[test]
+fn a_node_that_is_never_satisfied_does_not_stop_time() {
+    struct Impatient;
+    impl myactuator_host_std::bus::Node<SimpleFrame> for Impatient {
+        fn handle_frame(&mut self, _: &SimpleFrame, _: Instant) {}
+        fn poll_transmit(&mut self, _: Instant) -> Option<SimpleFrame> {
+            None
+        }
+        fn poll_at(&self) -> Option<Instant> {
+            Some(Instant::ZERO)
+        }
+    }
+    let world = world();
+    world.attach(Impatient);
+    world.run_until(micros(1_000));
+    assert_eq!(world.now(), micros(1_000));
+}
+
+#[test]
+fn steps_go_from_event_to_event() {
+    let world = world();
+    assert!(!world.step());
+    assert_eq!(world.next_event(), None);
+    world.attach(Hand::listening().node());
+    let mut port = world.port();
+    send(&mut port, frame(0x141));
+    let mut times = Vec::new();
+    while world.step() {
+        times.push(world.now().as_micros());
+    }
+    times.dedup();
+    // Start, end of frame, end of intermission.
+    assert_eq!(times, [0, 109, 112]);
+}
+
+#[test]
+fn the_same_world_runs_in_real_time() {
+    let world = world().in_real_time();
+    world.attach(Hand::mirroring().node());
+    let mut port = world.port();
+    // However slow this machine is, the answer cannot come before its bits.
+    port.set_give_up(Duration::from_secs(60));
+    let before = world.now();
+    blocking::Can::transmit(&mut port, &frame(0x141)).unwrap();
+    let mut elsewhere = port.clone();
+    let answer = std::thread::spawn(move || blocking::Can::receive(&mut elsewhere));
+    assert_eq!(answer.join().unwrap(), Ok(frame(0x141)));
+    assert!(world.now() - before >= Duration::from_micros(220));
+}

@@ -1,0 +1,616 @@
+//! Faults by chance and by hand, on both simulated buses, under the virtual clock.
+
+#[path = "bus_script.rs"]
+mod bus_script;
+
+use std::sync::{Arc, Mutex};
+
+use bus_script::Hand;
+use embedded_can::{Frame, StandardId, nb::Can as _};
+use embedded_io::Write as _;
+use myactuator_host_std::bus::Node;
+use myactuator_host_std::bus::can::{
+    CanConfig, CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
+};
+use myactuator_host_std::bus::faults::{Babble, Direction, FaultPlan};
+use myactuator_host_std::bus::rs485::{LineConfig, SerialWorld, TransceiverConfig};
+use myactuator_host_std::bus::trace::{Event, Fault, Log, Record};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::can::SimpleFrame;
+
+const BOTH: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
+
+fn micros(at: u64) -> Instant {
+    Instant::from_micros(at)
+}
+
+fn seconds(count: u64) -> Instant {
+    Instant::ZERO + Duration::from_secs(count)
+}
+
+/// Numbered frames, which no fault but corruption can make up.
+fn frame(number: u16) -> SimpleFrame {
+    let [low, high] = number.to_le_bytes();
+    SimpleFrame::new(StandardId::new(0x241).unwrap(), &[low, high, 1, 2, 3, 4, 5, 6]).unwrap()
+}
+
+fn number(frame: &SimpleFrame) -> u16 {
+    u16::from_le_bytes([frame.data()[0], frame.data()[1]])
+}
+
+fn numbers(heard: &[(u64, SimpleFrame)]) -> Vec<u16> {
+    heard.iter().map(|(_, frame)| number(frame)).collect()
+}
+
+fn receive_all(port: &mut CanPort) -> Vec<SimpleFrame> {
+    std::iter::from_fn(|| port.receive().ok()).collect()
+}
+
+/// A node sends 1000 frames, one each millisecond, to two others and to a port.
+struct Broadcast {
+    world: CanWorld,
+    listeners: [Hand<SimpleFrame>; 2],
+    port: CanPort,
+    log: Log<SimpleFrame>,
+}
+
+const SENT: u16 = 1_000;
+
+fn broadcast(seed: u64, direction: Direction, plan: FaultPlan) -> Broadcast {
+    let world = CanWorld::new(CanConfig::default(), seed);
+    let mut port = world.port_with(ControllerConfig {
+        receive_queue: 4_096,
+        transmit_queue: 2_000,
+        ..ControllerConfig::SOCKETCAN
+    });
+    let listeners = [(); 2].map(|()| Hand::listening());
+    for listener in &listeners {
+        world.attach(listener.node());
+    }
+    let log = world.log();
+    world.set_faults(direction, plan);
+    match direction {
+        Direction::ToPorts => {
+            world.attach(Hand::sending((0..SENT).map(|n| (u64::from(n) * 1_000, frame(n)))).node());
+        }
+        Direction::ToNodes => {
+            for n in 0..SENT {
+                world.run_until(micros(u64::from(n) * 1_000));
+                assert_eq!(port.transmit(&frame(n)), Ok(None));
+            }
+        }
+    }
+    world.run_until(seconds(2));
+    Broadcast { world, listeners, port, log }
+}
+
+fn in_order() -> Vec<u16> {
+    (0..SENT).collect()
+}
+
+#[test]
+fn without_faults_all_arrive_once_and_in_order() {
+    for direction in BOTH {
+        let mut run = broadcast(1, direction, FaultPlan::NONE);
+        assert_eq!(numbers(&run.listeners[0].heard()), in_order());
+        let at_port = receive_all(&mut run.port);
+        assert_eq!(at_port.len(), if direction == Direction::ToPorts { 1_000 } else { 0 });
+    }
+}
+
+#[test]
+fn certain_loss_loses_all_in_its_direction() {
+    let lossy = FaultPlan { lose: 1.0, ..FaultPlan::NONE };
+    let mut run = broadcast(1, Direction::ToPorts, lossy);
+    assert_eq!(receive_all(&mut run.port), []);
+    let run = broadcast(1, Direction::ToNodes, lossy);
+    assert_eq!(run.listeners[0].heard(), []);
+    // The wire knows nothing of it.
+    let status = run.world.controller(run.port.station());
+    assert_eq!((status.state, status.transmit_errors), (ErrorState::Active, 0));
+    let carried = run.log.take();
+    let carried = carried.iter().filter(|record| matches!(record.event, Event::Carried { .. }));
+    assert_eq!(carried.count(), 1_000);
+    // The other direction is not struck.
+    let world = run.world;
+    world.attach(Hand::sending([(0, frame(7))]).node());
+    world.run_for(Duration::from_millis(1));
+    let mut port = run.port;
+    assert_eq!(receive_all(&mut port), [frame(7)]);
+}
+
+/// How many of 1000 are to be expected of a probability of 0.1: six standard deviations around.
+fn is_a_tenth(count: usize) -> bool {
+    (43..=157).contains(&count)
+}
+
+#[test]
+fn some_loss_strikes_each_receiver_by_itself() {
+    let lossy = FaultPlan { lose: 0.1, ..FaultPlan::NONE };
+    let run = broadcast(1, Direction::ToNodes, lossy);
+    let heard = run.listeners.each_ref().map(|listener| numbers(&listener.heard()));
+    for heard in &heard {
+        assert!(is_a_tenth(1_000 - heard.len()), "{}", heard.len());
+        assert!(heard.is_sorted());
+    }
+    assert_ne!(heard[0], heard[1]);
+}
+
+#[test]
+fn corruption_on_can_is_noticed_and_repeated() {
+    let noisy = FaultPlan { corrupt: 0.1, ..FaultPlan::NONE };
+    let run = broadcast(1, Direction::ToNodes, noisy);
+    assert_eq!(numbers(&run.listeners[0].heard()), in_order());
+    let records = run.log.take();
+    let broken = records.iter().filter(|record| matches!(record.event, Event::Broken { .. }));
+    assert!(is_a_tenth(broken.clone().count() * 9 / 10));
+    // The error frame, 20 bits, and the intermission, 3, are in front of the repetition.
+    for record in broken {
+        let again = record.at_ns + 23_000;
+        let started = |record: &&Record<SimpleFrame>| match record.event {
+            Event::Carried { started_ns, .. } | Event::Broken { started_ns, .. } => {
+                started_ns == again
+            }
+            _ => false,
+        };
+        assert!(records.iter().any(|record| started(&record)));
+    }
+}
+
+#[test]
+fn corruption_is_counted_at_both_ends() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let listener = world.attach(Hand::<SimpleFrame>::listening().node());
+    let mut port = world.port();
+    world.set_faults(Direction::ToNodes, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE });
+    assert_eq!(port.transmit(&frame(1)), Ok(None));
+    let log = world.log();
+    while log.take().is_empty() {
+        assert!(world.step());
+    }
+    assert_eq!(world.controller(port.station()).transmit_errors, 8);
+    assert_eq!(world.controller(listener).receive_errors, 1);
+    world.set_faults(Direction::ToNodes, FaultPlan::NONE);
+    world.run_for(Duration::from_millis(1));
+    assert_eq!(world.controller(port.station()).transmit_errors, 7);
+    assert_eq!(world.controller(listener).receive_errors, 0);
+}
+
+#[test]
+fn undetected_corruption_flips_one_data_bit() {
+    let plan = FaultPlan { corrupt: 1.0, undetected: 1.0, ..FaultPlan::NONE };
+    let run = broadcast(1, Direction::ToNodes, plan);
+    let heard = run.listeners[0].heard();
+    assert_eq!(heard.len(), 1_000);
+    for ((_, heard), n) in heard.iter().zip(0..) {
+        let differing: u32 =
+            heard.data().iter().zip(frame(n).data()).map(|(a, b)| (a ^ b).count_ones()).sum();
+        assert_eq!(differing, 1);
+        assert_eq!(heard.id(), frame(n).id());
+    }
+}
+
+#[test]
+fn duplicates_arrive_twice() {
+    let all = FaultPlan { duplicate: 1.0, ..FaultPlan::NONE };
+    let run = broadcast(1, Direction::ToNodes, all);
+    let twice: Vec<u16> = (0..SENT).flat_map(|n| [n, n]).collect();
+    assert_eq!(numbers(&run.listeners[0].heard()), twice);
+    let some = FaultPlan { duplicate: 0.1, ..FaultPlan::NONE };
+    let mut run = broadcast(1, Direction::ToPorts, some);
+    let mut heard: Vec<u16> = receive_all(&mut run.port).iter().map(number).collect();
+    assert!(is_a_tenth(heard.len() - 1_000));
+    heard.dedup();
+    assert_eq!(heard, in_order());
+}
+
+#[test]
+fn delayed_frames_are_late_and_stay_in_order() {
+    let late = FaultPlan {
+        delay: 1.0,
+        delay_min: Duration::from_micros(500),
+        delay_max: Duration::from_micros(500),
+        ..FaultPlan::NONE
+    };
+    let run = broadcast(1, Direction::ToNodes, late);
+    for ((at, heard), n) in run.listeners[0].heard().iter().zip(0..) {
+        assert_eq!(number(heard), n);
+        let arrives = u64::from(n) * 1_000 + u64::from(frame_bits(&frame(n))) - 3;
+        assert_eq!(*at, arrives + 500);
+    }
+    // Late by more than the distance to the next one, which waits then.
+    let late = FaultPlan { delay: 0.1, ..FaultPlan::NONE };
+    let run = broadcast(1, Direction::ToNodes, late);
+    let heard = run.listeners[0].heard();
+    assert_eq!(numbers(&heard), in_order());
+    let on_time = heard.iter().zip(0u64..).filter(|((at, _), n)| *at < n * 1_000 + 150).count();
+    assert!((400..900).contains(&on_time), "{on_time}");
+}
+
+#[test]
+fn reordered_frames_arrive_behind_the_next_one() {
+    let all = FaultPlan { reorder: 1.0, ..FaultPlan::NONE };
+    let run = broadcast(1, Direction::ToNodes, all);
+    let swapped: Vec<u16> = (0..SENT).map(|n| n ^ 1).collect();
+    assert_eq!(numbers(&run.listeners[0].heard()), swapped);
+    let some = FaultPlan { reorder: 0.1, ..FaultPlan::NONE };
+    let run = broadcast(1, Direction::ToNodes, some);
+    let mut heard = numbers(&run.listeners[0].heard());
+    let steps_back = heard.windows(2).filter(|pair| pair[1] < pair[0]).count();
+    assert!(is_a_tenth(steps_back), "{steps_back}");
+    heard.sort_unstable();
+    assert_eq!(heard, in_order());
+}
+
+#[test]
+fn a_reordered_frame_that_nothing_follows_arrives_in_the_end() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let mut port = world.port();
+    let hold = Duration::from_millis(3);
+    let plan = FaultPlan { reorder: 1.0, reorder_hold: hold, ..FaultPlan::NONE };
+    world.set_faults(Direction::ToNodes, plan);
+    assert_eq!(port.transmit(&frame(0)), Ok(None));
+    world.run_until(seconds(1));
+    let arrives = u64::from(frame_bits(&frame(0))) - 3 + 3_000;
+    assert_eq!(listener.heard(), [(arrives, frame(0))]);
+}
+
+#[test]
+fn a_nodes_own_plan_strikes_it_alone() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let mut port = world.port();
+    let [bad, good] = [(); 2].map(|()| Hand::mirroring());
+    let bad_station = world.attach(bad.node());
+    world.attach(good.node());
+    let lossy = Some(FaultPlan { lose: 1.0, ..FaultPlan::NONE });
+    world.set_node_faults(bad_station, Direction::ToNodes, lossy);
+    assert_eq!(port.transmit(&frame(1)), Ok(None));
+    world.run_until(micros(200));
+    assert_eq!((bad.heard().len(), good.heard().len()), (0, 1));
+    // Its own way out is another direction.
+    world.set_node_faults(bad_station, Direction::ToNodes, None);
+    world.set_node_faults(bad_station, Direction::ToPorts, lossy);
+    world.run_until(micros(500));
+    receive_all(&mut port);
+    let solo = Hand::sending([(1_000, frame(9))]);
+    world.set_node_faults(world.attach(solo.node()), Direction::ToPorts, lossy);
+    world.run_until(seconds(1));
+    assert!(!receive_all(&mut port).contains(&frame(9)));
+}
+
+/// All that happens in a world in which much goes wrong.
+fn chaos(seed: u64) -> Vec<Record<SimpleFrame>> {
+    let world = CanWorld::new(CanConfig::default(), seed);
+    let log = world.log();
+    let mut port = world.port();
+    let nodes: Vec<_> = (0..4).map(|_| world.attach(Hand::mirroring().node())).collect();
+    let plan = FaultPlan {
+        lose: 0.05,
+        corrupt: 0.05,
+        undetected: 0.1,
+        duplicate: 0.05,
+        delay: 0.05,
+        reorder: 0.05,
+        ..FaultPlan::NONE
+    };
+    for direction in BOTH {
+        world.set_faults(direction, plan);
+    }
+    let interval = Duration::from_micros(1_700);
+    world.babble(nodes[3], Some(Babble::Random { interval }));
+    for n in 0..100 {
+        let _ = port.transmit(&frame(n));
+        world.run_for(Duration::from_micros(900));
+        receive_all(&mut port);
+        match n {
+            20 => world.cut(nodes[0]),
+            40 => world.mend(nodes[0]),
+            50 => world.slow_down(nodes[1], Duration::from_millis(2)),
+            60 => world.reset(nodes[2]),
+            _ => {}
+        }
+    }
+    log.take()
+}
+
+#[test]
+fn a_seed_determines_the_whole_run() {
+    let first = chaos(1);
+    assert_eq!(first, chaos(1));
+    assert_ne!(first, chaos(2));
+    for fault in [Fault::Lost, Fault::Duplicated, Fault::Reordered] {
+        let struck = |record: &Record<SimpleFrame>| matches!(record.event, Event::Faulted { fault: found, .. } if found == fault);
+        assert!(first.iter().any(struck), "{fault:?}");
+    }
+}
+
+#[test]
+fn a_cut_wire_isolates_both_ways_and_mending_restores() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let mut port = world.port();
+    let cut_off = Hand::sending([(1_000, frame(1))]);
+    let station = world.attach(cut_off.node());
+    let other = Hand::listening();
+    world.attach(other.node());
+    world.run_until(micros(500));
+    world.cut(station);
+    world.cut(station);
+    assert_eq!(port.transmit(&frame(2)), Ok(None));
+    world.run_until(seconds(1));
+    assert_eq!(cut_off.heard(), []);
+    assert_eq!(numbers(&other.heard()), [2]);
+    // Alone on its stub nobody acknowledges, while the bus goes on.
+    let status = world.controller(station);
+    assert_eq!((status.state, status.transmit_errors), (ErrorState::Passive, 128));
+    assert_eq!(world.controller(port.station()).transmit_errors, 0);
+
+    world.mend(station);
+    assert_eq!(port.transmit(&frame(3)), Ok(None));
+    world.run_for(Duration::from_millis(1));
+    assert_eq!(receive_all(&mut port), [frame(1)]);
+    assert_eq!(numbers(&cut_off.heard()), [3]);
+    assert_eq!(world.controller(station).queued, 0);
+}
+
+#[test]
+fn cutting_the_sender_breaks_its_frame_off() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let station = world.attach(Hand::sending([(0, frame(1))]).node());
+    let listener = Hand::listening();
+    let ear = world.attach(listener.node());
+    let log = world.log();
+    world.run_until(micros(50));
+    world.cut(station);
+    let broken = Event::Broken { frame: frame(1), started_ns: 0 };
+    assert_eq!(log.take()[0], Record { at_ns: 50_000, station, event: broken });
+    assert_eq!(world.controller(ear).receive_errors, 1);
+    world.run_until(micros(500));
+    assert_eq!(listener.heard(), []);
+}
+
+#[test]
+fn who_joins_in_the_middle_of_a_frame_does_not_hear_it() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    world.attach(Hand::sending([(0, frame(1)), (0, frame(2))]).node());
+    world.attach(Hand::<SimpleFrame>::listening().node());
+    let late = Hand::listening();
+    let station = world.attach(late.node());
+    world.cut(station);
+    world.run_until(micros(50));
+    world.mend(station);
+    world.run_until(seconds(1));
+    assert_eq!(numbers(&late.heard()), [2]);
+}
+
+/// Counts its resets.
+struct Resettable(Arc<Mutex<Vec<u64>>>);
+
+impl<F> Node<F> for Resettable {
+    fn handle_frame(&mut self, _: &F, _: Instant) {}
+    fn poll_transmit(&mut self, _: Instant) -> Option<F> {
+        None
+    }
+    fn poll_at(&self) -> Option<Instant> {
+        None
+    }
+    fn reset(&mut self, now: Instant) {
+        self.0.lock().unwrap().push(now.as_micros());
+    }
+}
+
+#[test]
+fn a_reset_tells_the_node_and_empties_its_controller() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let resets = Arc::new(Mutex::new(Vec::new()));
+    let station = world.attach(Resettable(Arc::clone(&resets)));
+    world.run_until(micros(77));
+    world.reset(station);
+    assert_eq!(*resets.lock().unwrap(), [77]);
+
+    // Nobody acknowledges: all stays in the queue.
+    let alone = CanWorld::new(CanConfig::default(), 1);
+    let station = alone.attach(Hand::sending([(0, frame(1)), (0, frame(2))]).node());
+    alone.run_until(seconds(1));
+    let status = alone.controller(station);
+    assert_eq!((status.queued, status.transmit_errors), (2, 128));
+    alone.reset(station);
+    let status = alone.controller(station);
+    assert_eq!((status.queued, status.transmit_errors), (0, 0));
+    assert_eq!(status.state, ErrorState::Active);
+}
+
+#[test]
+fn a_slow_node_answers_late_and_in_order() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let mut port = world.port();
+    let station = world.attach(Hand::mirroring().node());
+    let log = world.log();
+    world.slow_down(station, Duration::from_millis(5));
+    assert_eq!(port.transmit(&frame(1)), Ok(None));
+    world.run_until(micros(1_000));
+    // Fast again, but its first answer is still under way.
+    world.slow_down(station, Duration::ZERO);
+    assert_eq!(port.transmit(&frame(2)), Ok(None));
+    world.run_until(seconds(1));
+    assert_eq!(receive_all(&mut port), [frame(1), frame(2)]);
+    let started = log.take().into_iter().find_map(|record| match record.event {
+        Event::Carried { started_ns, .. } if record.station == station => Some(started_ns),
+        _ => None,
+    });
+    let heard = u64::from(frame_bits(&frame(1))) - 3;
+    assert_eq!(started, Some((heard + 5_000) * 1_000));
+}
+
+#[test]
+fn a_babbling_station_sends_until_it_is_silenced() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let mut port = world.port();
+    let station = world.attach(Hand::<SimpleFrame>::listening().node());
+    let interval = Duration::from_millis(1);
+    world.babble(station, Some(Babble::Fixed { interval, frame: frame(5) }));
+    world.run_until(micros(9_900));
+    assert_eq!(receive_all(&mut port), [frame(5); 10]);
+    world.babble(station, Some(Babble::Random { interval }));
+    world.run_until(micros(19_800));
+    let garbage = receive_all(&mut port);
+    assert_eq!(garbage.len(), 10);
+    assert!(garbage.windows(2).any(|pair| pair[0] != pair[1]));
+    world.babble(station, None);
+    world.run_until(micros(40_000));
+    assert_eq!(receive_all(&mut port), []);
+}
+
+#[test]
+fn a_babbler_of_high_priority_starves_the_others() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let mut port = world.port();
+    let station = world.attach(Hand::<SimpleFrame>::listening().node());
+    let first = SimpleFrame::new(StandardId::new(0).unwrap(), &[]).unwrap();
+    world
+        .babble(station, Some(Babble::Fixed { interval: Duration::from_micros(10), frame: first }));
+    world.run_until(micros(100));
+    assert_eq!(port.transmit(&frame(1)), Ok(None));
+    world.run_until(micros(100_000));
+    assert_eq!(world.controller(port.station()).queued, 1);
+    world.babble(station, None);
+    world.run_for(Duration::from_millis(1));
+    assert_eq!(world.controller(port.station()).queued, 0);
+}
+
+const MESSAGE: [u8; 13] = [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
+
+/// What a node hears of 100 messages that a master writes.
+fn messages(seed: u64, plan: FaultPlan) -> Vec<(u64, Vec<u8>)> {
+    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, seed);
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let mut port = world.port();
+    world.set_faults(Direction::ToNodes, plan);
+    for n in 0..100 {
+        world.run_until(micros(n * 1_000));
+        let mut message = MESSAGE;
+        message[4] = n as u8;
+        port.write_all(&message).unwrap();
+    }
+    world.run_until(seconds(1));
+    listener.heard()
+}
+
+fn line(heard: &[(u64, Vec<u8>)]) -> Vec<u8> {
+    heard.iter().flat_map(|(_, bytes)| bytes.clone()).collect()
+}
+
+/// Their numbers, of whole messages.
+fn message_numbers(heard: &[(u64, Vec<u8>)]) -> Vec<u8> {
+    line(heard)
+        .chunks(13)
+        .map(|message| {
+            assert_eq!((message.len(), message[0], message[12]), (13, 0x3E, 0xDD));
+            message[4]
+        })
+        .collect()
+}
+
+#[test]
+fn a_message_on_rs485_is_lost_as_a_whole() {
+    assert_eq!(messages(1, FaultPlan { lose: 1.0, ..FaultPlan::NONE }), []);
+    let some = messages(1, FaultPlan { lose: 0.5, ..FaultPlan::NONE });
+    let numbers = message_numbers(&some);
+    // Five standard deviations around.
+    assert!((25..=75).contains(&numbers.len()), "{}", numbers.len());
+    assert!(numbers.is_sorted());
+    assert_eq!(some, messages(1, FaultPlan { lose: 0.5, ..FaultPlan::NONE }));
+    assert_ne!(some, messages(2, FaultPlan { lose: 0.5, ..FaultPlan::NONE }));
+}
+
+#[test]
+fn a_corrupted_message_on_rs485_has_one_flipped_bit() {
+    let all = line(&messages(1, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE }));
+    let clean = line(&messages(1, FaultPlan::NONE));
+    assert_eq!((all.len(), clean.len()), (1_300, 1_300));
+    for (corrupted, clean) in all.chunks(13).zip(clean.chunks(13)) {
+        let flipped: u32 = corrupted.iter().zip(clean).map(|(a, b)| (a ^ b).count_ones()).sum();
+        assert_eq!(flipped, 1);
+    }
+}
+
+#[test]
+fn messages_on_rs485_are_duplicated_delayed_and_reordered_as_a_whole() {
+    let twice: Vec<u8> = (0..100).flat_map(|n| [n, n]).collect();
+    let heard = messages(1, FaultPlan { duplicate: 1.0, ..FaultPlan::NONE });
+    assert_eq!(message_numbers(&heard), twice);
+
+    let swapped: Vec<u8> = (0..100).map(|n| n ^ 1).collect();
+    let heard = messages(1, FaultPlan { reorder: 1.0, ..FaultPlan::NONE });
+    assert_eq!(message_numbers(&heard), swapped);
+
+    let late = FaultPlan {
+        delay: 1.0,
+        delay_min: Duration::from_micros(300),
+        delay_max: Duration::from_micros(300),
+        ..FaultPlan::NONE
+    };
+    let heard = messages(1, late);
+    assert_eq!(message_numbers(&heard), (0..100).collect::<Vec<u8>>());
+    // Byte by byte, 10 us each.
+    assert_eq!((heard[0].0, heard[1].0, heard[13].0), (310, 320, 1_310));
+}
+
+#[test]
+fn a_cut_wire_on_rs485_leaves_only_the_echo() {
+    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, 1);
+    let echoing = TransceiverConfig { echo: true, ..Default::default() };
+    let node = Hand::sending([(50, vec![1]), (250, vec![2])]);
+    let station = world.attach_with(node.node(), echoing);
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let mut port = world.port();
+    world.cut(station);
+    world.run_until(micros(100));
+    port.write_all(&[0x77]).unwrap();
+    world.run_until(micros(200));
+    assert_eq!(node.heard(), [(60, vec![1])]);
+    assert_eq!(listener.heard(), [(110, vec![0x77])]);
+    world.mend(station);
+    world.run_until(micros(300));
+    port.write_all(&[0x78]).unwrap();
+    world.run_until(micros(400));
+    assert_eq!(node.heard()[1..], [(260, vec![2]), (310, vec![0x78])]);
+    assert_eq!(listener.heard()[1..], [(260, vec![2]), (310, vec![0x78])]);
+}
+
+#[test]
+fn a_reset_on_rs485_stops_what_is_being_sent() {
+    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, 1);
+    let station = world.attach(Hand::sending([(0, MESSAGE.to_vec())]).node());
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    world.run_until(micros(35));
+    world.reset(station);
+    world.run_until(seconds(1));
+    let heard = listener.heard();
+    // Three whole bytes, and the rest of the fourth.
+    assert_eq!(heard.len(), 4);
+    assert_eq!(line(&heard)[..3], MESSAGE[..3]);
+}
+
+#[test]
+fn a_babbler_on_rs485_garbles_others() {
+    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, 1);
+    let babbler = world.attach(Hand::<Vec<u8>>::listening().node());
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let mut port = world.port();
+    world.babble(babbler, Some(Babble::Random { interval: Duration::from_micros(20) }));
+    let log = world.log();
+    world.run_until(micros(1_000));
+    port.write_all(&MESSAGE).unwrap();
+    world.run_until(micros(2_000));
+    let own = |record: &Record<Vec<u8>>| {
+        record.station == port.station() && matches!(record.event, Event::Broken { .. })
+    };
+    assert!(log.take().iter().any(own));
+    assert!(!line(&listener.heard()).windows(13).any(|window| window == MESSAGE));
+}
