@@ -1,5 +1,451 @@
 //! The drive as a state machine: the same frames, seen from the other end.
+//!
+//! A [`Drive`] does what the manual says that a drive does when it receives a frame, on whatever it is
+//! given to turn ([`Plant`]) and to remember with ([`Memory`]). It owns no bus and reads no clock.
+//!
+//! # Call order
+//!
+//! - Every packet on the bus goes to [`handle_packet`](Drive::handle_packet), those for others
+//!   included: the drive knows what is meant for it.
+//! - [`poll_transmit`](Drive::poll_transmit) is called until it returns `None`, whenever
+//!   [`poll_at`](Drive::poll_at) has come or a packet has been handled. What it returns goes on the bus.
+//! - [`poll_event`](Drive::poll_event) tells a watcher what happened. It may be left out.
+//! - On real hardware [`advance`](Drive::advance) is called once every
+//!   [`control_period`](Parameters::control_period). A simulation need not: every call catches up by
+//!   itself.
+//!
+//! ```
+//! use myactuator_protocol_core::command::{AbsolutePosition, AnyReply, Command};
+//! use myactuator_protocol_core::drive::{Drive, IdealPlant, Parameters, RamMemory};
+//! use myactuator_protocol_core::time::Instant;
+//! use myactuator_protocol_core::units::{Angle, MaxSpeed};
+//! use myactuator_protocol_core::{AnyCommand, MotorId, Target};
+//!
+//! let mut now = Instant::ZERO;
+//! let mut drive =
+//!     Drive::new(Parameters::default(), IdealPlant::default(), RamMemory::default(), now).unwrap();
+//!
+//! let go = AbsolutePosition { max_speed: MaxSpeed::from_raw(500), angle: Angle::from_raw(36_000) };
+//! let packet = AnyCommand::from(go).packet(Target::Motor(MotorId::MIN)).unwrap();
+//! drive.handle_packet(&packet, now);
+//!
+//! // Nothing happens before the drive's response delay is over.
+//! assert_eq!(drive.poll_transmit(now), None);
+//! now = drive.poll_at().unwrap();
+//! let reply = drive.poll_transmit(now).unwrap();
+//! assert!(matches!(AnyReply::decode(&reply), Ok(AnyReply::AbsolutePosition(_))));
+//!
+//! while now < Instant::from_millis(1_500) {
+//!     now = drive.poll_at().unwrap();
+//!     drive.advance(now);
+//! }
+//! assert!((drive.state().angle_deg - 360.0).abs() < 0.1);
+//! ```
+//!
+//! # What each file decides
+//!
+//! The manual leaves much open. Each decision is told once, where it is made: what a command does in
+//! `answer.rs`, which of two memories it changes in [`Settings`], turns and zero in `encoder.rs`, errors
+//! in `faults.rs`, the brake in `brake.rs`, the loss of communication in `protection.rs`, what is sent
+//! unasked in `reporting.rs`, the loops in `control/`. What drives do beside the manual is in [`Quirks`].
 
+mod answer;
+mod brake;
+mod control;
+mod encoder;
+mod event;
+mod faults;
+mod ideal;
+mod life;
+mod parameters;
 mod plant;
+mod protection;
+mod queue;
+mod quirks;
+mod random;
+mod reporting;
+mod settings;
+mod state;
 
+pub use event::{Event, IgnoreReason, NotRunReason};
+pub use faults::Indicator;
+pub use ideal::IdealPlant;
+pub use parameters::{Bus, FaultLimits, Parameters};
 pub use plant::{Actuation, Measurement, Plant};
+pub use quirks::Quirks;
+pub use settings::{Accelerations, Gains, Memory, RamMemory, Settings};
+pub use state::State;
+
+use crate::channel::{Channel, Packet};
+use crate::command::{AnyCommand, BaudCode, ErrorFlags};
+use crate::id::{MotorId, Target};
+use crate::opcode::{Buses, LOST_MASTER_BYTE, Opcode};
+use crate::time::{Duration, Instant};
+
+use answer::Answer;
+use brake::Brake;
+use control::{Controller, Input};
+use encoder::Encoder;
+use faults::Faults;
+use life::Life;
+use protection::Protection;
+use queue::DropOldest;
+use random::Random;
+use reporting::{Report, Reporting};
+
+/// How many control steps one call runs at most. With the default period that is one second.
+pub const MAX_STEPS_PER_CALL: u32 = 1_000;
+
+/// How far the loops may fall behind before [`Drive::poll_at`] asks for a call.
+const CATCH_UP: Duration = Duration::from_millis(10);
+
+/// How many packets wait to be sent, and how many events to be polled, at most. Beyond that the oldest
+/// are dropped and counted.
+pub const QUEUE_LENGTH: usize = 16;
+
+/// A packet that waits for its time.
+#[derive(Clone, Copy, Debug)]
+struct Outgoing {
+    due: Instant,
+    packet: Packet,
+}
+
+/// A drive with its motor. See the [module](self) for the call order.
+#[derive(Clone, Debug)]
+pub struct Drive<P, M> {
+    parameters: Parameters,
+    plant: P,
+    memory: M,
+    /// What the memory holds.
+    stored: Settings,
+    /// What acts until the next start.
+    active: Settings,
+    life: Life,
+    /// Up to when the loops have run.
+    clock: Instant,
+    measurement: Measurement,
+    encoder: Encoder,
+    /// What function 1 takes off the raw position at the next start.
+    turns_to_clear: i64,
+    controller: Controller,
+    brake: Brake,
+    faults: Faults,
+    protection: Protection,
+    reporting: Reporting,
+    random: Random,
+    outgoing: DropOldest<Outgoing, QUEUE_LENGTH>,
+    events: DropOldest<Event, QUEUE_LENGTH>,
+}
+
+impl<P: Plant, M: Memory> Drive<P, M> {
+    /// A drive that gets its supply at `now`, with the settings in `memory`, or factory settings where
+    /// that is empty.
+    ///
+    /// # Errors
+    /// Whatever the memory fails with.
+    pub fn new(
+        parameters: Parameters,
+        mut plant: P,
+        mut memory: M,
+        now: Instant,
+    ) -> Result<Self, M::Error> {
+        let stored = memory.load()?.unwrap_or_else(|| {
+            Settings::factory(parameters.id, parameters.factory_gains, parameters.baud_rate)
+        });
+        let measurement = plant.advance(&Actuation::default(), Duration::ZERO);
+        let mut drive = Self {
+            encoder: Encoder::new(&parameters),
+            brake: Brake::new(parameters.has_brake),
+            random: Random::new(parameters.seed),
+            life: Life::Off,
+            stored,
+            active: stored,
+            clock: now,
+            measurement,
+            turns_to_clear: 0,
+            controller: Controller::new(),
+            faults: Faults::default(),
+            protection: Protection::default(),
+            reporting: Reporting::default(),
+            outgoing: DropOldest::new(),
+            events: DropOldest::new(),
+            parameters,
+            plant,
+            memory,
+        };
+        drive.boot(now);
+        Ok(drive)
+    }
+
+    /// Takes a packet from the bus. What is not for this drive changes nothing.
+    ///
+    /// A malformed, unknown or out-of-range command is ignored, as a real drive would, and told as
+    /// [`Event::Ignored`]. Does the work of [`advance`](Self::advance) first.
+    pub fn handle_packet(&mut self, packet: &Packet, now: Instant) {
+        self.advance(now);
+        let to_all = match packet.channel {
+            Channel::Command(Target::Motor(id)) | Channel::Motion(id) if id == self.active.id => {
+                false
+            }
+            Channel::Command(Target::All) => true,
+            Channel::BusId => false,
+            Channel::Command(Target::Motor(_))
+            | Channel::Motion(_)
+            | Channel::Reply(_)
+            | Channel::MotionReply(_) => return,
+        };
+        match self.life {
+            Life::Off => return self.ignore(packet, IgnoreReason::PoweredOff),
+            Life::Booting { .. } => return self.ignore(packet, IgnoreReason::Starting),
+            Life::Running { .. } => {}
+        }
+        // RS485 has no identifiers to filter by.
+        if to_all && self.active.can_id_filter && self.parameters.bus == Bus::Can {
+            return self.ignore(packet, IgnoreReason::IdFilter);
+        }
+        let command = match AnyCommand::decode(packet) {
+            Ok(command) => command,
+            Err(error) => return self.ignore(packet, IgnoreReason::Malformed(error)),
+        };
+        let opcode = command.opcode();
+        if self.parameters.bus == Bus::Rs485 && opcode.buses() == Buses::CanOnly {
+            return self.ignore(packet, IgnoreReason::CanOnly(opcode));
+        }
+        let channel = match packet.channel {
+            Channel::BusId => Channel::BusId,
+            Channel::Motion(_) => Channel::MotionReply(self.active.id),
+            _ => Channel::Reply(self.active.id),
+        };
+        match self.answer(command, packet, now) {
+            Answer::Data(data) => self.reply(Packet { channel, data }, now),
+            Answer::None => {}
+            Answer::Ignored(reason) => self.ignore(packet, reason),
+        }
+        self.follow_reports(now);
+    }
+
+    /// Runs the control loops up to `now`, in whole steps of
+    /// [`control_period`](Parameters::control_period), with everything that time does to a drive:
+    /// errors, loss of communication, the end of a start.
+    ///
+    /// One call runs [`MAX_STEPS_PER_CALL`] steps at most. [`clock`](Self::clock) tells how far it came,
+    /// and a caller that let more time pass calls again. A `now` before the last one changes nothing.
+    pub fn advance(&mut self, now: Instant) {
+        let period = self.parameters.control_period.max(Duration::from_micros(1));
+        for _ in 0..MAX_STEPS_PER_CALL {
+            let end = self.clock + period;
+            if end > now || end == self.clock {
+                break;
+            }
+            self.step(end, period);
+        }
+        self.follow_reports(self.clock);
+    }
+
+    /// The next packet to send at `now`: a reply whose delay is over, or a report. Does the work of
+    /// [`advance`](Self::advance) first.
+    pub fn poll_transmit(&mut self, now: Instant) -> Option<Packet> {
+        self.advance(now);
+        if self.outgoing.first().is_some_and(|outgoing| outgoing.due <= now) {
+            return self.outgoing.pop().map(|outgoing| outgoing.packet);
+        }
+        if !matches!(self.life, Life::Running { .. }) {
+            return None;
+        }
+        let channel = Channel::Reply(self.active.id);
+        let data = match self.reporting.poll(now)? {
+            Report::Status1 => self.reading(Opcode::ReadStatus1)?.encode(),
+            Report::Heartbeat => [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0],
+            Report::Active(opcode) => self.reading(opcode)?.encode(),
+        };
+        Some(Packet { channel, data })
+    }
+
+    /// When [`poll_transmit`](Self::poll_transmit) has something to do by itself, if no packet comes
+    /// before: a reply or a report is due, a start ends, or the loops are 10 ms behind (a motor moves
+    /// and errors come at any time). `None` only at the end of time.
+    pub fn poll_at(&self) -> Option<Instant> {
+        let catch_up = self.clock + self.parameters.control_period.max(CATCH_UP);
+        let reply = self.outgoing.first().map(|outgoing| outgoing.due);
+        let started = if let Life::Booting { until, .. } = self.life { Some(until) } else { None };
+        let report = self.reporting.poll_at();
+        [reply, started, report, Some(catch_up)].into_iter().flatten().min()
+    }
+
+    /// The next thing that happened, oldest first.
+    pub fn poll_event(&mut self) -> Option<Event> {
+        self.events.pop()
+    }
+
+    /// Raises errors by hand, on top of those that measurements cause. Those of level two last until
+    /// [`clear_fault`](Self::clear_fault), those of level one until a restart.
+    pub fn raise_fault(&mut self, errors: ErrorFlags) {
+        self.change_faults(|faults| faults.raise(errors));
+        self.follow_reports(self.clock);
+    }
+
+    /// Takes away the cause of errors raised by hand. Those of level one stay until a restart, as they
+    /// do on a real drive.
+    pub fn clear_fault(&mut self, errors: ErrorFlags) {
+        self.change_faults(|faults| faults.take_away(errors));
+        self.follow_reports(self.clock);
+    }
+
+    /// Up to when the loops have run.
+    pub const fn clock(&self) -> Instant {
+        self.clock
+    }
+
+    /// The id that the drive listens to. A change acts after a restart.
+    pub const fn id(&self) -> MotorId {
+        self.active.id
+    }
+
+    /// The bit rate that the drive speaks at. A change (0xB4) acts at once: the manual says both that it
+    /// acts at the next power-on (2.32.1) and that the reply is lost because it has acted (2.32.3);
+    /// whoever believes the second waits for no reply, and is right either way.
+    pub const fn baud_rate(&self) -> BaudCode {
+        self.active.baud_rate
+    }
+
+    /// The settings that act now.
+    pub const fn settings(&self) -> &Settings {
+        &self.active
+    }
+
+    /// The settings that the memory holds, which act after a restart.
+    pub const fn stored_settings(&self) -> &Settings {
+        &self.stored
+    }
+
+    /// What no command changes.
+    pub const fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
+    /// Switches behaviour beside the manual on or off.
+    pub const fn set_quirks(&mut self, quirks: Quirks) {
+        self.parameters.quirks = quirks;
+    }
+
+    /// Sets the time from a command to its reply.
+    pub const fn set_response_delay(&mut self, min: Duration, max: Duration) {
+        self.parameters.response_delay_min = min;
+        self.parameters.response_delay_max = max;
+    }
+
+    /// What the drive turns.
+    pub const fn plant(&self) -> &P {
+        &self.plant
+    }
+
+    /// What the drive turns, to load or push it.
+    pub const fn plant_mut(&mut self) -> &mut P {
+        &mut self.plant
+    }
+
+    /// What the drive remembers with.
+    pub const fn memory(&self) -> &M {
+        &self.memory
+    }
+
+    /// How many packets and events were dropped because nobody polled them in time.
+    pub const fn dropped(&self) -> (u32, u32) {
+        (self.outgoing.dropped(), self.events.dropped())
+    }
+
+    /// Takes the drive apart.
+    pub fn into_parts(self) -> (Parameters, P, M) {
+        (self.parameters, self.plant, self.memory)
+    }
+
+    /// One control step, up to `end`.
+    fn step(&mut self, end: Instant, period: Duration) {
+        let input = self.input();
+        let mut actuation = Actuation::default();
+        if matches!(self.life, Life::Running { .. }) {
+            actuation.brake_released = self.brake.is_open(self.clock);
+            let (gains, accelerations) = (&self.active.gains, &self.active.accelerations);
+            let dt = period.as_secs_f32();
+            if let Some(current_a) = self.controller.step(&input, gains, accelerations, dt) {
+                actuation.output_on = true;
+                actuation.current_a = current_a;
+            }
+        } else {
+            // Without a brake, nothing holds the shaft.
+            actuation.brake_released = !self.parameters.has_brake;
+        }
+        self.measurement = self.plant.advance(&actuation, period);
+        self.encoder.measure(self.measurement.encoder_pulses);
+        self.clock = end;
+        match self.life {
+            Life::Off => {}
+            Life::Booting { since, until } => {
+                if until <= end {
+                    self.start(since);
+                }
+            }
+            Life::Running { .. } => {
+                let (measurement, parameters) = (self.measurement, self.parameters);
+                self.change_faults(|faults| faults.observe(&measurement, &parameters, period));
+                if self.protection.check(end, self.protection_timeout()) {
+                    self.cut_output();
+                    self.events.push(Event::ProtectionTripped);
+                }
+            }
+        }
+    }
+
+    fn input(&self) -> Input {
+        Input {
+            angle_deg: self.encoder.angle_deg(),
+            speed_dps: self.measurement.speed_dps,
+            current_a: self.measurement.current_a,
+            stall_current_a: self.parameters.stall_current_a,
+            torque_constant_nm_per_a: self.parameters.torque_constant_nm_per_a,
+            max_speed_dps: self.parameters.max_speed_dps,
+        }
+    }
+
+    fn change_faults(&mut self, change: impl FnOnce(&mut Faults)) {
+        let before = self.faults.all();
+        change(&mut self.faults);
+        let after = self.faults.all();
+        let (came, went) = (after - before, before - after);
+        if !came.is_empty() {
+            self.cut_output();
+            self.events.push(Event::FaultRaised(came));
+        }
+        if !went.is_empty() {
+            self.events.push(Event::FaultCleared(went));
+        }
+    }
+
+    /// Output off, no mode, brake locked.
+    fn cut_output(&mut self) {
+        self.controller.shut_down();
+        self.brake.lock();
+    }
+
+    fn follow_reports(&mut self, now: Instant) {
+        let error = !self.faults.all().is_empty();
+        let lost = self.protection.is_tripped() && self.parameters.quirks.lost_master_heartbeat;
+        self.reporting.follow(error, lost, now);
+    }
+
+    fn protection_timeout(&self) -> Duration {
+        Duration::from_millis(self.active.protection_timeout.raw().into())
+    }
+
+    /// Queues a reply. Replies leave in the order of their commands.
+    fn reply(&mut self, packet: Packet, now: Instant) {
+        let Parameters { response_delay_min: min, response_delay_max: max, .. } = self.parameters;
+        let due = now + self.random.between(min, max);
+        let due = self.outgoing.last().map_or(due, |before| due.max(before.due));
+        self.outgoing.push(Outgoing { due, packet });
+    }
+
+    fn ignore(&mut self, packet: &Packet, reason: IgnoreReason) {
+        self.events.push(Event::Ignored { packet: *packet, reason });
+    }
+}

@@ -1,0 +1,132 @@
+//! The holding brake (manual 2.27, 2.28, 2.19.1).
+//!
+//! Decided, where the manual is silent:
+//!
+//! - A drive starts with its brake locked, the state that it has without power (2.28.1).
+//! - Speed and position commands and 0x81 with the output on need no 0x77: they open the brake
+//!   themselves. Only the torque command must not (2.19.1), and with it motion mode, which is a torque
+//!   command in all but name.
+//! - 0x80 locks a brake that a command opened by itself, so that a load does not fall; one that 0x77
+//!   opened stays open, so that a person can turn the shaft by hand. Errors and the loss of
+//!   communication lock either.
+
+use crate::command::BrakeCommand;
+use crate::drive::quirks::Quirks;
+use crate::drive::random::Random;
+use crate::time::{Duration, Instant};
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum State {
+    Locked,
+    Released { at: Instant, by_request: bool },
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct Brake {
+    fitted: bool,
+    state: State,
+}
+
+impl Brake {
+    pub(super) const fn new(fitted: bool) -> Self {
+        Self { fitted, state: State::Locked }
+    }
+
+    /// 0x77.
+    pub(super) fn release(&mut self, at: Instant) {
+        let since = if let State::Released { at, .. } = self.state { at } else { at };
+        self.state = State::Released { at: since, by_request: true };
+    }
+
+    /// For a command that needs the shaft free.
+    pub(super) fn release_for_motion(&mut self, at: Instant) {
+        if self.state == State::Locked {
+            self.state = State::Released { at, by_request: false };
+        }
+    }
+
+    pub(super) fn lock(&mut self) {
+        self.state = State::Locked;
+    }
+
+    /// For 0x80.
+    pub(super) fn lock_unless_requested(&mut self) {
+        if !matches!(self.state, State::Released { by_request: true, .. }) {
+            self.lock();
+        }
+    }
+
+    /// What it has been told last (0x9A).
+    pub(super) const fn command(&self) -> BrakeCommand {
+        match self.state {
+            State::Locked => BrakeCommand::Lock,
+            State::Released { .. } => BrakeCommand::Release,
+        }
+    }
+
+    /// Whether the motor may not run because of it.
+    pub(super) fn holds(&self) -> bool {
+        self.fitted && self.state == State::Locked
+    }
+
+    /// What the plant's brake is told at `now`. A motor without a brake turns freely.
+    pub(super) fn is_open(&self, now: Instant) -> bool {
+        !self.fitted || matches!(self.state, State::Released { at, .. } if at <= now)
+    }
+}
+
+/// When a brake that is told to open now begins to let the shaft go.
+pub(super) fn opening_time(now: Instant, quirks: &Quirks, random: &mut Random) -> Instant {
+    let takes = if quirks.slow_brake {
+        random.between(Quirks::SLOW_BRAKE_MIN, Quirks::SLOW_BRAKE_MAX)
+    } else {
+        Duration::ZERO
+    };
+    now + takes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LATER: Instant = Instant::from_millis(100);
+
+    #[test]
+    fn a_brake_holds_until_it_is_released() {
+        let mut brake = Brake::new(true);
+        assert!(brake.holds() && !brake.is_open(LATER));
+        brake.release(Instant::from_millis(50));
+        assert_eq!(brake.command(), BrakeCommand::Release);
+        assert!(
+            !brake.is_open(Instant::from_millis(49)) && brake.is_open(Instant::from_millis(50))
+        );
+        brake.lock();
+        assert!(brake.holds());
+    }
+
+    #[test]
+    fn a_second_release_does_not_delay_the_first() {
+        let mut brake = Brake::new(true);
+        brake.release(Instant::from_millis(50));
+        brake.release(LATER);
+        assert!(brake.is_open(Instant::from_millis(50)));
+    }
+
+    #[test]
+    fn shutdown_locks_only_what_was_not_asked_for() {
+        let mut brake = Brake::new(true);
+        brake.release_for_motion(Instant::ZERO);
+        brake.lock_unless_requested();
+        assert!(brake.holds());
+        brake.release(Instant::ZERO);
+        brake.release_for_motion(Instant::ZERO);
+        brake.lock_unless_requested();
+        assert!(!brake.holds());
+    }
+
+    #[test]
+    fn without_a_brake_nothing_holds() {
+        let brake = Brake::new(false);
+        assert!(!brake.holds() && brake.is_open(Instant::ZERO));
+    }
+}

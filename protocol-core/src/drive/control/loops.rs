@@ -1,0 +1,166 @@
+//! The three cascaded loops: position to speed, speed to current, current to output.
+//!
+//! - **Position**: speed = profile's speed + kp·e + ki·∫e + kd·de/dt, degrees and degrees per second.
+//! - **Speed**: current = kp·e + ki·∫e, A for degrees per second.
+//! - **Current**: the stage below takes a wanted current, so the loop acts on top of it: output =
+//!   kp·set-point + ki·∫(last set-point − measured). With kp 1 a set-point passes at once and the
+//!   integral takes away what the stage leaves; with less it follows with a time constant of 1/ki.
+//!
+//! Every output is limited, no integral grows while its output is, and what is not a number becomes 0:
+//! no gain that a master can write makes the drive put out more than the stall current.
+
+use crate::drive::settings::Gains;
+
+/// The loops' memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Loops {
+    position_dps: f32,
+    speed_a: f32,
+    current_a: f32,
+    /// The set-point that the next measurement answers to.
+    last_wanted_a: f32,
+}
+
+impl Loops {
+    /// Starts the loops anew, the speed loop where `current_a` flows already.
+    pub(crate) fn restart(&mut self, current_a: f32) {
+        *self = Self { speed_a: current_a, last_wanted_a: current_a, ..Self::default() };
+    }
+
+    /// The speed loop's integral: the current that the load takes, A.
+    pub(crate) const fn load_a(&self) -> f32 {
+        self.speed_a
+    }
+
+    /// The speed wanted, degrees per second.
+    pub(crate) fn position(
+        &mut self,
+        gains: &Gains,
+        error_deg: f32,
+        feed_dps: f32,
+        speed_dps: f32,
+        max_dps: f32,
+        dt: f32,
+    ) -> f32 {
+        let ahead = feed_dps + gains.position_kd.value() * (feed_dps - speed_dps);
+        let (kp, ki) = (gains.position_kp.value(), gains.position_ki.value());
+        limited_pi(&mut self.position_dps, kp * error_deg, ki * error_deg * dt, ahead, max_dps)
+    }
+
+    /// The current wanted, A.
+    pub(crate) fn speed(&mut self, gains: &Gains, error_dps: f32, limit_a: f32, dt: f32) -> f32 {
+        let (kp, ki) = (gains.speed_kp.value(), gains.speed_ki.value());
+        limited_pi(&mut self.speed_a, kp * error_dps, ki * error_dps * dt, 0.0, limit_a)
+    }
+
+    /// The output current, A.
+    pub(crate) fn current(
+        &mut self,
+        gains: &Gains,
+        wanted_a: f32,
+        measured_a: f32,
+        limit_a: f32,
+        dt: f32,
+    ) -> f32 {
+        let (kp, ki) = (gains.current_kp.value(), gains.current_ki.value());
+        let grows = ki * (self.last_wanted_a - measured_a) * dt;
+        self.last_wanted_a = limited(wanted_a, limit_a);
+        limited_pi(&mut self.current_a, kp * wanted_a, grows, 0.0, limit_a)
+    }
+}
+
+fn limited_pi(integral: &mut f32, proportional: f32, grows: f32, ahead: f32, limit: f32) -> f32 {
+    let next = limited(*integral + grows, limit);
+    let output = number(ahead) + number(proportional) + next;
+    // Beyond the limit the integral may only shrink the output.
+    if output.abs() <= limit || output * grows < 0.0 {
+        *integral = next;
+    }
+    limited(number(ahead) + number(proportional) + *integral, limit)
+}
+
+fn number(x: f32) -> f32 {
+    if x.is_nan() { 0.0 } else { x.clamp(-1e30, 1e30) }
+}
+
+/// `x` within ±`limit`; 0 if either is not a number or the limit is negative.
+pub(crate) fn limited(x: f32, limit: f32) -> f32 {
+    let limit = limit.max(0.0);
+    number(x).max(-limit).min(limit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::PidIndex;
+    use crate::units::Gain;
+
+    const DT: f32 = 0.001;
+
+    fn gains(index: PidIndex, value: f32) -> Gains {
+        let mut gains = Gains::tuned(0.0, 0.0, 0.0);
+        for &index in PidIndex::ALL {
+            gains.set(index, Gain::new(0.0).unwrap());
+        }
+        gains.set(index, Gain::new(value).unwrap());
+        gains
+    }
+
+    #[test]
+    fn each_gain_acts_on_its_own_term() {
+        let mut l = Loops::default();
+        assert_eq!(l.position(&gains(PidIndex::PositionKp, 10.0), 2.0, 3.0, 1.0, 1e6, DT), 23.0);
+        assert_eq!(l.position(&gains(PidIndex::PositionKd, 0.5), 2.0, 3.0, 1.0, 1e6, DT), 4.0);
+        assert_eq!(l.speed(&gains(PidIndex::SpeedKp, 0.1), 20.0, 1e6, DT), 2.0);
+        assert_eq!(l.current(&gains(PidIndex::CurrentKp, 1.0), 5.0, 0.0, 1e6, DT), 5.0);
+        let mut sum = 0.0;
+        for _ in 0..1_000 {
+            sum = l.speed(&gains(PidIndex::SpeedKi, 2.0), 3.0, 1e6, DT);
+        }
+        assert!((sum - 6.0).abs() < 1e-3);
+        for _ in 0..1_000 {
+            sum = l.position(&gains(PidIndex::PositionKi, 2.0), 3.0, 0.0, 0.0, 1e6, DT);
+        }
+        assert!((sum - 6.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn the_current_integral_takes_away_what_the_stage_leaves() {
+        let mut gains = gains(PidIndex::CurrentKp, 1.0);
+        gains.set(PidIndex::CurrentKi, Gain::new(50.0).unwrap());
+        let mut l = Loops::default();
+        let mut output = 0.0;
+        for _ in 0..1_000 {
+            output = l.current(&gains, 4.0, output * 0.8, 12.0, DT);
+        }
+        assert!((output * 0.8 - 4.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_saturated_integral_lets_go_at_once() {
+        let gains = gains(PidIndex::SpeedKi, 1_000.0);
+        let mut l = Loops::default();
+        for _ in 0..10_000 {
+            assert!(l.speed(&gains, 100.0, 5.0, DT) <= 5.0);
+        }
+        assert!(l.speed(&gains, -1.0, 5.0, DT) < 5.0);
+    }
+
+    #[test]
+    fn no_gain_makes_it_exceed_the_limit_or_fail() {
+        let values = [0.0, -1.0, 1e38, -1e38, f32::MAX, f32::MIN];
+        for kp in values {
+            for ki in values {
+                let mut gains = gains(PidIndex::SpeedKp, kp);
+                gains.set(PidIndex::SpeedKi, Gain::new(ki).unwrap());
+                let mut l = Loops::default();
+                for error in [0.0, 1e30, -1e30, f32::MAX, f32::NAN, f32::INFINITY, 3.0, 0.0] {
+                    assert!(l.speed(&gains, error, 5.0, DT).abs() <= 5.0, "{kp} {ki} {error}");
+                }
+                assert!(l.speed_a.is_finite());
+            }
+        }
+        assert_eq!(limited(3.0, f32::NAN), 0.0);
+        assert_eq!(limited(3.0, -1.0), 0.0);
+    }
+}

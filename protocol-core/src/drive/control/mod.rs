@@ -1,0 +1,314 @@
+//! What the motor is to do, and the current that does it.
+
+mod loops;
+mod planner;
+
+use crate::command::{Mode, MotionSetPoint};
+use crate::drive::settings::{Accelerations, Gains};
+
+use loops::{Loops, limited};
+use planner::{Pace, Profile, ramp};
+
+/// What a command has set.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum SetPoint {
+    /// A torque current.
+    Current { current_a: f32 },
+    /// A speed, with a limited torque.
+    Speed { speed_dps: f32, limit_a: f32 },
+    /// A position, with a limited torque and speed (0 for no limit of the command's own).
+    Position { target_deg: f64, max_speed_dps: f32, limit_a: f32 },
+    /// Slow down, then hold still.
+    Stop,
+    /// Position, speed and torque at once.
+    Motion(MotionSetPoint),
+}
+
+/// The set-point, and how far it is carried out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Task {
+    Off,
+    Current { current_a: f32 },
+    Speed { target_dps: f32, now_dps: f32, limit_a: f32 },
+    Position { target_deg: f64, max_speed_dps: f32, limit_a: f32, profile: Option<Profile> },
+    Stopping { now_dps: f32 },
+    Motion(MotionSetPoint),
+}
+
+/// What the controller works with.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Input {
+    pub(super) angle_deg: f64,
+    pub(super) speed_dps: f32,
+    pub(super) current_a: f32,
+    pub(super) stall_current_a: f32,
+    pub(super) torque_constant_nm_per_a: f32,
+    /// The fastest that a profile may be, where its command sets no limit.
+    pub(super) max_speed_dps: f32,
+}
+
+/// Below this speed a stopping motor counts as standing, degrees per second.
+const STANDING_DPS: f32 = 1.0;
+
+/// Farther than this from its profile, degrees, a shaft does not follow it any more.
+const LOST_PROFILE_DEG: f64 = 10.0;
+
+#[derive(Clone, Debug)]
+pub(super) struct Controller {
+    task: Task,
+    loops: Loops,
+}
+
+impl Controller {
+    pub(super) fn new() -> Self {
+        Self { task: Task::Off, loops: Loops::default() }
+    }
+
+    /// Switches the output off and leaves every mode.
+    pub(super) fn shut_down(&mut self) {
+        *self = Self::new();
+    }
+
+    pub(super) const fn is_off(&self) -> bool {
+        matches!(self.task, Task::Off)
+    }
+
+    /// Which loop runs (0x70). The manual knows three: motion mode sets a current, so it is the
+    /// current loop; a motor that stops is in the speed loop and then holds in the position loop. In
+    /// no mode the byte is 0.
+    pub(super) const fn mode(&self) -> Mode {
+        match self.task {
+            Task::Off => Mode::Unknown(0),
+            Task::Current { .. } | Task::Motion(_) => Mode::Current,
+            Task::Speed { .. } | Task::Stopping { .. } => Mode::Speed,
+            Task::Position { .. } => Mode::Position,
+        }
+    }
+
+    /// Takes a set-point, going on smoothly from what runs.
+    pub(super) fn set(&mut self, set_point: SetPoint, input: &Input) {
+        let before = self.task;
+        self.task = match set_point {
+            SetPoint::Current { current_a } => Task::Current { current_a },
+            SetPoint::Motion(motion) => Task::Motion(motion),
+            SetPoint::Speed { speed_dps, limit_a } => {
+                Task::Speed { target_dps: speed_dps, now_dps: self.ramp_start(input), limit_a }
+            }
+            SetPoint::Stop => match before {
+                // Already standing: goes on holding the same place.
+                Task::Position { target_deg, limit_a, .. }
+                    if limit_a >= input.stall_current_a
+                        && (target_deg - input.angle_deg).abs() < 0.5
+                        && input.speed_dps.abs() < STANDING_DPS =>
+                {
+                    self.hold(target_deg, input)
+                }
+                _ => Task::Stopping { now_dps: self.ramp_start(input) },
+            },
+            SetPoint::Position { target_deg, max_speed_dps, limit_a } => {
+                let profile = match before {
+                    // A shaft that was held back far from its profile starts anew from where it is.
+                    Task::Position { profile: Some(profile), .. }
+                        if (profile.position_deg - input.angle_deg).abs() < LOST_PROFILE_DEG =>
+                    {
+                        Some(profile)
+                    }
+                    _ => None,
+                };
+                Task::Position { target_deg, max_speed_dps, limit_a, profile }
+            }
+        };
+        if core::mem::discriminant(&before) != core::mem::discriminant(&self.task) {
+            // From one mode to the next the load's share of the current goes on.
+            self.loops.restart(match before {
+                Task::Off => 0.0,
+                Task::Current { .. } | Task::Motion(_) => input.current_a,
+                Task::Speed { .. } | Task::Position { .. } | Task::Stopping { .. } => {
+                    self.loops.load_a()
+                }
+            });
+        }
+    }
+
+    /// Where a ramp begins: at the ramp that runs, or at the speed measured.
+    fn ramp_start(&self, input: &Input) -> f32 {
+        match self.task {
+            Task::Speed { now_dps, .. } | Task::Stopping { now_dps } => now_dps,
+            _ => input.speed_dps,
+        }
+    }
+
+    fn hold(&self, target_deg: f64, input: &Input) -> Task {
+        // Not planned: a profile that rests at its target is direct tracking of it.
+        Task::Position {
+            target_deg,
+            max_speed_dps: 0.0,
+            limit_a: input.stall_current_a,
+            profile: Some(Profile { position_deg: target_deg, speed_dps: 0.0 }),
+        }
+    }
+
+    /// One step of the loops: the output current, `None` for the output off.
+    pub(super) fn step(
+        &mut self,
+        input: &Input,
+        gains: &Gains,
+        accelerations: &Accelerations,
+        dt: f32,
+    ) -> Option<f32> {
+        let stall_a = input.stall_current_a;
+        let speed_up = accelerations.speed_acceleration.dps2();
+        let slow_down = accelerations.speed_deceleration.dps2();
+        if let Task::Stopping { now_dps } = self.task
+            && now_dps == 0.0
+            && input.speed_dps.abs() < STANDING_DPS
+        {
+            self.task = self.hold(input.angle_deg, input);
+        }
+        let loops = &mut self.loops;
+        let (wanted_a, limit_a) = match &mut self.task {
+            Task::Off => return None,
+            Task::Current { current_a } => (*current_a, stall_a),
+            Task::Motion(set_point) => (motion_current(set_point, input), stall_a),
+            Task::Speed { target_dps, now_dps, limit_a } => {
+                *now_dps = ramp(*now_dps, *target_dps, speed_up, slow_down, dt);
+                (loops.speed(gains, *now_dps - input.speed_dps, *limit_a, dt), *limit_a)
+            }
+            Task::Stopping { now_dps } => {
+                *now_dps = ramp(*now_dps, 0.0, speed_up, slow_down, dt);
+                (loops.speed(gains, *now_dps - input.speed_dps, stall_a, dt), stall_a)
+            }
+            Task::Position { target_deg, max_speed_dps, limit_a, profile } => {
+                let set_limit = (*max_speed_dps > 0.0).then_some(*max_speed_dps);
+                let (goal, max_dps) = match pace(accelerations, set_limit, input.max_speed_dps) {
+                    Some(pace) => {
+                        let profile = profile.get_or_insert(Profile {
+                            position_deg: input.angle_deg,
+                            speed_dps: input.speed_dps,
+                        });
+                        profile.advance(*target_deg, &pace, dt);
+                        (*profile, pace.max_speed_dps.max(profile.speed_dps.abs()))
+                    }
+                    None => {
+                        *profile = None;
+                        let goal = Profile { position_deg: *target_deg, speed_dps: 0.0 };
+                        (goal, set_limit.unwrap_or(f32::MAX))
+                    }
+                };
+                let error_deg = (goal.position_deg - input.angle_deg) as f32;
+                let speed_dps =
+                    loops.position(gains, error_deg, goal.speed_dps, input.speed_dps, max_dps, dt);
+                (loops.speed(gains, speed_dps - input.speed_dps, *limit_a, dt), *limit_a)
+            }
+        };
+        let wanted_a = limited(wanted_a, limit_a.min(stall_a));
+        Some(loops.current(gains, wanted_a, input.current_a, limit_a.min(stall_a), dt))
+    }
+}
+
+/// How a planned position moves; `None` for direct tracking, which is an acceleration of 0 (2.21.1).
+fn pace(accelerations: &Accelerations, set_limit: Option<f32>, own_limit: f32) -> Option<Pace> {
+    let acceleration_dps2 = accelerations.position_acceleration.dps2();
+    let deceleration_dps2 = accelerations.position_deceleration.dps2();
+    (acceleration_dps2 > 0.0).then(|| Pace {
+        max_speed_dps: set_limit.unwrap_or(own_limit),
+        acceleration_dps2,
+        deceleration_dps2: if deceleration_dps2 > 0.0 {
+            deceleration_dps2
+        } else {
+            acceleration_dps2
+        },
+    })
+}
+
+/// The manual's expression (5.1), with the torque divided by the torque constant where it is printed
+/// multiplied.
+fn motion_current(set_point: &MotionSetPoint, input: &Input) -> f32 {
+    let position_rad = input.angle_deg.to_radians() as f32;
+    let velocity_rad_s = input.speed_dps.to_radians();
+    let torque_nm = set_point.kp * (set_point.position_rad - position_rad)
+        + set_point.kd * (set_point.velocity_rad_s - velocity_rad_s)
+        + set_point.torque_nm;
+    torque_nm / input.torque_constant_nm_per_a
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const INPUT: Input = Input {
+        angle_deg: 180.0,
+        speed_dps: 90.0,
+        current_a: 0.0,
+        stall_current_a: 12.0,
+        torque_constant_nm_per_a: 2.0,
+        max_speed_dps: 1_000.0,
+    };
+
+    fn step(controller: &mut Controller, input: &Input) -> Option<f32> {
+        let gains = Gains::tuned(0.02, 2.0, 100.0);
+        controller.step(input, &gains, &Accelerations::default(), 0.001)
+    }
+
+    #[test]
+    fn motion_mode_is_the_manuals_expression_over_the_torque_constant() {
+        let set_point = MotionSetPoint {
+            position_rad: core::f32::consts::PI + 0.5,
+            velocity_rad_s: core::f32::consts::FRAC_PI_2 + 2.0,
+            kp: 10.0,
+            kd: 1.0,
+            torque_nm: 3.0,
+        };
+        // (10 * 0.5 + 1 * 2 + 3) N·m / 2 N·m/A = 5 A.
+        assert!((motion_current(&set_point, &INPUT) - 5.0).abs() < 1e-5);
+    }
+
+    #[test]
+    fn modes_are_told_as_the_manual_numbers_them() {
+        let mut controller = Controller::new();
+        assert_eq!((controller.mode(), step(&mut controller, &INPUT)), (Mode::Unknown(0), None));
+        let full = INPUT.stall_current_a;
+        for (set_point, mode) in [
+            (SetPoint::Current { current_a: 1.0 }, Mode::Current),
+            (SetPoint::Speed { speed_dps: 1.0, limit_a: full }, Mode::Speed),
+            (
+                SetPoint::Position { target_deg: 1.0, max_speed_dps: 1.0, limit_a: full },
+                Mode::Position,
+            ),
+            (SetPoint::Motion(MotionSetPoint::default()), Mode::Current),
+            (SetPoint::Stop, Mode::Speed),
+        ] {
+            controller.set(set_point, &INPUT);
+            assert_eq!(controller.mode(), mode);
+            assert!(step(&mut controller, &INPUT).is_some());
+        }
+        controller.shut_down();
+        assert!(controller.is_off());
+    }
+
+    #[test]
+    fn the_stall_current_caps_everything() {
+        for set_point in [
+            SetPoint::Current { current_a: -300.0 },
+            SetPoint::Speed { speed_dps: 1e6, limit_a: 50.0 },
+            SetPoint::Position { target_deg: 1e6, max_speed_dps: 0.0, limit_a: 50.0 },
+            SetPoint::Motion(MotionSetPoint { torque_nm: 24.0, kp: 500.0, ..Default::default() }),
+        ] {
+            let mut controller = Controller::new();
+            controller.set(set_point, &INPUT);
+            for _ in 0..200 {
+                let current = step(&mut controller, &INPUT).unwrap();
+                assert!(current.abs() <= 12.0, "{set_point:?}: {current}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_torque_constant_of_zero_puts_out_nothing_wild() {
+        let mut controller = Controller::new();
+        controller.set(SetPoint::Motion(MotionSetPoint::default()), &INPUT);
+        let input =
+            Input { torque_constant_nm_per_a: 0.0, speed_dps: 0.0, angle_deg: 0.0, ..INPUT };
+        assert_eq!(step(&mut controller, &input), Some(0.0));
+    }
+}

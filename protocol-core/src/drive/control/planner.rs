@@ -1,0 +1,187 @@
+//! Set-points on the way to a target: the trapezoid profile of position commands and the ramp of
+//! speed commands (manual 2.4.4, 2.20.2, 2.21.1).
+
+/// A moving set-point of the position loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Profile {
+    pub(crate) position_deg: f64,
+    pub(crate) speed_dps: f32,
+}
+
+/// How a profile may move. All positive.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pace {
+    pub(crate) max_speed_dps: f32,
+    pub(crate) acceleration_dps2: f32,
+    pub(crate) deceleration_dps2: f32,
+}
+
+impl Profile {
+    /// Moves on for `dt` seconds towards `target_deg`, and comes to rest exactly there.
+    ///
+    /// Distances are compared as v² against 2·d·s, so no root is needed. While it brakes it uses the
+    /// deceleration that just reaches the target, v²/2s, which stays the same until it is there. A
+    /// target that is too close to stop at is passed, and come back to.
+    pub(crate) fn advance(&mut self, target_deg: f64, pace: &Pace, dt: f32) {
+        let away = target_deg - self.position_deg;
+        if away == 0.0 && self.speed_dps == 0.0 {
+            return;
+        }
+        let sign = if away < 0.0 { -1.0_f32 } else { 1.0 };
+        let distance = away.abs() as f32;
+        let speed = self.speed_dps * sign;
+        let braking = pace.deceleration_dps2;
+        // Whether a step that ends at this speed leaves room to stop.
+        let stops = |end: f32| {
+            let left = distance - (speed + end) / 2.0 * dt;
+            left >= 0.0 && end * end <= 2.0 * braking * left
+        };
+        let next = if speed < 0.0 {
+            (speed + braking * dt).min(0.0)
+        } else if speed > pace.max_speed_dps {
+            (speed - braking * dt).max(pace.max_speed_dps)
+        } else if stops(speed) {
+            // As much faster as leaves room to stop, in halves down to a thousandth.
+            let mut gain = pace.acceleration_dps2 * dt;
+            let mut next = None;
+            for _ in 0..=10 {
+                let faster = (speed + gain).min(pace.max_speed_dps);
+                if stops(faster) {
+                    next = Some(faster);
+                    break;
+                }
+                gain /= 2.0;
+            }
+            match next {
+                Some(faster) => faster,
+                // At rest, and closer than one step can go: there.
+                None if speed == 0.0 => return self.arrive(target_deg),
+                None => speed,
+            }
+        } else {
+            let needed = (speed * speed / (2.0 * distance)).min(braking);
+            let slower = (speed - needed * dt).max(0.0);
+            if slower == 0.0 && distance <= speed * dt {
+                return self.arrive(target_deg);
+            }
+            slower
+        };
+        self.position_deg += f64::from((speed + next) / 2.0 * dt * sign);
+        self.speed_dps = next * sign;
+    }
+
+    fn arrive(&mut self, target_deg: f64) {
+        *self = Self { position_deg: target_deg, speed_dps: 0.0 };
+    }
+}
+
+/// The next speed on the way from `speed_dps` to `target_dps`: away from standstill at the
+/// acceleration, towards it at the deceleration, through 0 on a reversal. 0 for either means at once.
+pub(crate) fn ramp(
+    speed_dps: f32,
+    target_dps: f32,
+    acceleration_dps2: f32,
+    deceleration_dps2: f32,
+    dt: f32,
+) -> f32 {
+    let sign = if speed_dps < 0.0 || (speed_dps == 0.0 && target_dps < 0.0) { -1.0 } else { 1.0 };
+    let (speed, target) = (speed_dps * sign, target_dps * sign);
+    let next = if target > speed {
+        if acceleration_dps2 > 0.0 { (speed + acceleration_dps2 * dt).min(target) } else { target }
+    } else {
+        let end = target.max(0.0);
+        if deceleration_dps2 > 0.0 { (speed - deceleration_dps2 * dt).max(end) } else { end }
+    };
+    next * sign
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use std::vec::Vec;
+
+    const DT: f32 = 0.001;
+    const PACE: Pace =
+        Pace { max_speed_dps: 500.0, acceleration_dps2: 10_000.0, deceleration_dps2: 5_000.0 };
+
+    fn run(mut profile: Profile, target: f64, pace: Pace, steps: usize) -> Vec<Profile> {
+        (0..steps)
+            .map(|_| {
+                profile.advance(target, &pace, DT);
+                profile
+            })
+            .collect()
+    }
+
+    const REST: Profile = Profile { position_deg: 0.0, speed_dps: 0.0 };
+
+    #[test]
+    fn a_long_way_is_a_trapezoid_that_ends_exactly() {
+        let run = run(REST, 360.0, PACE, 1_000);
+        let fastest = run.iter().map(|p| p.speed_dps).fold(0.0, f32::max);
+        assert_eq!(fastest, 500.0);
+        // 50 ms up over 12.5 deg, 100 ms down over 25 deg, the rest at 500 dps: 795 ms in all.
+        let arrived = run.iter().position(|p| p.position_deg == 360.0).unwrap();
+        assert!((793..=799).contains(&arrived), "{arrived}");
+        assert_eq!(run.last(), Some(&Profile { position_deg: 360.0, speed_dps: 0.0 }));
+        let mut before = REST;
+        for p in run {
+            let change = (p.speed_dps - before.speed_dps) / DT;
+            assert!((-5_010.0..=10_010.0).contains(&change), "{change}");
+            assert!(p.position_deg <= 360.0);
+            before = p;
+        }
+    }
+
+    #[test]
+    fn a_short_way_is_a_triangle_either_way_round() {
+        for target in [1.0, -1.0] {
+            let run = run(REST, target, PACE, 200);
+            assert_eq!(run.last().unwrap().position_deg, target);
+            // v² = 2·s·a·d/(a+d) = 2 * 1 * 10000 * 5000 / 15000: 81.6 dps.
+            let fastest = run.iter().map(|p| p.speed_dps.abs()).fold(0.0, f32::max);
+            assert!((70.0..82.0).contains(&fastest), "{fastest}");
+        }
+    }
+
+    #[test]
+    fn a_target_too_close_is_passed_and_come_back_to() {
+        let fast = Profile { position_deg: 0.0, speed_dps: 500.0 };
+        let run = run(fast, 5.0, PACE, 1_000);
+        assert!(run.iter().any(|p| p.position_deg > 25.0 - 5.1));
+        assert_eq!(run.last().unwrap(), &Profile { position_deg: 5.0, speed_dps: 0.0 });
+    }
+
+    #[test]
+    fn every_way_ends_at_its_target() {
+        for (way, speed) in
+            [(0.0_f64, 0.0), (0.004, 0.0), (0.3, 499.0), (-7.7, 250.0), (1e4, -500.0)]
+        {
+            for pace in [
+                PACE,
+                Pace { max_speed_dps: 1.0, ..PACE },
+                Pace { acceleration_dps2: 60_000.0, deceleration_dps2: 100.0, ..PACE },
+            ] {
+                let start = Profile { position_deg: 12.0, speed_dps: speed };
+                let steps = 40_000 + (way.abs() / f64::from(pace.max_speed_dps) * 1_000.0) as usize;
+                let end = *run(start, 12.0 + way, pace, steps).last().unwrap();
+                assert_eq!(end, Profile { position_deg: 12.0 + way, speed_dps: 0.0 }, "{pace:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_speed_ramps_through_zero_with_both_rates() {
+        let mut speed = 10.0;
+        let mut steps = 0;
+        while speed != -10.0 {
+            speed = ramp(speed, -10.0, 1_000.0, 500.0, DT);
+            steps += 1;
+        }
+        // 10 dps at 0.5 dps a step, then 10 dps at 1 dps a step.
+        assert_eq!(steps, 20 + 10);
+        assert_eq!(ramp(0.0, -300.0, 0.0, 0.0, DT), -300.0);
+        assert_eq!(ramp(200.0, 100.0, 1_000.0, 0.0, DT), 100.0);
+    }
+}

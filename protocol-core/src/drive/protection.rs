@@ -1,0 +1,125 @@
+//! Communication-loss protection (0xB3, manual 2.31).
+//!
+//! "If communication is interrupted for longer than the set time, the output is cut and the brake
+//! locked. To run again, steady communication must be established first." Decided:
+//!
+//! - Every command that the drive understands is communication, reads and broadcasts included.
+//! - The watch begins with the first command after a start: what has not begun cannot be interrupted.
+//! - Communication is steady when [`STEADY_COMMANDS`] commands have come, each within the set time of
+//!   the one before; the last of them runs already. Until then commands that move the motor and 0x77
+//!   are answered and do nothing. All others work.
+//! - Switching the protection off (time 0) ends a trip.
+
+use crate::time::{Duration, Instant};
+
+/// How many commands make communication steady again.
+pub(super) const STEADY_COMMANDS: u8 = 3;
+/// As [`STEADY_COMMANDS`], for drives with the quirk `lost_master_heartbeat`.
+pub(super) const STEADY_COMMANDS_SEEN: u8 = 2;
+
+/// What a command means to the protection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Heard {
+    /// Communication has been good all along.
+    Steady,
+    /// Communication has just become steady again, with this command.
+    Recovered,
+    /// Communication is not steady yet.
+    Unsteady {
+        /// Whether it is the first after the loss.
+        first: bool,
+    },
+}
+
+#[derive(Clone, Debug, Default)]
+pub(super) struct Protection {
+    last: Option<Instant>,
+    /// Commands in time since the loss.
+    lost: Option<u8>,
+}
+
+impl Protection {
+    pub(super) const fn is_tripped(&self) -> bool {
+        self.lost.is_some()
+    }
+
+    /// Notes a command.
+    pub(super) fn hear(&mut self, now: Instant, timeout: Duration, needed: u8) -> Heard {
+        let in_time = self.last.is_some_and(|last| now - last <= timeout);
+        self.last = Some(now);
+        let Some(count) = self.lost else { return Heard::Steady };
+        let count = if in_time { count.saturating_add(1) } else { 1 };
+        if count >= needed {
+            self.lost = None;
+            Heard::Recovered
+        } else {
+            let first = self.lost == Some(0);
+            self.lost = Some(count);
+            Heard::Unsteady { first }
+        }
+    }
+
+    /// Whether communication has just been lost.
+    pub(super) fn check(&mut self, now: Instant, timeout: Duration) -> bool {
+        let lost = timeout > Duration::ZERO
+            && !self.is_tripped()
+            && self.last.is_some_and(|last| now - last > timeout);
+        if lost {
+            self.lost = Some(0);
+        }
+        lost
+    }
+
+    /// Ends a trip; whether there was one.
+    pub(super) fn forgive(&mut self) -> bool {
+        self.lost.take().is_some()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TIMEOUT: Duration = Duration::from_millis(100);
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    fn tripped() -> Protection {
+        let mut protection = Protection::default();
+        protection.hear(at(0), TIMEOUT, STEADY_COMMANDS);
+        assert!(!protection.check(at(100), TIMEOUT));
+        assert!(protection.check(at(101), TIMEOUT));
+        protection
+    }
+
+    #[test]
+    fn silence_from_the_start_is_no_loss() {
+        assert!(!Protection::default().check(at(1_000_000), TIMEOUT));
+    }
+
+    #[test]
+    fn it_trips_once() {
+        assert!(!tripped().check(at(1_000), TIMEOUT));
+    }
+
+    #[test]
+    fn the_third_of_steady_commands_recovers() {
+        let mut protection = tripped();
+        assert_eq!(protection.hear(at(1_000), TIMEOUT, 3), Heard::Unsteady { first: true });
+        assert_eq!(protection.hear(at(1_100), TIMEOUT, 3), Heard::Unsteady { first: false });
+        assert_eq!(protection.hear(at(1_200), TIMEOUT, 3), Heard::Recovered);
+        assert_eq!(protection.hear(at(1_201), TIMEOUT, 3), Heard::Steady);
+    }
+
+    #[test]
+    fn a_gap_starts_the_count_again() {
+        let mut protection = tripped();
+        protection.hear(at(1_000), TIMEOUT, 3);
+        protection.hear(at(1_100), TIMEOUT, 3);
+        assert_eq!(protection.hear(at(1_201), TIMEOUT, 3), Heard::Unsteady { first: false });
+        assert_eq!(protection.hear(at(1_202), TIMEOUT, 3), Heard::Unsteady { first: false });
+        assert_eq!(protection.hear(at(1_203), TIMEOUT, 3), Heard::Recovered);
+    }
+}

@@ -1,0 +1,189 @@
+//! What a drive sends by itself: active replies (0xB6), error reports (function 3) and the heartbeat
+//! of a lost master (a quirk).
+//!
+//! Decided, where the manual is silent:
+//!
+//! - Active replies and error reporting end with a restart: nothing says that they are saved.
+//! - There is one interval, the last one set. Every interval one reply goes out; with several commands
+//!   enabled they take turns ("sent alternately in a cycle at the set time", 2.34.1), in the order in
+//!   which they were first enabled. An interval of 0 counts as one step of 10 ms.
+//! - "The motor no longer replies when it receives a command": a poll of what is reported actively
+//!   stays unanswered, as drives were seen to do. All other commands are answered as ever.
+//! - The first error report goes out as soon as there is an error, or reporting is switched on.
+
+use heapless::Vec;
+
+use crate::command::ReportedCommand;
+use crate::opcode::Opcode;
+use crate::time::{Duration, Instant};
+use crate::units::ReportInterval;
+
+const ERROR_INTERVAL: Duration = Duration::from_millis(100);
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Something that happens at an interval.
+#[derive(Clone, Copy, Debug)]
+struct Timer {
+    due: Instant,
+    interval: Duration,
+}
+
+impl Timer {
+    /// Whether it is due; then it is set again. What a late caller missed is not made up for.
+    fn is_due(&mut self, now: Instant) -> bool {
+        let due = self.due <= now;
+        if due {
+            let next = self.due + self.interval;
+            self.due = if next > now { next } else { now + self.interval };
+        }
+        due
+    }
+}
+
+/// What is to be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Report {
+    Status1,
+    Heartbeat,
+    Active(Opcode),
+}
+
+#[derive(Clone, Debug, Default)]
+pub(super) struct Reporting {
+    commands: Vec<Opcode, 7>,
+    active: Option<Timer>,
+    errors_wanted: bool,
+    errors: Option<Timer>,
+    heartbeat: Option<Timer>,
+}
+
+/// The kind whose reply is reported, `None` for 0x9E and codes that the manual does not name.
+pub(super) const fn opcode(command: ReportedCommand) -> Option<Opcode> {
+    match command {
+        ReportedCommand::MultiTurnEncoder => Some(Opcode::ReadMultiTurnEncoder),
+        ReportedCommand::MultiTurnEncoderRaw => Some(Opcode::ReadMultiTurnEncoderRaw),
+        ReportedCommand::MultiTurnEncoderOffset => Some(Opcode::ReadMultiTurnEncoderOffset),
+        ReportedCommand::MultiTurnAngle => Some(Opcode::ReadMultiTurnAngle),
+        ReportedCommand::Status1 => Some(Opcode::ReadStatus1),
+        ReportedCommand::Status2 => Some(Opcode::ReadStatus2),
+        ReportedCommand::Status3 => Some(Opcode::ReadStatus3),
+        ReportedCommand::Undescribed9E | ReportedCommand::Unknown(_) => None,
+    }
+}
+
+impl Reporting {
+    pub(super) fn enable(&mut self, opcode: Opcode, interval: ReportInterval, now: Instant) {
+        if !self.reports(opcode) {
+            let _ = self.commands.push(opcode);
+        }
+        let interval = Duration::from_millis(u64::from(interval.raw().max(1)) * 10);
+        self.active = Some(Timer { due: now + interval, interval });
+    }
+
+    pub(super) fn disable(&mut self, opcode: Opcode) {
+        self.commands.retain(|&reported| reported != opcode);
+        if self.commands.is_empty() {
+            self.active = None;
+        }
+    }
+
+    /// Whether this is reported actively.
+    pub(super) fn reports(&self, opcode: Opcode) -> bool {
+        self.commands.contains(&opcode)
+    }
+
+    pub(super) fn set_errors_wanted(&mut self, wanted: bool) {
+        self.errors_wanted = wanted;
+    }
+
+    /// Takes over what lasts: whether there is an error, whether the master is lost.
+    pub(super) fn follow(&mut self, error: bool, master_lost: bool, now: Instant) {
+        let every = |interval| Timer { due: now, interval };
+        match (error && self.errors_wanted, self.errors) {
+            (true, None) => self.errors = Some(every(ERROR_INTERVAL)),
+            (false, Some(_)) => self.errors = None,
+            _ => {}
+        }
+        match (master_lost, self.heartbeat) {
+            (true, None) => self.heartbeat = Some(every(HEARTBEAT_INTERVAL)),
+            (false, Some(_)) => self.heartbeat = None,
+            _ => {}
+        }
+    }
+
+    /// What is due, errors first.
+    pub(super) fn poll(&mut self, now: Instant) -> Option<Report> {
+        let due = |timer: &mut Option<Timer>| timer.as_mut().is_some_and(|timer| timer.is_due(now));
+        if due(&mut self.errors) {
+            Some(Report::Status1)
+        } else if due(&mut self.heartbeat) {
+            Some(Report::Heartbeat)
+        } else if due(&mut self.active) {
+            let next = self.commands.first().copied();
+            self.commands.rotate_left(usize::from(next.is_some()));
+            next.map(Report::Active)
+        } else {
+            None
+        }
+    }
+
+    /// When the next is due.
+    pub(super) fn poll_at(&self) -> Option<Instant> {
+        [self.errors, self.heartbeat, self.active].into_iter().flatten().map(|t| t.due).min()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    const TEN_MS: ReportInterval = ReportInterval::from_raw(1);
+
+    #[test]
+    fn several_commands_take_turns_at_the_interval() {
+        let mut reporting = Reporting::default();
+        reporting.enable(Opcode::ReadStatus2, TEN_MS, at(0));
+        reporting.enable(Opcode::ReadMultiTurnAngle, ReportInterval::from_raw(2), at(0));
+        let mut sent: Vec<(u64, Opcode), 8> = Vec::new();
+        for now in 0..=80 {
+            if let Some(Report::Active(opcode)) = reporting.poll(at(now)) {
+                sent.push((now, opcode)).unwrap();
+            }
+        }
+        let (a, b) = (Opcode::ReadStatus2, Opcode::ReadMultiTurnAngle);
+        assert_eq!(sent, [(20, a), (40, b), (60, a), (80, b)]);
+        reporting.disable(a);
+        assert!(!reporting.reports(a) && reporting.reports(b));
+        reporting.disable(b);
+        assert_eq!(reporting.poll_at(), None);
+    }
+
+    #[test]
+    fn errors_are_reported_every_100_ms_while_they_last() {
+        let mut reporting = Reporting::default();
+        reporting.follow(true, false, at(0));
+        assert_eq!(reporting.poll(at(0)), None);
+        reporting.set_errors_wanted(true);
+        let mut sent: Vec<u64, 8> = Vec::new();
+        for now in 0..=400 {
+            reporting.follow(now < 250, false, at(now));
+            if reporting.poll(at(now)) == Some(Report::Status1) {
+                sent.push(now).unwrap();
+            }
+        }
+        assert_eq!(sent, [0, 100, 200]);
+    }
+
+    #[test]
+    fn a_late_caller_gets_one_and_not_all_that_it_missed() {
+        let mut reporting = Reporting::default();
+        reporting.enable(Opcode::ReadStatus2, TEN_MS, at(0));
+        assert!(reporting.poll(at(105)).is_some());
+        assert_eq!(reporting.poll(at(105)), None);
+        assert_eq!(reporting.poll_at(), Some(at(115)));
+    }
+}

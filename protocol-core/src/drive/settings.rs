@@ -1,0 +1,296 @@
+//! What a drive keeps over power-off, and where.
+//!
+//! A drive holds its settings twice: as they are stored, and as they act. Most writes change both;
+//! 0x31 changes only what acts, and those that the manual lets take effect after a restart change
+//! only what is stored.
+
+use crate::command::{AccelerationIndex, BaudCode, PidIndex};
+use crate::id::MotorId;
+use crate::units::{Acceleration, Angle, EncoderPulses, Gain, Milliseconds};
+
+/// The gains of the control loops (2.1.4), each as its loop uses it: see
+/// [`Gains::tuned`] for the units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Gains {
+    /// Current loop, proportional: how much of a change of the set-point passes at once, 1 for all.
+    pub current_kp: Gain,
+    /// Current loop, integral, 1/s.
+    pub current_ki: Gain,
+    /// Speed loop, proportional, A per degree per second.
+    pub speed_kp: Gain,
+    /// Speed loop, integral, A per degree.
+    pub speed_ki: Gain,
+    /// Position loop, proportional, 1/s.
+    pub position_kp: Gain,
+    /// Position loop, integral, 1/s².
+    pub position_ki: Gain,
+    /// Position loop, derivative: a bare number.
+    pub position_kd: Gain,
+}
+
+impl Gains {
+    /// Gains for a motor whose output shaft, load included, has this inertia in kg·m² and gives this
+    /// torque in N·m for 1 A, so that its speed settles with this bandwidth in rad/s.
+    ///
+    /// The position loop is four times slower than the speed loop. The speed loop's bandwidth should
+    /// stay well below the control rate: 150 rad/s at 1 kHz leaves room for a load of several times
+    /// the inertia. What is not a positive number gives gains of 0, with which the motor does not move.
+    pub fn tuned(inertia_kg_m2: f32, torque_constant_nm_per_a: f32, bandwidth_rad_s: f32) -> Self {
+        let positive = |x: f32| if x.is_finite() && x > 0.0 { x } else { 0.0 };
+        let gain = |x: f32| Gain::new(x).unwrap_or(NO_GAIN);
+        let bandwidth = positive(bandwidth_rad_s);
+        let speed_kp = positive(inertia_kg_m2) * bandwidth / torque_constant_nm_per_a;
+        let speed_kp = positive(speed_kp.to_radians());
+        Self {
+            current_kp: gain(1.0),
+            current_ki: gain(100.0),
+            speed_kp: gain(speed_kp),
+            speed_ki: gain(speed_kp * bandwidth / 10.0),
+            position_kp: gain(bandwidth / 4.0),
+            position_ki: NO_GAIN,
+            position_kd: NO_GAIN,
+        }
+    }
+
+    /// The gain with this index, `None` for one that the manual does not name.
+    pub const fn get(&self, index: PidIndex) -> Option<Gain> {
+        match index {
+            PidIndex::CurrentKp => Some(self.current_kp),
+            PidIndex::CurrentKi => Some(self.current_ki),
+            PidIndex::SpeedKp => Some(self.speed_kp),
+            PidIndex::SpeedKi => Some(self.speed_ki),
+            PidIndex::PositionKp => Some(self.position_kp),
+            PidIndex::PositionKi => Some(self.position_ki),
+            PidIndex::PositionKd => Some(self.position_kd),
+            PidIndex::Unknown(_) => None,
+        }
+    }
+
+    /// Sets the gain with this index. An index that the manual does not name changes nothing.
+    pub const fn set(&mut self, index: PidIndex, value: Gain) {
+        match index {
+            PidIndex::CurrentKp => self.current_kp = value,
+            PidIndex::CurrentKi => self.current_ki = value,
+            PidIndex::SpeedKp => self.speed_kp = value,
+            PidIndex::SpeedKi => self.speed_ki = value,
+            PidIndex::PositionKp => self.position_kp = value,
+            PidIndex::PositionKi => self.position_ki = value,
+            PidIndex::PositionKd => self.position_kd = value,
+            PidIndex::Unknown(_) => {}
+        }
+    }
+}
+
+/// Decided while compiling: 0 is a gain.
+const NO_GAIN: Gain = match Gain::new(0.0) {
+    Ok(gain) => gain,
+    Err(_) => unreachable!(),
+};
+
+/// The four planning accelerations (2.4.4).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Accelerations {
+    /// Position planning, up to the maximum speed. [`Acceleration::NONE`] for direct tracking.
+    pub position_acceleration: Acceleration,
+    /// Position planning, down to standstill. [`Acceleration::NONE`] for the acceleration's value.
+    pub position_deceleration: Acceleration,
+    /// Speed planning, away from standstill. [`Acceleration::NONE`] for as hard as the current allows.
+    pub speed_acceleration: Acceleration,
+    /// Speed planning, towards standstill. [`Acceleration::NONE`] for as hard as the current allows.
+    pub speed_deceleration: Acceleration,
+}
+
+impl Accelerations {
+    /// The acceleration with this index, `None` for one that the manual does not name.
+    pub const fn get(&self, index: AccelerationIndex) -> Option<Acceleration> {
+        match index {
+            AccelerationIndex::PositionAcceleration => Some(self.position_acceleration),
+            AccelerationIndex::PositionDeceleration => Some(self.position_deceleration),
+            AccelerationIndex::SpeedAcceleration => Some(self.speed_acceleration),
+            AccelerationIndex::SpeedDeceleration => Some(self.speed_deceleration),
+            AccelerationIndex::Unknown(_) => None,
+        }
+    }
+
+    /// Sets the acceleration with this index. One that the manual does not name changes nothing.
+    pub const fn set(&mut self, index: AccelerationIndex, value: Acceleration) {
+        match index {
+            AccelerationIndex::PositionAcceleration => self.position_acceleration = value,
+            AccelerationIndex::PositionDeceleration => self.position_deceleration = value,
+            AccelerationIndex::SpeedAcceleration => self.speed_acceleration = value,
+            AccelerationIndex::SpeedDeceleration => self.speed_deceleration = value,
+            AccelerationIndex::Unknown(_) => {}
+        }
+    }
+}
+
+const FACTORY_ACCELERATION: Acceleration = match Acceleration::try_from_raw(10_000) {
+    Ok(acceleration) => acceleration,
+    Err(_) => Acceleration::NONE,
+};
+
+/// 10000 dps/s each, the manual's example (2.4.5).
+impl Default for Accelerations {
+    fn default() -> Self {
+        Self {
+            position_acceleration: FACTORY_ACCELERATION,
+            position_deceleration: FACTORY_ACCELERATION,
+            speed_acceleration: FACTORY_ACCELERATION,
+            speed_deceleration: FACTORY_ACCELERATION,
+        }
+    }
+}
+
+/// Everything that a drive keeps over power-off.
+///
+/// Not in here, because the manual does not say that it is saved: error reporting (function 3) and
+/// active reply (0xB6). Both end with a restart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Settings {
+    /// The motor's id, on CAN and RS485 alike. A change acts after a restart: function 5 says so, and
+    /// 0x79 is the same setting.
+    pub id: MotorId,
+    /// Gains of the control loops (0x32).
+    pub gains: Gains,
+    /// Planning accelerations (0x43).
+    pub accelerations: Accelerations,
+    /// The raw encoder position that counts as zero (0x63, 0x64, function 1). A change acts after a
+    /// restart.
+    pub zero_offset: EncoderPulses,
+    /// Whether commands to all motors (CAN 0x280) go unheard (function 2).
+    pub can_id_filter: bool,
+    /// Whether the turns are saved (function 4). A change acts after a restart.
+    pub save_multi_turn: bool,
+    /// The raw encoder position at the last power-off or restart, where turns are saved.
+    pub saved_position: Option<i64>,
+    /// The largest angle of position commands (function 6), `None` while there is no limit.
+    ///
+    /// The manual tells no unit; 0.01 degrees, the unit of every commanded angle, is our assumption.
+    pub max_positive_angle: Option<Angle>,
+    /// The smallest angle of position commands (function 7), as
+    /// [`max_positive_angle`](Self::max_positive_angle).
+    pub max_negative_angle: Option<Angle>,
+    /// The longest silence before the output is cut (0xB3); 0 for no protection.
+    pub protection_timeout: Milliseconds,
+    /// The bit rate of the bus (0xB4).
+    pub baud_rate: BaudCode,
+}
+
+impl Settings {
+    /// What a drive leaves the factory with: no limits, no protection, turns not saved, and
+    /// 1 Mbit/s on CAN.
+    pub fn factory(id: MotorId, gains: Gains, baud_rate: BaudCode) -> Self {
+        Self {
+            id,
+            gains,
+            accelerations: Accelerations::default(),
+            zero_offset: EncoderPulses::from_raw(0),
+            can_id_filter: false,
+            save_multi_turn: false,
+            saved_position: None,
+            max_positive_angle: None,
+            max_negative_angle: None,
+            protection_timeout: Milliseconds::from_raw(0),
+            baud_rate,
+        }
+    }
+}
+
+/// A drive's non-volatile memory.
+///
+/// A store must be all or nothing: after a loss of power in the middle of one, `load` returns either
+/// the settings before or those after.
+pub trait Memory {
+    /// What can go wrong.
+    type Error;
+
+    /// What was stored last, `None` if nothing ever was.
+    ///
+    /// # Errors
+    /// If the memory cannot be read, or holds what no drive stored.
+    fn load(&mut self) -> Result<Option<Settings>, Self::Error>;
+
+    /// Keeps `settings` over power-off. A drive calls it only when something has changed.
+    ///
+    /// # Errors
+    /// If they are not kept.
+    fn store(&mut self, settings: &Settings) -> Result<(), Self::Error>;
+}
+
+impl<M: Memory + ?Sized> Memory for &mut M {
+    type Error = M::Error;
+
+    fn load(&mut self) -> Result<Option<Settings>, M::Error> {
+        (**self).load()
+    }
+
+    fn store(&mut self, settings: &Settings) -> Result<(), M::Error> {
+        (**self).store(settings)
+    }
+}
+
+/// A memory that outlives a simulated power-off, and nothing more.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RamMemory {
+    /// What was stored last.
+    pub settings: Option<Settings>,
+    /// How often something was stored.
+    pub stores: u32,
+}
+
+impl Memory for RamMemory {
+    type Error = core::convert::Infallible;
+
+    fn load(&mut self) -> Result<Option<Settings>, Self::Error> {
+        Ok(self.settings)
+    }
+
+    fn store(&mut self, settings: &Settings) -> Result<(), Self::Error> {
+        self.settings = Some(*settings);
+        self.stores = self.stores.saturating_add(1);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_index_has_its_own_place() {
+        let mut gains = Gains::tuned(0.02, 2.0, 100.0);
+        for (place, &index) in PidIndex::ALL.iter().enumerate() {
+            gains.set(index, Gain::new(place as f32).unwrap());
+        }
+        for (place, &index) in PidIndex::ALL.iter().enumerate() {
+            assert_eq!(gains.get(index).unwrap().value(), place as f32);
+        }
+        assert_eq!(gains.get(PidIndex::Unknown(3)), None);
+
+        let mut accelerations = Accelerations::default();
+        for (place, &index) in AccelerationIndex::ALL.iter().enumerate() {
+            accelerations.set(index, Acceleration::try_from_raw(100 + place as u32).unwrap());
+        }
+        for (place, &index) in AccelerationIndex::ALL.iter().enumerate() {
+            assert_eq!(accelerations.get(index).unwrap().raw(), 100 + place as u32);
+        }
+    }
+
+    #[test]
+    fn tuned_gains_follow_inertia_and_torque_constant() {
+        // 0.02 kg·m² * 100 rad/s / 2 N·m/A = 1 A per rad/s.
+        let gains = Gains::tuned(0.02, 2.0, 100.0);
+        assert!((gains.speed_kp.value() - core::f32::consts::PI / 180.0).abs() < 1e-7);
+        assert_eq!(gains.position_kp.value(), 25.0);
+        for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            assert_eq!(Gains::tuned(bad, 2.0, 100.0).speed_kp, NO_GAIN);
+            assert_eq!(Gains::tuned(0.02, bad, 100.0).speed_kp, NO_GAIN);
+        }
+    }
+}

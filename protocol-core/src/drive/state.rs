@@ -1,0 +1,51 @@
+//! How a drive does, for those who look at it from outside the bus.
+
+use crate::command::{BrakeCommand, ErrorFlags, Mode};
+use crate::drive::life::Life;
+use crate::drive::{Drive, Indicator, Measurement, Memory, Plant};
+
+/// How a drive does at its [`clock`](Drive::clock).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State {
+    /// Whether it has its supply.
+    pub powered: bool,
+    /// Whether it hears commands: it has its supply and is not starting.
+    pub running: bool,
+    /// Which loop runs, as 0x70 tells it; code 0 in no mode.
+    pub mode: Mode,
+    /// Whether the output is on.
+    pub output_on: bool,
+    /// Angle of the output shaft from its zero, degrees, in full resolution.
+    pub angle_deg: f64,
+    /// What the brake has been told.
+    pub brake: BrakeCommand,
+    /// Everything that is wrong.
+    pub errors: ErrorFlags,
+    /// What the indicator light shows.
+    pub indicator: Indicator,
+    /// Whether communication was lost and is not steady yet (0xB3).
+    pub communication_lost: bool,
+    /// The last measurement.
+    pub measurement: Measurement,
+}
+
+impl<P: Plant, M: Memory> Drive<P, M> {
+    /// How the drive does.
+    pub fn state(&self) -> State {
+        State {
+            powered: self.life != Life::Off,
+            running: matches!(self.life, Life::Running { .. }),
+            mode: self.controller.mode(),
+            output_on: !self.controller.is_off(),
+            angle_deg: self.encoder.angle_deg(),
+            brake: self.brake.command(),
+            errors: self.faults.all(),
+            indicator: match self.life {
+                Life::Off => Indicator::Dark,
+                Life::Booting { .. } | Life::Running { .. } => self.faults.indicator(),
+            },
+            communication_lost: self.protection.is_tripped(),
+            measurement: self.measurement,
+        }
+    }
+}
