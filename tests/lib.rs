@@ -2,3 +2,8 @@
 
 pub mod line;
 pub mod vectors;
+
+/// The code in `README.md` is compiled and run as documentation tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`text`] | frames as people and tools write them: `ID#DATA`, candump lines, RS485 bytes |
 //! | [`explain`] | what a frame says: name, fields with their units, and a sentence |
+//! | [`sim`] | simulated drives on simulated buses |
 //! | [`bus`] | the simulated buses: CAN and RS485, in virtual or real time |
 //! | [`plant`] | the physics behind a simulated drive |
 //! | [`nvm`] | a value in a file, safe against a crash |
@@ -13,6 +14,7 @@ mod bus_kind;
 pub mod explain;
 pub mod nvm;
 pub mod plant;
+pub mod sim;
 pub mod text;
 
 pub use bus_kind::BusKind;

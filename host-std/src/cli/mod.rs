@@ -2,6 +2,7 @@
 
 mod arguments;
 mod decode;
+mod demo;
 mod encode;
 
 use std::error::Error as _;
@@ -15,6 +16,8 @@ use clap::error::{ContextKind, ErrorKind};
 const DONE: u8 = 0;
 /// Some frames were not understood.
 const NOT_ALL_DECODED: u8 = 1;
+/// What was asked for could not be done.
+const FAILED: u8 = 1;
 /// The program was used wrongly.
 const WRONG_USAGE: u8 = 2;
 
@@ -28,6 +31,7 @@ struct Cli {
 
 #[derive(Debug, clap::Subcommand)]
 enum Subcommand {
+    Demo(demo::Arguments),
     Encode(encode::Arguments),
     Decode(decode::Arguments),
 }
@@ -36,6 +40,7 @@ enum Subcommand {
 pub(crate) fn run() -> ExitCode {
     ExitCode::from(match Cli::try_parse() {
         Ok(cli) => match cli.subcommand {
+            Subcommand::Demo(arguments) => demo::run(&arguments),
             Subcommand::Encode(arguments) => encode::run(&arguments),
             Subcommand::Decode(arguments) => decode::run(&arguments),
         },

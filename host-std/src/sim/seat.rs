@@ -1,0 +1,97 @@
+//! A drive's seat on a simulated bus.
+
+use myactuator_protocol_core::drive::{Drive, Memory, Plant};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::can::{self, SimpleFrame};
+use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
+
+use crate::bus::Node;
+
+/// How long a drive is without power when its node is reset.
+const POWER_CYCLE: Duration = Duration::from_millis(1);
+
+/// A drive and what it has received of a frame so far.
+#[derive(Debug)]
+pub struct Seat<P, M> {
+    /// The drive.
+    pub drive: Drive<P, M>,
+    receiver: Receiver,
+}
+
+impl<P: Plant, M: Memory> Seat<P, M> {
+    /// A seat for this drive.
+    pub fn new(drive: Drive<P, M>) -> Self {
+        Self { drive, receiver: Receiver::new() }
+    }
+
+    /// Lets the drive's own time go on to `now`, however far that is.
+    fn catch_up(&mut self, now: Instant) {
+        loop {
+            let before = self.drive.clock();
+            self.drive.advance(now);
+            if self.drive.clock() == before {
+                return;
+            }
+        }
+    }
+
+    fn power_cycle(&mut self, now: Instant) {
+        self.drive.power_off(now);
+        self.drive.power_on(now + POWER_CYCLE);
+    }
+}
+
+impl<P: Plant + Send, M: Memory + Send> Node<SimpleFrame> for Seat<P, M> {
+    fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
+        // Real drives ignore short, remote and foreign frames.
+        if let can::Received::Packet(packet) = can::decode(frame) {
+            self.catch_up(now);
+            self.drive.handle_packet(&packet, now);
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<SimpleFrame> {
+        can::encode(&self.drive.poll_transmit(now)?)
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        self.drive.poll_at()
+    }
+
+    fn advance(&mut self, now: Instant) {
+        self.catch_up(now);
+    }
+
+    fn reset(&mut self, now: Instant) {
+        self.power_cycle(now);
+    }
+}
+
+impl<P: Plant + Send, M: Memory + Send> Node<Vec<u8>> for Seat<P, M> {
+    fn handle_frame(&mut self, bytes: &Vec<u8>, now: Instant) {
+        for &byte in bytes {
+            if let Fed::Frame(frame) = self.receiver.feed(byte) {
+                self.catch_up(now);
+                self.drive.handle_packet(&frame.as_command(), now);
+            }
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Vec<u8>> {
+        let packet = self.drive.poll_transmit(now)?;
+        Some(Frame::from_packet(&packet)?.encode().to_vec())
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        self.drive.poll_at()
+    }
+
+    fn advance(&mut self, now: Instant) {
+        self.catch_up(now);
+    }
+
+    fn reset(&mut self, now: Instant) {
+        self.receiver.reset();
+        self.power_cycle(now);
+    }
+}
