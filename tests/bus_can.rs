@@ -6,6 +6,7 @@ mod bus_script;
 
 use bus_script::Hand;
 use embedded_can::{ExtendedId, Frame, Id, StandardId, blocking, nb::Can as _};
+use myactuator_host_std::bus::Node;
 use myactuator_host_std::bus::can::{
     CanConfig, CanError, CanPort, CanWorld, ControllerConfig, ErrorState, QueueOrder, frame_bits,
 };
@@ -498,10 +499,21 @@ fn polling_costs_time_only_if_told() {
 
 #[test]
 fn a_node_is_asked_again_when_its_mailboxes_have_room() {
+    /// Has all its frames from the start and never asks for time.
+    struct Burst(Vec<SimpleFrame>);
+    impl Node<SimpleFrame> for Burst {
+        fn handle_frame(&mut self, _: &SimpleFrame, _: Instant) {}
+        fn poll_transmit(&mut self, _: Instant) -> Option<SimpleFrame> {
+            self.0.pop()
+        }
+        fn poll_at(&self) -> Option<Instant> {
+            None
+        }
+    }
     let world = world();
     let listener = Hand::listening();
     world.attach(listener.node());
-    world.attach(Hand::sending((0..8).map(|n| (0, data_frame(0x241, &[n; 8])))).node());
+    world.attach(Burst((0..8).rev().map(|n| data_frame(0x241, &[n; 8])).collect()));
     world.run_until(micros(2_000));
     let heard: Vec<u8> = listener.heard().iter().map(|(_, frame)| frame.data()[0]).collect();
     assert_eq!(heard, [0, 1, 2, 3, 4, 5, 6, 7]);
@@ -510,7 +522,7 @@ fn a_node_is_asked_again_when_its_mailboxes_have_room() {
 #[test]
 fn a_node_that_is_never_satisfied_does_not_stop_time() {
     struct Impatient;
-    impl myactuator_host_std::bus::Node<SimpleFrame> for Impatient {
+    impl Node<SimpleFrame> for Impatient {
         fn handle_frame(&mut self, _: &SimpleFrame, _: Instant) {}
         fn poll_transmit(&mut self, _: Instant) -> Option<SimpleFrame> {
             None

@@ -444,6 +444,21 @@ fn a_slow_node_answers_late_and_in_order() {
 }
 
 #[test]
+fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    let station = world.attach(Hand::sending([(0, frame(1))]).node());
+    world.slow_down(station, Duration::from_millis(1));
+    let interval = Duration::from_micros(10);
+    // Nobody acknowledges, so the babble fills the mailboxes before the frame gets there.
+    world.babble(station, Some(Babble::Fixed { interval, frame: frame(5) }));
+    world.run_until(micros(10_000));
+    world.babble(station, None);
+    let mut port = world.port();
+    world.run_until(micros(20_000));
+    assert_eq!(receive_all(&mut port), [frame(5), frame(5), frame(5), frame(1)]);
+}
+
+#[test]
 fn a_babbling_station_sends_until_it_is_silenced() {
     let world = CanWorld::new(CanConfig::default(), 1);
     let mut port = world.port();

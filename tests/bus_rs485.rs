@@ -182,6 +182,25 @@ fn what_is_written_meanwhile_follows_without_a_gap() {
     assert_eq!(listener.heard(), [(10, vec![1]), (20, vec![2])]);
 }
 
+#[test]
+fn overlapping_bytes_are_broken_for_both_senders() {
+    let world = world();
+    let stations = [(0, 0x11), (5, 0x22)]
+        .map(|(at, byte)| world.attach(Hand::sending([(at, vec![byte])]).node()));
+    let listener = Hand::listening();
+    world.attach(listener.node());
+    let log = world.log();
+    world.run_until(micros(1_000));
+    let records = log.take();
+    for (station, started_ns, byte) in [(stations[0], 0, 0x11), (stations[1], 5_000, 0x22)] {
+        let broken = Event::Broken { frame: vec![byte], started_ns };
+        assert!(records.iter().any(|r| r.station == station && r.event == broken), "{records:?}");
+    }
+    // From the first start bit, and again from the middle of the second one's byte.
+    let times: Vec<u64> = listener.heard().iter().map(|(at, _)| *at).collect();
+    assert_eq!(times, [10, 20]);
+}
+
 fn collide(seed: u64, second_at: u64) -> Vec<(u64, Vec<u8>)> {
     let world = seeded(seed);
     world.attach(Hand::sending([(0, vec![0x11; 4])]).node());

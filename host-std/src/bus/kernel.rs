@@ -177,7 +177,7 @@ impl<B: Medium> Kernel<B> {
         while let Some(entry) = self.late.first_entry().filter(|entry| entry.key().0 <= self.now) {
             let (station, late) = entry.remove();
             match late {
-                Late::Deliver(unit) => self.deliver(station, unit),
+                Late::Deliver(unit) => self.deliver(station, &unit),
                 Late::Release(message) if self.stations[station].held_message == message => {
                     self.release(station);
                 }
@@ -306,7 +306,7 @@ impl<B: Medium> Kernel<B> {
     fn deliver_in_order(&mut self, to: usize, unit: &B::Frame, late_by: Nanos) {
         let at = self.now.saturating_add(late_by).max(self.stations[to].not_before);
         if at <= self.now {
-            self.deliver(to, unit.clone());
+            self.deliver(to, unit);
         } else {
             self.stations[to].not_before = at;
             self.schedule(at, to, Late::Deliver(unit.clone()));
@@ -324,20 +324,20 @@ impl<B: Medium> Kernel<B> {
         self.late.insert((at, self.sequence), (station, late));
     }
 
-    fn deliver(&mut self, to: usize, unit: B::Frame) {
+    fn deliver(&mut self, to: usize, unit: &B::Frame) {
         let now = self.now;
         let state = &mut self.stations[to];
         if let Some(node) = &mut state.node {
-            node.handle_frame(&unit, to_instant(now));
+            node.handle_frame(unit, to_instant(now));
             self.serve_node(to);
             return;
         }
         if state.received.len() >= state.receive_queue {
             state.overflows += 1;
-            self.trace.record(now, to, || Event::Overflowed { frame: unit });
+            self.trace.record(now, to, || Event::Overflowed { frame: unit.clone() });
             return;
         }
-        state.received.push_back(unit);
+        state.received.push_back(unit.clone());
         for waker in state.wakers.drain(..) {
             waker.wake();
         }

@@ -17,6 +17,10 @@ use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
 use super::node::{Node, StationId};
 use super::trace::{Log, Record};
 
+/// The longest sleep in real time: a waker that is called from outside the world may fall between
+/// looking and sleeping.
+const LONGEST_SLEEP: std::time::Duration = std::time::Duration::from_millis(10);
+
 /// What makes time go on.
 #[derive(Clone, Copy, Debug)]
 enum TimeBase {
@@ -124,7 +128,7 @@ impl<B: Medium> World<B> {
                     let wake = next.min(until);
                     let ahead =
                         std::time::Duration::from_nanos(wake).saturating_sub(zero.elapsed());
-                    let sleep = self.0.changed.wait_timeout(state, ahead);
+                    let sleep = self.0.changed.wait_timeout(state, ahead.min(LONGEST_SLEEP));
                     (state, _) = sleep.unwrap_or_else(PoisonError::into_inner);
                 }
             }
