@@ -146,7 +146,7 @@ impl Fleet {
             let station = world.attach(Arc::clone(&seat));
             drives.push(DriveHandle { motor, station, seat });
         }
-        Ok(CanFleet { world, drives })
+        Ok(CanFleet { world, drives, bit_rate })
     }
 
     /// Puts the drives on an RS485 line in virtual time.
@@ -281,12 +281,13 @@ pub struct CanFleet {
     pub world: World<CanBus>,
     /// The drives, in the order of their ids.
     pub drives: Vec<DriveHandle>,
+    bit_rate: u32,
 }
 
 impl CanFleet {
     /// A master on this bus.
     pub fn master<const N: usize>(&self) -> CanMaster<CanPort, SimClock<CanBus>, N> {
-        CanMaster::new(self.world.port(), self.world.clock(), Config::CAN)
+        CanMaster::new(self.world.port(), self.world.clock(), Config::can(self.bit_rate))
     }
 }
 

@@ -104,10 +104,14 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
 
     fn poll(&mut self) -> Result<Option<Event>, C::Error> {
         let now = self.clock.now();
-        let event = self.receive(now)?;
+        // What was received comes first, so that the caller's answer to it is there when the next
+        // command is chosen.
+        if let Some(event) = self.receive(now)? {
+            return Ok(Some(event));
+        }
         self.master.handle_timeout(now);
         self.transmit(now)?;
-        Ok(event.or_else(|| self.master.poll_event()))
+        Ok(self.master.poll_event())
     }
 
     fn idle(&mut self, until: Instant) {

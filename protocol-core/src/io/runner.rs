@@ -52,8 +52,9 @@ pub trait Runner<const N: usize> {
     /// The time now.
     fn now(&self) -> Instant;
 
-    /// One round: receives, lets the master see the time, sends what the bus takes. Gives one event
-    /// if there is any; call it until there is none. Never waits.
+    /// One round: receives; if nothing was received, lets the master see the time and sends what the
+    /// bus takes. Gives one event if there is any. Call it until there is none, or nothing is sent.
+    /// Never waits.
     ///
     /// # Errors
     /// What the bus driver reports. The master stays sound: call again.

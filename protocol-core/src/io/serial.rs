@@ -93,13 +93,17 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Runner<N> for Serial
 
     fn poll(&mut self) -> Result<Option<Event>, S::Error> {
         let now = self.clock.now();
-        let event = self.receive(now)?;
+        // What was received comes first, so that the caller's answer to it is there when the next
+        // command is chosen.
+        if let Some(event) = self.receive(now)? {
+            return Ok(Some(event));
+        }
         self.master.handle_timeout(now);
         if let Err(error) = self.transmit(now) {
             self.master.handle_bus_down(now);
             return Err(error);
         }
-        Ok(event.or_else(|| self.master.poll_event()))
+        Ok(self.master.poll_event())
     }
 
     fn idle(&mut self, until: Instant) {

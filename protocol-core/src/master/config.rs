@@ -19,7 +19,11 @@ pub enum Bus {
     },
 }
 
-/// How a master behaves. Start from [`CAN`](Self::CAN) or [`rs485`](Self::rs485).
+/// Bits of a CAN frame with eight data bytes, as many stuff bits as there can be, and the pause after
+/// it.
+const LONGEST_CAN_FRAME_BITS: u32 = 135;
+
+/// How a master behaves. Start from [`can`](Self::can) or [`rs485`](Self::rs485).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -31,9 +35,17 @@ pub struct Config {
     pub reply_timeout: Duration,
     /// How often at most a request is sent whose repetition is harmless, 1 to 15.
     pub attempts: u8,
+    /// How long a frame is on the wire at the most.
+    pub frame_time: Duration,
     /// Replies that come sooner after their command than this cannot be its answer: a drive needs
     /// some 0.8 ms. This tells a doubled frame from the answer to the next request of its kind.
     pub shortest_response: Duration,
+    /// How long a reply takes at the most when it need not wait for the bus, adapters included.
+    ///
+    /// On a full CAN bus replies of high ids lose every arbitration. So no motor gets its next command
+    /// while another's older one may still be waiting to be answered: until this time is over and the
+    /// bus was quiet, or the motor was silent before. RS485 does not use it.
+    pub longest_response: Duration,
     /// For how long after its command a late reply may still come, up to 30 s. Until then no other
     /// request goes to that motor, so that the late reply cannot be taken for its answer.
     pub late_window: Duration,
@@ -46,17 +58,28 @@ pub struct Config {
 }
 
 impl Config {
-    /// For CAN: replies within 20 ms, three attempts.
-    pub const CAN: Self = Self {
-        bus: Bus::Can,
-        reply_timeout: Duration::from_millis(20),
-        attempts: 3,
-        shortest_response: Duration::from_micros(250),
-        late_window: Duration::from_millis(40),
-        set_point_max_age: Duration::from_millis(50),
-        restart_time: Duration::from_millis(2_000),
-        settle_time: Duration::from_millis(5),
-    };
+    /// For CAN at 1 Mbit/s.
+    pub const CAN: Self = Self::can(1_000_000);
+
+    /// For CAN at `bit_rate`: replies within 3 ms and the time of 128 frames, which is two cycles of
+    /// 32 motors; three attempts.
+    pub const fn can(bit_rate: u32) -> Self {
+        let rate = if bit_rate == 0 { 1_000_000 } else { bit_rate };
+        let frame_micros = (LONGEST_CAN_FRAME_BITS * 1_000_000 / rate) as u64 + 1;
+        let reply_micros = 3_000 + 128 * frame_micros;
+        Self {
+            bus: Bus::Can,
+            reply_timeout: Duration::from_micros(reply_micros),
+            attempts: 3,
+            frame_time: Duration::from_micros(frame_micros),
+            shortest_response: Duration::from_micros(2 * frame_micros),
+            longest_response: Duration::from_millis(2),
+            late_window: Duration::from_micros(2 * reply_micros),
+            set_point_max_age: Duration::from_millis(50),
+            restart_time: Duration::from_millis(2_000),
+            settle_time: Duration::from_millis(5),
+        }
+    }
 
     /// For RS485 at `bit_rate`: replies within 5 ms and the time of the reply's own bytes, three
     /// attempts.
@@ -68,6 +91,7 @@ impl Config {
             bus: Bus::Rs485 { turnaround: Duration::from_micros(100), echo },
             reply_timeout: Duration::from_micros(5_000 + 2 * frame_micros),
             late_window: Duration::from_micros(10_000 + 2 * frame_micros),
+            frame_time: Duration::from_micros(frame_micros),
             shortest_response: Duration::ZERO,
             ..Self::CAN
         }

@@ -58,6 +58,9 @@ bitflags! {
         const TELL_STOPPED = 1 << 10;
         /// To be told: the motor did not confirm the stop.
         const TELL_UNCONFIRMED = 1 << 11;
+        /// The bus was quiet when this motor's reply was due: it does not wait for the bus, and nobody
+        /// waits for it.
+        const OVERDUE = 1 << 14;
         /// The motor restarts, or settles after another command without reply: it gets nothing.
         const SETTLING = 1 << 13;
         /// Anything was heard of the motor within the last 30 s.
@@ -70,6 +73,30 @@ const STOP_ATTEMPTS: u8 = 15;
 /// After how many misses in a row counting ends.
 const MOST_MISSES: u8 = 3;
 
+/// Two small counters in one byte, for the sake of RAM.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts(u8);
+
+impl Counts {
+    /// Replies to requests that may still come, in flight or late; 15 at the most.
+    const fn owed(self) -> u8 {
+        self.0 & 0x0F
+    }
+
+    fn set_owed(&mut self, owed: u8) {
+        self.0 = self.0 & 0xF0 | owed.min(15);
+    }
+
+    /// Commands in a row that were not answered in time; [`MOST_MISSES`] at the most.
+    const fn misses(self) -> u8 {
+        self.0 >> 4
+    }
+
+    fn set_misses(&mut self, misses: u8) {
+        self.0 = self.0 & 0x0F | misses.min(MOST_MISSES) << 4;
+    }
+}
+
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Lane {
     pub(super) motor: Option<MotorId>,
@@ -77,16 +104,16 @@ pub(super) struct Lane {
     pub(super) request: RequestState,
     pub(super) flags: Flags,
     pub(super) attempts_left: u8,
-    /// Replies to requests that may still come, in flight or late.
-    owed: u8,
-    misses: u8,
+    counts: Counts,
     pub(super) timeout: Span,
     /// Which reports (0xB6) are on, a bit each.
     pub(super) reported: u8,
     pub(super) request_data: Data,
     pub(super) set_point: Data,
-    /// When what is in flight counts as lost.
-    pub(super) deadline: Tick,
+    /// When the last command was sent.
+    pub(super) sent: Tick,
+    /// How many commands it was sent, wrapping, put forward to the others' after a rest.
+    pub(super) round: u8,
     /// When the waiting set-point is too old.
     pub(super) set_point_expiry: CoarseTick,
     /// While [`Flags::HELD`]: until when.
@@ -177,6 +204,27 @@ impl Lane {
         self.request == RequestState::Waiting && !self.flags.contains(Flags::HELD)
     }
 
+    /// Whether it is behind the other in rounds.
+    pub(super) fn is_behind(&self, round: u8) -> bool {
+        (self.round.wrapping_sub(round) as i8) < 0
+    }
+
+    /// Puts it forward after a rest, so that it is one round behind the others at the most.
+    pub(super) fn join(&mut self, slowest: Option<u8>) {
+        if let Some(one_behind) = slowest.map(|round| round.wrapping_sub(1))
+            && self.is_behind(one_behind)
+        {
+            self.round = one_behind;
+        }
+    }
+
+    /// Whether it has a set-point, or a request while those may go, that could be sent now.
+    pub(super) fn is_ready(&self, requests_go: bool) -> bool {
+        let waits = self.flags.contains(Flags::SET_POINT_WAITING)
+            || (requests_go && self.may_send_request());
+        waits && !self.is_in_flight() && !self.flags.contains(Flags::SETTLING)
+    }
+
     pub(super) fn request_packet(&self) -> Option<Packet> {
         let motor = self.motor?;
         let motion = self.flags.contains(Flags::REQUEST_MOTION);
@@ -190,14 +238,15 @@ impl Lane {
     }
 
     pub(super) fn request_was_sent(&mut self, now: Instant, awaits_reply: bool, hold: Duration) {
-        self.flags.remove(Flags::SET_POINT_LAST);
+        self.flags.remove(Flags::SET_POINT_LAST | Flags::OVERDUE);
+        self.sent = Tick::not_before(now);
+        self.round = self.round.wrapping_add(1);
         self.attempts_left = self.attempts_left.saturating_sub(1);
         if awaits_reply {
             // Only a stop is sent on top of a set-point in flight; its feedback is not awaited then.
             self.flags.remove(Flags::SET_POINT_IN_FLIGHT);
             self.request = RequestState::InFlight;
-            self.deadline = Tick::after(now, self.timeout);
-            self.owed = self.owed.saturating_add(1);
+            self.counts.set_owed(self.counts.owed() + 1);
         } else {
             self.request = RequestState::Sent;
             self.flags.insert(Flags::SETTLING);
@@ -205,10 +254,23 @@ impl Lane {
         }
     }
 
-    pub(super) fn set_point_was_sent(&mut self, now: Instant, timeout: Span) {
-        self.flags.remove(Flags::SET_POINT_WAITING);
+    pub(super) fn set_point_was_sent(&mut self, now: Instant) {
+        self.sent = Tick::not_before(now);
+        self.round = self.round.wrapping_add(1);
+        self.flags.remove(Flags::SET_POINT_WAITING | Flags::OVERDUE);
         self.flags.insert(Flags::SET_POINT_IN_FLIGHT | Flags::SET_POINT_LAST);
-        self.deadline = Tick::after(now, timeout);
+    }
+
+    /// When what is in flight counts as lost; a set-point after `set_point_timeout`.
+    pub(super) fn deadline(&self, set_point_timeout: Span) -> Tick {
+        let is_request = self.request == RequestState::InFlight;
+        self.sent.plus(if is_request { self.timeout } else { set_point_timeout })
+    }
+
+    /// Whether a reply of this motor may be waiting for the bus. Not one that did not answer last
+    /// time, nor one that the quiet bus has shown to be silent.
+    pub(super) fn may_be_answering(&self) -> bool {
+        self.is_in_flight() && self.counts.misses() == 0 && !self.flags.contains(Flags::OVERDUE)
     }
 
     /// Lets no request out until `span` has passed.
@@ -219,18 +281,18 @@ impl Lane {
 
     /// The reply to the request in flight has come.
     pub(super) fn reply_has_come(&mut self) {
-        self.owed = self.owed.saturating_sub(1);
+        self.counts.set_owed(self.counts.owed().saturating_sub(1));
     }
 
     /// A reply has come that nothing waits for. Whether it may be one that was given up: when the
     /// last of those has come, nothing can be mistaken any more.
     pub(super) fn late_reply_has_come(&mut self) -> bool {
         let in_flight = self.request == RequestState::InFlight;
-        if self.owed <= u8::from(in_flight) {
+        if self.counts.owed() <= u8::from(in_flight) {
             return false;
         }
-        self.owed -= 1;
-        if self.owed == 0 && !self.flags.contains(Flags::SETTLING) {
+        self.counts.set_owed(self.counts.owed() - 1);
+        if self.counts.owed() == 0 && !self.flags.contains(Flags::SETTLING) {
             self.flags.remove(Flags::HELD);
         }
         true
@@ -245,23 +307,23 @@ impl Lane {
     ) {
         self.request = outcome;
         self.flags.remove(Flags::STOP);
-        if self.owed > 0 {
+        if self.counts.owed() > 0 {
             self.hold(now, late_window);
         }
     }
 
     pub(super) fn owe_one_more(&mut self, now: Instant, late_window: Duration) {
-        self.owed = self.owed.saturating_add(1);
+        self.counts.set_owed(self.counts.owed() + 1);
         self.hold(now, late_window);
     }
 
     pub(super) fn missed(&mut self, tally: &mut Tally) {
         tally.lost = tally.lost.saturating_add(1);
-        self.misses = (self.misses + 1).min(MOST_MISSES);
+        self.counts.set_misses(self.counts.misses() + 1);
     }
 
     pub(super) fn answered(&mut self, tally: &mut Tally, round_trip: Option<Duration>) {
-        self.misses = 0;
+        self.counts.set_misses(0);
         tally.answered(round_trip);
     }
 
@@ -275,7 +337,7 @@ impl Lane {
         if self.flags.contains(Flags::HELD) && self.held_until.is_reached(now) {
             self.flags.remove(Flags::HELD | Flags::SETTLING);
             if self.request != RequestState::InFlight {
-                self.owed = 0;
+                self.counts.set_owed(0);
             }
         }
         if self.flags.contains(Flags::SEEN)
@@ -288,7 +350,7 @@ impl Lane {
     /// After a gap in which ticks lost their meaning: what was in flight is overdue, and after a long
     /// one everything else is over too.
     pub(super) fn bridge_gap(&mut self, before: Instant, now: Instant) {
-        self.deadline = Tick::at(now);
+        self.sent = Tick::long_before(now);
         if now - before > LONGEST_COARSE_GAP {
             self.set_point_expiry = CoarseTick::at(now);
             self.held_until = CoarseTick::at(now);
@@ -305,12 +367,12 @@ impl Lane {
     }
 
     pub(super) fn is_owed(&self) -> bool {
-        self.owed > 0
+        self.counts.owed() > 0
     }
 
     /// When this motor has something to do by itself.
-    pub(super) fn poll_at(&self, now: Instant) -> Option<Instant> {
-        let flight = self.is_in_flight().then(|| self.deadline.instant(now));
+    pub(super) fn poll_at(&self, now: Instant, set_point_timeout: Span) -> Option<Instant> {
+        let flight = self.is_in_flight().then(|| self.deadline(set_point_timeout).instant(now));
         let waits =
             self.request == RequestState::Waiting || self.flags.contains(Flags::SET_POINT_WAITING);
         let waits = waits && self.flags.contains(Flags::HELD);
@@ -324,7 +386,7 @@ impl Lane {
 
     pub(super) fn health(&self, tally: &Tally, now: Instant) -> Health {
         let seen = self.flags.contains(Flags::SEEN).then(|| self.last_seen.instant(now));
-        tally.health(self.misses, seen)
+        tally.health(self.counts.misses(), seen)
     }
 }
 

@@ -68,7 +68,9 @@ struct Compact {
     turnaround_us: u16,
     timeout: Span,
     attempts: u8,
+    frame_us: u16,
     shortest_us: u16,
+    longest_us: u16,
     late_ms: u16,
     max_age_ms: u16,
     restart_ms: u16,
@@ -89,7 +91,9 @@ impl Compact {
             turnaround_us: micros(turnaround),
             timeout: Span::from_duration(config.reply_timeout),
             attempts: config.attempts,
+            frame_us: micros(config.frame_time),
             shortest_us: micros(config.shortest_response),
+            longest_us: micros(config.longest_response),
             late_ms: millis(config.late_window),
             max_age_ms: millis(config.set_point_max_age),
             restart_ms: millis(config.restart_time),
@@ -166,11 +170,11 @@ pub struct Master<const N: usize> {
     broadcast: Broadcast,
     config: Compact,
     offer: Option<Offer>,
-    /// Where the search for the next motor to serve begins.
-    turn: u8,
     stopped: bool,
     /// RS485: bytes of the echo that are still to come.
     echo_left: u8,
+    /// Until when the frames that were sent keep the bus busy, or when one was last received.
+    busy_until: Instant,
     /// RS485: when the line may be used again.
     line_free: Tick,
     /// The latest time that was told.
@@ -189,9 +193,9 @@ impl<const N: usize> Master<N> {
             broadcast: Broadcast::default(),
             config: Compact::new(&config),
             offer: None,
-            turn: 0,
             stopped: false,
             echo_left: 0,
+            busy_until: Instant::ZERO,
             line_free: Tick::default(),
             now: Instant::ZERO,
         }
@@ -225,6 +229,7 @@ impl<const N: usize> Master<N> {
     ) -> Result<Ticket<C>, RequestError> {
         let opcode = C::OPCODE;
         self.check(opcode, motor.into())?;
+        let slowest = self.slowest_round();
         let (lane, _) = self.lane_for(motor)?;
         if lane.request != RequestState::Idle || lane.flags.contains(Flags::TELL_STOPPED) {
             return Err(RequestError::Busy);
@@ -232,6 +237,7 @@ impl<const N: usize> Master<N> {
         if reported_bit(opcode).is_some_and(|bit| lane.reported & bit != 0) {
             return Err(RequestError::Reported(opcode));
         }
+        lane.join(slowest);
         lane.put_request(opcode, command.encode(), patience);
         lane.generation = lane.generation.wrapping_add(1);
         let id = TicketId { motor, generation: lane.generation };
@@ -255,7 +261,9 @@ impl<const N: usize> Master<N> {
         let expiry = CoarseTick::after(now, Duration::from_millis(self.config.max_age_ms.into()));
         // What was offered is older than this.
         self.offer = None;
+        let slowest = self.slowest_round();
         let (lane, tally) = self.lane_for(motor)?;
+        lane.join(slowest);
         lane.put_set_point(C::OPCODE, command.encode(), expiry, tally);
         self.advance(now);
         Ok(())
@@ -357,17 +365,16 @@ impl<const N: usize> Master<N> {
                     note_report(lane, opcode);
                     lane.request_was_sent(now, awaits_reply, hold);
                 }
-                self.turn = index.wrapping_add(1);
             }
             Some(Offer::SetPoint(index)) => {
                 if let Some(lane) = self.lanes.get_mut(usize::from(index)) {
-                    lane.set_point_was_sent(now, config.timeout);
+                    lane.set_point_was_sent(now);
                 }
-                self.turn = index.wrapping_add(1);
             }
             Some(Offer::Broadcast) => self.broadcast.was_sent(now, config.timeout),
             None => return,
         }
+        self.bus_is_busy(now);
         if config.rs485 {
             self.echo_left = if config.echo { crate::wire::rs485::FRAME_LENGTH as u8 } else { 0 };
             self.line_free =
@@ -378,7 +385,9 @@ impl<const N: usize> Master<N> {
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.advance(now);
-        let late_window = self.config.late_window();
+        let (late_window, timeout) = (self.config.late_window(), self.config.timeout);
+        let is_quiet = self.quiet_at() <= now;
+        let longest = Duration::from_micros(self.config.longest_us.into());
         for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
             if lane.motor.is_none() {
                 continue;
@@ -389,7 +398,10 @@ impl<const N: usize> Master<N> {
             {
                 lane.drop_set_point(tally);
             }
-            if !lane.is_in_flight() || !lane.deadline.is_reached(now) {
+            if is_quiet && lane.is_in_flight() && lane.sent.elapsed(now) >= longest {
+                lane.flags.insert(Flags::OVERDUE);
+            }
+            if !lane.is_in_flight() || !lane.deadline(timeout).is_reached(now) {
                 continue;
             }
             lane.missed(tally);
@@ -436,10 +448,11 @@ impl<const N: usize> Master<N> {
     /// something to do by themselves; `None` while only a frame or a request can change anything.
     pub fn poll_at(&self) -> Option<Instant> {
         let now = self.now;
-        let lanes = self.lanes.iter().filter_map(|lane| lane.poll_at(now)).min();
+        let lanes =
+            self.lanes.iter().filter_map(|lane| lane.poll_at(now, self.config.timeout)).min();
         let line = (self.config.rs485 && !self.is_anything_in_flight() && self.choose().is_some())
             .then(|| self.line_free.instant(now));
-        [lanes, line, self.broadcast.poll_at(now)].into_iter().flatten().min()
+        [lanes, line, self.courtesy_ends(), self.broadcast.poll_at(now)].into_iter().flatten().min()
     }
 
     /// How well a motor answers.
@@ -495,15 +508,43 @@ impl<const N: usize> Master<N> {
         Ok((lane, tally))
     }
 
-    /// Stops first, then a broadcast that is due, then the motors in turn.
+    /// The round of the motor that is furthest behind of those whose reply may wait for the bus.
+    fn slowest_round(&self) -> Option<u8> {
+        let answering = self.lanes.iter().filter(|lane| lane.may_be_answering());
+        answering
+            .reduce(|slowest, lane| if lane.is_behind(slowest.round) { lane } else { slowest })
+            .map(|lane| lane.round)
+    }
+
+    /// Notes one more frame on the bus: behind what is queued already, or right now.
+    fn bus_is_busy(&mut self, now: Instant) {
+        self.busy_until = self.busy_until.max(now) + self.frame_time();
+    }
+
+    /// When the bus has been quiet for so long that a reply which only waited for it must have come.
+    fn quiet_at(&self) -> Instant {
+        self.busy_until + self.frame_time().times(2)
+    }
+
+    fn frame_time(&self) -> Duration {
+        Duration::from_micros(self.config.frame_us.into())
+    }
+
+    /// When waiting for motors that may be answering ends.
+    fn courtesy_ends(&self) -> Option<Instant> {
+        if self.config.rs485 {
+            return None;
+        }
+        let longest = Duration::from_micros(self.config.longest_us.into());
+        let answering = self.lanes.iter().filter(|lane| lane.may_be_answering());
+        let due = answering.map(|lane| lane.sent.instant(self.now) + longest).min()?;
+        Some(due.max(self.quiet_at()))
+    }
+
+    /// Stops first, then a broadcast that is due, then the motor that has waited longest.
     fn choose(&self) -> Option<(Offer, Packet)> {
-        let in_turn = || {
-            let turn = usize::from(self.turn) % N;
-            let (before, from) = self.lanes.split_at_checked(turn).unwrap_or((&[], &self.lanes));
-            let from = from.iter().enumerate().map(move |(place, lane)| (place + turn, lane));
-            from.chain(before.iter().enumerate())
-        };
-        let stop = in_turn().find(|(_, lane)| {
+        let lanes = || self.lanes.iter().enumerate();
+        let stop = lanes().find(|(_, lane)| {
             lane.flags.contains(Flags::STOP) && lane.request == RequestState::Waiting
         });
         if let Some((place, lane)) = stop {
@@ -516,17 +557,22 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_waiting() && requests_quiet {
             return Some((Offer::Broadcast, self.broadcast.packet()));
         }
-        let free = |lane: &Lane| !lane.is_in_flight() && !lane.flags.contains(Flags::SETTLING);
-        in_turn().filter(|(_, lane)| free(lane)).find_map(|(place, lane)| {
-            let request_may_go = lane.may_send_request() && !self.broadcast.is_active();
-            if lane.is_set_point_next(request_may_go) {
-                Some((Offer::SetPoint(place as u8), lane.set_point_packet()?))
-            } else if request_may_go {
-                Some((Offer::Request(place as u8), lane.request_packet()?))
-            } else {
-                None
-            }
-        })
+        let requests_go = !self.broadcast.is_active();
+        let ready = lanes().filter(|(_, lane)| lane.is_ready(requests_go));
+        let (place, lane) =
+            ready.reduce(
+                |first, second| if second.1.is_behind(first.1.round) { second } else { first },
+            )?;
+        // One round ahead of a motor that may be waiting for its turn to answer is enough.
+        let slowest = self.slowest_round();
+        if slowest.is_some_and(|slowest| lane.round != slowest && !lane.is_behind(slowest)) {
+            return None;
+        }
+        if lane.is_set_point_next(requests_go && lane.may_send_request()) {
+            Some((Offer::SetPoint(place as u8), lane.set_point_packet()?))
+        } else {
+            Some((Offer::Request(place as u8), lane.request_packet()?))
+        }
     }
 
     /// Notes the time. After a gap that the ticks cannot bridge, nothing in flight is waited for.
@@ -535,6 +581,7 @@ impl<const N: usize> Master<N> {
             self.lanes.iter_mut().for_each(|lane| lane.bridge_gap(self.now, now));
             self.broadcast.bridge_gap(now);
             self.line_free = Tick::at(now);
+            self.busy_until = now;
         }
         self.now = self.now.max(now);
     }

@@ -16,6 +16,7 @@ impl<const N: usize> Master<N> {
     /// wrong length complete nothing.
     pub fn handle_frame(&mut self, frame: &can::Received, now: Instant) -> Option<Event> {
         self.advance(now);
+        self.frame_has_come(now);
         match *frame {
             can::Received::Packet(packet) => self.handle_packet(&packet, now),
             can::Received::WrongLength { channel: Channel::Reply(motor), first, .. } => {
@@ -51,6 +52,15 @@ impl<const N: usize> Master<N> {
                 self.line_free = Tick::not_before(now + pause);
                 self.handle_packet(&frame.as_reply()?, now)
             }
+        }
+    }
+
+    /// A frame on its way to us held up those that are queued.
+    fn frame_has_come(&mut self, now: Instant) {
+        if self.busy_until > now {
+            self.bus_is_busy(now);
+        } else {
+            self.busy_until = now;
         }
     }
 
@@ -95,8 +105,7 @@ impl<const N: usize> Master<N> {
         lane.seen(now);
 
         let is_request = lane.request == RequestState::InFlight;
-        let timeout = if is_request { lane.timeout } else { config.timeout };
-        let round_trip = lane.deadline.minus(timeout).elapsed(now);
+        let round_trip = lane.sent.elapsed(now);
         if !lane.is_in_flight() || round_trip < shortest {
             return None;
         }

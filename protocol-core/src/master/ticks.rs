@@ -48,7 +48,7 @@ impl Tick {
     }
 
     pub(super) fn after(now: Instant, span: Span) -> Self {
-        Self(Self::not_before(now).0.wrapping_add(u16::from(span.0) << 6))
+        Self::not_before(now).plus(span)
     }
 
     pub(super) fn is_reached(self, now: Instant) -> bool {
@@ -67,8 +67,13 @@ impl Tick {
         now - self.instant(now)
     }
 
-    pub(super) fn minus(self, span: Span) -> Self {
-        Self(self.0.wrapping_sub(u16::from(span.0) << 6))
+    pub(super) fn plus(self, span: Span) -> Self {
+        Self(self.0.wrapping_add(u16::from(span.0) << 6))
+    }
+
+    /// So long ago that every span from it is over.
+    pub(super) fn long_before(now: Instant) -> Self {
+        Self(Self::at(now).0.wrapping_sub(u16::from(u8::MAX) << 6))
     }
 }
 

@@ -1,0 +1,360 @@
+//! How near the master comes to what the bus and the drives allow: `cargo bench -p myactuator-tests
+//! --bench bus_limit`.
+//!
+//! Everything runs under the virtual clock against whole simulated drives that answer after 0.7 to
+//! 0.9 ms, so the figures are the same on every machine and every run.
+//!
+//! # What is measured
+//! A *cycle* is one command to each of N motors and its reply. In a feedback cycle the command is
+//! 0x9C, in a motion mode cycle a set-point at 0x400 + id. Each motor gets its next command as soon as
+//! it has answered the last; the cycle time is the mean time from one answer of a motor to its next,
+//! over all motors.
+//!
+//! # The bound
+//! No master can be faster than both of these:
+//!
+//! - *The wire.* It carries one frame at a time, so a cycle takes at least the sum of all its frames:
+//!   on CAN their bits, stuffing and the three bits of intermission included, as they really were on
+//!   the wire; on RS485 13 bytes of ten bits each.
+//! - *The drive.* A motor's next command follows its reply, so a cycle takes at least one command, the
+//!   drive's response and one reply. The responses are those that were drawn: what the trace shows
+//!   from the end of a command to the drive's readiness to reply cannot be seen on a busy bus, so
+//!   their mean of 0.8 ms is taken, less three standard errors of that mean.
+//!
+//! On CAN the bound is the larger of the two. On RS485 the line carries one exchange at a time, so it
+//! is N times command, response, reply and the pause that lets the drives turn around.
+//!
+//! The one-at-a-time master asks a motor, waits for its reply and goes on to the next.
+
+use std::process::ExitCode;
+use std::sync::{Arc, Mutex};
+
+use myactuator_host_std::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::bus::{Medium, World, trace};
+use myactuator_host_std::sim::Fleet;
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint, ReadStatus2};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{Config, Event};
+use myactuator_protocol_core::time::{Duration, Instant};
+
+const RESPONSE_MIN: Duration = Duration::from_micros(700);
+const RESPONSE_MAX: Duration = Duration::from_micros(900);
+/// Simulated time of one measurement, after as much for settling as [`SETTLE`] says.
+const SPAN: Duration = Duration::from_millis(1_000);
+const SETTLE: Duration = Duration::from_millis(50);
+/// What the worst ratio may be.
+const LIMIT: f64 = 1.05;
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Feedback,
+    Motion,
+}
+
+/// Wire time of commands and replies, in nanoseconds.
+#[derive(Default)]
+struct OnWire {
+    ns: u64,
+    frames: u64,
+}
+
+/// Sums up the time on the wire, with `pause_ns` after each frame.
+fn watch<B: Medium>(world: &World<B>, pause_ns: u64) -> Arc<Mutex<OnWire>> {
+    let sum = Arc::new(Mutex::new(OnWire::default()));
+    let noted = Arc::clone(&sum);
+    world.observe(move |record| {
+        if let trace::Event::Carried { started_ns, .. } = record.event {
+            let mut sum = noted.lock().unwrap();
+            sum.ns += record.at_ns - started_ns + pause_ns;
+            sum.frames += 1;
+        }
+    });
+    sum
+}
+
+/// Lets every motor swing gently, or asks it how it does.
+fn command<R: Runner<32>>(bus: &mut R, motor: MotorId, kind: Kind) {
+    match kind {
+        Kind::Feedback => {
+            let now = bus.now();
+            let _ticket = bus.master().request(motor, ReadStatus2, now).expect("the motor is free");
+        }
+        Kind::Motion => {
+            let time = bus.now().as_micros() as f32 / 1e6;
+            let set_point = MotionSetPoint {
+                position_rad: 0.2 * (time * 6.0 + f32::from(motor.get())).sin(),
+                kp: 20.0,
+                kd: 1.0,
+                ..MotionSetPoint::default()
+            };
+            let raw = MotionRanges::V4_3.quantise(&set_point).expect("in range");
+            bus.set_point(motor, raw).expect("the bus carries motion mode");
+        }
+    }
+}
+
+fn answering(event: &Event) -> Option<MotorId> {
+    match event {
+        Event::Reply { ticket, .. } => Some(ticket.motor()),
+        Event::Feedback { motor, .. } => Some(*motor),
+        Event::Failed { failure, .. } => panic!("a request failed on a clean bus: {failure}"),
+        Event::SetPointUnanswered { motor } => {
+            panic!("motor {motor} did not answer on a clean bus")
+        }
+        _ => None,
+    }
+}
+
+/// How often one motor has answered, first and last when.
+#[derive(Clone, Copy, Default)]
+struct Answers {
+    count: u32,
+    first: Instant,
+    last: Instant,
+}
+
+impl Answers {
+    fn note(&mut self, now: Instant) {
+        if self.count == 0 {
+            self.first = now;
+        }
+        self.count += 1;
+        self.last = now;
+    }
+
+    /// Mean time from one answer to the next.
+    fn cycle_s(&self) -> f64 {
+        (self.last - self.first).as_micros() as f64 / 1e6 / f64::from(self.count - 1)
+    }
+}
+
+/// Runs until `until`; each answer leads to the next command. Gives the answers of each motor.
+fn run<R: Runner<32>>(
+    bus: &mut R,
+    kind: Kind,
+    until: Instant,
+    mut next: impl FnMut(MotorId) -> MotorId,
+) -> [Answers; 32] {
+    let mut answers = [Answers::default(); 32];
+    while bus.now() < until {
+        match bus.poll() {
+            Ok(Some(event)) => {
+                if let Some(motor) = answering(&event) {
+                    answers[motor.index()].note(bus.now());
+                    let following = next(motor);
+                    command(bus, following, kind);
+                }
+            }
+            Ok(None) => bus.idle(until),
+            Err(error) => panic!("the simulated bus fails: {error:?}"),
+        }
+    }
+    answers
+}
+
+struct Measured {
+    cycle_s: f64,
+    wire_s: f64,
+    frame_s: f64,
+}
+
+/// Cycle time of `motors` motors, all at once or one at a time.
+fn measure<R: Runner<32>>(
+    bus: &mut R,
+    wire: &Mutex<OnWire>,
+    kind: Kind,
+    motors: u8,
+    one_at_a_time: bool,
+) -> Measured {
+    let ids: Vec<MotorId> = MotorId::all().take(motors.into()).collect();
+    let successor = |motor: MotorId| ids[(motor.index() + 1) % ids.len()];
+    let next = |motor| if one_at_a_time { successor(motor) } else { motor };
+    for &motor in ids.iter().take(if one_at_a_time { 1 } else { ids.len() }) {
+        command(bus, motor, kind);
+    }
+    let settled = bus.now() + SETTLE;
+    run(bus, kind, settled, next);
+    *wire.lock().unwrap() = OnWire::default();
+    let start = bus.now();
+    let answers = run(bus, kind, start + SPAN, next);
+    let cycles = ids.iter().map(|motor| answers[motor.index()].cycle_s());
+    let wire = wire.lock().unwrap();
+    let frame_s = wire.ns as f64 / 1e9 / wire.frames as f64;
+    Measured {
+        cycle_s: cycles.sum::<f64>() / f64::from(motors),
+        wire_s: frame_s * 2.0 * f64::from(motors),
+        frame_s,
+    }
+}
+
+/// The mean response of `answers` draws from the uniform distribution, less three standard errors.
+fn response_s(answers: f64) -> f64 {
+    let (min, max) = (RESPONSE_MIN.as_micros() as f64 / 1e6, RESPONSE_MAX.as_micros() as f64 / 1e6);
+    let deviation = (max - min) / 12.0_f64.sqrt();
+    f64::midpoint(min, max) - 3.0 * deviation / answers.sqrt()
+}
+
+struct Row {
+    cycle_s: f64,
+    bound_s: f64,
+    one_at_a_time_s: f64,
+}
+
+impl Row {
+    fn ratio(&self) -> f64 {
+        self.cycle_s / self.bound_s
+    }
+}
+
+fn on_can(bit_rate: u32, kind: Kind, motors: u8) -> Row {
+    let run = |one_at_a_time| {
+        let fleet = Fleet::new(motors)
+            .response(RESPONSE_MIN, RESPONSE_MAX)
+            .on_can(bit_rate)
+            .expect("a fleet");
+        let wire = watch(&fleet.world, 3 * 1_000_000_000 / u64::from(bit_rate));
+        measure(&mut fleet.master::<32>(), &wire, kind, motors, one_at_a_time)
+    };
+    let all = run(false);
+    let answers = SPAN.as_micros() as f64 / 1e6 / all.cycle_s * f64::from(motors);
+    let drive_s = 2.0 * all.frame_s + response_s(answers);
+    Row {
+        cycle_s: all.cycle_s,
+        bound_s: all.wire_s.max(drive_s),
+        one_at_a_time_s: run(true).cycle_s,
+    }
+}
+
+fn on_rs485(bit_rate: u32, motors: u8) -> Row {
+    let run = |one_at_a_time| {
+        let fleet = Fleet::new(motors)
+            .response(RESPONSE_MIN, RESPONSE_MAX)
+            .on_rs485(bit_rate)
+            .expect("a fleet");
+        let wire = watch(&fleet.world, 0);
+        measure(&mut fleet.master::<32>(), &wire, Kind::Feedback, motors, one_at_a_time)
+    };
+    let all = run(false);
+    let myactuator_protocol_core::master::Bus::Rs485 { turnaround, .. } =
+        Config::rs485(bit_rate, false).bus
+    else {
+        unreachable!("a configuration for RS485")
+    };
+    let answers = SPAN.as_micros() as f64 / 1e6 / all.cycle_s * f64::from(motors);
+    let waiting = response_s(answers) + turnaround.as_micros() as f64 / 1e6;
+    let bound_s = all.wire_s + waiting * f64::from(motors);
+    Row { cycle_s: all.cycle_s, bound_s, one_at_a_time_s: run(true).cycle_s }
+}
+
+/// Prints one table and gives its worst ratio.
+fn table(title: &str, row: impl Fn(u8) -> Row) -> f64 {
+    println!("\n{title}\n  motors   cycle ms   bound ms   ratio   one at a time ms   gain");
+    let mut worst = 0.0_f64;
+    for motors in 1..=32 {
+        let row = row(motors);
+        worst = worst.max(row.ratio());
+        println!(
+            "  {motors:6} {:10.3} {:10.3} {:7.3} {:18.3} {:5.1}x",
+            row.cycle_s * 1e3,
+            row.bound_s * 1e3,
+            row.ratio(),
+            row.one_at_a_time_s * 1e3,
+            row.one_at_a_time_s / row.cycle_s,
+        );
+    }
+    println!("  worst ratio here {worst:.3}");
+    worst
+}
+
+/// Motion mode rates of seven motors: by themselves, and beside an eighth that is silent.
+fn silent_motor() {
+    let rate = |cut: bool| {
+        let fleet =
+            Fleet::new(8).response(RESPONSE_MIN, RESPONSE_MAX).on_can(1_000_000).expect("a fleet");
+        let silent = fleet.drives[7].station();
+        let mut bus = fleet.master::<32>();
+        let asked = if cut { 8 } else { 7 };
+        fleet.world.cut(silent);
+        for motor in MotorId::all().take(asked) {
+            command(&mut bus, motor, Kind::Motion);
+        }
+        let start = bus.now();
+        let mut answers = 0_u32;
+        while bus.now() < start + SPAN {
+            match bus.poll().expect("a bus that works") {
+                Some(Event::Feedback { motor, .. }) => {
+                    answers += 1;
+                    command(&mut bus, motor, Kind::Motion);
+                }
+                Some(Event::SetPointUnanswered { motor }) => command(&mut bus, motor, Kind::Motion),
+                Some(_) => {}
+                None => bus.idle(start + SPAN),
+            }
+        }
+        f64::from(answers) / 7.0 / (SPAN.as_micros() as f64 / 1e6)
+    };
+    let (alone, beside) = (rate(false), rate(true));
+    println!(
+        "\nOne silent motor among eight, CAN at 1 Mbit/s: the other seven get {beside:.0} set-points a second, \
+         {alone:.0} without it ({:.1} % less; the silent one's frames take {:.1} % of the wire).",
+        100.0 * (1.0 - beside / alone),
+        // One frame of about 120 µs in each time-out.
+        100.0 * 120e-6 / (Config::CAN.reply_timeout.as_micros() as f64 / 1e6),
+    );
+}
+
+/// Time from a request whose first reply is lost to the answer.
+fn retry() {
+    let fleet =
+        Fleet::new(1).response(RESPONSE_MIN, RESPONSE_MAX).on_can(1_000_000).expect("a fleet");
+    let mut bus = fleet.master::<32>();
+    let motor = MotorId::MIN;
+    let drive = fleet.drives[0].station();
+    bus.ask(motor, ReadStatus2).expect("an answer");
+    let start = bus.now();
+    let now = bus.now();
+    let ticket = bus.master().request(motor, ReadStatus2, now).expect("the motor is free");
+    fleet.world.set_node_faults(
+        drive,
+        Direction::ToPorts,
+        Some(FaultPlan { lose: 1.0, ..FaultPlan::default() }),
+    );
+    let mended = start + Duration::from_millis(5);
+    let answered = loop {
+        if bus.now() >= mended {
+            fleet.world.set_node_faults(drive, Direction::ToPorts, None);
+        }
+        match bus.poll().expect("a bus that works") {
+            Some(event) if ticket.outcome(&event).is_some() => break bus.now(),
+            Some(_) => {}
+            None => {
+                let until = bus.now() + Duration::from_millis(1);
+                bus.idle(until);
+            }
+        }
+    };
+    println!(
+        "A request whose first reply is lost is answered after {} (time-out {}).",
+        answered - start,
+        Config::CAN.reply_timeout
+    );
+}
+
+fn main() -> ExitCode {
+    let mut worst = 0.0_f64;
+    for bit_rate in [1_000_000, 500_000] {
+        for (kind, name) in [(Kind::Feedback, "feedback"), (Kind::Motion, "motion mode")] {
+            let title = format!("CAN at {} kbit/s, {name} cycles", bit_rate / 1000);
+            worst = worst.max(table(&title, |motors| on_can(bit_rate, kind, motors)));
+        }
+    }
+    for bit_rate in [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000] {
+        let title = format!("RS485 at {bit_rate} bit/s, feedback cycles");
+        worst = worst.max(table(&title, |motors| on_rs485(bit_rate, motors)));
+    }
+    silent_motor();
+    retry();
+    println!("worst ratio {worst:.2}");
+    if worst <= LIMIT { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
