@@ -69,8 +69,8 @@ impl HostClock {
             let out = if backlog.is_blocked() { PollFlags::OUT } else { PollFlags::empty() };
             PollFd::new(port, PollFlags::IN | out)
         });
-        // A signal ends the wait early, so that a program soon sees what its handler noted. Other
-        // errors there are none for an open descriptor; the next use of the port would tell.
+        // A signal ends the wait early, so that a program soon sees what its handler noted. Any other
+        // error the next use of the port will tell.
         let _ = poll(fds.as_mut_slice(), Some(&timeout));
     }
 }

@@ -86,7 +86,7 @@ impl fmt::Display for BusError {
             ),
             Self::InterfaceDown(name) => write!(
                 f,
-                "the CAN interface \"{name}\" is down: bring it up with 'sudo ip link set {name} up type can bitrate 1000000'"
+                "the CAN interface \"{name}\" is down: bring it up with 'sudo ip link set {name} up type can bitrate 1000000', a virtual one with 'sudo ip link set {name} up'"
             ),
             Self::InterfaceGone(name) => write!(
                 f,

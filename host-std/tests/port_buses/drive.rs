@@ -3,7 +3,7 @@
 use myactuator_protocol_core::command::{Feedback, MultiTurnAngle, Version};
 use myactuator_protocol_core::units::Angle;
 use myactuator_protocol_core::{
-    AnyCommand, AnyReply, Channel, Data, MotorId, Opcode, Packet, Reply, Target,
+    AnyCommand, AnyReply, Channel, Data, MotorId, Packet, Reply, Target,
 };
 
 pub(crate) fn motor(id: u8) -> MotorId {
@@ -35,6 +35,5 @@ pub(crate) fn answer(command: &Packet) -> Option<Packet> {
         AnyCommand::Torque(_) => AnyReply::Torque(Feedback::from_data(&TORQUE_FEEDBACK).unwrap()),
         _ => return None,
     };
-    debug_assert_ne!(reply.opcode(), Opcode::Motion);
     Some(Packet { channel: Channel::Reply(id), data: reply.encode() })
 }

@@ -140,3 +140,11 @@ fn an_adapter_that_is_pulled_out_is_told() {
     let CallError::Bus(error) = error else { panic!("{error}") };
     assert!(matches!(error, BusError::PortGone(_)), "{error}");
 }
+
+#[test]
+fn what_nobody_takes_is_thrown_away() {
+    let (_line, path) = pty::open();
+    let mut port = Rs485::open(&path, 115_200).unwrap();
+    let error = (0..10_000).find_map(|_| port.write_all(&[0; 100]).err()).unwrap();
+    assert!(matches!(error, BusError::Stalled(_)), "{error}");
+}

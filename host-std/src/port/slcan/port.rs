@@ -32,8 +32,9 @@ const READS_A_CALL: usize = 16;
 ///
 /// BEL from the adapter counts as a bus that carries nothing: from then until a frame comes,
 /// [`transmit`](Can::transmit) refuses, with an error, all that could move a motor. A port that takes
-/// nothing for 20 ms is emptied, for what it holds is stale. What the adapter itself holds it may send
-/// when the bus is back: mostly a few frames.
+/// nothing for 20 ms is emptied, for what it holds is stale. What its driver does not give back, and
+/// what the adapter itself holds, may be sent when the bus is back, and many adapters report nothing
+/// at all: protect the drives on their own side, by communication-loss protection (0xB3).
 #[derive(Debug)]
 pub struct Slcan {
     tty: Tty,
