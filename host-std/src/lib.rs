@@ -8,6 +8,7 @@
 //! | [`bus`] | the simulated buses: CAN and RS485, in virtual or real time |
 //! | [`plant`] | the physics behind a simulated drive |
 //! | [`nvm`] | a value in a file, safe against a crash |
+//! | [`port`] | real buses on Linux: SocketCAN, SLCAN, RS485, opened from one string |
 
 pub mod bus;
 mod bus_kind;
@@ -15,6 +16,7 @@ pub mod explain;
 pub mod nvm;
 pub mod plant;
 pub mod sim;
+pub mod port;
 pub mod text;
 
 pub use bus_kind::BusKind;

@@ -1,0 +1,223 @@
+//! CAN interfaces of Linux.
+
+use std::io;
+use std::os::fd::{AsFd, BorrowedFd};
+
+use embedded_can::nb::Can;
+use rustix::io::Errno;
+use socketcan::errors::{ControllerProblems, ErrorCause};
+use socketcan::{CanAddr, CanFrame, CanSocket, Socket as _, SocketOptions as _};
+
+use crate::port::clock::Backlog;
+use crate::port::outage::Outage;
+use crate::port::{BusError, HostClock};
+
+/// The kernel's error reports that tell whether the bus carries frames: time-out, controller state,
+/// missing acknowledgement, bus off, restarted (`linux/can/error.h`).
+const REPORTS: u32 = 0x001 | 0x004 | 0x020 | 0x040 | 0x100;
+/// Reports and frames that are looked at in one call at the most.
+const READS_A_CALL: usize = 64;
+
+/// A CAN interface of Linux, such as `can0`: a raw socket that never blocks.
+///
+/// Error reports of the controller are not handed on as frames. One that says that the bus carries
+/// nothing (bus off, no acknowledgement, error-passive while sending, transmit time-out) makes
+/// [`transmit`](Can::transmit) refuse, with an error, all that could move a motor, until a frame
+/// comes or the controller recovers; reads and stops still go.
+///
+/// # What the kernel may send late
+/// Frames that were handed over before such a report, some two milliseconds after the bus went, wait
+/// in the kernel and in the controller, and nothing short of `ip link set can0 down` takes them back:
+/// closing the socket does not. They go out when the bus is back. This socket keeps its own share
+/// small (the smallest send buffer that the kernel allows, about six frames) and never waits for
+/// room. To leave fewer, make the interface's queue short, `ip link set can0 txqueuelen 3`, or let
+/// the controller try each frame only once, `ip link set can0 type can one-shot on`: then a frame that
+/// nobody acknowledges, or that loses arbitration, is gone, and the master asks again. Drives should
+/// be protected on their own side as well, by communication-loss protection (0xB3).
+#[derive(Debug)]
+pub struct SocketCan {
+    socket: CanSocket,
+    interface: String,
+    outage: Outage,
+    backlog: Backlog,
+}
+
+impl SocketCan {
+    /// Opens an interface that is up. Frames that this socket sends are not received by it.
+    ///
+    /// # Errors
+    /// [`BusError`]: Linux has no CAN sockets, there is no such interface, it is not for CAN or down,
+    /// or the user may not open it.
+    pub fn open(interface: &str) -> Result<Self, BusError> {
+        let address = CanAddr::from_iface(interface).map_err(|error| {
+            // Without CAN sockets there are no CAN interfaces either, and that is the thing to tell.
+            match CanSocket::open_addr(&CanAddr::new(0)).map_err(|error| errno(&error)) {
+                Err(Some(Errno::AFNOSUPPORT | Errno::PROTONOSUPPORT)) => BusError::NoCanSupport,
+                _ if errno(&error) == Some(Errno::NODEV) => {
+                    BusError::NoSuchInterface(interface.to_owned())
+                }
+                _ => BusError::os(interface, error),
+            }
+        })?;
+        let socket = CanSocket::open_addr(&address).map_err(|error| match errno(&error) {
+            Some(Errno::NODEV) => BusError::NotCan(interface.to_owned()),
+            _ => explain(interface, error),
+        })?;
+        let configured = socket
+            .set_nonblocking(true)
+            .and_then(|()| socket.set_recv_own_msgs(false))
+            .and_then(|()| socket.set_error_filter(REPORTS))
+            // The kernel makes of this the least that it allows.
+            .and_then(|()| socket.as_raw_socket().set_send_buffer_size(1));
+        configured.map_err(|error| BusError::os(interface, error))?;
+        // A socket on an interface that is down opens, and has an error waiting.
+        match socket.as_raw_socket().take_error() {
+            Ok(None) => {}
+            Ok(Some(error)) | Err(error) => return Err(explain(interface, error)),
+        }
+        Ok(Self {
+            socket,
+            interface: interface.to_owned(),
+            outage: Outage::default(),
+            backlog: Backlog::default(),
+        })
+    }
+
+    /// A clock that waits for this interface.
+    ///
+    /// # Errors
+    /// [`BusError::Os`] when the operating system has no file descriptor left.
+    pub fn clock(&self) -> Result<HostClock, BusError> {
+        HostClock::with_backlog(self, self.backlog.clone())
+            .map_err(|error| BusError::os(&self.interface, error))
+    }
+
+    fn note(&mut self, report: ErrorCause) {
+        match verdict(report) {
+            Some(Verdict::BusOff) => self.outage.begin(BusError::BusOff(self.interface.clone())),
+            Some(Verdict::NotAcknowledged) => {
+                self.outage.begin(BusError::NotAcknowledged(self.interface.clone()));
+            }
+            Some(Verdict::Recovered) => self.outage.end(),
+            None => {}
+        }
+    }
+}
+
+impl AsFd for SocketCan {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+impl Can for SocketCan {
+    type Frame = CanFrame;
+    type Error = BusError;
+
+    fn transmit(&mut self, frame: &CanFrame) -> nb::Result<Option<CanFrame>, BusError> {
+        self.outage.admit(frame)?;
+        let sent = self.socket.write_frame(frame);
+        let error = sent.as_ref().err().and_then(errno);
+        self.backlog.set(error == Some(Errno::AGAIN));
+        match (sent, error) {
+            (Ok(()), _) => Ok(None),
+            // The socket's own buffer is full, or the interface's queue, which others fill as well.
+            (Err(_), Some(Errno::AGAIN | Errno::NOBUFS)) => Err(nb::Error::WouldBlock),
+            (Err(error), _) => Err(explain(&self.interface, error).into()),
+        }
+    }
+
+    fn receive(&mut self) -> nb::Result<CanFrame, BusError> {
+        for _ in 0..READS_A_CALL {
+            match self.socket.read_frame() {
+                Ok(CanFrame::Error(reports)) => {
+                    reports.into_error().into_iter().for_each(|report| self.note(report));
+                }
+                Ok(frame) => {
+                    self.outage.end();
+                    return Ok(frame);
+                }
+                Err(error) => match errno(&error) {
+                    Some(Errno::AGAIN) => break,
+                    Some(Errno::INTR) => {}
+                    _ => {
+                        let error = explain(&self.interface, error);
+                        self.outage.begin(error.clone());
+                        return Err(error.into());
+                    }
+                },
+            }
+        }
+        Err(nb::Error::WouldBlock)
+    }
+}
+
+/// What a report says about the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    BusOff,
+    NotAcknowledged,
+    Recovered,
+}
+
+fn verdict(report: ErrorCause) -> Option<Verdict> {
+    match report {
+        ErrorCause::BusOff => Some(Verdict::BusOff),
+        ErrorCause::NoAck | ErrorCause::TransmitTimeout => Some(Verdict::NotAcknowledged),
+        // Missing acknowledgements alone bring a controller to this state and no further.
+        ErrorCause::Controller(state) if state.contains(ControllerProblems::TX_PASSIVE) => {
+            Some(Verdict::NotAcknowledged)
+        }
+        ErrorCause::Controller(state) if state.contains(ControllerProblems::ACTIVE) => {
+            Some(Verdict::Recovered)
+        }
+        ErrorCause::Restarted => Some(Verdict::Recovered),
+        _ => None,
+    }
+}
+
+fn errno(error: &io::Error) -> Option<Errno> {
+    Errno::from_io_error(error)
+}
+
+fn explain(interface: &str, error: io::Error) -> BusError {
+    let name = || interface.to_owned();
+    match errno(&error) {
+        Some(Errno::AFNOSUPPORT | Errno::PROTONOSUPPORT) => BusError::NoCanSupport,
+        Some(Errno::NETDOWN) => BusError::InterfaceDown(name()),
+        Some(Errno::NODEV | Errno::NXIO) => BusError::InterfaceGone(name()),
+        Some(Errno::PERM | Errno::ACCESS) => BusError::NotPermitted(name()),
+        _ => BusError::os(interface, error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reports_tell_a_dead_bus_from_a_bad_one() {
+        let state = |bits| ErrorCause::Controller(ControllerProblems::from_bits_truncate(bits));
+        assert_eq!(verdict(ErrorCause::BusOff), Some(Verdict::BusOff));
+        assert_eq!(verdict(ErrorCause::NoAck), Some(Verdict::NotAcknowledged));
+        // linux/can/error.h: 0x01 receive overflow, 0x08 warning, 0x10 and 0x20 passive while
+        // receiving and sending, 0x40 active again.
+        assert_eq!(verdict(state(0x20)), Some(Verdict::NotAcknowledged));
+        assert_eq!(verdict(state(0x30)), Some(Verdict::NotAcknowledged));
+        assert_eq!(verdict(state(0x10)), None);
+        assert_eq!(verdict(state(0x08)), None);
+        assert_eq!(verdict(state(0x01)), None);
+        assert_eq!(verdict(state(0x40)), Some(Verdict::Recovered));
+        assert_eq!(verdict(ErrorCause::Restarted), Some(Verdict::Recovered));
+        assert_eq!(verdict(ErrorCause::LostArbitration(3)), None);
+    }
+
+    #[test]
+    fn the_kernels_answers_become_sentences() {
+        let told = |errno: Errno| explain("can7", errno.into()).to_string();
+        assert!(told(Errno::AFNOSUPPORT).contains("no CAN sockets"));
+        assert!(told(Errno::NETDOWN).contains("\"can7\" is down"));
+        assert!(told(Errno::NODEV).contains("\"can7\" has gone"));
+        assert!(told(Errno::PERM).contains("may not open \"can7\""));
+    }
+}

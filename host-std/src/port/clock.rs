@@ -1,0 +1,138 @@
+//! The time of the host, and waiting for a bus.
+
+use std::io;
+use std::os::fd::{AsFd, OwnedFd};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use myactuator_protocol_core::io::Clock;
+use myactuator_protocol_core::time::{Duration, Instant};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
+/// The host's monotonic clock, in microseconds since it was made.
+///
+/// One that is made [for a port](Self::for_port) idles until something arrives there, by `ppoll` with
+/// a time-out in nanoseconds: a socket's own receive time-out is rounded to the kernel's ticks, which
+/// makes 4 ms of 1 ms. Such a clock keeps the port open, so drop it with the port.
+#[derive(Debug)]
+pub struct HostClock {
+    start: std::time::Instant,
+    port: Option<(OwnedFd, Backlog)>,
+}
+
+/// Whether a port has something to send that it could not get rid of. Ports and clocks share it, so
+/// that a clock also wakes up when the port can go on.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Backlog(Arc<AtomicBool>);
+
+impl Backlog {
+    pub(super) fn set(&self, is_blocked: bool) {
+        self.0.store(is_blocked, Ordering::Relaxed);
+    }
+
+    fn is_blocked(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+impl Default for HostClock {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl HostClock {
+    /// A clock that sleeps when it idles.
+    pub fn new() -> Self {
+        Self { start: std::time::Instant::now(), port: None }
+    }
+
+    /// A clock that idles until this socket or serial port can be read.
+    ///
+    /// # Errors
+    /// What the operating system reports when it cannot duplicate the file descriptor.
+    pub fn for_port(port: &impl AsFd) -> io::Result<Self> {
+        Self::with_backlog(port, Backlog::default())
+    }
+
+    /// As [`for_port`](Self::for_port), and while there is a backlog also until it can be written.
+    pub(super) fn with_backlog(port: &impl AsFd, backlog: Backlog) -> io::Result<Self> {
+        let port = port.as_fd().try_clone_to_owned()?;
+        Ok(Self { port: Some((port, backlog)), ..Self::new() })
+    }
+
+    /// Waits for the port, or just for the time.
+    fn wait(&self, span: Duration) {
+        let span = std::time::Duration::from(span);
+        let Ok(timeout) = Timespec::try_from(span) else { return };
+        let mut fds = self.port.as_ref().map(|(port, backlog)| {
+            let out = if backlog.is_blocked() { PollFlags::OUT } else { PollFlags::empty() };
+            PollFd::new(port, PollFlags::IN | out)
+        });
+        // A signal ends the wait early, so that a program soon sees what its handler noted. Any other
+        // error the next use of the port will tell.
+        let _ = poll(fds.as_mut_slice(), Some(&timeout));
+    }
+}
+
+impl Clock for HostClock {
+    fn now(&self) -> Instant {
+        Instant::ZERO + Duration::from(self.start.elapsed())
+    }
+
+    fn idle(&self, until: Instant) {
+        let left = until - self.now();
+        if left > Duration::ZERO {
+            self.wait(left);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+    use std::os::unix::net::UnixStream;
+
+    const SOON: Duration = Duration::from_millis(2);
+    /// Far longer than a test may take.
+    const NEVER: Duration = Duration::from_secs(24 * 3600);
+
+    #[test]
+    fn runs_on_and_idles_no_shorter_than_told() {
+        let (end, _other) = UnixStream::pair().unwrap();
+        for clock in [HostClock::new(), HostClock::for_port(&end).unwrap()] {
+            let until = clock.now() + SOON;
+            // A signal may end one wait early.
+            while clock.now() < until {
+                clock.idle(until);
+            }
+            clock.idle(Instant::ZERO);
+            assert!(clock.now() >= until);
+        }
+    }
+
+    #[test]
+    fn idles_only_until_something_arrives() {
+        let (end, mut other) = UnixStream::pair().unwrap();
+        let clock = HostClock::for_port(&end).unwrap();
+        other.write_all(&[1]).unwrap();
+        clock.idle(clock.now() + NEVER);
+    }
+
+    #[test]
+    fn a_backlog_also_waits_until_it_can_be_sent() {
+        let (end, _other) = UnixStream::pair().unwrap();
+        let backlog = Backlog::default();
+        let clock = HostClock::with_backlog(&end, backlog.clone()).unwrap();
+        backlog.set(true);
+        clock.idle(clock.now() + NEVER);
+    }
+
+    #[test]
+    fn an_endless_wait_is_no_error() {
+        let (end, mut other) = UnixStream::pair().unwrap();
+        other.write_all(&[1]).unwrap();
+        HostClock::for_port(&end).unwrap().idle(Instant::from_micros(u64::MAX));
+    }
+}

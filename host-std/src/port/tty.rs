@@ -1,0 +1,133 @@
+//! A serial port for one program alone, read and written without blocking.
+
+use std::io;
+use std::os::fd::{AsFd, BorrowedFd};
+use std::path::Path;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::FlockOperation;
+use rustix::io::Errno;
+use serial2::{KeepSettings, SerialPort};
+
+use crate::port::BusError;
+
+#[derive(Debug)]
+pub(super) struct Tty {
+    port: SerialPort,
+    name: String,
+}
+
+impl Tty {
+    /// Opens a serial port in raw mode, eight data bits, no parity, one stop bit (8N1).
+    pub(super) fn open(path: &Path, bit_rate: u32) -> Result<Self, BusError> {
+        let name = path.display().to_string();
+        let failed = |error: io::Error| explain(&name, error);
+        let mut port = SerialPort::open(path, KeepSettings).map_err(failed)?;
+        if !rustix::termios::isatty(&port) {
+            return Err(BusError::NotASerialPort(name));
+        }
+        // The lock keeps out those that lock as well, root included; exclusive mode keeps out all
+        // others but root.
+        rustix::fs::flock(&port, FlockOperation::NonBlockingLockExclusive)
+            .and_then(|()| rustix::termios::ioctl_tiocexcl(&port))
+            .map_err(|error| failed(error.into()))?;
+
+        let mut settings = port.get_configuration().map_err(failed)?;
+        settings.set_raw();
+        let unable = |_| BusError::LineRate { port: name.clone(), bit_rate };
+        settings.set_baud_rate(bit_rate).map_err(unable)?;
+        port.set_configuration(&settings).map_err(unable)?;
+        port.discard_buffers().map_err(failed)?;
+        Ok(Self { port, name })
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// What has arrived; `None` if nothing has.
+    pub(super) fn read(&self, buffer: &mut [u8]) -> Result<Option<usize>, BusError> {
+        loop {
+            match rustix::io::read(&self.port, &mut *buffer) {
+                Ok(0) | Err(Errno::IO) => return Err(BusError::PortGone(self.name.clone())),
+                Ok(length) => return Ok(Some(length)),
+                Err(Errno::AGAIN) => return Ok(None),
+                Err(Errno::INTR) => {}
+                Err(error) => return Err(explain(&self.name, error.into())),
+            }
+        }
+    }
+
+    /// How many of these bytes are taken: none if there is no room.
+    pub(super) fn write(&self, bytes: &[u8]) -> Result<usize, BusError> {
+        loop {
+            match rustix::io::write(&self.port, bytes) {
+                Ok(length) => return Ok(length),
+                Err(Errno::AGAIN) => return Ok(0),
+                Err(Errno::INTR) => {}
+                Err(Errno::IO) => return Err(BusError::PortGone(self.name.clone())),
+                Err(error) => return Err(explain(&self.name, error.into())),
+            }
+        }
+    }
+
+    /// Waits until one of these is so, or the port fails; false after the time-out. `None` waits for
+    /// ever.
+    pub(super) fn wait(
+        &self,
+        flags: PollFlags,
+        timeout: Option<std::time::Duration>,
+    ) -> Result<bool, BusError> {
+        let deadline = timeout.map(|timeout| std::time::Instant::now() + timeout);
+        loop {
+            let left = deadline.map(|deadline| {
+                let left = deadline.saturating_duration_since(std::time::Instant::now());
+                Timespec::try_from(left).unwrap_or_default()
+            });
+            match poll(&mut [PollFd::new(&self.port, flags)], left.as_ref()) {
+                Ok(ready) => return Ok(ready > 0),
+                Err(Errno::INTR) => {}
+                Err(error) => return Err(explain(&self.name, error.into())),
+            }
+        }
+    }
+
+    /// Waits until the last byte has left the port.
+    pub(super) fn drain(&self) -> Result<(), BusError> {
+        loop {
+            match rustix::termios::tcdrain(&self.port) {
+                Ok(()) => return Ok(()),
+                Err(Errno::INTR) => {}
+                Err(error) => return Err(explain(&self.name, error.into())),
+            }
+        }
+    }
+
+    /// Throws away what is not sent yet.
+    pub(super) fn discard_output(&self) -> Result<(), BusError> {
+        self.port.discard_output_buffer().map_err(|error| explain(&self.name, error))
+    }
+
+    /// Throws away what has arrived.
+    pub(super) fn discard_input(&self) -> Result<(), BusError> {
+        self.port.discard_input_buffer().map_err(|error| explain(&self.name, error))
+    }
+}
+
+impl AsFd for Tty {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.port.as_fd()
+    }
+}
+
+fn explain(name: &str, error: io::Error) -> BusError {
+    let port = || name.to_owned();
+    match Errno::from_io_error(&error) {
+        // A device file without a device behind it reports an input/output error.
+        Some(Errno::NOENT | Errno::NXIO | Errno::NODEV | Errno::IO) => BusError::NoSuchPort(port()),
+        Some(Errno::ACCESS | Errno::PERM) => BusError::NotPermitted(port()),
+        Some(Errno::BUSY | Errno::AGAIN) => BusError::InUse(port()),
+        Some(Errno::NOTTY | Errno::ISDIR | Errno::NOTDIR) => BusError::NotASerialPort(port()),
+        _ => BusError::os(name, error),
+    }
+}

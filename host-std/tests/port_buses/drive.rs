@@ -1,0 +1,39 @@
+//! What the motors that are played here answer.
+
+use myactuator_protocol_core::command::{Feedback, MultiTurnAngle, Version};
+use myactuator_protocol_core::units::Angle;
+use myactuator_protocol_core::{
+    AnyCommand, AnyReply, Channel, Data, MotorId, Packet, Reply, Target,
+};
+
+pub(crate) fn motor(id: u8) -> MotorId {
+    MotorId::new(id).unwrap()
+}
+
+/// The angle at which this motor stands: 10 degrees times its id.
+pub(crate) fn degrees(id: MotorId) -> f32 {
+    f32::from(id.get()) * 10.0
+}
+
+/// Motors 1 and 2 answer reads of angle and version, stops and torque; there are no others.
+pub(crate) fn answer(command: &Packet) -> Option<Packet> {
+    const TORQUE_FEEDBACK: Data = [0xA1, 50, 100, 0, 244, 1, 45, 0]; // manual 2.19.4
+    let Channel::Command(Target::Motor(id)) = command.channel else { return None };
+    if id.get() > 2 {
+        return None;
+    }
+    let reply = match AnyCommand::decode(command).ok()? {
+        AnyCommand::ReadMultiTurnAngle(_) => {
+            let angle = Angle::from_degrees(degrees(id)).unwrap();
+            AnyReply::ReadMultiTurnAngle(MultiTurnAngle { angle })
+        }
+        AnyCommand::ReadVersionDate(_) => {
+            let data = [0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 0x01]; // manual 2.30.4: 20220206
+            AnyReply::ReadVersionDate(Version::from_data(&data).unwrap())
+        }
+        AnyCommand::Stop(stop) => AnyReply::Stop(stop),
+        AnyCommand::Torque(_) => AnyReply::Torque(Feedback::from_data(&TORQUE_FEEDBACK).unwrap()),
+        _ => return None,
+    };
+    Some(Packet { channel: Channel::Reply(id), data: reply.encode() })
+}

@@ -1,0 +1,150 @@
+//! A master on a serial port, with drives at the other end of the line.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::Path;
+use std::thread::JoinHandle;
+
+use embedded_io::{Read as _, ReadReady as _, Write as _};
+use myactuator_host_std::port::{AnyMaster, BusAddress, BusError, Rs485};
+use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadVersionDate};
+use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
+
+use crate::drive::{answer, degrees, motor};
+use crate::pty;
+
+/// How the line behaves.
+#[derive(Clone, Copy, Default)]
+struct Line {
+    /// What is sent comes back.
+    echo: bool,
+    /// Bytes before every answer that are none of it.
+    noise: &'static [u8],
+}
+
+/// Plays the drives until the port is closed; gives the number of commands heard.
+fn play(mut line: File, how: Line) -> JoinHandle<usize> {
+    std::thread::spawn(move || {
+        let mut receiver = Receiver::new();
+        let (mut chunk, mut heard) = ([0; 64], 0);
+        while let Ok(length @ 1..) = line.read(&mut chunk) {
+            for &byte in &chunk[..length] {
+                if how.echo {
+                    line.write_all(&[byte]).unwrap();
+                }
+                let Fed::Frame(frame) = receiver.feed(byte) else { continue };
+                heard += 1;
+                if let Some(reply) = answer(&frame.as_command()) {
+                    line.write_all(how.noise).unwrap();
+                    line.write_all(&Frame::from_packet(&reply).unwrap().encode()).unwrap();
+                }
+            }
+        }
+        heard
+    })
+}
+
+fn open(path: &Path, options: &str) -> Result<AnyMaster<2>, BusError> {
+    let address: BusAddress = format!("rs485:{}@2500000{options}", path.display()).parse().unwrap();
+    AnyMaster::open_with(&address, pty::forgiving(address.config()))
+}
+
+fn asks_and_gets_answers(how: Line) {
+    let (line, path) = pty::open();
+    let drives = play(line, how);
+    let mut master = open(&path, if how.echo { ",echo" } else { "" }).unwrap();
+    for _ in 0..20 {
+        for id in [motor(1), motor(2)] {
+            let reading = master.ask(id, ReadMultiTurnAngle).unwrap();
+            assert_eq!(reading.angle.degrees(), degrees(id));
+        }
+        let version = master.ask(motor(1), ReadVersionDate).unwrap();
+        assert_eq!(version.date.year_month_day(), Some((2022, 2, 6)));
+    }
+    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+    drop(master);
+    assert!(drives.join().unwrap() >= 62);
+}
+
+#[test]
+fn a_master_asks_over_a_serial_port() {
+    asks_and_gets_answers(Line::default());
+}
+
+#[test]
+fn an_echo_is_no_answer() {
+    asks_and_gets_answers(Line { echo: true, ..Line::default() });
+}
+
+#[test]
+fn noise_before_an_answer_does_no_harm() {
+    asks_and_gets_answers(Line { noise: &[0x00, 0x3E, 0xFF], ..Line::default() });
+}
+
+#[test]
+fn a_port_belongs_to_one_program() {
+    let (_line, path) = pty::open();
+    let first = Rs485::open(&path, 115_200).unwrap();
+    let error = Rs485::open(&path, 115_200).unwrap_err();
+    assert!(matches!(error, BusError::InUse(_)), "{error}");
+    assert!(error.to_string().contains(path.to_str().unwrap()), "{error}");
+    drop(first);
+    Rs485::open(&path, 115_200).unwrap();
+}
+
+#[test]
+fn the_line_runs_at_the_rate_that_was_asked_for() {
+    for bit_rate in [1_200, 115_200, 1_500_000, 2_500_000] {
+        let (_line, path) = pty::open();
+        let port = Rs485::open(&path, bit_rate).unwrap();
+        let settings = rustix::termios::tcgetattr(&port).unwrap();
+        assert_eq!(settings.output_speed(), bit_rate);
+        assert_eq!(settings.input_speed(), bit_rate);
+    }
+}
+
+#[test]
+fn bytes_pass_unchanged_both_ways() {
+    let every_byte: Vec<u8> = (0..=255).collect();
+    let (mut line, path) = pty::open();
+    let mut port = Rs485::open(&path, 115_200).unwrap();
+    assert!(!port.read_ready().unwrap());
+    port.write_all(&every_byte).unwrap();
+    port.flush().unwrap();
+    let mut heard = [0; 256];
+    line.read_exact(&mut heard).unwrap();
+    assert_eq!(heard, every_byte[..]);
+    line.write_all(&every_byte).unwrap();
+    port.read_exact(&mut heard).unwrap();
+    assert_eq!(heard, every_byte[..]);
+    assert!(!port.read_ready().unwrap());
+}
+
+#[test]
+fn what_is_no_serial_port_is_told() {
+    let error = |path: &str| Rs485::open(path, 115_200).unwrap_err();
+    assert!(matches!(error("/dev/there-is-no-such-port"), BusError::NoSuchPort(_)));
+    assert!(matches!(error("/dev/null"), BusError::NotASerialPort(_)));
+    assert!(matches!(error("/dev"), BusError::NotASerialPort(_)));
+    assert!(matches!(error(env!("CARGO_MANIFEST_PATH")), BusError::NotASerialPort(_)));
+}
+
+#[test]
+fn an_adapter_that_is_pulled_out_is_told() {
+    let (line, path) = pty::open();
+    let mut master = open(&path, "").unwrap();
+    drop(line);
+    let error = master.ask(motor(1), ReadMultiTurnAngle).unwrap_err();
+    let CallError::Bus(error) = error else { panic!("{error}") };
+    assert!(matches!(error, BusError::PortGone(_)), "{error}");
+}
+
+#[test]
+fn what_nobody_takes_is_thrown_away() {
+    let (_line, path) = pty::open();
+    let mut port = Rs485::open(&path, 115_200).unwrap();
+    let error = (0..10_000).find_map(|_| port.write_all(&[0; 100]).err()).unwrap();
+    assert!(matches!(error, BusError::Stalled(_)), "{error}");
+}

@@ -1,0 +1,215 @@
+//! A master on an SLCAN adapter that is played at the other end of the serial port.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::Path;
+use std::thread::JoinHandle;
+
+use embedded_can::nb::Can as _;
+use embedded_can::{Frame as _, StandardId};
+use myactuator_host_std::port::slcan::{AdapterCodec, Answer, Command, Rate, Slcan};
+use myactuator_host_std::port::{AnyMaster, BusAddress, BusError, HostClock};
+use myactuator_protocol_core::command::ReadMultiTurnAngle;
+use myactuator_protocol_core::io::{Clock as _, Runner};
+use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
+
+use crate::drive::{answer, degrees, motor};
+use crate::pty;
+
+/// What kind of adapter is played.
+#[derive(Clone, Copy, Default)]
+struct Adapter {
+    /// It answers nothing to commands.
+    is_silent: bool,
+    /// It refuses to be opened.
+    refuses_to_open: bool,
+    /// It cannot send torque commands.
+    refuses_torque: bool,
+    /// What it says before every frame that it received.
+    noise: &'static [u8],
+}
+
+const TORQUE: u8 = 0xA1;
+const READ_ANGLE: u8 = 0x92;
+
+fn frame(first: u8) -> SimpleFrame {
+    SimpleFrame::new(StandardId::new(0x141).unwrap(), &[first, 0, 0, 0, 0, 0, 0, 0]).unwrap()
+}
+
+/// Plays adapter and drives until the port is closed; gives the commands heard.
+fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<Command>> {
+    std::thread::spawn(move || {
+        let mut codec = AdapterCodec::new();
+        let (mut chunk, mut heard, mut is_open) = ([0; 64], Vec::new(), false);
+        while let Ok(length @ 1..) = line.read(&mut chunk) {
+            for command in chunk[..length].iter().filter_map(|&byte| codec.feed(byte)) {
+                let mut told = Vec::new();
+                let mut tell = |answer: Answer| {
+                    if !adapter.is_silent {
+                        answer.encode(&mut told);
+                    }
+                };
+                match command {
+                    Command::Open if adapter.refuses_to_open => tell(Answer::Refused),
+                    Command::Open => {
+                        is_open = true;
+                        tell(Answer::Done);
+                    }
+                    Command::Close if !is_open => tell(Answer::Refused),
+                    Command::Close => {
+                        is_open = false;
+                        tell(Answer::Done);
+                    }
+                    Command::Transmit(frame)
+                        if adapter.refuses_torque && frame.data()[0] == TORQUE =>
+                    {
+                        tell(Answer::Refused);
+                    }
+                    Command::Transmit(frame) if is_open => {
+                        tell(Answer::Accepted { is_extended: false });
+                        if let Received::Packet(packet) = can::decode(&frame)
+                            && let Some(reply) = answer(&packet)
+                        {
+                            told.extend_from_slice(adapter.noise);
+                            Answer::Frame(can::encode(&reply).unwrap()).encode(&mut told);
+                        }
+                    }
+                    Command::Transmit(_) | Command::Unknown => tell(Answer::Refused),
+                    _ => tell(Answer::Done),
+                }
+                heard.push(command);
+                // The port may be closed already.
+                let _ = line.write_all(&told);
+            }
+        }
+        heard
+    })
+}
+
+fn open(path: &Path) -> Result<AnyMaster<2>, BusError> {
+    let address: BusAddress = format!("slcan:{}@1000000", path.display()).parse().unwrap();
+    AnyMaster::open_with(&address, pty::forgiving(address.config()))
+}
+
+fn asks_and_gets_answers(adapter: Adapter) {
+    let (line, path) = pty::open();
+    let device = play(line, adapter);
+    let mut master = open(&path).unwrap();
+    for _ in 0..20 {
+        for id in [motor(1), motor(2)] {
+            let reading = master.ask(id, ReadMultiTurnAngle).unwrap();
+            assert_eq!(reading.angle.degrees(), degrees(id));
+        }
+    }
+    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+    drop(master);
+    let heard = device.join().unwrap();
+    let setup = [Command::Nothing, Command::Close, Command::SetRate(Rate::Mbit1), Command::Open];
+    assert!(heard.starts_with(&setup), "{heard:?}");
+    assert!(heard.ends_with(&[Command::Nothing, Command::Close]), "{heard:?}");
+    let frames = heard.iter().filter(|command| matches!(command, Command::Transmit(_))).count();
+    assert_eq!(frames, heard.len() - 6);
+    assert!(frames >= 42);
+}
+
+#[test]
+fn a_master_asks_through_an_adapter() {
+    asks_and_gets_answers(Adapter::default());
+}
+
+#[test]
+fn an_adapter_that_answers_nothing_will_do() {
+    asks_and_gets_answers(Adapter { is_silent: true, ..Adapter::default() });
+}
+
+#[test]
+fn lines_that_mean_nothing_do_no_harm() {
+    let noise = b"t24189C00\r\rV1013\rT1234567F\rhello\r\xFF\r\n";
+    asks_and_gets_answers(Adapter { noise, ..Adapter::default() });
+}
+
+#[test]
+fn an_adapter_that_will_not_open_is_told() {
+    let (line, path) = pty::open();
+    let device = play(line, Adapter { refuses_to_open: true, ..Adapter::default() });
+    let error = open(&path).unwrap_err();
+    assert!(matches!(error, BusError::Refused(_)), "{error}");
+    device.join().unwrap();
+}
+
+#[test]
+fn a_port_belongs_to_one_program() {
+    let (line, path) = pty::open();
+    let device = play(line, Adapter::default());
+    let first = open(&path).unwrap();
+    let error = open(&path).unwrap_err();
+    assert!(matches!(error, BusError::InUse(_)), "{error}");
+    drop(first);
+    device.join().unwrap();
+}
+
+/// Receives until this gives something; gives up after four seconds.
+fn until<T>(
+    can: &mut Slcan,
+    clock: &HostClock,
+    mut look: impl FnMut(&mut Slcan) -> Option<T>,
+) -> T {
+    let end = clock.now() + Duration::from_secs(4);
+    loop {
+        if let Some(found) = look(can) {
+            return found;
+        }
+        assert!(clock.now() < end, "nothing came");
+        clock.idle((clock.now() + Duration::from_millis(1)).min(end));
+    }
+}
+
+#[test]
+fn after_a_refusal_nothing_that_moves_is_sent_until_an_answer_comes() {
+    let (line, path) = pty::open();
+    let device = play(line, Adapter { refuses_torque: true, ..Adapter::default() });
+    let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
+    let clock = can.clock().unwrap();
+
+    can.transmit(&frame(TORQUE)).unwrap();
+    let error = until(&mut can, &clock, |can| {
+        assert!(matches!(can.receive(), Err(nb::Error::WouldBlock)));
+        match can.transmit(&frame(TORQUE)) {
+            Err(nb::Error::Other(error)) => Some(error),
+            _ => None,
+        }
+    });
+    assert!(matches!(error, BusError::Refused(_)), "{error}");
+    assert!(error.is_outage());
+
+    can.transmit(&frame(READ_ANGLE)).unwrap();
+    let reply = until(&mut can, &clock, |can| can.receive().ok());
+    assert_eq!(reply.id(), StandardId::new(0x241).unwrap().into());
+    can.transmit(&frame(TORQUE)).unwrap();
+    drop((can, clock));
+    device.join().unwrap();
+}
+
+#[test]
+fn what_an_adapter_does_not_take_is_thrown_away() {
+    let (_line, path) = pty::open();
+    let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
+    let clock = can.clock().unwrap();
+    let error = until(&mut can, &clock, |can| {
+        for _ in 0..1_000 {
+            match can.transmit(&frame(READ_ANGLE)) {
+                Ok(_) => {}
+                Err(nb::Error::WouldBlock) => return None,
+                Err(nb::Error::Other(error)) => return Some(error),
+            }
+        }
+        None
+    });
+    assert!(matches!(error, BusError::Stalled(_)), "{error}");
+    match can.transmit(&frame(TORQUE)) {
+        Err(nb::Error::WouldBlock | nb::Error::Other(BusError::Stalled(_))) => {}
+        other => panic!("{other:?}"),
+    }
+}

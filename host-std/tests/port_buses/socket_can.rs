@@ -1,0 +1,30 @@
+//! What is said of CAN interfaces that cannot be opened. Frames over one need a Linux with CAN, which
+//! not every machine has.
+
+use myactuator_host_std::port::{AnyMaster, BusError, SocketCan};
+use rustix::net::{AddressFamily, SocketType, socket};
+
+#[test]
+fn an_interface_that_is_not_there_is_told() {
+    let error = SocketCan::open("no-such-can").unwrap_err();
+    let can_sockets = socket(AddressFamily::CAN, SocketType::RAW, None);
+    if can_sockets.err() == Some(rustix::io::Errno::AFNOSUPPORT) {
+        assert!(matches!(error, BusError::NoCanSupport), "{error}");
+        assert!(error.to_string().starts_with("this machine's Linux has no CAN sockets: "));
+    } else {
+        assert!(matches!(error, BusError::NoSuchInterface(_)), "{error}");
+        assert!(error.to_string().starts_with("there is no network interface \"no-such-can\": "));
+    }
+}
+
+#[test]
+fn an_interface_that_is_not_for_can_is_told() {
+    let error = SocketCan::open("lo").unwrap_err();
+    assert!(matches!(error, BusError::NoCanSupport | BusError::NotCan(_)), "{error}");
+}
+
+#[test]
+fn a_simulated_bus_is_no_real_one() {
+    let error = AnyMaster::<1>::open(&"sim:4".parse().unwrap()).unwrap_err();
+    assert!(matches!(error, BusError::Simulated(_)), "{error}");
+}
