@@ -127,6 +127,8 @@ pub struct Drive<P, M> {
     encoder: Encoder,
     /// What function 1 takes off the raw position at the next start.
     turns_to_clear: i64,
+    /// The last bus id taken, and when.
+    id_taken: Option<(MotorId, Instant)>,
     controller: Controller,
     brake: Brake,
     faults: Faults,
@@ -163,6 +165,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             clock: now,
             measurement,
             turns_to_clear: 0,
+            id_taken: None,
             controller: Controller::new(),
             faults: Faults::default(),
             protection: Protection::default(),
@@ -239,7 +242,6 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             }
             self.step(end, period);
         }
-        self.follow_reports(self.clock);
     }
 
     /// The next packet to send at `now`: a reply whose delay is over, or a report. Does the work of
@@ -281,14 +283,12 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     /// [`clear_fault`](Self::clear_fault), those of level one until a restart.
     pub fn raise_fault(&mut self, errors: ErrorFlags) {
         self.change_faults(|faults| faults.raise(errors));
-        self.follow_reports(self.clock);
     }
 
     /// Takes away the cause of errors raised by hand. Those of level one stay until a restart, as they
     /// do on a real drive.
     pub fn clear_fault(&mut self, errors: ErrorFlags) {
         self.change_faults(|faults| faults.take_away(errors));
-        self.follow_reports(self.clock);
     }
 
     /// Up to when the loops have run.
@@ -324,8 +324,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     }
 
     /// Switches behaviour beside the manual on or off.
-    pub const fn set_quirks(&mut self, quirks: Quirks) {
+    pub fn set_quirks(&mut self, quirks: Quirks) {
         self.parameters.quirks = quirks;
+        self.follow_reports(self.clock);
     }
 
     /// Sets the time from a command to its reply.
@@ -391,6 +392,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 if self.protection.check(end, self.protection_timeout()) {
                     self.cut_output();
                     self.events.push(Event::ProtectionTripped);
+                    self.follow_reports(end);
                 }
             }
         }
@@ -418,6 +420,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
         if !went.is_empty() {
             self.events.push(Event::FaultCleared(went));
+        }
+        if before != after {
+            self.follow_reports(self.clock);
         }
     }
 
