@@ -5,7 +5,7 @@
 //! - A bus id (0x79, function 5) acts after a restart. Until then 0x79 reads the id that acts.
 //! - A reply to 0x79 looks like its command, and every drive hears it. So that two drives do not answer
 //!   each other for ever, a read that already holds an id, and a write of the id that was taken less than
-//!   10 ms ago, count as another drive's reply.
+//!   20 ms ago, count as another drive's reply.
 //! - 0x62 reads the zero offset that acts: a new one (0x63, 0x64) "is valid only after a restart".
 //! - Functions 6 and 7 clamp the targets of 0xA4, 0xA6, 0xA8 and 0xA9: the motor goes as far as it may.
 //!   They act from the next command on; a motor that is on its way goes on.
@@ -38,7 +38,7 @@ use crate::units::{Current, Milliseconds, ReportedAcceleration, Speed, Temperatu
 mod run;
 
 /// For so long after it took a bus id, a drive takes the same command for another drive's reply.
-const ANOTHERS_REPLY: Duration = Duration::from_millis(10);
+const ANOTHERS_REPLY: Duration = Duration::from_millis(20);
 
 /// What becomes of a command.
 pub(super) enum Answer {

@@ -264,14 +264,17 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     }
 
     /// When [`poll_transmit`](Self::poll_transmit) has something to do by itself, if no packet comes
-    /// before: a reply or a report is due, a start ends, or the loops are 10 ms behind (a motor moves
+    /// before: a reply or a report is due, a start ends, communication is lost, or the loops are 10 ms behind (a motor moves
     /// and errors come at any time). `None` only at the end of time.
     pub fn poll_at(&self) -> Option<Instant> {
-        let catch_up = self.clock + self.parameters.control_period.max(CATCH_UP);
+        let period = self.parameters.control_period;
+        let catch_up = self.clock + period.max(CATCH_UP);
+        // The loops see it with the step after.
+        let silence = self.protection.deadline(self.protection_timeout()).map(|at| at + period);
         let reply = self.outgoing.first().map(|outgoing| outgoing.due);
         let started = if let Life::Booting { until, .. } = self.life { Some(until) } else { None };
         let report = self.reporting.poll_at();
-        [reply, started, report, Some(catch_up)].into_iter().flatten().min()
+        [reply, started, report, silence, Some(catch_up)].into_iter().flatten().min()
     }
 
     /// The next thing that happened, oldest first.

@@ -69,6 +69,12 @@ impl Protection {
         lost
     }
 
+    /// Until when the next command must have come.
+    pub(super) fn deadline(&self, timeout: Duration) -> Option<Instant> {
+        let watching = timeout > Duration::ZERO && !self.is_tripped();
+        self.last.filter(|_| watching).map(|last| last + timeout)
+    }
+
     /// Ends a trip; whether there was one.
     pub(super) fn forgive(&mut self) -> bool {
         self.lost.take().is_some()
