@@ -185,6 +185,19 @@ fn gains_act_on_the_loops() {
     assert!((bench.speed() - 100.0).abs() < 1.0, "{}", bench.speed());
 }
 
+/// 2.2: and so are the current loop's: half of a set-point at once, the rest by and by.
+#[test]
+fn current_gains_act_on_the_current() {
+    let mut bench = Bench::default();
+    bench.write(WritePidRam { index: PidIndex::CurrentKp, value: gain(0.5) });
+    bench.write(WritePidRam { index: PidIndex::CurrentKi, value: gain(10.0) });
+    bench.ask(Torque { current: amperes(2.0) });
+    assert!((bench.current() - 1.04).abs() < 0.05, "{}", bench.current());
+    bench.run(millis(95));
+    // 2 A less e^-1 of the half that was missing.
+    assert!((bench.current() - 1.63).abs() < 0.05, "{}", bench.current());
+}
+
 /// 2.4, 2.5: the four accelerations are written to RAM and ROM at once and kept after power-off.
 #[test]
 fn accelerations_are_kept() {
@@ -252,6 +265,12 @@ fn the_current_position_becomes_the_zero_after_a_reset() {
     bench.restart();
     assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
     bench.power_cycle();
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    // A second time, with a zero that is none of the encoder's.
+    bench.drive.plant_mut().set_angle_deg(135.0);
+    bench.run(millis(1));
+    assert_eq!(bench.ask(SetCurrentPositionZero).offset.raw(), TURN * 3 / 8);
+    bench.restart();
     assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
 }
 
@@ -458,6 +477,48 @@ fn an_absolute_position_is_planned() {
     assert!((speeds[835] - 250.0).abs() < 20.0, "{}", speeds[835]); // 250 ms before the end
 }
 
+/// 2.21.1: a planned motion accelerates as set even after the shaft was held back.
+#[test]
+fn a_shaft_that_was_held_back_does_not_jump() {
+    let mut bench = Bench::default();
+    plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
+    let go = AbsolutePosition { max_speed: up_to(500), angle: degrees(180.0) };
+    bench.drive.plant_mut().friction_nm_s = 1e9;
+    bench.ask(go);
+    bench.run(millis(600));
+    bench.drive.plant_mut().friction_nm_s = 0.05;
+    bench.write(Shutdown);
+    bench.ask(go);
+    bench.run(millis(95));
+    assert!((bench.speed() - 100.0).abs() < 15.0, "{}", bench.speed());
+    // The same without a shutdown between: a new command is a new motion.
+    let mut bench = Bench::default();
+    plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
+    bench.ask(go);
+    bench.drive.plant_mut().friction_nm_s = 1e9;
+    bench.run(millis(600));
+    bench.drive.plant_mut().friction_nm_s = 0.05;
+    bench.ask(go);
+    bench.run(millis(45));
+    assert!(bench.speed() < 150.0, "{}", bench.speed());
+}
+
+/// 2.4.4: the deceleration is its own; where it is 0, the acceleration serves for both.
+#[test]
+fn a_deceleration_of_zero_is_the_accelerations() {
+    for (deceleration, speed_near_the_end) in [(0, 200.0), (500, 141.0)] {
+        let mut bench = Bench::default();
+        plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
+        plan(&mut bench, AccelerationIndex::PositionDeceleration, deceleration);
+        bench.ask(AbsolutePosition { max_speed: up_to(400), angle: degrees(360.0) });
+        while bench.angle() < 340.0 {
+            bench.run(millis(1));
+        }
+        // v² = 2·d·s, 20 degrees before the end.
+        assert!((bench.speed() - speed_near_the_end).abs() < 8.0, "{}", bench.speed());
+    }
+}
+
 /// 2.21.1: the direction follows from target and position; the angle is from the zero.
 #[test]
 fn an_absolute_position_is_gone_to_from_anywhere() {
@@ -574,6 +635,20 @@ fn a_reset_starts_anew() {
     assert!(!bench.state().output_on);
     assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 5);
     assert!(bench.events.contains(&Event::Reset));
+}
+
+/// 2.26: what nothing says is saved ends with the restart: active replies and error reporting.
+#[test]
+fn a_reset_ends_reporting() {
+    let mut bench = Bench::default();
+    bench.write(FunctionControl::ErrorReporting(Switch::On));
+    bench.send(report(ReportedCommand::Status2, Switch::On, 1));
+    bench.restart();
+    bench.sent.clear();
+    bench.raise(ErrorFlags::OVER_VOLTAGE);
+    bench.run(millis(300));
+    assert!(bench.sent.is_empty(), "{:?}", bench.sent);
+    assert!(bench.send(ReadStatus2).is_some());
 }
 
 /// 2.27, 2.28: 0x77 lets the shaft go, 0x78 locks it, and without power it is locked.
@@ -777,6 +852,10 @@ fn function_2_filters_commands_to_all() {
     assert_eq!(bench.exchange(all, ReadStatus2.encode()), []);
     assert_eq!(bench.exchange(Channel::BusId, BusId::Read.encode()).len(), 1);
     bench.write(FunctionControl::CanIdFilter(Switch::Off));
+    assert_eq!(bench.exchange(all, ReadStatus2.encode()).len(), 1);
+    // RS485's address 0xCD is no identifier to filter by.
+    let mut bench = Bench::on_rs485();
+    bench.write(FunctionControl::CanIdFilter(Switch::On));
     assert_eq!(bench.exchange(all, ReadStatus2.encode()).len(), 1);
 }
 

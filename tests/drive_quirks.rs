@@ -157,6 +157,25 @@ fn response_delays_are_drawn_by_the_seed() {
     assert_ne!(drawn, delays(2));
 }
 
+/// Replies leave in the order of their commands, even if a later one was ready sooner.
+#[test]
+fn replies_keep_their_order() {
+    let mut bench = Bench::new(Parameters {
+        response_delay_min: Duration::from_micros(100),
+        response_delay_max: millis(5),
+        ..Parameters::default()
+    });
+    for _ in 0..20 {
+        bench.sent.clear();
+        for data in [ReadStatus1.encode(), ReadStatus2.encode(), ReadStatus3.encode()] {
+            bench.put(Channel::Command(ID.into()), data);
+        }
+        bench.run(millis(10));
+        let bytes: Vec<u8> = bench.sent.iter().map(|(_, packet)| packet.data[0]).collect();
+        assert_eq!(bytes, [0x9A, 0x9C, 0x9D]);
+    }
+}
+
 /// A caller that lets hours pass gets bounded work a call, and a drive that ends up right.
 #[test]
 fn a_late_caller_gets_bounded_work() {

@@ -445,11 +445,11 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         Duration::from_millis(self.active.protection_timeout.raw().into())
     }
 
-    /// Queues a reply. Replies leave in the order of their commands.
+    /// Queues a reply. Replies leave in the order of their commands: the first in the queue holds up
+    /// those behind it, as a drive does one thing after the other.
     fn reply(&mut self, packet: Packet, now: Instant) {
         let Parameters { response_delay_min: min, response_delay_max: max, .. } = self.parameters;
         let due = now + self.random.between(min, max);
-        let due = self.outgoing.last().map_or(due, |before| due.max(before.due));
         self.outgoing.push(Outgoing { due, packet });
     }
 
