@@ -3,8 +3,12 @@
 //! Decided, where the manual is silent or says two things:
 //!
 //! - A bus id (0x79, function 5) acts after a restart. Until then 0x79 reads the id that acts.
+//! - A reply to 0x79 looks like its command, and every drive hears it. So that two drives do not answer
+//!   each other for ever, a read that already holds an id, and a write of the id that was taken less than
+//!   20 ms ago, count as another drive's reply.
 //! - 0x62 reads the zero offset that acts: a new one (0x63, 0x64) "is valid only after a restart".
 //! - Functions 6 and 7 clamp the targets of 0xA4, 0xA6, 0xA8 and 0xA9: the motor goes as far as it may.
+//!   They act from the next command on; a motor that is on its way goes on.
 //! - 0xA8 counts from where the shaft is, not from where it was to go.
 //! - 0xA6 runs in single-turn mode only (function 4 off). Within half a degree of its target it goes
 //!   the short way, whatever the direction says: a command sent twice must not add a turn.
@@ -28,10 +32,13 @@ use crate::drive::{
 };
 use crate::field::Data;
 use crate::opcode::Opcode;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::units::{Current, Milliseconds, ReportedAcceleration, Speed, Temperature, Voltage};
 
 mod run;
+
+/// For so long after it took a bus id, a drive takes the same command for another drive's reply.
+const ANOTHERS_REPLY: Duration = Duration::from_millis(20);
 
 /// What becomes of a command.
 pub(super) enum Answer {
@@ -110,6 +117,10 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             }
             AnyCommand::FunctionControl(function) => self.function(function, echo()),
             AnyCommand::BusId(BusId::Read) => {
+                let [.., low, high] = packet.data;
+                if (low, high) != (0, 0) {
+                    return Answer::Ignored(IgnoreReason::AnothersReply);
+                }
                 let id = self.active.id;
                 AnyReply::BusId(match self.parameters.bus {
                     Bus::Can => BusIdReply::OnCan(id),
@@ -118,6 +129,13 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 .into()
             }
             AnyCommand::BusId(BusId::Write(id)) => {
+                let heard = self
+                    .id_taken
+                    .is_some_and(|(taken, at)| taken == id && now - at < ANOTHERS_REPLY);
+                if heard {
+                    return Answer::Ignored(IgnoreReason::AnothersReply);
+                }
+                self.id_taken = Some((id, now));
                 self.keep(Settings { id, ..self.stored }, echo())
             }
             AnyCommand::CommunicationLossProtection(set) => {

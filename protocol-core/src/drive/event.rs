@@ -62,6 +62,8 @@ pub enum IgnoreReason {
     CanOnly(Opcode),
     /// The command is known, but names an index or a code that the manual does not.
     UnknownCode(Opcode),
+    /// On the channel of bus ids commands and replies look alike: this is another drive's reply.
+    AnothersReply,
     /// The drive reports this by itself, and so does not answer when asked for it (2.34.1).
     ReportedActively(Opcode),
 }

@@ -127,6 +127,8 @@ pub struct Drive<P, M> {
     encoder: Encoder,
     /// What function 1 takes off the raw position at the next start.
     turns_to_clear: i64,
+    /// The last bus id taken, and when.
+    id_taken: Option<(MotorId, Instant)>,
     controller: Controller,
     brake: Brake,
     faults: Faults,
@@ -163,6 +165,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             clock: now,
             measurement,
             turns_to_clear: 0,
+            id_taken: None,
             controller: Controller::new(),
             faults: Faults::default(),
             protection: Protection::default(),
@@ -239,7 +242,6 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             }
             self.step(end, period);
         }
-        self.follow_reports(self.clock);
     }
 
     /// The next packet to send at `now`: a reply whose delay is over, or a report. Does the work of
@@ -262,14 +264,17 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     }
 
     /// When [`poll_transmit`](Self::poll_transmit) has something to do by itself, if no packet comes
-    /// before: a reply or a report is due, a start ends, or the loops are 10 ms behind (a motor moves
+    /// before: a reply or a report is due, a start ends, communication is lost, or the loops are 10 ms behind (a motor moves
     /// and errors come at any time). `None` only at the end of time.
     pub fn poll_at(&self) -> Option<Instant> {
-        let catch_up = self.clock + self.parameters.control_period.max(CATCH_UP);
+        let period = self.parameters.control_period;
+        let catch_up = self.clock + period.max(CATCH_UP);
+        // The loops see it with the step after.
+        let silence = self.protection.deadline(self.protection_timeout()).map(|at| at + period);
         let reply = self.outgoing.first().map(|outgoing| outgoing.due);
         let started = if let Life::Booting { until, .. } = self.life { Some(until) } else { None };
         let report = self.reporting.poll_at();
-        [reply, started, report, Some(catch_up)].into_iter().flatten().min()
+        [reply, started, report, silence, Some(catch_up)].into_iter().flatten().min()
     }
 
     /// The next thing that happened, oldest first.
@@ -281,14 +286,12 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     /// [`clear_fault`](Self::clear_fault), those of level one until a restart.
     pub fn raise_fault(&mut self, errors: ErrorFlags) {
         self.change_faults(|faults| faults.raise(errors));
-        self.follow_reports(self.clock);
     }
 
     /// Takes away the cause of errors raised by hand. Those of level one stay until a restart, as they
     /// do on a real drive.
     pub fn clear_fault(&mut self, errors: ErrorFlags) {
         self.change_faults(|faults| faults.take_away(errors));
-        self.follow_reports(self.clock);
     }
 
     /// Up to when the loops have run.
@@ -324,8 +327,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     }
 
     /// Switches behaviour beside the manual on or off.
-    pub const fn set_quirks(&mut self, quirks: Quirks) {
+    pub fn set_quirks(&mut self, quirks: Quirks) {
         self.parameters.quirks = quirks;
+        self.follow_reports(self.clock);
     }
 
     /// Sets the time from a command to its reply.
@@ -391,6 +395,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 if self.protection.check(end, self.protection_timeout()) {
                     self.cut_output();
                     self.events.push(Event::ProtectionTripped);
+                    self.follow_reports(end);
                 }
             }
         }
@@ -419,6 +424,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         if !went.is_empty() {
             self.events.push(Event::FaultCleared(went));
         }
+        if before != after {
+            self.follow_reports(self.clock);
+        }
     }
 
     /// Output off, no mode, brake locked.
@@ -437,11 +445,11 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         Duration::from_millis(self.active.protection_timeout.raw().into())
     }
 
-    /// Queues a reply. Replies leave in the order of their commands.
+    /// Queues a reply. Replies leave in the order of their commands: the first in the queue holds up
+    /// those behind it, as a drive does one thing after the other.
     fn reply(&mut self, packet: Packet, now: Instant) {
         let Parameters { response_delay_min: min, response_delay_max: max, .. } = self.parameters;
         let due = now + self.random.between(min, max);
-        let due = self.outgoing.last().map_or(due, |before| due.max(before.due));
         self.outgoing.push(Outgoing { due, packet });
     }
 

@@ -151,7 +151,7 @@ impl Default for Parameters {
             stall_current_a: 12.0,
             max_speed_dps: 1_500.0,
             limits: FaultLimits::default(),
-            factory_gains: Gains::tuned(0.02, 2.0, 150.0),
+            factory_gains: Gains::tuned(0.02, 2.0, 200.0),
             motion_ranges: MotionRanges::V4_3,
             has_brake: false,
             response_delay_min: Duration::from_micros(800),

@@ -4,6 +4,8 @@ use crate::time::Duration;
 
 /// What a drive puts out until the next control step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Actuation {
     /// Torque current that the current loop wants, A. 0 while the output is off.
     pub current_a: f32,
@@ -15,6 +17,8 @@ pub struct Actuation {
 
 /// What a drive measures after a control step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Measurement {
     /// Encoder position in pulses of the motor shaft, turns included, from the encoder's own zero.
     pub encoder_pulses: i64,
@@ -38,6 +42,6 @@ pub struct Measurement {
 
 /// A motor with its gearbox, load, encoder, brake and supply: real or simulated.
 pub trait Plant {
-    /// Applies `actuation` for `span`, then measures.
+    /// Applies `actuation` for `span`, then measures. A span of zero only measures.
     fn advance(&mut self, actuation: &Actuation, span: Duration) -> Measurement;
 }

@@ -26,7 +26,7 @@ pub(super) enum Heard {
     Recovered,
     /// Communication is not steady yet.
     Unsteady {
-        /// Whether it is the first after the loss.
+        /// Whether it is the first after a silence.
         first: bool,
     },
 }
@@ -53,9 +53,8 @@ impl Protection {
             self.lost = None;
             Heard::Recovered
         } else {
-            let first = self.lost == Some(0);
             self.lost = Some(count);
-            Heard::Unsteady { first }
+            Heard::Unsteady { first: count == 1 }
         }
     }
 
@@ -68,6 +67,12 @@ impl Protection {
             self.lost = Some(0);
         }
         lost
+    }
+
+    /// Until when the next command must have come.
+    pub(super) fn deadline(&self, timeout: Duration) -> Option<Instant> {
+        let watching = timeout > Duration::ZERO && !self.is_tripped();
+        self.last.filter(|_| watching).map(|last| last + timeout)
     }
 
     /// Ends a trip; whether there was one.
@@ -118,7 +123,7 @@ mod tests {
         let mut protection = tripped();
         protection.hear(at(1_000), TIMEOUT, 3);
         protection.hear(at(1_100), TIMEOUT, 3);
-        assert_eq!(protection.hear(at(1_201), TIMEOUT, 3), Heard::Unsteady { first: false });
+        assert_eq!(protection.hear(at(1_201), TIMEOUT, 3), Heard::Unsteady { first: true });
         assert_eq!(protection.hear(at(1_202), TIMEOUT, 3), Heard::Unsteady { first: false });
         assert_eq!(protection.hear(at(1_203), TIMEOUT, 3), Heard::Recovered);
     }

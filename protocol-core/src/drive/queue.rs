@@ -30,10 +30,6 @@ impl<T, const N: usize> DropOldest<T, N> {
         self.entries.front()
     }
 
-    pub(super) fn last(&self) -> Option<&T> {
-        self.entries.back()
-    }
-
     pub(super) fn clear(&mut self) {
         self.entries.clear();
     }
@@ -53,7 +49,7 @@ mod tests {
         for entry in 1..=4 {
             queue.push(entry);
         }
-        assert_eq!((queue.first(), queue.last(), queue.dropped()), (Some(&3), Some(&4), 2));
+        assert_eq!((queue.first(), queue.dropped()), (Some(&3), 2));
         assert_eq!((queue.pop(), queue.pop(), queue.pop()), (Some(3), Some(4), None));
     }
 }

@@ -6,6 +6,8 @@ use crate::drive::{Drive, Indicator, Measurement, Memory, Plant};
 
 /// How a drive does at its [`clock`](Drive::clock).
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct State {
     /// Whether it has its supply.
     pub powered: bool,

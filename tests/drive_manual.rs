@@ -1,0 +1,1124 @@
+//! What the manual says that a drive does, sentence by sentence, on an ideal motor.
+//!
+//! The documentation of each test gives the sentence's section and its meaning. Motor: 0.02 kg·m²,
+//! 2 N·m/A, friction 0.05 N·m·s; rated current 6 A, stall current 12 A; 16384 pulses, gear 6.
+
+#[path = "drive_bench/mod.rs"]
+mod drive_bench;
+
+use drive_bench::*;
+use myactuator_protocol_core::command::Speed;
+use myactuator_protocol_core::command::*;
+use myactuator_protocol_core::drive::{
+    Bus, Drive, Event, IdealPlant, IgnoreReason, Indicator, Memory, NotRunReason, Parameters,
+    Settings,
+};
+use myactuator_protocol_core::opcode::ReplyRule;
+use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::units::*;
+use myactuator_protocol_core::wire::rs485;
+use myactuator_protocol_core::{AnyCommand, AnyReply, Channel, MotorId, Opcode, Packet, Target};
+
+const TURN: i32 = 98_304;
+
+fn id(id: u8) -> MotorId {
+    MotorId::new(id).unwrap()
+}
+
+fn gain(value: f32) -> Gain {
+    Gain::new(value).unwrap()
+}
+
+fn acceleration(dps2: u32) -> Acceleration {
+    Acceleration::try_from_raw(dps2).unwrap()
+}
+
+fn plan(bench: &mut Bench, index: AccelerationIndex, dps2: u32) {
+    bench.write(WriteAcceleration { index, acceleration: acceleration(dps2) });
+}
+
+/// Every command, with values that a drive takes.
+fn one_of_each() -> Vec<AnyCommand> {
+    let direction = Direction::Clockwise;
+    let single = SingleTurnTarget::try_from_raw(9_000).unwrap();
+    let (max_speed, angle) = (up_to(100), degrees(5.0));
+    let index = AccelerationIndex::SpeedAcceleration;
+    vec![
+        FunctionControl::CanIdFilter(Switch::On).into(),
+        ReadPid { index: PidIndex::SpeedKp }.into(),
+        WritePidRam { index: PidIndex::SpeedKp, value: gain(0.01) }.into(),
+        WritePidRom { index: PidIndex::SpeedKp, value: gain(0.01) }.into(),
+        ReadAcceleration { index }.into(),
+        WriteAcceleration { index, acceleration: acceleration(500) }.into(),
+        ReadMultiTurnEncoder.into(),
+        ReadMultiTurnEncoderRaw.into(),
+        ReadMultiTurnEncoderOffset.into(),
+        SetEncoderZero { offset: EncoderPulses::from_raw(7) }.into(),
+        SetCurrentPositionZero.into(),
+        ReadRunningMode.into(),
+        Reset.into(),
+        ReleaseBrake.into(),
+        LockBrake.into(),
+        BusId::Read.into(),
+        Shutdown.into(),
+        Stop.into(),
+        ReadSingleTurnEncoder.into(),
+        ReadMultiTurnAngle.into(),
+        ReadSingleTurnAngle.into(),
+        ReadStatus1.into(),
+        ReadStatus2.into(),
+        ReadStatus3.into(),
+        Torque { current: amperes(0.1) }.into(),
+        Speed { max_torque: percent(0), speed: dps(10.0) }.into(),
+        AbsolutePosition { max_speed, angle }.into(),
+        SingleTurnPosition { direction, max_speed, angle: single }.into(),
+        IncrementalPosition { max_speed, angle }.into(),
+        ForcePosition { max_torque: percent(50), max_speed, angle }.into(),
+        ReadRunTime.into(),
+        ReadVersionDate.into(),
+        CommunicationLossProtection { timeout: Milliseconds::from_raw(1_000) }.into(),
+        SetBaudRate { baud_rate: BaudCode::Can500kRs485At115200 }.into(),
+        ReadModel.into(),
+        ActiveReply {
+            command: ReportedCommand::Status2,
+            enable: Switch::On,
+            interval: ReportInterval::from_raw(100),
+        }
+        .into(),
+        RawMotion::from_data(&[0x80, 0, 0x80, 0, 0, 0, 0x08, 0]).into(),
+    ]
+}
+
+/// 2 to 7: each kind is answered as its row in the table says.
+#[test]
+fn every_kind_is_answered_by_its_rule() {
+    let commands = one_of_each();
+    for &opcode in Opcode::ALL {
+        let command = *commands.iter().find(|c| c.opcode() == opcode).expect("a command missing");
+        let reply = Bench::default().send(command);
+        match opcode.reply_rule() {
+            ReplyRule::Echo | ReplyRule::Acknowledge => {
+                assert_eq!(reply, Some(command.encode()), "{opcode}");
+            }
+            ReplyRule::Values => {
+                let reply = reply.unwrap_or_else(|| panic!("{opcode} unanswered"));
+                assert!(opcode.answers(&command.encode(), &reply), "{opcode}: {reply:02X?}");
+                assert!(AnyReply::decode_as(opcode, &reply).is_ok(), "{opcode}: {reply:02X?}");
+            }
+            ReplyRule::Silent => assert_eq!(reply, None, "{opcode}"),
+            ReplyRule::Garbled => assert_ne!(reply, Some(command.encode()), "{opcode}"),
+        }
+    }
+}
+
+/// 1.1.2, 4.4, 5.3: replies come at 0x240 + ID, those to 0x300 at 0x300, those to 0x400 + ID at
+/// 0x500 + ID.
+#[test]
+fn replies_come_on_their_channels() {
+    let mut bench = Bench::default();
+    let mut channel = |channel, data| bench.exchange(channel, data)[0].channel;
+    let command = Channel::Command(ID.into());
+    assert_eq!(channel(command, ReadStatus2.encode()), Channel::Reply(ID));
+    assert_eq!(channel(Channel::Command(Target::All), ReadStatus2.encode()), Channel::Reply(ID));
+    assert_eq!(channel(Channel::BusId, BusId::Read.encode()), Channel::BusId);
+    assert_eq!(channel(Channel::Motion(ID), [0x80; 8]), Channel::MotionReply(ID));
+}
+
+/// 1.1.2: a command at another's identifier, and another's reply, change nothing.
+#[test]
+fn what_is_for_others_is_not_heard() {
+    let mut bench = Bench::default();
+    for channel in [
+        Channel::Command(Target::Motor(id(2))),
+        Channel::Motion(id(2)),
+        Channel::Reply(ID),
+        Channel::MotionReply(ID),
+    ] {
+        assert_eq!(bench.exchange(channel, [0xA2, 0, 0, 0, 0x10, 0x27, 0, 0]), []);
+    }
+    assert!(!bench.state().output_on);
+    assert_eq!(bench.events, [Event::Started]);
+}
+
+/// 2.1, 2.2: a gain written to RAM reads back, and is lost after power-off; a reset loses it too.
+#[test]
+fn ram_gains_are_lost() {
+    for &index in PidIndex::ALL {
+        let mut bench = Bench::default();
+        let factory = bench.ask(ReadPid { index }).value;
+        for by_reset in [true, false] {
+            bench.write(WritePidRam { index, value: gain(1.5) });
+            assert_eq!(bench.ask(ReadPid { index }), PidGain { index, value: gain(1.5) });
+            if by_reset {
+                bench.restart()
+            } else {
+                bench.power_cycle()
+            }
+            assert_eq!(bench.ask(ReadPid { index }).value, factory);
+        }
+    }
+}
+
+/// 2.3: a gain written to ROM acts at once and is kept after power-off.
+#[test]
+fn rom_gains_are_kept() {
+    let mut bench = Bench::default();
+    let index = PidIndex::PositionKp;
+    bench.write(WritePidRom { index, value: gain(1.5) });
+    assert_eq!(bench.ask(ReadPid { index }).value, gain(1.5));
+    bench.power_cycle();
+    assert_eq!(bench.ask(ReadPid { index }).value, gain(1.5));
+}
+
+/// 2.2: the gains are those of the loops: without the speed loop's, the motor does not run.
+#[test]
+fn gains_act_on_the_loops() {
+    let mut bench = Bench::default();
+    bench.write(WritePidRam { index: PidIndex::SpeedKp, value: gain(0.0) });
+    bench.write(WritePidRam { index: PidIndex::SpeedKi, value: gain(0.0) });
+    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.run(millis(500));
+    assert_eq!(bench.speed(), 0.0);
+    bench.restart();
+    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.run(millis(500));
+    assert!((bench.speed() - 100.0).abs() < 1.0, "{}", bench.speed());
+}
+
+/// 2.2: and so are the current loop's: half of a set-point at once, the rest by and by.
+#[test]
+fn current_gains_act_on_the_current() {
+    let mut bench = Bench::default();
+    bench.write(WritePidRam { index: PidIndex::CurrentKp, value: gain(0.5) });
+    bench.write(WritePidRam { index: PidIndex::CurrentKi, value: gain(10.0) });
+    bench.ask(Torque { current: amperes(2.0) });
+    assert!((bench.current() - 1.04).abs() < 0.05, "{}", bench.current());
+    bench.run(millis(95));
+    // 2 A less e^-1 of the half that was missing.
+    assert!((bench.current() - 1.63).abs() < 0.05, "{}", bench.current());
+}
+
+/// 2.4, 2.5: the four accelerations are written to RAM and ROM at once and kept after power-off.
+#[test]
+fn accelerations_are_kept() {
+    let mut bench = Bench::default();
+    for (place, &index) in AccelerationIndex::ALL.iter().enumerate() {
+        let value = 1_000 + place as u32;
+        plan(&mut bench, index, value);
+        assert_eq!(bench.ask(ReadAcceleration { index }).acceleration.raw(), value);
+    }
+    bench.power_cycle();
+    for (place, &index) in AccelerationIndex::ALL.iter().enumerate() {
+        let reading = bench.ask(ReadAcceleration { index });
+        assert_eq!((reading.index, reading.acceleration.raw()), (index, 1_000 + place as u32));
+    }
+}
+
+/// 2.5.1: the range is 100 to 60000; what is outside is not taken.
+#[test]
+fn an_acceleration_out_of_range_is_ignored() {
+    let mut bench = Bench::default();
+    for raw in [1_u32, 99, 60_001, u32::MAX] {
+        let [a, b, c, d] = raw.to_le_bytes();
+        bench.exchange(Channel::Command(ID.into()), [0x43, 0, 0, 0, a, b, c, d]);
+        assert!(matches!(
+            bench.events.pop(),
+            Some(Event::Ignored { reason: IgnoreReason::Malformed(_), .. })
+        ));
+    }
+    assert!(bench.sent.is_empty());
+    let index = AccelerationIndex::PositionAcceleration;
+    assert_eq!(bench.ask(ReadAcceleration { index }).acceleration.raw(), 10_000);
+}
+
+/// 2.6.3: the position is the raw position less the zero offset; 2.7.1: the raw one is without it.
+#[test]
+fn position_is_raw_less_offset() {
+    let mut bench = Bench::default();
+    bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(10_000) });
+    bench.restart();
+    bench.drive.plant_mut().set_angle_deg(90.0); // 24576 pulses
+    bench.run(millis(1));
+    assert_eq!(bench.ask(ReadMultiTurnEncoderRaw).raw.raw(), 24_576);
+    assert_eq!(bench.ask(ReadMultiTurnEncoderOffset).offset.raw(), 10_000);
+    assert_eq!(bench.ask(ReadMultiTurnEncoder).position.raw(), 14_576);
+}
+
+/// 2.9.1: a new zero is valid only after a restart.
+#[test]
+fn a_given_zero_acts_after_a_restart() {
+    let mut bench = Bench::default();
+    bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(TURN / 4) });
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    bench.restart();
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), -90.0);
+}
+
+/// 2.10: 0x64 makes the current position the zero, tells it, and it is valid after 0x76.
+#[test]
+fn the_current_position_becomes_the_zero_after_a_reset() {
+    let mut bench = Bench::default();
+    bench.drive.plant_mut().set_angle_deg(90.0);
+    bench.run(millis(1));
+    assert_eq!(bench.ask(SetCurrentPositionZero).offset.raw(), TURN / 4);
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 90.0);
+    bench.restart();
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    bench.power_cycle();
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    // A second time, with a zero that is none of the encoder's.
+    bench.drive.plant_mut().set_angle_deg(135.0);
+    bench.run(millis(1));
+    assert_eq!(bench.ask(SetCurrentPositionZero).offset.raw(), TURN * 3 / 8);
+    bench.restart();
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+}
+
+/// 2.11.3: single-turn encoder position, raw position and offset.
+#[test]
+fn the_single_turn_encoder_tells_all_three() {
+    let mut bench = Bench::default();
+    bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(9_355) });
+    bench.restart();
+    bench.drive.plant_mut().set_angle_deg(f64::from(16_384 + 11_454) * 360.0 / f64::from(TURN));
+    bench.run(millis(1));
+    let reading = bench.ask(ReadSingleTurnEncoder);
+    let told = [reading.position, reading.raw, reading.offset].map(SingleTurnPulses::raw);
+    assert_eq!(told, [2_099, 11_454, 9_355]); // the manual's example, 2.11.4
+}
+
+/// 2.12.3, 2.15.3: the angle counts turns, in 0.01 degrees and in feedback in degrees up to ±32767.
+#[test]
+fn the_angle_counts_turns_and_feedback_saturates() {
+    let mut bench = Bench::default();
+    for (angle, fine, coarse) in
+        [(360.0, 36_000, 360), (-725.5, -72_550, -726), (40_000.0, 4_000_000, 32_767)]
+    {
+        bench.drive.plant_mut().set_angle_deg(angle);
+        bench.run(millis(1));
+        assert_eq!(bench.ask(ReadMultiTurnAngle).angle.raw(), fine);
+        assert_eq!(bench.feedback().angle.raw(), coarse);
+    }
+    bench.drive.plant_mut().set_angle_deg(-40_000.0);
+    bench.run(millis(1));
+    assert_eq!(bench.feedback().angle.raw(), -32_767);
+}
+
+/// 2.13.3: the single-turn angle goes from 0 up clockwise and back to 0 after a turn.
+#[test]
+fn the_single_turn_angle_comes_back_to_zero() {
+    let mut bench = Bench::default();
+    for (angle, told) in [(0.0, 0), (100.0, 10_000), (360.0, 0), (400.0, 4_000), (-90.0, 27_000)] {
+        bench.drive.plant_mut().set_angle_deg(angle);
+        bench.run(millis(1));
+        assert!(bench.ask(ReadSingleTurnAngle).angle.raw().abs_diff(told) <= 1, "{angle}");
+    }
+}
+
+/// 2.14.3, 2.16.3: temperatures, brake command, voltage, errors and phase currents are what is measured.
+#[test]
+fn status_tells_what_is_measured() {
+    let mut bench = Bench::with_brake();
+    let sensors = &mut bench.drive.plant_mut().sensors;
+    sensors.motor_temperature_c = 50.0;
+    sensors.mos_temperature_c = 61.0;
+    sensors.supply_voltage_v = 48.5;
+    bench.write(ReleaseBrake);
+    bench.raise(ErrorFlags::ENCODER_CALIBRATION);
+    let status = bench.ask(ReadStatus1);
+    assert_eq!((status.temperature.raw(), status.mos_temperature.raw()), (50, 61));
+    assert_eq!((status.voltage.raw(), status.errors), (485, ErrorFlags::ENCODER_CALIBRATION));
+    bench.drive.clear_fault(ErrorFlags::all());
+    bench.write(ReleaseBrake);
+    bench.ask(Torque { current: amperes(2.0) });
+    bench.run(millis(20));
+    let status = bench.ask(ReadStatus3);
+    let phases = [status.phase_a, status.phase_b, status.phase_c].map(Current::raw);
+    assert_eq!(phases, [200, -100, -100]);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::Release);
+    bench.write(LockBrake);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::Lock);
+}
+
+/// 2.17.1: switches the output off and leaves every closed loop.
+#[test]
+fn shutdown_leaves_the_motor_free() {
+    let mut bench = Bench::default();
+    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.run(millis(200));
+    bench.write(Shutdown);
+    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Unknown(0));
+    assert_eq!((bench.state().output_on, bench.current()), (false, 0.0));
+    bench.drive.plant_mut().load_nm = 1.0;
+    let before = bench.angle();
+    bench.run(millis(500));
+    assert!(bench.angle() > before + 90.0);
+}
+
+/// 2.18.1: stops the motor and holds it, so that an outside force does not move it.
+#[test]
+fn stop_holds_against_a_force() {
+    let mut bench = Bench::default();
+    bench.ask(Speed { max_torque: percent(0), speed: dps(300.0) });
+    bench.run(millis(300));
+    bench.write(Stop);
+    bench.run(millis(1_000));
+    let held = bench.angle();
+    assert!(bench.speed().abs() < 0.1, "{}", bench.speed());
+    bench.drive.plant_mut().load_nm = 10.0;
+    bench.run(millis(1_000));
+    assert!((bench.angle() - held).abs() < 0.2, "{} from {held}", bench.angle());
+    assert!((bench.current() + 5.0).abs() < 0.05); // 10 N·m / 2 N·m/A
+    bench.write(Stop);
+    bench.run(millis(200));
+    assert!((bench.angle() - held).abs() < 0.2);
+}
+
+/// 2.19.1: 0xA1 controls the torque current.
+#[test]
+fn torque_sets_the_current() {
+    let mut bench = Bench::default();
+    bench.ask(Torque { current: amperes(-1.0) });
+    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Current);
+    bench.run(millis(50));
+    assert_eq!(bench.feedback().current.raw(), -100);
+    assert!(bench.speed() < 0.0);
+    // 2.20.2, remark 1: nothing exceeds the stall current.
+    bench.ask(Torque { current: amperes(300.0) });
+    bench.watch(millis(20), |state| assert!(state.measurement.current_a <= 12.0));
+}
+
+/// 2.19.1: a motor with a brake does not take 0xA1 until 0x77 has opened it.
+#[test]
+fn torque_needs_the_brake_released_first() {
+    let mut bench = Bench::with_brake();
+    bench.ask(Torque { current: amperes(1.0) });
+    assert_eq!(bench.not_run(), Some(NotRunReason::BrakeLocked));
+    bench.run(millis(100));
+    assert_eq!((bench.current(), bench.angle()), (0.0, 0.0));
+    bench.write(ReleaseBrake);
+    bench.run(millis(100));
+    assert_eq!(bench.current(), 0.0, "the old command must not come alive");
+    bench.ask(Torque { current: amperes(1.0) });
+    bench.run(millis(100));
+    assert!(bench.angle() > 1.0);
+}
+
+/// 2.20.1: 0xA2 controls the speed of the output shaft, in 0.01 dps, either way.
+#[test]
+fn speed_is_reached_either_way() {
+    let mut bench = Bench::default();
+    for target in [100.0, -100.0, 0.5] {
+        bench.ask(Speed { max_torque: percent(0), speed: dps(target) });
+        assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Speed);
+        bench.run(millis(1_000));
+        assert!((bench.speed() - target).abs() < 0.01, "{target}: {}", bench.speed());
+    }
+}
+
+/// 2.20.2, remark 2, 2.4.4: the speed planning accelerations limit how fast the speed changes; 3: with 0
+/// only the current does.
+#[test]
+fn speed_follows_its_ramps() {
+    let mut bench = Bench::default();
+    plan(&mut bench, AccelerationIndex::SpeedAcceleration, 1_000);
+    plan(&mut bench, AccelerationIndex::SpeedDeceleration, 500);
+    bench.ask(Speed { max_torque: percent(0), speed: dps(200.0) });
+    bench.run(millis(95));
+    assert!((bench.speed() - 95.0).abs() < 10.0, "{}", bench.speed());
+    bench.run(millis(400));
+    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.run(millis(95));
+    assert!((bench.speed() - 150.0).abs() < 5.0, "{}", bench.speed());
+    bench.run(millis(300));
+    plan(&mut bench, AccelerationIndex::SpeedAcceleration, 0);
+    bench.ask(Speed { max_torque: percent(0), speed: dps(1_000.0) });
+    // 24 N·m / 0.02 kg·m² give 900 dps in 13 ms.
+    bench.run(millis(45));
+    assert!((bench.speed() - 1_000.0).abs() < 60.0, "{}", bench.speed());
+}
+
+/// 2.20.1: maxTorque is a percentage of the rated current; 0, or above the stall current, is no limit
+/// but the stall current.
+#[test]
+fn speed_mode_limits_its_torque() {
+    for (limit, largest) in [(50, 3.0), (100, 6.0), (0, 12.0), (255, 12.0)] {
+        let mut bench = Bench::default();
+        plan(&mut bench, AccelerationIndex::SpeedAcceleration, 0);
+        let mut seen = 0.0_f32;
+        bench.put(
+            Channel::Command(ID.into()),
+            Speed { max_torque: percent(limit), speed: dps(1_500.0) }.encode(),
+        );
+        bench.watch(millis(100), |state| seen = seen.max(state.measurement.current_a));
+        assert!((seen - largest).abs() < 0.01, "{limit} %: {seen} A");
+    }
+}
+
+/// 2.21.1: with a position acceleration the drive plans the motion: accelerations and maxSpeed hold.
+#[test]
+fn an_absolute_position_is_planned() {
+    let mut bench = Bench::default();
+    plan(&mut bench, AccelerationIndex::PositionAcceleration, 2_000);
+    plan(&mut bench, AccelerationIndex::PositionDeceleration, 1_000);
+    bench.ask(AbsolutePosition { max_speed: up_to(500), angle: degrees(360.0) });
+    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Position);
+    let (mut fastest, mut farthest, mut speeds) = (0.0_f32, 0.0_f64, Vec::new());
+    bench.watch(millis(1_600), |state| {
+        fastest = fastest.max(state.measurement.speed_dps);
+        farthest = farthest.max(state.angle_deg);
+        speeds.push(state.measurement.speed_dps);
+    });
+    // 250 ms up, 500 ms down, and 172.5 degrees at 500 dps between: 1095 ms.
+    assert!((bench.angle() - 360.0).abs() < 0.02, "{}", bench.angle());
+    assert!((490.0..510.0).contains(&fastest), "{fastest}");
+    assert!(farthest < 360.5, "{farthest}");
+    assert!((speeds[115] - 250.0).abs() < 20.0, "{}", speeds[115]); // 125 ms after the command
+    assert!((speeds[835] - 250.0).abs() < 20.0, "{}", speeds[835]); // 250 ms before the end
+}
+
+/// 2.21.1: a planned motion accelerates as set even after the shaft was held back.
+#[test]
+fn a_shaft_that_was_held_back_does_not_jump() {
+    let mut bench = Bench::default();
+    plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
+    let go = AbsolutePosition { max_speed: up_to(500), angle: degrees(180.0) };
+    bench.drive.plant_mut().friction_nm_s = 1e9;
+    bench.ask(go);
+    bench.run(millis(600));
+    bench.drive.plant_mut().friction_nm_s = 0.05;
+    bench.write(Shutdown);
+    bench.ask(go);
+    bench.run(millis(95));
+    assert!((bench.speed() - 100.0).abs() < 15.0, "{}", bench.speed());
+    // The same without a shutdown between: a new command is a new motion.
+    let mut bench = Bench::default();
+    plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
+    bench.ask(go);
+    bench.drive.plant_mut().friction_nm_s = 1e9;
+    bench.run(millis(600));
+    bench.drive.plant_mut().friction_nm_s = 0.05;
+    bench.ask(go);
+    bench.run(millis(45));
+    assert!(bench.speed() < 150.0, "{}", bench.speed());
+}
+
+/// 2.4.4: the deceleration is its own; where it is 0, the acceleration serves for both.
+#[test]
+fn a_deceleration_of_zero_is_the_accelerations() {
+    for (deceleration, speed_near_the_end) in [(0, 200.0), (500, 141.0)] {
+        let mut bench = Bench::default();
+        plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
+        plan(&mut bench, AccelerationIndex::PositionDeceleration, deceleration);
+        bench.ask(AbsolutePosition { max_speed: up_to(400), angle: degrees(360.0) });
+        while bench.angle() < 340.0 {
+            bench.run(millis(1));
+        }
+        // v² = 2·d·s, 20 degrees before the end.
+        assert!((bench.speed() - speed_near_the_end).abs() < 8.0, "{}", bench.speed());
+    }
+}
+
+/// 2.21.1: the direction follows from target and position; the angle is from the zero.
+#[test]
+fn an_absolute_position_is_gone_to_from_anywhere() {
+    let mut bench = Bench::default();
+    for target in [360.0, -360.0, -359.5, 0.0] {
+        bench.ask(AbsolutePosition { max_speed: up_to(0), angle: degrees(target) });
+        bench.run(millis(2_000));
+        assert!((bench.angle() - f64::from(target)).abs() < 0.02, "{target}: {}", bench.angle());
+    }
+}
+
+/// 2.21.1: with acceleration 0 the loop tracks the target directly, no faster than maxSpeed.
+#[test]
+fn acceleration_zero_tracks_directly() {
+    for (max_speed, at_most) in [(200, 215.0), (0, 2_400.0)] {
+        let mut bench = Bench::default();
+        plan(&mut bench, AccelerationIndex::PositionAcceleration, 0);
+        bench.ask(AbsolutePosition { max_speed: up_to(max_speed), angle: degrees(90.0) });
+        let mut fastest = 0.0_f32;
+        bench.watch(millis(1_500), |state| fastest = fastest.max(state.measurement.speed_dps));
+        assert!(fastest < at_most, "{fastest}");
+        assert!(fastest > at_most * 0.4, "{fastest}");
+        assert!((bench.angle() - 90.0).abs() < 0.05, "{}", bench.angle());
+    }
+}
+
+/// 2.22.1: 0xA6 turns clockwise (0) or counter-clockwise (1) to an angle within a turn.
+#[test]
+fn a_single_turn_position_turns_as_told() {
+    for (direction, end) in [(Direction::Clockwise, 270.0), (Direction::CounterClockwise, -90.0)] {
+        let mut bench = Bench::default();
+        let angle = SingleTurnTarget::from_degrees(270.0).unwrap();
+        let go = SingleTurnPosition { direction, max_speed: up_to(500), angle };
+        bench.ask(go);
+        bench.run(millis(1_500));
+        assert!((bench.angle() - end).abs() < 0.02, "{}", bench.angle());
+        // The same command again is a command to stay.
+        bench.ask(go);
+        bench.run(millis(500));
+        assert!((bench.angle() - end).abs() < 0.02, "{}", bench.angle());
+    }
+}
+
+/// 2.22.4: 360 degrees are 0 degrees.
+#[test]
+fn single_turn_360_degrees_are_0() {
+    let mut bench = Bench::default();
+    bench.drive.plant_mut().set_angle_deg(90.0);
+    bench.run(millis(1));
+    let angle = SingleTurnTarget::try_from_raw(36_000).unwrap();
+    let direction = Direction::CounterClockwise;
+    let reply = bench.ask(SingleTurnPosition { direction, max_speed: up_to(500), angle });
+    assert_eq!(reply.encoder.raw(), 24_576 % 16_384);
+    bench.run(millis(1_000));
+    assert!(bench.angle().abs() < 0.02, "{}", bench.angle());
+}
+
+/// 2.22.1: 0xA6 is for single-turn mode, which a drive is in while function 4 is off.
+#[test]
+fn a_single_turn_position_needs_single_turn_mode() {
+    let mut bench = Bench::default();
+    bench.write(FunctionControl::SaveMultiTurn(Switch::On));
+    bench.restart();
+    let angle = SingleTurnTarget::try_from_raw(9_000).unwrap();
+    let direction = Direction::Clockwise;
+    bench.ask(SingleTurnPosition { direction, max_speed: up_to(500), angle });
+    assert_eq!(bench.not_run(), Some(NotRunReason::NotSingleTurn));
+    bench.run(millis(500));
+    assert_eq!(bench.angle(), 0.0);
+}
+
+/// 2.23.1: 0xA8 moves on from the current position; the sign is the direction.
+#[test]
+fn an_incremental_position_adds_up() {
+    let mut bench = Bench::default();
+    for (by, end) in [(90.0, 90.0), (90.0, 180.0), (-270.0, -90.0)] {
+        bench.ask(IncrementalPosition { max_speed: up_to(500), angle: degrees(by) });
+        bench.run(millis(1_500));
+        assert!((bench.angle() - end).abs() < 0.05, "{end}: {}", bench.angle());
+    }
+}
+
+/// 2.24.1: 0xA9 goes to a position with its torque limited to a percentage of the rated current; above
+/// the stall current it is not limited.
+#[test]
+fn a_force_position_limits_its_torque() {
+    for (limit, largest) in [(10, 0.6), (60, 3.6), (255, 12.0)] {
+        let mut bench = Bench::default();
+        bench.drive.plant_mut().load_nm = -30.0; // more than any limit lifts
+        let go = ForcePosition {
+            max_torque: percent(limit),
+            max_speed: up_to(500),
+            angle: degrees(360.0),
+        };
+        let mut seen = 0.0_f32;
+        bench.ask(go);
+        bench.watch(millis(300), |state| seen = seen.max(state.measurement.current_a));
+        assert!((seen - largest).abs() < 0.01, "{limit} %: {seen} A");
+    }
+    let mut bench = Bench::default();
+    let max_torque = percent(60);
+    bench.ask(ForcePosition { max_torque, max_speed: up_to(500), angle: degrees(360.0) });
+    bench.run(millis(1_500));
+    assert!((bench.angle() - 360.0).abs() < 0.05);
+}
+
+/// 2.26: 0x76 restarts the program: no reply, no mode, run time from 0.
+#[test]
+fn a_reset_starts_anew() {
+    let mut bench = Bench::default();
+    bench.run(millis(10_000));
+    bench.ask(Torque { current: amperes(0.1) });
+    bench.restart();
+    assert!(!bench.state().output_on);
+    assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 5);
+    assert!(bench.events.contains(&Event::Reset));
+}
+
+/// 2.26: what nothing says is saved ends with the restart: active replies and error reporting.
+#[test]
+fn a_reset_ends_reporting() {
+    let mut bench = Bench::default();
+    bench.write(FunctionControl::ErrorReporting(Switch::On));
+    bench.send(report(ReportedCommand::Status2, Switch::On, 1));
+    bench.restart();
+    bench.sent.clear();
+    bench.raise(ErrorFlags::OVER_VOLTAGE);
+    bench.run(millis(300));
+    assert!(bench.sent.is_empty(), "{:?}", bench.sent);
+    assert!(bench.send(ReadStatus2).is_some());
+}
+
+/// 2.27, 2.28: 0x77 lets the shaft go, 0x78 locks it, and without power it is locked.
+#[test]
+fn the_brake_holds_and_lets_go() {
+    let mut bench = Bench::with_brake();
+    bench.drive.plant_mut().load_nm = 1.0;
+    bench.run(millis(100));
+    assert_eq!(bench.angle(), 0.0);
+    bench.write(ReleaseBrake);
+    bench.run(millis(100));
+    assert!(bench.angle() > 1.0);
+    bench.write(LockBrake);
+    let held = bench.angle();
+    bench.run(millis(100));
+    assert_eq!(bench.angle(), held);
+    bench.write(ReleaseBrake);
+    bench.drive.power_off(bench.now);
+    let held = bench.drive.plant().angle_rad;
+    bench.run(millis(100));
+    assert_eq!(bench.drive.plant().angle_rad, held);
+}
+
+/// 2.28.1: with the brake locked the motor cannot run on.
+#[test]
+fn locking_the_brake_ends_the_run() {
+    let mut bench = Bench::with_brake();
+    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.run(millis(200));
+    assert!(bench.speed() > 90.0);
+    bench.write(LockBrake);
+    assert!(!bench.state().output_on);
+    bench.write(Stop); // holds already, and must not open it
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::Lock);
+}
+
+/// 2.29.3: run time in ms since the start. 2.30, 2.33: version date and model are those of the drive.
+#[test]
+fn system_reads_tell_what_the_drive_is() {
+    let mut bench = Bench::new(Parameters {
+        version_date: VersionDate::from_raw(20_220_206),
+        ..Parameters::default()
+    });
+    bench.run(millis(1_234));
+    assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 1_234);
+    assert_eq!(bench.ask(ReadVersionDate).date.raw(), 20_220_206);
+    assert_eq!(bench.ask(ReadModel).name.as_str(), Some("X8S2V10"));
+    bench.power_cycle();
+    assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 1);
+}
+
+fn protected() -> Bench {
+    let mut bench = Bench::with_brake();
+    let timeout = Milliseconds::from_raw(100);
+    bench.write(CommunicationLossProtection { timeout });
+    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench
+}
+
+/// 2.31.1: beyond the set time without a command the output is cut and the brake locked.
+#[test]
+fn communication_loss_cuts_and_locks() {
+    let mut bench = protected();
+    for _ in 0..20 {
+        bench.run(millis(90));
+        bench.feedback(); // a read keeps it running
+    }
+    assert!(bench.speed() > 99.0);
+    bench.run(millis(94));
+    assert!(bench.state().output_on);
+    bench.run(millis(3));
+    let state = bench.state();
+    assert!(!state.output_on && state.communication_lost);
+    assert_eq!((state.brake, state.measurement.speed_dps), (BrakeCommand::Lock, 0.0));
+    assert_eq!(bench.events.last(), Some(&Event::ProtectionTripped));
+}
+
+/// 2.31.1: to run again, steady communication must be established first.
+#[test]
+fn the_motor_runs_again_only_once_communication_is_steady() {
+    let mut bench = protected();
+    bench.run(millis(200));
+    let go = Speed { max_torque: percent(0), speed: dps(100.0) };
+    bench.ask(go);
+    bench.write(ReleaseBrake);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::Lock, "third command, but a read");
+    assert!(bench.events.contains(&Event::ProtectionRecovered));
+    assert!(!bench.state().output_on, "old commands must not come alive");
+    bench.run(millis(200));
+    for _ in 0..5 {
+        bench.run(millis(150)); // too far apart to be steady
+        bench.ask(go);
+        assert_eq!(bench.not_run(), Some(NotRunReason::CommunicationLost));
+    }
+    bench.ask(go);
+    assert_eq!(bench.not_run(), Some(NotRunReason::CommunicationLost));
+    bench.ask(go); // the third in a row
+    assert_eq!(bench.not_run(), None);
+    assert!(bench.state().output_on);
+}
+
+/// 2.31.1, 2.31.4: 0 switches the protection off, and the motor goes on with its command. It is kept.
+#[test]
+fn without_protection_the_motor_goes_on() {
+    let mut bench = protected();
+    bench.power_cycle();
+    assert_eq!(bench.drive.settings().protection_timeout.raw(), 100);
+    bench.write(CommunicationLossProtection { timeout: Milliseconds::from_raw(0) });
+    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.run(millis(10_000));
+    assert!(bench.speed() > 99.0);
+}
+
+/// 2.32: the rate is kept in ROM; a code that is not valid on the bus changes nothing.
+#[test]
+fn the_bit_rate_is_kept() {
+    let mut bench = Bench::default();
+    let slow = BaudCode::Can500kRs485At115200;
+    bench.send(SetBaudRate { baud_rate: slow });
+    assert_eq!(bench.drive.baud_rate(), slow);
+    assert!(bench.events.contains(&Event::BitRateChanged(slow)));
+    bench.power_cycle();
+    assert_eq!(bench.drive.baud_rate(), slow);
+    assert_eq!(bench.send(SetBaudRate { baud_rate: BaudCode::Rs485At1M }), None);
+    assert_eq!(bench.drive.baud_rate(), slow);
+    let mut bench = Bench::on_rs485();
+    bench.send(SetBaudRate { baud_rate: BaudCode::Rs485At1M });
+    assert_eq!(bench.drive.baud_rate(), BaudCode::Rs485At1M);
+}
+
+fn report(command: ReportedCommand, enable: Switch, interval: u16) -> ActiveReply {
+    ActiveReply { command, enable, interval: ReportInterval::from_raw(interval) }
+}
+
+/// 2.34.1: listed commands are sent by themselves at the interval, in turn; polls of them are not
+/// answered; switched off it ends.
+#[test]
+fn active_replies_take_turns() {
+    let mut bench = Bench::default();
+    bench.send(report(ReportedCommand::MultiTurnEncoder, Switch::On, 2));
+    bench.send(report(ReportedCommand::Status2, Switch::On, 2));
+    bench.sent.clear();
+    bench.run(millis(100));
+    let bytes: Vec<u8> = bench.sent.iter().map(|(_, packet)| packet.data[0]).collect();
+    assert_eq!(bytes, [0x60, 0x9C, 0x60, 0x9C, 0x60]);
+    for pair in bench.sent.windows(2) {
+        assert_eq!(pair[1].0 - pair[0].0, millis(20));
+    }
+    assert!(bench.sent.iter().all(|(_, packet)| packet.channel == Channel::Reply(ID)));
+    assert_eq!(bench.send(ReadStatus2), None);
+    assert!(bench.send(ReadMultiTurnAngle).is_some(), "others are answered");
+    bench.send(report(ReportedCommand::MultiTurnEncoder, Switch::Off, 0));
+    bench.send(report(ReportedCommand::Status2, Switch::Off, 0));
+    bench.sent.clear();
+    bench.run(millis(100));
+    assert!(bench.sent.is_empty());
+    assert!(bench.send(ReadStatus2).is_some());
+}
+
+/// 2.34.1: CAN only; RS485 does not have it. 5: nor motion mode.
+#[test]
+fn active_reply_and_motion_are_not_on_rs485() {
+    let mut bench = Bench::on_rs485();
+    bench.send(report(ReportedCommand::Status2, Switch::On, 1));
+    bench.send(RawMotion::from_data(&[0x80; 8]));
+    bench.run(millis(100));
+    assert!(bench.sent.is_empty());
+    let can_only = |opcode| move |event: &Event| matches!(event, Event::Ignored { reason: IgnoreReason::CanOnly(o), .. } if *o == opcode);
+    assert!(bench.events.iter().any(can_only(Opcode::ActiveReply)));
+    assert!(bench.events.iter().any(can_only(Opcode::Motion)));
+}
+
+/// 2.35.4, function 1: clears the turns, makes the position the zero and saves it; after a restart.
+#[test]
+fn function_1_clears_the_turns_after_a_restart() {
+    let mut bench = Bench::default();
+    bench.write(FunctionControl::SaveMultiTurn(Switch::On));
+    bench.restart();
+    bench.drive.plant_mut().set_angle_deg(3.0 * 360.0 + 30.0);
+    bench.run(millis(1));
+    bench.write(FunctionControl::ClearMultiTurn);
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 1_110.0);
+    bench.restart();
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    assert_eq!(bench.ask(ReadMultiTurnEncoderRaw).raw.raw(), TURN / 12);
+    bench.drive.plant_mut().set_angle_deg(5.0 * 360.0 + 30.0);
+    bench.run(millis(1));
+    bench.power_cycle();
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 720.0);
+}
+
+/// 2.35.4, function 2: 0x280 reaches a drive only while its id filter is off; kept after power-off.
+#[test]
+fn function_2_filters_commands_to_all() {
+    let mut bench = Bench::default();
+    let all = Channel::Command(Target::All);
+    assert_eq!(bench.exchange(all, ReadStatus2.encode()).len(), 1);
+    bench.write(FunctionControl::CanIdFilter(Switch::On));
+    assert_eq!(bench.exchange(all, ReadStatus2.encode()), []);
+    bench.power_cycle();
+    assert_eq!(bench.exchange(all, ReadStatus2.encode()), []);
+    assert_eq!(bench.exchange(Channel::BusId, BusId::Read.encode()).len(), 1);
+    bench.write(FunctionControl::CanIdFilter(Switch::Off));
+    assert_eq!(bench.exchange(all, ReadStatus2.encode()).len(), 1);
+    // RS485's address 0xCD is no identifier to filter by.
+    let mut bench = Bench::on_rs485();
+    bench.write(FunctionControl::CanIdFilter(Switch::On));
+    assert_eq!(bench.exchange(all, ReadStatus2.encode()).len(), 1);
+}
+
+/// 2.35.4, function 3: 0x9A every 100 ms while an error lasts, no longer.
+#[test]
+fn function_3_reports_errors() {
+    let mut bench = Bench::default();
+    bench.write(FunctionControl::ErrorReporting(Switch::On));
+    bench.run(millis(500));
+    bench.sent.clear();
+    bench.raise(ErrorFlags::UNDER_VOLTAGE);
+    bench.run(millis(350));
+    bench.drive.clear_fault(ErrorFlags::UNDER_VOLTAGE);
+    bench.run(millis(500));
+    assert_eq!(bench.sent.len(), 4);
+    for ((at, packet), late) in bench.sent.iter().zip(0..) {
+        let first = bench.sent[0].0;
+        assert_eq!(*at - first, millis(100 * late));
+        let status = ReadStatus1::decode_reply(&packet.data).unwrap();
+        assert_eq!(status.errors, ErrorFlags::UNDER_VOLTAGE);
+    }
+    bench.write(FunctionControl::ErrorReporting(Switch::Off));
+    bench.sent.clear();
+    bench.raise(ErrorFlags::UNDER_VOLTAGE);
+    bench.run(millis(500));
+    assert!(bench.sent.is_empty());
+}
+
+/// 2.35.4, function 4: on, the turns are saved at power-off; off, they are lost. After a restart.
+#[test]
+fn function_4_saves_the_turns() {
+    for (on, kept) in [(Switch::On, 1_110.0), (Switch::Off, 30.0)] {
+        let mut bench = Bench::default();
+        bench.write(FunctionControl::SaveMultiTurn(on));
+        bench.restart();
+        bench.drive.plant_mut().set_angle_deg(1_110.0);
+        bench.run(millis(1));
+        bench.power_cycle();
+        assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), kept);
+        bench.restart();
+        assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), kept);
+    }
+    let mut bench = Bench::default();
+    bench.drive.plant_mut().set_angle_deg(1_110.0);
+    bench.run(millis(1));
+    bench.write(FunctionControl::SaveMultiTurn(Switch::On));
+    bench.power_cycle();
+    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 30.0, "on only after a restart");
+}
+
+/// 2.35.4, function 5: a new id acts after a restart.
+#[test]
+fn function_5_changes_the_id_after_a_restart() {
+    let mut bench = Bench::default();
+    bench.write(FunctionControl::SetCanId(id(9)));
+    assert_eq!(bench.drive.id(), ID);
+    assert!(bench.send(ReadStatus2).is_some());
+    bench.restart();
+    assert_eq!(bench.send(ReadStatus2), None);
+    let command = Channel::Command(Target::Motor(id(9)));
+    assert_eq!(bench.exchange(command, ReadStatus2.encode())[0].channel, Channel::Reply(id(9)));
+}
+
+/// 2.35.4, functions 6 and 7: position commands end at the limits, at once and after power-off.
+#[test]
+fn functions_6_and_7_limit_positions() {
+    let mut bench = Bench::default();
+    bench.write(FunctionControl::MaxPositiveAngle(9_000));
+    bench.write(FunctionControl::MaxNegativeAngle(-4_500));
+    for by_power in [false, true] {
+        if by_power {
+            bench.power_cycle();
+        }
+        for (target, end) in [(360.0, 90.0), (-360.0, -45.0), (10.0, 10.0)] {
+            bench.ask(AbsolutePosition { max_speed: up_to(500), angle: degrees(target) });
+            bench.run(millis(1_500));
+            assert!((bench.angle() - end).abs() < 0.02, "{target}: {}", bench.angle());
+        }
+        bench.ask(IncrementalPosition { max_speed: up_to(500), angle: degrees(500.0) });
+        bench.run(millis(1_500));
+        assert!((bench.angle() - 90.0).abs() < 0.02);
+        let max_torque = percent(100);
+        bench.ask(ForcePosition { max_torque, max_speed: up_to(500), angle: degrees(-500.0) });
+        bench.run(millis(1_500));
+        assert!((bench.angle() + 45.0).abs() < 0.02);
+        bench.write(Stop);
+    }
+}
+
+/// 3.2, 6.2: all drives obey a command to all, and each replies under its own id.
+#[test]
+fn a_command_to_all_is_obeyed_and_answered_by_each() {
+    for bus in [Bus::Can, Bus::Rs485] {
+        let mut motors: Vec<Bench> = (1..=4)
+            .map(|n| Bench::new(Parameters { id: id(n), bus, ..Parameters::default() }))
+            .collect();
+        for (place, bench) in motors.iter_mut().enumerate() {
+            let packets = bench.exchange(Channel::Command(Target::All), Shutdown.encode());
+            let channel = Channel::Reply(id(place as u8 + 1));
+            assert_eq!(packets, [Packet { channel, data: Shutdown.encode() }]);
+        }
+    }
+}
+
+/// 4.4, 7.4: 0x79 reads the id, on CAN as a reply identifier and on RS485 bare, and sets it.
+#[test]
+fn the_bus_id_is_read_and_set() {
+    for (bus, told) in [(Bus::Can, [0x42, 0x02]), (Bus::Rs485, [0, 2])] {
+        let mut bench = Bench::new(Parameters { bus, ..Parameters::default() });
+        assert_eq!(bench.send(BusId::Write(id(2))), Some(BusId::Write(id(2)).encode()));
+        bench.restart();
+        let replies = bench.exchange(Channel::BusId, BusId::Read.encode());
+        let data = [0x79, 0, 1, 0, 0, 0, told[0], told[1]];
+        assert_eq!(replies, [Packet { channel: Channel::BusId, data }]);
+        let line = rs485::Frame::from_packet(&replies[0]).unwrap();
+        assert_eq!(line.address, Target::All);
+    }
+}
+
+/// 4.1: all that are connected take a new id; their replies, which look like commands, end there.
+#[test]
+fn several_drives_take_the_same_id_and_do_not_answer_each_other() {
+    let mut motors = [1, 2].map(|n| Bench::new(Parameters { id: id(n), ..Parameters::default() }));
+    for data in [BusId::Read.encode(), BusId::Write(id(5)).encode()] {
+        let mut bus = vec![data];
+        let mut packets = 0;
+        while let Some(data) = bus.pop() {
+            packets += 1;
+            assert!(packets <= 3, "they answer each other");
+            for bench in &mut motors {
+                let replies = bench.exchange(Channel::BusId, data);
+                bus.extend(replies.iter().map(|reply| reply.data));
+            }
+        }
+        assert_eq!(packets, 3);
+    }
+    for bench in &motors {
+        assert_eq!(bench.drive.stored_settings().id, id(5));
+    }
+}
+
+/// 5.1: motion mode sets the current to (kp·Δp + kd·Δv + t_ff) / KT, and answers with what it measures.
+#[test]
+fn motion_mode_is_a_spring_a_damper_and_a_torque() {
+    let mut bench = Bench::default();
+    let ranges = MotionRanges::V4_3;
+    let hold = MotionSetPoint { position_rad: 1.0, kp: 50.0, kd: 2.0, ..Default::default() };
+    let raw = ranges.quantise(&hold).unwrap();
+    let answer = bench.ask(raw);
+    assert_eq!(answer.id, ID);
+    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Current);
+    bench.run(millis(2_000));
+    // Half a step of velocity times kd is 0.02 N·m, and of torque 0.006 N·m: 0.6 mrad at kp 50.
+    assert!((bench.angle().to_radians() - 1.0).abs() < 0.002, "{}", bench.angle());
+    bench.drive.plant_mut().load_nm = 5.0;
+    bench.run(millis(2_000));
+    assert!((bench.angle().to_radians() - 1.1).abs() < 0.002, "a spring gives way");
+    let feedback = ranges.feedback(&bench.ask(raw));
+    assert!((feedback.position_rad - 1.1).abs() < 0.003);
+    assert!((feedback.torque_nm + 5.0).abs() < 0.03, "{}", feedback.torque_nm);
+    assert!(feedback.velocity_rad_s.abs() < 0.03);
+}
+
+/// 8.1: level two recovers by itself; what ran before does not come alive.
+#[test]
+fn level_two_recovers_by_itself() {
+    let mut bench = Bench::with_brake();
+    let go = Speed { max_torque: percent(0), speed: dps(100.0) };
+    bench.ask(go);
+    bench.run(millis(200));
+    bench.drive.plant_mut().sensors.supply_voltage_v = 10.0;
+    bench.run(millis(20));
+    let state = bench.state();
+    assert_eq!((state.errors, state.indicator), (ErrorFlags::UNDER_VOLTAGE, Indicator::SlowBlink));
+    assert_eq!((state.output_on, state.brake), (false, BrakeCommand::Lock));
+    bench.ask(go);
+    assert_eq!(bench.not_run(), Some(NotRunReason::Fault(ErrorFlags::UNDER_VOLTAGE)));
+    bench.drive.plant_mut().sensors.supply_voltage_v = 48.0;
+    bench.run(millis(200));
+    let state = bench.state();
+    assert_eq!((state.errors, state.indicator), (ErrorFlags::empty(), Indicator::On));
+    assert!(!state.output_on);
+    bench.ask(go);
+    bench.run(millis(200));
+    assert!(bench.speed() > 99.0);
+}
+
+/// 8.1, 8.2: stall is level one: the current at its stall value, hardly any speed, for a time. Only a
+/// restart ends it.
+#[test]
+fn a_stall_needs_a_restart() {
+    let mut bench = Bench::default();
+    let against_a_stop = IdealPlant { friction_nm_s: 1e9, ..IdealPlant::default() };
+    *bench.drive.plant_mut() = against_a_stop;
+    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.run(millis(900));
+    assert_eq!(bench.state().errors, ErrorFlags::empty());
+    bench.run(millis(600));
+    let state = bench.state();
+    assert_eq!((state.errors, state.indicator), (ErrorFlags::STALL, Indicator::FastBlink));
+    assert!(!state.output_on);
+    *bench.drive.plant_mut() = IdealPlant::default();
+    bench.run(millis(5_000));
+    assert_eq!(bench.state().errors, ErrorFlags::STALL);
+    bench.restart();
+    assert_eq!(bench.state().errors, ErrorFlags::empty());
+}
+
+/// 2.14.3: several errors show at once.
+#[test]
+fn errors_add_up() {
+    let mut bench = Bench::default();
+    bench.raise(ErrorFlags::from_bits_retain(0x0016));
+    assert_eq!(bench.ask(ReadStatus1).errors.bits(), 0x0016);
+    bench.drive.clear_fault(ErrorFlags::all());
+    assert_eq!(bench.ask(ReadStatus1).errors, ErrorFlags::STALL | ErrorFlags::OVER_CURRENT);
+}
+
+/// 2.19.1 and after: control commands run only without faults; everything else still works.
+#[test]
+fn a_faulted_drive_still_obeys_the_rest() {
+    for command in one_of_each() {
+        let opcode = command.opcode();
+        let mut bench = Bench::default();
+        bench.raise(ErrorFlags::OVER_VOLTAGE);
+        let reply = bench.send(command);
+        assert_eq!(reply.is_some(), !matches!(opcode.reply_rule(), ReplyRule::Silent), "{opcode}");
+        assert!(!bench.state().output_on, "{opcode}");
+        let moves = matches!(
+            opcode,
+            Opcode::Stop
+                | Opcode::Torque
+                | Opcode::Speed
+                | Opcode::AbsolutePosition
+                | Opcode::SingleTurnPosition
+                | Opcode::IncrementalPosition
+                | Opcode::ForcePosition
+                | Opcode::Motion
+        );
+        assert_eq!(bench.not_run().is_some(), moves, "{opcode}");
+    }
+}
+
+/// 2.14.3: "calibration parameters: write error" is what a failing memory raises; the command is not
+/// acknowledged.
+#[test]
+fn a_failing_memory_is_an_error_and_not_acknowledged() {
+    struct Worn;
+    impl Memory for Worn {
+        type Error = ();
+        fn load(&mut self) -> Result<Option<Settings>, ()> {
+            Ok(None)
+        }
+        fn store(&mut self, _: &Settings) -> Result<(), ()> {
+            Err(())
+        }
+    }
+    let now = Instant::ZERO;
+    let mut drive = Drive::new(Parameters::default(), IdealPlant::default(), Worn, now).unwrap();
+    let write = WritePidRom { index: PidIndex::SpeedKp, value: gain(9.0) };
+    let packet = AnyCommand::from(write).packet(ID.into()).unwrap();
+    drive.handle_packet(&packet, now);
+    assert_eq!(drive.poll_transmit(now + millis(5)), None);
+    assert_eq!(drive.state().errors, ErrorFlags::CALIBRATION_PARAMETERS);
+    assert_ne!(drive.settings().gains.speed_kp, gain(9.0));
+}
