@@ -24,7 +24,7 @@ pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;
 const DEFAULT_MODEL: &str = "RMD-X8-PRO";
 
 /// The speed loop's bandwidth that factory gains aim at, rad/s.
-const BANDWIDTH_RAD_S: f32 = 100.0;
+const BANDWIDTH_RAD_S: f32 = 200.0;
 
 /// Why drives cannot be simulated as asked.
 #[derive(Debug)]
