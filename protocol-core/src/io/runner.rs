@@ -5,7 +5,7 @@ use core::fmt;
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
+use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind, Ticket};
 use crate::time::{Duration, Instant};
 
 /// Why a call has no answer.
@@ -39,7 +39,7 @@ impl<E: fmt::Debug> fmt::Display for CallError<E> {
 impl<E: fmt::Debug> core::error::Error for CallError<E> {}
 
 /// How long [`Runner::call`] sleeps at most between two looks at the bus.
-const LONGEST_IDLE: Duration = Duration::from_millis(10);
+pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
 /// A loop that runs a [`Master`] on a bus.
 pub trait Runner<const N: usize> {
@@ -79,10 +79,7 @@ pub trait Runner<const N: usize> {
         Self: Sized,
     {
         let now = self.now();
-        let ticket = match patience {
-            Some(patience) => self.master().request_with(motor, command, patience, now)?,
-            None => self.master().request(motor, command, now)?,
-        };
+        let ticket = request(self.master(), motor, command, patience, now)?;
         loop {
             match self.poll().map_err(CallError::Bus)? {
                 Some(event) => match ticket.outcome(&event) {
@@ -148,21 +145,67 @@ pub trait Runner<const N: usize> {
         Self: Sized,
     {
         let now = self.now();
-        let started = self.master().stop_all(kind, also, now);
-        let mut running = self.master().motors();
-        let mut unconfirmed = MotorSet::EMPTY;
-        while !running.is_empty() {
+        let mut stop = StopWatch::begin(self.master(), kind, also, now);
+        while !stop.is_over() {
             match self.poll().map_err(CallError::Bus)? {
-                Some(Event::StopConfirmed { motor }) => running.remove(motor),
-                Some(Event::StopUnconfirmed { motor }) => {
-                    running.remove(motor);
-                    unconfirmed.insert(motor);
-                }
-                Some(_) => {}
+                Some(event) => stop.note(&event),
                 None => self.idle(self.now() + LONGEST_IDLE),
             }
         }
-        started?;
-        Ok(unconfirmed)
+        Ok(stop.unconfirmed()?)
+    }
+}
+
+/// A request with a patience of its own, or the master's.
+pub(super) fn request<C: Command, const N: usize>(
+    master: &mut Master<N>,
+    motor: MotorId,
+    command: C,
+    patience: Option<Patience>,
+    now: Instant,
+) -> Result<Ticket<C>, RequestError> {
+    match patience {
+        Some(patience) => master.request_with(motor, command, patience, now),
+        None => master.request(motor, command, now),
+    }
+}
+
+/// Who of the motors that are being stopped has not confirmed it yet.
+#[derive(Debug)]
+pub(super) struct StopWatch {
+    running: MotorSet,
+    unconfirmed: MotorSet,
+    begun: Result<(), RequestError>,
+}
+
+impl StopWatch {
+    pub(super) fn begin<const N: usize>(
+        master: &mut Master<N>,
+        kind: StopKind,
+        also: MotorSet,
+        now: Instant,
+    ) -> Self {
+        let begun = master.stop_all(kind, also, now);
+        Self { running: master.motors(), unconfirmed: MotorSet::EMPTY, begun }
+    }
+
+    pub(super) fn note(&mut self, event: &Event) {
+        match *event {
+            Event::StopConfirmed { motor } => self.running.remove(motor),
+            Event::StopUnconfirmed { motor } => {
+                self.running.remove(motor);
+                self.unconfirmed.insert(motor);
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) const fn is_over(&self) -> bool {
+        self.running.is_empty()
+    }
+
+    /// Those that have not confirmed, once it is over.
+    pub(super) fn unconfirmed(self) -> Result<MotorSet, RequestError> {
+        self.begun.map(|()| self.unconfirmed)
     }
 }
