@@ -15,8 +15,8 @@ mod bus_kind;
 pub mod explain;
 pub mod nvm;
 pub mod plant;
-pub mod sim;
 pub mod port;
+pub mod sim;
 pub mod text;
 
 pub use bus_kind::BusKind;

@@ -299,7 +299,7 @@ where
     R::Error: Send + Sync + 'static,
 {
     let start = master.now();
-    let unconfirmed = master.stop_all(StopKind::Off, motors)?;
+    let unconfirmed = master.stop_all(StopKind::Off, motors);
     if !unconfirmed.is_empty() {
         return Err(format!("these motors have not confirmed the shutdown: {unconfirmed}").into());
     }

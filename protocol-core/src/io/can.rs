@@ -1,17 +1,16 @@
 //! The loop over CAN.
 
-use embedded_can::{blocking, nb};
+use embedded_can::{Error as _, ErrorKind, blocking, nb};
 
 use crate::io::clock::Clock;
 use crate::io::runner::Runner;
+use crate::io::stuck::StuckWatch;
 use crate::master::{Config, Event, Master};
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 use crate::wire::can;
 
 /// Frames that one round takes at the most, so that a babbling bus cannot keep it.
 const FRAMES_A_ROUND: usize = 64;
-/// A controller that takes nothing for so long counts as a bus that is down.
-const STUCK: Duration = Duration::from_millis(20);
 
 /// Runs a [`Master`] on a CAN controller.
 ///
@@ -32,14 +31,13 @@ pub struct CanMaster<C, K, const N: usize> {
     can: C,
     clock: K,
     master: Master<N>,
-    /// Since when the controller takes nothing.
-    stuck_since: Option<Instant>,
+    stuck: StuckWatch,
 }
 
 impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock.
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        Self { can, clock, master: Master::new(config), stuck_since: None }
+        Self { can, clock, master: Master::new(config), stuck: StuckWatch::new() }
     }
 
     /// The controller and the clock back.
@@ -57,7 +55,13 @@ impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
                     }
                 }
                 Err(::nb::Error::WouldBlock) => break,
-                Err(::nb::Error::Other(error)) => return Err(error),
+                Err(::nb::Error::Other(error)) => {
+                    // A frame that was overwritten says nothing about the bus; anything else may.
+                    if error.kind() != ErrorKind::Overrun {
+                        self.master.handle_bus_down(now);
+                    }
+                    return Err(error);
+                }
             }
         }
         Ok(None)
@@ -71,17 +75,17 @@ impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
                 // A frame that a more urgent one pushed out of its mailbox is lost for the drive; its
                 // request times out like any other loss.
                 Ok(_pushed_out) => {
-                    self.stuck_since = None;
+                    self.stuck.clear();
                     self.master.handle_transmitted(now);
                 }
                 Err(::nb::Error::WouldBlock) => {
-                    let since = *self.stuck_since.get_or_insert(now);
-                    if now - since > STUCK {
+                    if now > self.stuck.offered(now) {
                         self.master.handle_bus_down(now);
                     }
                     return Ok(());
                 }
                 Err(::nb::Error::Other(error)) => {
+                    self.stuck.clear();
                     self.master.handle_bus_down(now);
                     return Err(error);
                 }

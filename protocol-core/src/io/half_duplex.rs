@@ -10,6 +10,10 @@ use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write};
 ///
 /// The pin goes high with the first byte written and low again in `flush`, after the last byte has
 /// left; so the port's own `flush` must wait for that.
+///
+/// It is a port of embedded-io if `serial` is one and `delay` is embedded-hal's, and a port of
+/// embedded-io-async if `delay` is embedded-hal-async's. There, a `write` or `flush` that is dropped
+/// leaves the pin high; the next `flush` lowers it.
 #[derive(Debug)]
 pub struct HalfDuplex<S, P, D> {
     serial: S,
@@ -49,7 +53,7 @@ impl<S: embedded_io::Error, P: fmt::Debug> embedded_io::Error for HalfDuplexErro
     }
 }
 
-impl<S, P: OutputPin, D: DelayNs> HalfDuplex<S, P, D> {
+impl<S, P: OutputPin, D> HalfDuplex<S, P, D> {
     /// A port with its direction pin. `setup_ns` passes between the pin's rise and the first byte,
     /// `hold_ns` between the last byte and the pin's fall.
     ///
@@ -73,6 +77,16 @@ impl<S, P: OutputPin, D: DelayNs> HalfDuplex<S, P, D> {
 }
 
 impl<S: ErrorType, P: OutputPin, D> HalfDuplex<S, P, D> {
+    /// Whether the pin has just been raised, so that the set-up time has to pass.
+    fn turn_to_sending(&mut self) -> Result<bool, HalfDuplexError<S::Error, P::Error>> {
+        let was_receiving = !self.sending;
+        if was_receiving {
+            self.pin.set_high().map_err(HalfDuplexError::Pin)?;
+            self.sending = true;
+        }
+        Ok(was_receiving)
+    }
+
     fn turn_to_receiving(&mut self) -> Result<(), HalfDuplexError<S::Error, P::Error>> {
         self.pin.set_low().map_err(HalfDuplexError::Pin)?;
         self.sending = false;
@@ -98,18 +112,14 @@ impl<S: ReadReady, P: OutputPin, D> ReadReady for HalfDuplex<S, P, D> {
 
 impl<S: Write, P: OutputPin, D: DelayNs> Write for HalfDuplex<S, P, D> {
     fn write(&mut self, buf: &[u8]) -> Result<usize, Self::Error> {
-        if !self.sending {
-            self.pin.set_high().map_err(HalfDuplexError::Pin)?;
-            self.sending = true;
+        if self.turn_to_sending()? {
             self.delay.delay_ns(self.setup_ns);
         }
-        match self.serial.write(buf) {
-            Ok(written) => Ok(written),
-            Err(error) => {
-                self.turn_to_receiving()?;
-                Err(HalfDuplexError::Serial(error))
-            }
+        let written = self.serial.write(buf).map_err(HalfDuplexError::Serial);
+        if written.is_err() {
+            self.turn_to_receiving()?;
         }
+        written
     }
 
     /// Waits until the last byte has left and turns to receiving, whether or not the port reports an
@@ -118,6 +128,40 @@ impl<S: Write, P: OutputPin, D: DelayNs> Write for HalfDuplex<S, P, D> {
         let flushed = self.serial.flush().map_err(HalfDuplexError::Serial);
         if self.sending {
             self.delay.delay_ns(self.hold_ns);
+            self.turn_to_receiving()?;
+        }
+        flushed
+    }
+}
+
+impl<S: embedded_io_async::Read, P: OutputPin, D> embedded_io_async::Read for HalfDuplex<S, P, D> {
+    async fn read(&mut self, buf: &mut [u8]) -> Result<usize, Self::Error> {
+        self.serial.read(buf).await.map_err(HalfDuplexError::Serial)
+    }
+}
+
+impl<S, P, D> embedded_io_async::Write for HalfDuplex<S, P, D>
+where
+    S: embedded_io_async::Write,
+    P: OutputPin,
+    D: embedded_hal_async::delay::DelayNs,
+{
+    async fn write(&mut self, buf: &[u8]) -> Result<usize, Self::Error> {
+        if self.turn_to_sending()? {
+            self.delay.delay_ns(self.setup_ns).await;
+        }
+        let written = self.serial.write(buf).await.map_err(HalfDuplexError::Serial);
+        if written.is_err() {
+            self.turn_to_receiving()?;
+        }
+        written
+    }
+
+    /// As in the blocking port.
+    async fn flush(&mut self) -> Result<(), Self::Error> {
+        let flushed = self.serial.flush().await.map_err(HalfDuplexError::Serial);
+        if self.sending {
+            self.delay.delay_ns(self.hold_ns).await;
             self.turn_to_receiving()?;
         }
         flushed

@@ -1,23 +1,40 @@
-//! Thin loops that tie the master to embedded-can and embedded-io.
+//! Thin loops that tie the master to embedded-can, embedded-io and their async counterparts.
 //!
 //! | bus | loop |
 //! |---|---|
 //! | CAN, `embedded_can::nb` | [`CanMaster`] |
 //! | CAN, `embedded_can::blocking` | [`CanMaster`] over [`BlockingCan`] |
+//! | CAN, async | [`AsyncCanMaster`] over an [`AsyncCan`] |
 //! | RS485, `embedded_io` | [`SerialMaster`] |
-//! | RS485 with a direction pin | [`SerialMaster`] over [`HalfDuplex`] |
+//! | RS485, `embedded_io_async` | [`AsyncSerialMaster`] |
+//! | RS485 with a direction pin | either over [`HalfDuplex`] |
 //!
-//! All are [`Runner`]s: what works on one bus works on the other, [`bring_up`] for example.
+//! The loops that poll are [`Runner`]s, the async ones [`AsyncRunner`]s: what works on one bus works
+//! on the other, [`bring_up`] for example. None of them decides anything: that is the
+//! [`Master`](crate::master::Master)'s.
 
+mod async_can;
+mod async_clock;
+mod async_runner;
+mod async_serial;
 pub mod bring_up;
 mod can;
 mod clock;
 mod half_duplex;
+mod line;
+mod race;
 mod runner;
 mod serial;
+mod stuck;
+#[cfg(test)]
+mod tests;
 
+pub use async_can::{AsyncCan, AsyncCanMaster, CanHalves};
+pub use async_clock::{AsyncClock, DelayClock};
+pub use async_runner::AsyncRunner;
+pub use async_serial::AsyncSerialMaster;
 pub use can::{BlockingCan, CanMaster};
 pub use clock::{Clock, FnClock};
 pub use half_duplex::{HalfDuplex, HalfDuplexError};
-pub use runner::{CallError, Runner};
+pub use runner::{CallError, LONGEST_STOP, Runner};
 pub use serial::SerialMaster;

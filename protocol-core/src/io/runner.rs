@@ -5,7 +5,7 @@ use core::fmt;
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
+use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind, Ticket};
 use crate::time::{Duration, Instant};
 
 /// Why a call has no answer.
@@ -38,8 +38,11 @@ impl<E: fmt::Debug> fmt::Display for CallError<E> {
 
 impl<E: fmt::Debug> core::error::Error for CallError<E> {}
 
+/// How long a stop of all motors is tried at the most.
+pub const LONGEST_STOP: Duration = Duration::from_secs(1);
+
 /// How long [`Runner::call`] sleeps at most between two looks at the bus.
-const LONGEST_IDLE: Duration = Duration::from_millis(10);
+pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
 /// A loop that runs a [`Master`] on a bus.
 pub trait Runner<const N: usize> {
@@ -80,10 +83,7 @@ pub trait Runner<const N: usize> {
         Self: Sized,
     {
         let now = self.now();
-        let ticket = match patience {
-            Some(patience) => self.master().request_with(motor, command, patience, now)?,
-            None => self.master().request(motor, command, now)?,
-        };
+        let ticket = request(self.master(), motor, command, patience, now)?;
         loop {
             match self.poll().map_err(CallError::Bus)? {
                 Some(event) => match ticket.outcome(&event) {
@@ -136,34 +136,80 @@ pub trait Runner<const N: usize> {
     }
 
     /// Stops all motors and waits until each has confirmed, or not; see [`Master::stop_all`]. Gives
-    /// those that have not: cut their power.
-    ///
-    /// # Errors
-    /// [`CallError::Bus`], [`CallError::Request`].
-    fn stop_all(
-        &mut self,
-        kind: StopKind,
-        also: MotorSet,
-    ) -> Result<MotorSet, CallError<Self::Error>>
+    /// those that have not: **cut their power**. An error of the bus does not end it; it goes on for up
+    /// to [`LONGEST_STOP`], in the hope that the bus comes back.
+    fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet
     where
         Self: Sized,
     {
         let now = self.now();
-        let started = self.master().stop_all(kind, also, now);
-        let mut running = self.master().motors();
-        let mut unconfirmed = MotorSet::EMPTY;
-        while !running.is_empty() {
-            match self.poll().map_err(CallError::Bus)? {
-                Some(Event::StopConfirmed { motor }) => running.remove(motor),
-                Some(Event::StopUnconfirmed { motor }) => {
-                    running.remove(motor);
-                    unconfirmed.insert(motor);
-                }
-                Some(_) => {}
-                None => self.idle(self.now() + LONGEST_IDLE),
+        let mut stop = StopWatch::begin(self.master(), kind, also, now);
+        while !stop.is_over(self.now()) {
+            match self.poll() {
+                Ok(Some(event)) => stop.note(&event),
+                Ok(None) | Err(_) => self.idle(self.now() + LONGEST_IDLE),
             }
         }
-        started?;
-        Ok(unconfirmed)
+        stop.unconfirmed()
+    }
+}
+
+/// A request with a patience of its own, or the master's.
+pub(super) fn request<C: Command, const N: usize>(
+    master: &mut Master<N>,
+    motor: MotorId,
+    command: C,
+    patience: Option<Patience>,
+    now: Instant,
+) -> Result<Ticket<C>, RequestError> {
+    match patience {
+        Some(patience) => master.request_with(motor, command, patience, now),
+        None => master.request(motor, command, now),
+    }
+}
+
+/// Who of the motors that are being stopped has not confirmed it yet.
+#[derive(Debug)]
+pub(super) struct StopWatch {
+    running: MotorSet,
+    unconfirmed: MotorSet,
+    end: Instant,
+}
+
+impl StopWatch {
+    pub(super) fn begin<const N: usize>(
+        master: &mut Master<N>,
+        kind: StopKind,
+        also: MotorSet,
+        now: Instant,
+    ) -> Self {
+        // Those that the master has no place for are not stopped, which their absence below tells.
+        let _ = master.stop_all(kind, also, now);
+        let running = master.motors();
+        Self { running, unconfirmed: also.without(running), end: now + LONGEST_STOP }
+    }
+
+    pub(super) fn note(&mut self, event: &Event) {
+        match *event {
+            Event::StopConfirmed { motor } => self.running.remove(motor),
+            Event::StopUnconfirmed { motor } => {
+                self.running.remove(motor);
+                self.unconfirmed.insert(motor);
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn is_over(&self, now: Instant) -> bool {
+        self.running.is_empty() || now >= self.end
+    }
+
+    pub(super) const fn end(&self) -> Instant {
+        self.end
+    }
+
+    /// Those that have not confirmed.
+    pub(super) fn unconfirmed(self) -> MotorSet {
+        self.running.iter().chain(self.unconfirmed.iter()).collect()
     }
 }

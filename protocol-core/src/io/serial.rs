@@ -3,13 +3,10 @@
 use embedded_io::{Read, ReadReady, Write};
 
 use crate::io::clock::Clock;
+use crate::io::line::{self, Line};
 use crate::io::runner::Runner;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
-use crate::wire::rs485::{Frame, Receiver};
-
-/// Bytes read at once.
-const CHUNK: usize = 32;
 
 /// Runs a [`Master`] on a serial port with an RS485 transceiver. Where the port does not switch the
 /// transceiver's direction by itself, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
@@ -18,26 +15,13 @@ pub struct SerialMaster<S, K, const N: usize> {
     serial: S,
     clock: K,
     master: Master<N>,
-    receiver: Receiver,
-    chunk: [u8; CHUNK],
-    /// The bytes of `chunk` that are still to be looked at.
-    next: usize,
-    end: usize,
+    line: Line,
 }
 
 impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N> {
     /// A loop on this port, timed by this clock; see [`Config::rs485`].
     pub fn new(serial: S, clock: K, config: Config) -> Self {
-        let receiver = Receiver::new();
-        Self {
-            serial,
-            clock,
-            master: Master::new(config),
-            receiver,
-            chunk: [0; CHUNK],
-            next: 0,
-            end: 0,
-        }
+        Self { serial, clock, master: Master::new(config), line: Line::new() }
     }
 
     /// The port and the clock back.
@@ -45,37 +29,34 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
         (self.serial, self.clock)
     }
 
-    fn next_byte(&mut self) -> Result<Option<u8>, S::Error> {
-        if self.next >= self.end {
-            if !self.serial.read_ready()? {
-                return Ok(None);
-            }
-            self.next = 0;
-            self.end = self.serial.read(&mut self.chunk)?;
-        }
-        let byte = self.chunk.get(..self.end).and_then(|read| read.get(self.next)).copied();
-        self.next += 1;
-        Ok(byte)
-    }
-
     fn receive(&mut self, now: Instant) -> Result<Option<Event>, S::Error> {
-        while let Some(byte) = self.next_byte()? {
-            let fed = self.receiver.feed(byte);
-            let event = self.master.handle_line(&fed, now);
-            if event.is_some() {
+        loop {
+            let event = self.line.take(&mut self.master, now);
+            if event.is_some() || !self.serial.read_ready()? {
                 return Ok(event);
             }
+            match self.serial.read(self.line.space())? {
+                0 => return Ok(None),
+                bytes => self.line.filled(bytes),
+            }
         }
-        Ok(None)
     }
 
     fn transmit(&mut self, now: Instant) -> Result<(), S::Error> {
-        // The master offers nothing that RS485 has no frame for.
-        if let Some(frame) = self.master.poll_transmit(now).as_ref().and_then(Frame::from_packet) {
-            self.serial.write_all(&frame.encode())?;
-            self.serial.flush()?;
-            self.master.handle_transmitted(self.clock.now());
+        let Some(frame) = line::offered(&mut self.master, now) else { return Ok(()) };
+        let mut rest = frame.as_slice();
+        while !rest.is_empty() {
+            match self.serial.write(rest)? {
+                // A port that takes nothing, which embedded-io forbids.
+                0 => {
+                    self.master.handle_bus_down(now);
+                    return Ok(());
+                }
+                bytes => rest = rest.get(bytes..).unwrap_or(&[]),
+            }
         }
+        self.serial.flush()?;
+        self.master.handle_transmitted(self.clock.now());
         Ok(())
     }
 }
@@ -95,8 +76,13 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Runner<N> for Serial
         let now = self.clock.now();
         // What was received comes first, so that the caller's answer to it is there when the next
         // command is chosen.
-        if let Some(event) = self.receive(now)? {
-            return Ok(Some(event));
+        match self.receive(now) {
+            Ok(None) => {}
+            Ok(event) => return Ok(event),
+            Err(error) => {
+                self.master.handle_bus_down(now);
+                return Err(error);
+            }
         }
         self.master.handle_timeout(now);
         if let Err(error) = self.transmit(now) {

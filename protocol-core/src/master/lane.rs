@@ -371,11 +371,18 @@ impl Lane {
     }
 
     /// When this motor has something to do by itself.
-    pub(super) fn poll_at(&self, now: Instant, set_point_timeout: Span) -> Option<Instant> {
+    ///
+    /// A broadcast that waits for holds to end makes the end of any hold such a moment.
+    pub(super) fn poll_at(
+        &self,
+        now: Instant,
+        set_point_timeout: Span,
+        broadcast_waits: bool,
+    ) -> Option<Instant> {
         let flight = self.is_in_flight().then(|| self.deadline(set_point_timeout).instant(now));
         let waits =
             self.request == RequestState::Waiting || self.flags.contains(Flags::SET_POINT_WAITING);
-        let waits = waits && self.flags.contains(Flags::HELD);
+        let waits = (waits || broadcast_waits) && self.flags.contains(Flags::HELD);
         let held = waits.then(|| self.held_until.instant(now));
         let expiry = self
             .flags

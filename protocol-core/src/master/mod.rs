@@ -448,8 +448,11 @@ impl<const N: usize> Master<N> {
     /// something to do by themselves; `None` while only a frame or a request can change anything.
     pub fn poll_at(&self) -> Option<Instant> {
         let now = self.now;
-        let lanes =
-            self.lanes.iter().filter_map(|lane| lane.poll_at(now, self.config.timeout)).min();
+        let lanes = self
+            .lanes
+            .iter()
+            .filter_map(|lane| lane.poll_at(now, self.config.timeout, self.broadcast.is_waiting()))
+            .min();
         let line = (self.config.rs485 && !self.is_anything_in_flight() && self.choose().is_some())
             .then(|| self.line_free.instant(now));
         [lanes, line, self.courtesy_ends(), self.broadcast.poll_at(now)].into_iter().flatten().min()

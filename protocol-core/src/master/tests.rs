@@ -534,3 +534,17 @@ fn nobody_waits_for_a_motor_that_had_its_chance() {
     // known, also after its time-out at 21 ms.
     assert!(held_at.len() <= 1, "held at {held_at:?}");
 }
+
+#[test]
+fn a_broadcast_that_waits_for_a_restart_is_sent_in_time() {
+    let mut master = Master::<2>::new(Config { restart_time: Duration::from_millis(3), ..Config::CAN });
+    let _reset = master.request(id(1), Reset, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(0));
+    master.broadcast(ReadMultiTurnAngle, id(1).into(), ms(0)).unwrap();
+    assert!(sent(&mut master, ms(0)).is_empty());
+    let at = master.poll_at().unwrap();
+    assert!(at <= ms(5), "{at:?}");
+    master.handle_timeout(at);
+    assert_eq!(sent(&mut master, at).len(), 1);
+}

@@ -1,0 +1,285 @@
+//! The async loop over CAN.
+
+use core::fmt;
+use core::marker::PhantomData;
+
+use embedded_can::Frame;
+
+use crate::io::async_clock::{AsyncClock, wait};
+use crate::io::async_runner::{AsyncRunner, earlier};
+use crate::io::race::{First, at_once, race};
+use crate::io::stuck::StuckWatch;
+use crate::master::{Config, Event, Master};
+use crate::time::{Duration, Instant};
+use crate::wire::can;
+
+/// An async CAN controller: what embedded-can has no trait for.
+///
+/// The drivers of the HALs have these two functions under other names, often on two halves.
+/// [`CanHalves`] makes them one of these; for a driver in one piece it is a few lines:
+///
+/// ```
+/// # mod hal {
+/// #     pub use myactuator_protocol_core::wire::can::SimpleFrame as Frame;
+/// #     pub struct Envelope { pub frame: Frame }
+/// #     pub struct Can;
+/// #     impl Can {
+/// #         pub async fn write(&mut self, _: &Frame) {}
+/// #         pub async fn read(&mut self) -> Result<Envelope, u8> { Err(0) }
+/// #     }
+/// # }
+/// use myactuator_protocol_core::io::AsyncCan;
+///
+/// struct Bus(hal::Can);
+///
+/// impl AsyncCan for Bus {
+///     type Frame = hal::Frame;
+///     type Error = u8; // the HAL's
+///
+///     async fn transmit(&mut self, frame: &hal::Frame) -> Result<(), u8> {
+///         self.0.write(frame).await;
+///         Ok(())
+///     }
+///
+///     async fn receive(&mut self) -> Result<hal::Frame, u8> {
+///         Ok(self.0.read().await?.frame)
+///     }
+/// }
+/// ```
+///
+/// The futures need not be `Send`: one task runs one bus.
+#[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
+pub trait AsyncCan {
+    /// The driver's frame.
+    type Frame: Frame;
+    /// What the driver reports when it fails.
+    type Error: fmt::Debug;
+
+    /// Gives a frame to the controller and is done once it has taken it, that is, once it lies in a
+    /// mailbox or queue. It must not wait until the frame is on the bus: one frame would be on its
+    /// way at a time.
+    ///
+    /// It is dropped when the controller takes nothing for long. A frame whose future was dropped
+    /// must not have been taken: it is offered again.
+    async fn transmit(&mut self, frame: &Self::Frame) -> Result<(), Self::Error>;
+
+    /// The next frame from the bus.
+    ///
+    /// It is dropped and called anew all the time. Dropping must lose no frame: one that arrives
+    /// later, or has arrived, is for the next call.
+    async fn receive(&mut self) -> Result<Self::Frame, Self::Error>;
+}
+
+impl<C: AsyncCan + ?Sized> AsyncCan for &mut C {
+    type Frame = C::Frame;
+    type Error = C::Error;
+
+    async fn transmit(&mut self, frame: &C::Frame) -> Result<(), C::Error> {
+        (**self).transmit(frame).await
+    }
+
+    async fn receive(&mut self) -> Result<C::Frame, C::Error> {
+        (**self).receive().await
+    }
+}
+
+/// An [`AsyncCan`] from the two halves of a driver, whatever they are called.
+///
+/// ```
+/// # mod hal {
+/// #     pub use myactuator_protocol_core::wire::can::SimpleFrame as Frame;
+/// #     pub struct Envelope { pub frame: Frame }
+/// #     #[derive(Debug)] pub struct BusError;
+/// #     pub struct CanTx; pub struct CanRx;
+/// #     impl CanTx { pub async fn write(&mut self, _: &Frame) {} }
+/// #     impl CanRx { pub async fn read(&mut self) -> Result<Envelope, BusError> { Err(BusError) } }
+/// # }
+/// use myactuator_protocol_core::io::{AsyncCan, CanHalves};
+///
+/// # let (mut tx, mut rx) = (hal::CanTx, hal::CanRx);
+/// // let (mut tx, mut rx) = can.split();
+/// let can = CanHalves::new(
+///     async |frame: &hal::Frame| Ok(tx.write(frame).await),
+///     async || rx.read().await.map(|envelope| envelope.frame),
+/// );
+/// # fn is_can(_: impl AsyncCan<Frame = hal::Frame, Error = hal::BusError>) {}
+/// # is_can(can);
+/// ```
+///
+/// What [`AsyncCan`] asks of `transmit` and `receive` holds for the two functions.
+pub struct CanHalves<T, R, F, E> {
+    transmit: T,
+    receive: R,
+    kinds: PhantomData<fn() -> (F, E)>,
+}
+
+impl<T, R, F, E> CanHalves<T, R, F, E>
+where
+    T: AsyncFnMut(&F) -> Result<(), E>,
+    R: AsyncFnMut() -> Result<F, E>,
+{
+    /// The function that sends and the one that receives.
+    pub const fn new(transmit: T, receive: R) -> Self {
+        Self { transmit, receive, kinds: PhantomData }
+    }
+}
+
+impl<T, R, F, E> fmt::Debug for CanHalves<T, R, F, E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("CanHalves").finish_non_exhaustive()
+    }
+}
+
+impl<T, R, F, E> AsyncCan for CanHalves<T, R, F, E>
+where
+    T: AsyncFnMut(&F) -> Result<(), E>,
+    R: AsyncFnMut() -> Result<F, E>,
+    F: Frame,
+    E: fmt::Debug,
+{
+    type Frame = F;
+    type Error = E;
+
+    async fn transmit(&mut self, frame: &F) -> Result<(), E> {
+        (self.transmit)(frame).await
+    }
+
+    async fn receive(&mut self) -> Result<F, E> {
+        (self.receive)().await
+    }
+}
+
+/// How soon a controller that takes nothing is offered something again.
+const RETRY_AFTER: Duration = Duration::from_millis(1);
+
+/// Runs a [`Master`] on an async CAN controller.
+///
+/// ```no_run
+/// # use myactuator_protocol_core::io::{AsyncCan, AsyncCanMaster, AsyncClock, AsyncRunner};
+/// # use myactuator_protocol_core::command::ReadMultiTurnAngle;
+/// # use myactuator_protocol_core::{MotorId, master::Config};
+/// # async fn firmware(can: impl AsyncCan<Error = core::convert::Infallible>, clock: impl AsyncClock)
+/// # -> Result<(), Box<dyn std::error::Error>> {
+/// let mut arm = AsyncCanMaster::<_, _, 8>::new(can, clock, Config::CAN);
+/// let elbow = MotorId::new(3)?;
+/// let reading = arm.ask(elbow, ReadMultiTurnAngle).await?;
+/// let degrees = reading.angle.degrees();
+/// # let _ = degrees; Ok(()) }
+/// ```
+///
+/// It gives the controller frames for as long as it takes them at once, and looks for a received one
+/// after each, so that a controller with few places for received frames loses none.
+#[derive(Debug)]
+pub struct AsyncCanMaster<C, K, const N: usize> {
+    can: C,
+    clock: K,
+    master: Master<N>,
+    stuck: StuckWatch,
+    /// What a frame told, until somebody takes it. Here rather than in a future, which may be
+    /// dropped.
+    told: Option<Event>,
+}
+
+impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
+    /// A loop on this controller, timed by this clock.
+    pub fn new(can: C, clock: K, config: Config) -> Self {
+        Self { can, clock, master: Master::new(config), stuck: StuckWatch::new(), told: None }
+    }
+
+    /// The controller and the clock back.
+    pub fn release(self) -> (C, K) {
+        (self.can, self.clock)
+    }
+
+    fn take(&mut self, received: Result<C::Frame, C::Error>) -> Result<(), C::Error> {
+        let now = self.clock.now();
+        match received {
+            Ok(frame) => {
+                self.told = self.master.handle_frame(&can::decode(&frame), now);
+                Ok(())
+            }
+            Err(error) => {
+                self.master.handle_bus_down(now);
+                Err(error)
+            }
+        }
+    }
+
+    /// Takes what the controller holds, up to the first event.
+    async fn receive(&mut self) -> Result<(), C::Error> {
+        while self.told.is_none() {
+            match at_once(self.can.receive()).await {
+                Some(received) => self.take(received)?,
+                None => break,
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends what the bus takes, up to the first event. Gives a time to try again if it takes no
+    /// more.
+    async fn transmit(&mut self) -> Result<Option<Instant>, C::Error> {
+        loop {
+            let now = self.clock.now();
+            let Some(packet) = self.master.poll_transmit(now) else { return Ok(None) };
+            // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
+            let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(None) };
+            let busy_until = self.stuck.offered(now);
+            let patience = self.clock.wait_until(busy_until);
+            match race(self.can.transmit(&frame), patience).await {
+                First::Left(Ok(())) => {
+                    self.stuck.clear();
+                    self.master.handle_transmitted(self.clock.now());
+                }
+                First::Left(Err(error)) => {
+                    self.stuck.clear();
+                    self.master.handle_bus_down(self.clock.now());
+                    return Err(error);
+                }
+                First::Right(()) => {
+                    let now = self.clock.now();
+                    self.master.handle_bus_down(now);
+                    return Ok(Some(now + RETRY_AFTER));
+                }
+            }
+            self.receive().await?;
+            if self.told.is_some() {
+                return Ok(None);
+            }
+        }
+    }
+}
+
+impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMaster<C, K, N> {
+    type Error = C::Error;
+
+    fn master(&mut self) -> &mut Master<N> {
+        &mut self.master
+    }
+
+    fn now(&self) -> Instant {
+        self.clock.now()
+    }
+
+    async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, C::Error> {
+        loop {
+            // What was received comes first, so that the caller's answer to it is there when the
+            // next command is chosen.
+            self.receive().await?;
+            if let Some(event) = self.told.take() {
+                return Ok(Some(event));
+            }
+            self.master.handle_timeout(self.clock.now());
+            let retry_at = self.transmit().await?;
+            let event = self.told.take().or_else(|| self.master.poll_event());
+            if event.is_some() || until.is_some_and(|until| until <= self.clock.now()) {
+                return Ok(event);
+            }
+            let wake_at = earlier(earlier(self.master.poll_at(), retry_at), until);
+            let timer = wait(&mut self.clock, wake_at);
+            if let First::Left(received) = race(self.can.receive(), timer).await {
+                self.take(received)?;
+            }
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! The async loop over RS485.
+
+use embedded_io_async::{Read, Write};
+
+use crate::io::async_clock::{AsyncClock, wait};
+use crate::io::async_runner::{AsyncRunner, earlier};
+use crate::io::clock::Clock;
+use crate::io::line::{self, Line};
+use crate::io::race::{First, at_once, race};
+use crate::io::runner::LONGEST_IDLE;
+use crate::io::stuck::STUCK_AFTER;
+use crate::master::{Config, Event, Master};
+use crate::time::Instant;
+use crate::wire::rs485::FRAME_LENGTH;
+
+/// Runs a [`Master`] on an async serial port with an RS485 transceiver. Where the port does not
+/// switch the transceiver's direction by itself, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
+///
+/// The port's `read` must be cancel-safe: dropping its future may lose no byte. Ports with a buffer
+/// of their own are (embassy's `BufferedUart`, its `RingBufferedUartRx`); those that read by DMA
+/// straight to the caller's memory are not.
+///
+/// Its `flush` must wait until the last byte has left.
+#[derive(Debug)]
+pub struct AsyncSerialMaster<S, K, const N: usize> {
+    serial: S,
+    clock: K,
+    master: Master<N>,
+    line: Line,
+    /// A sending was cut short: the port is to be flushed, so that it turns to receiving.
+    unflushed: bool,
+}
+
+/// Reports a frame as sent when the future that sends it is dropped: some of it may have left, and
+/// nothing is sent twice.
+struct CountsAsSent<'a, K: Clock, const N: usize> {
+    master: &'a mut Master<N>,
+    clock: &'a mut K,
+    is_over: bool,
+}
+
+impl<K: Clock, const N: usize> Drop for CountsAsSent<'_, K, N> {
+    fn drop(&mut self) {
+        if !self.is_over {
+            self.master.handle_transmitted(self.clock.now());
+        }
+    }
+}
+
+impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> {
+    /// A loop on this port, timed by this clock; see [`Config::rs485`].
+    pub fn new(serial: S, clock: K, config: Config) -> Self {
+        Self { serial, clock, master: Master::new(config), line: Line::new(), unflushed: false }
+    }
+
+    /// The port and the clock back.
+    pub fn release(self) -> (S, K) {
+        (self.serial, self.clock)
+    }
+
+    /// Takes what the port holds, up to the first event.
+    async fn receive(&mut self, now: Instant) -> Result<Option<Event>, S::Error> {
+        loop {
+            let event = self.line.take(&mut self.master, now);
+            if event.is_some() {
+                return Ok(event);
+            }
+            match at_once(self.serial.read(self.line.space())).await {
+                None | Some(Ok(0)) => return Ok(None),
+                Some(bytes) => self.line.filled(bytes?),
+            }
+        }
+    }
+
+    async fn transmit(&mut self) -> Result<(), S::Error> {
+        let now = self.clock.now();
+        let Some(frame) = line::offered(&mut self.master, now) else { return Ok(()) };
+        self.unflushed = true;
+        let Self { serial, clock, master, .. } = self;
+        let mut sending = CountsAsSent { master, clock, is_over: false };
+        let patience = sending.clock.wait_until(now + STUCK_AFTER);
+        let outcome = race(write(serial, &frame), patience).await;
+        sending.is_over = true;
+        drop(sending);
+        let now = self.clock.now();
+        match outcome {
+            First::Left(Ok(true)) => {
+                self.unflushed = false;
+                self.master.handle_transmitted(now);
+                Ok(())
+            }
+            First::Left(Ok(false)) | First::Right(()) => {
+                self.master.handle_bus_down(now);
+                Ok(())
+            }
+            First::Left(Err(error)) => Err(error),
+        }
+    }
+
+    /// Ends a sending that was cut short.
+    async fn settle(&mut self) -> Result<(), S::Error> {
+        if self.unflushed {
+            let patience = self.clock.wait_until(self.clock.now() + STUCK_AFTER);
+            if let First::Left(flushed) = race(self.serial.flush(), patience).await {
+                self.unflushed = false;
+                flushed?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes a whole frame and waits until it has left; `false` from a port that takes nothing, which
+/// embedded-io forbids.
+async fn write<S: Write>(serial: &mut S, frame: &[u8; FRAME_LENGTH]) -> Result<bool, S::Error> {
+    let mut rest = frame.as_slice();
+    while !rest.is_empty() {
+        match serial.write(rest).await? {
+            0 => return Ok(false),
+            bytes => rest = rest.get(bytes..).unwrap_or(&[]),
+        }
+    }
+    serial.flush().await?;
+    Ok(true)
+}
+
+impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncSerialMaster<S, K, N> {
+    type Error = S::Error;
+
+    fn master(&mut self) -> &mut Master<N> {
+        &mut self.master
+    }
+
+    fn now(&self) -> Instant {
+        self.clock.now()
+    }
+
+    async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, S::Error> {
+        let outcome = self.run_port(until).await;
+        if outcome.is_err() {
+            self.master.handle_bus_down(self.clock.now());
+        }
+        outcome
+    }
+}
+
+impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> {
+    async fn run_port(&mut self, until: Option<Instant>) -> Result<Option<Event>, S::Error> {
+        loop {
+            self.settle().await?;
+            let now = self.clock.now();
+            let event = self.receive(now).await?;
+            if event.is_some() {
+                return Ok(event);
+            }
+            self.master.handle_timeout(now);
+            self.transmit().await?;
+            let event = self.master.poll_event();
+            let now = self.clock.now();
+            if event.is_some() || until.is_some_and(|until| until <= now) {
+                return Ok(event);
+            }
+            let wake_at = earlier(self.master.poll_at(), until);
+            let timer = wait(&mut self.clock, wake_at);
+            match race(self.serial.read(self.line.space()), timer).await {
+                // The port is closed, for now or for good.
+                First::Left(Ok(0)) => {
+                    let again_at = earlier(wake_at, Some(now + LONGEST_IDLE));
+                    wait(&mut self.clock, again_at).await;
+                }
+                First::Left(bytes) => self.line.filled(bytes?),
+                First::Right(()) => {}
+            }
+        }
+    }
+}

@@ -1,0 +1,218 @@
+//! The loops that poll.
+
+extern crate std;
+
+use std::vec::Vec;
+
+use embedded_can::nb::Can as _;
+
+use super::world::{Broken, TestCan, TestClock, TestSerial};
+use super::{id, step};
+use crate::command::{ReadMultiTurnAngle, Reset, Stop, Torque};
+use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster};
+use crate::master::{Config, Event, Failure, MotorSet, StopKind};
+use crate::units::Current;
+use crate::wire::can::{self, SimpleFrame};
+use crate::{Channel, Packet};
+
+fn torque() -> Torque {
+    Torque { current: Current::from_raw(-100) }
+}
+
+fn can() -> (TestCan, TestClock, CanMaster<TestCan, TestClock, 4>) {
+    let clock = TestClock::default();
+    let bus = TestCan::new(&clock);
+    (bus.clone(), clock.clone(), CanMaster::new(bus, clock, Config::CAN))
+}
+
+fn serial() -> (TestSerial, TestClock, SerialMaster<TestSerial, TestClock, 4>) {
+    let clock = TestClock::default();
+    let port = TestSerial::new(&clock);
+    let config = Config::rs485(115_200, false);
+    (port.clone(), clock.clone(), SerialMaster::new(port, clock, config))
+}
+
+/// Runs for so long and gives what happened.
+fn run<const N: usize, R: Runner<N, Error = Broken>>(
+    arm: &mut R,
+    clock: &TestClock,
+    micros: u64,
+) -> Vec<Event> {
+    let end = clock.micros() + micros;
+    let mut events = Vec::new();
+    while clock.micros() < end {
+        match arm.poll().unwrap() {
+            Some(event) => events.push(event),
+            None => {
+                arm.idle(clock.now() + crate::time::Duration::from_micros(end - clock.micros()))
+            }
+        }
+    }
+    events
+}
+
+#[test]
+fn a_frame_that_the_controller_refuses_is_not_counted_as_sent() {
+    let (bus, clock, mut arm) = can();
+    bus.fill_until(5_000);
+    let now = clock.now();
+    let ticket = arm.master().request(id(1), step(), now).unwrap();
+    assert_eq!(run(&mut arm, &clock, 4_900), []);
+    assert!(!arm.master().is_anything_in_flight());
+    assert!(bus.sent().is_empty());
+    // Then it is taken, once, and its time-out runs from there.
+    let events = run(&mut arm, &clock, 60_000);
+    assert_eq!(bus.sent().len(), 1);
+    assert!(ticket.outcome(&events[0]).unwrap().is_ok());
+    assert_eq!(events.len(), 1);
+}
+
+#[test]
+fn a_command_that_acts_again_is_sent_once_whatever_happens() {
+    let (bus, clock, mut arm) = can();
+    assert_eq!(arm.call(id(9), step()), Err(CallError::Failed(Failure::NoReply)));
+    run(&mut arm, &clock, 200_000);
+    assert_eq!(bus.sent(), [[0xA8, 0, 100, 0, 0x28, 0x23, 0, 0]]);
+}
+
+#[test]
+fn a_silent_motor_is_asked_three_times() {
+    let (bus, _, mut arm) = can();
+    let silence = Err(CallError::Failed(Failure::NoReply));
+    assert_eq!(arm.ask(id(9), ReadMultiTurnAngle), silence);
+    assert_eq!(bus.sent().len(), 3);
+}
+
+#[test]
+fn motion_is_dropped_on_a_bus_that_takes_nothing_and_reads_wait() {
+    let (bus, clock, mut arm) = can();
+    bus.fill_until(100_000);
+    arm.set_point(id(1), torque()).unwrap();
+    let now = clock.now();
+    let _move = arm.master().request(id(2), step(), now).unwrap();
+    let read = arm.master().request(id(3), ReadMultiTurnAngle, now).unwrap();
+    assert_eq!(run(&mut arm, &clock, 20_000), [], "the bus may be merely busy");
+    let events = run(&mut arm, &clock, 1_000);
+    assert!(events.contains(&Event::SetPointDropped { motor: id(1) }), "{events:?}");
+    assert!(
+        events.iter().any(|event| matches!(event, Event::Failed { failure: Failure::BusDown, .. })),
+        "{events:?}"
+    );
+    let events = run(&mut arm, &clock, 100_000);
+    assert_eq!(bus.sent(), [[0x92, 0, 0, 0, 0, 0, 0, 0]]);
+    assert!(events.iter().any(|event| read.outcome(event).is_some()));
+}
+
+#[test]
+fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
+    let (bus, clock, mut arm) = can();
+    bus.fail_transmit(true);
+    assert_eq!(arm.call(id(1), step()), Err(CallError::Bus(Broken)));
+    bus.fail_transmit(false);
+    let events = run(&mut arm, &clock, 50_000);
+    assert!(matches!(events[..], [Event::Failed { failure: Failure::BusDown, .. }]), "{events:?}");
+    assert!(bus.sent().is_empty());
+
+    bus.fail_receive(true);
+    assert_eq!(arm.ask(id(1), ReadMultiTurnAngle), Err(CallError::Bus(Broken)));
+    bus.fail_receive(false);
+    run(&mut arm, &clock, 50_000);
+    assert_eq!(arm.ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees(), 360.0);
+}
+
+#[test]
+fn a_stop_tells_who_has_not_confirmed() {
+    let (bus, _, mut arm) = can();
+    let motors: MotorSet = [id(1), id(2), id(9)].into_iter().collect();
+    assert_eq!(arm.stop_all(StopKind::Off, motors), MotorSet::from(id(9)));
+    assert!(bus.sent().iter().all(|data| data[0] == 0x80));
+    assert_eq!(bus.sent().len(), 2 + 15, "the silent one is told over and over");
+}
+
+/// A blocking controller of which every answer is given.
+struct Scripted(Result<(), u8>);
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Code(u8);
+
+impl embedded_can::Error for Code {
+    fn kind(&self) -> embedded_can::ErrorKind {
+        embedded_can::ErrorKind::Other
+    }
+}
+
+impl embedded_can::blocking::Can for Scripted {
+    type Frame = SimpleFrame;
+    type Error = Code;
+
+    fn transmit(&mut self, _: &SimpleFrame) -> Result<(), Code> {
+        self.0.map_err(Code)
+    }
+
+    fn receive(&mut self) -> Result<SimpleFrame, Code> {
+        self.0.map(|()| frame()).map_err(Code)
+    }
+}
+
+fn frame() -> SimpleFrame {
+    can::encode(&Packet { channel: Channel::Command(id(1).into()), data: Stop.encode() }).unwrap()
+}
+
+#[test]
+fn a_time_out_of_a_blocking_controller_is_would_block() {
+    let is_timeout = |error: &Code| error.0 == 7;
+    let mut good = BlockingCan::new(Scripted(Ok(())), is_timeout);
+    assert_eq!(good.transmit(&frame()), Ok(None));
+    assert_eq!(good.receive(), Ok(frame()));
+    let mut late = BlockingCan::new(Scripted(Err(7)), is_timeout);
+    assert_eq!(late.transmit(&frame()), Err(nb::Error::WouldBlock));
+    assert_eq!(late.receive(), Err(nb::Error::WouldBlock));
+    let mut bad = BlockingCan::new(Scripted(Err(8)), is_timeout);
+    assert_eq!(bad.transmit(&frame()), Err(nb::Error::Other(Code(8))));
+    assert_eq!(bad.receive(), Err(nb::Error::Other(Code(8))));
+}
+
+#[test]
+fn a_serial_port_may_move_one_byte_at_a_time() {
+    let (port, clock, mut arm) = serial();
+    port.move_at_most(1);
+    port.hear(&[0x00, 0x3E, 0x01]); // what is left of somebody's frame
+    assert_eq!(arm.ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees(), 360.0);
+    // 3E 01 08 92 00.. with its CRC: the manual's frame (6, example of 0x92).
+    let written = port.written();
+    assert_eq!(written[..11], [0x3E, 1, 8, 0x92, 0, 0, 0, 0, 0, 0, 0]);
+    assert_eq!(written.len(), 13);
+    assert!(port.is_flushed());
+    assert!(clock.micros() >= 800);
+}
+
+#[test]
+fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
+    let (port, clock, mut arm) = serial();
+    port.fail_write(true);
+    assert_eq!(arm.call(id(1), step()), Err(CallError::Bus(Broken)));
+    port.fail_write(false);
+    assert!(matches!(
+        run(&mut arm, &clock, 20_000)[..],
+        [Event::Failed { failure: Failure::BusDown, .. }]
+    ));
+    port.take_nothing(true);
+    assert_eq!(arm.call(id(1), step()), Err(CallError::Failed(Failure::BusDown)));
+    port.take_nothing(false);
+    run(&mut arm, &clock, 20_000);
+    assert!(port.written().is_empty());
+}
+
+#[test]
+fn a_closed_port_is_a_silent_one() {
+    let (port, _, mut arm) = serial();
+    port.close(true);
+    assert_eq!(arm.ask(id(9), ReadMultiTurnAngle), Err(CallError::Failed(Failure::NoReply)));
+}
+
+#[test]
+fn a_command_without_reply_is_over_once_it_has_left() {
+    let (port, _, mut arm) = serial();
+    assert_eq!(arm.call(id(1), Reset).map(|reply| reply.is_none()), Ok(true));
+    assert!(port.is_flushed() && port.written().len() == 13);
+}

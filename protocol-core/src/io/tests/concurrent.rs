@@ -1,0 +1,249 @@
+//! The async loops: they do what the polling ones do, and their futures may be dropped anywhere.
+
+extern crate std;
+
+use std::format;
+use std::string::String;
+use std::vec::Vec;
+
+use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, polls};
+use super::{id, step};
+use crate::command::{PidIndex, ReadMultiTurnAngle, ReadPid, Reset, Torque};
+use crate::io::{
+    AsyncCan, AsyncCanMaster, AsyncClock, AsyncRunner, AsyncSerialMaster, CallError, CanHalves,
+    CanMaster, Clock, DelayClock, Runner, SerialMaster,
+};
+use crate::master::{Config, Event, Failure, MotorSet, StopKind};
+use crate::time::{Duration, Instant};
+use crate::units::Current;
+use crate::wire::can::SimpleFrame;
+
+fn torque() -> Torque {
+    Torque { current: Current::from_raw(-100) }
+}
+
+type AsyncArm = AsyncCanMaster<TestCan, TestClock, 4>;
+
+fn can() -> (TestCan, TestClock, AsyncArm) {
+    let clock = TestClock::default();
+    let bus = TestCan::new(&clock);
+    (bus.clone(), clock.clone(), AsyncCanMaster::new(bus, clock, Config::CAN))
+}
+
+const RS485: Config = Config::rs485(115_200, false);
+
+fn serial() -> (TestSerial, TestClock, AsyncSerialMaster<TestSerial, TestClock, 4>) {
+    let clock = TestClock::default();
+    let port = TestSerial::new(&clock);
+    (port.clone(), clock.clone(), AsyncSerialMaster::new(port, clock, RS485))
+}
+
+/// The same calls on any loop, and what each of them gave.
+macro_rules! session {
+    ($arm:ident $($wait:tt)*) => {{
+        let mut log: Vec<String> = Vec::new();
+        let mut on_event = Vec::new();
+        log.push(format!("{:?}", $arm.ask(id(1), ReadMultiTurnAngle) $($wait)*));
+        log.push(format!("{:?}", $arm.ask(id(2), ReadPid { index: PidIndex::SpeedKp }) $($wait)*));
+        log.push(format!("{:?}", $arm.call(id(3), Reset) $($wait)*));
+        log.push(format!("{:?}", $arm.ask(id(9), ReadMultiTurnAngle) $($wait)*));
+        log.push(format!("{:?}", $arm.ask(id(9), step()) $($wait)*));
+        $arm.set_point(id(2), torque()).unwrap();
+        let meanwhile = $arm.call_with(id(1), step(), None, |event| on_event.push(event)) $($wait)*;
+        log.push(format!("{meanwhile:?} {on_event:?}"));
+        log.push(format!("{:?}", $arm.stop_all(StopKind::Hold, MotorSet::EMPTY) $($wait)*));
+        log.push(format!("{:?}", $arm.ask(id(1), step()) $($wait)*));
+        log
+    }};
+}
+
+fn check(log: &[String]) {
+    assert_eq!(log.len(), 8);
+    assert_eq!(log[0], "Ok(MultiTurnAngle { angle: Angle(36000) })");
+    assert!(log[1].contains("SpeedKp"), "{}", log[1]);
+    assert_eq!(log[2], "Ok(None)");
+    assert_eq!(log[3], "Err(Failed(NoReply))");
+    assert_eq!(log[4], "Err(Failed(NoReply))");
+    assert!(log[5].contains("Feedback"), "{}", log[5]);
+    assert_eq!(log[6], "MotorSet(256)", "motor 9 has not confirmed");
+    assert_eq!(log[7], "Err(Request(Stopped))");
+}
+
+#[test]
+fn on_can_the_async_loop_does_what_the_polling_one_does() {
+    let clock = TestClock::default();
+    let polled_bus = TestCan::new(&clock);
+    let mut polled = CanMaster::<_, _, 4>::new(polled_bus.clone(), clock, Config::CAN);
+    let expected = session!(polled);
+    let (bus, _, mut arm) = can();
+    let log = block_on(async { session!(arm.await) });
+    check(&log);
+    assert_eq!(log, expected);
+    assert_eq!(bus.sent(), polled_bus.sent());
+}
+
+#[test]
+fn on_rs485_the_async_loop_does_what_the_polling_one_does() {
+    let clock = TestClock::default();
+    let polled_port = TestSerial::new(&clock);
+    let mut polled = SerialMaster::<_, _, 4>::new(polled_port.clone(), clock, RS485);
+    let expected = session!(polled);
+    for at_most in [0, 1, 5] {
+        let (port, _, mut arm) = serial();
+        port.move_at_most(at_most);
+        let log = block_on(async { session!(arm.await) });
+        check(&log);
+        assert_eq!(log, expected, "{at_most}");
+        assert_eq!(port.written(), polled_port.written(), "{at_most}");
+    }
+}
+
+#[test]
+fn nothing_is_lost_or_sent_twice_when_futures_are_dropped() {
+    for most in 1..40 {
+        let (bus, clock, mut arm) = can();
+        let read = arm.master().request(id(1), ReadMultiTurnAngle, clock.now()).unwrap();
+        let _step = arm.master().request(id(2), step(), clock.now()).unwrap();
+        bus.fill_until(300);
+        let mut events = Vec::new();
+        while clock.micros() < 60_000 {
+            // Each future is polled a few times and dropped, done or not.
+            if let Some(event) = polls(arm.next_event(), most) {
+                events.push(event.unwrap());
+            }
+            clock.advance(10);
+        }
+        assert_eq!(bus.sent().len(), 2, "{most}");
+        assert_eq!(events.len(), 2, "{most}");
+        assert!(events.iter().any(|event| read.outcome(event).is_some_and(|read| read.is_ok())));
+    }
+}
+
+#[test]
+fn a_serial_frame_whose_sending_is_dropped_counts_as_sent() {
+    for most in 1..40 {
+        let (port, clock, mut arm) = serial();
+        port.move_at_most(1);
+        let ticket = arm.master().request(id(1), step(), clock.now()).unwrap();
+        assert!(polls(arm.next_event(), most).is_none_or(|event| event.is_ok()), "{most}");
+        let cut_off = port.written().len();
+        let event = block_on(arm.run(Some(Instant::from_millis(50)))).unwrap();
+        assert!(port.is_flushed(), "{most}: the transceiver has been turned round");
+        assert!(port.written().len() <= 13, "{most}: nothing is sent again");
+        if (1..13).contains(&cut_off) {
+            let outcome = event.and_then(|event| ticket.outcome(&event));
+            assert_eq!(outcome, Some(Err(Failure::NoReply)), "{most}");
+            assert_eq!(port.written().len(), cut_off, "{most}");
+        }
+    }
+}
+
+#[test]
+fn a_serial_port_that_stalls_counts_as_a_bus_that_is_down() {
+    let (port, clock, mut arm) = serial();
+    port.stall(true);
+    let failed = block_on(arm.call(id(1), step()));
+    assert_eq!(failed, Err(CallError::Failed(Failure::BusDown)));
+    assert!((20_000..21_000).contains(&clock.micros()), "{}", clock.micros());
+    port.stall(false);
+    assert!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).is_ok());
+    assert_eq!(port.written().len(), 13);
+}
+
+#[test]
+fn motion_is_dropped_on_a_bus_that_takes_nothing_and_reads_wait() {
+    // Polled to the end, or dropped every few polls: the bus is down after the same time.
+    for most in [3, usize::MAX] {
+        let (bus, clock, mut arm) = can();
+        bus.fill_until(100_000);
+        arm.set_point(id(1), torque()).unwrap();
+        let now = clock.now();
+        let read = arm.master().request(id(3), ReadMultiTurnAngle, now).unwrap();
+        let mut dropped_at = None;
+        while let Some(left) = 101_000u64.checked_sub(clock.micros()).filter(|&left| left > 0) {
+            let until = clock.now() + Duration::from_micros(left);
+            match polls(arm.run(Some(until)), most).map(Result::unwrap) {
+                Some(Some(Event::SetPointDropped { motor })) if motor == id(1) => {
+                    dropped_at = Some(clock.micros());
+                }
+                Some(Some(event)) => assert!(read.outcome(&event).unwrap().is_ok()),
+                Some(None) | None => {}
+            }
+        }
+        let dropped_at = dropped_at.expect("it is too old");
+        assert!((20_000..=21_100).contains(&dropped_at), "{most}: {dropped_at}");
+        assert_eq!(bus.sent(), [[0x92, 0, 0, 0, 0, 0, 0, 0]]);
+    }
+}
+
+#[test]
+fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
+    let (bus, _, mut arm) = can();
+    bus.fail_transmit(true);
+    assert_eq!(block_on(arm.call(id(1), step())), Err(CallError::Bus(Broken)));
+    bus.fail_transmit(false);
+    let event = block_on(arm.next_event()).unwrap();
+    assert!(matches!(event, Event::Failed { failure: Failure::BusDown, .. }), "{event:?}");
+    assert!(bus.sent().is_empty());
+
+    bus.fail_receive(true);
+    assert_eq!(block_on(arm.ask(id(1), ReadMultiTurnAngle)), Err(CallError::Bus(Broken)));
+
+    let (port, _, mut arm) = serial();
+    port.fail_write(true);
+    assert_eq!(block_on(arm.call(id(1), step())), Err(CallError::Bus(Broken)));
+    port.fail_write(false);
+    let event = block_on(arm.next_event()).unwrap();
+    assert!(matches!(event, Event::Failed { failure: Failure::BusDown, .. }), "{event:?}");
+    assert!(block_on(arm.ask(id(2), ReadMultiTurnAngle)).is_ok());
+    assert_eq!(port.written().len(), 13);
+}
+
+#[test]
+fn a_run_ends_in_time() {
+    let (_, clock, mut arm) = can();
+    assert_eq!(block_on(arm.run(Some(Instant::from_micros(1_010)))), Ok(None));
+    assert_eq!(clock.micros(), 1_010);
+    let (port, clock, mut arm) = serial();
+    port.close(true);
+    assert_eq!(block_on(arm.run(Some(Instant::from_micros(1_010)))), Ok(None));
+    assert_eq!(clock.micros(), 1_010);
+}
+
+#[test]
+fn an_async_controller_may_come_in_halves() {
+    let clock = TestClock::default();
+    let mut tx = TestCan::new(&clock);
+    let mut rx = tx.clone();
+    let can = CanHalves::new(
+        async |frame: &SimpleFrame| AsyncCan::transmit(&mut tx, frame).await,
+        async || AsyncCan::receive(&mut rx).await,
+    );
+    let mut arm = AsyncCanMaster::<_, _, 4>::new(can, clock, Config::CAN);
+    let angle = block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap().angle;
+    assert_eq!(angle.degrees(), 360.0);
+}
+
+/// A delay that is always a microsecond short.
+struct Short(TestClock, Vec<u32>);
+
+impl embedded_hal_async::delay::DelayNs for Short {
+    async fn delay_ns(&mut self, ns: u32) {
+        self.0.advance(u64::from(ns) / 1_000);
+    }
+
+    async fn delay_us(&mut self, us: u32) {
+        self.1.push(us);
+        self.0.advance(u64::from(us) - u64::from(us > 1));
+    }
+}
+
+#[test]
+fn a_delay_makes_a_clock_that_is_never_early() {
+    let clock = TestClock::default();
+    let mut timer = DelayClock::new(clock.clone(), Short(clock.clone(), Vec::new()));
+    block_on(timer.wait_until(Instant::from_millis(2_500)));
+    assert_eq!(clock.micros(), 2_500_000);
+    let (_, Short(_, delays)) = timer.release();
+    assert_eq!(delays, [1_000_000, 1_000_000, 500_002, 1]);
+}

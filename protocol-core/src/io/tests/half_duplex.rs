@@ -1,0 +1,211 @@
+//! The direction pin.
+
+extern crate std;
+
+use core::cell::RefCell;
+use core::convert::Infallible;
+use std::rc::Rc;
+use std::vec::Vec;
+
+use super::world::{Broken, block_on, polls};
+use crate::io::{HalfDuplex, HalfDuplexError};
+use embedded_hal::digital::{ErrorType as PinErrorType, OutputPin};
+use embedded_io::ErrorType;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Act {
+    High,
+    Low,
+    Wait(u32),
+    Write(usize),
+    Flush,
+}
+
+use Act::{Flush, High, Low, Wait, Write};
+
+/// Port, pin and delay in one, all writing to one log.
+#[derive(Clone, Debug, Default)]
+struct Rig {
+    log: Rc<RefCell<Vec<Act>>>,
+    fails: bool,
+    hangs: bool,
+}
+
+impl Rig {
+    fn note(&self, act: Act) {
+        self.log.borrow_mut().push(act);
+    }
+
+    fn half_duplex(self) -> HalfDuplex<Self, Self, Self> {
+        HalfDuplex::new(self.clone(), self.clone(), self, 3_000, 5_000).unwrap()
+    }
+
+    fn log(&self) -> Vec<Act> {
+        self.log.borrow().clone()
+    }
+
+    fn outcome<T>(&self, value: T) -> Result<T, Broken> {
+        if self.fails { Err(Broken) } else { Ok(value) }
+    }
+}
+
+impl PinErrorType for Rig {
+    type Error = Infallible;
+}
+
+impl OutputPin for Rig {
+    fn set_low(&mut self) -> Result<(), Infallible> {
+        self.note(Low);
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Infallible> {
+        self.note(High);
+        Ok(())
+    }
+}
+
+impl embedded_hal::delay::DelayNs for Rig {
+    fn delay_ns(&mut self, ns: u32) {
+        self.note(Wait(ns));
+    }
+}
+
+impl embedded_hal_async::delay::DelayNs for Rig {
+    async fn delay_ns(&mut self, ns: u32) {
+        self.note(Wait(ns));
+    }
+}
+
+impl ErrorType for Rig {
+    type Error = Broken;
+}
+
+impl embedded_io::Read for Rig {
+    fn read(&mut self, buf: &mut [u8]) -> Result<usize, Broken> {
+        buf.fill(7);
+        self.outcome(buf.len())
+    }
+}
+
+impl embedded_io::Write for Rig {
+    fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
+        self.note(Write(buf.len()));
+        self.outcome(buf.len())
+    }
+
+    fn flush(&mut self) -> Result<(), Broken> {
+        self.note(Flush);
+        self.outcome(())
+    }
+}
+
+impl embedded_io_async::Read for Rig {
+    async fn read(&mut self, buf: &mut [u8]) -> Result<usize, Broken> {
+        embedded_io::Read::read(self, buf)
+    }
+}
+
+impl embedded_io_async::Write for Rig {
+    async fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
+        if self.hangs {
+            core::future::pending::<()>().await;
+        }
+        embedded_io::Write::write(self, buf)
+    }
+
+    async fn flush(&mut self) -> Result<(), Broken> {
+        embedded_io::Write::flush(self)
+    }
+}
+
+const SENT: [Act; 8] = [Low, High, Wait(3_000), Write(2), Write(1), Flush, Wait(5_000), Low];
+
+#[test]
+fn the_pin_is_high_from_before_the_first_byte_to_after_the_last() {
+    use embedded_io::Write;
+    let rig = Rig::default();
+    let mut port = rig.clone().half_duplex();
+    assert_eq!(port.write(&[1, 2]), Ok(2));
+    assert_eq!(port.write(&[3]), Ok(1));
+    assert_eq!(port.flush(), Ok(()));
+    assert_eq!(rig.log(), SENT);
+    // With nothing written there is nothing to turn.
+    assert_eq!(port.flush(), Ok(()));
+    assert_eq!(rig.log()[8..], [Flush]);
+}
+
+#[test]
+fn async_the_pin_does_the_same() {
+    use embedded_io_async::Write;
+    let rig = Rig::default();
+    let mut port = rig.clone().half_duplex();
+    block_on(async {
+        assert_eq!(port.write(&[1, 2]).await, Ok(2));
+        assert_eq!(port.write(&[3]).await, Ok(1));
+        assert_eq!(port.flush().await, Ok(()));
+    });
+    assert_eq!(rig.log(), SENT);
+}
+
+#[test]
+fn the_pin_is_low_after_an_error() {
+    let error = Err(HalfDuplexError::Serial(Broken));
+    let rig = Rig { fails: true, ..Rig::default() };
+    let mut port = rig.clone().half_duplex();
+    assert_eq!(embedded_io::Write::write(&mut port, &[1]), error);
+    assert_eq!(rig.log(), [Low, High, Wait(3_000), Write(1), Low]);
+    let mut port = rig.clone().half_duplex();
+    assert_eq!(block_on(embedded_io_async::Write::write(&mut port, &[1])), error);
+    assert_eq!(rig.log()[5..], [Low, High, Wait(3_000), Write(1), Low]);
+}
+
+/// A port that writes and cannot flush.
+#[derive(Debug)]
+struct NoFlush(Rig);
+
+impl ErrorType for NoFlush {
+    type Error = Broken;
+}
+
+impl embedded_io::Write for NoFlush {
+    fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
+        embedded_io::Write::write(&mut self.0, buf)
+    }
+
+    fn flush(&mut self) -> Result<(), Broken> {
+        Err(Broken)
+    }
+}
+
+#[test]
+fn the_pin_is_low_after_a_flush_that_failed() {
+    use embedded_io::Write;
+    let rig = Rig::default();
+    let mut port = HalfDuplex::new(NoFlush(rig.clone()), rig.clone(), rig.clone(), 0, 0).unwrap();
+    assert_eq!(port.write(&[1]), Ok(1));
+    assert_eq!(port.flush(), Err(HalfDuplexError::Serial(Broken)));
+    assert_eq!(rig.log().last(), Some(&Low));
+}
+
+#[test]
+fn a_write_that_is_dropped_is_made_good_by_the_next_flush() {
+    use embedded_io_async::Write;
+    let rig = Rig { hangs: true, ..Rig::default() };
+    let mut port = rig.clone().half_duplex();
+    assert!(polls(port.write(&[1]), 5).is_none());
+    assert_eq!(rig.log().last(), Some(&Wait(3_000)), "still high");
+    block_on(port.flush()).unwrap();
+    assert_eq!(rig.log().last(), Some(&Low));
+}
+
+#[test]
+fn reading_leaves_the_pin_alone() {
+    let rig = Rig::default();
+    let mut port = rig.clone().half_duplex();
+    let mut buf = [0; 3];
+    assert_eq!(embedded_io::Read::read(&mut port, &mut buf), Ok(3));
+    assert_eq!(block_on(embedded_io_async::Read::read(&mut port, &mut buf)), Ok(3));
+    assert_eq!(buf, [7; 3]);
+    assert_eq!(rig.log(), [Low]);
+}

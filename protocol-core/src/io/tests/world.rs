@@ -1,0 +1,392 @@
+//! A clock, a CAN controller and a serial port of memory, with drives that answer.
+
+extern crate std;
+
+use core::cell::{Cell, RefCell};
+use core::future::{Future, poll_fn};
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
+use std::collections::VecDeque;
+use std::rc::Rc;
+use std::vec::Vec;
+
+use embedded_can::Frame as _;
+
+use crate::Data;
+use crate::channel::{Channel, Packet};
+use crate::id::Target;
+use crate::io::{AsyncCan, AsyncClock, Clock};
+use crate::time::Instant;
+use crate::wire::can::{self, Received, SimpleFrame};
+use crate::wire::rs485::{Fed, Frame, Receiver};
+
+/// How far a wait moves the clock at once.
+const STEP: u64 = 50;
+/// How long a drive takes to answer.
+const RESPONSE: u64 = 800;
+
+#[derive(Clone, Debug, Default)]
+pub(super) struct TestClock(Rc<Cell<u64>>);
+
+impl TestClock {
+    pub(super) fn micros(&self) -> u64 {
+        self.0.get()
+    }
+
+    pub(super) fn advance(&self, micros: u64) {
+        self.0.set(self.0.get() + micros);
+    }
+
+    fn step_towards(&self, until: Instant) {
+        self.advance(STEP.min(until.as_micros().saturating_sub(self.micros())));
+    }
+}
+
+impl Clock for TestClock {
+    fn now(&self) -> Instant {
+        Instant::from_micros(self.micros())
+    }
+
+    fn idle(&self, until: Instant) {
+        self.step_towards(until);
+    }
+}
+
+impl AsyncClock for TestClock {
+    async fn wait_until(&mut self, until: Instant) {
+        poll_fn(|_| {
+            if self.now() >= until {
+                return Poll::Ready(());
+            }
+            self.step_towards(until);
+            Poll::Pending
+        })
+        .await;
+    }
+}
+
+/// Polls a future until it is done.
+pub(super) fn block_on<F: Future>(future: F) -> F::Output {
+    polls(future, 1_000_000).expect("done some time")
+}
+
+/// Polls a future so many times and drops it.
+pub(super) fn polls<F: Future>(future: F, most: usize) -> Option<F::Output> {
+    let mut future = pin!(future);
+    let mut context = Context::from_waker(Waker::noop());
+    for _ in 0..most {
+        if let Poll::Ready(output) = future.as_mut().poll(&mut context) {
+            return Some(output);
+        }
+    }
+    None
+}
+
+/// What motors 1 to 3 answer; motor 9 is not there.
+pub(super) fn answer(command: &Packet) -> Option<Packet> {
+    let d = command.data;
+    let motor = match command.channel {
+        Channel::Command(Target::Motor(motor)) if motor.get() <= 3 => motor,
+        _ => return None,
+    };
+    let data = match d[0] {
+        0x92 => [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0], // 360 degrees
+        0x30 => [0x30, d[1], 0, 0, 0, 0, 0x80, 0x3F], // 1.0
+        0x76 => return None,                       // reset
+        0x80 | 0x81 => d,                          // echoes
+        byte => [byte, 0x32, 0x64, 0, 0xF4, 0x01, 0x2D, 0x00], // 50 °C, 1 A, 500 dps, 45 degrees
+    };
+    Some(Packet { channel: Channel::Reply(motor), data })
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Broken;
+
+#[derive(Debug, Default)]
+struct CanState {
+    sent: Vec<SimpleFrame>,
+    replies: VecDeque<(u64, SimpleFrame)>,
+    /// Up to when the controller takes nothing.
+    full_until: u64,
+    transmit_fails: bool,
+    receive_fails: bool,
+}
+
+/// A CAN bus; its clones are the same bus.
+#[derive(Clone, Debug, Default)]
+pub(super) struct TestCan {
+    state: Rc<RefCell<CanState>>,
+    clock: TestClock,
+}
+
+impl TestCan {
+    pub(super) fn new(clock: &TestClock) -> Self {
+        Self { clock: clock.clone(), ..Self::default() }
+    }
+
+    pub(super) fn fill_until(&self, micros: u64) {
+        self.state.borrow_mut().full_until = micros;
+    }
+
+    pub(super) fn fail_transmit(&self, fails: bool) {
+        self.state.borrow_mut().transmit_fails = fails;
+    }
+
+    pub(super) fn fail_receive(&self, fails: bool) {
+        self.state.borrow_mut().receive_fails = fails;
+    }
+
+    pub(super) fn sent(&self) -> Vec<Data> {
+        self.state.borrow().sent.iter().map(|frame| frame.data().try_into().unwrap()).collect()
+    }
+
+    fn try_transmit(&self, frame: &SimpleFrame) -> nb::Result<(), Broken> {
+        let mut state = self.state.borrow_mut();
+        if state.transmit_fails {
+            return Err(nb::Error::Other(Broken));
+        }
+        if self.clock.micros() < state.full_until {
+            return Err(nb::Error::WouldBlock);
+        }
+        state.sent.push(*frame);
+        if let Received::Packet(command) = can::decode(frame)
+            && let Some(reply) = answer(&command)
+        {
+            state.replies.push_back((self.clock.micros() + RESPONSE, can::encode(&reply).unwrap()));
+        }
+        Ok(())
+    }
+
+    fn try_receive(&self) -> nb::Result<SimpleFrame, Broken> {
+        let mut state = self.state.borrow_mut();
+        if state.receive_fails {
+            return Err(nb::Error::Other(Broken));
+        }
+        match state.replies.front() {
+            Some(&(at, frame)) if at <= self.clock.micros() => {
+                state.replies.pop_front();
+                Ok(frame)
+            }
+            _ => Err(nb::Error::WouldBlock),
+        }
+    }
+}
+
+impl embedded_can::Error for Broken {
+    fn kind(&self) -> embedded_can::ErrorKind {
+        embedded_can::ErrorKind::Other
+    }
+}
+
+impl embedded_can::nb::Can for TestCan {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> nb::Result<Option<SimpleFrame>, Broken> {
+        self.try_transmit(frame).map(|()| None)
+    }
+
+    fn receive(&mut self) -> nb::Result<SimpleFrame, Broken> {
+        self.try_receive()
+    }
+}
+
+fn pending<T>(result: nb::Result<T, Broken>) -> Poll<Result<T, Broken>> {
+    match result {
+        Ok(value) => Poll::Ready(Ok(value)),
+        Err(nb::Error::WouldBlock) => Poll::Pending,
+        Err(nb::Error::Other(error)) => Poll::Ready(Err(error)),
+    }
+}
+
+impl AsyncCan for TestCan {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<(), Broken> {
+        poll_fn(|_| pending(self.try_transmit(frame))).await
+    }
+
+    async fn receive(&mut self) -> Result<SimpleFrame, Broken> {
+        poll_fn(|_| pending(self.try_receive())).await
+    }
+}
+
+#[derive(Debug, Default)]
+struct SerialState {
+    /// What was written, and how much of it `flush` has seen out.
+    written: Vec<u8>,
+    flushed: usize,
+    to_read: VecDeque<(u64, u8)>,
+    receiver: Receiver,
+    /// The most bytes that one call of `read` or `write` moves; 0 for no limit.
+    at_most: usize,
+    write_fails: bool,
+    takes_nothing: bool,
+    closed: bool,
+    stalls: bool,
+}
+
+/// A serial port; its clones are the same port.
+#[derive(Clone, Debug, Default)]
+pub(super) struct TestSerial {
+    state: Rc<RefCell<SerialState>>,
+    clock: TestClock,
+}
+
+impl TestSerial {
+    pub(super) fn new(clock: &TestClock) -> Self {
+        Self { clock: clock.clone(), ..Self::default() }
+    }
+
+    pub(super) fn move_at_most(&self, bytes: usize) {
+        self.state.borrow_mut().at_most = bytes;
+    }
+
+    pub(super) fn fail_write(&self, fails: bool) {
+        self.state.borrow_mut().write_fails = fails;
+    }
+
+    pub(super) fn take_nothing(&self, nothing: bool) {
+        self.state.borrow_mut().takes_nothing = nothing;
+    }
+
+    pub(super) fn close(&self, closed: bool) {
+        self.state.borrow_mut().closed = closed;
+    }
+
+    /// Lets `write` wait for ever after this.
+    pub(super) fn stall(&self, stalls: bool) {
+        self.state.borrow_mut().stalls = stalls;
+    }
+
+    pub(super) fn hear(&self, bytes: &[u8]) {
+        let now = self.clock.micros();
+        self.state.borrow_mut().to_read.extend(bytes.iter().map(|&byte| (now, byte)));
+    }
+
+    pub(super) fn written(&self) -> Vec<u8> {
+        self.state.borrow().written.clone()
+    }
+
+    pub(super) fn is_flushed(&self) -> bool {
+        let state = self.state.borrow();
+        state.flushed == state.written.len()
+    }
+
+    fn try_write(&self, buf: &[u8]) -> Result<usize, Broken> {
+        let mut state = self.state.borrow_mut();
+        if state.write_fails {
+            return Err(Broken);
+        }
+        if state.takes_nothing {
+            return Ok(0);
+        }
+        let length = if state.at_most == 0 { buf.len() } else { buf.len().min(state.at_most) };
+        for &byte in &buf[..length] {
+            state.written.push(byte);
+            if let Fed::Frame(frame) = state.receiver.feed(byte)
+                && let Some(reply) = answer(&frame.as_command())
+            {
+                let at = self.clock.micros() + RESPONSE;
+                let line = Frame::from_packet(&reply).unwrap().encode();
+                state.to_read.extend(line.map(|byte| (at, byte)));
+            }
+        }
+        Ok(length)
+    }
+
+    fn is_ready(&self) -> bool {
+        let state = self.state.borrow();
+        state.closed || state.to_read.front().is_some_and(|&(at, _)| at <= self.clock.micros())
+    }
+
+    fn try_read(&self, buf: &mut [u8]) -> usize {
+        let mut state = self.state.borrow_mut();
+        let limit = if state.at_most == 0 { buf.len() } else { buf.len().min(state.at_most) };
+        let mut length = 0;
+        while length < limit
+            && let Some(&(at, byte)) = state.to_read.front()
+            && at <= self.clock.micros()
+        {
+            buf[length] = byte;
+            length += 1;
+            state.to_read.pop_front();
+        }
+        length
+    }
+
+    fn do_flush(&self) {
+        let mut state = self.state.borrow_mut();
+        state.flushed = state.written.len();
+    }
+}
+
+impl core::fmt::Display for Broken {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("broken")
+    }
+}
+
+impl core::error::Error for Broken {}
+
+impl embedded_io::Error for Broken {
+    fn kind(&self) -> embedded_io::ErrorKind {
+        embedded_io::ErrorKind::Other
+    }
+}
+
+impl embedded_io::ErrorType for TestSerial {
+    type Error = Broken;
+}
+
+impl embedded_io::ReadReady for TestSerial {
+    fn read_ready(&mut self) -> Result<bool, Broken> {
+        Ok(self.is_ready())
+    }
+}
+
+impl embedded_io::Read for TestSerial {
+    fn read(&mut self, buf: &mut [u8]) -> Result<usize, Broken> {
+        assert!(self.is_ready(), "a blocking read would wait");
+        Ok(self.try_read(buf))
+    }
+}
+
+impl embedded_io::Write for TestSerial {
+    fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
+        self.try_write(buf)
+    }
+
+    fn flush(&mut self) -> Result<(), Broken> {
+        self.do_flush();
+        Ok(())
+    }
+}
+
+impl embedded_io_async::Read for TestSerial {
+    async fn read(&mut self, buf: &mut [u8]) -> Result<usize, Broken> {
+        poll_fn(|_| if self.is_ready() { Poll::Ready(()) } else { Poll::Pending }).await;
+        Ok(self.try_read(buf))
+    }
+}
+
+/// Each call takes one poll more than it would have to, as on a bus where bytes take time.
+async fn a_moment() {
+    let mut first = true;
+    poll_fn(|_| if core::mem::take(&mut first) { Poll::Pending } else { Poll::Ready(()) }).await;
+}
+
+impl embedded_io_async::Write for TestSerial {
+    async fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
+        a_moment().await;
+        poll_fn(|_| if self.state.borrow().stalls { Poll::Pending } else { Poll::Ready(()) }).await;
+        self.try_write(buf)
+    }
+
+    async fn flush(&mut self) -> Result<(), Broken> {
+        a_moment().await;
+        self.do_flush();
+        Ok(())
+    }
+}
