@@ -156,7 +156,7 @@ fn a_master_asks(here: &str, there: &str) {
             assert_eq!(reading.angle.degrees(), degrees(id));
         }
     }
-    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
     drives.end();
 }
 

@@ -537,7 +537,8 @@ fn nobody_waits_for_a_motor_that_had_its_chance() {
 
 #[test]
 fn a_broadcast_that_waits_for_a_restart_is_sent_in_time() {
-    let mut master = Master::<2>::new(Config { restart_time: Duration::from_millis(3), ..Config::CAN });
+    let mut master =
+        Master::<2>::new(Config { restart_time: Duration::from_millis(3), ..Config::CAN });
     let _reset = master.request(id(1), Reset, ms(0)).unwrap();
     sent(&mut master, ms(0));
     events(&mut master, ms(0));

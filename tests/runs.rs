@@ -1,0 +1,552 @@
+//! A few whole runs of a simulated drive, written down so that a person can read them.
+//!
+//! Each run is first held against what the manual or a closed form says of it, and only then against
+//! its picture in `snapshots/`. A picture says how it goes in between. Where a change of the drive or
+//! the physics is meant to change a run, and the run still passes everything but its picture, draw
+//! the pictures anew and read the difference before it is committed:
+//!
+//! ```text
+//! INSTA_UPDATE=always cargo test -p myactuator-tests --test runs
+//! git diff tests/snapshots
+//! ```
+//!
+//! Otherwise a run that differs from its picture fails, and leaves the new one beside the old as
+//! `*.snap.new`; with `INSTA_UPDATE=no`, or where `CI` is set, it only fails.
+
+mod sim_listen;
+
+use std::fmt::Write as _;
+
+use embedded_can::{Frame as _, Id, StandardId};
+use myactuator_host_std::bus::can::frame_bits;
+use myactuator_host_std::bus::trace::{Event as OnBus, Record};
+use myactuator_host_std::plant::{Load, MotorParameters, SpringStop};
+use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet};
+use myactuator_host_std::text;
+use myactuator_protocol_core::command::{
+    AbsolutePosition, AccelerationIndex, BrakeCommand, CommunicationLossProtection, ErrorFlags,
+    ForcePosition, Mode, ReadMultiTurnAngle, ReadStatus1, ReadStatus2, Reset, Shutdown, Speed,
+    WriteAcceleration,
+};
+use myactuator_protocol_core::drive::{Event as Happened, Indicator, State};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{Event, MotorSet};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::{
+    Acceleration, Angle, MaxSpeed, MaxTorque, Milliseconds, SpeedTarget,
+};
+use myactuator_protocol_core::wire::can::SimpleFrame;
+use myactuator_protocol_core::{MotorId, Opcode};
+use sim_listen::{listen, listen_until};
+
+const MOTOR: MotorId = MotorId::MIN;
+const MODEL: &str = "RMD-X8-PRO";
+
+const fn millis(count: u64) -> Duration {
+    Duration::from_millis(count)
+}
+
+fn one_drive(brake: bool) -> CanFleet {
+    let model = MotorParameters::named(MODEL).unwrap();
+    Fleet::new(1).model(model).brakes(brake).on_can(1_000_000).unwrap()
+}
+
+/// How the drive does at this very time.
+fn state_at(drive: &DriveHandle, now: Instant) -> State {
+    drive.with(|drive| {
+        drive.advance(now);
+        drive.state()
+    })
+}
+
+fn happened(drive: &DriveHandle) -> Vec<Happened> {
+    drive.with(|drive| std::iter::from_fn(|| drive.poll_event()).collect())
+}
+
+fn max_speed(dps: f32) -> MaxSpeed {
+    MaxSpeed::from_dps(dps).unwrap()
+}
+
+fn degrees(degrees: f32) -> Angle {
+    Angle::from_degrees(degrees).unwrap()
+}
+
+/// Holds the run against its picture.
+macro_rules! assert_picture {
+    ($name:literal, $title:expr, $run:expr) => {
+        insta::with_settings!({
+            prepend_module_to_snapshot => false,
+            omit_expression => true,
+            description => $title,
+        }, {
+            insta::assert_snapshot!($name, $run);
+        });
+    };
+}
+
+/// A number as it is printed, without the sign of a negative zero.
+fn rounded(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    let is_zero = text.bytes().all(|byte| matches!(byte, b'-' | b'0' | b'.'));
+    if is_zero { text.trim_start_matches('-').to_owned() } else { text }
+}
+
+fn on_off(on: bool) -> &'static str {
+    if on { "on" } else { "off" }
+}
+
+// ---- position profile ----
+
+/// Where a trapezoid from 0 to `way` is after `t` seconds, and how fast: up and down at the same
+/// acceleration.
+fn trapezoid(way: f64, max_speed: f64, acceleration: f64, t: f64) -> (f64, f64) {
+    let ramp = max_speed / acceleration;
+    let end = way / max_speed + ramp;
+    if t <= 0.0 {
+        (0.0, 0.0)
+    } else if t < ramp {
+        (0.5 * acceleration * t * t, acceleration * t)
+    } else if t < end - ramp {
+        (max_speed * (t - 0.5 * ramp), max_speed)
+    } else if t < end {
+        (way - 0.5 * acceleration * (end - t).powi(2), acceleration * (end - t))
+    } else {
+        (way, 0.0)
+    }
+}
+
+/// 2.21.1: with an acceleration that is not 0, 0xA4 "runs in the mode with a planned speed, and the
+/// motor itself accelerates and decelerates".
+#[test]
+fn position_profile() {
+    const WAY_DEG: f64 = 90.0;
+    const MAX_SPEED_DPS: f64 = 180.0;
+    const ACCELERATION_DPS2: f64 = 1_000.0;
+    const STEP: Duration = millis(40);
+
+    let fleet = one_drive(false);
+    let drive = &fleet.drives[0];
+    let mut master = fleet.master::<1>();
+    let acceleration = Acceleration::try_from_raw(ACCELERATION_DPS2 as u32).unwrap();
+    for index in [AccelerationIndex::PositionAcceleration, AccelerationIndex::PositionDeceleration]
+    {
+        master.ask(MOTOR, WriteAcceleration { index, acceleration }).unwrap();
+    }
+    // The command reaches the drive on a whole millisecond, where a step of its loops begins.
+    let start = Instant::from_millis(20);
+    listen_until(&mut master, Instant::from_micros(19_870));
+    let go = AbsolutePosition {
+        max_speed: max_speed(MAX_SPEED_DPS as f32),
+        angle: degrees(WAY_DEG as f32),
+    };
+    master.ask(MOTOR, go).unwrap();
+
+    let friction = &drive.with(|drive| drive.plant().parameters().clone()).friction;
+    // Cruising, the current only overcomes friction: its torque over 2.6 N·m/A (the data sheet's).
+    let cruising_a =
+        (friction.coulomb_nm + friction.viscous_nm_s_per_rad * MAX_SPEED_DPS.to_radians()) / 2.6;
+    let mut table =
+        String::from(" time    angle    speed  current\n   ms      deg    deg/s        A\n");
+    for step in 0..=20 {
+        let now = start + STEP.times(step);
+        listen_until(&mut master, now);
+        let state = state_at(drive, now);
+        let measured = state.measurement;
+        let seconds = f64::from((now - start).as_secs_f32());
+        let (angle_deg, speed_dps) = trapezoid(WAY_DEG, MAX_SPEED_DPS, ACCELERATION_DPS2, seconds);
+        let ms = (now - start).as_millis();
+
+        // The loops follow the profile closely: 3 degrees are 17 ms at full speed.
+        assert!((state.angle_deg - angle_deg).abs() < 3.0, "{ms} ms: {}", state.angle_deg);
+        let off_dps = (f64::from(measured.speed_dps) - speed_dps).abs();
+        assert!(off_dps < 20.0, "{ms} ms: {} dps", measured.speed_dps);
+        if (300..=480).contains(&ms) {
+            let off_a = (f64::from(measured.current_a) - cruising_a).abs();
+            assert!(off_a < 0.1, "{ms} ms: {} A, expected {cruising_a}", measured.current_a);
+        }
+        assert_eq!(state.mode, Mode::Position);
+
+        writeln!(
+            table,
+            "{ms:5} {:>8} {:>8} {:>8}  |{:<45}|",
+            rounded(state.angle_deg, 1),
+            rounded(f64::from(measured.speed_dps), 0),
+            rounded(f64::from(measured.current_a), 1),
+            "#".repeat((state.angle_deg / 2.0).round().max(0.0) as usize),
+        )
+        .unwrap();
+    }
+    listen(&mut master, millis(1_000));
+    let arrived = master.ask(MOTOR, ReadMultiTurnAngle).unwrap().angle.degrees();
+    assert!((arrived - 90.0).abs() < 0.2, "{arrived}");
+    assert_picture!(
+        "position_profile",
+        "An RMD-X8-PRO goes to 90 deg at 180 deg/s at the most, 1000 deg/s² up and down.",
+        table
+    );
+}
+
+// ---- communication loss ----
+
+/// 2.31.1: "If communication is interrupted for longer than the set time, the output is cut and the
+/// brake locked. To run again, steady communication must be established first."
+#[test]
+fn communication_loss() {
+    const PROTECTION: Duration = millis(100);
+    const TICK: Duration = millis(20);
+    /// In which ticks the master sends a speed command: a stream, silence, one alone, a stream.
+    const SPEAKS: [std::ops::Range<u32>; 3] = [0..10, 20..21, 30..40];
+
+    let fleet = one_drive(true);
+    let drive = &fleet.drives[0];
+    let mut master = fleet.master::<1>();
+    let timeout = Milliseconds::from_raw(PROTECTION.as_millis() as u32);
+    master.ask(MOTOR, CommunicationLossProtection { timeout }).unwrap();
+    listen_until(&mut master, Instant::from_millis(20));
+    let turn =
+        Speed { speed: SpeedTarget::from_dps(90.0).unwrap(), max_torque: MaxTorque::from_raw(0) };
+
+    let start = master.now();
+    let mut table = String::from(
+        " time  master   speed  output  brake   what happens\n   ms           deg/s\n",
+    );
+    happened(drive);
+    for tick in 0..40 {
+        let speaks = SPEAKS.iter().any(|ticks| ticks.contains(&tick));
+        if speaks {
+            master.set_point(MOTOR, turn).unwrap();
+        }
+        for step in 1..=TICK.as_millis() {
+            let now = start + TICK.times(tick) + millis(step);
+            let answers = listen_until(&mut master, now);
+            assert!(answers.iter().all(|event| matches!(event, Event::Feedback { .. })));
+            let state = state_at(drive, now);
+            // The commands arrive within the first millisecond of their tick, and the drive looks
+            // at the time once a millisecond.
+            let silent_ms = match tick {
+                0..20 => (now - start).as_millis().saturating_sub(180),
+                _ => continue,
+            };
+            if silent_ms <= 100 {
+                let runs = state.output_on && state.brake == BrakeCommand::Release;
+                assert!(runs || tick == 0, "cut after {silent_ms} ms");
+            } else if silent_ms >= 102 {
+                assert!(!state.output_on, "on after {silent_ms} ms");
+                assert_eq!(state.brake, BrakeCommand::Lock, "after {silent_ms} ms");
+            }
+        }
+        let state = state_at(drive, master.now());
+        let speed_dps = state.measurement.speed_dps;
+        match tick {
+            // 90 deg/s are there at once, at the factory's 10000 deg/s².
+            5..10 | 36..40 => assert!((speed_dps - 90.0).abs() < 9.0, "tick {tick}: {speed_dps}"),
+            // The brake holds 25 N·m; one command alone is not steady communication.
+            15..30 => assert_eq!((speed_dps, state.output_on), (0.0, false), "tick {tick}"),
+            // A first command does not run yet.
+            30 => assert!(!state.output_on),
+            _ => {}
+        }
+        // Losing the master is no error (2.14.3 has none for it).
+        assert!(state.errors.is_empty());
+
+        let brake = if state.brake == BrakeCommand::Lock { "locked" } else { "open" };
+        let what: Vec<String> = happened(drive)
+            .iter()
+            .map(|event| match event {
+                Happened::NotRun { opcode, .. } => format!("{opcode} is not run"),
+                Happened::ProtectionTripped => "the protection trips".to_owned(),
+                Happened::ProtectionRecovered => "communication is steady".to_owned(),
+                other => format!("{other:?}"),
+            })
+            .collect();
+        let row = format!(
+            "{:5}  {:7} {:>6}  {:6}  {:6}  {}",
+            (master.now() - start).as_millis(),
+            if speaks { "turn!" } else { "" },
+            rounded(f64::from(speed_dps), 0),
+            on_off(state.output_on),
+            brake,
+            what.join(", "),
+        );
+        writeln!(table, "{}", row.trim_end()).unwrap();
+    }
+    assert_picture!(
+        "communication_loss",
+        "A drive with a brake, protected after 100 ms. Its master turns it at 90 deg/s, falls silent, \
+         speaks once, and then steadily again. Each row is the end of 20 ms.",
+        table
+    );
+}
+
+// ---- stall ----
+
+/// 8.2: stall is "the current has reached the stall current, the speed is low, and that lasts"; level
+/// one, of which 8.1 says that "the motor cannot recover; find the cause and restart it".
+#[test]
+fn stall() {
+    const STOP: SpringStop = SpringStop { at_deg: 30.0, stiffness_nm_per_rad: 1_500.0 };
+    const ROW: Duration = millis(100);
+    /// Torque current at the rated torque, and the stall current: the data sheet's 5 and 9.6 A.
+    const RATED_A: f32 = 5.0;
+    const STALL_A: f32 = 9.6;
+
+    let fleet = one_drive(true);
+    let drive = &fleet.drives[0];
+    drive.with(|drive| {
+        drive.plant_mut().set_load(Load::NONE.with_upper_stop(STOP)).unwrap();
+    });
+    let model = drive.with(|drive| drive.plant().parameters().clone());
+    let motor_nm = model.air_gap_constant_nm_per_a() * f64::from(RATED_A);
+    let held_nm = model.friction.static_nm + (1.0 - model.gear.efficiency) * motor_nm;
+    let mut master = fleet.master::<1>();
+    let max_speed = max_speed(100.0);
+    let gently = ForcePosition {
+        max_torque: MaxTorque::from_percent(100.0).unwrap(),
+        max_speed,
+        angle: degrees(90.0),
+    };
+
+    let start = master.now();
+    let mut table = String::from(
+        " time    angle  current  output  brake   errors         light      what is said\n   ms      deg        A\n",
+    );
+    for row in 0..=45 {
+        let at = start + ROW.times(row);
+        listen_until(&mut master, at);
+        let said = match row {
+            0 => {
+                master.ask(MOTOR, gently).unwrap();
+                "0xA9: to 90 deg, with 100 % torque"
+            }
+            20 => {
+                let go = AbsolutePosition { max_speed, angle: degrees(90.0) };
+                master.ask(MOTOR, go).unwrap();
+                "0xA4: to 90 deg"
+            }
+            35 => {
+                let status = master.ask(MOTOR, ReadStatus1).unwrap();
+                // 2.14.3: 0x0002 is stall.
+                assert_eq!(status.errors.bits(), 0x0002);
+                assert!(status.errors.needs_restart());
+                let back = AbsolutePosition { max_speed, angle: degrees(0.0) };
+                master.ask(MOTOR, back).unwrap();
+                "0xA4: to 0 deg"
+            }
+            38 => {
+                assert_eq!(master.call(MOTOR, Reset).unwrap(), None);
+                // The frame still has to reach the drive.
+                listen(&mut master, millis(1));
+                "0x76"
+            }
+            40 => {
+                // By hand: the master leaves a motor alone for 2 s after 0x76.
+                master = fleet.master::<1>();
+                assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().errors, ErrorFlags::empty());
+                let back = AbsolutePosition { max_speed, angle: degrees(0.0) };
+                master.ask(MOTOR, back).unwrap();
+                "0xA4: to 0 deg"
+            }
+            _ => "",
+        };
+        let state = state_at(drive, master.now());
+        let current_a = state.measurement.current_a;
+        match row {
+            // Against the stop the torque is the limit, and no stall: the current is far from the
+            // stall current.
+            8..=20 => {
+                assert!((current_a - RATED_A).abs() < 0.1, "row {row}: {current_a}");
+                assert_eq!(state.errors, ErrorFlags::empty());
+                // The motor's torque bends the spring, give or take what friction and gear hold.
+                let bent_nm =
+                    STOP.stiffness_nm_per_rad * (state.angle_deg - STOP.at_deg).to_radians();
+                let off_nm = (bent_nm - motor_nm).abs();
+                assert!(off_nm <= held_nm, "row {row}: {bent_nm} N·m, expected {motor_nm}");
+            }
+            // Without the limit it is the stall current.
+            24..=28 => assert!((current_a - STALL_A).abs() < 0.5, "row {row}: {current_a}"),
+            // It has lasted, and stays so whatever is said until 0x76.
+            34..=37 => {
+                assert_eq!(state.errors, ErrorFlags::STALL, "row {row}");
+                assert!(!state.output_on && state.brake == BrakeCommand::Lock, "row {row}");
+                assert_eq!(state.indicator, Indicator::FastBlink);
+                assert!(state.angle_deg > 30.0, "row {row}: it has moved to {}", state.angle_deg);
+            }
+            38.. => assert_eq!(state.errors, ErrorFlags::empty(), "row {row}"),
+            _ => {}
+        }
+
+        let brake = if state.brake == BrakeCommand::Lock { "locked" } else { "open" };
+        let row = format!(
+            "{:5} {:>8} {:>8}  {:6}  {:6}  {:13}  {:9}  {said}",
+            (at - start).as_millis(),
+            rounded(state.angle_deg, 1),
+            rounded(f64::from(current_a), 1),
+            on_off(state.output_on),
+            brake,
+            state.errors,
+            format!("{:?}", state.indicator),
+        );
+        writeln!(table, "{}", row.trim_end()).unwrap();
+    }
+    let back = state_at(drive, master.now()).angle_deg;
+    assert!(back.abs() < 0.5, "{back}");
+    assert_picture!(
+        "stall",
+        "A drive with a brake runs into a stop at 30 deg: first with the rated torque, then with all \
+         that it has. Rows tell how it does just after the command has been answered.",
+        table
+    );
+}
+
+// ---- bus traces ----
+
+/// What the tour of [`exchanges`] sends on CAN, from the manual's examples where it has one.
+const ON_CAN: [(&str, &str); 6] = [
+    ("141#9A00000000000000", "2.14.4"),
+    ("142#9200000000000000", "2.12.4"),
+    ("141#A400F401A08C0000", "2.21.4: 500 deg/s at the most, to 360 deg"),
+    ("141#9C00000000000000", "2.15.4"),
+    ("141#8000000000000000", "2.17.2"),
+    ("142#8000000000000000", "2.17.2"),
+];
+
+/// Asks two motors for something, moves one and shuts both down.
+fn exchanges<R: Runner<2>>(master: &mut R) {
+    let [one, two] = [1, 2].map(|id| MotorId::new(id).unwrap());
+    master.ask(one, ReadStatus1).unwrap();
+    master.ask(two, ReadMultiTurnAngle).unwrap();
+    master
+        .ask(one, AbsolutePosition { max_speed: max_speed(500.0), angle: degrees(360.0) })
+        .unwrap();
+    listen(master, millis(100));
+    master.ask(one, ReadStatus2).unwrap();
+    for motor in [one, two] {
+        master.ask(motor, Shutdown).unwrap();
+    }
+    assert!(master.master().motors() == MotorSet::from_iter([one, two]));
+}
+
+/// A frame that was on the wire: when it began and when it was over, in nanoseconds.
+struct Carried<F> {
+    began_ns: u64,
+    over_ns: u64,
+    frame: F,
+}
+
+fn carried<F>(records: Vec<Record<F>>) -> Vec<Carried<F>>
+where
+    F: std::fmt::Debug,
+{
+    let frames = records.into_iter().map(|record| match record.event {
+        OnBus::Carried { frame, started_ns } => {
+            Carried { began_ns: started_ns, over_ns: record.at_ns, frame }
+        }
+        other => panic!("nothing else happens on a bus without faults: {other:?}"),
+    });
+    frames.collect()
+}
+
+/// Every second frame is the reply to the one before it, and a drive takes 0.7 to 0.9 ms to begin
+/// one.
+fn assert_replies_take_their_time<F>(frames: &[Carried<F>], reply_began_late_ns: u64) {
+    assert_eq!(frames.len(), 2 * ON_CAN.len());
+    for [command, reply] in frames.as_chunks::<2>().0 {
+        let took_ns = reply.began_ns - command.over_ns;
+        // The drive counts in microseconds.
+        assert!((700_000..=901_000 + reply_began_late_ns).contains(&took_ns), "{took_ns} ns");
+    }
+}
+
+/// The time as candump -L prints it, when the frame is over.
+fn stamp<F>(frame: &Carried<F>) -> String {
+    let micros = frame.over_ns.div_ceil(1_000);
+    format!("({:010}.{:06})", micros / 1_000_000, micros % 1_000_000)
+}
+
+fn name(byte: u8, is_reply: bool) -> String {
+    let name = Opcode::from_byte(byte).map_or("?", Opcode::name);
+    format!("{name}{}", if is_reply { ", reply" } else { "" })
+}
+
+#[test]
+fn trace_of_a_can_bus() {
+    let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+    let log = fleet.world.log();
+    exchanges(&mut fleet.master::<2>());
+    let frames = carried(log.take());
+
+    assert_replies_take_their_time(&frames, 0);
+    let commands: Vec<String> =
+        frames.iter().step_by(2).map(|c| text::can::frame(&c.frame)).collect();
+    assert_eq!(commands, ON_CAN.map(|(frame, _)| frame));
+    for (command, reply) in frames.iter().step_by(2).zip(frames.iter().skip(1).step_by(2)) {
+        // 0x140 + id is answered with 0x240 + id, and the same command byte.
+        let id = |frame: &SimpleFrame| match frame.id() {
+            Id::Standard(id) => id.as_raw(),
+            Id::Extended(_) => panic!("an extended identifier"),
+        };
+        assert_eq!(id(&reply.frame), id(&command.frame) + 0x100);
+        assert_eq!(reply.frame.data()[0], command.frame.data()[0]);
+    }
+    for carried in &frames {
+        // A bit takes 1000 ns; the three of the intermission do not belong to the frame.
+        let bits = u64::from(frame_bits(&carried.frame)) - 3;
+        assert_eq!(carried.over_ns - carried.began_ns, bits * 1_000);
+    }
+    // 0x80 is answered with the same data (2.17.3).
+    let last = &frames[frames.len() - 1].frame;
+    assert_eq!(
+        last,
+        &SimpleFrame::new(StandardId::new(0x242).unwrap(), &[0x80, 0, 0, 0, 0, 0, 0, 0]).unwrap()
+    );
+
+    let mut lines = String::new();
+    for (place, carried) in frames.iter().enumerate() {
+        let line = format!("{} can0 {}", stamp(carried), text::can::frame(&carried.frame));
+        // It can be read back, as a log of candump.
+        assert_eq!(text::can::parse_line(&line).as_ref(), Ok(&carried.frame));
+        writeln!(lines, "{line}  {}", name(carried.frame.data()[0], place % 2 == 1)).unwrap();
+    }
+    assert_picture!(
+        "trace_of_a_can_bus",
+        "A status, an angle, a movement to 360 deg, a status 100 ms later, and both motors shut down, \
+         at 1 Mbit/s. Each frame with the time when it is over.",
+        lines
+    );
+}
+
+#[test]
+fn trace_of_an_rs485_line() {
+    let fleet = Fleet::new(2).on_rs485(1_000_000).unwrap();
+    let log = fleet.world.log();
+    exchanges(&mut fleet.master::<2>());
+    let frames = carried(log.take());
+
+    // The drive's transceiver takes time to turn round.
+    assert_replies_take_their_time(&frames, 100_000);
+    for (place, carried) in frames.iter().enumerate() {
+        // 13 bytes of 10 bits.
+        assert_eq!(carried.over_ns - carried.began_ns, 130_000);
+        let [0x3E, id, 8, data @ ..] = carried.frame.as_slice() else {
+            panic!("{:?}", carried.frame);
+        };
+        // The same data as on CAN, and the motor's id alone both ways.
+        let (on_can, _) = ON_CAN[place / 2];
+        assert_eq!(*id, on_can.as_bytes()[2] - b'0');
+        assert_eq!(data.len(), 10);
+        if place % 2 == 0 {
+            let hex = text::rs485::bytes(&data[..8]).replace(' ', "");
+            assert_eq!(hex, on_can[4..]);
+        } else {
+            assert_eq!(data[0], frames[place - 1].frame[3]);
+        }
+    }
+
+    let mut lines = String::new();
+    for (place, carried) in frames.iter().enumerate() {
+        let bytes = text::rs485::bytes(&carried.frame);
+        writeln!(lines, "{} {bytes}  {}", stamp(carried), name(carried.frame[3], place % 2 == 1))
+            .unwrap();
+    }
+    assert_picture!("trace_of_an_rs485_line", "The same exchanges as on CAN, at 1 Mbit/s.", lines);
+}

@@ -1,0 +1,31 @@
+//! A master that runs for a while and notes what it is told.
+
+use std::fmt::Debug;
+
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::Event;
+use myactuator_protocol_core::time::{Duration, Instant};
+
+/// Runs the master until `until` and gives what it was told.
+pub(crate) fn listen_until<R: Runner<N, Error: Debug>, const N: usize>(
+    master: &mut R,
+    until: Instant,
+) -> Vec<Event> {
+    let mut told = Vec::new();
+    loop {
+        match master.poll().expect("a bus without faults") {
+            Some(event) => told.push(event),
+            None if master.now() >= until => return told,
+            None => master.idle(until),
+        }
+    }
+}
+
+/// As [`listen_until`], for a span from now on.
+pub(crate) fn listen<R: Runner<N, Error: Debug>, const N: usize>(
+    master: &mut R,
+    span: Duration,
+) -> Vec<Event> {
+    let until = master.now() + span;
+    listen_until(master, until)
+}
