@@ -6,18 +6,13 @@
 #[path = "../size/mod.rs"]
 mod size;
 
-use core::convert::Infallible;
 use core::hint::black_box;
-use core::sync::atomic::{AtomicU32, Ordering};
 
 use cortex_m_rt::entry;
-use embedded_can::nb::Can;
-use embedded_io::{ErrorType, Read, ReadReady, Write};
 use myactuator_protocol_core::{
     AnyCommand, AnyReply, Channel, MotorId, Packet, Target,
-    command::{MotionRanges, MotionSetPoint, ReadMultiTurnAngle, ReadStatus1, Reset, Torque},
-    io::{CanMaster, Clock, Runner, SerialMaster},
-    master::{Config, MotorSet, StopKind},
+    command::{MotionRanges, MotionSetPoint, ReadMultiTurnAngle, ReadStatus1, Torque},
+    master::{Config, Master, MotorSet, StopKind},
     time::Instant,
     units::Current,
     wire::{
@@ -26,71 +21,34 @@ use myactuator_protocol_core::{
     },
 };
 
-/// A bus with nobody on it, which the compiler does not know.
-struct Bus;
-
-impl Can for Bus {
-    type Frame = SimpleFrame;
-    type Error = Infallible;
-
-    fn transmit(&mut self, frame: &SimpleFrame) -> nb::Result<Option<SimpleFrame>, Infallible> {
-        black_box(frame);
-        Ok(None)
+fn use_master(motor: MotorId) {
+    let now = Instant::from_micros(black_box(0));
+    let mut master = Master::<32>::new(black_box(Config::CAN));
+    let ticket = master.request(motor, ReadMultiTurnAngle, now);
+    let _ = black_box(master.set_point(motor, Torque { current: Current::from_raw(10) }, now));
+    let _ = black_box(master.broadcast(ReadStatus1, MotorSet::from(motor), now));
+    while let Some(packet) = master.poll_transmit(now) {
+        let frame: Option<SimpleFrame> = can::encode(&packet);
+        let line = Frame::from_packet(&packet).map(|frame| frame.encode());
+        black_box((frame, line));
+        master.handle_transmitted(now);
     }
-
-    fn receive(&mut self) -> nb::Result<SimpleFrame, Infallible> {
-        black_box(Err(nb::Error::WouldBlock))
+    let reply = Packet { channel: Channel::Reply(motor), data: black_box([0; 8]) };
+    let frame: Option<SimpleFrame> = black_box(can::encode(&reply));
+    let event = frame.and_then(|frame| master.handle_frame(&can::decode(&frame), now));
+    black_box(event);
+    let event = master.handle_line(&black_box(Receiver::new()).feed(black_box(0)), now);
+    if let (Ok(ticket), Some(event)) = (ticket, event) {
+        black_box(ticket.outcome(&event));
     }
-}
-
-impl ErrorType for Bus {
-    type Error = Infallible;
-}
-
-impl Read for Bus {
-    fn read(&mut self, bytes: &mut [u8]) -> Result<usize, Infallible> {
-        black_box(bytes);
-        Ok(black_box(0))
+    master.handle_timeout(now);
+    master.handle_bus_down(now);
+    black_box((master.poll_at(), master.health(motor)));
+    let _ = black_box(master.stop_all(StopKind::Off, MotorSet::from(motor), now));
+    master.lift_stop();
+    while let Some(event) = master.poll_event() {
+        black_box(event);
     }
-}
-
-impl ReadReady for Bus {
-    fn read_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(black_box(false))
-    }
-}
-
-impl Write for Bus {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        Ok(black_box(bytes).len())
-    }
-
-    fn flush(&mut self) -> Result<(), Infallible> {
-        Ok(())
-    }
-}
-
-/// Each look at it takes a tenth of a millisecond.
-struct Ticks(AtomicU32);
-
-impl Clock for Ticks {
-    fn now(&self) -> Instant {
-        Instant::from_micros(u64::from(self.0.fetch_add(100, Ordering::Relaxed)))
-    }
-}
-
-fn clock() -> Ticks {
-    Ticks(AtomicU32::new(0))
-}
-
-fn use_master(arm: &mut impl Runner<32>, motor: MotorId) {
-    let _ = black_box(arm.ask(motor, ReadMultiTurnAngle));
-    let _ = black_box(arm.call(motor, Reset));
-    let now = arm.now();
-    let _ = black_box(arm.set_point(motor, Torque { current: Current::from_raw(black_box(10)) }));
-    let _ = black_box(arm.master().broadcast(ReadStatus1, MotorSet::from(motor), now));
-    let _ = black_box(arm.stop_all(StopKind::Off, MotorSet::from(motor)).is_ok());
-    black_box(arm.master().health(motor));
 }
 
 fn use_codecs(data: [u8; 8], channel: Channel) {
@@ -124,10 +82,6 @@ fn use_codecs(data: [u8; 8], channel: Channel) {
 fn main() -> ! {
     let motor = black_box(MotorId::MIN);
     use_codecs(black_box([0x92, 0, 0, 0, 0, 0, 0, 0]), black_box(Channel::Reply(motor)));
-    use_master(&mut CanMaster::new(Bus, clock(), black_box(Config::CAN)), motor);
-    use_master(
-        &mut SerialMaster::new(Bus, clock(), Config::rs485(black_box(115_200), false)),
-        motor,
-    );
+    use_master(motor);
     size::finish(true)
 }
