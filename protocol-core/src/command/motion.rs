@@ -22,7 +22,6 @@ use crate::field::Data;
 use crate::id::MotorId;
 use crate::opcode::Opcode;
 use crate::range::{OutOfRange, Quantity};
-use crate::units::round_f32;
 
 /// A step on a scale of 4096, 0 to 4095.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -118,12 +117,12 @@ impl RawMotion {
     /// The data field.
     #[inline]
     pub const fn encode(&self) -> Data {
-        let [p_high, p_low] = self.position.to_be_bytes();
-        let (v_high, v_low) = self.velocity.high_8_low_4();
-        let (kp_high, kp_low) = self.kp.high_4_low_8();
-        let (kd_high, kd_low) = self.kd.high_8_low_4();
-        let (t_high, t_low) = self.torque.high_4_low_8();
-        [p_high, p_low, v_high, v_low | kp_high, kp_low, kd_high, kd_low | t_high, t_low]
+        let steps = (self.position as u32) << 16 | (self.velocity.0 as u32) << 4;
+        let high = steps | (self.kp.0 as u32) >> 8;
+        let steps = (self.kp.0 as u32) << 24 | (self.kd.0 as u32) << 12;
+        let low = steps | self.torque.0 as u32;
+        let ([a, b, c, d], [e, f, g, h]) = (high.to_be_bytes(), low.to_be_bytes());
+        [a, b, c, d, e, f, g, h]
     }
 
     /// The command from a data field: every one means something.
@@ -283,22 +282,30 @@ pub struct MotionLimits {
     pub torque_nm: f32,
 }
 
-/// The step of `value` on a scale of `last + 1` steps from `min` to `max`. Multiplies before it
-/// divides: the manual's own example (10 rad) lies on a tie that the other order misses.
+/// The step of `value` on a scale of `last + 1` steps from `-max` to `max`; any step for a value that
+/// is not on the scale. The middle of the scale lies between two steps and goes to the upper one, as
+/// all halves do. Multiplies before it divides: the manual's own example (10 rad) is such a half, and
+/// the other order misses it.
 #[inline(always)]
-fn step(
-    value: f32,
-    min: f32,
-    max: f32,
-    last: f32,
-    name: &'static str,
-    unit: &'static str,
-) -> Result<u16, MotionOutOfRange> {
-    if value >= min && value <= max {
-        Ok(round_f32((value - min) * last / (max - min)) as u16)
-    } else {
-        Err(MotionOutOfRange { name, unit, min, max, given: value })
-    }
+fn symmetric_step(value: f32, max: f32, last: f32) -> i32 {
+    (value * last / (max + max) + (last + 1.0) / 2.0) as i32
+}
+
+/// The same on a scale of 4096 steps from 0 to `max`.
+#[inline(always)]
+fn gain_step(value: f32, max: f32) -> i32 {
+    // A half less than a step of f32: the sum of what is just below a half and one half itself would
+    // be rounded up to the next whole number.
+    const BELOW_HALF: f32 = 0.5 - f32::EPSILON / 4.0;
+    (value * LAST_12 / max + BELOW_HALF) as i32
+}
+
+/// Whether a step lies so far from both ends of its scale that its value is certainly on it.
+#[inline(always)]
+const fn is_inner(step: i32, last: f32) -> bool {
+    // Up to 255/256 of the scale: a number that fits into a compare instruction.
+    let most = last as u32 & !(last as u32 >> 8);
+    (step as u32).wrapping_sub(1) <= most
 }
 
 #[inline(always)]
@@ -359,34 +366,68 @@ impl MotionRanges {
     #[inline]
     pub fn quantise(&self, set_point: &MotionSetPoint) -> Result<RawMotion, MotionOutOfRange> {
         let max = &self.0;
+        let position = symmetric_step(set_point.position_rad, max.position_rad, LAST_16);
+        let velocity = symmetric_step(set_point.velocity_rad_s, max.velocity_rad_s, LAST_12);
+        let kp = gain_step(set_point.kp, max.kp);
+        let kd = gain_step(set_point.kd, max.kd);
+        let torque = symmetric_step(set_point.torque_nm, max.torque_nm, LAST_12);
+        // Comparing steps takes half the instructions of comparing floats, and leaves only the ends
+        // of the scales in doubt.
+        let certain = is_inner(position, LAST_16)
+            & is_inner(velocity, LAST_12)
+            & is_inner(kp, LAST_12)
+            & is_inner(kd, LAST_12)
+            & is_inner(torque, LAST_12);
+        if !certain && !self.contains(set_point) {
+            return Err(self.beyond(set_point));
+        }
+        let step_12 = |step: i32| U12(step as u16 & 0xFFF);
         Ok(RawMotion {
-            position: step(
-                set_point.position_rad,
-                -max.position_rad,
-                max.position_rad,
-                LAST_16,
-                "position",
-                "rad",
-            )?,
-            velocity: U12(step(
-                set_point.velocity_rad_s,
-                -max.velocity_rad_s,
-                max.velocity_rad_s,
-                LAST_12,
+            position: position as u16,
+            velocity: step_12(velocity),
+            kp: step_12(kp),
+            kd: step_12(kd),
+            torque: step_12(torque),
+        })
+    }
+
+    /// Whether every value is on its scale.
+    #[inline(never)]
+    fn contains(&self, set_point: &MotionSetPoint) -> bool {
+        let max = &self.0;
+        // Not a number is not within anything.
+        set_point.position_rad.abs() <= max.position_rad
+            && set_point.velocity_rad_s.abs() <= max.velocity_rad_s
+            && set_point.kp >= 0.0
+            && set_point.kp <= max.kp
+            && set_point.kd >= 0.0
+            && set_point.kd <= max.kd
+            && set_point.torque_nm.abs() <= max.torque_nm
+    }
+
+    /// The first value that is beyond its scale.
+    #[cold]
+    #[inline(never)]
+    fn beyond(&self, set_point: &MotionSetPoint) -> MotionOutOfRange {
+        let max = &self.0;
+        let values = [
+            ("position", "rad", -max.position_rad, max.position_rad, set_point.position_rad),
+            (
                 "velocity",
                 "rad/s",
-            )?),
-            kp: U12(step(set_point.kp, 0.0, max.kp, LAST_12, "kp", "N·m/rad")?),
-            kd: U12(step(set_point.kd, 0.0, max.kd, LAST_12, "kd", "N·m·s/rad")?),
-            torque: U12(step(
-                set_point.torque_nm,
-                -max.torque_nm,
-                max.torque_nm,
-                LAST_12,
-                "torque",
-                "N·m",
-            )?),
-        })
+                -max.velocity_rad_s,
+                max.velocity_rad_s,
+                set_point.velocity_rad_s,
+            ),
+            ("kp", "N·m/rad", 0.0, max.kp, set_point.kp),
+            ("kd", "N·m·s/rad", 0.0, max.kd, set_point.kd),
+        ];
+        let torque = ("torque", "N·m", -max.torque_nm, max.torque_nm, set_point.torque_nm);
+        let is_beyond = |&(_, _, min, max, given): &(_, _, f32, f32, f32)| {
+            !(min..=max).contains(&given) // as well as what is not a number
+        };
+        let (name, unit, min, max, given) = values.into_iter().find(is_beyond).unwrap_or(torque);
+        MotionOutOfRange { name, unit, min, max, given }
     }
 
     /// As [`quantise`](Self::quantise), with each value beyond its scale at the scale's end.
@@ -515,6 +556,62 @@ mod tests {
         let far = MotionSetPoint { position_rad: 99.0, torque_nm: -99.0, ..zero };
         let raw = ranges.saturating_quantise(&far).unwrap();
         assert_eq!((raw.position, raw.torque.get()), (65535, 0));
+    }
+
+    #[test]
+    fn every_value_goes_to_its_nearest_step() {
+        // 65535 steps in 25 rad, 4095 in 90 rad/s and in kp 500.
+        for step in 0..=4095u16 {
+            for part in [-0.4, 0.0, 0.4] {
+                let place = f64::from(step) + part;
+                if !(0.0..=4095.0).contains(&place) {
+                    continue;
+                }
+                let set_point = MotionSetPoint {
+                    position_rad: (place * 16.0 * 25.0 / 65_535.0 - 12.5) as f32,
+                    velocity_rad_s: (place * 90.0 / 4_095.0 - 45.0) as f32,
+                    kp: (place * 500.0 / 4_095.0) as f32,
+                    kd: (place * 5.0 / 4_095.0) as f32,
+                    torque_nm: (24.0 - place * 48.0 / 4_095.0) as f32,
+                };
+                let raw = MotionRanges::V4_3.quantise(&set_point).unwrap();
+                let steps = [raw.velocity, raw.kp, raw.kd].map(U12::get);
+                assert_eq!(steps, [step; 3], "{place}");
+                assert_eq!(raw.torque.get(), 4_095 - step, "{place}");
+                let sixteenth = f64::from(raw.position) - place * 16.0;
+                assert!(sixteenth.abs() <= 0.51, "{place}: {}", raw.position);
+            }
+        }
+    }
+
+    #[test]
+    fn a_scale_ends_where_it_ends() {
+        let zero = MotionSetPoint::default();
+        let quantise = |set_point| MotionRanges::V4_3.quantise(&set_point);
+        let raw = quantise(zero).unwrap(); // halves go up, and -0.0 is 0
+        assert_eq!((raw.position, raw.velocity.get(), raw.kp.get()), (32_768, 2_048, 0));
+        assert_eq!(quantise(MotionSetPoint { kd: -0.0, ..zero }), Ok(raw));
+        let end = MotionSetPoint {
+            position_rad: 12.5,
+            velocity_rad_s: -45.0,
+            kp: 500.0,
+            kd: 5.0,
+            torque_nm: -24.0,
+        };
+        let raw = quantise(end).unwrap();
+        let steps = [raw.velocity, raw.kp, raw.kd, raw.torque].map(U12::get);
+        assert_eq!((raw.position, steps), (65_535, [0, 4_095, 4_095, 0]));
+        let beyond = [
+            MotionSetPoint { position_rad: 12.5f32.next_up(), ..end },
+            MotionSetPoint { velocity_rad_s: (-45.0f32).next_down(), ..end },
+            MotionSetPoint { kp: 500.0f32.next_up(), ..end },
+            MotionSetPoint { kd: 0.0f32.next_down(), ..end },
+            MotionSetPoint { torque_nm: (-24.0f32).next_down(), ..end },
+        ];
+        let names = ["position", "velocity", "kp", "kd", "torque"];
+        for (set_point, name) in beyond.into_iter().zip(names) {
+            assert_eq!(quantise(set_point).unwrap_err().name, name);
+        }
     }
 
     #[test]

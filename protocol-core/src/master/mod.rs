@@ -80,7 +80,9 @@ struct Compact {
 impl Compact {
     fn new(config: &Config) -> Self {
         let micros = |span: Duration| u16::try_from(span.as_micros()).unwrap_or(u16::MAX);
-        let millis = |span: Duration| span.as_micros().div_ceil(1000).min(30_000) as u16;
+        // Cut off first: a microcontroller has no division of 64 bits.
+        let millis =
+            |span: Duration| (span.as_micros().min(30_000_000) as u32).div_ceil(1000) as u16;
         let (rs485, echo, turnaround) = match config.bus {
             Bus::Can => (false, false, Duration::ZERO),
             Bus::Rs485 { turnaround, echo } => (true, echo, turnaround),

@@ -14,11 +14,23 @@ pub const HEADER: u8 = 0x3E;
 /// The address of all motors.
 pub const ALL: u8 = 0xCD;
 const DATA_LENGTH: u8 = 8;
-/// Bytes that the CRC covers.
-const COVERED: usize = FRAME_LENGTH - 2;
+const LAST_PLACE: usize = FRAME_LENGTH - 1;
 
 /// The manual says "CRC16, low byte first" (1.2.2); drives use MODBUS's.
-const CRC: Crc<u16, Table<1>> = Crc::<u16, Table<1>>::new(&CRC_16_MODBUS);
+static CRC: Crc<u16, Table<1>> = Crc::<u16, Table<1>>::new(&CRC_16_MODBUS);
+/// Where the CRC starts.
+const CRC_START: u16 = CRC_16_MODBUS.init;
+/// What the CRC of a frame comes to when it runs on over its own two bytes.
+const CRC_GOOD: u16 = 0;
+
+/// The CRC of one byte more.
+#[inline(always)]
+const fn crc_over(crc: u16, byte: u8) -> u16 {
+    // The crate takes a start the other way round, as the catalogues print it.
+    let mut digest = CRC.digest_with_initial(crc.reverse_bits());
+    digest.update(&[byte]);
+    digest.finalize()
+}
 
 /// One frame on the line.
 ///
@@ -157,47 +169,41 @@ pub enum Fault {
 /// }
 /// assert_eq!(frames, 1);
 /// ```
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Receiver {
     held: [u8; FRAME_LENGTH],
     length: usize,
+    /// The CRC over what is held.
+    crc: u16,
+    /// What the second byte says, once it is held.
+    address: Option<Target>,
+}
+
+impl Default for Receiver {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 impl Receiver {
     /// A receiver that holds nothing.
     pub const fn new() -> Self {
-        Self { held: [0; FRAME_LENGTH], length: 0 }
+        Self { held: [0; FRAME_LENGTH], length: 0, crc: CRC_START, address: None }
     }
 
     /// Takes the next byte from the line.
     pub fn feed(&mut self, byte: u8) -> Fed {
-        // There is always room: 13 bytes are a frame or are cut down before the next byte.
-        if let Some(place) = self.held.get_mut(self.length) {
-            *place = byte;
-            self.length += 1;
-        }
-        match self.check() {
-            Ok(None) => Fed::Wanting,
-            Ok(Some(frame)) => {
-                self.length = 0;
-                Fed::Frame(frame)
-            }
-            Err(fault) => {
-                let before = self.length;
-                // What is left is shorter than a frame, so it can only be wanting or wrong again.
-                loop {
-                    self.drop_first();
-                    if self.check().is_ok() {
-                        return Fed::Discarded { bytes: before - self.length, fault };
-                    }
-                }
-            }
+        match self.push(byte) {
+            Ok(false) => Fed::Wanting,
+            Ok(true) => self.complete(),
+            Err(fault) => self.resume_after(fault),
         }
     }
 
     /// Forgets a frame that has begun, and tells how many bytes were held. For masters that start a
     /// new exchange after a silence.
     pub fn reset(&mut self) -> usize {
+        self.crc = CRC_START;
         core::mem::take(&mut self.length)
     }
 
@@ -206,36 +212,58 @@ impl Receiver {
         self.length > 0
     }
 
-    /// Whether what is held can be, or is, a frame.
-    #[inline]
-    fn check(&self) -> Result<Option<Frame>, Fault> {
-        let [header, to, length, data @ .., low, high] = &self.held;
-        if self.length > 0 && *header != HEADER {
-            return Err(Fault::Header);
+    /// Holds one byte more, and tells if with it this is a frame, or cannot become one.
+    #[inline(always)]
+    fn push(&mut self, byte: u8) -> Result<bool, Fault> {
+        let place = self.length;
+        // There is always room: 13 bytes are a frame or are cut down before the next byte.
+        if let Some(room) = self.held.get_mut(place) {
+            *room = byte;
         }
-        if self.length > 1 && address(*to).is_none() {
-            return Err(Fault::Address);
+        self.length = place + 1;
+        self.crc = crc_over(self.crc, byte);
+        match place {
+            0 if byte != HEADER => return Err(Fault::Header),
+            1 => {
+                self.address = address(byte);
+                if self.address.is_none() {
+                    return Err(Fault::Address);
+                }
+            }
+            2 if byte != DATA_LENGTH => return Err(Fault::Length),
+            LAST_PLACE if self.crc == CRC_GOOD => return Ok(true),
+            LAST_PLACE => return Err(Fault::Crc),
+            _ => {}
         }
-        if self.length > 2 && *length != DATA_LENGTH {
-            return Err(Fault::Length);
-        }
-        if self.length < FRAME_LENGTH {
-            return Ok(None);
-        }
-        let [covered @ .., _, _] = &self.held;
-        let covered: &[u8; COVERED] = covered;
-        if CRC.checksum(covered) != u16::from_le_bytes([*low, *high]) {
-            return Err(Fault::Crc);
-        }
-        match address(*to) {
-            Some(address) => Ok(Some(Frame { address, data: *data })),
-            None => Err(Fault::Address),
+        Ok(false)
+    }
+
+    #[inline(always)]
+    fn complete(&mut self) -> Fed {
+        self.reset();
+        let [_, _, _, data @ .., _, _] = &self.held;
+        match self.address {
+            Some(address) => Fed::Frame(Frame { address, data: *data }),
+            // Not with an address that was looked at when it came.
+            None => Fed::Discarded { bytes: FRAME_LENGTH, fault: Fault::Address },
         }
     }
 
-    fn drop_first(&mut self) {
-        self.held.rotate_left(1);
-        self.length = self.length.saturating_sub(1);
+    /// Throws away what cannot be the start of a frame.
+    #[cold]
+    fn resume_after(&mut self, fault: Fault) -> Fed {
+        let before = self.reset();
+        let held = self.held;
+        let held = held.get(..before).unwrap_or(&held);
+        // What is left is shorter than a frame, so it can only be wanting or wrong again.
+        for start in 1..before {
+            let rest = held.get(start..).unwrap_or(&[]);
+            if rest.iter().all(|&byte| self.push(byte).is_ok()) {
+                break;
+            }
+            self.reset();
+        }
+        Fed::Discarded { bytes: before - self.length, fault }
     }
 }
 
