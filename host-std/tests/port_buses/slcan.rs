@@ -103,7 +103,7 @@ fn asks_and_gets_answers(adapter: Adapter) {
             assert_eq!(reading.angle.degrees(), degrees(id));
         }
     }
-    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
     drop(master);
     let heard = device.join().unwrap();
     let setup = [Command::Nothing, Command::Close, Command::SetRate(Rate::Mbit1), Command::Open];

@@ -87,7 +87,7 @@ pub enum Failure {
     Unreadable(DecodeError),
     /// A stop came before it.
     Stopped,
-    /// The bus carried nothing while the command waited, and it would move the motor.
+    /// The bus carried nothing while the command waited.
     BusDown,
 }
 

@@ -422,17 +422,18 @@ impl<const N: usize> Master<N> {
         self.age_broadcast(now);
     }
 
-    /// The bus carries nothing: the controller is off the bus, or nobody acknowledges. Everything
-    /// waiting that would move a motor is dropped, so that it cannot move when the bus comes back.
-    /// Reads and stops go on waiting.
+    /// The bus carries nothing: the controller is off the bus, or nobody acknowledges. Everything that
+    /// waits is dropped, so that nothing moves when the bus comes back and nobody waits for ever. Only
+    /// stops go on waiting.
     pub fn handle_bus_down(&mut self, now: Instant) {
         self.advance(now);
         self.offer = None;
+        if self.broadcast.is_waiting() {
+            self.broadcast.cancel();
+        }
         for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
             lane.drop_set_point(tally);
-            let moves =
-                lane.request_opcode().is_some_and(|opcode| opcode.repeat() != Repeat::Harmless);
-            if lane.request == RequestState::Waiting && moves {
+            if lane.request == RequestState::Waiting && !lane.flags.contains(Flags::STOP) {
                 lane.request = RequestState::BusDown;
             }
         }

@@ -255,13 +255,18 @@ fn a_set_point_that_is_too_old_or_meets_a_dead_bus_is_dropped() {
     master.set_point(id(1), torque(1.0), ms(60)).unwrap();
     let moving = master.request(id(2), step(), ms(60)).unwrap();
     master.handle_bus_down(ms(60));
-    assert!(sent(&mut master, ms(60)).is_empty(), "nothing that moves is kept");
+    assert!(sent(&mut master, ms(60)).is_empty(), "nothing is kept");
     let told = events(&mut master, ms(60));
     assert!(told.contains(&Event::SetPointDropped { motor: id(1) }));
     assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::BusDown))));
-    let _read = master.request(id(1), ReadMultiTurnAngle, ms(60)).unwrap();
+    let read = master.request(id(1), ReadMultiTurnAngle, ms(60)).unwrap();
     master.handle_bus_down(ms(60));
-    assert_eq!(sent(&mut master, ms(60)).len(), 1, "a read may wait for the bus");
+    let told = events(&mut master, ms(60));
+    assert_eq!(read.outcome(&told[0]), Some(Err(Failure::BusDown)), "nobody waits for ever");
+
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY, ms(60)).unwrap();
+    master.handle_bus_down(ms(60));
+    assert_eq!(sent(&mut master, ms(60)).len(), 2, "a stop waits for the bus");
 }
 
 #[test]

@@ -84,7 +84,7 @@ fn a_silent_motor_is_asked_three_times() {
 }
 
 #[test]
-fn motion_is_dropped_on_a_bus_that_takes_nothing_and_reads_wait() {
+fn what_waits_is_dropped_on_a_bus_that_takes_nothing_and_stops_stay() {
     let (bus, clock, mut arm) = can();
     bus.fill_until(100_000);
     arm.set_point(id(1), torque()).unwrap();
@@ -98,9 +98,14 @@ fn motion_is_dropped_on_a_bus_that_takes_nothing_and_reads_wait() {
         events.iter().any(|event| matches!(event, Event::Failed { failure: Failure::BusDown, .. })),
         "{events:?}"
     );
-    let events = run(&mut arm, &clock, 100_000);
-    assert_eq!(bus.sent(), [[0x92, 0, 0, 0, 0, 0, 0, 0]]);
-    assert!(events.iter().any(|event| read.outcome(event).is_some()));
+    let told = events.iter().find_map(|event| read.outcome(event));
+    assert_eq!(told, Some(Err(Failure::BusDown)), "nobody waits for ever");
+
+    let now = clock.now();
+    arm.master().stop_all(StopKind::Hold, MotorSet::EMPTY, now).unwrap();
+    run(&mut arm, &clock, 100_000);
+    let stop = [0x81, 0, 0, 0, 0, 0, 0, 0];
+    assert!(bus.sent().len() >= 3 && bus.sent().iter().all(|data| *data == stop));
 }
 
 #[test]
