@@ -110,7 +110,15 @@ pub trait Reply: Sized {
 /// The reply type of commands that have none, or none with a meaning (0x76, 0xB4, 0xB6). It has no
 /// values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum NoReply {}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for NoReply {
+    fn format(&self, _: defmt::Formatter<'_>) {
+        match *self {}
+    }
+}
 
 impl Reply for NoReply {
     fn to_data(&self, _: Opcode) -> Data {

@@ -20,6 +20,7 @@ use crate::units::{Angle, EncoderPulses, Milliseconds};
 /// Why a motor could not be brought up as asked.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum BringUpError<E> {
     /// A call on the way has no answer.
     Call(CallError<E>),

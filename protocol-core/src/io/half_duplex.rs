@@ -26,6 +26,8 @@ pub struct HalfDuplex<S, P, D> {
 
 /// What can go wrong: the port or the pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum HalfDuplexError<S, P> {
     /// The serial port.
     Serial(S),

@@ -11,6 +11,7 @@ use crate::time::{Duration, Instant};
 /// Why a call has no answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum CallError<E> {
     /// The bus driver reports an error.
     Bus(E),

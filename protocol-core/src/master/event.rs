@@ -73,6 +73,13 @@ impl<C> fmt::Debug for Ticket<C> {
     }
 }
 
+#[cfg(feature = "defmt")]
+impl<C> defmt::Format for Ticket<C> {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "Ticket({})", self.id);
+    }
+}
+
 /// Why a request has no answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -131,6 +131,24 @@ pub struct SimpleFrame {
     data: Data,
 }
 
+#[cfg(feature = "defmt")]
+impl defmt::Format for SimpleFrame {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        let (id, extended) = match self.id {
+            Id::Standard(id) => (u32::from(id.as_raw()), false),
+            Id::Extended(id) => (id.as_raw(), true),
+        };
+        defmt::write!(
+            f,
+            "{=u32:x} extended {} remote {} {=[u8]:x}",
+            id,
+            extended,
+            self.remote,
+            self.data()
+        );
+    }
+}
+
 impl Frame for SimpleFrame {
     fn new(id: impl Into<Id>, data: &[u8]) -> Option<Self> {
         let mut bytes = [0; 8];
