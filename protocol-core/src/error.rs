@@ -95,6 +95,9 @@ pub enum RequestError {
     Busy,
     /// The motor reports this reply by itself (0xB6) and does not answer when asked for it.
     Reported(Opcode),
+    /// The motor follows a stream of set-points of this kind, whose feedback looks like a reply to
+    /// this: put it in the stream, or wait for the late window after the last set-point.
+    Streamed(Opcode),
     /// The master has no place left for one more motor.
     TooManyMotors {
         /// How many it is made for.
@@ -120,6 +123,9 @@ impl fmt::Display for RequestError {
             Self::Busy => f.write_str("an earlier request is under way: wait for its outcome"),
             Self::Reported(opcode) => {
                 write!(f, "{opcode} is reported by the motor itself, which then does not answer it")
+            }
+            Self::Streamed(opcode) => {
+                write!(f, "the motor follows a stream of {opcode}: put this in the stream too")
             }
             Self::TooManyMotors { capacity } => {
                 write!(f, "this master is made for {capacity} motors: make it larger")

@@ -3,10 +3,10 @@
 use crate::channel::{Channel, Packet};
 use crate::field::Data;
 use crate::id::{MotorId, Target};
-use crate::master::ticks::{Span, Tick};
+use crate::master::ticks::{CoarseTick, LONGEST_COARSE_GAP, Span, Tick};
 use crate::master::{Master, MotorSet};
 use crate::opcode::Opcode;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum State {
@@ -24,17 +24,21 @@ pub(super) struct Broadcast {
     answered: MotorSet,
     deadline: Tick,
     state: State,
+    /// The last one that was sent may still be answered by those who are not in `heard`.
+    is_echoing: bool,
+    /// Its command byte, and who has answered it, expected or not.
+    sent_byte: u8,
+    heard: MotorSet,
+    /// While `is_echoing`: until when.
+    echo_until: CoarseTick,
 }
 
 impl Broadcast {
-    pub(super) fn new(data: Data, expected: MotorSet) -> Self {
-        Self {
-            data,
-            expected,
-            answered: MotorSet::EMPTY,
-            deadline: Tick::default(),
-            state: State::Waiting,
-        }
+    pub(super) fn put(&mut self, data: Data, expected: MotorSet) {
+        self.data = data;
+        self.expected = expected;
+        self.answered = MotorSet::EMPTY;
+        self.state = State::Waiting;
     }
 
     pub(super) fn is_active(&self) -> bool {
@@ -64,17 +68,51 @@ impl Broadcast {
         Packet { channel, data: self.data }
     }
 
-    pub(super) fn was_sent(&mut self, now: Instant, timeout: Span) {
+    pub(super) fn was_sent(&mut self, now: Instant, timeout: Span, late_window: Duration) {
         let opcode = Opcode::from_byte(self.data[0]);
-        let awaits_reply = opcode.is_some_and(Opcode::has_reply) && !self.expected.is_empty();
+        let has_reply = opcode.is_some_and(Opcode::has_reply);
+        let awaits_reply = has_reply && !self.expected.is_empty();
         self.state = if awaits_reply { State::InFlight } else { State::Done };
         self.deadline = Tick::after(now, timeout);
+        self.is_echoing = has_reply;
+        self.sent_byte = self.data[0];
+        self.heard = MotorSet::EMPTY;
+        self.echo_until = CoarseTick::after(now, timeout.duration() + late_window);
     }
 
-    /// Whether this reply of `motor` answers the broadcast; each motor does so once.
-    pub(super) fn take_reply(&mut self, motor: MotorId, data: &Data) -> bool {
+    /// Whether the answer of one of `motors` to the last broadcast may still come, expected or not,
+    /// and could be mistaken for the answer to a command with this byte.
+    pub(super) fn may_be_mistaken(&self, byte: u8, motors: MotorSet) -> bool {
+        self.is_echoing && self.sent_byte == byte && !motors.without(self.heard).is_empty()
+    }
+
+    /// Whether this broadcast may go, as far as the one before it is concerned: nobody among the
+    /// `known` motors and the expected ones can still answer that.
+    pub(super) fn may_go(&self, known: MotorSet) -> bool {
+        let late = |motors: MotorSet| !motors.without(self.heard).is_empty();
+        !self.is_echoing || !(late(known) || late(self.expected))
+    }
+
+    /// Whether this reply of `motor` answers the broadcast; each motor that is expected to does so
+    /// once.
+    pub(super) fn take_reply(
+        &mut self,
+        motor: MotorId,
+        data: &Data,
+        timeout: Span,
+        shortest: Duration,
+        now: Instant,
+    ) -> bool {
+        // What comes sooner is a reply from before, doubled.
+        if self.is_in_flight() && self.deadline.minus(timeout).elapsed(now) < shortest {
+            return false;
+        }
+        if self.is_echoing && data[0] == self.sent_byte {
+            self.heard.insert(motor);
+        }
         let opcode = Opcode::from_byte(self.data[0]);
         let answers = self.is_in_flight()
+            && self.expected.contains(motor)
             && opcode.is_some_and(|opcode| opcode.answers(&self.data, data))
             && !self.answered.contains(motor);
         if answers {
@@ -90,8 +128,16 @@ impl Broadcast {
         self.is_in_flight().then(|| self.deadline.instant(now))
     }
 
-    pub(super) fn bridge_gap(&mut self, now: Instant) {
+    /// Until when something may have to wait for late answers.
+    pub(super) fn echo_until(&self, now: Instant) -> Option<Instant> {
+        self.is_echoing.then(|| self.echo_until.instant(now))
+    }
+
+    pub(super) fn bridge_gap(&mut self, before: Instant, now: Instant) {
         self.deadline = Tick::at(now);
+        if now - before > LONGEST_COARSE_GAP {
+            self.is_echoing = false;
+        }
     }
 
     /// The silent ones of a broadcast that is over, once.
@@ -110,15 +156,17 @@ impl Broadcast {
 impl<const N: usize> Master<N> {
     /// Ends a broadcast whose time is up. The silent ones may still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
+        if self.broadcast.is_echoing && self.broadcast.echo_until.is_reached(now) {
+            self.broadcast.is_echoing = false;
+        }
         if !self.broadcast.is_in_flight() || !self.broadcast.deadline.is_reached(now) {
             return;
         }
         self.broadcast.state = State::Done;
-        let (silent, late_window) = (self.broadcast.silent(), self.config.late_window());
+        let silent = self.broadcast.silent();
         for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
             if lane.motor.is_some_and(|motor| silent.contains(motor)) {
                 lane.missed(tally);
-                lane.owe_one_more(now, late_window);
             }
         }
     }

@@ -53,7 +53,7 @@ pub struct Config {
     pub set_point_max_age: Duration,
     /// How long a motor is left alone after it was told to restart, up to 30 s.
     pub restart_time: Duration,
-    /// How long a motor is left alone after another command without reply, up to 30 s.
+    /// How long a motor is left alone after another command without reply, 1 to 261 ms.
     pub settle_time: Duration,
 }
 

@@ -65,35 +65,52 @@ bitflags! {
         const SETTLING = 1 << 13;
         /// Anything was heard of the motor within the last 30 s.
         const SEEN = 1 << 12;
+        /// Feedback of a set-point that was given up may still come: no request of its kind may go.
+        const SET_POINT_LATE = 1 << 15;
     }
 }
 
 /// How many stop frames a motor gets before it counts as not stopped.
 const STOP_ATTEMPTS: u8 = 15;
-/// After how many misses in a row counting ends.
-const MOST_MISSES: u8 = 3;
+/// A doubled frame comes so soon after the first.
+const DOUBLED_WITHIN: Duration = Duration::from_millis(1);
 
-/// Two small counters in one byte, for the sake of RAM.
+/// Four small counters in two bytes, for the sake of RAM: bits 0..4 owed, 4..8 attempts, 8..10 misses,
+/// 10..16 doubts.
 #[derive(Clone, Copy, Debug, Default)]
-struct Counts(u8);
+pub(super) struct Counts(u16);
+
+macro_rules! count {
+    ($(#[doc = $doc:literal])+ $get:ident $set:ident, $shift:literal, at_most $most:literal) => {
+        $(#[doc = $doc])+
+        pub(super) const fn $get(self) -> u8 {
+            (self.0 >> $shift) as u8 & $most
+        }
+
+        fn $set(&mut self, count: u8) {
+            let kept = self.0 & !(($most as u16) << $shift);
+            self.0 = kept | u16::from(count.min($most)) << $shift;
+        }
+    };
+}
 
 impl Counts {
-    /// Replies to requests that may still come, in flight or late; 15 at the most.
-    const fn owed(self) -> u8 {
-        self.0 & 0x0F
+    count! {
+        /// Replies to requests that may still come, in flight or late.
+        owed set_owed, 0, at_most 15
     }
-
-    fn set_owed(&mut self, owed: u8) {
-        self.0 = self.0 & 0xF0 | owed.min(15);
+    count! {
+        /// How often the request may still be sent.
+        attempts_left set_attempts_left, 4, at_most 15
     }
-
-    /// Commands in a row that were not answered in time; [`MOST_MISSES`] at the most.
-    const fn misses(self) -> u8 {
-        self.0 >> 4
+    count! {
+        /// Commands in a row that were not answered in time.
+        misses set_misses, 8, at_most 3
     }
-
-    fn set_misses(&mut self, misses: u8) {
-        self.0 = self.0 & 0x0F | misses.min(MOST_MISSES) << 4;
+    count! {
+        /// Replies that may still come, look like a stop's confirmation, and belong to an earlier
+        /// command.
+        doubts set_doubts, 10, at_most 63
     }
 }
 
@@ -103,8 +120,7 @@ pub(super) struct Lane {
     pub(super) generation: u8,
     pub(super) request: RequestState,
     pub(super) flags: Flags,
-    pub(super) attempts_left: u8,
-    counts: Counts,
+    pub(super) counts: Counts,
     pub(super) timeout: Span,
     /// Which reports (0xB6) are on, a bit each.
     pub(super) reported: u8,
@@ -116,7 +132,7 @@ pub(super) struct Lane {
     pub(super) round: u8,
     /// When the waiting set-point is too old.
     pub(super) set_point_expiry: CoarseTick,
-    /// While [`Flags::HELD`]: until when.
+    /// While [`Flags::HELD`] or [`Flags::SET_POINT_LATE`]: until when.
     held_until: CoarseTick,
     last_seen: CoarseTick,
 }
@@ -146,7 +162,7 @@ impl Lane {
         self.flags.set(Flags::REQUEST_MOTION, opcode == Opcode::Motion);
         self.request_data = data;
         self.timeout = Span::from_duration(patience.reply_timeout);
-        self.attempts_left = patience.attempts.clamp(1, 15);
+        self.counts.set_attempts_left(patience.attempts.clamp(1, 15));
     }
 
     /// Puts a stop in the place of whatever waits. What is in flight stays owed.
@@ -157,10 +173,14 @@ impl Lane {
         timeout: Duration,
         tally: &mut Tally,
     ) {
-        let had_request = matches!(self.request, RequestState::Waiting | RequestState::InFlight);
+        // Also one whose outcome is not told yet: each request has one.
+        let had_request = self.request != RequestState::Idle;
         if had_request && !self.flags.contains(Flags::STOP) {
             self.flags.insert(Flags::TELL_STOPPED);
         }
+        let answers_something_else =
+            self.request == RequestState::InFlight && self.request_opcode() != Some(opcode);
+        self.counts.set_doubts(self.counts.owed().saturating_sub(u8::from(answers_something_else)));
         self.drop_set_point(tally);
         self.flags.insert(Flags::STOP);
         self.put_request(
@@ -209,20 +229,37 @@ impl Lane {
         (self.round.wrapping_sub(round) as i8) < 0
     }
 
-    /// Puts it forward after a rest, so that it is one round behind the others at the most.
-    pub(super) fn join(&mut self, slowest: Option<u8>) {
-        if let Some(one_behind) = slowest.map(|round| round.wrapping_sub(1))
-            && self.is_behind(one_behind)
-        {
+    /// Puts it forward after a rest, so that it is one round behind the others at the most: what it
+    /// did not ask for then it has no claim to now.
+    pub(super) fn join(&mut self, pace: u8) {
+        let one_behind = pace.wrapping_sub(1);
+        if self.is_behind(one_behind) {
             self.round = one_behind;
         }
     }
 
-    /// Whether it has a set-point, or a request while those may go, that could be sent now.
-    pub(super) fn is_ready(&self, requests_go: bool) -> bool {
-        let waits = self.flags.contains(Flags::SET_POINT_WAITING)
-            || (requests_go && self.may_send_request());
+    /// Whether it has a set-point that could be sent now, or a request that may go.
+    pub(super) fn is_ready(&self, request_may_go: bool) -> bool {
+        let waits = self.flags.contains(Flags::SET_POINT_WAITING) || request_may_go;
         waits && !self.is_in_flight() && !self.flags.contains(Flags::SETTLING)
+    }
+
+    /// Whether feedback of the motor's stream may still come that would look like a reply to this.
+    pub(super) fn is_streamed(&self, opcode: Opcode) -> bool {
+        let busy = Flags::SET_POINT_WAITING | Flags::SET_POINT_IN_FLIGHT | Flags::SET_POINT_LATE;
+        let is_motion = self.flags.contains(Flags::SET_POINT_MOTION);
+        let byte = if is_motion { None } else { Some(self.set_point[0]) };
+        self.flags.intersects(busy) && opcode.byte() == byte
+    }
+
+    /// Ends the wait for the feedback of the set-point in flight.
+    pub(super) fn give_set_point_up(&mut self, now: Instant, late_window: Duration) {
+        self.flags.remove(Flags::SET_POINT_IN_FLIGHT);
+        self.flags.insert(Flags::TELL_UNANSWERED | Flags::SET_POINT_LATE);
+        // A hold goes on as it is, so that lost set-points cannot keep requests back for ever.
+        if !self.flags.contains(Flags::HELD) {
+            self.held_until = CoarseTick::after(now, late_window);
+        }
     }
 
     pub(super) fn request_packet(&self) -> Option<Packet> {
@@ -241,7 +278,7 @@ impl Lane {
         self.flags.remove(Flags::SET_POINT_LAST | Flags::OVERDUE);
         self.sent = Tick::not_before(now);
         self.round = self.round.wrapping_add(1);
-        self.attempts_left = self.attempts_left.saturating_sub(1);
+        self.counts.set_attempts_left(self.counts.attempts_left().saturating_sub(1));
         if awaits_reply {
             // Only a stop is sent on top of a set-point in flight; its feedback is not awaited then.
             self.flags.remove(Flags::SET_POINT_IN_FLIGHT);
@@ -279,23 +316,49 @@ impl Lane {
         self.held_until = CoarseTick::after(now, span);
     }
 
+    /// As [`hold`](Self::hold), but never shortens what holds already.
+    pub(super) fn hold_longer(&mut self, now: Instant, span: Duration) {
+        let ends = self.held_until.instant(now);
+        if !self.flags.contains(Flags::HELD) || ends < now + span {
+            self.hold(now, span);
+        }
+    }
+
     /// The reply to the request in flight has come.
     pub(super) fn reply_has_come(&mut self) {
         self.counts.set_owed(self.counts.owed().saturating_sub(1));
     }
 
-    /// A reply has come that nothing waits for. Whether it may be one that was given up: when the
-    /// last of those has come, nothing can be mistaken any more.
-    pub(super) fn late_reply_has_come(&mut self) -> bool {
+    /// A reply has come that was given up. After the last of those nothing can be mistaken any more.
+    pub(super) fn late_reply_has_come(&mut self) {
         let in_flight = self.request == RequestState::InFlight;
         if self.counts.owed() <= u8::from(in_flight) {
-            return false;
+            return;
         }
         self.counts.set_owed(self.counts.owed() - 1);
+        self.counts.set_doubts(self.counts.doubts().saturating_sub(1));
         if self.counts.owed() == 0 && !self.flags.contains(Flags::SETTLING) {
             self.flags.remove(Flags::HELD);
         }
-        true
+    }
+
+    /// Whether replies to requests that were given up may still come.
+    pub(super) fn is_late_reply_due(&self) -> bool {
+        self.counts.owed() > u8::from(self.request == RequestState::InFlight)
+    }
+
+    /// Whether something was heard of the motor just before `now`, so that what comes now may be the
+    /// same once more.
+    pub(super) fn was_just_seen(&self, now: Instant) -> bool {
+        let ended = CoarseTick::after(self.last_seen.instant(now), DOUBLED_WITHIN);
+        self.flags.contains(Flags::SEEN) && !ended.is_reached(now)
+    }
+
+    /// Whether this reply to a stop may be one to an earlier command. Then the next one counts.
+    pub(super) fn is_doubtful(&mut self) -> bool {
+        let doubts = self.counts.doubts();
+        self.counts.set_doubts(doubts.saturating_sub(1));
+        self.flags.contains(Flags::STOP) && doubts > 0
     }
 
     /// Ends a request that was answered or given up. Replies that may still come keep it quiet.
@@ -310,11 +373,6 @@ impl Lane {
         if self.counts.owed() > 0 {
             self.hold(now, late_window);
         }
-    }
-
-    pub(super) fn owe_one_more(&mut self, now: Instant, late_window: Duration) {
-        self.counts.set_owed(self.counts.owed() + 1);
-        self.hold(now, late_window);
     }
 
     pub(super) fn missed(&mut self, tally: &mut Tally) {
@@ -333,12 +391,16 @@ impl Lane {
     }
 
     /// Forgets what its ticks can soon no longer tell, and ends a hold that is over.
-    pub(super) fn age(&mut self, now: Instant) {
+    pub(super) fn age(&mut self, now: Instant, late_window: Duration) {
         if self.flags.contains(Flags::HELD) && self.held_until.is_reached(now) {
             self.flags.remove(Flags::HELD | Flags::SETTLING);
+            // What was given up meanwhile has its own time from here on.
+            self.held_until = CoarseTick::after(now, late_window);
             if self.request != RequestState::InFlight {
                 self.counts.set_owed(0);
             }
+        } else if self.flags.contains(Flags::SET_POINT_LATE) && self.held_until.is_reached(now) {
+            self.flags.remove(Flags::SET_POINT_LATE);
         }
         if self.flags.contains(Flags::SEEN)
             && now - self.last_seen.instant(now) > LONGEST_COARSE_GAP
@@ -370,19 +432,23 @@ impl Lane {
         self.counts.owed() > 0
     }
 
+    /// Whether a broadcast has to wait for this motor, because its answer to a request may still come.
+    pub(super) fn keeps_broadcast_back(&self) -> bool {
+        self.request == RequestState::InFlight || self.is_owed()
+    }
+
+    /// While a broadcast waits for this motor: until when, if time ends that.
+    pub(super) fn keeps_broadcast_until(&self, now: Instant) -> Option<Instant> {
+        let held = self.flags.contains(Flags::HELD) && self.keeps_broadcast_back();
+        held.then(|| self.held_until.instant(now))
+    }
+
     /// When this motor has something to do by itself.
-    ///
-    /// A broadcast that waits for holds to end makes the end of any hold such a moment.
-    pub(super) fn poll_at(
-        &self,
-        now: Instant,
-        set_point_timeout: Span,
-        broadcast_waits: bool,
-    ) -> Option<Instant> {
+    pub(super) fn poll_at(&self, now: Instant, set_point_timeout: Span) -> Option<Instant> {
         let flight = self.is_in_flight().then(|| self.deadline(set_point_timeout).instant(now));
         let waits =
             self.request == RequestState::Waiting || self.flags.contains(Flags::SET_POINT_WAITING);
-        let waits = (waits || broadcast_waits) && self.flags.contains(Flags::HELD);
+        let waits = waits && self.flags.contains(Flags::HELD);
         let held = waits.then(|| self.held_until.instant(now));
         let expiry = self
             .flags

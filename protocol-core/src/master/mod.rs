@@ -10,9 +10,20 @@
 //! Each motor has at most one command in flight, so that it is never in doubt what a reply is about.
 //! A reply is the answer to a request only if it comes from that motor, carries its command byte and
 //! index, and comes no sooner than [`Config::shortest_response`]. A request that is given up may
-//! still be answered late; until [`Config::late_window`] has passed, or the late reply has come, no
-//! other request goes to that motor. So an answer can only be wrong if the bus holds a frame back
-//! for longer than that.
+//! still be answered late; until [`Config::late_window`] has passed, or the late reply has surely
+//! come, no other request goes to that motor. After a broadcast, requests of its kind wait likewise
+//! for the motors that have not answered it, and the next broadcast waits for all. Feedback of a
+//! stream cannot be told from the reply to a request of the same kind, so there is one or the other.
+//!
+//! So an answer can only be wrong if the bus holds a frame back for longer than the late window, or
+//! if a command reaches its drive twice and the second reply comes later than
+//! [`Config::shortest_response`] after the next request of its kind.
+//!
+//! # How the bus is shared
+//! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
+//! arbitration against those of low ids and all commands; so no motor gets more than one round ahead
+//! of one that may be waiting for its turn to answer. Whoever was silent before, or had its chance on
+//! a quiet bus, is not waited for: a silent motor costs the others nothing.
 
 mod broadcast;
 mod config;
@@ -39,7 +50,7 @@ use crate::time::{Duration, Instant};
 use broadcast::Broadcast;
 use health::Tally;
 use lane::{Flags, Lane, RequestState};
-use ticks::{CoarseTick, LONGEST_GAP, Span, Tick};
+use ticks::{CoarseTick, LONGEST_GAP, MicroTick, Span};
 
 /// How motors are to be stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,11 +71,18 @@ enum Offer {
     Broadcast,
 }
 
+/// The bus, and what an adapter hands back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wire {
+    Can,
+    Rs485,
+    EchoingRs485,
+}
+
 /// [`Config`] in as few bytes as it takes.
 #[derive(Clone, Copy, Debug)]
 struct Compact {
-    rs485: bool,
-    echo: bool,
+    wire: Wire,
     turnaround_us: u16,
     timeout: Span,
     attempts: u8,
@@ -74,7 +92,7 @@ struct Compact {
     late_ms: u16,
     max_age_ms: u16,
     restart_ms: u16,
-    settle_ms: u16,
+    settle: Span,
 }
 
 impl Compact {
@@ -83,13 +101,13 @@ impl Compact {
         // Cut off first: a microcontroller has no division of 64 bits.
         let millis =
             |span: Duration| (span.as_micros().min(30_000_000) as u32).div_ceil(1000) as u16;
-        let (rs485, echo, turnaround) = match config.bus {
-            Bus::Can => (false, false, Duration::ZERO),
-            Bus::Rs485 { turnaround, echo } => (true, echo, turnaround),
+        let (wire, turnaround) = match config.bus {
+            Bus::Can => (Wire::Can, Duration::ZERO),
+            Bus::Rs485 { turnaround, echo: false } => (Wire::Rs485, turnaround),
+            Bus::Rs485 { turnaround, echo: true } => (Wire::EchoingRs485, turnaround),
         };
         Self {
-            rs485,
-            echo,
+            wire,
             turnaround_us: micros(turnaround),
             timeout: Span::from_duration(config.reply_timeout),
             attempts: config.attempts,
@@ -99,8 +117,12 @@ impl Compact {
             late_ms: millis(config.late_window),
             max_age_ms: millis(config.set_point_max_age),
             restart_ms: millis(config.restart_time),
-            settle_ms: millis(config.settle_time),
+            settle: Span::from_duration(config.settle_time),
         }
+    }
+
+    fn is_rs485(&self) -> bool {
+        self.wire != Wire::Can
     }
 
     fn late_window(&self) -> Duration {
@@ -117,8 +139,11 @@ impl Compact {
 
     /// How long a motor is left alone after a command without reply.
     fn hold_after(&self, opcode: Opcode) -> Duration {
-        let millis = if opcode == Opcode::Reset { self.restart_ms } else { self.settle_ms };
-        Duration::from_millis(millis.into())
+        if opcode == Opcode::Reset {
+            Duration::from_millis(self.restart_ms.into())
+        } else {
+            self.settle.duration()
+        }
     }
 }
 
@@ -175,10 +200,11 @@ pub struct Master<const N: usize> {
     stopped: bool,
     /// RS485: bytes of the echo that are still to come.
     echo_left: u8,
-    /// Until when the frames that were sent keep the bus busy, or when one was last received.
-    busy_until: Instant,
+    /// The round that the motors are in: that of the last one served.
+    pace: u8,
+    /// Until when the frames that were sent keep the bus busy, or when one was last received. On
     /// RS485: when the line may be used again.
-    line_free: Tick,
+    busy_until: MicroTick,
     /// The latest time that was told.
     now: Instant,
 }
@@ -197,8 +223,8 @@ impl<const N: usize> Master<N> {
             offer: None,
             stopped: false,
             echo_left: 0,
-            busy_until: Instant::ZERO,
-            line_free: Tick::default(),
+            pace: 0,
+            busy_until: MicroTick::default(),
             now: Instant::ZERO,
         }
     }
@@ -207,7 +233,8 @@ impl<const N: usize> Master<N> {
     ///
     /// # Errors
     /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
-    /// earlier request is under way, the motors were stopped, or there is no place for one more.
+    /// earlier request is under way, the motor follows a stream of this kind, the motors were stopped,
+    /// or there is no place for one more.
     pub fn request<C: Command>(
         &mut self,
         motor: MotorId,
@@ -231,7 +258,7 @@ impl<const N: usize> Master<N> {
     ) -> Result<Ticket<C>, RequestError> {
         let opcode = C::OPCODE;
         self.check(opcode, motor.into())?;
-        let slowest = self.slowest_round();
+        let pace = self.pace;
         let (lane, _) = self.lane_for(motor)?;
         if lane.request != RequestState::Idle || lane.flags.contains(Flags::TELL_STOPPED) {
             return Err(RequestError::Busy);
@@ -239,7 +266,10 @@ impl<const N: usize> Master<N> {
         if reported_bit(opcode).is_some_and(|bit| lane.reported & bit != 0) {
             return Err(RequestError::Reported(opcode));
         }
-        lane.join(slowest);
+        if lane.is_streamed(opcode) {
+            return Err(RequestError::Streamed(opcode));
+        }
+        lane.join(pace);
         lane.put_request(opcode, command.encode(), patience);
         lane.generation = lane.generation.wrapping_add(1);
         let id = TicketId { motor, generation: lane.generation };
@@ -251,8 +281,8 @@ impl<const N: usize> Master<N> {
     /// queued up; one that waits for longer than [`Config::set_point_max_age`] is dropped.
     ///
     /// # Errors
-    /// [`RequestError`]: the command does not go over this bus, the motors were stopped, or there is
-    /// no place for one more motor.
+    /// [`RequestError`]: the command does not go over this bus, the motors were stopped, a request of
+    /// the same kind is under way, or there is no place for one more motor.
     pub fn set_point<C: SetPoint>(
         &mut self,
         motor: MotorId,
@@ -263,9 +293,12 @@ impl<const N: usize> Master<N> {
         let expiry = CoarseTick::after(now, Duration::from_millis(self.config.max_age_ms.into()));
         // What was offered is older than this.
         self.offer = None;
-        let slowest = self.slowest_round();
+        let pace = self.pace;
         let (lane, tally) = self.lane_for(motor)?;
-        lane.join(slowest);
+        if lane.request != RequestState::Idle && lane.request_opcode() == Some(C::OPCODE) {
+            return Err(RequestError::Busy);
+        }
+        lane.join(pace);
         lane.put_set_point(C::OPCODE, command.encode(), expiry, tally);
         self.advance(now);
         Ok(())
@@ -274,7 +307,11 @@ impl<const N: usize> Master<N> {
     /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until
     /// all have come or the time is up. It is sent when no request is in flight, and requests wait
     /// until it is over. On CAN it reaches motors whose id filter (function 2) is off; on RS485 the
-    /// answers of several motors are likely to collide.
+    /// answers of several motors are likely to collide. `expected` should name all who answer: the
+    /// answers of others come as [`Event::Stray`].
+    ///
+    /// The next broadcast waits until all motors that have a place have answered this one, or its
+    /// answers cannot come any more.
     ///
     /// # Errors
     /// [`RequestError`]: the command has no form for all motors or none on this bus, another
@@ -289,7 +326,7 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_active() {
             return Err(RequestError::Busy);
         }
-        self.broadcast = Broadcast::new(command.encode(), expected);
+        self.broadcast.put(command.encode(), expected);
         self.advance(now);
         Ok(())
     }
@@ -345,7 +382,9 @@ impl<const N: usize> Master<N> {
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Packet> {
         self.advance(now);
         self.offer = None;
-        if self.config.rs485 && (self.is_anything_in_flight() || !self.line_free.is_reached(now)) {
+        if self.config.is_rs485()
+            && (self.is_anything_in_flight() || self.busy_until.instant(now) > now)
+        {
             return None;
         }
         let (offer, packet) = self.choose()?;
@@ -365,22 +404,30 @@ impl<const N: usize> Master<N> {
                     let awaits_reply = opcode.is_some_and(Opcode::has_reply);
                     let hold = opcode.map_or(Duration::ZERO, |opcode| config.hold_after(opcode));
                     note_report(lane, opcode);
+                    self.pace = lane.round;
                     lane.request_was_sent(now, awaits_reply, hold);
                 }
             }
             Some(Offer::SetPoint(index)) => {
                 if let Some(lane) = self.lanes.get_mut(usize::from(index)) {
+                    self.pace = lane.round;
                     lane.set_point_was_sent(now);
                 }
             }
-            Some(Offer::Broadcast) => self.broadcast.was_sent(now, config.timeout),
+            Some(Offer::Broadcast) => {
+                self.broadcast.was_sent(now, config.timeout, config.late_window());
+            }
             None => return,
         }
-        self.bus_is_busy(now);
-        if config.rs485 {
-            self.echo_left = if config.echo { crate::wire::rs485::FRAME_LENGTH as u8 } else { 0 };
-            self.line_free =
-                Tick::not_before(now + Duration::from_micros(config.turnaround_us.into()));
+        if !config.is_rs485() {
+            self.bus_is_busy(now);
+        } else {
+            self.echo_left = if config.wire == Wire::EchoingRs485 {
+                crate::wire::rs485::FRAME_LENGTH as u8
+            } else {
+                0
+            };
+            self.line_is_free_after_turnaround(now);
         }
     }
 
@@ -394,7 +441,7 @@ impl<const N: usize> Master<N> {
             if lane.motor.is_none() {
                 continue;
             }
-            lane.age(now);
+            lane.age(now, late_window);
             if lane.flags.contains(Flags::SET_POINT_WAITING)
                 && lane.set_point_expiry.is_reached(now)
             {
@@ -408,9 +455,8 @@ impl<const N: usize> Master<N> {
             }
             lane.missed(tally);
             if lane.request != RequestState::InFlight {
-                lane.flags.remove(Flags::SET_POINT_IN_FLIGHT);
-                lane.flags.insert(Flags::TELL_UNANSWERED);
-            } else if lane.attempts_left > 0 {
+                lane.give_set_point_up(now, late_window);
+            } else if lane.counts.attempts_left() > 0 {
                 lane.request = RequestState::Waiting;
             } else if lane.flags.contains(Flags::STOP) {
                 lane.flags.insert(Flags::TELL_UNCONFIRMED);
@@ -431,8 +477,13 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_waiting() {
             self.broadcast.cancel();
         }
+        let late_window = self.config.late_window();
         for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
             lane.drop_set_point(tally);
+            // What is stuck on the way comes later than the window allows: it begins anew.
+            if lane.is_late_reply_due() {
+                lane.hold_longer(now, late_window);
+            }
             if lane.request == RequestState::Waiting && !lane.flags.contains(Flags::STOP) {
                 lane.request = RequestState::BusDown;
             }
@@ -451,14 +502,13 @@ impl<const N: usize> Master<N> {
     /// something to do by themselves; `None` while only a frame or a request can change anything.
     pub fn poll_at(&self) -> Option<Instant> {
         let now = self.now;
-        let lanes = self
-            .lanes
-            .iter()
-            .filter_map(|lane| lane.poll_at(now, self.config.timeout, self.broadcast.is_waiting()))
-            .min();
-        let line = (self.config.rs485 && !self.is_anything_in_flight() && self.choose().is_some())
-            .then(|| self.line_free.instant(now));
-        [lanes, line, self.courtesy_ends(), self.broadcast.poll_at(now)].into_iter().flatten().min()
+        let lanes =
+            self.lanes.iter().filter_map(|lane| lane.poll_at(now, self.config.timeout)).min();
+        let line =
+            (self.config.is_rs485() && !self.is_anything_in_flight() && self.choose().is_some())
+                .then(|| self.busy_until.instant(now));
+        let broadcast = [self.broadcast.poll_at(now), self.broadcast_wait(now)];
+        [lanes, line, self.courtesy_ends()].into_iter().chain(broadcast).flatten().min()
     }
 
     /// How well a motor answers.
@@ -497,7 +547,7 @@ impl<const N: usize> Master<N> {
 
     fn check(&self, opcode: Opcode, target: Target) -> Result<(), RequestError> {
         command::channel_of(opcode, target)?;
-        if self.config.rs485 {
+        if self.config.is_rs485() {
             command::check_on_rs485(opcode)?;
         }
         let harmless = opcode.repeat() == Repeat::Harmless && opcode != Opcode::ReleaseBrake;
@@ -524,12 +574,19 @@ impl<const N: usize> Master<N> {
 
     /// Notes one more frame on the bus: behind what is queued already, or right now.
     fn bus_is_busy(&mut self, now: Instant) {
-        self.busy_until = self.busy_until.max(now) + self.frame_time();
+        let queued = self.busy_until.instant(now).max(now);
+        self.busy_until = MicroTick::at(queued + self.frame_time());
+    }
+
+    /// RS485: the drives turn around before the next command.
+    fn line_is_free_after_turnaround(&mut self, now: Instant) {
+        self.busy_until =
+            MicroTick::at(now + Duration::from_micros(self.config.turnaround_us.into()));
     }
 
     /// When the bus has been quiet for so long that a reply which only waited for it must have come.
     fn quiet_at(&self) -> Instant {
-        self.busy_until + self.frame_time().times(2)
+        self.busy_until.instant(self.now) + self.frame_time().times(2)
     }
 
     fn frame_time(&self) -> Duration {
@@ -538,7 +595,7 @@ impl<const N: usize> Master<N> {
 
     /// When waiting for motors that may be answering ends.
     fn courtesy_ends(&self) -> Option<Instant> {
-        if self.config.rs485 {
+        if self.config.is_rs485() {
             return None;
         }
         let longest = Duration::from_micros(self.config.longest_us.into());
@@ -556,15 +613,12 @@ impl<const N: usize> Master<N> {
         if let Some((place, lane)) = stop {
             return Some((Offer::Request(place as u8), lane.request_packet()?));
         }
-        let requests_quiet = !self
-            .lanes
-            .iter()
-            .any(|lane| lane.request == RequestState::InFlight || lane.flags.contains(Flags::HELD));
-        if self.broadcast.is_waiting() && requests_quiet {
+        let requests_quiet = !self.lanes.iter().any(Lane::keeps_broadcast_back);
+        if self.broadcast.is_waiting() && requests_quiet && self.broadcast.may_go(self.motors()) {
             return Some((Offer::Broadcast, self.broadcast.packet()));
         }
-        let requests_go = !self.broadcast.is_active();
-        let ready = lanes().filter(|(_, lane)| lane.is_ready(requests_go));
+        let may_go = |lane: &Lane| self.request_may_go(lane);
+        let ready = lanes().filter(|(_, lane)| lane.is_ready(may_go(lane)));
         let (place, lane) =
             ready.reduce(
                 |first, second| if second.1.is_behind(first.1.round) { second } else { first },
@@ -574,20 +628,46 @@ impl<const N: usize> Master<N> {
         if slowest.is_some_and(|slowest| lane.round != slowest && !lane.is_behind(slowest)) {
             return None;
         }
-        if lane.is_set_point_next(requests_go && lane.may_send_request()) {
+        if lane.is_set_point_next(may_go(lane)) {
             Some((Offer::SetPoint(place as u8), lane.set_point_packet()?))
         } else {
             Some((Offer::Request(place as u8), lane.request_packet()?))
         }
     }
 
+    /// Whether a motor's request could be sent now.
+    fn request_may_go(&self, lane: &Lane) -> bool {
+        // A broadcast that waits lets attempts of what has begun go on: it waits for their end.
+        let has_begun = self.broadcast.is_waiting() && lane.is_owed();
+        lane.may_send_request()
+            && (has_begun || !self.broadcast.is_active())
+            && !self.is_confusable(lane)
+    }
+
+    /// Whether a motor's answer to the last broadcast could be taken for that to its request.
+    fn is_confusable(&self, lane: &Lane) -> bool {
+        let motor = lane.motor.map_or(MotorSet::EMPTY, MotorSet::from);
+        self.broadcast.may_be_mistaken(lane.request_data[0], motor)
+    }
+
+    /// When a broadcast, or a request that waits because of one, may go.
+    fn broadcast_wait(&self, now: Instant) -> Option<Instant> {
+        if self.broadcast.is_waiting() {
+            let held = self.lanes.iter().filter_map(|lane| lane.keeps_broadcast_until(now));
+            let may_go = self.broadcast.may_go(self.motors());
+            let echo = self.broadcast.echo_until(now).filter(|_| !may_go);
+            return held.chain(echo).min();
+        }
+        let waits = |lane: &Lane| lane.may_send_request() && self.is_confusable(lane);
+        self.broadcast.echo_until(now).filter(|_| self.lanes.iter().any(waits))
+    }
+
     /// Notes the time. After a gap that the ticks cannot bridge, nothing in flight is waited for.
     fn advance(&mut self, now: Instant) {
         if now - self.now > LONGEST_GAP {
             self.lanes.iter_mut().for_each(|lane| lane.bridge_gap(self.now, now));
-            self.broadcast.bridge_gap(now);
-            self.line_free = Tick::at(now);
-            self.busy_until = now;
+            self.broadcast.bridge_gap(self.now, now);
+            self.busy_until = MicroTick::at(now);
         }
         self.now = self.now.max(now);
     }

@@ -5,7 +5,7 @@ use crate::command::{AnyReply, BusIdReply, Reply};
 use crate::field::Data;
 use crate::id::MotorId;
 use crate::master::lane::{Flags, RequestState};
-use crate::master::ticks::Tick;
+use crate::master::ticks::MicroTick;
 use crate::master::{Event, Master, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
 use crate::time::{Duration, Instant};
@@ -48,8 +48,7 @@ impl<const N: usize> Master<N> {
                 None
             }
             rs485::Fed::Frame(frame) => {
-                let pause = Duration::from_micros(self.config.turnaround_us.into());
-                self.line_free = Tick::not_before(now + pause);
+                self.line_is_free_after_turnaround(now);
                 self.handle_packet(&frame.as_reply()?, now)
             }
         }
@@ -57,10 +56,10 @@ impl<const N: usize> Master<N> {
 
     /// A frame on its way to us held up those that are queued.
     fn frame_has_come(&mut self, now: Instant) {
-        if self.busy_until > now {
+        if self.busy_until.instant(now) > now {
             self.bus_is_busy(now);
         } else {
-            self.busy_until = now;
+            self.busy_until = MicroTick::at(now);
         }
     }
 
@@ -74,7 +73,7 @@ impl<const N: usize> Master<N> {
             }
             Channel::BusId => {
                 let motor = BusIdReply::from_data(data).ok()?.id();
-                self.handle_broadcast_reply(motor, packet)
+                self.handle_broadcast_reply(motor, packet, now)
             }
             Channel::MotionReply(motor) => Some(self.stray(motor, data)),
             Channel::Command(_) | Channel::Motion(_) => None,
@@ -82,11 +81,12 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_reply(&mut self, motor: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
+        let may_be_late = self.may_be_late_reply(motor, packet, now);
         if let Some(event) = self.match_lane(motor, packet, now) {
             return event;
         }
-        let event = self.handle_broadcast_reply(motor, packet);
-        event.or_else(|| Some(self.handle_unasked(motor, packet)))
+        let event = self.handle_broadcast_reply(motor, packet, now);
+        event.or_else(|| Some(self.handle_unasked(motor, packet, may_be_late)))
     }
 
     /// Gives the reply to what is in flight at its motor; `None` if it belongs to nothing there.
@@ -129,8 +129,12 @@ impl<const N: usize> Master<N> {
         }
         lane.reply_has_come();
         let command = lane.request_data;
+        if lane.is_doubtful() && lane.counts.attempts_left() > 0 {
+            lane.request = RequestState::Waiting;
+            return Some(None);
+        }
         if lane.is_ignored(&command, data) {
-            if lane.attempts_left > 0 && opcode.repeat() == Repeat::Harmless {
+            if lane.counts.attempts_left() > 0 && opcode.repeat() == Repeat::Harmless {
                 lane.request = RequestState::Waiting;
             } else {
                 lane.finish_request(RequestState::NotExecuted, now, config.late_window());
@@ -149,23 +153,47 @@ impl<const N: usize> Master<N> {
         }))
     }
 
-    fn handle_broadcast_reply(&mut self, motor: MotorId, packet: &Packet) -> Option<Event> {
+    fn handle_broadcast_reply(
+        &mut self,
+        motor: MotorId,
+        packet: &Packet,
+        now: Instant,
+    ) -> Option<Event> {
         let reply = AnyReply::decode(packet).ok()?;
+        let timeout = self.config.timeout;
+        let shortest = Duration::from_micros(self.config.shortest_us.into());
         self.broadcast
-            .take_reply(motor, &packet.data)
+            .take_reply(motor, &packet.data, timeout, shortest, now)
             .then_some(Event::BroadcastReply { motor, reply })
     }
 
+    /// Whether a reply that nothing waits for is surely the late one of a request, and not doubled,
+    /// feedback of a lost set-point, a broadcast's answer or an error report.
+    fn may_be_late_reply(&self, motor: MotorId, packet: &Packet, now: Instant) -> bool {
+        let byte = packet.data[0];
+        let Some(lane) = self.lanes.iter().find(|lane| lane.motor == Some(motor)) else {
+            return false;
+        };
+        let is_feedback = matches!(packet.channel, Channel::MotionReply(_)) || is_control(byte);
+        let is_something_else = lane.was_just_seen(now)
+            || is_feedback && lane.flags.contains(Flags::SET_POINT_LATE)
+            || self.broadcast.may_be_mistaken(byte, motor.into())
+            || Opcode::ReadStatus1.byte() == Some(byte);
+        !is_something_else
+    }
+
     /// A report, a late reply, or anything else that nothing waits for.
-    fn handle_unasked(&mut self, motor: MotorId, packet: &Packet) -> Event {
+    fn handle_unasked(&mut self, motor: MotorId, packet: &Packet, may_be_late: bool) -> Event {
         let reported = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
         let lane = self.lanes.iter_mut().find(|lane| lane.motor == Some(motor));
         let reply = AnyReply::decode(packet);
         let is_report = match (lane, &reply) {
             (Some(lane), _) if lane.reported & reported != 0 => true,
-            (Some(lane), Ok(AnyReply::ReadStatus1(_))) => !lane.late_reply_has_come(),
+            (Some(lane), Ok(AnyReply::ReadStatus1(_))) => !lane.is_late_reply_due(),
             (Some(lane), _) => {
-                lane.late_reply_has_come();
+                if may_be_late {
+                    lane.late_reply_has_come();
+                }
                 false
             }
             (None, _) => reported != 0,

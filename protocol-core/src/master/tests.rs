@@ -541,16 +541,164 @@ fn nobody_waits_for_a_motor_that_had_its_chance() {
 }
 
 #[test]
-fn a_broadcast_that_waits_for_a_restart_is_sent_in_time() {
-    let mut master =
-        Master::<2>::new(Config { restart_time: Duration::from_millis(3), ..Config::CAN });
-    let _reset = master.request(id(1), Reset, ms(0)).unwrap();
+fn late_answers_to_a_broadcast_are_not_taken_for_others() {
+    let mut master = Master::<4>::new(Config::CAN);
+    for motor in 1..=3 {
+        let _ticket = master.request(id(motor), ReadModel, ms(0)).unwrap();
+    }
     sent(&mut master, ms(0));
-    events(&mut master, ms(0));
-    master.broadcast(ReadMultiTurnAngle, id(1).into(), ms(0)).unwrap();
-    assert!(sent(&mut master, ms(0)).is_empty());
+    for motor in 1..=3 {
+        reply(&mut master, motor, *b"\xB5X8S2V10", ms(1)).unwrap();
+    }
+    // Motors 1 and 2 are expected, 1 and 3 hear it; 1 answers in time.
+    master.broadcast(ReadMultiTurnAngle, [1, 2].into_iter().map(id).collect(), ms(2)).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    assert!(matches!(
+        reply(&mut master, 1, ANGLE_REPLY, ms(3)),
+        Some(Event::BroadcastReply { .. })
+    ));
+    assert_eq!(events(&mut master, ms(24)), [Event::BroadcastDone { silent: id(2).into() }]);
+    let tickets =
+        [1, 2, 3].map(|motor| master.request(id(motor), ReadMultiTurnAngle, ms(24)).unwrap());
+    assert_eq!(sent(&mut master, ms(24)).len(), 1, "motor 1 has answered, the others may yet");
+    // Another kind is not mixed up; the late answer of the unexpected motor 3 frees its request.
+    let late = reply(&mut master, 3, ANGLE_REPLY, ms(25)).unwrap();
+    assert!(matches!(late, Event::Stray { .. }) && tickets[2].outcome(&late).is_none());
+    assert_eq!(sent(&mut master, ms(25)).len(), 1);
+    // Sent at 2 ms, with 21 ms to answer and a late window of 40 ms.
+    for motor in [1, 3] {
+        reply(&mut master, motor, ANGLE_REPLY, ms(27)).unwrap();
+    }
     let at = master.poll_at().unwrap();
-    assert!(at <= ms(5), "{at:?}");
+    assert!((ms(62)..ms(66)).contains(&at), "{at:?}");
+    assert!(sent(&mut master, ms(61)).is_empty());
     master.handle_timeout(at);
     assert_eq!(sent(&mut master, at).len(), 1);
+}
+
+#[test]
+fn a_broadcast_waits_for_the_late_answers_to_the_one_before() {
+    let mut master = Master::<4>::new(Config::CAN);
+    master.broadcast(ReadMultiTurnAngle, id(1).into(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(events(&mut master, ms(21)), [Event::BroadcastDone { silent: id(1).into() }]);
+    master.broadcast(ReadMultiTurnAngle, id(1).into(), ms(21)).unwrap();
+    assert!(sent(&mut master, ms(21)).is_empty());
+    let late = reply(&mut master, 1, ANGLE_REPLY, ms(22));
+    assert!(!matches!(late, Some(Event::BroadcastReply { .. })));
+    assert_eq!(sent(&mut master, ms(22)).len(), 1, "it has come, so nothing can be mistaken");
+    // And a reply from just before it is none to it.
+    let doubled = reply(&mut master, 1, ANGLE_REPLY, Instant::from_micros(22_100));
+    assert!(!matches!(doubled, Some(Event::BroadcastReply { .. })));
+    let answer = reply(&mut master, 1, ANGLE_REPLY, ms(23));
+    assert!(matches!(answer, Some(Event::BroadcastReply { .. })));
+}
+
+#[test]
+fn a_broadcast_lets_further_attempts_go_and_waits_for_no_restart() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let _reset = master.request(id(2), Reset, ms(0)).unwrap();
+    let read = master.request(id(1), ReadModel, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(0));
+    master.broadcast(ReadMultiTurnAngle, id(1).into(), ms(1)).unwrap();
+    // The first attempt is lost; the second must not wait for the broadcast, which waits for it.
+    master.handle_timeout(ms(21));
+    assert_eq!(sent(&mut master, ms(21))[0].data[0], 0xB5);
+    let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(22)).unwrap();
+    assert!(read.outcome(&event).is_some());
+    assert!(sent(&mut master, ms(22)).is_empty(), "the first attempt may still be answered");
+    let at = master.poll_at().unwrap();
+    assert!((ms(62)..ms(66)).contains(&at), "{at:?}");
+    master.handle_timeout(at);
+    assert_eq!(sent(&mut master, at)[0].channel, Channel::Command(Target::All));
+}
+
+#[test]
+fn a_request_and_a_stream_of_the_same_kind_exclude_each_other() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let refused = RequestError::Streamed(Opcode::Torque);
+    assert_eq!(master.request(id(1), torque(2.0), ms(0)).unwrap_err(), refused);
+    sent(&mut master, ms(0));
+    assert_eq!(master.request(id(1), torque(2.0), ms(1)).unwrap_err(), refused);
+    // Its feedback may come late.
+    events(&mut master, ms(21));
+    assert_eq!(master.request(id(1), torque(2.0), ms(22)).unwrap_err(), refused);
+    master.handle_timeout(ms(64));
+    let ticket = master.request(id(1), torque(2.0), ms(64)).unwrap();
+    assert_eq!(master.set_point(id(1), torque(3.0), ms(64)), Err(RequestError::Busy));
+    sent(&mut master, ms(64));
+    let event = reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(65)).unwrap();
+    assert!(ticket.outcome(&event).is_some());
+    assert!(master.set_point(id(1), torque(3.0), ms(65)).is_ok());
+}
+
+#[test]
+fn only_what_is_surely_a_late_answer_ends_the_wait_for_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(21));
+    let _first = master.request_with(id(1), ReadMultiTurnAngle, once, ms(22)).unwrap();
+    sent(&mut master, ms(22));
+    events(&mut master, ms(28));
+    let second = master.request_with(id(1), ReadMultiTurnAngle, once, ms(28)).unwrap();
+    // Late feedback of the lost set-point, twice; an error report.
+    for (data, at) in [
+        ([0xA1, 30, 0, 0, 0, 0, 7, 0], 30),
+        ([0xA1, 30, 0, 0, 0, 0, 7, 0], 30),
+        ([0x9A, 50, 40, 0, 0xE0, 1, 2, 0], 35),
+    ] {
+        reply(&mut master, 1, data, ms(at)).unwrap();
+        assert!(sent(&mut master, ms(at)).is_empty(), "{data:02X?}");
+    }
+    let late = reply(&mut master, 1, ANGLE_REPLY, ms(40)).unwrap();
+    assert!(second.outcome(&late).is_none());
+    assert_eq!(sent(&mut master, ms(40)).len(), 1);
+}
+
+#[test]
+fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _stop = master.request(id(1), Stop, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY, ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    // Whose answer this is nobody knows, so the motor is told once more.
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), None);
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    let confirmed = Event::StopConfirmed { motor: id(1) };
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(3)), Some(confirmed));
+}
+
+#[test]
+fn a_stop_takes_no_request_its_outcome() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
+    for attempt in 0..3 {
+        sent(&mut master, ms(attempt * 21));
+        master.handle_timeout(ms(attempt * 21 + 21));
+    }
+    // Given up, but not told yet.
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY, ms(63)).unwrap();
+    let told = events(&mut master, ms(63));
+    assert!(told.iter().any(|event| read.outcome(event).is_some()), "{told:?}");
+}
+
+#[test]
+fn while_the_bus_is_down_late_answers_do_not_grow_old() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _step = master.request(id(1), step(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(21));
+    master.handle_bus_down(ms(55));
+    let read = master.request(id(1), ReadModel, ms(70)).unwrap();
+    master.handle_timeout(ms(70));
+    assert!(sent(&mut master, ms(70)).is_empty(), "40 ms from when the bus was down");
+    master.handle_timeout(ms(98));
+    assert_eq!(sent(&mut master, ms(98)).len(), 1);
+    let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(99)).unwrap();
+    assert!(read.outcome(&event).is_some());
 }

@@ -21,6 +21,21 @@ pub(super) struct Tick(u16);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct CoarseTick(u16);
 
+/// A point in time, in microseconds; wraps after 71 minutes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct MicroTick(u32);
+
+impl MicroTick {
+    pub(super) fn at(now: Instant) -> Self {
+        Self(now.as_micros() as u32)
+    }
+
+    pub(super) fn instant(self, near: Instant) -> Instant {
+        let delta = self.0.wrapping_sub(near.as_micros() as u32) as i32;
+        Instant::from_micros(near.as_micros().saturating_add_signed(delta.into()))
+    }
+}
+
 /// A span of at most 261 ms, in steps of 1.024 ms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Span(u8);
@@ -69,6 +84,10 @@ impl Tick {
 
     pub(super) fn plus(self, span: Span) -> Self {
         Self(self.0.wrapping_add(u16::from(span.0) << 6))
+    }
+
+    pub(super) fn minus(self, span: Span) -> Self {
+        Self(self.0.wrapping_sub(u16::from(span.0) << 6))
     }
 
     /// So long ago that every span from it is over.

@@ -1,0 +1,186 @@
+//! Every loss is counted: what the master's health and events tell is what the wire and the drives
+//! know, frame by frame.
+
+#[path = "master_rig.rs"]
+mod master_rig;
+
+use master_rig::{Angle, Rig, STREAM_MARK, Wire, id};
+use myactuator_host_std::bus::can::CanBus;
+use myactuator_host_std::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::bus::rs485::Rs485Line;
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::Speed;
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
+
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    percent: u32,
+    motors: u8,
+    attempts: u8,
+    /// Whether wires are cut, a drive's after another's, instead of losing frames by chance.
+    cuts: bool,
+    broadcasts: bool,
+}
+
+/// What the events told of one motor.
+#[derive(Clone, Copy, Debug, Default)]
+struct Told {
+    replies: u64,
+    no_reply: u64,
+    feedback: u64,
+    unanswered: u64,
+    broadcast_replies: u64,
+    silent: u64,
+}
+
+const ROUNDS: u32 = 300;
+
+fn run<W: Wire>(case: Case) -> Vec<Told> {
+    let mut rig = Rig::<W>::new(case.motors, u64::from(case.percent) + u64::from(case.motors));
+    if !case.cuts {
+        let lossy = FaultPlan { lose: case.percent as f32 / 100.0, ..FaultPlan::NONE };
+        rig.world.set_faults(Direction::ToNodes, lossy);
+        rig.world.set_faults(Direction::ToPorts, lossy);
+    }
+    let mut told = vec![Told::default(); case.motors.into()];
+    let patience = Patience { reply_timeout: W::CONFIG.reply_timeout, attempts: case.attempts };
+    for round in 0..ROUNDS {
+        if case.cuts {
+            // So many rounds in a hundred without a wire.
+            let node = rig.nodes[(round / 100) as usize % rig.nodes.len()];
+            if round % 100 == 0 {
+                rig.world.cut(node);
+            } else if round % 100 == case.percent {
+                rig.world.mend(node);
+            }
+        }
+        let now = rig.runner.now();
+        let motors: Vec<MotorId> = rig.motors().collect();
+        let mut open = motors.len();
+        for &motor in &motors {
+            let master = rig.runner.master();
+            let read = Angle { index: 0, token: round };
+            let _ticket =
+                master.request_with(motor, read, patience, now).expect("nothing is under way");
+            let max_torque = MaxTorque::from_raw(STREAM_MARK);
+            let speed = SpeedTarget::from_raw(round as i32 + 1);
+            master.set_point(motor, Speed { max_torque, speed }, now).expect("there is a place");
+        }
+        let mut broadcast = case.broadcasts && round % 4 == 0;
+        if broadcast {
+            let all: MotorSet = motors.iter().copied().collect();
+            let read = Angle { index: 0, token: round };
+            rig.runner.master().broadcast(read, all, now).expect("no other is under way");
+        }
+        while open > 0 || broadcast || rig.runner.master().is_anything_in_flight() {
+            let event = rig.runner.poll().expect("the bus works");
+            let Some(event) = event else {
+                rig.runner.idle(rig.world.now() + Duration::from_secs(1));
+                assert!(rig.world.now() - now < Duration::from_secs(2), "hangs in {case:?}");
+                continue;
+            };
+            match event {
+                Event::Reply { ticket, .. } => {
+                    told[ticket.motor().index()].replies += 1;
+                    open -= 1;
+                }
+                Event::Failed { ticket, failure: Failure::NoReply } => {
+                    told[ticket.motor().index()].no_reply += 1;
+                    open -= 1;
+                }
+                Event::Feedback { motor, .. } => told[motor.index()].feedback += 1,
+                Event::SetPointUnanswered { motor } => told[motor.index()].unanswered += 1,
+                Event::SetPointDropped { .. } => {}
+                Event::BroadcastReply { motor, .. } => told[motor.index()].broadcast_replies += 1,
+                Event::BroadcastDone { silent } => {
+                    broadcast = false;
+                    silent.iter().for_each(|motor| told[motor.index()].silent += 1);
+                }
+                other => panic!("{other:?} in {case:?}"),
+            }
+        }
+        while let Some(event) = rig.runner.poll().expect("the bus works") {
+            match event {
+                Event::SetPointUnanswered { motor } => told[motor.index()].unanswered += 1,
+                Event::Feedback { motor, .. } => told[motor.index()].feedback += 1,
+                Event::SetPointDropped { .. } => {}
+                other => panic!("{other:?} in {case:?}"),
+            }
+        }
+    }
+    for motor in rig.motors() {
+        let (page, told) = (rig.ledger.page(motor), told[motor.index()]);
+        let health = rig.runner.master().health(motor);
+        let what = format!("{}: motor {motor} of {case:?}, {told:?}, {health:?}", W::NAME);
+        // What really happened: commands that were on the wire, replies that got through.
+        let asked = page.asked + page.asked_all;
+        let got_through = page.replied - page.replies_lost;
+        let lost_on_the_way = (asked - page.heard) + page.replies_lost;
+        assert_eq!(u64::from(health.lost), asked - got_through, "{what}");
+        if !case.cuts {
+            assert_eq!(u64::from(health.lost), lost_on_the_way, "{what}");
+        }
+        assert_eq!(u64::from(health.answered) + told.broadcast_replies, got_through, "{what}");
+        assert_eq!(u64::from(health.answered), told.replies + told.feedback, "{what}");
+        assert_eq!(health.stray, 0, "{what}");
+        let told_lost = told.no_reply + told.unanswered + told.silent;
+        if case.attempts == 1 {
+            assert_eq!(u64::from(health.lost), told_lost, "{what}");
+        } else {
+            assert!(u64::from(health.lost) >= told_lost + 2 * told.no_reply, "{what}");
+        }
+        let replaced = u64::from(ROUNDS) - page.set_points_sent;
+        assert_eq!(u64::from(health.superseded), replaced, "{what}");
+    }
+    told
+}
+
+fn run_on_both(case: Case) -> u64 {
+    let losses = |told: Vec<Told>| {
+        told.iter().map(|told| told.no_reply + told.unanswered + told.silent).sum::<u64>()
+    };
+    let on_rs485 = Case { broadcasts: false, ..case };
+    losses(run::<CanBus>(case)) + losses(run::<Rs485Line>(on_rs485))
+}
+
+#[test]
+fn every_lost_frame_is_a_loss_of_its_motor() {
+    for attempts in [1, 3] {
+        for percent in [0, 1, 10, 50] {
+            for motors in [1, 4, 8] {
+                let case = Case { percent, motors, attempts, cuts: false, broadcasts: true };
+                let losses = run_on_both(case);
+                assert_eq!(losses == 0, percent == 0, "{case:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_frame_that_a_cut_wire_swallows_is_a_loss() {
+    for percent in [0, 1, 10, 50] {
+        let case = Case { percent, motors: 4, attempts: 1, cuts: true, broadcasts: true };
+        // At 0 % each wire is cut and never mended.
+        assert!(run_on_both(case) > 0, "{case:?}");
+    }
+}
+
+#[test]
+fn a_motor_that_is_not_there_is_late_and_then_silent() {
+    let mut rig = Rig::<CanBus>::new(2, 1);
+    rig.world.cut(rig.nodes[0]);
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let mut presence = Vec::new();
+    for token in 0..4 {
+        let read = Angle { index: 0, token };
+        assert!(rig.runner.call_with(id(1), read, Some(once), |_| {}).is_err());
+        presence.push(rig.runner.master().health(id(1)).presence);
+    }
+    assert_eq!(presence, [Presence::Late, Presence::Late, Presence::Silent, Presence::Silent]);
+    rig.world.mend(rig.nodes[0]);
+    assert!(rig.runner.ask(id(1), Angle { index: 0, token: 9 }).is_ok());
+    assert_eq!(rig.runner.master().health(id(1)).presence, Presence::Present);
+}

@@ -1,0 +1,466 @@
+//! Drives that tell the truth: light nodes for the simulated buses, and a ledger of what really
+//! happened on the wire and at the drives.
+//!
+//! Every command carries a token in bytes 4 to 7, and a node puts the token of the command that it
+//! answers in bytes 4 to 7 of its reply. So a reply says by itself which request it was made for.
+//!
+//! Only part of it is used by each of the tests that include it.
+#![allow(dead_code, reason = "each test uses some of it")]
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use myactuator_host_std::bus::can::{CanBus, CanConfig, CanPort};
+use myactuator_host_std::bus::rs485::{LineConfig, Rs485Line, SerialPort};
+use myactuator_host_std::bus::trace::{Event, Fault};
+use myactuator_host_std::bus::{Medium, Node, SimClock, StationId, World};
+use myactuator_protocol_core::command::{
+    AccelerationReading, Feedback, MultiTurnAngle, MultiTurnEncoder, PidGain, RunTime, Version,
+};
+use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
+use myactuator_protocol_core::master::Config;
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::can::{self, SimpleFrame};
+use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
+use myactuator_protocol_core::{
+    Channel, Command, Data, DecodeError, MotorId, Opcode, Packet, Target,
+};
+
+/// Marks a set-point of a stream in byte 1 of a speed command; requests of the same kind have another.
+pub(crate) const STREAM_MARK: u8 = 0;
+
+pub(crate) fn id(number: u8) -> MotorId {
+    MotorId::new(number).expect("1 to 32")
+}
+
+pub(crate) fn token_of(data: &Data) -> u32 {
+    u32::from_le_bytes([data[4], data[5], data[6], data[7]])
+}
+
+fn with_token(first: [u8; 4], token: u32) -> Data {
+    let [a, b, c, d] = first;
+    let [e, f, g, h] = token.to_le_bytes();
+    [a, b, c, d, e, f, g, h]
+}
+
+/// Commands whose unused bytes carry a token, which the master neither knows nor needs.
+macro_rules! tokened {
+    ($($(#[$doc:meta])* $name:ident: $opcode:ident => $reply:ty, $byte:literal;)+) => {$(
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug)]
+        pub(crate) struct $name {
+            pub(crate) index: u8,
+            pub(crate) token: u32,
+        }
+
+        impl Command for $name {
+            const OPCODE: Opcode = Opcode::$opcode;
+            type Reply = $reply;
+
+            fn encode(&self) -> Data {
+                with_token([$byte, self.index, 0, 0], self.token)
+            }
+
+            fn decode(data: &Data) -> Result<Self, DecodeError> {
+                Ok(Self { index: data[1], token: token_of(data) })
+            }
+        }
+    )+};
+}
+
+tokened! {
+    /// 0x30 with a token.
+    Pid: ReadPid => PidGain, 0x30;
+    /// 0x42 with a token.
+    Acceleration: ReadAcceleration => AccelerationReading, 0x42;
+    /// 0x60 with a token; the index is 0.
+    Encoder: ReadMultiTurnEncoder => MultiTurnEncoder, 0x60;
+    /// 0x92 with a token; the index is 0.
+    Angle: ReadMultiTurnAngle => MultiTurnAngle, 0x92;
+    /// 0x9C with a token; the index is 0.
+    Status2: ReadStatus2 => Feedback, 0x9C;
+    /// 0xB1 with a token; the index is 0.
+    RunTimeOf: ReadRunTime => RunTime, 0xB1;
+    /// 0xB2 with a token; the index is 0.
+    VersionOf: ReadVersionDate => Version, 0xB2;
+    /// 0xA8 by the token's angle; the index is 0.
+    Step: IncrementalPosition => Feedback, 0xA8;
+}
+
+/// A seeded stream of chance.
+#[derive(Clone, Debug)]
+pub(crate) struct Dice(u64);
+
+impl Dice {
+    pub(crate) const fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// SplitMix64.
+    pub(crate) fn draw(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    pub(crate) fn below(&mut self, bound: u64) -> u64 {
+        self.draw() % bound
+    }
+}
+
+/// What is known of one motor.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Page {
+    /// Commands with a reply to this motor that were on the wire whole.
+    pub(crate) asked: u64,
+    /// Commands to all with a reply that were on the wire whole.
+    pub(crate) asked_all: u64,
+    /// Its replies that were on the wire whole.
+    pub(crate) replied: u64,
+    /// Its replies that the injector kept from the master.
+    pub(crate) replies_lost: u64,
+    /// Commands with a reply that reached the drive.
+    pub(crate) heard: u64,
+    /// How often each incremental move was on the wire, and how often the drive heard it.
+    pub(crate) moves: HashMap<u32, (u32, u32)>,
+    /// The newest set-point on the wire, and the newest at the drive.
+    pub(crate) newest_sent: Option<u32>,
+    pub(crate) newest_heard: Option<u32>,
+    /// Set-points that came after a newer one, on the wire and at the drive.
+    pub(crate) stale_sent: u64,
+    pub(crate) stale_heard: u64,
+    pub(crate) set_points_sent: u64,
+    /// When motion (set-points and moves) was on the wire last.
+    pub(crate) last_motion_sent: Option<Instant>,
+    /// When the drive was told to stop last.
+    pub(crate) last_stop_heard: Option<Instant>,
+    /// When a stop to it was on the wire first after the ledger was asked to watch for one.
+    pub(crate) first_stop_sent: Option<Instant>,
+}
+
+/// What really happened.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Ledger(Arc<Mutex<Vec<Page>>>);
+
+impl Ledger {
+    pub(crate) fn new() -> Self {
+        Self(Arc::new(Mutex::new(vec![Page::default(); MotorId::COUNT])))
+    }
+
+    pub(crate) fn pages(&self) -> MutexGuard<'_, Vec<Page>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn page(&self, motor: MotorId) -> Page {
+        self.pages()[motor.index()].clone()
+    }
+
+    fn carried_command(&self, packet: &Packet, at: Instant) {
+        let mut pages = self.pages();
+        let answered = opcode_of(packet).is_some_and(Opcode::has_reply);
+        match packet.channel {
+            Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
+                let page = &mut pages[motor.index()];
+                page.asked += u64::from(answered);
+                if is_set_point(packet) {
+                    page.set_points_sent += 1;
+                    let stale = is_stale(&mut page.newest_sent, set_point_number(packet));
+                    page.stale_sent += u64::from(stale);
+                    page.last_motion_sent = Some(at);
+                } else if packet.data[0] == 0xA8 {
+                    page.moves.entry(token_of(&packet.data)).or_default().0 += 1;
+                    page.last_motion_sent = Some(at);
+                } else if matches!(packet.data[0], 0x80 | 0x81) {
+                    page.first_stop_sent.get_or_insert(at);
+                }
+            }
+            Channel::Command(Target::All) if answered => {
+                pages.iter_mut().for_each(|page| page.asked_all += 1);
+            }
+            _ => {}
+        }
+    }
+
+    fn heard_command(&self, motor: MotorId, packet: &Packet, at: Instant) {
+        let page = &mut self.pages()[motor.index()];
+        page.heard += u64::from(opcode_of(packet).is_some_and(Opcode::has_reply));
+        if is_set_point(packet) {
+            let stale = is_stale(&mut page.newest_heard, set_point_number(packet));
+            page.stale_heard += u64::from(stale);
+        } else if packet.data[0] == 0xA8 {
+            page.moves.entry(token_of(&packet.data)).or_default().1 += 1;
+        } else if matches!(packet.data[0], 0x80 | 0x81) {
+            page.last_stop_heard = Some(at);
+        }
+    }
+}
+
+fn opcode_of(packet: &Packet) -> Option<Opcode> {
+    match packet.channel {
+        Channel::Motion(_) | Channel::MotionReply(_) => Some(Opcode::Motion),
+        _ => Opcode::from_byte(packet.data[0]),
+    }
+}
+
+/// Set-points of the tests' streams are absolute positions, motion mode commands and marked speeds.
+fn is_set_point(packet: &Packet) -> bool {
+    match packet.channel {
+        Channel::Motion(_) => true,
+        Channel::Command(_) => {
+            packet.data[0] == 0xA4 || (packet.data[0] == 0xA2 && packet.data[1] == STREAM_MARK)
+        }
+        _ => false,
+    }
+}
+
+/// A motion mode command carries the low 16 bits of its number as position, the others all as token.
+fn set_point_number(packet: &Packet) -> (u32, u32) {
+    match packet.channel {
+        Channel::Motion(_) => {
+            (u32::from(u16::from_be_bytes([packet.data[0], packet.data[1]])) << 16, 1 << 16)
+        }
+        _ => (token_of(&packet.data), 1),
+    }
+}
+
+/// Whether this number is not above the newest one. Motion mode's wraps.
+fn is_stale(newest: &mut Option<u32>, (number, step): (u32, u32)) -> bool {
+    let ahead = newest.map_or(step, |newest| number.wrapping_sub(newest));
+    let is_newer = ahead != 0 && ahead < 1 << 31;
+    if is_newer {
+        *newest = Some(number);
+    }
+    !is_newer
+}
+
+/// A drive that answers every command after 0.7 to 0.9 ms, in order, with the command's own token.
+pub(crate) struct Teller {
+    motor: MotorId,
+    receiver: Receiver,
+    replies: VecDeque<(Instant, Packet)>,
+    dice: Dice,
+    ledger: Ledger,
+}
+
+impl Teller {
+    pub(crate) fn new(motor: MotorId, seed: u64, ledger: &Ledger) -> Self {
+        Self {
+            motor,
+            receiver: Receiver::new(),
+            replies: VecDeque::new(),
+            dice: Dice::new(seed ^ u64::from(motor.get()) << 32),
+            ledger: ledger.clone(),
+        }
+    }
+
+    fn hear(&mut self, packet: &Packet, now: Instant) {
+        let channel = match packet.channel {
+            Channel::Command(Target::Motor(motor)) if motor == self.motor => Channel::Reply(motor),
+            Channel::Command(Target::All) => Channel::Reply(self.motor),
+            Channel::Motion(motor) if motor == self.motor => Channel::MotionReply(motor),
+            _ => return,
+        };
+        self.ledger.heard_command(self.motor, packet, now);
+        if !opcode_of(packet).is_some_and(Opcode::has_reply) {
+            return;
+        }
+        let mut data = packet.data;
+        if let Channel::MotionReply(_) = channel {
+            data[0] = self.motor.get();
+        }
+        let due = now + Duration::from_micros(700 + self.dice.below(201));
+        let due = self.replies.back().map_or(due, |(before, _)| due.max(*before));
+        self.replies.push_back((due, Packet { channel, data }));
+    }
+
+    fn tell(&mut self, now: Instant) -> Option<Packet> {
+        self.replies.pop_front_if(|(due, _)| *due <= now).map(|(_, packet)| packet)
+    }
+
+    fn power_cycle(&mut self) {
+        self.replies.clear();
+        self.receiver.reset();
+    }
+}
+
+impl Node<SimpleFrame> for Teller {
+    fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
+        if let can::Received::Packet(packet) = can::decode(frame) {
+            self.hear(&packet, now);
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<SimpleFrame> {
+        can::encode(&self.tell(now)?)
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        self.replies.front().map(|(due, _)| *due)
+    }
+
+    fn reset(&mut self, _: Instant) {
+        self.power_cycle();
+    }
+}
+
+impl Node<Vec<u8>> for Teller {
+    fn handle_frame(&mut self, bytes: &Vec<u8>, now: Instant) {
+        for &byte in bytes {
+            if let Fed::Frame(frame) = self.receiver.feed(byte) {
+                self.hear(&frame.as_command(), now);
+            }
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Vec<u8>> {
+        Some(Frame::from_packet(&self.tell(now)?)?.encode().to_vec())
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        self.replies.front().map(|(due, _)| *due)
+    }
+
+    fn reset(&mut self, _: Instant) {
+        self.power_cycle();
+    }
+}
+
+/// One of the two buses, so that each test is written once.
+pub(crate) trait Wire: Medium<Frame: Sync> + Sized + 'static {
+    /// The loop that runs a master on it.
+    type Runner: Runner<32>;
+    /// Its name in messages.
+    const NAME: &'static str;
+
+    fn world(seed: u64) -> World<Self>;
+    fn runner(world: &World<Self>, config: Config) -> (Self::Runner, StationId);
+    /// The library's own configuration for it.
+    const CONFIG: Config;
+    fn seat(world: &World<Self>, teller: Teller) -> StationId;
+    /// A command as it is on the wire.
+    fn frame(command: &Packet) -> Self::Frame;
+    /// The packet in a frame of the master's, or of a drive's.
+    fn packet(frame: &Self::Frame, of_master: bool) -> Option<Packet>;
+}
+
+impl Wire for CanBus {
+    type Runner = CanMaster<CanPort, SimClock<CanBus>, 32>;
+    const NAME: &'static str = "CAN";
+    const CONFIG: Config = Config::CAN;
+
+    fn world(seed: u64) -> World<Self> {
+        World::<CanBus>::new(CanConfig::default(), seed)
+    }
+
+    fn runner(world: &World<Self>, config: Config) -> (Self::Runner, StationId) {
+        let port = world.port();
+        let station = port.station();
+        (CanMaster::new(port, world.clock(), config), station)
+    }
+
+    fn seat(world: &World<Self>, teller: Teller) -> StationId {
+        world.attach(teller)
+    }
+
+    fn frame(command: &Packet) -> SimpleFrame {
+        can::encode(command).expect("eight bytes fit")
+    }
+
+    fn packet(frame: &SimpleFrame, _: bool) -> Option<Packet> {
+        match can::decode(frame) {
+            can::Received::Packet(packet) => Some(packet),
+            _ => None,
+        }
+    }
+}
+
+/// Bits per second on RS485.
+const LINE_RATE: u32 = 1_000_000;
+
+impl Wire for Rs485Line {
+    type Runner = SerialMaster<SerialPort, SimClock<Rs485Line>, 32>;
+    const NAME: &'static str = "RS485";
+    const CONFIG: Config = Config::rs485(LINE_RATE, false);
+
+    fn world(seed: u64) -> World<Self> {
+        World::<Rs485Line>::new(LineConfig { bit_rate: LINE_RATE }, seed)
+    }
+
+    fn runner(world: &World<Self>, config: Config) -> (Self::Runner, StationId) {
+        let port = world.port();
+        let station = port.station();
+        (SerialMaster::new(port, world.clock(), config), station)
+    }
+
+    fn seat(world: &World<Self>, teller: Teller) -> StationId {
+        world.attach(teller)
+    }
+
+    fn frame(command: &Packet) -> Vec<u8> {
+        Frame::from_packet(command).expect("RS485 has it").encode().to_vec()
+    }
+
+    fn packet(bytes: &Vec<u8>, of_master: bool) -> Option<Packet> {
+        let mut receiver = Receiver::new();
+        bytes.iter().find_map(|&byte| match receiver.feed(byte) {
+            Fed::Frame(frame) if of_master => Some(frame.as_command()),
+            Fed::Frame(frame) => frame.as_reply(),
+            _ => None,
+        })
+    }
+}
+
+/// A bus with truth-telling drives, a master and the ledger.
+pub(crate) struct Rig<W: Wire> {
+    pub(crate) world: World<W>,
+    pub(crate) runner: W::Runner,
+    /// The master's place on the bus.
+    pub(crate) port: StationId,
+    /// The drives' places, in the order of their ids.
+    pub(crate) nodes: Vec<StationId>,
+    pub(crate) ledger: Ledger,
+}
+
+impl<W: Wire> Rig<W> {
+    pub(crate) fn new(motors: u8, seed: u64) -> Self {
+        Self::with_config(motors, seed, W::CONFIG)
+    }
+
+    pub(crate) fn with_config(motors: u8, seed: u64, config: Config) -> Self {
+        let world = W::world(seed);
+        let ledger = Ledger::new();
+        let (runner, port) = W::runner(&world, config);
+        let nodes: Vec<StationId> = MotorId::all()
+            .take(motors.into())
+            .map(|motor| W::seat(&world, Teller::new(motor, seed, &ledger)))
+            .collect();
+        let (first, book, count) = (nodes[0].index(), ledger.clone(), nodes.len());
+        world.observe(move |record| match &record.event {
+            Event::Carried { frame, .. } => {
+                let of_master = record.station == port;
+                let Some(packet) = W::packet(frame, of_master) else { return };
+                match packet.channel {
+                    Channel::Reply(motor) | Channel::MotionReply(motor) => {
+                        book.pages()[motor.index()].replied += 1;
+                    }
+                    _ if of_master => book.carried_command(&packet, record.at()),
+                    _ => {}
+                }
+            }
+            Event::Faulted { from, fault: Fault::Lost } if record.station == port => {
+                let motor = from.index().checked_sub(first).filter(|motor| *motor < count);
+                if let Some(motor) = motor {
+                    book.pages()[motor].replies_lost += 1;
+                }
+            }
+            _ => {}
+        });
+        Self { world, runner, port, nodes, ledger }
+    }
+
+    pub(crate) fn motors(&self) -> impl Iterator<Item = MotorId> + use<W> {
+        MotorId::all().take(self.nodes.len())
+    }
+}
