@@ -4,6 +4,7 @@ mod arguments;
 mod decode;
 mod demo;
 mod encode;
+mod sim;
 
 use std::error::Error as _;
 use std::io::{self, Write};
@@ -34,6 +35,7 @@ enum Subcommand {
     Demo(demo::Arguments),
     Encode(encode::Arguments),
     Decode(decode::Arguments),
+    Sim(Box<sim::Arguments>),
 }
 
 /// Runs the program with the arguments that it was started with.
@@ -43,6 +45,7 @@ pub(crate) fn run() -> ExitCode {
             Subcommand::Demo(arguments) => demo::run(&arguments),
             Subcommand::Encode(arguments) => encode::run(&arguments),
             Subcommand::Decode(arguments) => decode::run(&arguments),
+            Subcommand::Sim(arguments) => sim::run(&arguments),
         },
         Err(error) => stop_parsing(&error),
     })

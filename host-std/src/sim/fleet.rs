@@ -289,6 +289,11 @@ impl CanFleet {
     pub fn master<const N: usize>(&self) -> CanMaster<CanPort, SimClock<CanBus>, N> {
         CanMaster::new(self.world.port(), self.world.clock(), Config::can(self.bit_rate))
     }
+
+    /// Bits per second.
+    pub const fn bit_rate(&self) -> u32 {
+        self.bit_rate
+    }
 }
 
 /// Drives on an RS485 line.

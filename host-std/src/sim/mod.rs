@@ -1,7 +1,8 @@
 //! Simulated drives on simulated buses: a robot on a laptop.
 //!
 //! A [`Fleet`] puts whole drives, each with its physics and memory, on one bus. Masters attach with
-//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged.
+//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged. Other programs come in by a
+//! [`serve::Server`].
 //!
 //! ```
 //! use myactuator_host_std::sim::Fleet;
@@ -18,10 +19,13 @@
 
 mod fleet;
 mod memory;
+mod planned_fault;
 mod seat;
+pub mod serve;
 
 pub use fleet::{
     CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive, parameters_of,
 };
 pub use memory::{DriveMemory, MemoryError};
+pub use planned_fault::{Chance, FaultKind, NotAFault, PlannedFault};
 pub use seat::Seat;

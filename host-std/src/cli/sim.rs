@@ -1,0 +1,270 @@
+//! `myactuator sim`: simulated drives for other programs, in real time.
+
+mod folders;
+mod options;
+mod tell;
+
+use std::error::Error;
+use std::io::{self, Write};
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use clap::{Args, ValueEnum};
+use myactuator_host_std::bus::rs485::TransceiverConfig;
+use myactuator_host_std::plant::MotorParameters;
+use myactuator_host_std::port::BusAddress;
+use myactuator_host_std::port::slcan::Rate;
+use myactuator_host_std::sim::serve::Server;
+use myactuator_host_std::sim::{Fleet, PlannedFault};
+use myactuator_protocol_core::MotorId;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+use super::{DONE, FAILED, print_line, wrong_usage};
+use folders::{Links, MemoryFolder};
+use options::Quirk;
+use tell::Place;
+
+/// How likely an adapter with `echo-noise` hears a byte that nobody sent, each time it switches.
+const ECHO_NOISE: f32 = 0.1;
+
+/// What is wrong can be said in one word, and this is how.
+const FAULTS: &str = "\
+Faults: KIND[=VALUE][@WHERE][+TIME]
+  lose=0.01                 a frame does not arrive; 0.01 is its chance, from 0 to 1
+  corrupt=0.01              a bit is disturbed: CAN repeats the frame, RS485 delivers it
+  undetected=0.01           the share of corrupted CAN frames that arrive with a wrong bit
+  duplicate=0.01            a frame arrives twice
+  delay=0.01:1ms..5ms       a frame arrives late, by so much
+  reorder=0.01              a frame arrives behind the next one
+  babble=10ms               the drive sends random frames, so far apart
+  slow=2ms                  the drive answers so much later
+  cut, mend                 its wire is cut; all is well again (cut, slow and babble)
+  reset                     its power is cycled
+  stall, under-voltage, over-voltage, over-current, over-power, calibration-write,
+  over-speed, component-over-temperature, motor-over-temperature,
+  encoder-calibration, encoder-data
+                            the drive has this error
+  clear                     takes the causes of these errors away
+The first six have the values shown unless told otherwise; so has babble.
+@WHERE: a motor's id, else all; for the first six also to-drives or from-drives,
+  or both: lose=0.1@2,from-drives
++TIME: so long after the start: cut@1+5s mend@1+8s. Times in us, ms or s.
+
+Quirks: what drives were seen to do beside the manual
+  slow-boot                 deaf for 1.1 s after a restart
+  slow-brake                the brake opens 50 to 150 ms late
+  lost-master-heartbeat     0xF1 once a second after a loss of communication, and the
+                            first command then is echoed and ignored
+  silent-id-change          function 5 has its effect but no reply
+  turns-lost                turns are lost at a restart, even with function 4 on
+  rom-needs-shutdown        0x20, 0x32 and 0xB4 change nothing unless shut down (0x80)
+  echo                      the RS485 adapter hands back what is sent
+  echo-noise                it does so, and now and then a random byte with it";
+
+/// Serve simulated drives to other programs, in real time
+///
+/// The drives are on an RS485 line behind a pseudo-terminal, and on a CAN bus behind another one that
+/// speaks SLCAN. Those on RS485 and those on CAN are different drives with the same ids. Ends with
+/// Ctrl-C.
+#[derive(Debug, Args)]
+#[command(after_help = FAULTS)]
+pub(super) struct Arguments {
+    /// How many motors on each bus, with ids from 1
+    #[arg(long, value_name = "N", default_value_t = 4,
+          value_parser = clap::value_parser!(u8).range(1..=MotorId::COUNT as i64))]
+    count: u8,
+    /// Their model: a name, or a file of your own that ends in .toml [default: RMD-X8-PRO]
+    #[arg(long, value_name = "NAME|FILE.toml", value_parser = options::model)]
+    model: Option<MotorParameters>,
+    /// With brakes, locked at first
+    #[arg(long)]
+    brakes: bool,
+    /// Behaviour beside the manual, see below; as often as you like
+    #[arg(long = "quirk", value_name = "NAME", value_parser = options::quirk)]
+    quirks: Vec<Quirk>,
+    /// What goes wrong, see below; as often as you like
+    #[arg(long = "fault", value_name = "FAULT")]
+    faults: Vec<PlannedFault>,
+    /// Where all chance comes from
+    #[arg(long, value_name = "NUMBER", default_value_t = 1)]
+    seed: u64,
+    /// Where drives keep their settings from one run to the next [default: nowhere]
+    #[arg(long, value_name = "FOLDER")]
+    memory: Option<PathBuf>,
+    /// Bit rate of the CAN bus, bit/s
+    #[arg(long, value_name = "RATE", default_value = "1000000", value_parser = options::can_rate)]
+    bit_rate: Rate,
+    /// Bit rate of the RS485 line, bit/s
+    #[arg(long, value_name = "RATE", default_value = "1000000", value_parser = options::line_rate)]
+    rs485_rate: u32,
+    /// Serve the CAN bus on this interface as well, such as vcan0; never on one with real motors
+    #[arg(long, value_name = "INTERFACE")]
+    can: Option<String>,
+    /// Serve one way only
+    #[arg(long, value_enum, value_name = "WAY")]
+    only: Option<Way>,
+    /// Make links rs485 and slcan to the pseudo-terminals in this folder, the same in every run
+    #[arg(long, value_name = "FOLDER")]
+    link: Option<PathBuf>,
+    /// Tell where they are as one JSON object a line
+    #[arg(long)]
+    json: bool,
+}
+
+/// A way to the drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Way {
+    /// RS485 on a pseudo-terminal
+    Rs485,
+    /// CAN behind an SLCAN adapter on a pseudo-terminal
+    Slcan,
+    /// CAN on the interface of --can
+    Can,
+}
+
+type Failure = Box<dyn Error>;
+
+/// Serves until it is told to stop.
+pub(super) fn run(arguments: &Arguments) -> u8 {
+    if let Err(sentence) = check(arguments) {
+        return wrong_usage(&sentence);
+    }
+    match serve(arguments) {
+        Ok(()) => DONE,
+        Err(error) => {
+            let _ = writeln!(io::stderr(), "error: {error}");
+            FAILED
+        }
+    }
+}
+
+fn check(arguments: &Arguments) -> Result<(), String> {
+    match (arguments.only, &arguments.can) {
+        (Some(Way::Can), None) => {
+            return Err("--only can needs --can with the interface's name".into());
+        }
+        (Some(Way::Rs485 | Way::Slcan), Some(_)) => {
+            return Err(
+                "--can serves an interface, but --only leaves it out: drop one of them".into()
+            );
+        }
+        _ => {}
+    }
+    let is_there = |motor: MotorId| motor.get() <= arguments.count;
+    match arguments.faults.iter().find_map(|fault| fault.motor.filter(|&motor| !is_there(motor))) {
+        Some(motor) => Err(format!(
+            "--fault names motor {motor}, but --count is {}: the motors are 1 to {0}",
+            arguments.count
+        )),
+        None => Ok(()),
+    }
+}
+
+fn serve(arguments: &Arguments) -> Result<(), Failure> {
+    // First of all, so that no signal finds half a simulation.
+    let stop = stop_signal()?;
+    let wanted = |way| arguments.only.is_none_or(|only| only == way);
+    let memory = arguments.memory.as_deref().map(MemoryFolder::open).transpose()?;
+    let fleet = |bus| -> Result<Fleet, Failure> {
+        let mut fleet = Fleet::new(arguments.count)
+            .quirks(options::drives_quirks(&arguments.quirks)?)
+            .seed(arguments.seed)
+            .brakes(arguments.brakes);
+        if let Some(model) = &arguments.model {
+            fleet = fleet.model(model.clone());
+        }
+        match &memory {
+            Some(memory) => Ok(fleet.memory_folder(memory.of(bus)?)),
+            None => Ok(fleet),
+        }
+    };
+    let mut server = Server::new();
+    server.plan(arguments.faults.iter().copied());
+    let mut links = Links::in_folder(arguments.link.as_deref())?;
+    let mut places = Vec::new();
+    if wanted(Way::Rs485) {
+        let bit_rate = arguments.rs485_rate;
+        let line = fleet("rs485")?.on_rs485(bit_rate)?;
+        let adapter = transceiver(&arguments.quirks);
+        let path = server.serve_line(&line, adapter)?;
+        let link = links.add("rs485", &path)?;
+        let address = BusAddress::Rs485 {
+            path: link.clone().unwrap_or_else(|| path.clone()),
+            bit_rate,
+            echo: adapter.echo,
+        };
+        places.push(Place::on_terminal(address, path, link, bit_rate));
+    }
+    let interface = arguments.can.as_ref().filter(|_| wanted(Way::Can));
+    if wanted(Way::Slcan) || interface.is_some() {
+        let rate = arguments.bit_rate;
+        let bit_rate = rate.bits_per_second();
+        let bus = fleet("can")?.on_can(bit_rate)?;
+        server.host_can(&bus);
+        if wanted(Way::Slcan) {
+            let path = server.serve_adapter(&bus)?;
+            let link = links.add("slcan", &path)?;
+            let address =
+                BusAddress::Slcan { path: link.clone().unwrap_or_else(|| path.clone()), rate };
+            places.push(Place::on_terminal(address, path, link, bit_rate));
+        }
+        if let Some(interface) = interface {
+            server.serve_interface(&bus, interface)?;
+            places.push(Place::on_interface(interface, bit_rate));
+        }
+    }
+    let motors = MotorId::all().take(arguments.count.into()).collect();
+    let out = &mut io::stdout();
+    for line in tell::lines(&places, motors, arguments.json) {
+        // Whoever reads may leave; the drives stay.
+        if !print_line(out, &line)? {
+            break;
+        }
+    }
+    server.run(stop, |notice| {
+        let _ = writeln!(io::stderr(), "note: {notice}");
+    })?;
+    Ok(())
+}
+
+fn transceiver(quirks: &[Quirk]) -> TransceiverConfig {
+    let has_noise = quirks.contains(&Quirk::EchoNoise);
+    TransceiverConfig {
+        echo: has_noise || quirks.contains(&Quirk::Echo),
+        switch_noise: if has_noise { ECHO_NOISE } else { 0.0 },
+        ..TransceiverConfig::default()
+    }
+}
+
+/// Something that can be read as soon as the program is told to stop. Who tells it twice means at
+/// once.
+fn stop_signal() -> io::Result<UnixStream> {
+    let (told, tell) = UnixStream::pair()?;
+    let is_told = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        let now = i32::from(FAILED);
+        signal_hook::flag::register_conditional_shutdown(signal, now, Arc::clone(&is_told))?;
+        signal_hook::flag::register(signal, Arc::clone(&is_told))?;
+        signal_hook::low_level::pipe::register(signal, tell.try_clone()?)?;
+    }
+    Ok(told)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use myactuator_protocol_core::command::ErrorFlags;
+
+    #[test]
+    fn the_help_names_every_quirk_and_every_error() {
+        let words: Vec<&str> = FAULTS.split([' ', '\n', ',', '=']).collect();
+        for name in options::quirk_names() {
+            assert!(words.contains(&name.as_str()), "{name}");
+        }
+        for error in ErrorFlags::NAMED {
+            assert!(words.contains(&error.name().unwrap()), "{error:?}");
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! Folders that outlive a run: the drives' memories, and links to where they are served.
+
+use std::fs::{self, File};
+use std::io;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{FlockOperation, flock};
+
+/// Where drives keep their settings. One simulation at a time has it.
+#[derive(Debug)]
+pub(super) struct MemoryFolder {
+    path: PathBuf,
+    /// Holds the lock.
+    _folder: File,
+}
+
+impl MemoryFolder {
+    /// Opens the folder, and makes it if need be.
+    pub(super) fn open(path: &Path) -> Result<Self, String> {
+        let told = |error: io::Error| format!("the folder {} fails: {error}", path.display());
+        fs::create_dir_all(path).map_err(told)?;
+        let folder = File::open(path).map_err(told)?;
+        flock(&folder, FlockOperation::NonBlockingLockExclusive).map_err(|_| {
+            format!(
+                "another simulation keeps its drives' memories in {}: end it, or take another folder",
+                path.display()
+            )
+        })?;
+        Ok(Self { path: path.to_owned(), _folder: folder })
+    }
+
+    /// The part of the drives on this bus.
+    pub(super) fn of(&self, bus: &str) -> Result<PathBuf, String> {
+        let path = self.path.join(bus);
+        fs::create_dir_all(&path)
+            .map_err(|error| format!("the folder {} fails: {error}", path.display()))?;
+        Ok(path)
+    }
+}
+
+/// Links to pseudo-terminals. They go with this.
+#[derive(Debug)]
+pub(super) struct Links {
+    folder: Option<PathBuf>,
+    /// Each link and what it leads to.
+    made: Vec<(PathBuf, PathBuf)>,
+}
+
+impl Links {
+    /// Will make links in this folder, and makes it if need be; none without.
+    pub(super) fn in_folder(folder: Option<&Path>) -> Result<Self, String> {
+        if let Some(folder) = folder {
+            fs::create_dir_all(folder)
+                .map_err(|error| format!("the folder {} fails: {error}", folder.display()))?;
+        }
+        Ok(Self { folder: folder.map(Path::to_owned), made: Vec::new() })
+    }
+
+    /// Makes a link of this name if links are wanted, in place of a former run's.
+    pub(super) fn add(&mut self, name: &str, target: &Path) -> Result<Option<PathBuf>, String> {
+        let Some(folder) = &self.folder else { return Ok(None) };
+        let link = folder.join(name);
+        let is_link = fs::symlink_metadata(&link).map(|found| found.is_symlink());
+        let made = match is_link {
+            Ok(false) => Err(io::Error::other("something that is no link has this name")),
+            Ok(true) => fs::remove_file(&link).and_then(|()| symlink(target, &link)),
+            Err(_) => symlink(target, &link),
+        };
+        made.map_err(|error| format!("the link {} cannot be made: {error}", link.display()))?;
+        self.made.push((link.clone(), target.to_owned()));
+        Ok(Some(link))
+    }
+}
+
+impl Drop for Links {
+    fn drop(&mut self) {
+        for (link, target) in &self.made {
+            // Another simulation may have made it its own.
+            if fs::read_link(link).is_ok_and(|found| found == *target) {
+                let _ = fs::remove_file(link);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_replace_links_only_and_go_with_their_owner() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut first = Links::in_folder(Some(folder.path())).unwrap();
+        let link = first.add("rs485", Path::new("/dev/null")).unwrap().unwrap();
+        let mut second = Links::in_folder(Some(folder.path())).unwrap();
+        second.add("rs485", Path::new("/dev/zero")).unwrap();
+        drop(first);
+        assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/zero"));
+        drop(second);
+        assert!(fs::symlink_metadata(&link).is_err());
+        fs::write(&link, "mine").unwrap();
+        let mut third = Links::in_folder(Some(folder.path())).unwrap();
+        assert!(third.add("rs485", Path::new("/dev/null")).unwrap_err().contains("no link"));
+        drop(third);
+        assert_eq!(fs::read_to_string(&link).unwrap(), "mine");
+    }
+
+    #[test]
+    fn one_simulation_has_a_memory_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("drives");
+        let first = MemoryFolder::open(&path).unwrap();
+        assert!(MemoryFolder::open(&path).unwrap_err().contains("another simulation"));
+        assert!(first.of("can").unwrap().is_dir());
+        drop(first);
+        assert!(MemoryFolder::open(&path).is_ok());
+    }
+}

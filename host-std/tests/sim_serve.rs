@@ -1,0 +1,358 @@
+//! `myactuator sim`, started and used as other programs do it: by its pseudo-terminals.
+
+use std::fs::File;
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use assert_cmd::cargo::cargo_bin;
+use myactuator_host_std::port::{AnyMaster, BusAddress};
+use myactuator_protocol_core::command::{AnyReply, ErrorFlags, MultiTurnAngle, ReadVersionDate};
+use myactuator_protocol_core::io::Runner as _;
+use myactuator_protocol_core::master::{Config, MotorSet};
+use myactuator_protocol_core::time::Duration as BusTime;
+use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
+use myactuator_protocol_core::{AnyCommand, MotorId, Opcode, Target};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use serial2::SerialPort;
+
+/// Longer than anything takes on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// Every example frame of the manual.
+const VECTORS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/vectors/manual-v4.3.jsonl");
+
+/// A simulation in a process of its own.
+struct Simulation {
+    process: Child,
+    /// What it told, by kind.
+    places: Vec<Value>,
+}
+
+impl Simulation {
+    /// Starts one that serves in so many ways.
+    fn start(ways: usize, arguments: &[&str]) -> Self {
+        let mut process = Command::new(cargo_bin("myactuator"))
+            .args(["sim", "--json"])
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(process.stdout.take().unwrap()).lines();
+        let places: Vec<Value> =
+            lines.take(ways).map(|line| serde_json::from_str(&line.unwrap()).unwrap()).collect();
+        let simulation = Self { process, places };
+        assert_eq!(simulation.places.len(), ways);
+        simulation
+    }
+
+    fn place(&self, kind: &str) -> &Value {
+        self.places.iter().find(|place| place["kind"] == kind).unwrap()
+    }
+
+    /// A serial port to what it serves.
+    fn open(&self, kind: &str) -> SerialPort {
+        let path = self.place(kind)["path"].as_str().unwrap();
+        let rate: u32 = self.place(kind)["bit_rate"].as_u64().unwrap().try_into().unwrap();
+        let mut port = SerialPort::open(path, rate).unwrap();
+        port.set_read_timeout(PATIENCE).unwrap();
+        port
+    }
+
+    /// Sends a signal, and gives how it ended and what it complained of.
+    fn end(mut self, signal: Signal) -> (ExitStatus, String) {
+        kill_process(Pid::from_child(&self.process), signal).unwrap();
+        let mut told = String::new();
+        self.process.stderr.take().unwrap().read_to_string(&mut told).unwrap();
+        // A machine that is busy with other things is no fault.
+        let told = told.lines().filter(|line| !line.contains("time stood still"));
+        let told = told.map(|line| format!("{line}\n")).collect();
+        (self.process.wait().unwrap(), told)
+    }
+}
+
+impl Drop for Simulation {
+    fn drop(&mut self) {
+        // It has ended already, unless a test has failed.
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+fn read_exactly<const N: usize>(port: &SerialPort) -> [u8; N] {
+    let (mut bytes, mut length) = ([0; N], 0);
+    while length < N {
+        length += port.read(&mut bytes[length..]).expect("an answer");
+    }
+    bytes
+}
+
+/// Writes a frame and gives the answer.
+fn exchange(port: &SerialPort, command: &[u8]) -> (Frame, AnyReply) {
+    port.write_all(command).unwrap();
+    let bytes: [u8; 13] = read_exactly(port);
+    let mut receiver = Receiver::new();
+    let frame = bytes.iter().find_map(|&byte| match receiver.feed(byte) {
+        Fed::Frame(frame) => Some(frame),
+        _ => None,
+    });
+    let frame = frame.unwrap_or_else(|| panic!("{bytes:02X?} is no frame"));
+    (frame, AnyReply::decode(&frame.as_reply().unwrap()).unwrap())
+}
+
+fn ask(port: &SerialPort, command: impl Into<AnyCommand>) -> AnyReply {
+    let packet = command.into().packet(Target::Motor(MotorId::MIN)).unwrap();
+    exchange(port, &Frame::from_packet(&packet).unwrap().encode()).1
+}
+
+fn bytes(text: &str) -> Vec<u8> {
+    text.split(' ').map(|digits| u8::from_str_radix(digits, 16).unwrap()).collect()
+}
+
+#[test]
+fn the_manuals_examples_get_their_answers_on_rs485() {
+    let simulation = Simulation::start(1, &["--only", "rs485", "--count", "2"]);
+    let port = simulation.open("rs485");
+    let vectors = std::fs::read_to_string(VECTORS).unwrap();
+    let rows = vectors.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let rows: Vec<Value> = rows
+        .filter(|row| row["bus"] == "rs485" && row["direction"] == "command" && row["id"] == 1)
+        // 2.26.3: no reply. 2.32.3: a reply at another bit rate.
+        .filter(|row| row["name"] != "reset" && row["name"] != "set-baud-rate")
+        .collect();
+    assert_eq!(rows.len(), 40);
+    for row in rows {
+        let command = bytes(row["frame"].as_str().unwrap());
+        let (frame, reply) = exchange(&port, &command);
+        let reply_bytes = frame.encode();
+        assert_eq!(reply.opcode().name(), row["name"].as_str().unwrap());
+        // Header, id, length and command byte are the command's.
+        assert_eq!(reply_bytes[..4], command[..4], "{row}");
+        if row["fields"].get("index").is_some() {
+            assert_eq!(reply_bytes[4], command[4], "{row}");
+        }
+        // 2.2, 2.3, 2.5, 2.9, 2.35: the reply repeats the command.
+        let writes = [
+            Opcode::WritePidRam,
+            Opcode::WritePidRom,
+            Opcode::WriteAcceleration,
+            Opcode::SetEncoderZero,
+            Opcode::FunctionControl,
+        ];
+        if writes.contains(&reply.opcode()) {
+            assert_eq!(reply_bytes[..], command, "{row}");
+        }
+    }
+    assert_eq!(simulation.end(Signal::INT), ended_well());
+}
+
+#[test]
+fn programs_need_not_set_anything_on_the_port() {
+    let simulation = Simulation::start(1, &["--only", "rs485"]);
+    let path = simulation.place("rs485")["path"].as_str().unwrap();
+    let mut port = File::options().read(true).write(true).open(path).unwrap();
+    // 2.33.4. A terminal that is not raw would hand it back and wait for the end of a line.
+    port.write_all(&bytes("3E 01 08 B5 00 00 00 00 00 00 00 30 42")).unwrap();
+    let limit = Timespec::try_from(PATIENCE).unwrap();
+    let answered = poll(&mut [PollFd::new(&port, PollFlags::IN)], Some(&limit)).unwrap();
+    assert_eq!(answered, 1, "no answer");
+    let mut reply = [0; 13];
+    port.read_exact(&mut reply).unwrap();
+    assert_eq!(&reply[..11], b"\x3E\x01\x08\xB5X8-PRO\0");
+    // Nothing was handed back before it.
+    let at_once = Timespec::default();
+    assert_eq!(poll(&mut [PollFd::new(&port, PollFlags::IN)], Some(&at_once)).unwrap(), 0);
+    drop(port);
+    assert_eq!(simulation.end(Signal::INT), ended_well());
+}
+
+fn ended_well() -> (ExitStatus, String) {
+    (ExitStatus::default(), String::new())
+}
+
+/// What the adapter says up to the next CR or BEL.
+fn line(port: &SerialPort) -> String {
+    let mut line = String::new();
+    loop {
+        let [byte] = read_exactly(port);
+        line.push(char::from(byte));
+        if byte == b'\r' || byte == 0x07 {
+            return line;
+        }
+    }
+}
+
+#[test]
+fn the_slcan_adapter_answers_and_carries_frames() {
+    let simulation = Simulation::start(1, &["--only", "slcan", "--bit-rate", "500000"]);
+    let port = simulation.open("slcan");
+    let say = |text: &str| {
+        port.write_all(text.as_bytes()).unwrap();
+        line(&port)
+    };
+    assert_eq!(say("V\r"), "V1013\r");
+    assert_eq!(say("O\r"), "\r");
+    assert_eq!(say("C\r"), "\r");
+    assert_eq!(say("S8\r"), "\x07"); // the bus runs at 500 kbit/s
+    assert_eq!(say("S6\r"), "\r");
+    assert_eq!(say("O\r"), "\r");
+    // 2.30.4: 0xB2 asks for the version; the reply repeats the command byte.
+    assert_eq!(say("t1418B200000000000000\r"), "z\r");
+    let reply = line(&port);
+    assert!(reply.starts_with("t2418B2000000") && reply.len() == 22, "{reply:?}");
+    // 5: motion mode is answered on 0x501 with the motor's id first.
+    assert_eq!(say("t40187FFF7FF0000007FF\r"), "z\r");
+    let reply = line(&port);
+    assert!(reply.starts_with("t501801") && reply.len() == 22, "{reply:?}");
+    let (status, told) = simulation.end(Signal::TERM);
+    assert!(status.success());
+    assert!(told.starts_with("note: ") && told.contains("1000000 bit/s"), "{told:?}");
+    assert_eq!(told.lines().count(), 1);
+}
+
+/// For a machine that is busy with other things.
+fn forgiving(config: Config) -> Config {
+    Config { reply_timeout: BusTime::from_millis(250), attempts: 15, ..config }
+}
+
+#[test]
+fn masters_reach_all_motors_on_both_buses_by_the_addresses_told() {
+    let simulation = Simulation::start(2, &["--count", "3"]);
+    let motors: MotorSet = MotorId::all().take(3).collect();
+    // Programs come and go. An adapter's last answers to one may reach one that comes at once, so there
+    // is one here, as on real adapters.
+    for kind in ["rs485", "rs485", "slcan"] {
+        let place = simulation.place(kind);
+        assert_eq!(place["motors"], serde_json::json!([1, 2, 3]));
+        let address: BusAddress = place["bus"].as_str().unwrap().parse().unwrap();
+        let config = forgiving(address.config());
+        let mut master = AnyMaster::<4>::open_with(&address, config).unwrap();
+        for motor in motors.iter() {
+            master.ask(motor, ReadVersionDate).unwrap();
+        }
+    }
+    assert_eq!(simulation.end(Signal::INT), ended_well());
+}
+
+#[test]
+fn drives_remember_their_turns_over_runs() {
+    use myactuator_protocol_core::command::{
+        AbsolutePosition, FunctionControl, ReadMultiTurnAngle, Switch,
+    };
+    use myactuator_protocol_core::units::{Angle, MaxSpeed};
+
+    let folder = tempfile::tempdir().unwrap();
+    let memory = folder.path().join("memory");
+    let arguments = ["--only", "rs485", "--count", "1", "--memory", memory.to_str().unwrap()];
+    let degrees = |port: &SerialPort| match ask(port, ReadMultiTurnAngle) {
+        AnyReply::ReadMultiTurnAngle(MultiTurnAngle { angle }) => angle.degrees(),
+        other => panic!("{other:?}"),
+    };
+
+    let first = Simulation::start(1, &arguments);
+    ask(&first.open("rs485"), FunctionControl::SaveMultiTurn(Switch::On));
+    assert_eq!(first.end(Signal::INT), ended_well());
+
+    let second = Simulation::start(1, &arguments);
+    let port = second.open("rs485");
+    let target = Angle::from_degrees(720.0).unwrap();
+    let max_speed = MaxSpeed::from_dps(720.0).unwrap();
+    ask(&port, AbsolutePosition { max_speed, angle: target });
+    let limit = Instant::now() + PATIENCE;
+    while (degrees(&port) - 720.0).abs() > 1.0 {
+        assert!(Instant::now() < limit, "{} deg", degrees(&port));
+    }
+    assert_eq!(second.end(Signal::TERM), ended_well());
+
+    let third = Simulation::start(1, &arguments);
+    let found = degrees(&third.open("rs485"));
+    // Nothing held the shaft for a moment.
+    assert!((found - 720.0).abs() < 90.0, "{found} deg");
+    assert_eq!(third.end(Signal::INT), ended_well());
+}
+
+#[test]
+fn faults_and_quirks_are_those_asked_for() {
+    use myactuator_protocol_core::command::ReadStatus1;
+
+    let faults = ["--fault", "encoder-data@1", "--quirk", "echo", "--brakes", "--seed", "7"];
+    let simulation = Simulation::start(1, &[&["--only", "rs485"], &faults[..]].concat());
+    assert!(simulation.place("rs485")["bus"].as_str().unwrap().ends_with("@1000000,echo"));
+    let port = simulation.open("rs485");
+    let command = AnyCommand::from(ReadVersionDate).packet(Target::Motor(MotorId::MIN)).unwrap();
+    let command = Frame::from_packet(&command).unwrap().encode();
+    port.write_all(&command).unwrap();
+    assert_eq!(read_exactly::<13>(&port), command);
+    assert_eq!(read_exactly::<13>(&port)[..4], [0x3E, 1, 8, 0xB2]);
+    let command = AnyCommand::from(ReadStatus1).packet(Target::Motor(MotorId::MIN)).unwrap();
+    port.write_all(&Frame::from_packet(&command).unwrap().encode()).unwrap();
+    read_exactly::<13>(&port);
+    let AnyReply::ReadStatus1(status) = exchange(&port, &[]).1 else { panic!() };
+    assert_eq!(status.errors, ErrorFlags::ENCODER_DATA);
+    drop(port);
+    assert_eq!(simulation.end(Signal::INT), ended_well());
+}
+
+#[test]
+fn links_lead_to_the_pseudo_terminals_as_long_as_they_are_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let links = folder.path().join("buses");
+    let simulation = Simulation::start(2, &["--link", links.to_str().unwrap()]);
+    for kind in ["rs485", "slcan"] {
+        let place = simulation.place(kind);
+        let link = place["link"].as_str().unwrap();
+        assert_eq!(Path::new(link), links.join(kind));
+        assert_eq!(std::fs::read_link(link).unwrap(), Path::new(place["path"].as_str().unwrap()));
+        assert!(place["bus"].as_str().unwrap().contains(link));
+    }
+    assert_eq!(simulation.end(Signal::INT), ended_well());
+    assert_eq!(std::fs::read_dir(links).unwrap().count(), 0);
+}
+
+/// Exit status and what is said on standard error.
+fn refused(arguments: &[&str]) -> (Option<i32>, String) {
+    let output = Command::new(cargo_bin("myactuator")).arg("sim").args(arguments).output().unwrap();
+    assert_eq!(output.stdout, b"");
+    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+}
+
+#[test]
+fn wrong_options_are_told_in_one_sentence() {
+    for (arguments, sentence) in [
+        (&["--count", "33"][..], "33 is not in 1..=32"),
+        (&["--model", "RMD-Z9"], "--model: no motor model is called \"RMD-Z9\"; there are RMD-"),
+        (&["--model", "no/such.toml"], "--model: the model's file \"no/such.toml\" cannot be read"),
+        (&["--quirk", "slow"], "--quirk: expected one of slow-boot, slow-brake"),
+        (&["--fault", "loose"], "--fault: expected lose, corrupt"),
+        (&["--fault", "lose=2"], "--fault: expected a chance from 0 to 1"),
+        (&["--fault", "cut@5"], "--fault names motor 5, but --count is 4"),
+        (&["--bit-rate", "123456"], "--bit-rate: expected a bit rate that SLCAN adapters know"),
+        (&["--rs485-rate", "0"], "--rs485-rate: expected a bit rate from 1200"),
+        (&["--only", "can"], "--only can needs --can"),
+        (&["--only", "slcan", "--can", "vcan0"], "drop one of them"),
+    ] {
+        let (status, told) = refused(arguments);
+        assert_eq!(status, Some(2), "{arguments:?}: {told}");
+        assert!(told.starts_with("error: ") && told.contains(sentence), "{arguments:?}: {told}");
+        assert_eq!(told.lines().count(), 1, "{arguments:?}: {told}");
+    }
+}
+
+#[test]
+fn what_cannot_be_served_is_told() {
+    let (status, told) = refused(&["--can", "no-such-can"]);
+    assert_eq!(status, Some(1));
+    assert!(told.starts_with("error: ") && told.contains("CAN"), "{told}");
+
+    let folder = tempfile::tempdir().unwrap();
+    let memory = folder.path().to_str().unwrap();
+    let first = Simulation::start(1, &["--only", "rs485", "--memory", memory]);
+    let (status, told) = refused(&["--only", "slcan", "--memory", memory]);
+    assert_eq!(status, Some(1));
+    assert!(told.contains("another simulation"), "{told}");
+    assert_eq!(first.end(Signal::INT), ended_well());
+}
