@@ -8,6 +8,7 @@ use myactuator_protocol_core::command::{
     MotionSetPoint, PidIndex, ReportedCommand,
 };
 use myactuator_protocol_core::range::{OutOfRange, Quantity};
+use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{
     Acceleration, Angle, Current, EncoderPulses, Gain, MaxSpeed, MaxTorque, Milliseconds,
     ReportInterval, SingleTurnTarget, SpeedTarget,
@@ -80,6 +81,17 @@ pub(super) fn pulses(text: &str) -> Parsed<EncoderPulses> {
 
 pub(super) fn milliseconds(text: &str) -> Parsed<Milliseconds> {
     whole(text, &Milliseconds::QUANTITY).map(Milliseconds::from_raw)
+}
+
+/// A span of time that a command may take.
+pub(super) fn seconds(text: &str) -> Parsed<Duration> {
+    const SPAN: Quantity = Quantity { name: "time", unit: "s", min: 0.01, max: 3600.0 };
+    let given = float(text, &SPAN)?;
+    if (SPAN.min..=SPAN.max).contains(&given) {
+        Ok(Duration::from_micros((given * 1e6).round() as u64))
+    } else {
+        Err(OutOfRange { quantity: &SPAN, given }.to_string())
+    }
 }
 
 /// A multiple of the interval's step: rounding could end at 0.

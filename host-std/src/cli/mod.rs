@@ -4,6 +4,7 @@ mod arguments;
 mod decode;
 mod demo;
 mod encode;
+mod motors;
 mod sim;
 
 use std::error::Error as _;
@@ -21,6 +22,8 @@ const NOT_ALL_DECODED: u8 = 1;
 const FAILED: u8 = 1;
 /// The program was used wrongly.
 const WRONG_USAGE: u8 = 2;
+/// Ctrl-C, or the like, ended what was under way.
+const INTERRUPTED: u8 = 130;
 
 /// Talk to MyActuator servo motors (protocol V4.3), and explain what is on their bus.
 #[derive(Debug, Parser)]
@@ -36,6 +39,8 @@ enum Subcommand {
     Encode(encode::Arguments),
     Decode(decode::Arguments),
     Sim(Box<sim::Arguments>),
+    #[command(flatten)]
+    Motors(motors::Subcommand),
 }
 
 /// Runs the program with the arguments that it was started with.
@@ -46,6 +51,7 @@ pub(crate) fn run() -> ExitCode {
             Subcommand::Encode(arguments) => encode::run(&arguments),
             Subcommand::Decode(arguments) => decode::run(&arguments),
             Subcommand::Sim(arguments) => sim::run(&arguments),
+            Subcommand::Motors(subcommand) => motors::run(&subcommand),
         },
         Err(error) => stop_parsing(&error),
     })

@@ -13,6 +13,11 @@ use crate::port::slcan::Rate;
 const LONGEST_INTERFACE: usize = 15;
 /// As many motors as the protocol has ids for.
 const MOST_MOTORS: u8 = 32;
+/// How many motors are simulated if nobody says.
+const USUAL_MOTORS: u8 = 4;
+/// The bit rates of the simulated buses, bit/s: those that drives are delivered with.
+const SIMULATED_CAN_RATE: u32 = 1_000_000;
+const SIMULATED_LINE_RATE: u32 = 115_200;
 /// The slowest and the fastest serial line that an address may name, in bit/s.
 const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 
@@ -20,7 +25,8 @@ const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 ///
 /// | string | bus |
 /// |---|---|
-/// | `sim`, `sim:4` | simulated bus with one or so many motors, 1 to 32 |
+/// | `sim`, `sim:2` | simulated CAN bus at 1 Mbit/s with four or so many motors, 1 to 32 |
+/// | `sim:2,rs485` | simulated RS485 line at 115200 bit/s |
 /// | `can0`, `can:can0` | SocketCAN interface |
 /// | `slcan:/dev/ttyACM0@1000000` | SLCAN adapter on a serial port, bit rate of the CAN bus in bit/s |
 /// | `rs485:/dev/ttyUSB0@115200` | RS485 adapter on a serial port, bit rate of the line in bit/s |
@@ -37,8 +43,10 @@ const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 pub enum BusAddress {
     /// A simulated bus.
     Simulated {
-        /// How many motors are on it, 1 to 32.
+        /// How many motors are on it, with ids from 1: 1 to 32.
         motors: u8,
+        /// Which of the protocol's two buses it is.
+        kind: BusKind,
     },
     /// A CAN interface of Linux.
     SocketCan {
@@ -64,17 +72,38 @@ pub enum BusAddress {
 }
 
 impl BusAddress {
-    /// Which of the protocol's two buses this is. Simulated buses are CAN.
+    /// Whether the motors on it are simulated.
+    pub const fn is_simulated(&self) -> bool {
+        matches!(self, Self::Simulated { .. })
+    }
+
+    /// Which of the protocol's two buses this is.
     pub const fn kind(&self) -> BusKind {
         match self {
-            Self::Simulated { .. } | Self::SocketCan { .. } | Self::Slcan { .. } => BusKind::Can,
+            Self::Simulated { kind, .. } => *kind,
+            Self::SocketCan { .. } | Self::Slcan { .. } => BusKind::Can,
             Self::Rs485 { .. } => BusKind::Rs485,
+        }
+    }
+
+    /// The bit rate of the bus in bit/s; `None` for a CAN interface of Linux, whose rate is set
+    /// outside.
+    pub const fn bit_rate(&self) -> Option<u32> {
+        match self {
+            Self::Simulated { kind: BusKind::Can, .. } => Some(SIMULATED_CAN_RATE),
+            Self::Simulated { kind: BusKind::Rs485, .. } => Some(SIMULATED_LINE_RATE),
+            Self::SocketCan { .. } => None,
+            Self::Slcan { rate, .. } => Some(rate.bits_per_second()),
+            Self::Rs485 { bit_rate, .. } => Some(*bit_rate),
         }
     }
 
     /// The master's configuration for this bus.
     pub const fn config(&self) -> Config {
         match self {
+            Self::Simulated { kind: BusKind::Rs485, .. } => {
+                Config::rs485(SIMULATED_LINE_RATE, false)
+            }
             Self::Simulated { .. } | Self::SocketCan { .. } | Self::Slcan { .. } => Config::CAN,
             Self::Rs485 { bit_rate, echo, .. } => Config::rs485(*bit_rate, *echo),
         }
@@ -84,7 +113,8 @@ impl BusAddress {
 impl fmt::Display for BusAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Simulated { motors } => write!(f, "sim:{motors}"),
+            Self::Simulated { motors, kind: BusKind::Can } => write!(f, "sim:{motors}"),
+            Self::Simulated { motors, kind: BusKind::Rs485 } => write!(f, "sim:{motors},rs485"),
             // An interface may have a name that means something else here.
             Self::SocketCan { interface } if interface == SIMULATED => write!(f, "can:{interface}"),
             Self::SocketCan { interface } => f.write_str(interface),
@@ -124,7 +154,12 @@ pub enum NotAnAddress {
     /// A bit rate that no serial line has.
     LineRate(String),
     /// A word behind the comma that is no option.
-    Option(String),
+    Option {
+        /// The option that there is, `"echo"` or `"rs485"`.
+        expected: &'static str,
+        /// What stands behind the comma.
+        found: String,
+    },
 }
 
 impl fmt::Display for NotAnAddress {
@@ -163,8 +198,8 @@ impl fmt::Display for NotAnAddress {
                 LINE_RATES.start(),
                 LINE_RATES.end()
             ),
-            Self::Option(found) => {
-                write!(f, "expected \"echo\" or nothing behind the comma, found \"{found}\"")
+            Self::Option { expected, found } => {
+                write!(f, "expected \"{expected}\" or no comma, found \",{found}\"")
             }
         }
     }
@@ -178,7 +213,9 @@ impl FromStr for BusAddress {
     fn from_str(text: &str) -> Result<Self, NotAnAddress> {
         match text.split_once(':') {
             None if text.is_empty() => Err(NotAnAddress::Empty),
-            None if text == SIMULATED => Ok(Self::Simulated { motors: 1 }),
+            None if text == SIMULATED => {
+                Ok(Self::Simulated { motors: USUAL_MOTORS, kind: BusKind::Can })
+            }
             None if text.contains('/') => Err(NotAnAddress::Kind(text.to_owned())),
             None => socket_can(text),
             Some((SIMULATED, motors)) => simulated(motors),
@@ -191,10 +228,17 @@ impl FromStr for BusAddress {
 }
 
 fn simulated(motors: &str) -> Result<BusAddress, NotAnAddress> {
+    let (motors, kind) = match motors.split_once(',') {
+        None => (motors, BusKind::Can),
+        Some((motors, "rs485")) => (motors, BusKind::Rs485),
+        Some((_, found)) => {
+            return Err(NotAnAddress::Option { expected: "rs485", found: found.to_owned() });
+        }
+    };
     let wrong = || NotAnAddress::Motors(motors.to_owned());
     let motors = decimal(motors).and_then(|motors| u8::try_from(motors).ok()).ok_or_else(wrong)?;
     if (1..=MOST_MOTORS).contains(&motors) {
-        Ok(BusAddress::Simulated { motors })
+        Ok(BusAddress::Simulated { motors, kind })
     } else {
         Err(wrong())
     }
@@ -227,7 +271,9 @@ fn rs485(port: &str) -> Result<BusAddress, NotAnAddress> {
     let (rate, echo) = match rate.split_once(',') {
         None => (rate, false),
         Some((rate, "echo")) => (rate, true),
-        Some((_, option)) => return Err(NotAnAddress::Option(option.to_owned())),
+        Some((_, found)) => {
+            return Err(NotAnAddress::Option { expected: "echo", found: found.to_owned() });
+        }
     };
     let bit_rate = decimal(rate)
         .filter(|rate| LINE_RATES.contains(rate))
@@ -262,9 +308,11 @@ mod tests {
     #[test]
     fn every_form_is_read() {
         let can = |interface: &str| Ok(BusAddress::SocketCan { interface: interface.to_owned() });
-        assert_eq!(parse("sim"), Ok(BusAddress::Simulated { motors: 1 }));
-        assert_eq!(parse("sim:4"), Ok(BusAddress::Simulated { motors: 4 }));
-        assert_eq!(parse("sim:32"), Ok(BusAddress::Simulated { motors: 32 }));
+        let sim = |motors, kind| Ok(BusAddress::Simulated { motors, kind });
+        assert_eq!(parse("sim"), sim(4, BusKind::Can));
+        assert_eq!(parse("sim:1"), sim(1, BusKind::Can));
+        assert_eq!(parse("sim:32"), sim(32, BusKind::Can));
+        assert_eq!(parse("sim:2,rs485"), sim(2, BusKind::Rs485));
         assert_eq!(parse("can0"), can("can0"));
         assert_eq!(parse("can:can0"), can("can0"));
         assert_eq!(parse("can:sim"), can("sim"));
@@ -287,6 +335,7 @@ mod tests {
     fn what_is_printed_is_read_again() {
         for text in [
             "sim:4",
+            "sim:2,rs485",
             "can0",
             "can:sim",
             "slcan:/dev/ttyACM0@1000000",
@@ -295,7 +344,7 @@ mod tests {
         ] {
             assert_eq!(parse(text).unwrap().to_string(), text);
         }
-        assert_eq!(parse("sim").unwrap().to_string(), "sim:1");
+        assert_eq!(parse("sim").unwrap().to_string(), "sim:4");
         assert_eq!(parse("can:can0").unwrap().to_string(), "can0");
     }
 
@@ -311,6 +360,8 @@ mod tests {
             ("sim:33", Not::Motors("33".into())),
             ("sim:+4", Not::Motors("+4".into())),
             ("sim:260", Not::Motors("260".into())),
+            ("sim:,rs485", Not::Motors(String::new())),
+            ("sim:4,echo", Not::Option { expected: "rs485", found: "echo".into() }),
             ("can:", Not::Interface(String::new())),
             ("can 0", Not::Interface("can 0".into())),
             ("..", Not::Interface("..".into())),
@@ -322,10 +373,28 @@ mod tests {
             ("rs485:/dev/ttyUSB0@", Not::LineRate(String::new())),
             ("rs485:/dev/ttyUSB0@0", Not::LineRate("0".into())),
             ("rs485:/dev/ttyUSB0@115200 ", Not::LineRate("115200 ".into())),
-            ("rs485:/dev/ttyUSB0@115200,", Not::Option(String::new())),
-            ("rs485:/dev/ttyUSB0@115200,8n1", Not::Option("8n1".into())),
+            ("rs485:/dev/ttyUSB0@115200,", Not::Option { expected: "echo", found: String::new() }),
+            (
+                "rs485:/dev/ttyUSB0@115200,8n1",
+                Not::Option { expected: "echo", found: "8n1".into() },
+            ),
         ] {
             assert_eq!(parse(text), Err(why), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn each_bus_tells_its_kind_and_rate() {
+        for (text, kind, rate) in [
+            ("sim:4", BusKind::Can, Some(1_000_000)),
+            ("sim:4,rs485", BusKind::Rs485, Some(115_200)),
+            ("can0", BusKind::Can, None),
+            ("slcan:/dev/ttyACM0@500000", BusKind::Can, Some(500_000)),
+            ("rs485:/dev/ttyUSB0@2500000", BusKind::Rs485, Some(2_500_000)),
+        ] {
+            let bus = parse(text).unwrap();
+            assert_eq!((bus.kind(), bus.bit_rate()), (kind, rate), "{text}");
+            assert_eq!(bus.is_simulated(), text.starts_with("sim"));
         }
     }
 

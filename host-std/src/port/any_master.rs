@@ -4,12 +4,21 @@ use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
 use myactuator_protocol_core::master::{Config, Event, Master};
 use myactuator_protocol_core::time::Instant;
 
+use crate::BusKind;
+use crate::bus::SimClock;
+use crate::bus::can::{CanBus, CanPort};
+use crate::bus::rs485::{Rs485Line, SerialPort};
 use crate::port::slcan::Slcan;
 use crate::port::{BusAddress, BusError, HostClock, Rs485, SocketCan};
+use crate::sim::Fleet;
 
-/// A master of up to `N` motors on a real bus: the same [`Runner`] whatever the bus.
+/// A master of up to `N` motors, real or simulated: the same [`Runner`] whatever the bus.
 #[derive(Debug)]
 pub enum AnyMaster<const N: usize> {
+    /// On a simulated CAN bus, in virtual time: waiting takes no time.
+    SimulatedCan(CanMaster<CanPort, SimClock<CanBus>, N>),
+    /// On a simulated RS485 line, in virtual time.
+    SimulatedRs485(SerialMaster<SerialPort, SimClock<Rs485Line>, N>),
     /// On a CAN interface of Linux.
     SocketCan(CanMaster<SocketCan, HostClock, N>),
     /// On an SLCAN adapter.
@@ -19,7 +28,7 @@ pub enum AnyMaster<const N: usize> {
 }
 
 impl<const N: usize> AnyMaster<N> {
-    /// Opens this bus, with the [configuration](BusAddress::config) that suits it.
+    /// Opens this bus, or makes it if it is simulated, with the [configuration](BusAddress::config) that suits it.
     ///
     /// # Errors
     /// [`BusError`] tells why it cannot be opened, and what to do.
@@ -34,7 +43,25 @@ impl<const N: usize> AnyMaster<N> {
     /// As [`open`](Self::open).
     pub fn open_with(address: &BusAddress, config: Config) -> Result<Self, BusError> {
         match address {
-            BusAddress::Simulated { .. } => Err(BusError::Simulated(address.to_string())),
+            BusAddress::Simulated { motors, kind } => {
+                // Its handles keep the simulated world alive. Motors with brakes, so that what must
+                // release them first is not forgotten until it runs on a robot.
+                let fleet = Fleet::new(*motors).brakes(true);
+                let rate = address.bit_rate().unwrap_or_default();
+                let wrong = |error| BusError::simulated(address, &error);
+                Ok(match kind {
+                    BusKind::Can => {
+                        let world = fleet.on_can(rate).map_err(wrong)?.world;
+                        let master = CanMaster::new(world.port(), world.clock(), config);
+                        Self::SimulatedCan(master)
+                    }
+                    BusKind::Rs485 => {
+                        let world = fleet.on_rs485(rate).map_err(wrong)?.world;
+                        let master = SerialMaster::new(world.port(), world.clock(), config);
+                        Self::SimulatedRs485(master)
+                    }
+                })
+            }
             BusAddress::SocketCan { interface } => {
                 let can = SocketCan::open(interface)?;
                 let clock = can.clock()?;
@@ -54,27 +81,38 @@ impl<const N: usize> AnyMaster<N> {
     }
 }
 
+/// The same for each bus.
+macro_rules! on_each {
+    ($master:expr, $runner:ident => $call:expr) => {
+        match $master {
+            Self::SimulatedCan($runner) => $call,
+            Self::SimulatedRs485($runner) => $call,
+            Self::SocketCan($runner) => $call,
+            Self::Slcan($runner) => $call,
+            Self::Rs485($runner) => $call,
+        }
+    };
+}
+
 impl<const N: usize> Runner<N> for AnyMaster<N> {
     type Error = BusError;
 
     fn master(&mut self) -> &mut Master<N> {
-        match self {
-            Self::SocketCan(runner) => runner.master(),
-            Self::Slcan(runner) => runner.master(),
-            Self::Rs485(runner) => runner.master(),
-        }
+        on_each!(self, runner => runner.master())
     }
 
     fn now(&self) -> Instant {
-        match self {
-            Self::SocketCan(runner) => runner.now(),
-            Self::Slcan(runner) => runner.now(),
-            Self::Rs485(runner) => runner.now(),
-        }
+        on_each!(self, runner => runner.now())
     }
 
     fn poll(&mut self) -> Result<Option<Event>, BusError> {
         match self {
+            Self::SimulatedCan(runner) => {
+                runner.poll().map_err(|error| BusError::simulated(&"CAN", &error))
+            }
+            Self::SimulatedRs485(runner) => {
+                runner.poll().map_err(|error| BusError::simulated(&"RS485", &error))
+            }
             Self::SocketCan(runner) => runner.poll(),
             Self::Slcan(runner) => runner.poll(),
             Self::Rs485(runner) => runner.poll(),
@@ -82,10 +120,6 @@ impl<const N: usize> Runner<N> for AnyMaster<N> {
     }
 
     fn idle(&mut self, until: Instant) {
-        match self {
-            Self::SocketCan(runner) => runner.idle(until),
-            Self::Slcan(runner) => runner.idle(until),
-            Self::Rs485(runner) => runner.idle(until),
-        }
+        on_each!(self, runner => runner.idle(until))
     }
 }

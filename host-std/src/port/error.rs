@@ -1,10 +1,10 @@
-//! What can go wrong with a real bus, in one sentence each.
+//! What can go wrong with a bus, in one sentence each.
 
 use std::fmt;
 use std::io;
 use std::sync::Arc;
 
-/// A real bus that cannot be opened, or that fails while in use.
+/// A bus that cannot be opened, or that fails while in use.
 ///
 /// `Debug` prints the same sentence as `Display`, so that an `unwrap` and the errors that wrap this
 /// one are readable.
@@ -45,8 +45,13 @@ pub enum BusError {
     },
     /// The serial port has gone, such as an adapter that was pulled out.
     PortGone(String),
-    /// A simulated bus, where only real ones can be opened.
-    Simulated(String),
+    /// A simulated bus that cannot be made, or that faults keep from working.
+    Simulated {
+        /// The bus.
+        bus: String,
+        /// What the simulation says.
+        sentence: String,
+    },
     /// Anything else that the operating system reports.
     Os {
         /// The bus.
@@ -57,6 +62,10 @@ pub enum BusError {
 }
 
 impl BusError {
+    pub(super) fn simulated(bus: &impl fmt::Display, error: &impl fmt::Display) -> Self {
+        Self::Simulated { bus: bus.to_string(), sentence: error.to_string() }
+    }
+
     pub(super) fn os(bus: &str, error: io::Error) -> Self {
         Self::Os { bus: bus.to_owned(), error: Arc::new(error) }
     }
@@ -130,8 +139,8 @@ impl fmt::Display for BusError {
                 f,
                 "the serial port \"{port}\" has gone: plug the adapter in again and restart"
             ),
-            Self::Simulated(bus) => {
-                write!(f, "\"{bus}\" is a simulated bus: expected a real one, such as can0")
+            Self::Simulated { bus, sentence } => {
+                write!(f, "the simulated bus \"{bus}\" fails: {sentence}")
             }
             Self::Os { bus, error } => {
                 write!(f, "\"{bus}\" fails: the operating system reports: {error}")

@@ -1,7 +1,7 @@
-//! Real buses on Linux, for the loops of `myactuator_protocol_core::io`.
+//! Buses on Linux, real and simulated, for the loops of `myactuator_protocol_core::io`.
 //!
 //! [`AnyMaster::open`] opens whatever a [`BusAddress`] names, a [`BusAddress`] being read from one
-//! string: `can0`, `slcan:/dev/ttyACM0@1000000`, `rs485:/dev/ttyUSB0@115200,echo`.
+//! string: `sim:4`, `can0`, `slcan:/dev/ttyACM0@1000000`, `rs485:/dev/ttyUSB0@115200,echo`.
 //!
 //! | bus | port |
 //! |---|---|

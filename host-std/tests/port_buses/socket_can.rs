@@ -1,7 +1,7 @@
 //! What is said of CAN interfaces that cannot be opened. Frames over one need a Linux with CAN, which
 //! not every machine has.
 
-use myactuator_host_std::port::{AnyMaster, BusError, SocketCan};
+use myactuator_host_std::port::{BusError, SocketCan};
 use rustix::net::{AddressFamily, SocketType, socket};
 
 #[test]
@@ -21,10 +21,4 @@ fn an_interface_that_is_not_there_is_told() {
 fn an_interface_that_is_not_for_can_is_told() {
     let error = SocketCan::open("lo").unwrap_err();
     assert!(matches!(error, BusError::NoCanSupport | BusError::NotCan(_)), "{error}");
-}
-
-#[test]
-fn a_simulated_bus_is_no_real_one() {
-    let error = AnyMaster::<1>::open(&"sim:4".parse().unwrap()).unwrap_err();
-    assert!(matches!(error, BusError::Simulated(_)), "{error}");
 }

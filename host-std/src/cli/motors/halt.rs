@@ -1,0 +1,109 @@
+//! `myactuator stop` and `myactuator shutdown`: what must work without thinking.
+//!
+//! Nothing is asked, and nobody is looked for first: the command itself goes to every id, and those
+//! that confirm are told.
+
+use myactuator_protocol_core::command::{Command, Shutdown, Stop};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{MotorSet, Patience, StopKind};
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::{MotorId, Target};
+
+use super::session::{OnBus, Outcome, Session, say};
+use crate::cli::arguments as parse;
+
+/// How often ids are tried that do not confirm.
+const ROUNDS: usize = 3;
+/// For how long a bus that reports errors is tried again.
+const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
+const LONGEST_IDLE: Duration = Duration::from_millis(10);
+
+/// Exit status: 0 if the motor, or any motor if all are meant, has confirmed, else 1.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Arguments {
+    #[command(flatten)]
+    on: OnBus,
+    /// The motor, 1 to 32, or all on the bus.
+    #[arg(long, value_parser = parse::target, allow_hyphen_values = true, default_value = "all")]
+    id: Target,
+}
+
+pub(super) fn stop(arguments: &Arguments) -> Outcome {
+    let motors = halt(arguments, StopKind::Hold)?;
+    say(&match motors.len() {
+        1 => format!("motor {motors} is stopped and holds still (0x81)"),
+        _ => format!("motors {motors} are stopped and hold still (0x81)"),
+    })
+}
+
+pub(super) fn shut_down(arguments: &Arguments) -> Outcome {
+    let motors = halt(arguments, StopKind::Off)?;
+    say(&match motors.len() {
+        1 => format!("motor {motors} is off (0x80): its shaft is free unless a brake holds it"),
+        _ => {
+            format!("motors {motors} are off (0x80): their shafts are free unless brakes hold them")
+        }
+    })
+}
+
+/// Gives the motors that have confirmed.
+fn halt(arguments: &Arguments, kind: StopKind) -> Outcome<MotorSet> {
+    let mut session = Session::open(&arguments.on)?;
+    match (arguments.id, kind) {
+        (Target::Motor(motor), _) => {
+            session.stop(kind, motor.into())?;
+            Ok(motor.into())
+        }
+        (Target::All, StopKind::Hold) => tell_all(&mut session, Stop),
+        (Target::All, StopKind::Off) => tell_all(&mut session, Shutdown),
+    }
+}
+
+/// Sends a command to every id, first once to each and then again to those that were silent.
+fn tell_all<C: Command + Copy>(session: &mut Session, command: C) -> Outcome<MotorSet> {
+    let mut confirmed = MotorSet::EMPTY;
+    for _ in 0..ROUNDS {
+        for motor in once(session, MotorSet::ALL.without(confirmed), command)?.iter() {
+            confirmed.insert(motor);
+        }
+    }
+    if confirmed.is_empty() { Err(session.nobody()) } else { Ok(confirmed) }
+}
+
+/// Sends a command once to each of these ids and gives those that have answered.
+fn once<C: Command + Copy>(
+    session: &mut Session,
+    motors: MotorSet,
+    command: C,
+) -> Outcome<MotorSet> {
+    let patience = Patience { reply_timeout: session.address.config().reply_timeout, attempts: 1 };
+    let now = session.master.now();
+    let mut waiting = Vec::with_capacity(MotorId::COUNT);
+    for motor in motors.iter() {
+        let ticket = session.master.master().request_with(motor, command, patience, now);
+        waiting.push((motor, ticket.map_err(myactuator_protocol_core::io::CallError::from)?));
+    }
+    let mut answered = MotorSet::EMPTY;
+    while !waiting.is_empty() {
+        let event = match session.master.poll() {
+            Ok(Some(event)) => event,
+            // One refused frame must not keep the others from being stopped.
+            Err(error) if session.master.now() - now > LONGEST_OUTAGE => return Err(error.into()),
+            Ok(None) | Err(_) => {
+                let soon = session.master.now() + LONGEST_IDLE;
+                session.master.idle(soon);
+                continue;
+            }
+        };
+        waiting.retain(|(motor, ticket)| match ticket.outcome(&event) {
+            None => true,
+            Some(outcome) => {
+                if outcome.is_ok() {
+                    answered.insert(*motor);
+                }
+                false
+            }
+        });
+    }
+    Ok(answered)
+}

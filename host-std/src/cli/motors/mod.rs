@@ -1,0 +1,63 @@
+//! The subcommands that work on motors: simulated ones unless another bus is named.
+//!
+//! What moves a motor or writes its memory goes through [`session`], which asks first, and through
+//! [`moving`], which stops the motor whatever ends the command early.
+
+mod brake;
+mod change_id;
+mod halt;
+mod info;
+mod motion;
+mod move_to;
+mod moving;
+mod progress;
+mod run_for;
+mod scan;
+mod session;
+mod speed;
+mod status;
+mod torque;
+mod zero;
+
+use super::DONE;
+
+/// What can be done with motors.
+#[derive(Debug, clap::Subcommand)]
+pub(super) enum Subcommand {
+    Scan(scan::Arguments),
+    Info(info::Arguments),
+    Status(status::Arguments),
+    Move(move_to::Arguments),
+    Speed(speed::Arguments),
+    Torque(torque::Arguments),
+    Motion(motion::Arguments),
+    /// Stop motors at once (0x81): they hold still
+    Stop(halt::Arguments),
+    /// Switch motors off at once (0x80): their shafts are free unless brakes hold them
+    Shutdown(halt::Arguments),
+    Brake(brake::Arguments),
+    Zero(zero::Arguments),
+    Id(change_id::Arguments),
+}
+
+/// Does it, and gives the exit status.
+pub(super) fn run(subcommand: &Subcommand) -> u8 {
+    let outcome = match subcommand {
+        Subcommand::Scan(arguments) => scan::run(arguments),
+        Subcommand::Info(arguments) => info::run(arguments),
+        Subcommand::Status(arguments) => status::run(arguments),
+        Subcommand::Move(arguments) => move_to::run(arguments),
+        Subcommand::Speed(arguments) => speed::run(arguments),
+        Subcommand::Torque(arguments) => torque::run(arguments),
+        Subcommand::Motion(arguments) => motion::run(arguments),
+        Subcommand::Stop(arguments) => halt::stop(arguments),
+        Subcommand::Shutdown(arguments) => halt::shut_down(arguments),
+        Subcommand::Brake(arguments) => brake::run(arguments),
+        Subcommand::Zero(arguments) => zero::run(arguments),
+        Subcommand::Id(arguments) => change_id::run(arguments),
+    };
+    match outcome {
+        Ok(()) => DONE,
+        Err(unfinished) => unfinished.tell(),
+    }
+}

@@ -1,0 +1,90 @@
+//! What holds while a motor moves: whatever ends a command early, the motor is stopped first.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::time::{Duration, Instant};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+use super::session::{Outcome, Session, Unfinished};
+
+/// How long to wait at the most before looking whether the user interrupts.
+const LONGEST_WAIT: Duration = Duration::from_millis(10);
+
+impl Session {
+    /// Does `work`, which moves this motor. If it fails, or Ctrl-C, a hang-up or a request to end
+    /// comes, the motor is stopped (0x81) before anything else.
+    pub(super) fn moving<T>(
+        &mut self,
+        motor: MotorId,
+        work: impl FnOnce(&mut Self) -> Outcome<T>,
+    ) -> Outcome<T> {
+        for signal in [SIGINT, SIGTERM, SIGHUP] {
+            signal_hook::flag::register(signal, Arc::clone(&self.interrupted))
+                .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))?;
+        }
+        work(self).map_err(|why| {
+            let stopped = self.stop(StopKind::Hold, motor.into());
+            told_with_stop(motor, why, stopped)
+        })
+    }
+
+    /// Stops these motors and waits until they have confirmed.
+    pub(super) fn stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
+        let silent = self.master.stop_all(kind, motors);
+        if silent.is_empty() {
+            return Ok(());
+        }
+        Err(Unfinished::Failed(format!(
+            "no confirmation of the stop from motor {silent}: if it is on this bus, cut its power"
+        )))
+    }
+
+    /// Ends the work if the user has interrupted it.
+    pub(super) fn check_interrupted(&self) -> Outcome {
+        if self.interrupted.load(Ordering::Relaxed) {
+            Err(Unfinished::Interrupted("interrupted".to_owned()))
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Waits, ready to be interrupted.
+    pub(super) fn wait_until(&mut self, until: Instant) -> Outcome {
+        loop {
+            self.check_interrupted()?;
+            if self.master.now() >= until {
+                return Ok(());
+            }
+            if self.master.poll()?.is_none() {
+                let wake = until.min(self.master.now() + LONGEST_WAIT);
+                self.master.idle(wake);
+            }
+        }
+    }
+}
+
+/// Why the work ended, and that the motor has stopped, or not.
+fn told_with_stop(motor: MotorId, why: Unfinished, stopped: Outcome) -> Unfinished {
+    let sentence = match &why {
+        Unfinished::Usage(sentence)
+        | Unfinished::Failed(sentence)
+        | Unfinished::Interrupted(sentence) => sentence.as_str(),
+        Unfinished::FailedAndTold => "the command failed",
+        Unfinished::ReaderLeft => "nobody reads the output any more",
+    };
+    match (stopped, &why) {
+        (Err(Unfinished::Failed(not_stopped)), _) => {
+            Unfinished::Failed(format!("{sentence}; {not_stopped}"))
+        }
+        (_, Unfinished::Interrupted(_)) => Unfinished::Interrupted(format!(
+            "{sentence}; motor {motor} is stopped and holds still (0x81)"
+        )),
+        _ => Unfinished::Failed(format!(
+            "{sentence}; motor {motor} is stopped and holds still (0x81)"
+        )),
+    }
+}

@@ -1,0 +1,268 @@
+//! Running for a limited time: what `speed`, `torque` and `motion` have in common.
+//!
+//! The command is repeated all the time, so that a drive with communication-loss protection keeps
+//! running and each reply tells how the motor does.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::{BrakeCommand, Command, LockBrake, ReadStatus1};
+use myactuator_protocol_core::io::{CallError, Runner, bring_up};
+use myactuator_protocol_core::master::{Failure, StopKind};
+use myactuator_protocol_core::time::Duration;
+
+use super::progress::Progress;
+use super::session::{Consent, OnBus, Outcome, Session, Unfinished, healthy, say};
+use crate::cli::arguments as parse;
+
+/// How often the command is sent.
+const SEND_EVERY: Duration = Duration::from_millis(10);
+/// How often errors are looked at, in commands.
+const ERRORS_EVERY: u32 = 10;
+/// How long a motor may take to come to rest before its brake is locked.
+const LONGEST_BRAKING: Duration = Duration::from_secs(3);
+/// So many commands in a row without a reply are a motor that does not answer.
+const MOST_MISSED: u32 = 5;
+
+/// Which motor, and how long.
+#[derive(Debug, clap::Args)]
+pub(super) struct Span {
+    #[command(flatten)]
+    pub(super) on: OnBus,
+    /// The motor, 1 to 32.
+    #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
+    pub(super) id: MotorId,
+    /// For how long, s.
+    #[arg(long, value_parser = parse::seconds, allow_hyphen_values = true, default_value = "1")]
+    pub(super) for_s: Duration,
+    #[command(flatten)]
+    pub(super) consent: Consent,
+}
+
+/// What runs, and how it begins and ends.
+#[derive(Debug)]
+pub(super) struct Run<C> {
+    pub(super) command: C,
+    /// What the motor does, for the question: "turn at 90 dps".
+    pub(super) does: String,
+    /// Whether a locked brake must be released first: torque does nothing against it (2.19.1).
+    pub(super) needs_open_brake: bool,
+    /// How it ends.
+    pub(super) end: StopKind,
+}
+
+/// Asks, runs and ends. `reading` tells a reply in a few words.
+pub(super) fn run<C: Command + Copy>(
+    span: &Span,
+    run: &Run<C>,
+    reading: impl Fn(&C::Reply) -> String,
+) -> Outcome {
+    let mut session = Session::open_to_change(&span.on, span.consent)?;
+    let motor = span.id;
+    let seconds = seconds(span.for_s);
+    let locked = session.ready(motor)?.brake == BrakeCommand::Lock;
+    let opens = run.needs_open_brake && locked;
+    let first = if opens { "have its brake released and " } else { "" };
+    let then = match run.end {
+        StopKind::Hold => "then stop and hold still",
+        StopKind::Off => "then be switched off",
+    };
+    session.confirm(&format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does))?;
+    session.moving(motor, |session| {
+        if opens {
+            bring_up::release_brake(&mut session.master, motor)?;
+        }
+        repeat(session, span, run.command, reading)?;
+        let end = match run.end {
+            StopKind::Hold => {
+                session.stop(StopKind::Hold, motor.into())?;
+                "it is stopped and holds still (0x81)"
+            }
+            StopKind::Off if opens => {
+                put_down(session, motor)?;
+                "it is stopped, its brake locked again (0x78) and it is off (0x80)"
+            }
+            StopKind::Off => {
+                session.stop(StopKind::Off, motor.into())?;
+                "it is off (0x80): its shaft is free unless a brake holds it"
+            }
+        };
+        say(&format!("motor {motor} has run for {seconds} s: {end}"))
+    })
+}
+
+/// Stops a motor, locks its brake and switches it off, in the order in which no load falls.
+fn put_down(session: &mut Session, motor: MotorId) -> Outcome {
+    session.stop(StopKind::Hold, motor.into())?;
+    let latest = session.master.now() + LONGEST_BRAKING;
+    while session.standing(motor).is_err() && session.master.now() < latest {
+        let soon = session.master.now() + SEND_EVERY;
+        session.wait_until(soon)?;
+    }
+    // Not on a shaft that turns still.
+    session.standing(motor)?;
+    session.ask(motor, LockBrake)?;
+    session.stop(StopKind::Off, motor.into())
+}
+
+/// Sends the command over and over until the time is up.
+fn repeat<C: Command + Copy>(
+    session: &mut Session,
+    span: &Span,
+    command: C,
+    reading: impl Fn(&C::Reply) -> String,
+) -> Outcome {
+    let (motor, length) = (span.id, span.for_s);
+    let start = session.master.now();
+    let mut progress = Progress::new(start);
+    let mut missed = 0;
+    for turn in 0.. {
+        let at = SEND_EVERY.times(turn);
+        session.wait_until(start + at.min(length))?;
+        let now = session.master.now();
+        if now - start >= length {
+            return Ok(());
+        }
+        match session.master.call(motor, command) {
+            Ok(Some(reply)) => {
+                missed = 0;
+                let share = seconds(now - start) / seconds(length);
+                progress.show(now, share, || {
+                    format!("{:6.2} s {}", seconds(now - start), reading(&reply))
+                })?;
+            }
+            // The next one is due soon; a set-point is not sent again.
+            Err(CallError::Failed(Failure::NoReply | Failure::NotExecuted))
+                if missed < MOST_MISSED =>
+            {
+                missed += 1;
+            }
+            Err(error) => return Err(Unfinished::of_motor(motor)(error)),
+            Ok(None) => {}
+        }
+        if turn % ERRORS_EVERY == 0 {
+            healthy(motor, session.ask(motor, ReadStatus1)?.errors)?;
+        }
+    }
+    Ok(())
+}
+
+fn seconds(span: Duration) -> f64 {
+    span.as_micros() as f64 / 1e6
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use myactuator_host_std::bus::trace::{Event, Log};
+    use myactuator_host_std::port::AnyMaster;
+    use myactuator_host_std::sim::{CanFleet, Fleet};
+    use myactuator_protocol_core::command::{ErrorFlags, Speed, Torque};
+    use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};
+    use myactuator_protocol_core::wire::can::SimpleFrame;
+
+    use super::*;
+
+    const TURN: Speed =
+        Speed { max_torque: MaxTorque::from_raw(0), speed: SpeedTarget::from_raw(9_000) };
+
+    fn fleet() -> CanFleet {
+        Fleet::new(1).on_can(1_000_000).unwrap()
+    }
+
+    fn on(fleet: &CanFleet) -> Session {
+        Session {
+            master: AnyMaster::SimulatedCan(fleet.master()),
+            address: "sim:1".parse().unwrap(),
+            yes: true,
+            interrupted: Arc::new(AtomicBool::new(false)),
+        }
+    }
+
+    fn span() -> Span {
+        Span {
+            on: OnBus { bus: "sim:1".parse().unwrap() },
+            id: MotorId::MIN,
+            for_s: Duration::from_secs(1),
+            consent: Consent { yes: true },
+        }
+    }
+
+    /// Turns the motor and calls `then` at the first reply. Gives how it ended.
+    fn turn(session: &mut Session, then: impl Fn()) -> Unfinished {
+        let outcome = session.moving(MotorId::MIN, |session| {
+            repeat(session, &span(), TURN, |_| {
+                then();
+                String::new()
+            })
+        });
+        outcome.unwrap_err()
+    }
+
+    /// The commands to motor 1 that were on the bus, by their first bytes.
+    fn commands(log: &Log<SimpleFrame>) -> Vec<u8> {
+        let records = log.take();
+        let carried = records.iter().filter_map(|record| match &record.event {
+            Event::Carried { frame, .. } => command_byte(frame),
+            _ => None,
+        });
+        carried.collect()
+    }
+
+    fn command_byte(frame: &SimpleFrame) -> Option<u8> {
+        use embedded_can::{Frame, Id, StandardId};
+        let to_motor_1 = Id::Standard(StandardId::new(0x141)?);
+        (frame.id() == to_motor_1).then(|| frame.data().first().copied())?
+    }
+
+    #[test]
+    fn an_interrupted_run_stops_the_motor() {
+        let fleet = fleet();
+        let mut session = on(&fleet);
+        let log = fleet.world.log();
+        let flag = Arc::clone(&session.interrupted);
+        let why = turn(&mut session, || flag.store(true, Ordering::Relaxed));
+        let told = "interrupted; motor 1 is stopped and holds still (0x81)".to_owned();
+        assert_eq!(why, Unfinished::Interrupted(told));
+        assert_eq!(commands(&log).last(), Some(&0x81));
+    }
+
+    #[test]
+    fn a_brake_is_locked_on_a_shaft_that_stands_and_before_the_output_goes_off() {
+        let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
+        let mut session = on(&fleet);
+        bring_up::release_brake(&mut session.master, MotorId::MIN).unwrap();
+        let torque = Torque { current: Current::from_raw(50) };
+        repeat(&mut session, &span(), torque, |_| String::new()).unwrap();
+        assert!(session.standing(MotorId::MIN).is_err());
+        let log = fleet.world.log();
+        put_down(&mut session, MotorId::MIN).unwrap();
+        let sent: Vec<u8> = commands(&log).into_iter().filter(|byte| *byte < 0x90).collect();
+        assert_eq!(sent, [0x81, 0x78, 0x80]);
+        session.standing(MotorId::MIN).unwrap();
+    }
+
+    #[test]
+    fn an_error_on_the_way_stops_the_motor_and_is_told() {
+        let fleet = fleet();
+        let mut session = on(&fleet);
+        let log = fleet.world.log();
+        let drive = fleet.drives[0].clone();
+        let why = turn(&mut session, || drive.with(|drive| drive.raise_fault(ErrorFlags::STALL)));
+        let Unfinished::Failed(told) = why else { panic!("{why:?}") };
+        assert!(told.starts_with("motor 1 reports an error (motor stalled): "), "{told}");
+        assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
+        assert_eq!(commands(&log).last(), Some(&0x81));
+    }
+
+    #[test]
+    fn a_motor_that_falls_silent_is_told_with_what_to_do() {
+        // The other one goes on acknowledging frames.
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let mut session = on(&fleet);
+        let (world, station) = (fleet.world.clone(), fleet.drives[0].station());
+        let why = turn(&mut session, || world.cut(station));
+        let Unfinished::Failed(told) = why else { panic!("{why:?}") };
+        assert!(told.contains("cut its power"), "{told}");
+    }
+}

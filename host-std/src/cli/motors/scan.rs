@@ -1,0 +1,170 @@
+//! `myactuator scan`: who is there.
+
+use indicatif::ProgressBar;
+use myactuator_host_std::explain::{prose, reply_fields};
+use myactuator_host_std::port::slcan::Rate;
+use myactuator_host_std::port::{BusAddress, BusError};
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::{AnyReply, ReadModel, ReadStatus1};
+use myactuator_protocol_core::io::{CallError, bring_up};
+use myactuator_protocol_core::master::MotorSet;
+use serde_json::{Value, json};
+
+use super::session::{OnBus, Outcome, Session, Unfinished, say};
+
+/// The rates of RS485 that the manual names (1.2), bit/s.
+const LINE_RATES: [u32; 5] = [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000];
+/// The rates of CAN that motors can be set to (2.32.4).
+const CAN_RATES: [Rate; 2] = [Rate::Mbit1, Rate::Kbit500];
+
+/// Find out which motors are on a bus: ids 1 to 32 are asked
+///
+/// Exit status: 0 if any motor answers, 1 if none does.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Arguments {
+    #[command(flatten)]
+    on: OnBus,
+    /// Try every bit rate that motors can have, on RS485 and SLCAN. On a CAN bus a wrong rate
+    /// disturbs those who talk: let no motor run meanwhile.
+    #[arg(long)]
+    all_rates: bool,
+    /// Print one JSON object a motor.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What one address brought.
+enum Found {
+    Motors(MotorSet),
+    /// The bus carries nothing at this rate.
+    Outage(BusError),
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let addresses = if arguments.all_rates {
+        at_each_rate(&arguments.on.bus)?
+    } else {
+        vec![arguments.on.bus.clone()]
+    };
+    let mut anybody = false;
+    let mut last = None;
+    for bus in addresses {
+        let mut session = Session::open(&OnBus { bus })?;
+        let found = look(&mut session)?;
+        if arguments.all_rates && !arguments.json {
+            say(&told_of_rate(&session.address, &found))?;
+        }
+        match found {
+            Found::Motors(motors) => {
+                anybody |= !motors.is_empty();
+                for motor in motors.iter() {
+                    describe(&mut session, motor, arguments.json)?;
+                }
+            }
+            Found::Outage(error) if !arguments.all_rates => return Err(error.into()),
+            Found::Outage(_) => {}
+        }
+        last = Some(session);
+    }
+    match last {
+        _ if anybody => Ok(()),
+        Some(session) if !arguments.all_rates => Err(session.nobody()),
+        _ => Err(Unfinished::Failed(
+            "no motor answers at any bit rate: check the motors' power and the wiring".to_owned(),
+        )),
+    }
+}
+
+fn look(session: &mut Session) -> Outcome<Found> {
+    let bar = if session.address.is_simulated() {
+        ProgressBar::hidden()
+    } else {
+        ProgressBar::new(MotorId::COUNT as u64)
+    };
+    let found = bring_up::scan(&mut session.master, MotorSet::ALL, |_, _| bar.inc(1));
+    bar.finish_and_clear();
+    match found {
+        Ok(motors) => Ok(Found::Motors(motors)),
+        Err(CallError::Bus(error)) if error.is_outage() => Ok(Found::Outage(error)),
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn told_of_rate(address: &BusAddress, found: &Found) -> String {
+    let rate = address.bit_rate().unwrap_or_default();
+    match found {
+        Found::Motors(motors) if motors.is_empty() => format!("{rate} bit/s: no motor"),
+        Found::Motors(motors) if motors.len() == 1 => format!("{rate} bit/s: 1 motor"),
+        Found::Motors(motors) => format!("{rate} bit/s: {} motors", motors.len()),
+        Found::Outage(_) => format!("{rate} bit/s: no motor, the bus carries nothing"),
+    }
+}
+
+/// A line about one motor.
+fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome {
+    let read = session.ask(motor, ReadModel).and_then(|model| {
+        let mut fields = reply_fields(&AnyReply::ReadModel(model));
+        let status = session.ask(motor, ReadStatus1)?;
+        fields.extend(reply_fields(&AnyReply::ReadStatus1(status)));
+        Ok(fields)
+    });
+    let bus = session.address.to_string();
+    match read {
+        Ok(fields) if as_json => {
+            let mut object = json!({ "bus": bus, "id": motor.get() });
+            if let Value::Object(object) = &mut object {
+                object.extend(fields);
+            }
+            say(&object.to_string())
+        }
+        Ok(fields) => say(&format!("motor {motor}: {}", prose(&fields))),
+        Err(Unfinished::Failed(_)) if as_json => {
+            say(&json!({ "bus": bus, "id": motor.get() }).to_string())
+        }
+        Err(Unfinished::Failed(sentence)) => say(&format!(
+            "motor {motor}: answers, but not always ({sentence}); do two motors have this id?"
+        )),
+        Err(other) => Err(other),
+    }
+}
+
+/// The same bus at each rate that motors can have.
+fn at_each_rate(bus: &BusAddress) -> Outcome<Vec<BusAddress>> {
+    match bus {
+        BusAddress::Rs485 { path, echo, .. } => Ok(LINE_RATES
+            .map(|bit_rate| BusAddress::Rs485 { path: path.clone(), bit_rate, echo: *echo })
+            .to_vec()),
+        BusAddress::Slcan { path, .. } => {
+            Ok(CAN_RATES.map(|rate| BusAddress::Slcan { path: path.clone(), rate }).to_vec())
+        }
+        BusAddress::SocketCan { interface } => Err(Unfinished::Usage(format!(
+            "--all-rates: the bit rate of {interface} is set outside this program: scan again after 'sudo ip link set {interface} down' and 'sudo ip link set {interface} up type can bitrate 500000', or 1000000"
+        ))),
+        BusAddress::Simulated { .. } => Err(Unfinished::Usage(
+            "--all-rates: all simulated motors have the rate of their bus".to_owned(),
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rates(bus: &str) -> Vec<String> {
+        let buses = at_each_rate(&bus.parse().unwrap()).unwrap();
+        buses.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn every_rate_of_the_manual_is_tried_on_the_same_port() {
+        assert_eq!(
+            rates("rs485:/dev/ttyUSB0@115200,echo"),
+            [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000]
+                .map(|rate| format!("rs485:/dev/ttyUSB0@{rate},echo"))
+        );
+        assert_eq!(
+            rates("slcan:/dev/ttyACM0@1000000"),
+            ["slcan:/dev/ttyACM0@1000000", "slcan:/dev/ttyACM0@500000"]
+        );
+    }
+}

@@ -1,0 +1,234 @@
+//! A command's time on a bus: opening it, asking before anything moves, and ending with one sentence.
+
+use std::io::{self, BufRead, IsTerminal, Write};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use myactuator_host_std::port::{AnyMaster, BusAddress, BusError};
+use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
+use myactuator_protocol_core::io::bring_up::{self, BringUpError};
+use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::{MotorId, Target};
+
+use crate::cli::{DONE, FAILED, INTERRUPTED, WRONG_USAGE, print_line};
+
+/// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
+const STILL_DPS: f32 = 2.0;
+
+/// Which bus.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct OnBus {
+    /// The bus: sim, sim:N or sim:N,rs485 (N simulated motors), can0,
+    /// slcan:/dev/ttyACM0@1000000, rs485:/dev/ttyUSB0@115200 or rs485:/dev/ttyUSB0@115200,echo.
+    #[arg(long, value_name = "ADDRESS", default_value = "sim")]
+    pub(super) bus: BusAddress,
+}
+
+/// Whether the user has said yes already.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(super) struct Consent {
+    /// Do not ask before a motor moves or its memory is written: for scripts.
+    #[arg(long, short)]
+    pub(super) yes: bool,
+}
+
+/// Why a command did not come to its end.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Unfinished {
+    /// It was asked for wrongly.
+    Usage(String),
+    /// It could not be done.
+    Failed(String),
+    /// It failed, and has told why.
+    FailedAndTold,
+    /// Ctrl-C, or the like, ended it.
+    Interrupted(String),
+    /// Nobody reads what it prints.
+    ReaderLeft,
+}
+
+impl Unfinished {
+    /// A failure that is this motor's.
+    pub(super) fn of_motor(motor: MotorId) -> impl Fn(CallError<BusError>) -> Self {
+        move |error| match error {
+            CallError::Bus(error) => error.into(),
+            error => Self::Failed(format!("motor {motor}: {error}")),
+        }
+    }
+
+    /// Tells the sentence, and gives the exit status.
+    pub(super) fn tell(self) -> u8 {
+        let (sentence, status) = match self {
+            Self::Usage(sentence) => (sentence, WRONG_USAGE),
+            Self::Failed(sentence) => (sentence, FAILED),
+            Self::FailedAndTold => return FAILED,
+            Self::Interrupted(sentence) => (sentence, INTERRUPTED),
+            Self::ReaderLeft => return DONE,
+        };
+        let _ = writeln!(io::stderr(), "error: {sentence}");
+        status
+    }
+}
+
+impl From<BusError> for Unfinished {
+    fn from(error: BusError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+impl From<BringUpError<BusError>> for Unfinished {
+    fn from(error: BringUpError<BusError>) -> Self {
+        match error {
+            BringUpError::Call(CallError::Bus(error)) => error.into(),
+            error => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<CallError<BusError>> for Unfinished {
+    fn from(error: CallError<BusError>) -> Self {
+        BringUpError::Call(error).into()
+    }
+}
+
+impl From<io::Error> for Unfinished {
+    fn from(error: io::Error) -> Self {
+        Self::Failed(format!("cannot write: {error}"))
+    }
+}
+
+pub(super) type Outcome<T = ()> = Result<T, Unfinished>;
+
+/// Prints a line for the user.
+pub(super) fn say(line: &str) -> Outcome {
+    if print_line(&mut io::stdout().lock(), line)? { Ok(()) } else { Err(Unfinished::ReaderLeft) }
+}
+
+/// A bus in use.
+#[derive(Debug)]
+pub(super) struct Session {
+    pub(super) master: AnyMaster<{ MotorId::COUNT }>,
+    pub(super) address: BusAddress,
+    pub(super) yes: bool,
+    /// Set by Ctrl-C and the like, while a motor moves.
+    pub(super) interrupted: Arc<AtomicBool>,
+}
+
+impl Session {
+    /// Opens a bus to look at, or to stop its motors.
+    pub(super) fn open(on: &OnBus) -> Outcome<Self> {
+        let master = AnyMaster::open(&on.bus)?;
+        if let BusAddress::Simulated { motors, kind } = &on.bus {
+            let kind = if kind.name() == "can" { "a CAN bus" } else { "an RS485 line" };
+            let _ = writeln!(
+                io::stderr(),
+                "simulated drives: {motors} on {kind}, made anew for each run; --bus names a real bus"
+            );
+        }
+        let interrupted = Arc::new(AtomicBool::new(false));
+        Ok(Self { master, address: on.bus.clone(), yes: false, interrupted })
+    }
+
+    /// Opens a bus to move motors on it or write their memory, if the user can be asked or has
+    /// consented.
+    pub(super) fn open_to_change(on: &OnBus, consent: Consent) -> Outcome<Self> {
+        if !(consent.yes || on.bus.is_simulated() || io::stdin().is_terminal()) {
+            return Err(Unfinished::Usage(
+                "--yes is missing: this moves a motor or writes its memory, and there is no terminal to ask on"
+                    .to_owned(),
+            ));
+        }
+        Ok(Self { yes: consent.yes, ..Self::open(on)? })
+    }
+
+    /// Asks the user, unless there is consent or nothing real would happen.
+    pub(super) fn confirm(&self, what: &str) -> Outcome {
+        if self.yes || self.address.is_simulated() {
+            return Ok(());
+        }
+        let mut ask = io::stderr().lock();
+        write!(ask, "{what} Go on? [y/N] ")?;
+        ask.flush()?;
+        let mut answer = String::new();
+        io::stdin().lock().read_line(&mut answer)?;
+        if matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes") {
+            Ok(())
+        } else {
+            Err(Unfinished::Failed("not confirmed, so nothing was done".to_owned()))
+        }
+    }
+
+    /// Asks a motor for something.
+    pub(super) fn ask<C: Command>(&mut self, motor: MotorId, command: C) -> Outcome<C::Reply> {
+        self.master.ask(motor, command).map_err(Unfinished::of_motor(motor))
+    }
+
+    /// The motors that are meant: one, or all that answer.
+    pub(super) fn meant(&mut self, target: Target) -> Outcome<MotorSet> {
+        match target {
+            Target::Motor(motor) => Ok(motor.into()),
+            Target::All => {
+                let found = bring_up::scan(&mut self.master, MotorSet::ALL, |_, _| {})?;
+                if found.is_empty() { Err(self.nobody()) } else { Ok(found) }
+            }
+        }
+    }
+
+    /// That no motor answers, and what to look at.
+    pub(super) fn nobody(&self) -> Unfinished {
+        Unfinished::Failed(format!(
+            "no motor answers on {}: check the motors' power, the wiring and the bit rate ('scan --all-rates' tries the others)",
+            self.address
+        ))
+    }
+
+    /// Reads a motor's state, and refuses one that reports errors.
+    pub(super) fn ready(&mut self, motor: MotorId) -> Outcome<Status1> {
+        let status = self.ask(motor, ReadStatus1)?;
+        healthy(motor, status.errors)?;
+        Ok(status)
+    }
+
+    /// Refuses a motor that turns.
+    pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
+        let speed = self.ask(motor, ReadStatus2)?.speed;
+        if speed.dps().abs() <= STILL_DPS {
+            Ok(())
+        } else {
+            Err(Unfinished::Failed(format!("motor {motor} turns at {speed}: stop it first")))
+        }
+    }
+}
+
+/// Refuses errors, and tells what to do about them.
+pub(super) fn healthy(motor: MotorId, errors: ErrorFlags) -> Outcome {
+    if errors.is_empty() {
+        return Ok(());
+    }
+    let remedy = if errors.needs_restart() {
+        "remove the cause, then restart the motor: switch its supply off and on, or send it 0x76"
+    } else {
+        "it runs again by itself once the cause is gone"
+    };
+    Err(Unfinished::Failed(format!("motor {motor} reports an error ({errors}): {remedy}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_of_level_one_asks_for_a_restart_and_one_of_level_two_for_patience() {
+        let told = |errors| match healthy(MotorId::MIN, errors) {
+            Err(Unfinished::Failed(sentence)) => sentence,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(healthy(MotorId::MIN, ErrorFlags::empty()), Ok(()));
+        let stall = told(ErrorFlags::STALL);
+        assert!(stall.starts_with("motor 1 reports an error (motor stalled): "), "{stall}");
+        assert!(stall.contains("restart"), "{stall}");
+        let low = told(ErrorFlags::UNDER_VOLTAGE);
+        assert!(low.contains("by itself") && !low.contains("restart"), "{low}");
+    }
+}

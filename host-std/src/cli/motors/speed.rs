@@ -1,0 +1,46 @@
+//! `myactuator speed`: turning at a speed, for a while.
+
+use myactuator_protocol_core::command::{self as c, Feedback};
+use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
+
+use super::run_for::{self, Run, Span};
+use super::session::Outcome;
+use crate::cli::arguments as parse;
+
+/// Turn a motor at a speed for a while, then stop it: it holds still (0x81)
+///
+/// Ctrl-C and errors stop it (0x81) at once. Exit status: 0 if it has run, 1 if not, 2 for wrong
+/// usage, 130 if interrupted.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Arguments {
+    #[command(flatten)]
+    span: Span,
+    /// The speed of the output shaft, degrees per second.
+    #[arg(long, value_parser = parse::speed, allow_hyphen_values = true)]
+    speed_dps: SpeedTarget,
+    /// The largest torque, % of the rated current; 0 for no limit but the stall current.
+    #[arg(long, value_parser = parse::max_torque, allow_hyphen_values = true, default_value = "0")]
+    max_torque_pct: MaxTorque,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let (speed, max_torque) = (arguments.speed_dps, arguments.max_torque_pct);
+    let torque = match max_torque.raw() {
+        0 => String::new(),
+        _ => format!(" with at most {max_torque}"),
+    };
+    let run = Run {
+        command: c::Speed { max_torque, speed },
+        does: format!("turn at {speed}{torque}"),
+        needs_open_brake: false,
+        end: StopKind::Hold,
+    };
+    run_for::run(&arguments.span, &run, told)
+}
+
+/// Angle, speed and current in columns.
+pub(super) fn told(feedback: &Feedback) -> String {
+    let Feedback { angle, speed, current, .. } = feedback;
+    format!("{:>10} {:>9} {:>9}", angle.to_string(), speed.to_string(), current.to_string())
+}

@@ -1,0 +1,36 @@
+//! `myactuator torque`: running at a torque current, for a while.
+
+use myactuator_protocol_core::command as c;
+use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::units::Current;
+
+use super::run_for::{self, Run, Span};
+use super::session::Outcome;
+use super::speed::told;
+use crate::cli::arguments as parse;
+
+/// Run a motor at a torque current for a while, then switch it off (0x80)
+///
+/// Nothing limits the speed. A locked brake is released first; then the end is to stop (0x81), to lock
+/// the brake again and to switch off, so that no load falls. Ctrl-C and errors stop the motor (0x81)
+/// at once: it holds still, its brake open. Exit status: 0 if it has run, 1 if not, 2 for
+/// wrong usage, 130 if interrupted.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Arguments {
+    #[command(flatten)]
+    span: Span,
+    /// The torque current, A.
+    #[arg(long, value_parser = parse::current, allow_hyphen_values = true)]
+    current_a: Current,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let current = arguments.current_a;
+    let run = Run {
+        command: c::Torque { current },
+        does: format!("run at {current} without a limit of speed"),
+        needs_open_brake: true,
+        end: StopKind::Off,
+    };
+    run_for::run(&arguments.span, &run, told)
+}

@@ -1,0 +1,85 @@
+//! `myactuator zero`: the present position becomes the zero, and stays it.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::ReadMultiTurnAngle;
+use myactuator_protocol_core::io::bring_up;
+
+use super::session::{Consent, OnBus, Outcome, Session, say};
+use crate::cli::arguments as parse;
+
+/// Make a motor's present position its zero, and check that it is kept
+///
+/// The motor is switched off (0x80), stores its position as zero in its ROM (0x64) and restarts
+/// (0x76); then zero and angle are read back. Exit status: 0 if the zero is kept, 1 if not, 2 for
+/// wrong usage.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Arguments {
+    #[command(flatten)]
+    on: OnBus,
+    /// The motor, 1 to 32.
+    #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
+    id: MotorId,
+    #[command(flatten)]
+    consent: Consent,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let motor = arguments.id;
+    let mut session = Session::open_to_change(&arguments.on, arguments.consent)?;
+    session.standing(motor)?;
+    let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
+    session.confirm(&format!(
+        "Motor {motor} will be switched off, make its present position ({before}) the zero in its ROM, and restart: hold the shaft if a load pulls at it."
+    ))?;
+    say(&make(&mut session, motor)?)
+}
+
+/// Makes it, and tells the zero.
+fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
+    let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
+    let offset = bring_up::zero_here(&mut session.master, motor)?;
+    let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
+    Ok(format!(
+        "motor {motor}: what was {before} is the zero (offset {offset}); after its restart the motor reads {after}"
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::AtomicBool;
+
+    use myactuator_host_std::port::AnyMaster;
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::{AbsolutePosition, ReadStatus2};
+    use myactuator_protocol_core::io::Runner;
+    use myactuator_protocol_core::time::Duration;
+    use myactuator_protocol_core::units::{Angle, MaxSpeed};
+
+    use super::*;
+
+    #[test]
+    fn where_the_motor_stands_is_its_zero_afterwards() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session {
+            master: AnyMaster::SimulatedCan(fleet.master()),
+            address: "sim:1".parse().unwrap(),
+            yes: true,
+            interrupted: Arc::new(AtomicBool::new(false)),
+        };
+        let motor = MotorId::MIN;
+        let go = AbsolutePosition {
+            max_speed: MaxSpeed::from_raw(360),
+            angle: Angle::from_degrees(30.0).unwrap(),
+        };
+        session.ask(motor, go).unwrap();
+        let arrived = session.master.now() + Duration::from_secs(2);
+        session.wait_until(arrived).unwrap();
+        let told = make(&mut session, motor).unwrap();
+        // It arrives within 0.1 degrees, and stays there while its output is off.
+        assert!(told.contains("what was 30 deg") || told.contains("what was 30.0"), "{told}");
+        let angle = session.ask(motor, ReadMultiTurnAngle).unwrap().angle;
+        assert!(angle.degrees().abs() < 0.1, "{angle}");
+        assert_eq!(session.ask(motor, ReadStatus2).unwrap().angle.raw(), 0);
+    }
+}

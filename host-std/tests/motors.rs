@@ -1,0 +1,292 @@
+//! The subcommands that work on motors, on the simulated buses, as their users run them.
+
+use std::process::{Output, Stdio};
+
+use assert_cmd::cargo::cargo_bin;
+use serde_json::Value;
+
+const SIMULATED: &str = "simulated drives: ";
+
+fn run(arguments: &str) -> Output {
+    std::process::Command::new(cargo_bin("myactuator"))
+        .args(arguments.split_whitespace())
+        .stdin(Stdio::null())
+        .output()
+        .unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// What it printed; it must have done what was asked, and said that the drives are simulated.
+fn done(arguments: &str) -> Vec<String> {
+    let output = run(arguments);
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{arguments}: {errors}");
+    assert!(errors.lines().any(|line| line.starts_with(SIMULATED)), "{arguments}: {errors}");
+    assert!(!errors.contains("error"), "{arguments}: {errors}");
+    text(&output.stdout).lines().map(str::to_owned).collect()
+}
+
+fn objects(arguments: &str) -> Vec<Value> {
+    done(arguments).iter().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// The one sentence with which it ended, and the exit status.
+fn refused(arguments: &str) -> (i32, String) {
+    let output = run(arguments);
+    let errors = text(&output.stderr);
+    let mut sentences = errors.lines().filter_map(|line| line.strip_prefix("error: "));
+    let sentence = sentences.next().unwrap_or_else(|| panic!("{arguments}: {errors:?}"));
+    assert_eq!(sentences.next(), None, "{arguments}: {errors}");
+    (output.status.code().unwrap(), sentence.to_owned())
+}
+
+/// The number in front of this word.
+fn before(line: &str, unit: &str) -> f64 {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let place = words.iter().position(|word| *word == unit).unwrap_or_else(|| panic!("{line}"));
+    words[place - 1].parse().unwrap_or_else(|_| panic!("{line}"))
+}
+
+#[test]
+fn scan_finds_the_motors_that_there_are() {
+    let lines = done("scan");
+    assert_eq!(lines.len(), 4);
+    assert!(lines[3].starts_with("motor 4: model X8-PRO, "), "{}", lines[3]);
+    assert!(lines[3].ends_with("voltage 48 V, no error"), "{}", lines[3]);
+    for bus in ["sim:32", "sim:3,rs485"] {
+        let motors = objects(&format!("scan --json --bus {bus}"));
+        let ids: Vec<u64> = motors.iter().map(|motor| motor["id"].as_u64().unwrap()).collect();
+        let count = if bus == "sim:32" { 32 } else { 3 };
+        assert_eq!(ids, (1..=count).collect::<Vec<u64>>());
+        assert!(motors.iter().all(|motor| motor["bus"] == bus && motor["model"] == "X8-PRO"));
+    }
+}
+
+#[test]
+fn info_tells_what_motors_are() {
+    let lines = done("info --id 2");
+    assert_eq!(lines[0], "motor 2");
+    assert!(lines[1].starts_with("  model X8-PRO, version date "), "{}", lines[1]);
+    let motors = objects("info --json --bus sim:2,rs485");
+    assert_eq!(motors.len(), 2);
+    assert_eq!(motors[1]["id"], 2);
+    assert_eq!(motors[1]["model"], "X8-PRO");
+    assert_eq!(motors[1]["offset_pulses"], 0);
+    assert!(motors[1]["run_time_ms"].as_u64().unwrap() < 10_000);
+}
+
+#[test]
+fn status_tells_how_motors_do() {
+    let lines = done("status --id 1");
+    assert_eq!(lines.len(), 4, "{lines:?}");
+    assert!(lines[1].starts_with("  angle 0 deg, current 0 A, speed 0 dps, "), "{}", lines[1]);
+    assert!(lines[3].ends_with("brake locked, voltage 48 V, no error"), "{}", lines[3]);
+    let motors = objects("status --json");
+    assert_eq!(motors.len(), 4);
+    for motor in &motors {
+        assert_eq!(motor["angle_deg"], 0.0);
+        assert_eq!(motor["voltage_v"], 48.0);
+        assert_eq!(motor["brake_released"], false);
+        assert_eq!(motor["phase_b_current_a"], 0.0);
+        assert_eq!(motor["errors"], Value::Array(vec![]));
+    }
+}
+
+#[test]
+fn move_goes_to_an_angle_on_either_bus() {
+    for bus in ["sim", "sim:4,rs485"] {
+        let lines = done(&format!("move --bus {bus} --id 3 --angle-deg 90 --max-speed-dps 180"));
+        let (end, way) = lines.split_last().unwrap();
+        assert!(end.starts_with("motor 3 has arrived at "), "{end}");
+        assert!((before(end, "deg") - 90.0).abs() <= 0.2, "{end}");
+        // 90 degrees at 180 dps take half a second at least.
+        assert!((0.5..2.0).contains(&before(end, "s")), "{end}");
+        assert!(way.iter().any(|line| before(line, "dps") == 180.0), "{way:?}");
+        assert!(way.iter().all(|line| before(line, "dps") <= 185.0), "{way:?}");
+    }
+}
+
+#[test]
+fn move_goes_on_by_an_angle_with_and_without_a_limit_of_torque() {
+    for torque in ["", "--max-torque-pct 50"] {
+        let lines = done(&format!("move --id 1 --relative --angle-deg -30 {torque}"));
+        let end = lines.last().unwrap();
+        assert!((before(end, "deg") + 30.0).abs() <= 0.2, "{end}");
+    }
+}
+
+#[test]
+fn a_motor_that_does_not_arrive_in_time_is_stopped() {
+    let (status, told) = refused("move --id 1 --angle-deg 720 --timeout-s 1");
+    assert_eq!(status, 1);
+    assert!(told.starts_with("motor 1 is at "), "{told}");
+    assert!(told.contains("not at 720.00"), "{told}");
+    assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
+}
+
+#[test]
+fn speed_turns_the_motor_and_then_holds_it() {
+    for bus in ["sim", "sim:1,rs485"] {
+        let lines = done(&format!("speed --bus {bus} --id 1 --speed-dps -90 --for-s 0.5"));
+        let (end, way) = lines.split_last().unwrap();
+        let told = "motor 1 has run for 0.5 s: it is stopped and holds still (0x81)";
+        assert_eq!(end, told);
+        assert_eq!(before(way.last().unwrap(), "dps"), -90.0);
+    }
+}
+
+#[test]
+fn torque_releases_the_brake_and_locks_it_again() {
+    let lines = done("torque --id 1 --current-a 0.5 --for-s 0.5");
+    let (end, way) = lines.split_last().unwrap();
+    assert!(end.ends_with("its brake locked again (0x78) and it is off (0x80)"), "{end}");
+    // Against a locked brake it would stand still.
+    assert!(before(way.last().unwrap(), "dps") > 100.0, "{way:?}");
+    assert_eq!(before(way.last().unwrap(), "A"), 0.5);
+}
+
+#[test]
+fn motion_runs_to_its_position_by_the_ranges_told() {
+    let motion = "motion --id 2 --position-rad 1 --kp 40 --kd 2 --for-s 0.5";
+    for ranges in ["", "--ranges v4.3", "--ranges 12.5,45,500,5,24"] {
+        let output = run(&format!("{motion} {ranges}"));
+        assert_eq!(text(&output.stderr).contains("motion ranges: "), ranges.is_empty());
+    }
+    let lines = done(motion);
+    let (end, way) = lines.split_last().unwrap();
+    assert!(end.ends_with("it is stopped and holds still (0x81)"), "{end}");
+    assert!((before(way.last().unwrap(), "rad") - 1.0).abs() < 0.05, "{way:?}");
+    let (status, told) = refused(&format!("{motion} --bus sim:2,rs485"));
+    assert_eq!((status, told.as_str()), (2, "--bus: motion exists on CAN only"));
+}
+
+#[test]
+fn stop_and_shutdown_reach_one_or_all() {
+    assert_eq!(done("stop"), ["motors 1 2 3 4 are stopped and hold still (0x81)"]);
+    assert_eq!(done("stop --id 2"), ["motor 2 is stopped and holds still (0x81)"]);
+    let off = "are off (0x80): their shafts are free unless brakes hold them";
+    assert_eq!(done("shutdown --id all --bus sim:3,rs485"), [format!("motors 1 2 3 {off}")]);
+    let off = "motor 1 is off (0x80): its shaft is free unless a brake holds it";
+    assert_eq!(done("shutdown --id 1"), [off]);
+    let (status, told) = refused("stop --id 9");
+    assert_eq!(status, 1);
+    assert!(told.contains("no confirmation of the stop from motor 9"), "{told}");
+}
+
+#[test]
+fn the_brake_is_released_and_locked() {
+    assert_eq!(done("brake release --id 1"), ["motor 1: brake released"]);
+    assert_eq!(done("brake lock --id 1 --bus sim:1,rs485"), ["motor 1: brake locked"]);
+}
+
+#[test]
+fn zero_is_kept_over_the_restart() {
+    let lines = done("zero --id 4");
+    assert_eq!(lines.len(), 1);
+    assert!(lines[0].starts_with("motor 4: what was 0 deg is the zero"), "{}", lines[0]);
+    assert!(lines[0].ends_with("after its restart the motor reads 0 deg"), "{}", lines[0]);
+}
+
+#[test]
+fn an_id_is_changed_only_with_one_motor_on_the_bus() {
+    for bus in ["sim:1", "sim:1,rs485"] {
+        assert_eq!(done(&format!("id --bus {bus} --new-id 7")), ["motor 1 is motor 7 now"]);
+    }
+    assert_eq!(done("id --bus sim:1 --id 1 --new-id 1"), ["motor 1 has this id already"]);
+    let (status, told) = refused("id --bus sim:4 --new-id 7");
+    assert_eq!(status, 1);
+    assert!(told.ends_with("(there are: 1 2 3 4)"), "{told}");
+    let (status, told) = refused("id --bus sim:1 --id 2 --new-id 7");
+    assert_eq!((status, told.as_str()), (1, "the only motor has id 1, not 2"));
+}
+
+#[test]
+fn who_is_not_there_is_told() {
+    let nobody = "motor 9: no reply: is the motor powered, and is this its id?";
+    for command in ["info", "status", "move --angle-deg 1", "zero", "brake lock"] {
+        let (status, told) = refused(&format!("{command} --id 9"));
+        assert_eq!((status, told.as_str()), (1, nobody), "{command}");
+    }
+}
+
+#[test]
+fn values_out_of_range_are_refused_with_the_range() {
+    for (arguments, sentence) in [
+        ("status --id 33", "--id: motor id must be 1 to 32, or all, but \"33\" was given"),
+        ("move --id 0 --angle-deg 1", "--id: motor id must be 1 to 32, but 0 was given"),
+        (
+            "move --id 1 --angle-deg 1 --max-speed-dps 70000",
+            "--max-speed-dps: maximum speed must be 0 to 65535 dps, but 70000 dps was given",
+        ),
+        (
+            "move --id 1 --angle-deg 1 --max-torque-pct 0",
+            "--max-torque-pct: 0 leaves no torque to move with: give 1 to 255, or leave it out",
+        ),
+        (
+            "speed --id 1 --speed-dps 1 --for-s 0",
+            "--for-s: time must be 0.01 to 3600 s, but 0 s was given",
+        ),
+        (
+            "torque --id 1 --current-a 400",
+            "--current-a: torque current must be -327.68 to 327.67 A, but 400 A was given",
+        ),
+        (
+            "motion --id 1 --position-rad 13 --kp 1 --kd 1",
+            "position must be -12.5 to 12.5 rad, but 13 rad was given",
+        ),
+        ("id --new-id 33", "--new-id: motor id must be 1 to 32, but 33 was given"),
+        ("scan --all-rates", "--all-rates: all simulated motors have the rate of their bus"),
+    ] {
+        assert_eq!(refused(arguments), (2, sentence.to_owned()), "{arguments}");
+    }
+}
+
+#[test]
+fn a_string_that_names_no_bus_is_refused() {
+    for (bus, found) in [("usb:7", "found \"usb:7\""), ("sim:0", "found \"0\"")] {
+        let (status, told) = refused(&format!("scan --bus {bus}"));
+        assert_eq!(status, 2);
+        assert!(told.starts_with("--bus: expected ") && told.ends_with(found), "{told}");
+    }
+}
+
+#[test]
+fn a_bus_that_is_not_there_is_told_in_one_sentence() {
+    for command in ["scan", "status", "stop", "move --yes --id 1 --angle-deg 1"] {
+        let (status, told) = refused(&format!("{command} --bus no-such-can"));
+        assert_eq!(status, 1);
+        // A machine may have no CAN at all.
+        let known =
+            ["there is no network interface \"no-such-can\"", "this machine's Linux has no"];
+        assert!(known.iter().any(|start| told.starts_with(start)), "{told}");
+        let (status, told) = refused(&format!("{command} --bus rs485:/no/such/port@115200"));
+        assert_eq!(status, 1);
+        assert!(told.starts_with("there is no serial port \"/no/such/port\""), "{told}");
+    }
+}
+
+#[test]
+fn without_a_terminal_a_real_motor_moves_only_with_consent() {
+    for command in [
+        "move --id 1 --angle-deg 1",
+        "speed --id 1 --speed-dps 1",
+        "torque --id 1 --current-a 1",
+        "motion --id 1 --position-rad 0 --kp 0 --kd 0",
+        "brake release --id 1",
+        "zero --id 1",
+        "id --new-id 2",
+    ] {
+        let (status, told) = refused(&format!("{command} --bus can0"));
+        assert_eq!(status, 2, "{command}");
+        assert!(told.starts_with("--yes is missing"), "{command}: {told}");
+    }
+}
+
+#[test]
+fn every_run_is_the_same() {
+    let command = "move --id 1 --angle-deg 45";
+    assert_eq!(done(command), done(command));
+}
