@@ -356,3 +356,62 @@ fn what_cannot_be_served_is_told() {
     assert!(told.contains("another simulation"), "{told}");
     assert_eq!(first.end(Signal::INT), ended_well());
 }
+
+/// Runs the program on a bus, and gives its exit status and what it printed.
+fn myactuator(bus: &str, arguments: &[&str]) -> (Option<i32>, String) {
+    let output = Command::new(cargo_bin("myactuator"))
+        .args(arguments)
+        .args(["--bus", bus])
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    let told = [output.stdout, output.stderr].concat();
+    (output.status.code(), String::from_utf8(told).unwrap())
+}
+
+#[test]
+fn the_programs_own_subcommands_work_on_both_pseudo_terminals() {
+    let simulation = Simulation::start(2, &["--count", "2"]);
+    for kind in ["rs485", "slcan"] {
+        let bus = simulation.place(kind)["bus"].as_str().unwrap();
+        let (status, told) = myactuator(bus, &["scan"]);
+        assert_eq!(status, Some(0), "{told}");
+        assert!(told.contains("motor 1:") && told.contains("motor 2:"), "{told}");
+
+        // Nobody is there to be asked, so motion needs --yes.
+        let to_20 = ["move", "--id", "1", "--angle-deg", "20", "--max-speed-dps", "360"];
+        assert_eq!(myactuator(bus, &to_20).0, Some(2));
+        let (status, told) = myactuator(bus, &[&to_20[..], &["--yes"]].concat());
+        assert_eq!(status, Some(0), "{told}");
+        let (_, told) = myactuator(bus, &["status", "--json", "--id", "1"]);
+        let status: Value = serde_json::from_str(told.lines().next().unwrap()).unwrap();
+        assert!((status["angle_deg"].as_f64().unwrap() - 20.0).abs() < 0.5, "{told}");
+    }
+}
+
+#[test]
+fn ctrl_c_stops_the_motor_that_runs() {
+    let simulation = Simulation::start(2, &["--count", "1"]);
+    let bus = simulation.place("rs485")["bus"].as_str().unwrap();
+    let mut process = Command::new(cargo_bin("myactuator"))
+        .args(["speed", "--yes", "--id", "1", "--speed-dps", "90", "--for-s", "1000", "--bus", bus])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // Its first line comes when the motor runs.
+    let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
+    lines.next().unwrap().unwrap();
+    kill_process(Pid::from_child(&process), Signal::INT).unwrap();
+    let output = process.wait_with_output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(130), "{told}");
+    // It slows down first.
+    let stands = || {
+        let (_, told) = myactuator(bus, &["status", "--json", "--id", "1"]);
+        let status: Value = serde_json::from_str(told.lines().next().unwrap()).unwrap();
+        status["speed_dps"].as_f64() == Some(0.0)
+    };
+    assert!((0..100).any(|_| stands()), "the motor still turns");
+}

@@ -18,6 +18,8 @@ use crate::port::{BusError, HostClock};
 const LINE_RATE: u32 = 115_200;
 /// How long an adapter may take to answer while it is set up. Some never answer.
 const ANSWER_TIME: Duration = Duration::from_millis(100);
+/// An adapter that says nothing for so long has said what it had to say.
+const QUIET: Duration = Duration::from_millis(20);
 /// A port that takes nothing for so long holds stale frames.
 const LONGEST_STALL: Duration = Duration::from_millis(20);
 /// Bytes read at once, and how often in one call at the most.
@@ -52,7 +54,7 @@ pub struct Slcan {
 impl Slcan {
     /// Opens the adapter on this serial port and puts it on the bus.
     ///
-    /// Takes up to 0.3 s with adapters that answer nothing.
+    /// Takes up to half a second with adapters that answer nothing.
     ///
     /// # Errors
     /// [`BusError`]: there is no such port, it is no serial port, the user may not open it, another
@@ -72,6 +74,8 @@ impl Slcan {
         // is closed already refuses that.
         slcan.tell(Command::Nothing)?;
         slcan.tell(Command::Close)?;
+        // Answers to what an earlier program said last may still be on their way.
+        slcan.read_until_quiet()?;
         slcan.tty.discard_input()?;
         slcan.unread = 0..0;
         slcan.codec = Codec::new();
@@ -109,6 +113,17 @@ impl Slcan {
             }
             self.tty.wait(PollFlags::IN, Some(left))?;
         }
+    }
+
+    /// Passes over what arrives, until nothing has for a while.
+    fn read_until_quiet(&mut self) -> Result<(), BusError> {
+        let end = Instant::now() + ANSWER_TIME;
+        let mut has_come = true;
+        while has_come && Instant::now() < end {
+            self.tty.wait(PollFlags::IN, Some(QUIET))?;
+            has_come = self.next_answer()?.is_some();
+        }
+        Ok(())
     }
 
     /// Hands the port what it has not taken yet.
