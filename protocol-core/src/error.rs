@@ -4,7 +4,7 @@ use core::fmt;
 
 use crate::channel::Channel;
 use crate::opcode::Opcode;
-pub use crate::range::OutOfRange;
+pub use crate::range::{Given, OutOfRange};
 
 /// Why a data field does not mean anything.
 #[derive(Clone, Copy, Debug, PartialEq)]

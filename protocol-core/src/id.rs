@@ -3,7 +3,7 @@
 use core::fmt;
 use core::num::NonZeroU8;
 
-use crate::range::{OutOfRange, Quantity};
+use crate::range::{Given, OutOfRange, Quantity};
 
 /// The number of a motor on its bus, 1 to 32 (manual 1.1.2, 1.2.2).
 ///
@@ -35,7 +35,7 @@ impl MotorId {
     pub const fn new(id: u8) -> Result<Self, OutOfRange> {
         match NonZeroU8::new(id) {
             Some(nonzero) if id <= 32 => Ok(Self(nonzero)),
-            _ => Err(OutOfRange { quantity: &Self::QUANTITY, given: id as f64 }),
+            _ => Err(OutOfRange { quantity: &Self::QUANTITY, given: Given::steps(id as u32, 1) }),
         }
     }
 

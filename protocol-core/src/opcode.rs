@@ -69,14 +69,16 @@ macro_rules! opcodes {
             /// has none and is known by its identifier.
             #[inline]
             pub const fn byte(self) -> Option<u8> {
-                match self { $(Self::$name => $byte,)+ }
+                // A match would become a jump table wherever it is inlined.
+                const BYTES: [Option<u8>; Opcode::ALL.len()] = [$($byte),+];
+                BYTES[self as usize]
             }
 
             /// The kind with this command byte.
             #[inline]
             pub const fn from_byte(byte: u8) -> Option<Self> {
-                $(if let Some(b) = Self::$name.byte() && b == byte { return Some(Self::$name); })+
-                None
+                let place = byte.wrapping_sub(FIRST_BYTE) as usize;
+                if place < KINDS.len() { KINDS[place] } else { None }
             }
 
             /// Its name in tools: `"read-multi-turn-angle"`.
@@ -194,6 +196,23 @@ opcodes! {
     /// Motion (MIT) mode: position, speed, both gains and torque in one frame.
     Motion = None, "motion", "5", Values, None, Stale, CanOnly;
 }
+
+const FIRST_BYTE: u8 = 0x20;
+const LAST_BYTE: u8 = 0xB6;
+
+/// The kind of every command byte from the first to the last.
+static KINDS: [Option<Opcode>; (LAST_BYTE - FIRST_BYTE) as usize + 1] = {
+    let mut kinds = [None; _];
+    let mut row = 0;
+    while row < Opcode::ALL.len() {
+        let opcode = Opcode::ALL[row];
+        if let Some(byte) = opcode.byte() {
+            kinds[(byte - FIRST_BYTE) as usize] = Some(opcode);
+        }
+        row += 1;
+    }
+    kinds
+};
 
 impl Opcode {
     /// The kind with this name in tools.

@@ -18,7 +18,7 @@
 use core::fmt;
 
 use crate::field::{self, Data};
-use crate::range::{OutOfRange, Quantity};
+use crate::range::{Given, OutOfRange, Quantity};
 
 macro_rules! define_round {
     ($name:ident $float:ident $int:ident, whole_from $limit:literal) => {
@@ -91,7 +91,7 @@ macro_rules! quantity {
                 if (raw >= Self::MIN_RAW && raw <= Self::MAX_RAW) $(|| raw == $also)? {
                     Ok(Self(raw))
                 } else {
-                    let given = raw as f64 / Self::PER_UNIT;
+                    let given = Given::steps(raw as u32, Self::PER_UNIT as u16);
                     Err(OutOfRange { quantity: &Self::QUANTITY, given })
                 }
             }
@@ -172,7 +172,7 @@ macro_rules! quantity {
                 if steps >= Self::MIN_RAW as $float && steps <= Self::MAX_RAW as $float {
                     Ok(Self(steps as $raw))
                 } else {
-                    Err(OutOfRange { quantity: &Self::QUANTITY, given: value as f64 })
+                    Err(OutOfRange { quantity: &Self::QUANTITY, given: Given::$float(value) })
                 }
             }
 
@@ -184,7 +184,7 @@ macro_rules! quantity {
             pub const fn $saturating(value: $float) -> Result<Self, OutOfRange> {
                 let steps = $round(value * Self::PER_UNIT as $float);
                 if value.is_nan() {
-                    Err(OutOfRange { quantity: &Self::QUANTITY, given: value as f64 })
+                    Err(OutOfRange { quantity: &Self::QUANTITY, given: Given::$float(value) })
                 } else if steps < Self::MIN_RAW as $float {
                     Ok(Self(Self::MIN_RAW))
                 } else if steps > Self::MAX_RAW as $float {
@@ -349,7 +349,7 @@ impl Gain {
         if value.is_finite() {
             Ok(Self(value))
         } else {
-            Err(OutOfRange { quantity: &Self::QUANTITY, given: value as f64 })
+            Err(OutOfRange { quantity: &Self::QUANTITY, given: Given::f32(value) })
         }
     }
 

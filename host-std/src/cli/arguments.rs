@@ -34,7 +34,7 @@ fn float(text: &str, quantity: &Quantity) -> Parsed<f64> {
 
 /// The library's sentence, with the number as it was typed: single precision would show through.
 fn refuse(error: OutOfRange, given: f64) -> String {
-    OutOfRange { given, ..error }.to_string()
+    OutOfRange { given: given.into(), ..error }.to_string()
 }
 
 /// Parsers of quantities with a conversion from `f32` or `f64`.
@@ -72,7 +72,8 @@ fn whole<T: TryFrom<i64>>(text: &str, quantity: &'static Quantity) -> Parsed<T> 
     let Some(given) = integer(text) else {
         return Err(format!("{}, but \"{text}\" is no whole number", allowed(quantity)));
     };
-    T::try_from(given).map_err(|_| OutOfRange { quantity, given: given as f64 }.to_string())
+    T::try_from(given)
+        .map_err(|_| OutOfRange { quantity, given: (given as f64).into() }.to_string())
 }
 
 pub(super) fn pulses(text: &str) -> Parsed<EncoderPulses> {
@@ -90,7 +91,7 @@ pub(super) fn seconds(text: &str) -> Parsed<Duration> {
     if (SPAN.min..=SPAN.max).contains(&given) {
         Ok(Duration::from_micros((given * 1e6).round() as u64))
     } else {
-        Err(OutOfRange { quantity: &SPAN, given }.to_string())
+        Err(OutOfRange { quantity: &SPAN, given: given.into() }.to_string())
     }
 }
 
@@ -114,7 +115,7 @@ pub(super) fn motor_id(text: &str) -> Parsed<MotorId> {
     u8::try_from(given)
         .ok()
         .and_then(|id| MotorId::new(id).ok())
-        .ok_or_else(|| OutOfRange { quantity, given: given as f64 }.to_string())
+        .ok_or_else(|| OutOfRange { quantity, given: (given as f64).into() }.to_string())
 }
 
 pub(super) fn target(text: &str) -> Parsed<Target> {

@@ -51,7 +51,7 @@ pub(super) fn in_range(quantity: &'static Quantity, given: f64) -> Result<f64, O
     if given >= quantity.min && given <= quantity.max {
         Ok(given)
     } else {
-        Err(OutOfRange { quantity, given })
+        Err(OutOfRange { quantity, given: given.into() })
     }
 }
 

@@ -152,7 +152,7 @@ fn run() -> Result<(), Trouble> {
     let job = |set_point: &MotionSetPoint, data: &mut Data| {
         black_box(encode_motion(set_point, data));
     };
-    row("quantise and encode a motion command", cost(&set_point, &mut data, job, nothing), 70, 80);
+    row("quantise and encode a motion command", cost(&set_point, &mut data, job, nothing), 70, 70);
     assert_eq!(RawMotion::from_data(&data).position, 58_982); // 5.4
 
     let reply = [0x01, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0]; // 5.4

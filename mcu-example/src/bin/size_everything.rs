@@ -23,14 +23,14 @@ use myactuator_protocol_core::{
 
 fn use_master(motor: MotorId) {
     let now = Instant::from_micros(black_box(0));
-    let mut master = Master::<32>::new(black_box(Config::CAN));
+    let mut master = Master::<32>::new(*black_box(&Config::CAN));
     let ticket = master.request(motor, ReadMultiTurnAngle, now);
     let _ = black_box(master.set_point(motor, Torque { current: Current::from_raw(10) }, now));
     let _ = black_box(master.broadcast(ReadStatus1, MotorSet::from(motor), now));
     while let Some(packet) = master.poll_transmit(now) {
         let frame: Option<SimpleFrame> = can::encode(&packet);
         let line = Frame::from_packet(&packet).map(|frame| frame.encode());
-        black_box((frame, line));
+        black_box((&frame, &line));
         master.handle_transmitted(now);
     }
     let reply = Packet { channel: Channel::Reply(motor), data: black_box([0; 8]) };
@@ -51,6 +51,9 @@ fn use_master(motor: MotorId) {
     }
 }
 
+const SET_POINT: MotionSetPoint =
+    MotionSetPoint { position_rad: 1.0, velocity_rad_s: 2.0, kp: 10.0, kd: 1.0, torque_nm: 0.5 };
+
 fn use_codecs(data: [u8; 8], channel: Channel) {
     let packet = Packet { channel, data };
     let (command, reply) = (AnyCommand::decode(&packet), AnyReply::decode(&packet));
@@ -65,15 +68,14 @@ fn use_codecs(data: [u8; 8], channel: Channel) {
     black_box(black_box(frame).map(|frame| can::decode(&frame)));
 
     let mut receiver = Receiver::new();
-    for byte in
-        black_box(Frame::from_packet(&packet).map(|frame| frame.encode())).into_iter().flatten()
-    {
-        if let Fed::Frame(frame) = black_box(receiver.feed(byte)) {
-            black_box((frame.as_command(), frame.as_reply()));
+    if let Some(frame) = Frame::from_packet(&packet) {
+        for byte in black_box(&frame.encode()) {
+            if let Fed::Frame(frame) = black_box(receiver.feed(*byte)) {
+                black_box((frame.as_command(), frame.as_reply()));
+            }
         }
     }
-    let set_point = black_box(MotionSetPoint::default());
-    if let Ok(raw) = black_box(MotionRanges::V4_3.quantise(&set_point)) {
+    if let Ok(raw) = black_box(MotionRanges::V4_3.quantise(black_box(&SET_POINT))) {
         black_box(MotionRanges::V4_3.set_point(&raw));
     }
 }

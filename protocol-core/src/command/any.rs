@@ -1,7 +1,8 @@
 //! Any command and any reply, for drives, monitors and tools.
 
 use crate::channel::{Channel, Packet};
-use crate::command::{self, Command, Reply};
+use crate::command::layout::Fields;
+use crate::command::{self, expect_opcode};
 use crate::error::{DecodeError, RequestError};
 use crate::field::Data;
 use crate::id::Target;
@@ -33,6 +34,7 @@ macro_rules! any {
 
         impl AnyCommand {
             /// Its row in the table.
+            #[inline(never)]
             pub const fn opcode(&self) -> Opcode {
                 match self {
                     $(Self::$opcode(_) => Opcode::$opcode,)+
@@ -42,42 +44,52 @@ macro_rules! any {
 
             /// The data field.
             pub fn encode(&self) -> Data {
+                let mut data = with_opcode(self.opcode());
                 match self {
-                    $(Self::$opcode(command) => Command::encode(command),)+
-                    $(Self::$silent(command) => Command::encode(command),)+
+                    $(Self::$opcode(command) => command.put(&mut data),)+
+                    $(Self::$silent(command) => command.put(&mut data),)+
                 }
+                data
             }
 
             /// The command of a known kind from its data field.
             ///
             /// # Errors
-            /// As [`Command::decode`].
+            /// As [`Command::decode`](command::Command::decode).
             pub fn decode_as(opcode: Opcode, data: &Data) -> Result<Self, DecodeError> {
+                expect_opcode(data, opcode)?;
                 match opcode {
-                    $(Opcode::$opcode => command::$command::decode(data).map(Self::$opcode),)+
-                    $(Opcode::$silent => command::$silent::decode(data).map(Self::$silent),)+
+                    $(Opcode::$opcode => Fields::read(data).map(Self::$opcode),)+
+                    $(Opcode::$silent => Fields::read(data).map(Self::$silent),)+
                 }
             }
         }
 
         impl AnyReply {
             /// The row in the table of the command that it answers.
+            #[inline(never)]
             pub const fn opcode(&self) -> Opcode {
                 match self { $(Self::$opcode(_) => Opcode::$opcode,)+ }
             }
 
             /// The data field.
             pub fn encode(&self) -> Data {
-                match self { $(Self::$opcode(reply) => Reply::to_data(reply, Opcode::$opcode),)+ }
+                let mut data = with_opcode(self.opcode());
+                match self { $(Self::$opcode(reply) => reply.put(&mut data),)+ }
+                data
             }
 
             /// The reply to a command of a known kind from its data field.
             ///
             /// # Errors
-            /// As [`Command::decode_reply`]; [`DecodeError::NoReply`] for kinds that have none.
+            /// As [`Command::decode_reply`](command::Command::decode_reply); [`DecodeError::NoReply`] for kinds that have none.
             pub fn decode_as(opcode: Opcode, data: &Data) -> Result<Self, DecodeError> {
+                if !opcode.has_reply() {
+                    return Err(DecodeError::NoReply(opcode));
+                }
+                expect_opcode(data, opcode)?;
                 match opcode {
-                    $(Opcode::$opcode => command::$command::decode_reply(data).map(Self::$opcode),)+
+                    $(Opcode::$opcode => Fields::read(data).map(Self::$opcode),)+
                     $(Opcode::$silent => Err(DecodeError::NoReply(opcode)),)+
                 }
             }
@@ -176,6 +188,11 @@ impl AnyReply {
             Channel::Command(_) | Channel::Motion(_) => Err(DecodeError::NotAReply(packet.channel)),
         }
     }
+}
+
+/// A data field that holds nothing but its command byte.
+fn with_opcode(opcode: Opcode) -> Data {
+    [opcode.byte().unwrap_or(0), 0, 0, 0, 0, 0, 0, 0]
 }
 
 /// The kind of a packet from its channel and command byte.

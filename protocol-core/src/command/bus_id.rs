@@ -3,6 +3,7 @@
 //! The command names no motor: **every** motor on the bus obeys. With more than one connected, a
 //! write gives all of them the same id.
 
+use crate::command::layout::Fields;
 use crate::command::{Command, Reply, expect_opcode};
 use crate::error::DecodeError;
 use crate::field::{self, Data};
@@ -45,6 +46,17 @@ impl Command for BusId {
 
     fn decode(data: &Data) -> Result<Self, DecodeError> {
         expect_opcode(data, Self::OPCODE)?;
+        Fields::read(data)
+    }
+}
+
+impl Fields for BusId {
+    #[inline]
+    fn put(&self, data: &mut Data) {
+        *data = self.encode();
+    }
+
+    fn read(data: &Data) -> Result<Self, DecodeError> {
         if is_read(data)? { Ok(Self::Read) } else { Ok(Self::Write(MotorId::new(data[7])?)) }
     }
 }
@@ -97,6 +109,17 @@ impl Reply for BusIdReply {
             }
             _ => Err(DecodeError::NotABusId(told)),
         }
+    }
+}
+
+impl Fields for BusIdReply {
+    #[inline(never)]
+    fn put(&self, data: &mut Data) {
+        *data = self.to_data(Opcode::BusId);
+    }
+
+    fn read(data: &Data) -> Result<Self, DecodeError> {
+        Self::from_data(data)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::command::NoReply;
 use crate::field::Data;
-use crate::range::{OutOfRange, Quantity};
+use crate::range::{Given, OutOfRange, Quantity};
 use crate::units::{Milliseconds, ReportInterval};
 
 command! {
@@ -114,7 +114,7 @@ impl Switch {
         match raw {
             0 => Ok(Self::Off),
             1 => Ok(Self::On),
-            other => Err(OutOfRange { quantity: &Self::QUANTITY, given: other as f64 }),
+            other => Err(OutOfRange { quantity: &Self::QUANTITY, given: Given::steps(other, 1) }),
         }
     }
 

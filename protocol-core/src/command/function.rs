@@ -1,6 +1,7 @@
 //! Function control: seven special functions behind one command byte (manual 2.35).
 
 use crate::command::communication::Switch;
+use crate::command::layout::Fields;
 use crate::command::{Command, expect_opcode};
 use crate::error::DecodeError;
 use crate::field::{self, Data};
@@ -131,6 +132,19 @@ impl Command for FunctionControl {
     #[inline]
     fn decode(data: &Data) -> Result<Self, DecodeError> {
         expect_opcode(data, Self::OPCODE)?;
+        Fields::read(data)
+    }
+}
+
+impl Fields for FunctionControl {
+    #[inline(never)]
+    fn put(&self, data: &mut Data) {
+        data[1] = self.index();
+        field::put_u32::<4>(data, self.value());
+    }
+
+    #[inline]
+    fn read(data: &Data) -> Result<Self, DecodeError> {
         Ok(Self::from_index(data[1], field::get_u32::<4>(data))?)
     }
 }

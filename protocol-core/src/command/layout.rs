@@ -1,5 +1,8 @@
 //! Macros that turn a list of fields and their places into a type that encodes and decodes.
 
+use crate::error::DecodeError;
+use crate::field::Data;
+
 /// A request whose fields each fill fixed bytes: `Name -> Reply { field: Type => first byte }`.
 /// `-> Self` is for those that a drive answers with the same bytes.
 macro_rules! command {
@@ -49,7 +52,35 @@ macro_rules! command {
             #[inline]
             fn decode(data: &$crate::Data) -> Result<Self, $crate::DecodeError> {
                 $crate::command::expect_opcode(data, Self::OPCODE)?;
-                Ok(Self { $($field: <$type>::read::<$at>(data)?,)* })
+                $crate::command::layout::Fields::read(data)
+            }
+        }
+
+        fields!($name { $($field: $type => $at,)* });
+    };
+}
+
+/// The fields of a data field, all but the command byte.
+pub(super) trait Fields: Sized {
+    /// Puts them in their places.
+    fn put(&self, data: &mut Data);
+
+    /// Takes them from their places.
+    fn read(data: &Data) -> Result<Self, DecodeError>;
+}
+
+/// Fields that each fill fixed bytes.
+macro_rules! fields {
+    ($name:ident { $($field:ident: $type:ty => $at:literal,)* }) => {
+        impl $crate::command::layout::Fields for $name {
+            #[inline(always)]
+            fn put(&self, _data: &mut $crate::Data) {
+                $(self.$field.put::<$at>(_data);)*
+            }
+
+            #[inline(always)]
+            fn read(_data: &$crate::Data) -> Result<Self, $crate::DecodeError> {
+                Ok(Self { $($field: <$type>::read::<$at>(_data)?,)* })
             }
         }
     };
@@ -106,9 +137,11 @@ macro_rules! reply {
 
             #[inline]
             fn from_data(data: &$crate::Data) -> Result<Self, $crate::DecodeError> {
-                Ok(Self { $($field: <$type>::read::<$at>(data)?,)+ })
+                $crate::command::layout::Fields::read(data)
             }
         }
+
+        fields!($name { $($field: $type => $at,)+ });
     };
 }
 

@@ -16,12 +16,13 @@
 
 use core::fmt;
 
+use crate::command::layout::Fields;
 use crate::command::{Command, Reply};
 use crate::error::DecodeError;
 use crate::field::Data;
 use crate::id::MotorId;
 use crate::opcode::Opcode;
-use crate::range::{OutOfRange, Quantity};
+use crate::range::{Given, OutOfRange, Quantity};
 
 /// A step on a scale of 4096, 0 to 4095.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -46,7 +47,7 @@ impl U12 {
         if step <= 0xFFF {
             Ok(Self(step))
         } else {
-            Err(OutOfRange { quantity: &Self::QUANTITY, given: step as f64 })
+            Err(OutOfRange { quantity: &Self::QUANTITY, given: Given::steps(step as u32, 1) })
         }
     }
 
@@ -117,10 +118,11 @@ impl RawMotion {
     /// The data field.
     #[inline]
     pub const fn encode(&self) -> Data {
-        let steps = (self.position as u32) << 16 | (self.velocity.0 as u32) << 4;
-        let high = steps | (self.kp.0 as u32) >> 8;
-        let steps = (self.kp.0 as u32) << 24 | (self.kd.0 as u32) << 12;
-        let low = steps | self.torque.0 as u32;
+        let velocity_kp = self.velocity.0 << 4 | self.kp.0 >> 8 & 0x0F;
+        let kp_kd = self.kp.0 << 8 | self.kd.0 >> 4 & 0xFF;
+        let kd_torque = self.kd.0 << 12 | self.torque.0;
+        let high = (self.position as u32) << 16 | velocity_kp as u32;
+        let low = (kp_kd as u32) << 16 | kd_torque as u32;
         let ([a, b, c, d], [e, f, g, h]) = (high.to_be_bytes(), low.to_be_bytes());
         [a, b, c, d, e, f, g, h]
     }
@@ -149,6 +151,18 @@ impl Command for RawMotion {
 
     #[inline]
     fn decode(data: &Data) -> Result<Self, DecodeError> {
+        Ok(Self::from_data(data))
+    }
+}
+
+impl Fields for RawMotion {
+    #[inline]
+    fn put(&self, data: &mut Data) {
+        *data = self.encode();
+    }
+
+    #[inline]
+    fn read(data: &Data) -> Result<Self, DecodeError> {
         Ok(Self::from_data(data))
     }
 }
@@ -194,6 +208,18 @@ impl Reply for RawMotionFeedback {
             velocity: U12::from_high_8_low_4(data[3], data[4]),
             torque: U12::from_high_4_low_8(data[4], data[5]),
         })
+    }
+}
+
+impl Fields for RawMotionFeedback {
+    #[inline]
+    fn put(&self, data: &mut Data) {
+        *data = self.encode();
+    }
+
+    #[inline]
+    fn read(data: &Data) -> Result<Self, DecodeError> {
+        Self::from_data(data)
     }
 }
 
@@ -284,11 +310,12 @@ pub struct MotionLimits {
 
 /// The step of `value` on a scale of `last + 1` steps from `-max` to `max`; any step for a value that
 /// is not on the scale. The middle of the scale lies between two steps and goes to the upper one, as
-/// all halves do. Multiplies before it divides: the manual's own example (10 rad) is such a half, and
-/// the other order misses it.
+/// all halves do. The manual's own example (10 rad) is such a half, and multiplying by
+/// a rounded constant still finds it on the scales of V4.3, as the tests show.
 #[inline(always)]
 fn symmetric_step(value: f32, max: f32, last: f32) -> i32 {
-    (value * last / (max + max) + (last + 1.0) / 2.0) as i32
+    let steps_per_unit = last / (max + max); // a constant where the scale is
+    (value * steps_per_unit + (last + 1.0) / 2.0) as i32
 }
 
 /// The same on a scale of 4096 steps from 0 to `max`.
@@ -297,7 +324,7 @@ fn gain_step(value: f32, max: f32) -> i32 {
     // A half less than a step of f32: the sum of what is just below a half and one half itself would
     // be rounded up to the next whole number.
     const BELOW_HALF: f32 = 0.5 - f32::EPSILON / 4.0;
-    (value * LAST_12 / max + BELOW_HALF) as i32
+    (value * (LAST_12 / max) + BELOW_HALF) as i32
 }
 
 /// Whether a step lies so far from both ends of its scale that its value is certainly on it.
@@ -365,12 +392,7 @@ impl MotionRanges {
     /// [`MotionOutOfRange`] for a value beyond its scale, an infinity or NaN.
     #[inline]
     pub fn quantise(&self, set_point: &MotionSetPoint) -> Result<RawMotion, MotionOutOfRange> {
-        let max = &self.0;
-        let position = symmetric_step(set_point.position_rad, max.position_rad, LAST_16);
-        let velocity = symmetric_step(set_point.velocity_rad_s, max.velocity_rad_s, LAST_12);
-        let kp = gain_step(set_point.kp, max.kp);
-        let kd = gain_step(set_point.kd, max.kd);
-        let torque = symmetric_step(set_point.torque_nm, max.torque_nm, LAST_12);
+        let [position, velocity, kp, kd, torque] = self.steps(set_point);
         // Comparing steps takes half the instructions of comparing floats, and leaves only the ends
         // of the scales in doubt.
         let certain = is_inner(position, LAST_16)
@@ -378,9 +400,58 @@ impl MotionRanges {
             & is_inner(kp, LAST_12)
             & is_inner(kd, LAST_12)
             & is_inner(torque, LAST_12);
-        if !certain && !self.contains(set_point) {
-            return Err(self.beyond(set_point));
+        if !certain {
+            return self.quantise_near_ends(set_point);
         }
+        Ok(RawMotion {
+            position: position as u16,
+            velocity: U12(velocity as u16),
+            kp: U12(kp as u16),
+            kd: U12(kd as u16),
+            torque: U12(torque as u16),
+        })
+    }
+
+    /// Position, velocity, kp, kd and torque as steps, whether or not they are on their scales.
+    #[inline(always)]
+    fn steps(&self, set_point: &MotionSetPoint) -> [i32; 5] {
+        let max = &self.0;
+        [
+            symmetric_step(set_point.position_rad, max.position_rad, LAST_16),
+            symmetric_step(set_point.velocity_rad_s, max.velocity_rad_s, LAST_12),
+            gain_step(set_point.kp, max.kp),
+            gain_step(set_point.kd, max.kd),
+            symmetric_step(set_point.torque_nm, max.torque_nm, LAST_12),
+        ]
+    }
+
+    /// As [`quantise`](Self::quantise), for a set-point of which a value is at an end of its scale or
+    /// beyond. It does everything anew, so that the other one keeps nothing for it.
+    #[inline(never)]
+    fn quantise_near_ends(
+        &self,
+        set_point: &MotionSetPoint,
+    ) -> Result<RawMotion, MotionOutOfRange> {
+        // From which multiple of its end each scale starts.
+        const SCALES: [(&str, &str, f32); 5] = [
+            ("position", "rad", -1.0),
+            ("velocity", "rad/s", -1.0),
+            ("kp", "N·m/rad", 0.0),
+            ("kd", "N·m·s/rad", 0.0),
+            ("torque", "N·m", -1.0),
+        ];
+        let MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm } = self.0;
+        let ends = [position_rad, velocity_rad_s, kp, kd, torque_nm];
+        let MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm } = *set_point;
+        let values = [position_rad, velocity_rad_s, kp, kd, torque_nm];
+        for ((&(name, unit, start), max), given) in SCALES.iter().zip(ends).zip(values) {
+            let min = start * max;
+            // Not a number is not within anything.
+            if !(min..=max).contains(&given) {
+                return Err(MotionOutOfRange { name, unit, min, max, given });
+            }
+        }
+        let [position, velocity, kp, kd, torque] = self.steps(set_point);
         let step_12 = |step: i32| U12(step as u16 & 0xFFF);
         Ok(RawMotion {
             position: position as u16,
@@ -389,45 +460,6 @@ impl MotionRanges {
             kd: step_12(kd),
             torque: step_12(torque),
         })
-    }
-
-    /// Whether every value is on its scale.
-    #[inline(never)]
-    fn contains(&self, set_point: &MotionSetPoint) -> bool {
-        let max = &self.0;
-        // Not a number is not within anything.
-        set_point.position_rad.abs() <= max.position_rad
-            && set_point.velocity_rad_s.abs() <= max.velocity_rad_s
-            && set_point.kp >= 0.0
-            && set_point.kp <= max.kp
-            && set_point.kd >= 0.0
-            && set_point.kd <= max.kd
-            && set_point.torque_nm.abs() <= max.torque_nm
-    }
-
-    /// The first value that is beyond its scale.
-    #[cold]
-    #[inline(never)]
-    fn beyond(&self, set_point: &MotionSetPoint) -> MotionOutOfRange {
-        let max = &self.0;
-        let values = [
-            ("position", "rad", -max.position_rad, max.position_rad, set_point.position_rad),
-            (
-                "velocity",
-                "rad/s",
-                -max.velocity_rad_s,
-                max.velocity_rad_s,
-                set_point.velocity_rad_s,
-            ),
-            ("kp", "N·m/rad", 0.0, max.kp, set_point.kp),
-            ("kd", "N·m·s/rad", 0.0, max.kd, set_point.kd),
-        ];
-        let torque = ("torque", "N·m", -max.torque_nm, max.torque_nm, set_point.torque_nm);
-        let is_beyond = |&(_, _, min, max, given): &(_, _, f32, f32, f32)| {
-            !(min..=max).contains(&given) // as well as what is not a number
-        };
-        let (name, unit, min, max, given) = values.into_iter().find(is_beyond).unwrap_or(torque);
-        MotionOutOfRange { name, unit, min, max, given }
     }
 
     /// As [`quantise`](Self::quantise), with each value beyond its scale at the scale's end.
@@ -588,6 +620,11 @@ mod tests {
     fn a_scale_ends_where_it_ends() {
         let zero = MotionSetPoint::default();
         let quantise = |set_point| MotionRanges::V4_3.quantise(&set_point);
+        // 13107 steps are 5 rad, from a middle between two steps.
+        for (position_rad, step) in [(-10.0, 6_554), (-5.0, 19_661), (5.0, 45_875), (10.0, 58_982)]
+        {
+            assert_eq!(quantise(MotionSetPoint { position_rad, ..zero }).unwrap().position, step);
+        }
         let raw = quantise(zero).unwrap(); // halves go up, and -0.0 is 0
         assert_eq!((raw.position, raw.velocity.get(), raw.kp.get()), (32_768, 2_048, 0));
         assert_eq!(quantise(MotionSetPoint { kd: -0.0, ..zero }), Ok(raw));

@@ -3,7 +3,7 @@
 use crate::channel::{Channel, Packet};
 use crate::field::Data;
 use crate::id::{MotorId, Target};
-use crate::master::ticks::{CoarseTick, LONGEST_COARSE_GAP, Span, Tick};
+use crate::master::ticks::{CoarseTick, Earliest, LONGEST_COARSE_GAP, Span, Tick};
 use crate::master::{Master, MotorSet};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
@@ -95,6 +95,7 @@ impl Broadcast {
 
     /// Whether this reply of `motor` answers the broadcast; each motor that is expected to does so
     /// once.
+    #[inline(never)]
     pub(super) fn take_reply(
         &mut self,
         motor: MotorId,
@@ -124,8 +125,10 @@ impl Broadcast {
         answers
     }
 
-    pub(super) fn poll_at(&self, now: Instant) -> Option<Instant> {
-        self.is_in_flight().then(|| self.deadline.instant(now))
+    pub(super) fn poll_at(&self, now: Instant, earliest: &mut Earliest) {
+        if self.is_in_flight() {
+            earliest.take(self.deadline.instant(now));
+        }
     }
 
     /// Until when something may have to wait for late answers.

@@ -7,7 +7,7 @@ use crate::field::Data;
 use crate::id::{MotorId, Target};
 use crate::master::config::Patience;
 use crate::master::health::{Health, Tally};
-use crate::master::ticks::{CoarseTick, LONGEST_COARSE_GAP, Span, Tick};
+use crate::master::ticks::{CoarseTick, Earliest, LONGEST_COARSE_GAP, Span, Tick};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
@@ -206,6 +206,7 @@ impl Lane {
         self.set_point_expiry = expiry;
     }
 
+    #[inline(never)]
     pub(super) fn drop_set_point(&mut self, tally: &mut Tally) {
         if self.flags.contains(Flags::SET_POINT_WAITING) {
             self.flags.remove(Flags::SET_POINT_WAITING);
@@ -311,6 +312,7 @@ impl Lane {
     }
 
     /// Lets no request out until `span` has passed.
+    #[inline(never)]
     pub(super) fn hold(&mut self, now: Instant, span: Duration) {
         self.flags.insert(Flags::HELD);
         self.held_until = CoarseTick::after(now, span);
@@ -362,6 +364,7 @@ impl Lane {
     }
 
     /// Ends a request that was answered or given up. Replies that may still come keep it quiet.
+    #[inline(never)]
     pub(super) fn finish_request(
         &mut self,
         outcome: RequestState,
@@ -443,18 +446,19 @@ impl Lane {
         held.then(|| self.held_until.instant(now))
     }
 
-    /// When this motor has something to do by itself.
-    pub(super) fn poll_at(&self, now: Instant, set_point_timeout: Span) -> Option<Instant> {
-        let flight = self.is_in_flight().then(|| self.deadline(set_point_timeout).instant(now));
+    /// Tells when this motor has something to do by itself.
+    pub(super) fn poll_at(&self, now: Instant, set_point_timeout: Span, earliest: &mut Earliest) {
+        if self.is_in_flight() {
+            earliest.take(self.deadline(set_point_timeout).instant(now));
+        }
         let waits =
             self.request == RequestState::Waiting || self.flags.contains(Flags::SET_POINT_WAITING);
-        let waits = waits && self.flags.contains(Flags::HELD);
-        let held = waits.then(|| self.held_until.instant(now));
-        let expiry = self
-            .flags
-            .contains(Flags::SET_POINT_WAITING)
-            .then(|| self.set_point_expiry.instant(now));
-        [flight, held, expiry].into_iter().flatten().min()
+        if waits && self.flags.contains(Flags::HELD) {
+            earliest.take(self.held_until.instant(now));
+        }
+        if self.flags.contains(Flags::SET_POINT_WAITING) {
+            earliest.take(self.set_point_expiry.instant(now));
+        }
     }
 
     pub(super) fn health(&self, tally: &Tally, now: Instant) -> Health {

@@ -50,7 +50,7 @@ use crate::time::{Duration, Instant};
 use broadcast::Broadcast;
 use health::Tally;
 use lane::{Flags, Lane, RequestState};
-use ticks::{CoarseTick, LONGEST_GAP, MicroTick, Span};
+use ticks::{CoarseTick, Earliest, LONGEST_GAP, MicroTick, Span};
 
 /// How motors are to be stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,12 +95,21 @@ struct Compact {
     settle: Span,
 }
 
+/// A span in microseconds, or the longest that fits.
+#[inline(never)]
+fn micros(span: Duration) -> u16 {
+    span.as_micros().min(u16::MAX.into()) as u16
+}
+
+/// A span in milliseconds, rounded up, at most 30 s.
+#[inline(never)]
+fn millis(span: Duration) -> u16 {
+    // Cut off first: a microcontroller has no division of 64 bits.
+    (span.as_micros().min(30_000_000) as u32).div_ceil(1000) as u16
+}
+
 impl Compact {
     fn new(config: &Config) -> Self {
-        let micros = |span: Duration| u16::try_from(span.as_micros()).unwrap_or(u16::MAX);
-        // Cut off first: a microcontroller has no division of 64 bits.
-        let millis =
-            |span: Duration| (span.as_micros().min(30_000_000) as u32).div_ceil(1000) as u16;
         let (wire, turnaround) = match config.bus {
             Bus::Can => (Wire::Can, Duration::ZERO),
             Bus::Rs485 { turnaround, echo: false } => (Wire::Rs485, turnaround),
@@ -458,11 +467,13 @@ impl<const N: usize> Master<N> {
                 lane.give_set_point_up(now, late_window);
             } else if lane.counts.attempts_left() > 0 {
                 lane.request = RequestState::Waiting;
-            } else if lane.flags.contains(Flags::STOP) {
-                lane.flags.insert(Flags::TELL_UNCONFIRMED);
-                lane.finish_request(RequestState::Idle, now, late_window);
             } else {
-                lane.finish_request(RequestState::NoReply, now, late_window);
+                let is_stop = lane.flags.contains(Flags::STOP);
+                if is_stop {
+                    lane.flags.insert(Flags::TELL_UNCONFIRMED);
+                }
+                let outcome = if is_stop { RequestState::Idle } else { RequestState::NoReply };
+                lane.finish_request(outcome, now, late_window);
             }
         }
         self.age_broadcast(now);
@@ -502,20 +513,28 @@ impl<const N: usize> Master<N> {
     /// something to do by themselves; `None` while only a frame or a request can change anything.
     pub fn poll_at(&self) -> Option<Instant> {
         let now = self.now;
-        let lanes =
-            self.lanes.iter().filter_map(|lane| lane.poll_at(now, self.config.timeout)).min();
-        let line =
-            (self.config.is_rs485() && !self.is_anything_in_flight() && self.choose().is_some())
-                .then(|| self.busy_until.instant(now));
-        let broadcast = [self.broadcast.poll_at(now), self.broadcast_wait(now)];
-        [lanes, line, self.courtesy_ends()].into_iter().chain(broadcast).flatten().min()
+        let mut earliest = Earliest::default();
+        for lane in &self.lanes {
+            lane.poll_at(now, self.config.timeout, &mut earliest);
+        }
+        if self.config.is_rs485() {
+            if !self.is_anything_in_flight() && self.choose().is_some() {
+                earliest.take(self.busy_until.instant(now));
+            }
+        } else if let Some(end) = self.courtesy_ends() {
+            earliest.take(end);
+        }
+        self.broadcast.poll_at(now, &mut earliest);
+        self.broadcast_wait(now, &mut earliest);
+        earliest.0
     }
 
     /// How well a motor answers.
     pub fn health(&self, motor: MotorId) -> Health {
-        let known =
-            self.lanes.iter().zip(&self.tallies).find(|(lane, _)| lane.motor == Some(motor));
-        known.map_or_else(Health::default, |(lane, tally)| lane.health(tally, self.now))
+        let known = self.place_of(Some(motor)).and_then(|place| {
+            Some(self.lanes.get(place)?.health(self.tallies.get(place)?, self.now))
+        });
+        known.unwrap_or_default()
     }
 
     /// The motors that have a place.
@@ -529,10 +548,7 @@ impl<const N: usize> Master<N> {
     /// A late reply that may still come is no longer guarded against: leave the motor alone for
     /// [`Config::late_window`] after a request that was not answered.
     pub fn forget(&mut self, motor: MotorId) -> bool {
-        let mut lanes = self.lanes.iter_mut().zip(&mut self.tallies);
-        let Some((lane, tally)) = lanes.find(|(lane, _)| lane.motor == Some(motor)) else {
-            return false;
-        };
+        let Some((lane, tally)) = self.lane_of(motor) else { return false };
         let idle = lane.is_idle();
         if idle {
             (*lane, *tally) = (Lane::default(), Tally::default());
@@ -554,25 +570,44 @@ impl<const N: usize> Master<N> {
         if self.stopped && !harmless { Err(RequestError::Stopped) } else { Ok(()) }
     }
 
+    #[inline(never)]
     fn lane_for(&mut self, motor: MotorId) -> Result<(&mut Lane, &mut Tally), RequestError> {
-        let known = self.lanes.iter().position(|lane| lane.motor == Some(motor));
-        let place = known.or_else(|| self.lanes.iter().position(|lane| lane.motor.is_none()));
-        let found = place
-            .and_then(|place| Some((self.lanes.get_mut(place)?, self.tallies.get_mut(place)?)));
+        let place = self.place_of(Some(motor)).or_else(|| self.place_of(None));
+        let found = place.and_then(|place| self.lane_at(place));
         let (lane, tally) = found.ok_or(RequestError::TooManyMotors { capacity: N })?;
         lane.motor = Some(motor);
         Ok((lane, tally))
     }
 
+    /// The place of a motor, or the first free one.
+    #[inline(never)]
+    fn place_of(&self, motor: Option<MotorId>) -> Option<usize> {
+        self.lanes.iter().position(|lane| lane.motor == motor)
+    }
+
+    fn lane_at(&mut self, place: usize) -> Option<(&mut Lane, &mut Tally)> {
+        Some((self.lanes.get_mut(place)?, self.tallies.get_mut(place)?))
+    }
+
+    /// The lane of a motor that has one.
+    fn lane_of(&mut self, motor: MotorId) -> Option<(&mut Lane, &mut Tally)> {
+        self.lane_at(self.place_of(Some(motor))?)
+    }
+
     /// The round of the motor that is furthest behind of those whose reply may wait for the bus.
+    #[inline(never)]
     fn slowest_round(&self) -> Option<u8> {
-        let answering = self.lanes.iter().filter(|lane| lane.may_be_answering());
-        answering
-            .reduce(|slowest, lane| if lane.is_behind(slowest.round) { lane } else { slowest })
-            .map(|lane| lane.round)
+        let mut slowest = None;
+        for lane in self.lanes.iter().filter(|lane| lane.may_be_answering()) {
+            if slowest.is_none_or(|slowest| lane.is_behind(slowest)) {
+                slowest = Some(lane.round);
+            }
+        }
+        slowest
     }
 
     /// Notes one more frame on the bus: behind what is queued already, or right now.
+    #[inline(never)]
     fn bus_is_busy(&mut self, now: Instant) {
         let queued = self.busy_until.instant(now).max(now);
         self.busy_until = MicroTick::at(queued + self.frame_time());
@@ -585,6 +620,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// When the bus has been quiet for so long that a reply which only waited for it must have come.
+    #[inline(never)]
     fn quiet_at(&self) -> Instant {
         self.busy_until.instant(self.now) + self.frame_time().times(2)
     }
@@ -593,14 +629,13 @@ impl<const N: usize> Master<N> {
         Duration::from_micros(self.config.frame_us.into())
     }
 
-    /// When waiting for motors that may be answering ends.
+    /// When waiting for motors that may be answering ends. On RS485 only one is asked at a time.
     fn courtesy_ends(&self) -> Option<Instant> {
-        if self.config.is_rs485() {
-            return None;
+        let mut first_sent = Earliest::default();
+        for lane in self.lanes.iter().filter(|lane| lane.may_be_answering()) {
+            first_sent.take(lane.sent.instant(self.now));
         }
-        let longest = Duration::from_micros(self.config.longest_us.into());
-        let answering = self.lanes.iter().filter(|lane| lane.may_be_answering());
-        let due = answering.map(|lane| lane.sent.instant(self.now) + longest).min()?;
+        let due = first_sent.0? + Duration::from_micros(self.config.longest_us.into());
         Some(due.max(self.quiet_at()))
     }
 
@@ -617,18 +652,21 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_waiting() && requests_quiet && self.broadcast.may_go(self.motors()) {
             return Some((Offer::Broadcast, self.broadcast.packet()));
         }
-        let may_go = |lane: &Lane| self.request_may_go(lane);
-        let ready = lanes().filter(|(_, lane)| lane.is_ready(may_go(lane)));
-        let (place, lane) =
-            ready.reduce(
-                |first, second| if second.1.is_behind(first.1.round) { second } else { first },
-            )?;
+        let mut first: Option<(usize, &Lane)> = None;
+        for (place, lane) in lanes() {
+            if lane.is_ready(self.request_may_go(lane))
+                && first.is_none_or(|(_, first)| lane.is_behind(first.round))
+            {
+                first = Some((place, lane));
+            }
+        }
+        let (place, lane) = first?;
         // One round ahead of a motor that may be waiting for its turn to answer is enough.
         let slowest = self.slowest_round();
         if slowest.is_some_and(|slowest| lane.round != slowest && !lane.is_behind(slowest)) {
             return None;
         }
-        if lane.is_set_point_next(may_go(lane)) {
+        if lane.is_set_point_next(self.request_may_go(lane)) {
             Some((Offer::SetPoint(place as u8), lane.set_point_packet()?))
         } else {
             Some((Offer::Request(place as u8), lane.request_packet()?))
@@ -636,6 +674,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// Whether a motor's request could be sent now.
+    #[inline(never)]
     fn request_may_go(&self, lane: &Lane) -> bool {
         // A broadcast that waits lets attempts of what has begun go on: it waits for their end.
         let has_begun = self.broadcast.is_waiting() && lane.is_owed();
@@ -650,16 +689,19 @@ impl<const N: usize> Master<N> {
         self.broadcast.may_be_mistaken(lane.request_data[0], motor)
     }
 
-    /// When a broadcast, or a request that waits because of one, may go.
-    fn broadcast_wait(&self, now: Instant) -> Option<Instant> {
-        if self.broadcast.is_waiting() {
-            let held = self.lanes.iter().filter_map(|lane| lane.keeps_broadcast_until(now));
-            let may_go = self.broadcast.may_go(self.motors());
-            let echo = self.broadcast.echo_until(now).filter(|_| !may_go);
-            return held.chain(echo).min();
+    /// Tells when a broadcast, or a request that waits because of one, may go.
+    fn broadcast_wait(&self, now: Instant, earliest: &mut Earliest) {
+        let echo_matters = if self.broadcast.is_waiting() {
+            for held in self.lanes.iter().filter_map(|lane| lane.keeps_broadcast_until(now)) {
+                earliest.take(held);
+            }
+            !self.broadcast.may_go(self.motors())
+        } else {
+            self.lanes.iter().any(|lane| lane.may_send_request() && self.is_confusable(lane))
+        };
+        if echo_matters && let Some(end) = self.broadcast.echo_until(now) {
+            earliest.take(end);
         }
-        let waits = |lane: &Lane| lane.may_send_request() && self.is_confusable(lane);
-        self.broadcast.echo_until(now).filter(|_| self.lanes.iter().any(waits))
     }
 
     /// Notes the time. After a gap that the ticks cannot bridge, nothing in flight is waited for.

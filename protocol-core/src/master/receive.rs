@@ -1,7 +1,7 @@
 //! What a received frame means to the master.
 
 use crate::channel::{Channel, Packet};
-use crate::command::{AnyReply, BusIdReply, Reply};
+use crate::command::{AnyReply, BusId, Command};
 use crate::field::Data;
 use crate::id::MotorId;
 use crate::master::lane::{Flags, RequestState};
@@ -17,9 +17,9 @@ impl<const N: usize> Master<N> {
     pub fn handle_frame(&mut self, frame: &can::Received, now: Instant) -> Option<Event> {
         self.advance(now);
         self.frame_has_come(now);
-        match *frame {
-            can::Received::Packet(packet) => self.handle_packet(&packet, now),
-            can::Received::WrongLength { channel: Channel::Reply(motor), first, .. } => {
+        match frame {
+            can::Received::Packet(packet) => self.handle_packet(packet, now),
+            &can::Received::WrongLength { channel: Channel::Reply(motor), first, .. } => {
                 if first == Some(LOST_MASTER_BYTE) {
                     return self.lost_master(motor, now);
                 }
@@ -72,8 +72,10 @@ impl<const N: usize> Master<N> {
                 self.handle_reply(motor, packet, now)
             }
             Channel::BusId => {
-                let motor = BusIdReply::from_data(data).ok()?.id();
-                self.handle_broadcast_reply(motor, packet, now)
+                let reply = BusId::decode_reply(data).ok()?;
+                let (motor, reply) = (reply.id(), AnyReply::BusId(reply));
+                let is_answer = self.answers_broadcast(motor, data, now);
+                is_answer.then_some(Event::BroadcastReply { motor, reply })
             }
             Channel::MotionReply(motor) => Some(self.stray(motor, data)),
             Channel::Command(_) | Channel::Motion(_) => None,
@@ -85,8 +87,7 @@ impl<const N: usize> Master<N> {
         if let Some(event) = self.match_lane(motor, packet, now) {
             return event;
         }
-        let event = self.handle_broadcast_reply(motor, packet, now);
-        event.or_else(|| Some(self.handle_unasked(motor, packet, may_be_late)))
+        Some(self.handle_unasked(motor, packet, may_be_late, now))
     }
 
     /// Gives the reply to what is in flight at its motor; `None` if it belongs to nothing there.
@@ -100,8 +101,7 @@ impl<const N: usize> Master<N> {
         let shortest = Duration::from_micros(config.shortest_us.into());
         let data = &packet.data;
         let is_motion = matches!(packet.channel, Channel::MotionReply(_));
-        let mut lanes = self.lanes.iter_mut().zip(&mut self.tallies);
-        let (lane, tally) = lanes.find(|(lane, _)| lane.motor == Some(motor))?;
+        let (lane, tally) = self.lane_of(motor)?;
         lane.seen(now);
 
         let is_request = lane.request == RequestState::InFlight;
@@ -153,25 +153,17 @@ impl<const N: usize> Master<N> {
         }))
     }
 
-    fn handle_broadcast_reply(
-        &mut self,
-        motor: MotorId,
-        packet: &Packet,
-        now: Instant,
-    ) -> Option<Event> {
-        let reply = AnyReply::decode(packet).ok()?;
-        let timeout = self.config.timeout;
+    /// Whether this reply of `motor` answers the broadcast.
+    fn answers_broadcast(&mut self, motor: MotorId, data: &Data, now: Instant) -> bool {
         let shortest = Duration::from_micros(self.config.shortest_us.into());
-        self.broadcast
-            .take_reply(motor, &packet.data, timeout, shortest, now)
-            .then_some(Event::BroadcastReply { motor, reply })
+        self.broadcast.take_reply(motor, data, self.config.timeout, shortest, now)
     }
 
     /// Whether a reply that nothing waits for is surely the late one of a request, and not doubled,
     /// feedback of a lost set-point, a broadcast's answer or an error report.
     fn may_be_late_reply(&self, motor: MotorId, packet: &Packet, now: Instant) -> bool {
         let byte = packet.data[0];
-        let Some(lane) = self.lanes.iter().find(|lane| lane.motor == Some(motor)) else {
+        let Some(lane) = self.place_of(Some(motor)).and_then(|place| self.lanes.get(place)) else {
             return false;
         };
         let is_feedback = matches!(packet.channel, Channel::MotionReply(_)) || is_control(byte);
@@ -182,11 +174,22 @@ impl<const N: usize> Master<N> {
         !is_something_else
     }
 
-    /// A report, a late reply, or anything else that nothing waits for.
-    fn handle_unasked(&mut self, motor: MotorId, packet: &Packet, may_be_late: bool) -> Event {
-        let reported = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
-        let lane = self.lanes.iter_mut().find(|lane| lane.motor == Some(motor));
+    /// An answer to the broadcast, a report, a late reply, or anything else that no request waits for.
+    fn handle_unasked(
+        &mut self,
+        motor: MotorId,
+        packet: &Packet,
+        may_be_late: bool,
+        now: Instant,
+    ) -> Event {
         let reply = AnyReply::decode(packet);
+        if let Ok(reply) = reply
+            && self.answers_broadcast(motor, &packet.data, now)
+        {
+            return Event::BroadcastReply { motor, reply };
+        }
+        let reported = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
+        let lane = self.lane_of(motor).map(|(lane, _)| lane);
         let is_report = match (lane, &reply) {
             (Some(lane), _) if lane.reported & reported != 0 => true,
             (Some(lane), Ok(AnyReply::ReadStatus1(_))) => !lane.is_late_reply_due(),
@@ -205,7 +208,7 @@ impl<const N: usize> Master<N> {
     }
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {
-        if let Some(lane) = self.lanes.iter_mut().find(|lane| lane.motor == Some(motor)) {
+        if let Some((lane, _)) = self.lane_of(motor) {
             lane.seen(now);
             lane.flags.insert(Flags::LOST_MASTER);
         }
@@ -218,9 +221,7 @@ impl<const N: usize> Master<N> {
     }
 
     fn count_stray(&mut self, motor: MotorId) {
-        let known =
-            self.lanes.iter().zip(&mut self.tallies).find(|(lane, _)| lane.motor == Some(motor));
-        if let Some((_, tally)) = known {
+        if let Some((_, tally)) = self.lane_of(motor) {
             tally.stray = tally.stray.saturating_add(1);
         }
     }

@@ -30,6 +30,7 @@ impl MicroTick {
         Self(now.as_micros() as u32)
     }
 
+    #[inline(never)]
     pub(super) fn instant(self, near: Instant) -> Instant {
         let delta = self.0.wrapping_sub(near.as_micros() as u32) as i32;
         Instant::from_micros(near.as_micros().saturating_add_signed(delta.into()))
@@ -42,6 +43,7 @@ pub(super) struct Span(u8);
 
 impl Span {
     /// The span, rounded up, and at least one step; the longest there is for more.
+    #[inline(never)]
     pub(super) fn from_duration(span: Duration) -> Self {
         let steps = (span.as_micros().saturating_add(1023) >> 10).clamp(1, 255);
         Self(steps as u8)
@@ -58,6 +60,7 @@ impl Tick {
     }
 
     /// The first tick that is not before `instant`.
+    #[inline(never)]
     pub(super) fn not_before(instant: Instant) -> Self {
         Self((instant.as_micros().saturating_add(15) >> 4) as u16)
     }
@@ -72,14 +75,14 @@ impl Tick {
 
     /// The instant of this tick, which lies within half a turn of `near`.
     pub(super) fn instant(self, near: Instant) -> Instant {
-        let base = near.as_micros() >> 4;
-        let delta = self.0.wrapping_sub(base as u16) as i16;
-        Instant::from_micros(base.saturating_add_signed(i64::from(delta)) << 4)
+        instant(self.0, 4, near)
     }
 
     /// The time from this tick to `now`, zero if it is still to come.
     pub(super) fn elapsed(self, now: Instant) -> Duration {
-        now - self.instant(now)
+        let ticks = i32::from(Self::at(now).0.wrapping_sub(self.0) as i16);
+        let micros = (ticks << 4) + (now.as_micros() & 15) as i32;
+        Duration::from_micros(micros.max(0) as u64)
     }
 
     pub(super) fn plus(self, span: Span) -> Self {
@@ -101,6 +104,7 @@ impl CoarseTick {
         Self((now.as_micros() >> 10) as u16)
     }
 
+    #[inline(never)]
     pub(super) fn after(now: Instant, span: Duration) -> Self {
         Self::at(now + span + Duration::from_micros(1023))
     }
@@ -110,9 +114,28 @@ impl CoarseTick {
     }
 
     pub(super) fn instant(self, near: Instant) -> Instant {
-        let base = near.as_micros() >> 10;
-        let delta = self.0.wrapping_sub(base as u16) as i16;
-        Instant::from_micros(base.saturating_add_signed(i64::from(delta)) << 10)
+        instant(self.0, 10, near)
+    }
+}
+
+/// The instant of a count of steps of 2^`shift` µs, which lies within half a turn of `near`.
+#[inline(never)]
+fn instant(count: u16, shift: u32, near: Instant) -> Instant {
+    let base = near.as_micros() >> shift;
+    let delta = count.wrapping_sub(base as u16) as i16;
+    Instant::from_micros(base.saturating_add_signed(i64::from(delta)) << shift)
+}
+
+/// The earliest of several points in time.
+#[derive(Debug, Default)]
+pub(super) struct Earliest(pub(super) Option<Instant>);
+
+impl Earliest {
+    #[inline(never)]
+    pub(super) fn take(&mut self, at: Instant) {
+        if self.0.is_none_or(|earliest| at < earliest) {
+            self.0 = Some(at);
+        }
     }
 }
 
