@@ -26,12 +26,14 @@
 //! a quiet bus, is not waited for: a silent motor costs the others nothing.
 
 mod broadcast;
+mod compact;
 mod config;
 mod event;
 mod health;
 mod lane;
 mod motor_set;
 mod receive;
+mod schedule;
 #[cfg(test)]
 mod tests;
 mod ticks;
@@ -48,9 +50,10 @@ use crate::id::{MotorId, Target};
 use crate::opcode::{Opcode, Repeat};
 use crate::time::{Duration, Instant};
 use broadcast::Broadcast;
+use compact::{Compact, Wire};
 use health::Tally;
 use lane::{Flags, Lane, RequestState};
-use ticks::{CoarseTick, Earliest, LONGEST_GAP, MicroTick, Span};
+use ticks::{CoarseTick, Earliest, LONGEST_GAP, MicroTick};
 
 /// How motors are to be stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,91 +72,6 @@ enum Offer {
     Request(u8),
     SetPoint(u8),
     Broadcast,
-}
-
-/// The bus, and what an adapter hands back.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Wire {
-    Can,
-    Rs485,
-    EchoingRs485,
-}
-
-/// [`Config`] in as few bytes as it takes.
-#[derive(Clone, Copy, Debug)]
-struct Compact {
-    wire: Wire,
-    turnaround_us: u16,
-    timeout: Span,
-    attempts: u8,
-    frame_us: u16,
-    shortest_us: u16,
-    longest_us: u16,
-    late_ms: u16,
-    max_age_ms: u16,
-    restart_ms: u16,
-    settle: Span,
-}
-
-/// A span in microseconds, or the longest that fits.
-#[inline(never)]
-fn micros(span: Duration) -> u16 {
-    span.as_micros().min(u16::MAX.into()) as u16
-}
-
-/// A span in milliseconds, rounded up, at most 30 s.
-#[inline(never)]
-fn millis(span: Duration) -> u16 {
-    // Cut off first: a microcontroller has no division of 64 bits.
-    (span.as_micros().min(30_000_000) as u32).div_ceil(1000) as u16
-}
-
-impl Compact {
-    fn new(config: &Config) -> Self {
-        let (wire, turnaround) = match config.bus {
-            Bus::Can => (Wire::Can, Duration::ZERO),
-            Bus::Rs485 { turnaround, echo: false } => (Wire::Rs485, turnaround),
-            Bus::Rs485 { turnaround, echo: true } => (Wire::EchoingRs485, turnaround),
-        };
-        Self {
-            wire,
-            turnaround_us: micros(turnaround),
-            timeout: Span::from_duration(config.reply_timeout),
-            attempts: config.attempts,
-            frame_us: micros(config.frame_time),
-            shortest_us: micros(config.shortest_response),
-            longest_us: micros(config.longest_response),
-            late_ms: millis(config.late_window),
-            max_age_ms: millis(config.set_point_max_age),
-            restart_ms: millis(config.restart_time),
-            settle: Span::from_duration(config.settle_time),
-        }
-    }
-
-    fn is_rs485(&self) -> bool {
-        self.wire != Wire::Can
-    }
-
-    fn late_window(&self) -> Duration {
-        Duration::from_millis(self.late_ms.into())
-    }
-
-    fn patience(&self, opcode: Opcode) -> Patience {
-        let attempts = match opcode.repeat() {
-            Repeat::Harmless => self.attempts,
-            Repeat::Stale | Repeat::ActsAgain => 1,
-        };
-        Patience { reply_timeout: self.timeout.duration(), attempts }
-    }
-
-    /// How long a motor is left alone after a command without reply.
-    fn hold_after(&self, opcode: Opcode) -> Duration {
-        if opcode == Opcode::Reset {
-            Duration::from_millis(self.restart_ms.into())
-        } else {
-            self.settle.duration()
-        }
-    }
 }
 
 /// The master of one bus with up to `N` motors.
@@ -592,116 +510,6 @@ impl<const N: usize> Master<N> {
     /// The lane of a motor that has one.
     fn lane_of(&mut self, motor: MotorId) -> Option<(&mut Lane, &mut Tally)> {
         self.lane_at(self.place_of(Some(motor))?)
-    }
-
-    /// The round of the motor that is furthest behind of those whose reply may wait for the bus.
-    #[inline(never)]
-    fn slowest_round(&self) -> Option<u8> {
-        let mut slowest = None;
-        for lane in self.lanes.iter().filter(|lane| lane.may_be_answering()) {
-            if slowest.is_none_or(|slowest| lane.is_behind(slowest)) {
-                slowest = Some(lane.round);
-            }
-        }
-        slowest
-    }
-
-    /// Notes one more frame on the bus: behind what is queued already, or right now.
-    #[inline(never)]
-    fn bus_is_busy(&mut self, now: Instant) {
-        let queued = self.busy_until.instant(now).max(now);
-        self.busy_until = MicroTick::at(queued + self.frame_time());
-    }
-
-    /// RS485: the drives turn around before the next command.
-    fn line_is_free_after_turnaround(&mut self, now: Instant) {
-        self.busy_until =
-            MicroTick::at(now + Duration::from_micros(self.config.turnaround_us.into()));
-    }
-
-    /// When the bus has been quiet for so long that a reply which only waited for it must have come.
-    #[inline(never)]
-    fn quiet_at(&self) -> Instant {
-        self.busy_until.instant(self.now) + self.frame_time().times(2)
-    }
-
-    fn frame_time(&self) -> Duration {
-        Duration::from_micros(self.config.frame_us.into())
-    }
-
-    /// When waiting for motors that may be answering ends. On RS485 only one is asked at a time.
-    fn courtesy_ends(&self) -> Option<Instant> {
-        let mut first_sent = Earliest::default();
-        for lane in self.lanes.iter().filter(|lane| lane.may_be_answering()) {
-            first_sent.take(lane.sent.instant(self.now));
-        }
-        let due = first_sent.0? + Duration::from_micros(self.config.longest_us.into());
-        Some(due.max(self.quiet_at()))
-    }
-
-    /// Stops first, then a broadcast that is due, then the motor that has waited longest.
-    fn choose(&self) -> Option<(Offer, Packet)> {
-        let lanes = || self.lanes.iter().enumerate();
-        let stop = lanes().find(|(_, lane)| {
-            lane.flags.contains(Flags::STOP) && lane.request == RequestState::Waiting
-        });
-        if let Some((place, lane)) = stop {
-            return Some((Offer::Request(place as u8), lane.request_packet()?));
-        }
-        let requests_quiet = !self.lanes.iter().any(Lane::keeps_broadcast_back);
-        if self.broadcast.is_waiting() && requests_quiet && self.broadcast.may_go(self.motors()) {
-            return Some((Offer::Broadcast, self.broadcast.packet()));
-        }
-        let mut first: Option<(usize, &Lane)> = None;
-        for (place, lane) in lanes() {
-            if lane.is_ready(self.request_may_go(lane))
-                && first.is_none_or(|(_, first)| lane.is_behind(first.round))
-            {
-                first = Some((place, lane));
-            }
-        }
-        let (place, lane) = first?;
-        // One round ahead of a motor that may be waiting for its turn to answer is enough.
-        let slowest = self.slowest_round();
-        if slowest.is_some_and(|slowest| lane.round != slowest && !lane.is_behind(slowest)) {
-            return None;
-        }
-        if lane.is_set_point_next(self.request_may_go(lane)) {
-            Some((Offer::SetPoint(place as u8), lane.set_point_packet()?))
-        } else {
-            Some((Offer::Request(place as u8), lane.request_packet()?))
-        }
-    }
-
-    /// Whether a motor's request could be sent now.
-    #[inline(never)]
-    fn request_may_go(&self, lane: &Lane) -> bool {
-        // A broadcast that waits lets attempts of what has begun go on: it waits for their end.
-        let has_begun = self.broadcast.is_waiting() && lane.is_owed();
-        lane.may_send_request()
-            && (has_begun || !self.broadcast.is_active())
-            && !self.is_confusable(lane)
-    }
-
-    /// Whether a motor's answer to the last broadcast could be taken for that to its request.
-    fn is_confusable(&self, lane: &Lane) -> bool {
-        let motor = lane.motor.map_or(MotorSet::EMPTY, MotorSet::from);
-        self.broadcast.may_be_mistaken(lane.request_data[0], motor)
-    }
-
-    /// Tells when a broadcast, or a request that waits because of one, may go.
-    fn broadcast_wait(&self, now: Instant, earliest: &mut Earliest) {
-        let echo_matters = if self.broadcast.is_waiting() {
-            for held in self.lanes.iter().filter_map(|lane| lane.keeps_broadcast_until(now)) {
-                earliest.take(held);
-            }
-            !self.broadcast.may_go(self.motors())
-        } else {
-            self.lanes.iter().any(|lane| lane.may_send_request() && self.is_confusable(lane))
-        };
-        if echo_matters && let Some(end) = self.broadcast.echo_until(now) {
-            earliest.take(end);
-        }
     }
 
     /// Notes the time. After a gap that the ticks cannot bridge, nothing in flight is waited for.
