@@ -281,8 +281,8 @@ fn a_silent_id_change_acts_all_the_same<B: Bus>() {
         let bus: B = quirky(Quirks { silent_id_change, ..Quirks::default() });
         let mut master = bus.hasty_master();
         let set = master.call(MOTOR, FunctionControl::SetCanId(id(5)));
-        assert_eq!(is_unanswered(&set), silent_id_change, "{set:?}");
-        assert_eq!(set.is_ok(), !silent_id_change);
+        // The master does not wait for an echo that may not come.
+        assert!(matches!(set, Ok(None)), "{set:?}");
         // Function 5 takes effect after a restart (2.35.4).
         master.ask(MOTOR, ReadModel).unwrap();
         restart(&mut master, id(5));

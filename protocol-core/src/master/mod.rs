@@ -46,6 +46,7 @@ pub use motor_set::MotorSet;
 use crate::channel::Packet;
 use crate::command::{self, Command, SetPoint, Shutdown, Stop};
 use crate::error::RequestError;
+use crate::field::Data;
 use crate::id::{MotorId, Target};
 use crate::opcode::{Opcode, Repeat};
 use crate::time::{Duration, Instant};
@@ -324,11 +325,14 @@ impl<const N: usize> Master<N> {
     pub fn handle_transmitted(&mut self, now: Instant) {
         self.advance(now);
         let config = self.config;
+        let mut told_without_reply = false;
         match self.offer.take() {
             Some(Offer::Request(index)) => {
                 if let Some(lane) = self.lanes.get_mut(usize::from(index)) {
                     let opcode = lane.request_opcode();
-                    let awaits_reply = opcode.is_some_and(Opcode::has_reply);
+                    let awaits_reply =
+                        opcode.is_some_and(|opcode| awaits_reply(opcode, &lane.request_data));
+                    told_without_reply = !awaits_reply;
                     let hold = opcode.map_or(Duration::ZERO, |opcode| config.hold_after(opcode));
                     note_report(lane, opcode);
                     self.pace = lane.round;
@@ -354,7 +358,10 @@ impl<const N: usize> Master<N> {
             } else {
                 0
             };
-            self.line_is_free_after_turnaround(now);
+            // An answer that nobody waits for may come all the same, and must not meet a command.
+            let silence =
+                if told_without_reply { config.settle.duration() } else { Duration::ZERO };
+            self.line_is_free_after_turnaround(now + silence);
         }
     }
 
@@ -561,6 +568,13 @@ fn reported_bit(opcode: Opcode) -> Option<u8> {
         Opcode::ReadStatus3 => Some(1 << 6),
         _ => None,
     }
+}
+
+/// Whether a command is over only when its reply has come. Function 5 is over when it is sent: drives
+/// were seen to obey it without the echo that 2.35.3 promises. An echo that comes is a stray.
+fn awaits_reply(opcode: Opcode, data: &Data) -> bool {
+    const SET_CAN_ID: u8 = 5;
+    opcode.has_reply() && !(opcode == Opcode::FunctionControl && data[1] == SET_CAN_ID)
 }
 
 /// Keeps track of what a motor reports by itself, from the commands that switch it.

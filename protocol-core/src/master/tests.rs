@@ -8,8 +8,9 @@ use std::vec::Vec;
 use super::*;
 use crate::channel::{Channel, Packet};
 use crate::command::{
-    AbsolutePosition, ActiveReply, AnyReply, BusId, IncrementalPosition, PidIndex, RawMotion,
-    ReadModel, ReadMultiTurnAngle, ReadPid, ReadStatus1, ReportedCommand, Reset, Switch, Torque,
+    AbsolutePosition, ActiveReply, AnyReply, BaudCode, BusId, FunctionControl, IncrementalPosition,
+    PidIndex, RawMotion, ReadModel, ReadMultiTurnAngle, ReadPid, ReadStatus1, ReportedCommand,
+    Reset, SetBaudRate, Switch, Torque,
 };
 use crate::units::{Angle, Current, MaxSpeed, ReportInterval};
 use crate::wire::can::Received;
@@ -213,6 +214,24 @@ fn commands_without_reply_are_done_when_sent_and_give_the_drive_time() {
     }
     master.handle_timeout(ms(2_003));
     assert_eq!(sent(&mut master, ms(2_003)).len(), 1);
+}
+
+#[test]
+fn an_id_change_is_done_when_sent_whether_it_is_echoed_or_not() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let change = FunctionControl::SetCanId(id(9));
+    let ticket = master.request(id(1), change, ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    let told = events(&mut master, ms(0));
+    assert_eq!(ticket.outcome(&told[0]), Some(Ok(None)));
+    let echo = reply(&mut master, 1, change.encode(), ms(1)).unwrap();
+    assert!(matches!(echo, Event::Stray { .. }));
+    // Other functions wait for theirs.
+    let filter = FunctionControl::CanIdFilter(Switch::On);
+    let ticket = master.request(id(2), filter, ms(1)).unwrap();
+    sent(&mut master, ms(1));
+    let event = reply(&mut master, 2, filter.encode(), ms(2)).unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Ok(Some(filter))));
 }
 
 #[test]
@@ -457,6 +476,17 @@ fn rs485_carries_one_exchange_at_a_time() {
     assert_eq!(sent(&mut master, Instant::from_micros(1_120)).len(), 1);
     let motion = RawMotion::from_data(&[0; 8]);
     assert_eq!(master.set_point(id(1), motion, ms(2)), Err(RequestError::CanOnly(Opcode::Motion)));
+}
+
+#[test]
+fn on_rs485_nobody_speaks_while_an_unwanted_answer_may_come() {
+    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+    let faster = SetBaudRate { baud_rate: BaudCode::Can1MRs485At500k };
+    let _set = master.request(id(1), faster, ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    let _other = master.request(id(2), ReadModel, ms(0)).unwrap();
+    assert!(sent(&mut master, ms(4)).is_empty(), "0xB4 is answered with garbage (2.32.3)");
+    assert_eq!(sent(&mut master, ms(6)).len(), 1);
 }
 
 #[test]
