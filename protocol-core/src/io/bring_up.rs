@@ -12,7 +12,7 @@ use crate::command::{
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::runner::{CallError, Runner};
+use crate::io::runner::{CallError, LONGEST_IDLE, Runner};
 use crate::master::{Event, Failure, MotorSet, Patience};
 use crate::time::{Duration, Instant};
 use crate::units::{Angle, EncoderPulses, Milliseconds};
@@ -88,7 +88,6 @@ const QUICK: Patience = Patience { reply_timeout: Duration::from_millis(10), att
 const BRAKE_OPENING: Duration = Duration::from_millis(150);
 /// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
 const ZERO_TOLERANCE: i32 = 100;
-const LONGEST_IDLE: Duration = Duration::from_millis(5);
 
 /// Finds out which of `candidates` are on the bus, as many at a time as the master has places free.
 /// `on_answer` is told of each motor that is asked, and whether it is there, as soon as that is
