@@ -70,6 +70,24 @@ fn a_scan_tells_who_is_there() {
     on_both!(Fleet::new(5), scan_finds);
 }
 
+fn scan_waits_for_what_is_under_way<R: Runner<8, Error: PartialEq>>(
+    runner: &mut R,
+    _: &[DriveHandle],
+    _: PowerCycle<'_>,
+) {
+    // Both are being asked already; only motor 1 is there to answer.
+    let now = runner.now();
+    for motor in [id(1), id(9)] {
+        let _ticket = runner.master().request(motor, ReadStatus1, now).expect("it is free");
+    }
+    assert_eq!(bring_up::scan(runner, ids([1, 9]), |_, _| {}), Ok(ids([1])));
+}
+
+#[test]
+fn a_motor_that_is_being_asked_is_not_there_before_it_answers() {
+    on_both!(Fleet::new(1), scan_waits_for_what_is_under_way);
+}
+
 fn identifies<R: Runner<8, Error: PartialEq>>(
     runner: &mut R,
     _: &[DriveHandle],

@@ -111,8 +111,10 @@ pub fn scan<R: Runner<N>, const N: usize>(
                     asked.insert(motor);
                 }
                 Err(RequestError::TooManyMotors { .. }) if !asked.is_empty() => break,
-                // What reports by itself, or is busy answering, is there.
-                Err(RequestError::Reported(_) | RequestError::Busy) => {
+                // It is asked again when the request under way is over.
+                Err(RequestError::Busy) => {}
+                // What reports by itself is there.
+                Err(RequestError::Reported(_)) => {
                     waiting.remove(motor);
                     found.insert(motor);
                     on_answer(motor, true);
