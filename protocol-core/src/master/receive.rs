@@ -183,10 +183,11 @@ impl<const N: usize> Master<N> {
         now: Instant,
     ) -> Event {
         let reply = AnyReply::decode(packet);
-        if let Ok(reply) = reply
-            && self.answers_broadcast(motor, &packet.data, now)
-        {
-            return Event::BroadcastReply { motor, reply };
+        match reply {
+            Ok(reply) if self.answers_broadcast(motor, &packet.data, now) => {
+                return Event::BroadcastReply { motor, reply };
+            }
+            _ => {}
         }
         let reported = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
         let lane = self.lane_of(motor).map(|(lane, _)| lane);

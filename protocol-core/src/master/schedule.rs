@@ -112,8 +112,10 @@ impl<const N: usize> Master<N> {
         } else {
             self.lanes.iter().any(|lane| lane.may_send_request() && self.is_confusable(lane))
         };
-        if echo_matters && let Some(end) = self.broadcast.echo_until(now) {
-            earliest.take(end);
+        if echo_matters {
+            if let Some(end) = self.broadcast.echo_until(now) {
+                earliest.take(end);
+            }
         }
     }
 }

@@ -159,10 +159,8 @@ impl Controller {
         let stall_a = input.stall_current_a;
         let speed_up = accelerations.speed_acceleration.dps2();
         let slow_down = accelerations.speed_deceleration.dps2();
-        if let Task::Stopping { now_dps } = self.task
-            && now_dps == 0.0
-            && input.speed_dps.abs() < STANDING_DPS
-        {
+        let ramp_is_over = matches!(self.task, Task::Stopping { now_dps } if now_dps == 0.0);
+        if ramp_is_over && input.speed_dps.abs() < STANDING_DPS {
             self.task = self.hold(input.angle_deg, input);
         }
         let loops = &mut self.loops;
