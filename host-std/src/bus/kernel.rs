@@ -349,7 +349,8 @@ impl<B: Medium> Kernel<B> {
         let now = self.now;
         let state = &mut self.stations[station];
         while self.bus.room(station) > 0
-            && let Some((_, frame)) = state.backlog.pop_front_if(|(at, _)| *at <= now)
+            && state.backlog.front().is_some_and(|(at, _)| *at <= now)
+            && let Some((_, frame)) = state.backlog.pop_front()
         {
             self.bus.submit(station, frame, now);
         }

@@ -214,8 +214,8 @@ impl Rs485Line {
                 part: None,
             });
         }
-        if let Some(message) =
-            state.queue.pop_front_if(|message| message.begun == message.bytes.len())
+        if state.queue.front().is_some_and(|message| message.begun == message.bytes.len())
+            && let Some(message) = state.queue.pop_front()
         {
             let Message { bytes: frame, started: started_ns, is_garbled, .. } = message;
             around.trace.record(now, station, || {

@@ -279,8 +279,8 @@ impl Server {
 
     /// Lets go wrong what is due.
     fn strike(&mut self, passed: Duration) {
-        while let Some(fault) =
-            self.faults.pop_front_if(|fault| Duration::from(fault.after) <= passed)
+        while self.faults.front().is_some_and(|fault| Duration::from(fault.after) <= passed)
+            && let Some(fault) = self.faults.pop_front()
         {
             for host in &mut self.hosts {
                 host.strike(&fault);
