@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use myactuator_host_std::explain::{Explanation, Rs485Stream, Sender, can_frame};
 use myactuator_host_std::{BusKind, text};
 
-use super::{DONE, NOT_ALL_DECODED, print_line, wrong_usage};
+use super::{DONE, NOT_ALL_DECODED, names, print_line, wrong_usage};
 
 /// Explain frames: one line each for people, or with --json one object a line.
 ///
@@ -17,7 +17,7 @@ use super::{DONE, NOT_ALL_DECODED, print_line, wrong_usage};
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// The bus that the frames are from [default: can, with --binary rs485].
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = names::bus())]
     bus: Option<BusKind>,
     /// Print one JSON object a line.
     #[arg(long)]
@@ -26,7 +26,7 @@ pub(super) struct Arguments {
     #[arg(long)]
     binary: bool,
     /// Which way frames went whose bytes cannot tell (RS485, and bus id on CAN).
-    #[arg(long, value_enum, value_name = "WAY")]
+    #[arg(long, value_parser = names::sender(), value_name = "WAY")]
     direction: Option<Sender>,
     /// Frames, files, or - for standard input, which is also read if there is none of these.
     #[arg(value_name = "FRAME|FILE|-")]

@@ -5,6 +5,7 @@ mod decode;
 mod demo;
 mod encode;
 mod motors;
+mod names;
 mod sim;
 
 use std::error::Error as _;

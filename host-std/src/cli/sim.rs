@@ -12,12 +12,12 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::{Args, ValueEnum};
-use myactuator_host_std::bus::rs485::TransceiverConfig;
-use myactuator_host_std::plant::MotorParameters;
-use myactuator_host_std::port::BusAddress;
-use myactuator_host_std::port::slcan::Rate;
-use myactuator_host_std::sim::serve::Server;
-use myactuator_host_std::sim::{Fleet, PlannedFault};
+use myactuator_host_std::open::BusAddress;
+use myactuator_host_std::serve::{PlannedFault, Server};
+use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
+use myactuator_host_std::sim::plant::MotorParameters;
+use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::MotorId;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 

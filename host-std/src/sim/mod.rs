@@ -1,8 +1,17 @@
 //! Simulated drives on simulated buses: a robot on a laptop.
 //!
 //! A [`Fleet`] puts whole drives, each with its physics and memory, on one bus. Masters attach with
-//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged. Other programs come in by a
-//! [`serve::Server`].
+//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged.
+//!
+//! | module | for |
+//! |---|---|
+//! | [`bus`] | the simulated buses: CAN and RS485, in virtual or real time |
+//! | [`plant`] | the physics behind a simulated drive |
+//! | [`memory`] | what a simulated drive remembers over power-off |
+//!
+//! Knows nothing of real buses: what offers simulated drives to other programs is
+//! [`serve`](crate::serve), and what makes them answer to an address such as `sim:4` is
+//! [`open`](crate::open).
 //!
 //! ```
 //! use myactuator_host_std::sim::Fleet;
@@ -17,15 +26,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod bus;
 mod fleet;
-mod memory;
-mod planned_fault;
+pub mod memory;
+pub mod plant;
 mod seat;
-pub mod serve;
 
 pub use fleet::{
     CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive, parameters_of,
 };
-pub use memory::{DriveMemory, MemoryError};
-pub use planned_fault::{Chance, FaultKind, NotAFault, PlannedFault};
 pub use seat::Seat;

@@ -1,10 +1,13 @@
 //! Frames as text, the way people and other tools write them.
 //!
-//! [`can`] reads `ID#DATA` (cansend), `candump` and `candump -L` lines; [`rs485`] reads bytes.
-//! [`packet`] writes either.
+//! [`can`] reads `ID#DATA` (cansend), `candump` and `candump -L` lines; [`rs485`] reads bytes;
+//! [`slcan`] is the text that CAN adapters on serial ports speak. [`packet`] writes a packet for people.
+//!
+//! The lowest layer: nothing here opens anything or knows what a frame means.
 
 pub mod can;
 pub mod rs485;
+pub mod slcan;
 
 use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::wire::{can as can_wire, rs485::Frame};

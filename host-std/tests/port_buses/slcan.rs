@@ -7,8 +7,9 @@ use std::thread::JoinHandle;
 
 use embedded_can::nb::Can as _;
 use embedded_can::{Frame as _, StandardId};
-use myactuator_host_std::port::slcan::{AdapterCodec, Answer, Command, Rate, Slcan};
-use myactuator_host_std::port::{AnyMaster, BusAddress, BusError, HostClock};
+use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+use myactuator_host_std::port::{HostClock, PortError, Slcan};
+use myactuator_host_std::text::slcan::{AdapterCodec, Answer, Command, Rate};
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::{Clock as _, Runner};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
@@ -135,7 +136,7 @@ fn an_adapter_that_will_not_open_is_told() {
     let (line, path) = pty::open();
     let device = play(line, Adapter { refuses_to_open: true, ..Adapter::default() });
     let error = open(&path).unwrap_err();
-    assert!(matches!(error, BusError::Refused(_)), "{error}");
+    assert!(matches!(error, BusError::Port(PortError::Refused(_))), "{error}");
     device.join().unwrap();
 }
 
@@ -145,7 +146,7 @@ fn a_port_belongs_to_one_program() {
     let device = play(line, Adapter::default());
     let first = open(&path).unwrap();
     let error = open(&path).unwrap_err();
-    assert!(matches!(error, BusError::InUse(_)), "{error}");
+    assert!(matches!(error, BusError::Port(PortError::InUse(_))), "{error}");
     drop(first);
     device.join().unwrap();
 }
@@ -181,7 +182,7 @@ fn after_a_refusal_nothing_that_moves_is_sent_until_an_answer_comes() {
             _ => None,
         }
     });
-    assert!(matches!(error, BusError::Refused(_)), "{error}");
+    assert!(matches!(error, PortError::Refused(_)), "{error}");
     assert!(error.is_outage());
 
     can.transmit(&frame(READ_ANGLE)).unwrap();
@@ -207,9 +208,9 @@ fn what_an_adapter_does_not_take_is_thrown_away() {
         }
         None
     });
-    assert!(matches!(error, BusError::Stalled(_)), "{error}");
+    assert!(matches!(error, PortError::Stalled(_)), "{error}");
     match can.transmit(&frame(TORQUE)) {
-        Err(nb::Error::WouldBlock | nb::Error::Other(BusError::Stalled(_))) => {}
+        Err(nb::Error::WouldBlock | nb::Error::Other(PortError::Stalled(_))) => {}
         other => panic!("{other:?}"),
     }
 }

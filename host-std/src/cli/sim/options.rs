@@ -2,9 +2,9 @@
 
 use std::fs;
 
-use myactuator_host_std::plant::MotorParameters;
-use myactuator_host_std::port::BusAddress;
-use myactuator_host_std::port::slcan::Rate;
+use myactuator_host_std::open::BusAddress;
+use myactuator_host_std::sim::plant::MotorParameters;
+use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::drive::Quirks;
 use serde_json::{Map, Value};
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use myactuator_host_std::port::BusAddress;
+use myactuator_host_std::open::BusAddress;
 use myactuator_protocol_core::master::MotorSet;
 use serde_json::{Map, Value, json};
 
