@@ -5,13 +5,15 @@ use std::io::{self, BufRead, BufReader, Write};
 use std::path::PathBuf;
 
 use myactuator_host_std::explain::{Explanation, Rs485Stream, Sender, can_frame};
+use myactuator_host_std::text::can::LogLine;
 use myactuator_host_std::{BusKind, text};
 
 use super::{DONE, NOT_ALL_DECODED, names, print_line, wrong_usage};
 
 /// Explain frames: one line each for people, or with --json one object a line.
 ///
-/// On CAN a frame is ID#DATA or a line of candump or candump -L. On RS485 it is bytes, hexadecimal
+/// On CAN a frame is ID#DATA or a line of candump or candump -L, whose time and interface are kept. On
+/// RS485 it is bytes, hexadecimal
 /// or decimal, with commas or spaces or without; they may hold several frames and noise. Exit status:
 /// 0 if every frame was decoded, 1 if some were not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
@@ -184,13 +186,17 @@ impl<W: Write> Decoder<W> {
     }
 
     fn can_line(&self, line: &str) -> Explanation {
-        let error = match text::can::parse_line(line) {
-            Ok(frame) => return can_frame(&frame, self.sender),
-            Err(error) => error,
+        let LogLine { stamp, rest, frame } = LogLine::read(line);
+        let explanation = match frame {
+            Ok(frame) => can_frame(&frame, self.sender),
+            Err(error) => {
+                let bytes = text::rs485::parse_line(rest);
+                let looks_like_rs485 = bytes.is_ok_and(|bytes| bytes.len() > 8);
+                let hint = if looks_like_rs485 { " (for RS485 bytes add --bus rs485)" } else { "" };
+                Explanation::no_frame(self.bus, rest, format!("{error}{hint}"))
+            }
         };
-        let looks_like_rs485 = text::rs485::parse_line(line).is_ok_and(|bytes| bytes.len() > 8);
-        let hint = if looks_like_rs485 { " (for RS485 bytes add --bus rs485)" } else { "" };
-        Explanation::no_frame(self.bus, line, format!("{error}{hint}"))
+        Explanation { stamp, ..explanation }
     }
 
     fn tell(&mut self, explanations: impl IntoIterator<Item = Explanation>) -> Result<(), Stop> {

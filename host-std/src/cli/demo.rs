@@ -19,7 +19,7 @@ use myactuator_protocol_core::master::{Bus, Config, Event, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
-use super::{DONE, FAILED, names};
+use super::{DONE, FAILED, names, tell};
 
 const MOTORS: u8 = 4;
 const CAN_BIT_RATE: u32 = 1_000_000;
@@ -46,7 +46,7 @@ pub(super) fn run(arguments: &Arguments) -> u8 {
         // Nobody is left to tell: `… | head`.
         Err(error) if is_broken_pipe(&*error) => DONE,
         Err(error) => {
-            let _ = writeln!(io::stderr(), "error: the demonstration ended early: {error}");
+            tell("error", format_args!("the demonstration ended early: {error}"));
             FAILED
         }
     }

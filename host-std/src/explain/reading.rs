@@ -208,7 +208,8 @@ fn explain(raw: String, bus: BusKind, possible: Possible) -> Explanation {
         _ => Ok(reading.decoded),
     };
     let outcome = outcome.map_err(|error| sentence(&error)).and_then(on_this_bus);
-    Explanation { raw, bus, id: Some(id), direction: Some(direction), opcode, outcome }
+    let stamp = text::can::Stamp::default();
+    Explanation { stamp, raw, bus, id: Some(id), direction: Some(direction), opcode, outcome }
 }
 
 fn opcode_of(packet: &Packet) -> Option<Opcode> {

@@ -105,8 +105,7 @@ impl fmt::Display for Notice {
             Self::WrongRate { asked, bit_rate } => write!(
                 f,
                 "a program asked the SLCAN adapter for {} bit/s, but the simulated bus runs at \
-                 {bit_rate}: set the program to that, or start with --bit-rate {}",
-                asked.bits_per_second(),
+                 {bit_rate}: set the program to that",
                 asked.bits_per_second()
             ),
             Self::Outage(error) => write!(f, "replies are lost: {error}"),
