@@ -42,5 +42,5 @@ pub mod text;
 pub use bus_kind::{BusKind, NotABus};
 /// The protocol itself, [`myactuator_protocol_core`]: who depends on this crate needs no dependency
 /// on that, and cannot get another version of it.
-#[doc(inline)]
+#[doc(no_inline)]
 pub use myactuator_protocol_core as protocol;

@@ -94,10 +94,10 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FOLDER")]
     memory: Option<PathBuf>,
     /// Bit rate of the CAN bus, bit/s
-    #[arg(long, value_name = "RATE", default_value = "1000000", value_parser = options::can_rate)]
+    #[arg(long, value_name = "RATE", default_value = "1000000")]
     bit_rate: Rate,
     /// Bit rate of the RS485 line, bit/s
-    #[arg(long, value_name = "RATE", default_value = "1000000", value_parser = options::line_rate)]
+    #[arg(long, value_name = "RATE", default_value = "1000000", value_parser = BusAddress::line_rate)]
     rs485_rate: u32,
     /// Serve the CAN bus on this interface as well, such as vcan0; never on one with real motors
     #[arg(long, value_name = "INTERFACE")]

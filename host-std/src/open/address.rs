@@ -7,7 +7,7 @@ use std::str::FromStr;
 use myactuator_protocol_core::master::Config;
 
 use crate::BusKind;
-use crate::text::slcan::Rate;
+use crate::text::slcan::{NotARate, Rate};
 
 /// The longest name that Linux gives to a network interface.
 const LONGEST_INTERFACE: usize = 15;
@@ -72,6 +72,15 @@ pub enum BusAddress {
 }
 
 impl BusAddress {
+    /// The bit rate of an RS485 line as it stands in an address, in bit/s.
+    ///
+    /// # Errors
+    /// [`NotAnAddress::LineRate`].
+    pub fn line_rate(text: &str) -> Result<u32, NotAnAddress> {
+        let rate = decimal(text).filter(|rate| LINE_RATES.contains(rate));
+        rate.ok_or_else(|| NotAnAddress::LineRate(text.to_owned()))
+    }
+
     /// Whether the motors on it are simulated.
     pub const fn is_simulated(&self) -> bool {
         matches!(self, Self::Simulated { .. })
@@ -150,7 +159,7 @@ pub enum NotAnAddress {
         found: String,
     },
     /// A bit rate that SLCAN adapters do not know.
-    CanRate(String),
+    CanRate(NotARate),
     /// A bit rate that no serial line has.
     LineRate(String),
     /// A word behind the comma that is no option.
@@ -184,14 +193,7 @@ impl fmt::Display for NotAnAddress {
                     "expected a serial port and a bit rate such as {kind}:/dev/ttyUSB0@{rate}, found \"{kind}:{found}\""
                 )
             }
-            Self::CanRate(found) => {
-                f.write_str("expected a bit rate that SLCAN adapters know (")?;
-                for (place, rate) in Rate::ALL.iter().enumerate() {
-                    let comma = if place == 0 { "" } else { ", " };
-                    write!(f, "{comma}{}", rate.bits_per_second())?;
-                }
-                write!(f, "), found \"{found}\"")
-            }
+            Self::CanRate(error) => error.fmt(f),
             Self::LineRate(found) => write!(
                 f,
                 "expected a bit rate from {} to {} bit/s such as 115200, found \"{found}\"",
@@ -260,9 +262,7 @@ fn socket_can(interface: &str) -> Result<BusAddress, NotAnAddress> {
 
 fn slcan(port: &str) -> Result<BusAddress, NotAnAddress> {
     let (path, rate) = path_and_rate("slcan", port)?;
-    let rate = decimal(rate)
-        .and_then(Rate::from_bits_per_second)
-        .ok_or_else(|| NotAnAddress::CanRate(rate.to_owned()))?;
+    let rate = rate.parse().map_err(NotAnAddress::CanRate)?;
     Ok(BusAddress::Slcan { path: path.into(), rate })
 }
 
@@ -275,9 +275,7 @@ fn rs485(port: &str) -> Result<BusAddress, NotAnAddress> {
             return Err(NotAnAddress::Option { expected: "echo", found: found.to_owned() });
         }
     };
-    let bit_rate = decimal(rate)
-        .filter(|rate| LINE_RATES.contains(rate))
-        .ok_or_else(|| NotAnAddress::LineRate(rate.to_owned()))?;
+    let bit_rate = BusAddress::line_rate(rate)?;
     Ok(BusAddress::Rs485 { path: path.into(), bit_rate, echo })
 }
 
@@ -351,6 +349,7 @@ mod tests {
     #[test]
     fn what_names_no_bus_is_refused() {
         use NotAnAddress as Not;
+        let can_rate = |text: &str| Not::CanRate(text.parse::<Rate>().unwrap_err());
         for (text, why) in [
             ("", Not::Empty),
             ("/dev/ttyUSB0", Not::Kind("/dev/ttyUSB0".into())),
@@ -368,8 +367,8 @@ mod tests {
             ("sixteen-letters0", Not::Interface("sixteen-letters0".into())),
             ("slcan:/dev/ttyACM0", Not::Port { kind: "slcan", found: "/dev/ttyACM0".into() }),
             ("rs485:@115200", Not::Port { kind: "rs485", found: "@115200".into() }),
-            ("slcan:/dev/ttyACM0@1500000", Not::CanRate("1500000".into())),
-            ("slcan:/dev/ttyACM0@500000,echo", Not::CanRate("500000,echo".into())),
+            ("slcan:/dev/ttyACM0@1500000", can_rate("1500000")),
+            ("slcan:/dev/ttyACM0@500000,echo", can_rate("500000,echo")),
             ("rs485:/dev/ttyUSB0@", Not::LineRate(String::new())),
             ("rs485:/dev/ttyUSB0@0", Not::LineRate("0".into())),
             ("rs485:/dev/ttyUSB0@115200 ", Not::LineRate("115200 ".into())),
@@ -380,6 +379,15 @@ mod tests {
             ),
         ] {
             assert_eq!(parse(text), Err(why), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn the_rate_of_a_line_is_read_alone_as_in_an_address() {
+        assert_eq!(BusAddress::line_rate("115200"), Ok(115_200));
+        for text in ["115200,echo", "fast", "1199", "12000001", ""] {
+            let refused = Err(NotAnAddress::LineRate(text.to_owned()));
+            assert_eq!(BusAddress::line_rate(text), refused);
         }
     }
 

@@ -12,7 +12,7 @@ use crate::port::clock::Backlog;
 use crate::port::outage::Outage;
 use crate::port::tty::Tty;
 use crate::port::{HostClock, PortError};
-use crate::text::slcan::{Answer, Codec, Command, Rate};
+use crate::text::slcan::{AdapterCommand, Answer, Codec, Rate};
 
 /// The rate of the serial line, which USB adapters ignore.
 const LINE_RATE: u32 = 115_200;
@@ -72,14 +72,14 @@ impl Slcan {
         };
         // Ends a line that an interrupted program left, and closes what it left open. An adapter that
         // is closed already refuses that.
-        slcan.tell(Command::Nothing)?;
-        slcan.tell(Command::Close)?;
+        slcan.tell(AdapterCommand::Nothing)?;
+        slcan.tell(AdapterCommand::Close)?;
         // Answers to what an earlier program said last may still be on their way.
         slcan.read_until_quiet()?;
         slcan.tty.discard_input()?;
         slcan.unread = 0..0;
         slcan.codec = Codec::new();
-        for command in [Command::SetRate(rate), Command::Open] {
+        for command in [AdapterCommand::SetRate(rate), AdapterCommand::Open] {
             if slcan.tell(command)? == Some(Answer::Refused) {
                 return Err(PortError::Refused(slcan.tty.name().to_owned()));
             }
@@ -97,7 +97,7 @@ impl Slcan {
     }
 
     /// Sends a command of the set-up and waits for its answer; `None` if none comes.
-    fn tell(&mut self, command: Command) -> Result<Option<Answer>, PortError> {
+    fn tell(&mut self, command: AdapterCommand) -> Result<Option<Answer>, PortError> {
         command.encode(&mut self.unsent);
         let deadline = Instant::now() + ANSWER_TIME;
         loop {
@@ -146,7 +146,7 @@ impl Slcan {
         self.stalled_since = None;
         // The adapter may hold the beginning of a line.
         self.unsent.clear();
-        Command::Nothing.encode(&mut self.unsent);
+        AdapterCommand::Nothing.encode(&mut self.unsent);
         let stalled = PortError::Stalled(self.tty.name().to_owned());
         self.outage.begin(stalled.clone());
         Err(stalled)
@@ -193,7 +193,7 @@ impl Can for Slcan {
             return Err(nb::Error::WouldBlock);
         }
         self.outage.admit(frame)?;
-        Command::Transmit(*frame).encode(&mut self.unsent);
+        AdapterCommand::Transmit(*frame).encode(&mut self.unsent);
         self.send_on()?;
         Ok(None)
     }

@@ -4,7 +4,7 @@ use embedded_can::{Frame as _, nb::Can};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
 use crate::sim::bus::can::{ControllerStatus, ErrorState};
-use crate::text::slcan::{AdapterCodec, Answer, Command, Rate};
+use crate::text::slcan::{AdapterCodec, AdapterCommand, Answer, Rate};
 
 /// Hardware version 1.0, software version 1.3: what widespread adapters tell.
 const VERSION: [u8; 4] = *b"1013";
@@ -59,33 +59,35 @@ impl Adapter {
     ) -> Outcome {
         let Some(command) = self.codec.feed(byte) else { return Outcome::Done };
         let answer = match (command, self.channel) {
-            (Command::Nothing, _) => Answer::Done,
-            (Command::Transmit(frame), Channel::Open) => {
+            (AdapterCommand::Nothing, _) => Answer::Done,
+            (AdapterCommand::Transmit(frame), Channel::Open) => {
                 return if self.send(&frame, controller, out) {
                     Outcome::Done
                 } else {
                     Outcome::Waiting(frame)
                 };
             }
-            (Command::SetRate(rate), Channel::Closed) => {
+            (AdapterCommand::SetRate(rate), Channel::Closed) => {
                 if rate.bits_per_second() != self.bit_rate {
                     Answer::Refused.encode(out);
                     return Outcome::WrongRate(rate);
                 }
                 Answer::Done
             }
-            (Command::Open, Channel::Closed) => self.turn(Channel::Open),
-            (Command::Listen, Channel::Closed) => self.turn(Channel::Listening),
-            (Command::Close, Channel::Open | Channel::Listening) => self.turn(Channel::Closed),
-            (Command::TimeStamps(has_stamps), Channel::Closed) => {
+            (AdapterCommand::Open, Channel::Closed) => self.turn(Channel::Open),
+            (AdapterCommand::Listen, Channel::Closed) => self.turn(Channel::Listening),
+            (AdapterCommand::Close, Channel::Open | Channel::Listening) => {
+                self.turn(Channel::Closed)
+            }
+            (AdapterCommand::TimeStamps(has_stamps), Channel::Closed) => {
                 self.has_stamps = has_stamps;
                 Answer::Done
             }
-            (Command::ReadStatus, Channel::Open | Channel::Listening) => {
+            (AdapterCommand::ReadStatus, Channel::Open | Channel::Listening) => {
                 Answer::Status(flags(&status()))
             }
-            (Command::ReadVersion, _) => Answer::Version(VERSION),
-            (Command::ReadSerialNumber, _) => Answer::SerialNumber(SERIAL_NUMBER),
+            (AdapterCommand::ReadVersion, _) => Answer::Version(VERSION),
+            (AdapterCommand::ReadSerialNumber, _) => Answer::SerialNumber(SERIAL_NUMBER),
             _ => Answer::Refused,
         };
         answer.encode(out);

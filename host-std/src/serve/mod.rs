@@ -1,5 +1,8 @@
 //! Simulated drives in real time, for other programs: on serial ports and CAN interfaces.
 //!
+//! Stands above [`sim`](crate::sim), which it runs against the wall clock, and
+//! [`port`](crate::port), whose CAN interface it puts the drives on.
+//!
 //! A [`Server`] takes fleets and gives ways to them:
 //!
 //! | way | what programs find there |

@@ -15,9 +15,9 @@
 //!
 //! ```
 //! use myactuator_host_std::sim::Fleet;
-//! use myactuator_protocol_core::MotorId;
-//! use myactuator_protocol_core::command::ReadMultiTurnAngle;
-//! use myactuator_protocol_core::io::Runner;
+//! use myactuator_host_std::protocol::MotorId;
+//! use myactuator_host_std::protocol::command::ReadMultiTurnAngle;
+//! use myactuator_host_std::protocol::io::Runner;
 //!
 //! let fleet = Fleet::new(4).on_can(1_000_000)?;
 //! let mut master = fleet.master::<8>();

@@ -20,13 +20,13 @@ use crate::BusKind;
 ///
 /// ```
 /// use myactuator_host_std::{BusKind, text};
-/// use myactuator_protocol_core::command::{AnyCommand, ReadStatus1};
-/// use myactuator_protocol_core::{MotorId, Target};
+/// use myactuator_host_std::protocol::command::{AnyCommand, ReadStatus1};
+/// use myactuator_host_std::protocol::{MotorId, Target};
 ///
 /// let read = AnyCommand::from(ReadStatus1);
 /// let packet = read.packet(Target::Motor(MotorId::new(1)?)).unwrap();
 /// assert_eq!(text::packet(BusKind::Can, &packet).unwrap(), "141#9A00000000000000");
-/// # Ok::<(), myactuator_protocol_core::OutOfRange>(())
+/// # Ok::<(), myactuator_host_std::protocol::OutOfRange>(())
 /// ```
 pub fn packet(bus: BusKind, packet: &Packet) -> Option<String> {
     match bus {

@@ -9,7 +9,7 @@ use embedded_can::nb::Can as _;
 use embedded_can::{Frame as _, StandardId};
 use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
 use myactuator_host_std::port::{HostClock, PortError, Slcan};
-use myactuator_host_std::text::slcan::{AdapterCodec, Answer, Command, Rate};
+use myactuator_host_std::text::slcan::{AdapterCodec, AdapterCommand, Answer, Rate};
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::{Clock as _, Runner};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
@@ -40,7 +40,7 @@ fn frame(first: u8) -> SimpleFrame {
 }
 
 /// Plays adapter and drives until the port is closed; gives the commands heard.
-fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<Command>> {
+fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<AdapterCommand>> {
     std::thread::spawn(move || {
         let mut codec = AdapterCodec::new();
         let (mut chunk, mut heard, mut is_open) = ([0; 64], Vec::new(), false);
@@ -53,22 +53,22 @@ fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<Command>> {
                     }
                 };
                 match command {
-                    Command::Open if adapter.refuses_to_open => tell(Answer::Refused),
-                    Command::Open => {
+                    AdapterCommand::Open if adapter.refuses_to_open => tell(Answer::Refused),
+                    AdapterCommand::Open => {
                         is_open = true;
                         tell(Answer::Done);
                     }
-                    Command::Close if !is_open => tell(Answer::Refused),
-                    Command::Close => {
+                    AdapterCommand::Close if !is_open => tell(Answer::Refused),
+                    AdapterCommand::Close => {
                         is_open = false;
                         tell(Answer::Done);
                     }
-                    Command::Transmit(frame)
+                    AdapterCommand::Transmit(frame)
                         if adapter.refuses_torque && frame.data()[0] == TORQUE =>
                     {
                         tell(Answer::Refused);
                     }
-                    Command::Transmit(frame) if is_open => {
+                    AdapterCommand::Transmit(frame) if is_open => {
                         tell(Answer::Accepted { is_extended: false });
                         if let Received::Packet(packet) = can::decode(&frame)
                             && let Some(reply) = answer(&packet)
@@ -77,7 +77,7 @@ fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<Command>> {
                             Answer::Frame(can::encode(&reply).unwrap()).encode(&mut told);
                         }
                     }
-                    Command::Transmit(_) | Command::Unknown => tell(Answer::Refused),
+                    AdapterCommand::Transmit(_) | AdapterCommand::Unknown => tell(Answer::Refused),
                     _ => tell(Answer::Done),
                 }
                 heard.push(command);
@@ -107,10 +107,16 @@ fn asks_and_gets_answers(adapter: Adapter) {
     assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
     drop(master);
     let heard = device.join().unwrap();
-    let setup = [Command::Nothing, Command::Close, Command::SetRate(Rate::Mbit1), Command::Open];
+    let setup = [
+        AdapterCommand::Nothing,
+        AdapterCommand::Close,
+        AdapterCommand::SetRate(Rate::Mbit1),
+        AdapterCommand::Open,
+    ];
     assert!(heard.starts_with(&setup), "{heard:?}");
-    assert!(heard.ends_with(&[Command::Nothing, Command::Close]), "{heard:?}");
-    let frames = heard.iter().filter(|command| matches!(command, Command::Transmit(_))).count();
+    assert!(heard.ends_with(&[AdapterCommand::Nothing, AdapterCommand::Close]), "{heard:?}");
+    let frames =
+        heard.iter().filter(|command| matches!(command, AdapterCommand::Transmit(_))).count();
     assert_eq!(frames, heard.len() - 6);
     assert!(frames >= 42);
 }

@@ -1,5 +1,8 @@
 //! Simulated buses: CAN and RS485 as they behave on the wire, with masters' ports and drives on them.
 //!
+//! The lowest part of [`sim`](super): it carries frames for whatever is a [`Node`], and knows neither
+//! drives nor physics.
+//!
 //! A [`World`] owns a clock, one bus and everything that is on it. It is a chain of discrete events:
 //! between two of them nothing happens, so a second of bus traffic is simulated in milliseconds, and
 //! one seed gives the same run bit for bit, every time.
@@ -17,7 +20,7 @@
 //! ```
 //! use embedded_can::{Frame, StandardId, blocking::Can};
 //! use myactuator_host_std::sim::bus::{Node, can::{CanConfig, CanWorld}};
-//! use myactuator_protocol_core::{time::Instant, wire::can::SimpleFrame};
+//! use myactuator_host_std::protocol::{time::Instant, wire::can::SimpleFrame};
 //!
 //! /// Sends back whatever it hears.
 //! struct Mirror(Option<SimpleFrame>);

@@ -1,4 +1,5 @@
-//! What a simulated drive remembers over power-off: in the process, or in a [file](FileStore).
+//! What a simulated drive remembers over power-off: in the process, or in a [file](FileStore). It
+//! knows neither bus nor physics.
 
 mod file_store;
 

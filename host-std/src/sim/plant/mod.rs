@@ -1,4 +1,5 @@
 //! The physics behind a simulated drive: a motor with its gearbox, load, brake, encoder and supply.
+//! It knows no bus and no frames.
 //!
 //! [`SimulatedMotor`] implements the [`Plant`](myactuator_protocol_core::drive::Plant) that a drive
 //! acts on. What is inside:
@@ -16,8 +17,8 @@
 //!
 //! ```
 //! use myactuator_host_std::sim::plant::{MotorParameters, SimulatedMotor};
-//! use myactuator_protocol_core::drive::{Actuation, Plant};
-//! use myactuator_protocol_core::time::Duration;
+//! use myactuator_host_std::protocol::drive::{Actuation, Plant};
+//! use myactuator_host_std::protocol::time::Duration;
 //!
 //! let mut motor = SimulatedMotor::new(MotorParameters::named("RMD-X8-PRO")?)?;
 //! let push = Actuation { current_a: 2.0, output_on: true, brake_released: true };

@@ -2,77 +2,12 @@
 
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
+use super::Rate;
 use super::line::{BELL, END, Gathered, Line, hexadecimal, parse_frame, write_frame};
-
-/// The bit rates that adapters know, from the slowest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Rate {
-    /// 10 kbit/s, `S0`.
-    Kbit10,
-    /// 20 kbit/s, `S1`.
-    Kbit20,
-    /// 50 kbit/s, `S2`.
-    Kbit50,
-    /// 100 kbit/s, `S3`.
-    Kbit100,
-    /// 125 kbit/s, `S4`.
-    Kbit125,
-    /// 250 kbit/s, `S5`.
-    Kbit250,
-    /// 500 kbit/s, `S6`.
-    Kbit500,
-    /// 800 kbit/s, `S7`.
-    Kbit800,
-    /// 1 Mbit/s, `S8`: the rate of motors as delivered.
-    Mbit1,
-}
-
-impl Rate {
-    /// All of them, in the order of their digits.
-    pub const ALL: [Self; 9] = [
-        Self::Kbit10,
-        Self::Kbit20,
-        Self::Kbit50,
-        Self::Kbit100,
-        Self::Kbit125,
-        Self::Kbit250,
-        Self::Kbit500,
-        Self::Kbit800,
-        Self::Mbit1,
-    ];
-
-    /// The rate in bit/s.
-    pub const fn bits_per_second(self) -> u32 {
-        match self {
-            Self::Kbit10 => 10_000,
-            Self::Kbit20 => 20_000,
-            Self::Kbit50 => 50_000,
-            Self::Kbit100 => 100_000,
-            Self::Kbit125 => 125_000,
-            Self::Kbit250 => 250_000,
-            Self::Kbit500 => 500_000,
-            Self::Kbit800 => 800_000,
-            Self::Mbit1 => 1_000_000,
-        }
-    }
-
-    /// The rate of so many bit/s, if adapters know it.
-    pub fn from_bits_per_second(bits_per_second: u32) -> Option<Self> {
-        Self::ALL.into_iter().find(|rate| rate.bits_per_second() == bits_per_second)
-    }
-
-    const fn digit(self) -> u8 {
-        b'0' + self as u8
-    }
-
-    fn from_digit(digit: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|rate| rate.digit() == digit)
-    }
-}
 
 /// A line to an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Command {
+pub enum AdapterCommand {
     /// `S`: the bit rate of the bus, while the channel is closed.
     SetRate(Rate),
     /// `O`: open the channel.
@@ -97,7 +32,7 @@ pub enum Command {
     Unknown,
 }
 
-impl Command {
+impl AdapterCommand {
     /// Appends the line, its end included. [`Unknown`](Self::Unknown) is a line that no adapter
     /// knows.
     pub fn encode(&self, line: &mut Vec<u8>) {
@@ -249,11 +184,11 @@ impl AdapterCodec {
     }
 
     /// Takes the next byte.
-    pub fn feed(&mut self, byte: u8) -> Option<Command> {
+    pub fn feed(&mut self, byte: u8) -> Option<AdapterCommand> {
         match self.line.feed(byte) {
             Gathered::Partly => None,
-            Gathered::Line(line) => Some(Command::parse(line)),
-            Gathered::TooLong => Some(Command::Unknown),
+            Gathered::Line(line) => Some(AdapterCommand::parse(line)),
+            Gathered::TooLong => Some(AdapterCommand::Unknown),
         }
     }
 }
@@ -272,7 +207,7 @@ mod tests {
         bytes.iter().filter_map(|&byte| codec.feed(byte)).collect()
     }
 
-    fn commands(bytes: &[u8]) -> Vec<Command> {
+    fn commands(bytes: &[u8]) -> Vec<AdapterCommand> {
         let mut codec = AdapterCodec::new();
         bytes.iter().filter_map(|&byte| codec.feed(byte)).collect()
     }
@@ -281,23 +216,23 @@ mod tests {
     #[test]
     fn every_command_goes_both_ways() {
         for (line, command) in [
-            (&b"S6\r"[..], Command::SetRate(Rate::Kbit500)),
-            (b"S8\r", Command::SetRate(Rate::Mbit1)),
-            (b"S0\r", Command::SetRate(Rate::Kbit10)),
-            (b"O\r", Command::Open),
-            (b"L\r", Command::Listen),
-            (b"C\r", Command::Close),
-            (b"V\r", Command::ReadVersion),
-            (b"N\r", Command::ReadSerialNumber),
-            (b"F\r", Command::ReadStatus),
-            (b"Z0\r", Command::TimeStamps(false)),
-            (b"Z1\r", Command::TimeStamps(true)),
-            (b"\r", Command::Nothing),
-            (b"t14189C00000000000000\r", Command::Transmit(frame("141#9C00000000000000"))),
-            (b"t7FF0\r", Command::Transmit(frame("7FF#"))),
-            (b"T1FFFFFFF2A55A\r", Command::Transmit(frame("1FFFFFFF#A55A"))),
-            (b"r1418\r", Command::Transmit(frame("141#R8"))),
-            (b"R000001410\r", Command::Transmit(frame("00000141#R"))),
+            (&b"S6\r"[..], AdapterCommand::SetRate(Rate::Kbit500)),
+            (b"S8\r", AdapterCommand::SetRate(Rate::Mbit1)),
+            (b"S0\r", AdapterCommand::SetRate(Rate::Kbit10)),
+            (b"O\r", AdapterCommand::Open),
+            (b"L\r", AdapterCommand::Listen),
+            (b"C\r", AdapterCommand::Close),
+            (b"V\r", AdapterCommand::ReadVersion),
+            (b"N\r", AdapterCommand::ReadSerialNumber),
+            (b"F\r", AdapterCommand::ReadStatus),
+            (b"Z0\r", AdapterCommand::TimeStamps(false)),
+            (b"Z1\r", AdapterCommand::TimeStamps(true)),
+            (b"\r", AdapterCommand::Nothing),
+            (b"t14189C00000000000000\r", AdapterCommand::Transmit(frame("141#9C00000000000000"))),
+            (b"t7FF0\r", AdapterCommand::Transmit(frame("7FF#"))),
+            (b"T1FFFFFFF2A55A\r", AdapterCommand::Transmit(frame("1FFFFFFF#A55A"))),
+            (b"r1418\r", AdapterCommand::Transmit(frame("141#R8"))),
+            (b"R000001410\r", AdapterCommand::Transmit(frame("00000141#R"))),
         ] {
             assert_eq!(commands(line), [command]);
             let mut encoded = Vec::new();
@@ -357,13 +292,10 @@ mod tests {
             assert_eq!(answers(junk), [Answer::Junk], "{}", String::from_utf8_lossy(junk));
         }
         for junk in [&b"S9\r"[..], b"S\r", b"t1419\r", b"X\r", &[b'x'; 1000], b"\r"] {
-            assert!(
-                commands(junk)
-                    .iter()
-                    .all(|command| *command == Command::Unknown || *command == Command::Nothing)
-            );
+            assert!(commands(junk).iter().all(|command| *command == AdapterCommand::Unknown
+                || *command == AdapterCommand::Nothing));
         }
-        assert_eq!(commands(b"t14189C\rO\r"), [Command::Unknown, Command::Open]);
+        assert_eq!(commands(b"t14189C\rO\r"), [AdapterCommand::Unknown, AdapterCommand::Open]);
         assert_eq!(answers(b"t2418\x07\r"), [Answer::Refused, Answer::Done]);
         let mut endless = vec![b't'; 100_000];
         endless.extend_from_slice(b"\rt2410\r");

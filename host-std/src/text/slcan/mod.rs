@@ -1,7 +1,7 @@
 //! SLCAN: CAN frames as lines of text over a serial port, the ASCII protocol of Lawicel's adapters
 //! that most USB-CAN adapters speak, on every operating system and without a driver.
 //!
-//! [`Command`] goes to an adapter, [`Answer`] comes from it; both are encoded and decoded here, so
+//! [`AdapterCommand`] goes to an adapter, [`Answer`] comes from it; both are encoded and decoded here, so
 //! that [`Codec`], the computer's end, and [`AdapterCodec`], the adapter's, agree.
 //!
 //! | line | meaning |
@@ -17,5 +17,7 @@
 
 mod codec;
 mod line;
+mod rate;
 
-pub use codec::{AdapterCodec, Answer, Codec, Command, Rate};
+pub use codec::{AdapterCodec, AdapterCommand, Answer, Codec};
+pub use rate::{NotARate, Rate};

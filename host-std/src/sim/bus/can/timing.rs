@@ -23,7 +23,7 @@ const CRC: Crc<u16> = Crc::<u16>::new(&CRC_15_CAN);
 /// ```
 /// use embedded_can::{Frame, StandardId};
 /// use myactuator_host_std::sim::bus::can::frame_bits;
-/// use myactuator_protocol_core::wire::can::SimpleFrame;
+/// use myactuator_host_std::protocol::wire::can::SimpleFrame;
 ///
 /// let frame = SimpleFrame::new(StandardId::new(0x141).unwrap(), &[0x55; 8]).unwrap();
 /// // Never less than 111 bits for eight data bytes, never more than 135.
