@@ -22,6 +22,7 @@
 //! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io, nb |
 //! | `port` and `sim` | [`open`], [`serve`] | |
 //! | `cli` (default) | the program `myactuator`, and all of the above | clap, indicatif, signal-hook |
+//! | `can-stack` | nothing: a test that takes its machine's CAN interfaces is built | |
 //!
 //! A library that needs simulated drives only depends on this with `default-features = false` and
 //! `features = ["sim"]`.
