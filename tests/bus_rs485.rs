@@ -6,10 +6,10 @@ mod bus_script;
 
 use bus_script::Hand;
 use embedded_io::{Read as _, ReadReady as _, Write as _, WriteReady as _};
-use myactuator_host_std::bus::rs485::{
+use myactuator_host_std::sim::bus::rs485::{
     LineConfig, SerialError, SerialPort, SerialWorld, TransceiverConfig,
 };
-use myactuator_host_std::bus::trace::Event;
+use myactuator_host_std::sim::bus::trace::Event;
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
 

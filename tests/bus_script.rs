@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-use myactuator_host_std::bus::Node;
+use myactuator_host_std::sim::bus::Node;
 use myactuator_protocol_core::time::Instant;
 
 /// What a bus carries and when, in microseconds.

@@ -1,6 +1,6 @@
 //! First contact and safe ways of working against whole simulated drives, on both buses.
 
-use myactuator_host_std::bus::StationId;
+use myactuator_host_std::sim::bus::StationId;
 use myactuator_host_std::sim::{DriveHandle, Fleet};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{

@@ -5,9 +5,9 @@
 mod master_rig;
 
 use master_rig::{Angle, Rig, STREAM_MARK, Wire, id};
-use myactuator_host_std::bus::can::CanBus;
-use myactuator_host_std::bus::faults::{Direction, FaultPlan};
-use myactuator_host_std::bus::rs485::Rs485Line;
+use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::Speed;
 use myactuator_protocol_core::io::Runner;

@@ -4,9 +4,9 @@
 mod master_rig;
 
 use master_rig::{Angle, Rig, STREAM_MARK, Step, Wire, id};
-use myactuator_host_std::bus::can::{CanBus, ControllerConfig};
-use myactuator_host_std::bus::faults::{Direction, FaultPlan};
-use myactuator_host_std::bus::rs485::Rs485Line;
+use myactuator_host_std::sim::bus::can::{CanBus, ControllerConfig};
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{AbsolutePosition, Speed};
 use myactuator_protocol_core::error::RequestError;

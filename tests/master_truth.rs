@@ -16,9 +16,9 @@ use master_rig::{
     Acceleration, Angle, Dice, Encoder, Pid, Rig, RunTimeOf, STREAM_MARK, Status2, Step, VersionOf,
     Wire, id, token_of,
 };
-use myactuator_host_std::bus::can::CanBus;
-use myactuator_host_std::bus::faults::{Babble, Direction, FaultPlan};
-use myactuator_host_std::bus::rs485::Rs485Line;
+use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::command::{
     AbsolutePosition, BaudCode, Command, PidIndex, RawMotion, Reset, SetBaudRate, Speed,
     WritePidRam,

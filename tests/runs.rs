@@ -18,9 +18,9 @@ mod sim_listen;
 use std::fmt::Write as _;
 
 use embedded_can::{Frame as _, Id, StandardId};
-use myactuator_host_std::bus::can::frame_bits;
-use myactuator_host_std::bus::trace::{Event as OnBus, Record};
-use myactuator_host_std::plant::{Load, MotorParameters, SpringStop};
+use myactuator_host_std::sim::bus::can::frame_bits;
+use myactuator_host_std::sim::bus::trace::{Event as OnBus, Record};
+use myactuator_host_std::sim::plant::{Load, MotorParameters, SpringStop};
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet};
 use myactuator_host_std::text;
 use myactuator_protocol_core::command::{

@@ -5,9 +5,9 @@ mod sim_listen;
 
 use std::fmt::Debug;
 
-use myactuator_host_std::bus::rs485::{SerialPort, TransceiverConfig};
-use myactuator_host_std::bus::{SimClock, can::CanBus, can::CanPort, rs485::Rs485Line};
-use myactuator_host_std::plant::SimulatedMotor;
+use myactuator_host_std::sim::bus::rs485::{SerialPort, TransceiverConfig};
+use myactuator_host_std::sim::bus::{SimClock, can::CanBus, can::CanPort, rs485::Rs485Line};
+use myactuator_host_std::sim::plant::SimulatedMotor;
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet, FleetError, LineFleet};
 use myactuator_protocol_core::command::{
     AbsolutePosition, ActiveReply, AnyReply, BrakeCommand, CommunicationLossProtection, ErrorFlags,

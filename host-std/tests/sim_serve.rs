@@ -7,7 +7,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use assert_cmd::cargo::cargo_bin;
-use myactuator_host_std::port::{AnyMaster, BusAddress};
+use myactuator_host_std::open::{AnyMaster, BusAddress};
 use myactuator_protocol_core::command::{AnyReply, ErrorFlags, MultiTurnAngle, ReadVersionDate};
 use myactuator_protocol_core::io::Runner as _;
 use myactuator_protocol_core::master::{Config, MotorSet};

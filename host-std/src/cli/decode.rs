@@ -5,19 +5,21 @@ use std::io::{self, BufRead, BufReader, Write};
 use std::path::PathBuf;
 
 use myactuator_host_std::explain::{Explanation, Rs485Stream, Sender, can_frame};
+use myactuator_host_std::text::can::LogLine;
 use myactuator_host_std::{BusKind, text};
 
-use super::{DONE, NOT_ALL_DECODED, print_line, wrong_usage};
+use super::{DONE, NOT_ALL_DECODED, names, print_line, wrong_usage};
 
 /// Explain frames: one line each for people, or with --json one object a line.
 ///
-/// On CAN a frame is ID#DATA or a line of candump or candump -L. On RS485 it is bytes, hexadecimal
+/// On CAN a frame is ID#DATA or a line of candump or candump -L, whose time and interface are kept. On
+/// RS485 it is bytes, hexadecimal
 /// or decimal, with commas or spaces or without; they may hold several frames and noise. Exit status:
 /// 0 if every frame was decoded, 1 if some were not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// The bus that the frames are from [default: can, with --binary rs485].
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = names::bus())]
     bus: Option<BusKind>,
     /// Print one JSON object a line.
     #[arg(long)]
@@ -26,7 +28,7 @@ pub(super) struct Arguments {
     #[arg(long)]
     binary: bool,
     /// Which way frames went whose bytes cannot tell (RS485, and bus id on CAN).
-    #[arg(long, value_enum, value_name = "WAY")]
+    #[arg(long, value_parser = names::sender(), value_name = "WAY")]
     direction: Option<Sender>,
     /// Frames, files, or - for standard input, which is also read if there is none of these.
     #[arg(value_name = "FRAME|FILE|-")]
@@ -184,13 +186,17 @@ impl<W: Write> Decoder<W> {
     }
 
     fn can_line(&self, line: &str) -> Explanation {
-        let error = match text::can::parse_line(line) {
-            Ok(frame) => return can_frame(&frame, self.sender),
-            Err(error) => error,
+        let LogLine { stamp, rest, frame } = LogLine::read(line);
+        let explanation = match frame {
+            Ok(frame) => can_frame(&frame, self.sender),
+            Err(error) => {
+                let bytes = text::rs485::parse_line(rest);
+                let looks_like_rs485 = bytes.is_ok_and(|bytes| bytes.len() > 8);
+                let hint = if looks_like_rs485 { " (for RS485 bytes add --bus rs485)" } else { "" };
+                Explanation::no_frame(self.bus, rest, format!("{error}{hint}"))
+            }
         };
-        let looks_like_rs485 = text::rs485::parse_line(line).is_ok_and(|bytes| bytes.len() > 8);
-        let hint = if looks_like_rs485 { " (for RS485 bytes add --bus rs485)" } else { "" };
-        Explanation::no_frame(self.bus, line, format!("{error}{hint}"))
+        Explanation { stamp, ..explanation }
     }
 
     fn tell(&mut self, explanations: impl IntoIterator<Item = Explanation>) -> Result<(), Stop> {

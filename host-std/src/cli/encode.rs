@@ -8,7 +8,7 @@ use myactuator_protocol_core::command::{self as c, AnyCommand, check_on_rs485};
 use myactuator_protocol_core::units as u;
 use myactuator_protocol_core::{MotorId, Opcode, Target};
 
-use super::{DONE, arguments as parse, print_line, wrong_usage};
+use super::{DONE, arguments as parse, names, print_line, wrong_usage};
 
 /// Print the frame of a command: 141#A400F401A08C0000 (as candump and cansend write it), or RS485
 /// bytes in hexadecimal.
@@ -21,7 +21,7 @@ use super::{DONE, arguments as parse, print_line, wrong_usage};
 )]
 pub(super) struct Arguments {
     /// The bus that the frame is for.
-    #[arg(long, global = true, value_enum, default_value_t)]
+    #[arg(long, global = true, value_parser = names::bus(), default_value_t)]
     bus: BusKind,
     /// The motor, 1 to 32, or `all`.
     #[arg(long, global = true, value_parser = parse::target, allow_hyphen_values = true)]

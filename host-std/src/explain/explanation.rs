@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use super::fields::Fields;
 use super::prose::prose;
 use crate::BusKind;
+use crate::text::can::Stamp;
 
 /// Whether a frame goes to a motor or comes from one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -46,6 +47,8 @@ pub struct Decoded {
 /// A frame, or bytes that are none, and what is known about it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Explanation {
+    /// When and where it was heard, for whom knows that: `Default` else.
+    pub stamp: Stamp,
     /// The frame in the notation of [`text`](crate::text), or the text or bytes that are no frame.
     pub raw: String,
     /// The bus it came on.
@@ -65,6 +68,7 @@ impl Explanation {
     /// For what is no frame of the protocol: the text or bytes, and one sentence why.
     pub fn no_frame(bus: BusKind, raw: impl Into<String>, sentence: impl Into<String>) -> Self {
         Self {
+            stamp: Stamp::default(),
             raw: raw.into(),
             bus,
             id: None,
@@ -79,20 +83,27 @@ impl Explanation {
         self.outcome.is_ok()
     }
 
-    /// As a JSON object with the keys `raw`, `bus`, `id`, `direction`, `name`, `opcode` and then
-    /// `fields` (perhaps `fields_if_reply`) and `canonical`, or `error`. What is not known is null.
+    /// As a JSON object with the keys `time` and `interface` where they are known, then `raw`, `bus`,
+    /// `id`, `direction`, `name`, `opcode` and then `fields` (perhaps `fields_if_reply`) and
+    /// `canonical`, or `error`. What else is not known is null.
     pub fn to_json(&self) -> Value {
-        let mut object = json!({
-            "raw": self.raw,
-            "bus": self.bus.name(),
-            "id": self.id.map(|id| match id {
-                Target::Motor(id) => Value::from(id.get()),
-                Target::All => Value::from("all"),
-            }),
-            "direction": self.direction.map(FrameDirection::name),
-            "name": self.opcode.map(Opcode::name),
-            "opcode": self.opcode.and_then(Opcode::byte).map(|byte| format!("0x{byte:02X}")),
+        let mut object = json!({});
+        if let Some(time) = &self.stamp.time {
+            object["time"] = time.clone().into();
+        }
+        if let Some(interface) = &self.stamp.interface {
+            object["interface"] = interface.clone().into();
+        }
+        object["raw"] = self.raw.clone().into();
+        object["bus"] = self.bus.name().into();
+        object["id"] = self.id.map_or(Value::Null, |id| match id {
+            Target::Motor(id) => id.get().into(),
+            Target::All => "all".into(),
         });
+        object["direction"] = self.direction.map(FrameDirection::name).into();
+        object["name"] = self.opcode.map(Opcode::name).into();
+        let byte = self.opcode.and_then(Opcode::byte);
+        object["opcode"] = byte.map(|byte| format!("0x{byte:02X}")).into();
         match &self.outcome {
             Ok(decoded) => {
                 object["fields"] = decoded.fields.clone().into();
@@ -107,9 +118,13 @@ impl Explanation {
     }
 }
 
-/// One line for people.
+/// One line for people. Text that was no frame stands in it as it came: who shows it on a terminal
+/// takes care of control characters.
 impl fmt::Display for Explanation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.stamp != Stamp::default() {
+            write!(f, "{} ", self.stamp)?;
+        }
         f.write_str(&self.raw)?;
         if let Some(id) = self.id {
             write!(f, "  {id}")?;

@@ -4,6 +4,8 @@
 //! ([`Explanation::to_json`]) or a line of text (`Display`). [`Rs485Stream`] finds the frames in a
 //! stream of bytes and tells what was thrown away.
 //!
+//! Stands on [`text`](crate::text) alone: it needs no bus, real or simulated.
+//!
 //! ```
 //! use myactuator_host_std::{explain, text};
 //!
@@ -25,5 +27,5 @@ mod stream;
 pub use explanation::{Decoded, Explanation, FrameDirection};
 pub use fields::{Fields, command_fields, reply_fields};
 pub use prose::prose;
-pub use reading::{Sender, can_frame, rs485_frame};
+pub use reading::{NotASender, Sender, can_frame, rs485_frame};
 pub use stream::Rs485Stream;

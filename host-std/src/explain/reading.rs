@@ -1,5 +1,8 @@
 //! Reads a frame as a command, as a reply, or as whichever it must be.
 
+use std::fmt;
+use std::str::FromStr;
+
 use embedded_can::Frame as _;
 use myactuator_protocol_core::command::{AnyCommand, AnyReply, check_on_rs485};
 use myactuator_protocol_core::opcode::LOST_MASTER_BYTE;
@@ -12,14 +15,47 @@ use super::fields::{command_fields, reply_fields};
 use crate::{BusKind, text};
 
 /// Who sent a frame, for those who know.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Sender {
     /// The master: it is a command.
-    #[value(name = "command")]
     Master,
     /// A motor: it is a reply.
-    #[value(name = "reply")]
     Motor,
+}
+
+impl Sender {
+    /// Both of them.
+    pub const ALL: [Self; 2] = [Self::Master, Self::Motor];
+
+    /// What its frames are called in tools: `"command"` or `"reply"`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Master => FrameDirection::Command.name(),
+            Self::Motor => FrameDirection::Reply.name(),
+        }
+    }
+}
+
+/// Text that names neither a command nor a reply.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NotASender(String);
+
+impl fmt::Display for NotASender {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [master, motor] = Sender::ALL.map(Sender::name);
+        write!(f, "expected {master} or {motor}, found {:?}", self.0)
+    }
+}
+
+impl std::error::Error for NotASender {}
+
+impl FromStr for Sender {
+    type Err = NotASender;
+
+    fn from_str(text: &str) -> Result<Self, NotASender> {
+        let known = Self::ALL.into_iter().find(|sender| sender.name() == text);
+        known.ok_or_else(|| NotASender(text.to_owned()))
+    }
 }
 
 /// What a CAN frame says. `sender` settles the one identifier that goes both ways, 0x300; all
@@ -172,7 +208,8 @@ fn explain(raw: String, bus: BusKind, possible: Possible) -> Explanation {
         _ => Ok(reading.decoded),
     };
     let outcome = outcome.map_err(|error| sentence(&error)).and_then(on_this_bus);
-    Explanation { raw, bus, id: Some(id), direction: Some(direction), opcode, outcome }
+    let stamp = text::can::Stamp::default();
+    Explanation { stamp, raw, bus, id: Some(id), direction: Some(direction), opcode, outcome }
 }
 
 fn opcode_of(packet: &Packet) -> Option<Opcode> {

@@ -11,11 +11,12 @@ use myactuator_protocol_core::io::{CanMaster, SerialMaster};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
 
-use crate::bus::can::{CanBus, CanConfig, CanPort};
-use crate::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
-use crate::bus::{SimClock, StationId, World};
-use crate::plant::{MotorParameters, ParameterError, SimulatedMotor};
-use crate::sim::{DriveMemory, MemoryError, Seat};
+use crate::sim::Seat;
+use crate::sim::bus::can::{CanBus, CanConfig, CanPort};
+use crate::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
+use crate::sim::bus::{SimClock, StationId, World};
+use crate::sim::memory::{DriveMemory, MemoryError};
+use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
 
 /// A drive with its physics and its memory.
 pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;

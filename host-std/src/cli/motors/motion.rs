@@ -1,6 +1,5 @@
 //! `myactuator motion`: one set-point of motion (MIT) mode, for a while.
 
-use std::io::{self, Write};
 use std::str::FromStr;
 
 use myactuator_host_std::BusKind;
@@ -12,6 +11,7 @@ use myactuator_protocol_core::master::StopKind;
 
 use super::run_for::{self, Run, Span};
 use super::session::{Outcome, Unfinished};
+use crate::cli::tell;
 
 /// Run a motor in motion (MIT) mode at one set-point for a while, then stop it (0x81); CAN only
 ///
@@ -77,9 +77,9 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let command =
         ranges.quantise(&set_point).map_err(|error| Unfinished::Usage(error.to_string()))?;
     if arguments.ranges.is_none() {
-        let _ = writeln!(
-            io::stderr(),
-            "motion ranges: those of protocol V4.3 are taken; on other firmware they multiply the torque, so tell its own by --ranges"
+        tell(
+            "motion ranges",
+            "those of protocol V4.3 are taken; on other firmware they multiply the torque, so tell its own by --ranges",
         );
     }
     let run = Run {

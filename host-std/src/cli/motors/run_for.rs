@@ -154,8 +154,8 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
 
-    use myactuator_host_std::bus::trace::{Event, Log};
-    use myactuator_host_std::port::AnyMaster;
+    use myactuator_host_std::open::AnyMaster;
+    use myactuator_host_std::sim::bus::trace::{Event, Log};
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{ErrorFlags, Speed, Torque};
     use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};

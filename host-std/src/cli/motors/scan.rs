@@ -2,8 +2,8 @@
 
 use indicatif::ProgressBar;
 use myactuator_host_std::explain::{prose, reply_fields};
-use myactuator_host_std::port::slcan::Rate;
-use myactuator_host_std::port::{BusAddress, BusError};
+use myactuator_host_std::open::{BusAddress, BusError};
+use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{AnyReply, ReadModel, ReadStatus1};
 use myactuator_protocol_core::io::{CallError, bring_up};

@@ -1,7 +1,5 @@
 //! `myactuator status`: how motors do.
 
-use std::io::{self, Write};
-
 use myactuator_host_std::explain::{Fields, prose, reply_fields};
 use myactuator_protocol_core::command::{
     AnyReply, ReadMultiTurnAngle, ReadRunningMode, ReadStatus1, ReadStatus2, ReadStatus3,
@@ -10,7 +8,7 @@ use myactuator_protocol_core::{MotorId, Target};
 use serde_json::{Value, json};
 
 use super::session::{OnBus, Outcome, Session, Unfinished, say};
-use crate::cli::arguments as parse;
+use crate::cli::{arguments as parse, tell};
 
 /// Tell how motors do: angle, speed, currents, temperatures, voltage, brake and errors
 ///
@@ -76,7 +74,7 @@ pub(super) fn tell_each(
             }
             // The others are told all the same.
             Err(Unfinished::Failed(sentence)) => {
-                let _ = writeln!(io::stderr(), "error: {sentence}");
+                tell("error", sentence);
                 outcome = Err(Unfinished::FailedAndTold);
             }
             Err(other) => return Err(other),
