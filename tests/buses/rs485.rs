@@ -1,10 +1,6 @@
 //! The simulated RS485 line under the virtual clock. Times are counted by hand; a byte lasts ten
 //! bits.
 
-#[path = "bus_script.rs"]
-mod bus_script;
-
-use bus_script::Hand;
 use embedded_io::{Read as _, ReadReady as _, Write as _, WriteReady as _};
 use myactuator_host_std::bus::rs485::{
     LineConfig, SerialError, SerialPort, SerialWorld, TransceiverConfig,
@@ -12,6 +8,7 @@ use myactuator_host_std::bus::rs485::{
 use myactuator_host_std::bus::trace::Event;
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_tests::script::Hand;
 
 /// The manual's example of reading a PID gain.
 const READ_PID: [u8; 13] = [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];

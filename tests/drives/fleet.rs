@@ -1,8 +1,6 @@
 //! Whole drives on whole buses, as their master sees them: quirks, faults, memory, broadcasts and
 //! reports, on CAN and RS485, under the virtual clock.
 
-mod sim_listen;
-
 use std::fmt::Debug;
 
 use myactuator_host_std::bus::rs485::{SerialPort, TransceiverConfig};
@@ -24,7 +22,7 @@ use myactuator_protocol_core::units::{
     Angle, Current, Gain, MaxSpeed, MaxTorque, Milliseconds, ReportInterval, SpeedTarget,
 };
 use myactuator_protocol_core::{MotorId, Opcode};
-use sim_listen::listen;
+use myactuator_tests::listen::{listen, listen_until};
 
 const MOTOR: MotorId = MotorId::MIN;
 
@@ -201,7 +199,7 @@ fn a_slow_brake_holds_the_shaft_for_a_while<B: Bus>() {
         // It says so at once: what it tells is the command, not the brake's state.
         assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().brake, BrakeCommand::Release);
         [45, 175].map(|after| {
-            sim_listen::listen_until(&mut master, told + millis(after));
+            listen_until(&mut master, told + millis(after));
             angle_deg(drive)
         })
     };

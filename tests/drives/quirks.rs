@@ -1,9 +1,5 @@
 //! Field behaviour beside the manual, each option on and off, and what no drive may ever do.
 
-#[path = "drive_bench/mod.rs"]
-mod drive_bench;
-
-use drive_bench::*;
 use myactuator_protocol_core::command::Speed;
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{
@@ -13,6 +9,7 @@ use myactuator_protocol_core::opcode::LOST_MASTER_BYTE;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::*;
 use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
+use myactuator_tests::bench::*;
 use proptest::prelude::*;
 
 fn with(quirks: Quirks) -> Bench {

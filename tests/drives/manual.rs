@@ -3,10 +3,6 @@
 //! The documentation of each test gives the sentence's section and its meaning. Motor: 0.02 kg·m²,
 //! 2 N·m/A, friction 0.05 N·m·s; rated current 6 A, stall current 12 A; 16384 pulses, gear 6.
 
-#[path = "drive_bench/mod.rs"]
-mod drive_bench;
-
-use drive_bench::*;
 use myactuator_protocol_core::command::Speed;
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{
@@ -18,6 +14,7 @@ use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::units::*;
 use myactuator_protocol_core::wire::rs485;
 use myactuator_protocol_core::{AnyCommand, AnyReply, Channel, MotorId, Opcode, Packet, Target};
+use myactuator_tests::bench::*;
 
 const TURN: i32 = 98_304;
 

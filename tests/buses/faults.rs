@@ -1,11 +1,7 @@
 //! Faults by chance and by hand, on both simulated buses, under the virtual clock.
 
-#[path = "bus_script.rs"]
-mod bus_script;
-
 use std::sync::{Arc, Mutex};
 
-use bus_script::Hand;
 use embedded_can::{Frame, StandardId, nb::Can as _};
 use embedded_io::Write as _;
 use myactuator_host_std::bus::Node;
@@ -17,6 +13,7 @@ use myactuator_host_std::bus::rs485::{LineConfig, SerialWorld, TransceiverConfig
 use myactuator_host_std::bus::trace::{Event, Fault, Log, Record};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::SimpleFrame;
+use myactuator_tests::script::Hand;
 
 const BOTH: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
 

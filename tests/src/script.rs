@@ -7,10 +7,11 @@ use myactuator_host_std::bus::Node;
 use myactuator_protocol_core::time::Instant;
 
 /// What a bus carries and when, in microseconds.
-pub(crate) type Timetable<F> = Vec<(u64, F)>;
+pub type Timetable<F> = Vec<(u64, F)>;
 
+/// What it will send and what it heard.
 #[derive(Debug)]
-pub(crate) struct Script<F> {
+pub struct Script<F> {
     to_send: VecDeque<(u64, F)>,
     heard: Timetable<F>,
     /// Whether it sends back what it hears.
@@ -19,31 +20,35 @@ pub(crate) struct Script<F> {
 
 /// A hand on a script that is on a bus.
 #[derive(Clone, Debug)]
-pub(crate) struct Hand<F>(Arc<Mutex<Script<F>>>);
+pub struct Hand<F>(Arc<Mutex<Script<F>>>);
 
 impl<F: Clone> Hand<F> {
-    pub(crate) fn sending(timetable: impl IntoIterator<Item = (u64, F)>) -> Self {
+    /// One that sends each frame at its time.
+    pub fn sending(timetable: impl IntoIterator<Item = (u64, F)>) -> Self {
         let to_send = timetable.into_iter().collect();
         let script = Script { to_send, heard: Vec::new(), mirrors: false };
         Self(Arc::new(Mutex::new(script)))
     }
 
-    pub(crate) fn listening() -> Self {
+    /// One that sends nothing.
+    pub fn listening() -> Self {
         Self::sending([])
     }
 
-    pub(crate) fn mirroring() -> Self {
+    /// One that sends back what it hears.
+    pub fn mirroring() -> Self {
         let hand = Self::listening();
         hand.0.lock().unwrap().mirrors = true;
         hand
     }
 
     /// The node to attach.
-    pub(crate) fn node(&self) -> Arc<Mutex<Script<F>>> {
+    pub fn node(&self) -> Arc<Mutex<Script<F>>> {
         Arc::clone(&self.0)
     }
 
-    pub(crate) fn heard(&self) -> Timetable<F> {
+    /// What it heard so far.
+    pub fn heard(&self) -> Timetable<F> {
         self.0.lock().unwrap().heard.clone()
     }
 }

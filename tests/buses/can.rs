@@ -1,10 +1,6 @@
 //! The simulated CAN bus under the virtual clock. Times are counted by hand in bits, which at
 //! 1 Mbit/s are microseconds.
 
-#[path = "bus_script.rs"]
-mod bus_script;
-
-use bus_script::Hand;
 use embedded_can::{ExtendedId, Frame, Id, StandardId, blocking, nb::Can as _};
 use myactuator_host_std::bus::Node;
 use myactuator_host_std::bus::can::{
@@ -15,6 +11,7 @@ use myactuator_host_std::bus::trace::{Event, Record};
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::SimpleFrame;
+use myactuator_tests::script::Hand;
 use proptest::prelude::*;
 
 /// A frame of 112 bits for identifier 0x141; others differ by their stuff bits.

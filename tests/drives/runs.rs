@@ -7,13 +7,11 @@
 //!
 //! ```text
 //! INSTA_UPDATE=always cargo test -p myactuator-tests --test runs
-//! git diff tests/snapshots
+//! git diff tests/drives/snapshots
 //! ```
 //!
 //! Otherwise a run that differs from its picture fails, and leaves the new one beside the old as
 //! `*.snap.new`; with `INSTA_UPDATE=no`, or where `CI` is set, it only fails.
-
-mod sim_listen;
 
 use std::fmt::Write as _;
 
@@ -37,7 +35,7 @@ use myactuator_protocol_core::units::{
 };
 use myactuator_protocol_core::wire::can::SimpleFrame;
 use myactuator_protocol_core::{MotorId, Opcode};
-use sim_listen::{listen, listen_until};
+use myactuator_tests::listen::{listen, listen_until};
 
 const MOTOR: MotorId = MotorId::MIN;
 const MODEL: &str = "RMD-X8-PRO";
