@@ -6,7 +6,7 @@
 //! the pictures anew and read the difference before it is committed:
 //!
 //! ```text
-//! INSTA_UPDATE=always cargo test -p myactuator-tests --test runs
+//! INSTA_UPDATE=always cargo test -p myactuator-tests --test drives runs
 //! git diff tests/drives/snapshots
 //! ```
 //!
