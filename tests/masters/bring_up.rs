@@ -1,59 +1,46 @@
 //! First contact and safe ways of working against whole simulated drives, on both buses.
 
-use myactuator_host_std::bus::StationId;
-use myactuator_host_std::sim::{DriveHandle, Fleet};
-use myactuator_protocol_core::MotorId;
+use std::fmt::Debug;
+
+use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::command::{
-    BrakeCommand, ErrorFlags, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadStatus1, Speed,
-    Torque,
+    BrakeCommand, ErrorFlags, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadStatus1,
 };
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, MotorSet};
 use myactuator_protocol_core::time::Duration;
-use myactuator_protocol_core::units::{Current, MaxTorque, Milliseconds, SpeedTarget};
+use myactuator_protocol_core::units::Milliseconds;
+use myactuator_tests::fleet::{Bus, state, turn_to};
+use myactuator_tests::listen::listen;
+use myactuator_tests::on_both_buses;
+use myactuator_tests::values::{id, millis, push, turn};
 
-/// What happens to the supply of a drive's station.
-type PowerCycle<'a> = &'a dyn Fn(StationId);
-
-fn id(number: u8) -> MotorId {
-    MotorId::new(number).expect("1 to 32")
+on_both_buses! {
+    a_scan_tells_who_is_there
+    a_motor_that_is_being_asked_is_not_there_before_it_answers
+    a_motor_tells_what_it_is
+    a_motor_is_waited_for_after_its_power_was_cycled
+    a_zero_is_kept_over_a_power_cycle
+    an_id_is_not_changed_while_two_motors_listen_or_it_is_taken
+    the_only_motor_gets_its_new_id_for_good
+    a_brake_is_open_before_torque_comes
+    a_brake_that_does_not_open_is_told
+    a_protected_motor_stops_when_nobody_speaks
 }
 
 fn ids(numbers: impl IntoIterator<Item = u8>) -> MotorSet {
     numbers.into_iter().map(id).collect()
 }
 
-/// Runs a check on both buses with the same drives.
-macro_rules! on_both {
-    ($fleet:expr, $check:ident) => {{
-        let fleet: Fleet = $fleet;
-        let can = fleet.on_can(1_000_000).expect("the model is sound");
-        $check(&mut can.master::<8>(), &can.drives, &|station| can.world.reset(station));
-        let line = fleet.on_rs485(1_000_000).expect("the model is sound");
-        $check(&mut line.master::<8>(), &line.drives, &|station| line.world.reset(station));
-    }};
+fn read_angle<R: Runner<8, Error: Debug>>(runner: &mut R) -> f32 {
+    runner.ask(id(1), ReadMultiTurnAngle).expect("it is there").angle.degrees()
 }
 
-fn wait<R: Runner<8, Error: PartialEq>>(runner: &mut R, span: Duration) {
-    let end = runner.now() + span;
-    while runner.now() < end {
-        if runner.poll().expect("the bus works").is_none() {
-            runner.idle(end);
-        }
-    }
-}
-
-fn turn_to(drive: &DriveHandle, degrees: f64) {
-    drive.with(|drive| drive.plant_mut().set_output_angle_deg(degrees).expect("a finite angle"));
-}
-
-fn scan_finds<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    _: &[DriveHandle],
-    _: PowerCycle<'_>,
-) {
+fn a_scan_tells_who_is_there<B: Bus>() {
+    let bus = B::with(&Fleet::new(5)).unwrap();
+    let runner = &mut bus.master();
     let mut told = Vec::new();
     let found = bring_up::scan(runner, MotorSet::ALL, |motor, there| told.push((motor, there)));
     assert_eq!(found, Ok(ids(1..=5)));
@@ -65,16 +52,9 @@ fn scan_finds<R: Runner<8, Error: PartialEq>>(
     assert_eq!(bring_up::scan(runner, ids([2, 9]), |_, _| {}), Ok(ids([2])));
 }
 
-#[test]
-fn a_scan_tells_who_is_there() {
-    on_both!(Fleet::new(5), scan_finds);
-}
-
-fn scan_waits_for_what_is_under_way<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    _: &[DriveHandle],
-    _: PowerCycle<'_>,
-) {
+fn a_motor_that_is_being_asked_is_not_there_before_it_answers<B: Bus>() {
+    let bus = B::with(&Fleet::new(1)).unwrap();
+    let runner = &mut bus.master();
     // Both are being asked already; only motor 1 is there to answer.
     let now = runner.now();
     for motor in [id(1), id(9)] {
@@ -83,17 +63,10 @@ fn scan_waits_for_what_is_under_way<R: Runner<8, Error: PartialEq>>(
     assert_eq!(bring_up::scan(runner, ids([1, 9]), |_, _| {}), Ok(ids([1])));
 }
 
-#[test]
-fn a_motor_that_is_being_asked_is_not_there_before_it_answers() {
-    on_both!(Fleet::new(1), scan_waits_for_what_is_under_way);
-}
-
-fn identifies<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    _: &[DriveHandle],
-    _: PowerCycle<'_>,
-) {
-    wait(runner, Duration::from_millis(300));
+fn a_motor_tells_what_it_is<B: Bus>() {
+    let bus = B::with(&Fleet::new(2)).unwrap();
+    let runner = &mut bus.master();
+    listen(runner, millis(300));
     let identity = bring_up::identify(runner, id(2)).expect("it is there");
     assert_eq!(identity.model.to_string(), "X8-PRO");
     assert_eq!(identity.status.errors, ErrorFlags::empty());
@@ -102,181 +75,123 @@ fn identifies<R: Runner<8, Error: PartialEq>>(
     assert_eq!(nobody, CallError::Failed(Failure::NoReply));
 }
 
-#[test]
-fn a_motor_tells_what_it_is() {
-    on_both!(Fleet::new(2), identifies);
-}
-
-fn waits<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    drives: &[DriveHandle],
-    power_cycle: PowerCycle<'_>,
-) {
-    power_cycle(drives[0].station());
+fn a_motor_is_waited_for_after_its_power_was_cycled<B: Bus>() {
+    let slow = Quirks { slow_boot: true, ..Quirks::default() };
+    let bus = B::with(&Fleet::new(1).quirks(slow)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+    bus.power_cycle(drive.station());
     let begun = runner.now();
-    let half = Duration::from_millis(500);
+    let half = millis(500);
     let early = bring_up::wait_until_there(runner, id(1), half);
     assert_eq!(early, Err(BringUpError::NotThere(id(1))));
-    assert!(runner.now() - begun < half + Duration::from_millis(100));
+    assert!(runner.now() - begun < half + millis(100));
     bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
     let took = runner.now() - begun;
     assert!(took >= Quirks::SLOW_BOOT, "{took}");
-    assert!(took < Quirks::SLOW_BOOT + Duration::from_millis(150), "{took}");
+    assert!(took < Quirks::SLOW_BOOT + millis(150), "{took}");
     assert!(runner.ask(id(1), ReadStatus1).is_ok());
 }
 
-#[test]
-fn a_motor_is_waited_for_after_its_power_was_cycled() {
-    let slow = Quirks { slow_boot: true, ..Quirks::default() };
-    on_both!(Fleet::new(1).quirks(slow), waits);
-}
-
-fn zeroes<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    drives: &[DriveHandle],
-    power_cycle: PowerCycle<'_>,
-) {
-    turn_to(&drives[0], 90.0);
-    wait(runner, Duration::from_millis(20));
-    let before = runner.ask(id(1), ReadMultiTurnAngle).expect("it is there").angle.degrees();
+fn a_zero_is_kept_over_a_power_cycle<B: Bus>() {
+    let bus = B::with(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+    turn_to(drive, 90.0);
+    listen(runner, millis(20));
+    let before = read_angle(runner);
     assert!((before - 90.0).abs() < 0.1, "{before}");
     let offset = bring_up::zero_here(runner, id(1)).expect("it keeps its zero");
     assert_ne!(offset.raw(), 0);
-    power_cycle(drives[0].station());
+    bus.power_cycle(drive.station());
     bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
     let kept = runner.ask(id(1), ReadMultiTurnEncoderOffset).expect("it is there").offset;
     assert_eq!(kept, offset);
-    let after = runner.ask(id(1), ReadMultiTurnAngle).expect("it is there").angle.degrees();
+    let after = read_angle(runner);
     assert!(after.abs() < 0.1, "{after}");
     // The zero is a place and not wherever the shaft is.
-    turn_to(&drives[0], 120.0);
-    wait(runner, Duration::from_millis(20));
-    let turned = runner.ask(id(1), ReadMultiTurnAngle).expect("it is there").angle.degrees();
+    turn_to(drive, 120.0);
+    listen(runner, millis(20));
+    let turned = read_angle(runner);
     assert!((turned - 30.0).abs() < 0.1, "{turned}");
 }
 
-#[test]
-fn a_zero_is_kept_over_a_power_cycle() {
-    on_both!(Fleet::new(1), zeroes);
-}
-
-fn refuses<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    drives: &[DriveHandle],
-    _: PowerCycle<'_>,
-) {
+fn an_id_is_not_changed_while_two_motors_listen_or_it_is_taken<B: Bus>() {
+    let bus = B::with(&Fleet::new(2)).unwrap();
+    let runner = &mut bus.master();
     let two = bring_up::change_id(runner, id(1), id(9));
     assert_eq!(two, Err(BringUpError::NotAlone(ids([1, 2]))));
     let taken = bring_up::change_id(runner, id(1), id(2));
     assert_eq!(taken, Err(BringUpError::IdTaken(id(2))));
     let stranger = bring_up::change_id(runner, id(5), id(6));
     assert_eq!(stranger, Err(BringUpError::NotAlone(ids([1, 2]))));
-    for (drive, number) in drives.iter().zip(1..) {
+    for (drive, number) in bus.drives().iter().zip(1..) {
         let ids = drive.with(|drive| (drive.id(), drive.stored_settings().id));
         assert_eq!(ids, (id(number), id(number)), "nothing was changed");
     }
 }
 
-#[test]
-fn an_id_is_not_changed_while_two_motors_listen_or_it_is_taken() {
-    on_both!(Fleet::new(2), refuses);
-}
-
-fn changes<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    drives: &[DriveHandle],
-    power_cycle: PowerCycle<'_>,
-) {
-    bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
-    let empty = bring_up::change_id(runner, id(3), id(4));
-    assert_eq!(empty, Err(BringUpError::NotAlone(ids([1]))), "the only one there is another");
-    bring_up::change_id(runner, id(1), id(9)).expect("it is alone");
-    assert_eq!(bring_up::scan(runner, MotorSet::ALL, |_, _| {}), Ok(ids([9])));
-    power_cycle(drives[0].station());
-    bring_up::wait_until_there(runner, id(9), Duration::from_secs(3)).expect("it kept its id");
-}
-
-#[test]
-fn the_only_motor_gets_its_new_id_for_good() {
-    on_both!(Fleet::new(1), changes);
+fn the_only_motor_gets_its_new_id_for_good<B: Bus>() {
     let slow = Quirks { slow_boot: true, silent_id_change: true, ..Quirks::default() };
-    on_both!(Fleet::new(1).quirks(slow), changes);
+    for quirks in [Quirks::default(), slow] {
+        let bus = B::with(&Fleet::new(1).quirks(quirks)).unwrap();
+        let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+        bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
+        let empty = bring_up::change_id(runner, id(3), id(4));
+        assert_eq!(empty, Err(BringUpError::NotAlone(ids([1]))), "the only one there is another");
+        bring_up::change_id(runner, id(1), id(9)).expect("it is alone");
+        assert_eq!(bring_up::scan(runner, MotorSet::ALL, |_, _| {}), Ok(ids([9])));
+        bus.power_cycle(drive.station());
+        let there = bring_up::wait_until_there(runner, id(9), Duration::from_secs(3));
+        there.expect("it kept its id");
+    }
 }
 
-fn opens<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    drives: &[DriveHandle],
-    _: PowerCycle<'_>,
-) {
-    let push = Torque { current: Current::from_amperes(2.0).expect("in range") };
-    let moved = |drives: &[DriveHandle]| drives[0].with(|drive| drive.state().angle_deg.abs());
+fn a_brake_is_open_before_torque_comes<B: Bus>() {
+    let slow = Quirks { slow_brake: true, ..Quirks::default() };
+    let bus = B::with(&Fleet::new(1).brakes(true).quirks(slow)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+    let moved = || state(drive).angle_deg.abs();
     let begun = runner.now();
     bring_up::release_brake(runner, id(1)).expect("it has a brake");
     let took = runner.now() - begun;
     assert!(took >= Quirks::SLOW_BRAKE_MAX, "it is waited for: {took}");
-    assert_eq!(drives[0].with(|drive| drive.state().brake), BrakeCommand::Release);
+    assert_eq!(state(drive).brake, BrakeCommand::Release);
     // Torque moves the shaft from the first moment.
-    assert!(moved(drives) < 0.01);
-    runner.ask(id(1), push).expect("it is there");
-    wait(runner, Duration::from_millis(50));
-    assert!(moved(drives) > 0.01, "{}", moved(drives));
+    assert!(moved() < 0.01);
+    runner.ask(id(1), push(2.0)).expect("it is there");
+    listen(runner, millis(50));
+    assert!(moved() > 0.01, "{}", moved());
 }
 
-#[test]
-fn a_brake_is_open_before_torque_comes() {
-    let slow = Quirks { slow_brake: true, ..Quirks::default() };
-    on_both!(Fleet::new(1).brakes(true).quirks(slow), opens);
-}
-
-fn stays_locked<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    drives: &[DriveHandle],
-    _: PowerCycle<'_>,
-) {
+fn a_brake_that_does_not_open_is_told<B: Bus>() {
+    let bus = B::with(&Fleet::new(1).brakes(true)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
     // A drive that has lost its master answers 0x77 and does nothing.
     let limit = Milliseconds::from_raw(100);
     assert_eq!(bring_up::protect(runner, id(1), limit), Ok(Protection::Confirmed));
-    wait(runner, Duration::from_millis(300));
-    assert!(drives[0].with(|drive| drive.state().communication_lost));
+    listen(runner, millis(300));
+    assert!(state(drive).communication_lost);
     let refused = bring_up::release_brake(runner, id(1));
     assert_eq!(refused, Err(BringUpError::BrakeNotReleased(BrakeCommand::Lock)));
 }
 
-#[test]
-fn a_brake_that_does_not_open_is_told() {
-    on_both!(Fleet::new(1).brakes(true), stays_locked);
-}
-
-fn protects<R: Runner<8, Error: PartialEq>>(
-    runner: &mut R,
-    drives: &[DriveHandle],
-    _: PowerCycle<'_>,
-) {
+fn a_protected_motor_stops_when_nobody_speaks<B: Bus>() {
+    let bus = B::with(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
     let limit = Milliseconds::from_raw(200);
     assert_eq!(bring_up::protect(runner, id(1), limit), Ok(Protection::Confirmed));
-    let speed = SpeedTarget::from_dps(50.0).expect("in range");
-    let turn = Speed { max_torque: MaxTorque::from_raw(0), speed };
-    let output_on = |drives: &[DriveHandle]| drives[0].with(|drive| drive.state().output_on);
     for _ in 0..20 {
-        runner.ask(id(1), turn).expect("it is there");
-        wait(runner, Duration::from_millis(50));
-        assert!(output_on(drives), "commands come in time");
+        runner.ask(id(1), turn(50.0)).expect("it is there");
+        listen(runner, millis(50));
+        assert!(state(drive).output_on, "commands come in time");
     }
     // What no command can read back: it stops when nobody speaks.
-    wait(runner, Duration::from_millis(180));
-    assert!(!output_on(drives));
-    assert!(drives[0].with(|drive| drive.state().communication_lost));
+    listen(runner, millis(180));
+    assert!(!state(drive).output_on);
+    assert!(state(drive).communication_lost);
     // Switched off, it does not.
-    assert_eq!(
-        bring_up::protect(runner, id(1), Milliseconds::from_raw(0)),
-        Ok(Protection::Confirmed)
-    );
-    runner.ask(id(1), turn).expect("it is there");
-    wait(runner, Duration::from_millis(1_000));
-    assert!(output_on(drives));
-}
-
-#[test]
-fn a_protected_motor_stops_when_nobody_speaks() {
-    on_both!(Fleet::new(1), protects);
+    let off = bring_up::protect(runner, id(1), Milliseconds::from_raw(0));
+    assert_eq!(off, Ok(Protection::Confirmed));
+    runner.ask(id(1), turn(50.0)).expect("it is there");
+    listen(runner, millis(1_000));
+    assert!(state(drive).output_on);
 }

@@ -10,7 +10,8 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
-use myactuator_tests::rig::{Angle, Rig, STREAM_MARK, Wire, id};
+use myactuator_tests::rig::{Angle, Rig, STREAM_MARK, Wire};
+use myactuator_tests::values::id;
 
 #[derive(Clone, Copy, Debug)]
 struct Case {

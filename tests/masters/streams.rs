@@ -10,7 +10,8 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{self, MaxSpeed, MaxTorque, SpeedTarget};
-use myactuator_tests::rig::{Angle, Rig, STREAM_MARK, Step, Wire, id};
+use myactuator_tests::rig::{Angle, Rig, STREAM_MARK, Step, Wire};
+use myactuator_tests::values::id;
 
 fn put<W: Wire>(rig: &mut Rig<W>, motor: MotorId, number: u32) -> Result<(), RequestError> {
     let max_torque = MaxTorque::from_raw(STREAM_MARK);

@@ -1,12 +1,15 @@
 //! A drive with an ideal motor on a bench: commands go in, replies come out, time is virtual.
 
-use myactuator_protocol_core::command::{Command, ErrorFlags, Feedback, ReadStatus2};
+use myactuator_protocol_core::command::{
+    Command, ErrorFlags, Feedback, ReadMultiTurnAngle, ReadStatus2,
+};
 use myactuator_protocol_core::drive::{
     Bus, Drive, Event, IdealPlant, NotRunReason, Parameters, RamMemory, State,
 };
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{Angle, Current, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::{AnyCommand, Channel, Data, MotorId, Opcode, Packet, Target};
+
+use crate::values::millis;
 
 /// A drive, its motor, and all that came out of it.
 #[derive(Debug)]
@@ -23,11 +26,6 @@ pub struct Bench {
 
 /// The drive's id.
 pub const ID: MotorId = MotorId::MIN;
-
-/// A span of milliseconds.
-pub fn millis(millis: u64) -> Duration {
-    Duration::from_millis(millis)
-}
 
 impl Default for Bench {
     fn default() -> Self {
@@ -125,6 +123,17 @@ impl Bench {
         self.drive.state()
     }
 
+    /// Turns the shaft by hand, to an angle in degrees.
+    pub fn turn_to(&mut self, angle_deg: f64) {
+        self.drive.plant_mut().set_angle_deg(angle_deg);
+        self.run(millis(1));
+    }
+
+    /// What 0x92 tells, in degrees.
+    pub fn told_angle(&mut self) -> f32 {
+        self.ask(ReadMultiTurnAngle).angle.degrees()
+    }
+
     /// The true angle, in degrees.
     pub fn angle(&self) -> f64 {
         self.drive.state().angle_deg
@@ -175,29 +184,4 @@ impl Bench {
         });
         reasons.next_back()
     }
-}
-
-/// A current.
-pub fn amperes(amperes: f32) -> Current {
-    Current::from_amperes(amperes).unwrap()
-}
-
-/// A speed to keep.
-pub fn dps(dps: f32) -> SpeedTarget {
-    SpeedTarget::from_dps(dps).unwrap()
-}
-
-/// An angle.
-pub fn degrees(degrees: f32) -> Angle {
-    Angle::from_degrees(degrees).unwrap()
-}
-
-/// A limit of the speed, in degrees per second.
-pub fn up_to(dps: u16) -> MaxSpeed {
-    MaxSpeed::from_raw(dps)
-}
-
-/// A limit of the torque, in percent of the rated current.
-pub fn percent(percent: u8) -> MaxTorque {
-    MaxTorque::from_raw(percent)
 }

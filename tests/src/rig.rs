@@ -26,11 +26,6 @@ use myactuator_protocol_core::{
 /// Marks a set-point of a stream in byte 1 of a speed command; requests of the same kind have another.
 pub const STREAM_MARK: u8 = 0;
 
-/// The id of a motor.
-pub fn id(number: u8) -> MotorId {
-    MotorId::new(number).expect("1 to 32")
-}
-
 /// The token in bytes 4 to 7.
 pub fn token_of(data: &Data) -> u32 {
     u32::from_le_bytes([data[4], data[5], data[6], data[7]])
