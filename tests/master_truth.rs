@@ -7,15 +7,8 @@
 //! `Config::late_window`, and each command reaches its drive at most once, except where a scenario
 //! says otherwise.
 
-#[path = "master_rig.rs"]
-mod master_rig;
-
 use std::fmt;
 
-use master_rig::{
-    Acceleration, Angle, Dice, Encoder, Pid, Rig, RunTimeOf, STREAM_MARK, Status2, Step, VersionOf,
-    Wire, id, token_of,
-};
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
@@ -31,6 +24,11 @@ use myactuator_protocol_core::master::{
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{self, Gain, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::{Channel, Data, MotorId, Opcode, Packet};
+use myactuator_tests::rig::{
+    Acceleration, Angle, Dice, Encoder, Pid, Rig, RunTimeOf, STREAM_MARK, Status2, Step, VersionOf,
+    Wire, token_of,
+};
+use myactuator_tests::values::id;
 
 /// An outcome takes at the longest: a restart (2 s), and three attempts with their waiting.
 const LONGEST_WAIT: Duration = Duration::from_millis(4_000);

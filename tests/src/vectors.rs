@@ -119,11 +119,11 @@ pub fn hex(text: &str) -> Vec<u8> {
 /// Every row of `manual-v4.3.jsonl`, in the manual's order.
 pub fn rows() -> Vec<Row> {
     let parse = |line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e} in {line}"));
-    include_str!("vectors/manual-v4.3.jsonl").lines().map(parse).collect()
+    include_str!("../vectors/manual-v4.3.jsonl").lines().map(parse).collect()
 }
 
 /// The headings of the manual's table of contents by section: `sections.txt`.
 pub fn sections() -> BTreeMap<&'static str, &'static str> {
-    let lines = include_str!("vectors/sections.txt").lines();
+    let lines = include_str!("../vectors/sections.txt").lines();
     lines.map(|line| line.split_once(' ').expect("number and heading")).collect()
 }

@@ -1,9 +1,5 @@
 //! Streams of set-points and the safe stop, where an old frame would be dangerous.
 
-#[path = "master_rig.rs"]
-mod master_rig;
-
-use master_rig::{Angle, Rig, STREAM_MARK, Step, Wire, id};
 use myactuator_host_std::sim::bus::can::{CanBus, ControllerConfig};
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
@@ -14,6 +10,8 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{self, MaxSpeed, MaxTorque, SpeedTarget};
+use myactuator_tests::rig::{Angle, Rig, STREAM_MARK, Step, Wire};
+use myactuator_tests::values::id;
 
 fn put<W: Wire>(rig: &mut Rig<W>, motor: MotorId, number: u32) -> Result<(), RequestError> {
     let max_torque = MaxTorque::from_raw(STREAM_MARK);

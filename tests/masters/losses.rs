@@ -1,10 +1,6 @@
 //! Every loss is counted: what the master's health and events tell is what the wire and the drives
 //! know, frame by frame.
 
-#[path = "master_rig.rs"]
-mod master_rig;
-
-use master_rig::{Angle, Rig, STREAM_MARK, Wire, id};
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
@@ -14,6 +10,8 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
+use myactuator_tests::rig::{Angle, Rig, STREAM_MARK, Wire};
+use myactuator_tests::values::id;
 
 #[derive(Clone, Copy, Debug)]
 struct Case {

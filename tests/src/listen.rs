@@ -7,7 +7,7 @@ use myactuator_protocol_core::master::Event;
 use myactuator_protocol_core::time::{Duration, Instant};
 
 /// Runs the master until `until` and gives what it was told.
-pub(crate) fn listen_until<R: Runner<N, Error: Debug>, const N: usize>(
+pub fn listen_until<R: Runner<N, Error: Debug>, const N: usize>(
     master: &mut R,
     until: Instant,
 ) -> Vec<Event> {
@@ -22,7 +22,7 @@ pub(crate) fn listen_until<R: Runner<N, Error: Debug>, const N: usize>(
 }
 
 /// As [`listen_until`], for a span from now on.
-pub(crate) fn listen<R: Runner<N, Error: Debug>, const N: usize>(
+pub fn listen<R: Runner<N, Error: Debug>, const N: usize>(
     master: &mut R,
     span: Duration,
 ) -> Vec<Event> {

@@ -6,14 +6,12 @@
 //! the pictures anew and read the difference before it is committed:
 //!
 //! ```text
-//! INSTA_UPDATE=always cargo test -p myactuator-tests --test runs
-//! git diff tests/snapshots
+//! INSTA_UPDATE=always cargo test -p myactuator-tests --test drives runs
+//! git diff tests/drives/snapshots
 //! ```
 //!
 //! Otherwise a run that differs from its picture fails, and leaves the new one beside the old as
 //! `*.snap.new`; with `INSTA_UPDATE=no`, or where `CI` is set, it only fails.
-
-mod sim_listen;
 
 use std::fmt::Write as _;
 
@@ -24,27 +22,22 @@ use myactuator_host_std::sim::plant::{Load, MotorParameters, SpringStop};
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet};
 use myactuator_host_std::text;
 use myactuator_protocol_core::command::{
-    AbsolutePosition, AccelerationIndex, BrakeCommand, CommunicationLossProtection, ErrorFlags,
-    ForcePosition, Mode, ReadMultiTurnAngle, ReadStatus1, ReadStatus2, Reset, Shutdown, Speed,
-    WriteAcceleration,
+    AccelerationIndex, BrakeCommand, CommunicationLossProtection, ErrorFlags, ForcePosition, Mode,
+    ReadMultiTurnAngle, ReadStatus1, ReadStatus2, Reset, Shutdown, WriteAcceleration,
 };
 use myactuator_protocol_core::drive::{Event as Happened, Indicator, State};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, MotorSet};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{
-    Acceleration, Angle, MaxSpeed, MaxTorque, Milliseconds, SpeedTarget,
-};
+use myactuator_protocol_core::units::{Acceleration, Milliseconds};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 use myactuator_protocol_core::{MotorId, Opcode};
-use sim_listen::{listen, listen_until};
+use myactuator_tests::fleet::happened;
+use myactuator_tests::listen::{listen, listen_until};
+use myactuator_tests::values::{degrees, go_to, id, millis, percent, turn, up_to};
 
 const MOTOR: MotorId = MotorId::MIN;
 const MODEL: &str = "RMD-X8-PRO";
-
-const fn millis(count: u64) -> Duration {
-    Duration::from_millis(count)
-}
 
 fn one_drive(brake: bool) -> CanFleet {
     let model = MotorParameters::named(MODEL).unwrap();
@@ -57,18 +50,6 @@ fn state_at(drive: &DriveHandle, now: Instant) -> State {
         drive.advance(now);
         drive.state()
     })
-}
-
-fn happened(drive: &DriveHandle) -> Vec<Happened> {
-    drive.with(|drive| std::iter::from_fn(|| drive.poll_event()).collect())
-}
-
-fn max_speed(dps: f32) -> MaxSpeed {
-    MaxSpeed::from_dps(dps).unwrap()
-}
-
-fn degrees(degrees: f32) -> Angle {
-    Angle::from_degrees(degrees).unwrap()
 }
 
 /// Holds the run against its picture.
@@ -135,11 +116,7 @@ fn position_profile() {
     // The command reaches the drive on a whole millisecond, where a step of its loops begins.
     let start = Instant::from_millis(20);
     listen_until(&mut master, Instant::from_micros(19_870));
-    let go = AbsolutePosition {
-        max_speed: max_speed(MAX_SPEED_DPS as f32),
-        angle: degrees(WAY_DEG as f32),
-    };
-    master.ask(MOTOR, go).unwrap();
+    master.ask(MOTOR, go_to(WAY_DEG as f32, MAX_SPEED_DPS as u16)).unwrap();
 
     let friction = &drive.with(|drive| drive.plant().parameters().clone()).friction;
     // Cruising, the current only overcomes friction: its torque over 2.6 N·m/A (the data sheet's).
@@ -203,8 +180,6 @@ fn communication_loss() {
     let timeout = Milliseconds::from_raw(PROTECTION.as_millis() as u32);
     master.ask(MOTOR, CommunicationLossProtection { timeout }).unwrap();
     listen_until(&mut master, Instant::from_millis(20));
-    let turn =
-        Speed { speed: SpeedTarget::from_dps(90.0).unwrap(), max_torque: MaxTorque::from_raw(0) };
 
     let start = master.now();
     let mut table = String::from(
@@ -214,7 +189,7 @@ fn communication_loss() {
     for tick in 0..40 {
         let speaks = SPEAKS.iter().any(|ticks| ticks.contains(&tick));
         if speaks {
-            master.set_point(MOTOR, turn).unwrap();
+            master.set_point(MOTOR, turn(90.0)).unwrap();
         }
         for step in 1..=TICK.as_millis() {
             let now = start + TICK.times(tick) + millis(step);
@@ -299,12 +274,8 @@ fn stall() {
     let motor_nm = model.air_gap_constant_nm_per_a() * f64::from(RATED_A);
     let held_nm = model.friction.static_nm + (1.0 - model.gear.efficiency) * motor_nm;
     let mut master = fleet.master::<1>();
-    let max_speed = max_speed(100.0);
-    let gently = ForcePosition {
-        max_torque: MaxTorque::from_percent(100.0).unwrap(),
-        max_speed,
-        angle: degrees(90.0),
-    };
+    let gently =
+        ForcePosition { max_torque: percent(100), max_speed: up_to(100), angle: degrees(90.0) };
 
     let start = master.now();
     let mut table = String::from(
@@ -319,8 +290,7 @@ fn stall() {
                 "0xA9: to 90 deg, with 100 % torque"
             }
             20 => {
-                let go = AbsolutePosition { max_speed, angle: degrees(90.0) };
-                master.ask(MOTOR, go).unwrap();
+                master.ask(MOTOR, go_to(90.0, 100)).unwrap();
                 "0xA4: to 90 deg"
             }
             35 => {
@@ -328,8 +298,7 @@ fn stall() {
                 // 2.14.3: 0x0002 is stall.
                 assert_eq!(status.errors.bits(), 0x0002);
                 assert!(status.errors.needs_restart());
-                let back = AbsolutePosition { max_speed, angle: degrees(0.0) };
-                master.ask(MOTOR, back).unwrap();
+                master.ask(MOTOR, go_to(0.0, 100)).unwrap();
                 "0xA4: to 0 deg"
             }
             38 => {
@@ -342,8 +311,7 @@ fn stall() {
                 // By hand: the master leaves a motor alone for 2 s after 0x76.
                 master = fleet.master::<1>();
                 assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().errors, ErrorFlags::empty());
-                let back = AbsolutePosition { max_speed, angle: degrees(0.0) };
-                master.ask(MOTOR, back).unwrap();
+                master.ask(MOTOR, go_to(0.0, 100)).unwrap();
                 "0xA4: to 0 deg"
             }
             _ => "",
@@ -412,12 +380,10 @@ const ON_CAN: [(&str, &str); 6] = [
 
 /// Asks two motors for something, moves one and shuts both down.
 fn exchanges<R: Runner<2>>(master: &mut R) {
-    let [one, two] = [1, 2].map(|id| MotorId::new(id).unwrap());
+    let [one, two] = [1, 2].map(id);
     master.ask(one, ReadStatus1).unwrap();
     master.ask(two, ReadMultiTurnAngle).unwrap();
-    master
-        .ask(one, AbsolutePosition { max_speed: max_speed(500.0), angle: degrees(360.0) })
-        .unwrap();
+    master.ask(one, go_to(360.0, 500)).unwrap();
     listen(master, millis(100));
     master.ask(one, ReadStatus2).unwrap();
     for motor in [one, two] {

@@ -1,10 +1,5 @@
 //! Field behaviour beside the manual, each option on and off, and what no drive may ever do.
 
-#[path = "drive_bench/mod.rs"]
-mod drive_bench;
-
-use drive_bench::*;
-use myactuator_protocol_core::command::Speed;
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{
     Drive, Event, IdealPlant, IgnoreReason, NotRunReason, Parameters, Quirks, RamMemory,
@@ -13,6 +8,8 @@ use myactuator_protocol_core::opcode::LOST_MASTER_BYTE;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::*;
 use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
+use myactuator_tests::bench::*;
+use myactuator_tests::values::*;
 use proptest::prelude::*;
 
 fn with(quirks: Quirks) -> Bench {
@@ -51,7 +48,7 @@ fn slow_brake() {
         let parameters = Parameters { has_brake: true, quirks, seed, ..Parameters::default() };
         let mut bench = Bench::new(parameters);
         bench.write(ReleaseBrake);
-        bench.ask(Torque { current: amperes(1.0) });
+        bench.ask(push(1.0));
         assert!(bench.state().output_on);
         let mut waited = 10; // for two replies
         while bench.angle() == 0.0 {
@@ -77,7 +74,7 @@ fn lost_master_heartbeat() {
     assert_eq!(bench.sent.iter().map(|&(_, packet)| packet).collect::<Vec<_>>(), [beat; 3]);
     assert_eq!(bench.sent[1].0 - bench.sent[0].0, millis(1_000));
 
-    let go = Speed { max_torque: percent(0), speed: dps(100.0) };
+    let go = turn(100.0);
     assert_eq!(bench.send(go), Some(go.encode()));
     assert_eq!(bench.not_run(), Some(NotRunReason::CommunicationLost));
     bench.run(millis(200)); // too late
@@ -107,10 +104,9 @@ fn turns_lost() {
         let mut bench = with(Quirks { turns_lost, ..Quirks::default() });
         bench.write(FunctionControl::SaveMultiTurn(Switch::On));
         bench.restart();
-        bench.drive.plant_mut().set_angle_deg(390.0);
-        bench.run(millis(1));
+        bench.turn_to(390.0);
         bench.restart();
-        assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), angle);
+        assert_eq!(bench.told_angle(), angle);
     }
 }
 
@@ -120,7 +116,7 @@ fn rom_needs_shutdown() {
     let mut bench = with(Quirks { rom_needs_shutdown: true, ..Quirks::default() });
     let write = WritePidRom { index: PidIndex::SpeedKi, value: Gain::new(0.25).unwrap() };
     let held = bench.ask(ReadPid { index: write.index }).value;
-    bench.ask(Speed { max_torque: percent(0), speed: dps(10.0) });
+    bench.ask(turn(10.0));
     bench.write(write);
     bench.write(FunctionControl::MaxPositiveAngle(100));
     assert_eq!(bench.not_run(), Some(NotRunReason::NotShutDown));

@@ -1,104 +1,28 @@
 //! Whole drives on whole buses, as their master sees them: quirks, faults, memory, broadcasts and
 //! reports, on CAN and RS485, under the virtual clock.
 
-mod sim_listen;
-
 use std::fmt::Debug;
 
-use myactuator_host_std::sim::bus::rs485::{SerialPort, TransceiverConfig};
-use myactuator_host_std::sim::bus::{SimClock, can::CanBus, can::CanPort, rs485::Rs485Line};
 use myactuator_host_std::sim::plant::SimulatedMotor;
-use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet, FleetError, LineFleet};
+use myactuator_host_std::sim::{CanFleet, Fleet, FleetError};
 use myactuator_protocol_core::command::{
-    AbsolutePosition, ActiveReply, AnyReply, BrakeCommand, CommunicationLossProtection, ErrorFlags,
-    FunctionControl, PidIndex, ReadModel, ReadMultiTurnAngle, ReadPid, ReadRunningMode,
-    ReadStatus1, ReadStatus2, ReleaseBrake, ReportedCommand, Reset, Shutdown, Speed, Stop, Switch,
-    Torque, WritePidRam, WritePidRom,
+    ActiveReply, AnyReply, BrakeCommand, CommunicationLossProtection, ErrorFlags, FunctionControl,
+    PidIndex, ReadModel, ReadMultiTurnAngle, ReadPid, ReadRunningMode, ReadStatus1, ReadStatus2,
+    ReleaseBrake, ReportedCommand, Reset, Shutdown, Stop, Switch, WritePidRam, WritePidRom,
 };
-use myactuator_protocol_core::drive::{Event as Happened, NotRunReason, Quirks, State};
+use myactuator_protocol_core::drive::{Event as Happened, NotRunReason, Quirks};
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{CallError, CanMaster, Runner, SerialMaster, bring_up};
-use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
+use myactuator_protocol_core::io::{CallError, Runner, bring_up};
+use myactuator_protocol_core::master::{Event, Failure, MotorSet};
 use myactuator_protocol_core::time::Duration;
-use myactuator_protocol_core::units::{
-    Angle, Current, Gain, MaxSpeed, MaxTorque, Milliseconds, ReportInterval, SpeedTarget,
-};
+use myactuator_protocol_core::units::{Milliseconds, ReportInterval};
 use myactuator_protocol_core::{MotorId, Opcode};
-use sim_listen::listen;
+use myactuator_tests::fleet::{Bus, angle_deg, happened, speed_dps, state, turn_to};
+use myactuator_tests::listen::{listen, listen_until};
+use myactuator_tests::on_both_buses;
+use myactuator_tests::values::{gain, go_to, id, millis, push, turn};
 
 const MOTOR: MotorId = MotorId::MIN;
-
-const fn millis(count: u64) -> Duration {
-    Duration::from_millis(count)
-}
-
-fn id(id: u8) -> MotorId {
-    MotorId::new(id).unwrap()
-}
-
-/// Drives on either bus.
-trait Bus: Sized {
-    type Master: Runner<4, Error: Debug>;
-
-    fn with(fleet: &Fleet) -> Result<Self, FleetError>;
-    fn drives(&self) -> &[DriveHandle];
-    fn master_with(&self, change: impl FnOnce(Config) -> Config) -> Self::Master;
-
-    fn master(&self) -> Self::Master {
-        self.master_with(|config| config)
-    }
-
-    /// A master that does not know that drives take time to restart.
-    fn hasty_master(&self) -> Self::Master {
-        self.master_with(|config| Config { restart_time: Duration::ZERO, ..config })
-    }
-}
-
-impl Bus for CanFleet {
-    type Master = CanMaster<CanPort, SimClock<CanBus>, 4>;
-
-    fn with(fleet: &Fleet) -> Result<Self, FleetError> {
-        fleet.on_can(1_000_000)
-    }
-
-    fn drives(&self) -> &[DriveHandle] {
-        &self.drives
-    }
-
-    fn master_with(&self, change: impl FnOnce(Config) -> Config) -> Self::Master {
-        CanMaster::new(self.world.port(), self.world.clock(), change(Config::CAN))
-    }
-}
-
-impl Bus for LineFleet {
-    type Master = SerialMaster<SerialPort, SimClock<Rs485Line>, 4>;
-
-    fn with(fleet: &Fleet) -> Result<Self, FleetError> {
-        fleet.on_rs485(1_000_000)
-    }
-
-    fn drives(&self) -> &[DriveHandle] {
-        &self.drives
-    }
-
-    fn master_with(&self, change: impl FnOnce(Config) -> Config) -> Self::Master {
-        let port = self.world.port_with(TransceiverConfig::default());
-        let config = Config::rs485(self.bit_rate(), false);
-        SerialMaster::new(port, self.world.clock(), change(config))
-    }
-}
-
-/// Makes a test for each bus of each function.
-macro_rules! on_both_buses {
-    ($($name:ident)+) => {
-        mod on_can {
-            $(#[test] fn $name() { super::$name::<super::CanFleet>(); })+
-        }
-        mod on_rs485 {
-            $(#[test] fn $name() { super::$name::<super::LineFleet>(); })+
-        }
-    };
-}
 
 on_both_buses! {
     a_slow_boot_is_waited_out
@@ -118,42 +42,35 @@ fn quirky<B: Bus>(quirks: Quirks) -> B {
     B::with(&Fleet::new(1).quirks(quirks)).unwrap()
 }
 
-fn state(drive: &DriveHandle) -> State {
-    drive.with(|drive| drive.state())
-}
-
-fn angle_deg(drive: &DriveHandle) -> f64 {
-    drive.with(|drive| drive.plant().output_angle_deg())
-}
-
-/// What happened in the drive since this was last asked.
-fn happened(drive: &DriveHandle) -> Vec<Happened> {
-    drive.with(|drive| std::iter::from_fn(|| drive.poll_event()).collect())
-}
-
-fn turn(dps: f32) -> Speed {
-    Speed { speed: SpeedTarget::from_dps(dps).unwrap(), max_torque: MaxTorque::from_raw(0) }
-}
-
-fn push(amperes: f32) -> Torque {
-    Torque { current: Current::from_amperes(amperes).unwrap() }
-}
-
 fn rom_speed_kp(value: f32) -> WritePidRom {
-    WritePidRom { index: PidIndex::SpeedKp, value: Gain::new(value).unwrap() }
+    WritePidRom { index: PidIndex::SpeedKp, value: gain(value) }
 }
 
 fn is_unanswered<T, E>(result: &Result<T, CallError<E>>) -> bool {
     matches!(result, Err(CallError::Failed(Failure::NoReply)))
 }
 
-fn read_speed_kp<R: Runner<4, Error: Debug>>(master: &mut R) -> f32 {
+fn read_speed_kp<R: Runner<8, Error: Debug>>(master: &mut R) -> f32 {
     master.ask(MOTOR, ReadPid { index: PidIndex::SpeedKp }).unwrap().value.value()
 }
 
-fn restart<R: Runner<4, Error: Debug>>(master: &mut R, then: MotorId) {
+fn read_angle<R: Runner<8, Error: Debug>>(master: &mut R) -> f64 {
+    master.ask(MOTOR, ReadMultiTurnAngle).unwrap().angle.degrees().into()
+}
+
+fn read_errors<R: Runner<8, Error: Debug>>(master: &mut R) -> ErrorFlags {
+    master.ask(MOTOR, ReadStatus1).unwrap().errors
+}
+
+fn restart<R: Runner<8, Error: Debug>>(master: &mut R, then: MotorId) {
     master.call(MOTOR, Reset).unwrap();
     bring_up::wait_until_there(master, then, Duration::from_secs(5)).unwrap();
+}
+
+/// 0xB6 for 0x9C.
+fn report_status2(enable: Switch, interval_ms: f32) -> ActiveReply {
+    let interval = ReportInterval::from_millis(interval_ms).unwrap();
+    ActiveReply { command: ReportedCommand::Status2, enable, interval }
 }
 
 // ---- quirks ----
@@ -201,7 +118,7 @@ fn a_slow_brake_holds_the_shaft_for_a_while<B: Bus>() {
         // It says so at once: what it tells is the command, not the brake's state.
         assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().brake, BrakeCommand::Release);
         [45, 175].map(|after| {
-            sim_listen::listen_until(&mut master, told + millis(after));
+            listen_until(&mut master, told + millis(after));
             angle_deg(drive)
         })
     };
@@ -229,7 +146,7 @@ fn a_slow_brake_holds_the_shaft_for_a_while<B: Bus>() {
 fn after_a_lost_master_the_first_command_does_nothing<B: Bus>() {
     let bus: B = quirky(Quirks { lost_master_heartbeat: true, ..Quirks::default() });
     let (mut master, drive) = (bus.master(), &bus.drives()[0]);
-    drive.with(|drive| drive.plant_mut().set_output_angle_deg(30.0).unwrap());
+    turn_to(drive, 30.0);
     let timeout = Milliseconds::from_raw(100);
     master.ask(MOTOR, CommunicationLossProtection { timeout }).unwrap();
 
@@ -239,8 +156,7 @@ fn after_a_lost_master_the_first_command_does_nothing<B: Bus>() {
 
     // What does no harm is sent again by the master: the caller sees nothing of it.
     happened(drive);
-    let reading = master.ask(MOTOR, ReadMultiTurnAngle).unwrap();
-    assert!((reading.angle.degrees() - 30.0).abs() < 0.1);
+    assert!((read_angle(&mut master) - 30.0).abs() < 0.1);
     let not_run = |opcode| Happened::NotRun { opcode, reason: NotRunReason::CommunicationLost };
     assert_eq!(
         happened(drive),
@@ -250,8 +166,7 @@ fn after_a_lost_master_the_first_command_does_nothing<B: Bus>() {
     // What moves the motor is the caller's to repeat.
     listen(&mut master, millis(300));
     happened(drive);
-    let pushed = master.ask(MOTOR, push(2.0));
-    assert!(matches!(pushed, Err(CallError::Failed(Failure::NotExecuted))), "{pushed:?}");
+    assert_eq!(master.ask(MOTOR, push(2.0)), Err(CallError::Failed(Failure::NotExecuted)));
     assert_eq!(happened(drive), [not_run(Opcode::Torque)]);
     assert!(!state(drive).output_on);
     master.ask(MOTOR, push(2.0)).unwrap();
@@ -280,9 +195,8 @@ fn a_silent_id_change_acts_all_the_same<B: Bus>() {
     for silent_id_change in [false, true] {
         let bus: B = quirky(Quirks { silent_id_change, ..Quirks::default() });
         let mut master = bus.hasty_master();
-        let set = master.call(MOTOR, FunctionControl::SetCanId(id(5)));
         // The master does not wait for an echo that may not come.
-        assert!(matches!(set, Ok(None)), "{set:?}");
+        assert_eq!(master.call(MOTOR, FunctionControl::SetCanId(id(5))), Ok(None));
         // Function 5 takes effect after a restart (2.35.4).
         master.ask(MOTOR, ReadModel).unwrap();
         restart(&mut master, id(5));
@@ -325,12 +239,12 @@ fn turns_may_be_lost<B: Bus>() {
         master.ask(MOTOR, FunctionControl::SaveMultiTurn(save)).unwrap();
         restart(&mut master, MOTOR);
         // Turned by hand, by two turns and 30 degrees.
-        bus.drives()[0].with(|drive| drive.plant_mut().set_output_angle_deg(750.0).unwrap());
+        turn_to(&bus.drives()[0], 750.0);
         listen(&mut master, millis(20));
-        let mut read = || master.ask(MOTOR, ReadMultiTurnAngle).unwrap().angle.degrees();
-        assert!((read() - 750.0).abs() < 0.1, "{}", read());
+        let found = read_angle(&mut master);
+        assert!((found - 750.0).abs() < 0.1, "{found}");
         restart(&mut master, MOTOR);
-        let found = master.ask(MOTOR, ReadMultiTurnAngle).unwrap().angle.degrees();
+        let found = read_angle(&mut master);
         assert!((found - expected).abs() < 0.1, "{save:?}, {turns_lost}: {found}");
     }
 }
@@ -340,12 +254,7 @@ fn turns_may_be_lost<B: Bus>() {
 fn what_is_reported_actively_is_not_answered() {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
     let (mut master, mut stranger) = (Bus::master(&fleet), Bus::master(&fleet));
-    let reports = |enable, millis| ActiveReply {
-        command: ReportedCommand::Status2,
-        enable,
-        interval: ReportInterval::from_millis(millis).unwrap(),
-    };
-    assert_eq!(master.call(MOTOR, reports(Switch::On, 20.0)).unwrap(), None);
+    assert_eq!(master.call(MOTOR, report_status2(Switch::On, 20.0)).unwrap(), None);
     let told = listen(&mut master, millis(210));
     assert_eq!(told.len(), 10);
     let is_status2 = |event: &Event| {
@@ -354,19 +263,16 @@ fn what_is_reported_actively_is_not_answered() {
     assert!(told.iter().all(is_status2), "{told:?}");
 
     // A master that has switched it on knows. Everything else is answered.
-    let refused = master.call(MOTOR, ReadStatus2);
-    assert!(
-        matches!(refused, Err(CallError::Request(RequestError::Reported(Opcode::ReadStatus2)))),
-        "{refused:?}"
-    );
+    let refused = RequestError::Reported(Opcode::ReadStatus2);
+    assert_eq!(master.call(MOTOR, ReadStatus2), Err(CallError::Request(refused)));
     master.ask(MOTOR, ReadStatus1).unwrap();
 
     // One that does not know gets no answer (between two reports).
-    master.call(MOTOR, reports(Switch::On, 1_000.0)).unwrap();
+    master.call(MOTOR, report_status2(Switch::On, 1_000.0)).unwrap();
     listen(&mut stranger, millis(100));
     assert!(is_unanswered(&stranger.call(MOTOR, ReadStatus2)));
 
-    master.call(MOTOR, reports(Switch::Off, 1_000.0)).unwrap();
+    master.call(MOTOR, report_status2(Switch::Off, 1_000.0)).unwrap();
     listen(&mut master, millis(100));
     master.ask(MOTOR, ReadStatus2).unwrap();
     assert_eq!(listen(&mut master, millis(2_000)), []);
@@ -377,16 +283,9 @@ fn what_is_reported_actively_is_not_answered() {
 #[test]
 fn there_are_no_active_replies_on_rs485() {
     let fleet = Fleet::new(1).on_rs485(1_000_000).unwrap();
-    let report = ActiveReply {
-        command: ReportedCommand::Status2,
-        enable: Switch::On,
-        interval: ReportInterval::from_millis(20.0).unwrap(),
-    };
-    let refused = Bus::master(&fleet).call(MOTOR, report);
-    assert!(
-        matches!(refused, Err(CallError::Request(RequestError::CanOnly(Opcode::ActiveReply)))),
-        "{refused:?}"
-    );
+    let refused = Bus::master(&fleet).call(MOTOR, report_status2(Switch::On, 20.0));
+    let expected = RequestError::CanOnly(Opcode::ActiveReply);
+    assert_eq!(refused, Err(CallError::Request(expected)));
 }
 
 // ---- memory ----
@@ -401,8 +300,8 @@ fn memory_in_files_outlives_the_fleet<B: Bus>() {
         let mut master = bus.master();
         let at_factory = read_speed_kp(&mut master);
         master.ask(MOTOR, rom_speed_kp(first)).unwrap();
-        let value = Gain::new(second).unwrap();
-        master.ask(MOTOR, WritePidRam { index: PidIndex::SpeedKp, value }).unwrap();
+        let to_ram = WritePidRam { index: PidIndex::SpeedKp, value: gain(second) };
+        master.ask(MOTOR, to_ram).unwrap();
         assert_eq!(read_speed_kp(&mut master), second);
         at_factory
     };
@@ -427,7 +326,7 @@ fn memory_in_files_outlives_the_fleet<B: Bus>() {
 #[test]
 fn a_broadcast_reaches_those_whose_id_filter_is_off() {
     let fleet = Fleet::new(3).on_can(1_000_000).unwrap();
-    let mut master = fleet.master_with(|config| Config { restart_time: Duration::ZERO, ..config });
+    let mut master = fleet.hasty_master();
     let all: MotorSet = [1, 2, 3].map(id).into_iter().collect();
     let ask_all = |master: &mut <CanFleet as Bus>::Master| {
         let now = master.now();
@@ -505,7 +404,7 @@ fn a_fault_stops_the_motor_and_every_control_command<B: Bus>() {
     let (mut master, drive) = (bus.hasty_master(), &bus.drives()[0]);
     master.ask(MOTOR, turn(90.0)).unwrap();
     listen(&mut master, millis(200));
-    assert!(drive.with(|drive| drive.plant().output_speed_dps()) > 80.0);
+    assert!(speed_dps(drive) > 80.0);
 
     drive.with(|drive| drive.raise_fault(ErrorFlags::STALL));
     listen(&mut master, millis(100));
@@ -515,35 +414,27 @@ fn a_fault_stops_the_motor_and_every_control_command<B: Bus>() {
     let stopped_at = angle_deg(drive);
 
     // All are answered, and nothing moves.
-    let angle = Angle::from_degrees(720.0).unwrap();
-    let max_speed = MaxSpeed::from_dps(500.0).unwrap();
     happened(drive);
     master.ask(MOTOR, push(3.0)).unwrap();
     master.ask(MOTOR, turn(90.0)).unwrap();
-    master.ask(MOTOR, AbsolutePosition { max_speed, angle }).unwrap();
+    master.ask(MOTOR, go_to(720.0, 500)).unwrap();
     master.ask(MOTOR, ReleaseBrake).unwrap();
     master.ask(MOTOR, push(3.0)).unwrap();
     master.ask(MOTOR, Stop).unwrap();
     listen(&mut master, millis(300));
-    let not_run: Vec<Opcode> = happened(drive)
-        .into_iter()
-        .map(|event| match event {
-            Happened::NotRun { opcode, reason: NotRunReason::Fault(ErrorFlags::STALL) } => opcode,
-            other => panic!("{other:?}"),
-        })
-        .collect();
-    let commands =
+    let not_run =
         [Opcode::Torque, Opcode::Speed, Opcode::AbsolutePosition, Opcode::Torque, Opcode::Stop];
-    assert_eq!(not_run, commands);
+    let reason = NotRunReason::Fault(ErrorFlags::STALL);
+    assert_eq!(happened(drive), not_run.map(|opcode| Happened::NotRun { opcode, reason }));
     assert!((angle_deg(drive) - stopped_at).abs() < 0.01);
     assert!(!state(drive).output_on);
     master.ask(MOTOR, ReadRunningMode).unwrap();
 
     // Level one does not go by itself, nor when its cause does (8.1).
     drive.with(|drive| drive.clear_fault(ErrorFlags::STALL));
-    assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().errors, ErrorFlags::STALL);
+    assert_eq!(read_errors(&mut master), ErrorFlags::STALL);
     restart(&mut master, MOTOR);
-    assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().errors, ErrorFlags::empty());
+    assert_eq!(read_errors(&mut master), ErrorFlags::empty());
     master.ask(MOTOR, turn(90.0)).unwrap();
     listen(&mut master, millis(200));
     assert!(angle_deg(drive) > stopped_at + 5.0);
@@ -552,29 +443,25 @@ fn a_fault_stops_the_motor_and_every_control_command<B: Bus>() {
 /// Makes a quantity what it must not be, or what it was.
 type Force = fn(&mut SimulatedMotor, bool);
 
+fn warm(too_warm: bool) -> Option<f64> {
+    Some(if too_warm { 120.0 } else { 40.0 })
+}
+
 /// 8.1: level two, "the motor recovers to normal operation by itself once the conditions are met".
 fn physical_errors_of_level_two_recover<B: Bus>() {
     // The bits of 2.14.3. The model runs from 24 to 55 V.
     let causes: [(u16, Force); 4] = [
-        (0x0004, |motor, is_bad| {
-            motor.force_supply_voltage_v(is_bad.then_some(15.0)).unwrap();
-        }),
-        (0x0008, |motor, is_bad| {
-            motor.force_supply_voltage_v(is_bad.then_some(60.0)).unwrap();
-        }),
-        (0x1000, |motor, is_bad| {
-            motor.force_motor_temperature_c(Some(if is_bad { 120.0 } else { 40.0 })).unwrap();
-        }),
-        (0x0800, |motor, is_bad| {
-            motor.force_mos_temperature_c(Some(if is_bad { 120.0 } else { 40.0 })).unwrap();
-        }),
+        (0x0004, |motor, bad| motor.force_supply_voltage_v(bad.then_some(15.0)).unwrap()),
+        (0x0008, |motor, bad| motor.force_supply_voltage_v(bad.then_some(60.0)).unwrap()),
+        (0x1000, |motor, bad| motor.force_motor_temperature_c(warm(bad)).unwrap()),
+        (0x0800, |motor, bad| motor.force_mos_temperature_c(warm(bad)).unwrap()),
     ];
     for (bit, force) in causes {
         let bus: B = quirky(Quirks::default());
         let (mut master, drive) = (bus.master(), &bus.drives()[0]);
         master.ask(MOTOR, turn(90.0)).unwrap();
         listen(&mut master, millis(100));
-        assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().errors, ErrorFlags::empty());
+        assert_eq!(read_errors(&mut master), ErrorFlags::empty());
 
         drive.with(|drive| force(drive.plant_mut(), true));
         listen(&mut master, millis(100));
@@ -592,14 +479,14 @@ fn physical_errors_of_level_two_recover<B: Bus>() {
 
         drive.with(|drive| force(drive.plant_mut(), false));
         listen(&mut master, millis(100));
-        let now = master.ask(MOTOR, ReadStatus1).unwrap().errors;
+        let now = read_errors(&mut master);
         assert_eq!(now, ErrorFlags::empty(), "after {}", status.errors);
         // A motor that goes on by itself may hurt someone.
         listen(&mut master, millis(1_000));
-        assert!(drive.with(|drive| drive.plant().output_speed_dps()).abs() < 1.0);
+        assert!(speed_dps(drive).abs() < 1.0);
         master.ask(MOTOR, turn(90.0)).unwrap();
         listen(&mut master, millis(200));
-        assert!(drive.with(|drive| drive.plant().output_speed_dps()) > 80.0);
+        assert!(speed_dps(drive) > 80.0);
     }
 }
 
@@ -610,11 +497,11 @@ fn physical_errors_of_level_one_need_a_restart<B: Bus>() {
     let (mut master, drive) = (bus.hasty_master(), &bus.drives()[0]);
     drive.with(|drive| drive.plant_mut().set_encoder_fault(true));
     listen(&mut master, millis(100));
-    let broken = master.ask(MOTOR, ReadStatus1).unwrap().errors;
+    let broken = read_errors(&mut master);
     assert_eq!(broken, ErrorFlags::ENCODER_DATA);
     drive.with(|drive| drive.plant_mut().set_encoder_fault(false));
     listen(&mut master, millis(1_000));
-    assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().errors, broken);
+    assert_eq!(read_errors(&mut master), broken);
     restart(&mut master, MOTOR);
-    assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().errors, ErrorFlags::empty());
+    assert_eq!(read_errors(&mut master), ErrorFlags::empty());
 }

@@ -1,9 +1,15 @@
 //! Helpers shared by the tests of the workspace.
 
+pub mod bench;
+pub mod fleet;
 pub mod line;
+pub mod listen;
+pub mod rig;
+pub mod script;
+pub mod values;
 pub mod vectors;
 
 /// The code in `README.md` is compiled and run as documentation tests.
 #[cfg(doctest)]
-#[doc = include_str!("../README.md")]
+#[doc = include_str!("../../README.md")]
 pub struct Readme;

@@ -1,36 +1,17 @@
 //! The simulated RS485 line under the virtual clock. Times are counted by hand; a byte lasts ten
 //! bits.
 
-#[path = "bus_script.rs"]
-mod bus_script;
-
-use bus_script::Hand;
 use embedded_io::{Read as _, ReadReady as _, Write as _, WriteReady as _};
 use myactuator_host_std::sim::bus::rs485::{
     LineConfig, SerialError, SerialPort, SerialWorld, TransceiverConfig,
 };
 use myactuator_host_std::sim::bus::trace::Event;
 use myactuator_protocol_core::io::Clock;
-use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::time::Duration;
+use myactuator_tests::script::{Hand, READ_PID, Stage as _, broken, line, micros};
 
-/// The manual's example of reading a PID gain.
-const READ_PID: [u8; 13] = [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
-
-/// 1 Mbit/s, so that a byte lasts 10 us.
-fn world() -> SerialWorld {
-    seeded(1)
-}
-
-fn seeded(seed: u64) -> SerialWorld {
-    SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, seed)
-}
-
-fn micros(at: u64) -> Instant {
-    Instant::from_micros(at)
-}
-
-fn bytes(hand: &Hand<Vec<u8>>) -> Vec<u8> {
-    hand.heard().into_iter().flat_map(|(_, bytes)| bytes).collect()
+fn times(heard: &[(u64, Vec<u8>)]) -> Vec<u64> {
+    heard.iter().map(|(at, _)| *at).collect()
 }
 
 fn received(port: &mut SerialPort) -> Vec<u8> {
@@ -45,10 +26,8 @@ fn received(port: &mut SerialPort) -> Vec<u8> {
 
 #[test]
 fn a_byte_arrives_with_its_stop_bit() {
-    let world = world();
-    let listener = Hand::listening();
-    world.attach(listener.node());
-    world.attach(Hand::sending([(7, vec![0xA5, 0x5A])]).node());
+    let (world, _, listener) = line(1);
+    world.sender([(7, vec![0xA5, 0x5A])]);
     world.run_until(micros(100));
     assert_eq!(listener.heard(), [(17, vec![0xA5]), (27, vec![0x5A])]);
 }
@@ -60,12 +39,11 @@ fn a_frame_at_each_bit_rate_of_the_manual() {
         [(115_200, 1129), (500_000, 260), (1_000_000, 130), (1_500_000, 87), (2_500_000, 52)]
     {
         let world = SerialWorld::new(LineConfig { bit_rate }, 1);
-        let listener = Hand::listening();
-        world.attach(listener.node());
+        let listener = world.listener();
         let mut port = world.port();
         port.write_all(&READ_PID).unwrap();
         world.run_until(micros(2_000));
-        assert_eq!(bytes(&listener), READ_PID);
+        assert_eq!(listener.frames().concat(), READ_PID);
         assert_eq!(listener.heard()[12].0, last_us, "{bit_rate}");
     }
 }
@@ -73,8 +51,7 @@ fn a_frame_at_each_bit_rate_of_the_manual() {
 #[test]
 fn the_roundings_of_many_bytes_do_not_add_up() {
     let world = SerialWorld::new(LineConfig::default(), 1);
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    world.silent();
     let mut port = world.port();
     // 1152 bytes of ten bits at 115200 bit/s are 100 ms.
     port.write_all(&[0x55; 1152]).unwrap();
@@ -84,9 +61,8 @@ fn the_roundings_of_many_bytes_do_not_add_up() {
 
 #[test]
 fn nobody_hears_itself_without_echo() {
-    let world = world();
-    world.attach(Hand::listening().node());
-    let mut port = world.port();
+    let (world, mut port, _) = line(1);
+    world.silent();
     port.write_all(&READ_PID).unwrap();
     world.run_until(micros(1_000));
     assert_eq!(port.read_ready(), Ok(false));
@@ -94,8 +70,8 @@ fn nobody_hears_itself_without_echo() {
 
 #[test]
 fn an_echo_is_what_was_sent() {
-    let world = world();
-    world.attach(Hand::mirroring().node());
+    let (world, ..) = line(1);
+    world.mirror();
     let mut port = world.port_with(TransceiverConfig { echo: true, ..Default::default() });
     port.write_all(&[1]).unwrap();
     world.run_until(micros(15));
@@ -108,7 +84,7 @@ fn an_echo_is_what_was_sent() {
 #[test]
 fn a_noisy_adapter_adds_a_byte_at_each_switch() {
     let noisy = TransceiverConfig { echo: true, switch_noise: 1.0, ..Default::default() };
-    let world = world();
+    let (world, ..) = line(1);
     let mut port = world.port_with(noisy);
     port.write_all(&READ_PID).unwrap();
     world.run_until(micros(1_000));
@@ -124,9 +100,7 @@ fn switching_direction_takes_its_time() {
         switch_to_receive: Duration::from_micros(50),
         ..Default::default()
     };
-    let world = world();
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let (world, _, listener) = line(1);
     let mut port = world.port_with(slow);
     port.write_all(&[1, 2]).unwrap();
     port.flush().unwrap();
@@ -141,10 +115,8 @@ fn a_line_that_is_still_held_garbles_the_answer() {
         ..Default::default()
     };
     for (held_us, arrives) in [(0, true), (19, false)] {
-        let world = world();
-        world.attach(Hand::sending([(20, vec![0x42])]).node());
-        let listener = Hand::listening();
-        world.attach(listener.node());
+        let (world, _, listener) = line(1);
+        world.sender([(20, vec![0x42])]);
         let mut port = world.port_with(hold(held_us));
         // On the line up to 10, held up to 29; the other begins at 20 and ends at 30.
         port.write_all(&[0x11]).unwrap();
@@ -152,15 +124,14 @@ fn a_line_that_is_still_held_garbles_the_answer() {
         world.run_until(micros(100));
         assert_eq!(received(&mut port) == [0x42], arrives);
         assert_eq!(listener.heard().len(), 2);
-        let broken = log.take().iter().any(|record| matches!(record.event, Event::Broken { .. }));
-        assert_eq!(broken, !arrives);
+        assert_eq!(broken(&log.take()).next().is_some(), !arrives);
     }
 }
 
 #[test]
 fn a_station_that_switches_is_deaf() {
-    let world = world();
-    world.attach(Hand::sending([(0, vec![1, 2, 3])]).node());
+    let (world, ..) = line(1);
+    world.sender([(0, vec![1, 2, 3])]);
     let slow =
         TransceiverConfig { switch_to_send: Duration::from_micros(100), ..Default::default() };
     let deaf = Hand::sending([(15, vec![0xEE])]);
@@ -171,10 +142,7 @@ fn a_station_that_switches_is_deaf() {
 
 #[test]
 fn what_is_written_meanwhile_follows_without_a_gap() {
-    let world = world();
-    let listener = Hand::listening();
-    world.attach(listener.node());
-    let mut port = world.port();
+    let (world, mut port, listener) = line(1);
     port.write_all(&[1]).unwrap();
     world.run_until(micros(5));
     port.write_all(&[2]).unwrap();
@@ -184,11 +152,8 @@ fn what_is_written_meanwhile_follows_without_a_gap() {
 
 #[test]
 fn overlapping_bytes_are_broken_for_both_senders() {
-    let world = world();
-    let stations = [(0, 0x11), (5, 0x22)]
-        .map(|(at, byte)| world.attach(Hand::sending([(at, vec![byte])]).node()));
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let (world, _, listener) = line(1);
+    let stations = [(0, 0x11), (5, 0x22)].map(|(at, byte)| world.sender([(at, vec![byte])]));
     let log = world.log();
     world.run_until(micros(1_000));
     let records = log.take();
@@ -197,20 +162,16 @@ fn overlapping_bytes_are_broken_for_both_senders() {
         assert!(records.iter().any(|r| r.station == station && r.event == broken), "{records:?}");
     }
     // From the first start bit, and again from the middle of the second one's byte.
-    let times: Vec<u64> = listener.heard().iter().map(|(at, _)| *at).collect();
-    assert_eq!(times, [10, 20]);
+    assert_eq!(times(&listener.heard()), [10, 20]);
 }
 
 fn collide(seed: u64, second_at: u64) -> Vec<(u64, Vec<u8>)> {
-    let world = seeded(seed);
-    world.attach(Hand::sending([(0, vec![0x11; 4])]).node());
-    world.attach(Hand::sending([(second_at, vec![0x22; 4])]).node());
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let (world, _, listener) = line(seed);
+    world.sender([(0, vec![0x11; 4])]);
+    world.sender([(second_at, vec![0x22; 4])]);
     let log = world.log();
     world.run_until(micros(1_000));
-    let broken = log.take().iter().filter(|r| matches!(r.event, Event::Broken { .. })).count();
-    assert_eq!(broken, if second_at < 40 { 2 } else { 0 });
+    assert_eq!(broken(&log.take()).count(), if second_at < 40 { 2 } else { 0 });
     listener.heard()
 }
 
@@ -218,7 +179,7 @@ fn collide(seed: u64, second_at: u64) -> Vec<(u64, Vec<u8>)> {
 fn a_collision_garbles_both() {
     // Both from 0 to 40: four bytes are heard.
     let heard = collide(1, 0);
-    assert_eq!(heard.iter().map(|(at, _)| *at).collect::<Vec<_>>(), [10, 20, 30, 40]);
+    assert_eq!(times(&heard), [10, 20, 30, 40]);
     assert_ne!(heard, collide(2, 0), "another seed garbles otherwise");
     assert_eq!(heard, collide(1, 0), "the same seed garbles alike");
 }
@@ -228,8 +189,7 @@ fn only_what_overlaps_is_garbled() {
     // The second begins at 25, in the first one's third byte, and ends at 65. The receivers stay in
     // step with the first one until 40 and fall into the middle of the second one's bytes then.
     let heard = collide(1, 25);
-    let times: Vec<u64> = heard.iter().map(|(at, _)| *at).collect();
-    assert_eq!(times, [10, 20, 30, 40, 50, 60, 70]);
+    assert_eq!(times(&heard), [10, 20, 30, 40, 50, 60, 70]);
     assert_eq!(heard[..2], [(10, vec![0x11]), (20, vec![0x11])]);
     // One behind the other is no collision.
     let heard = collide(1, 40);
@@ -239,9 +199,8 @@ fn only_what_overlaps_is_garbled() {
 
 #[test]
 fn reading_waits_for_a_byte_and_no_longer() {
-    let world = world();
-    world.attach(Hand::sending([(100, vec![1, 2, 3])]).node());
-    let mut port = world.port();
+    let (world, mut port, _) = line(1);
+    world.sender([(100, vec![1, 2, 3])]);
     let mut buf = [0; 8];
     assert_eq!(port.read(&mut buf), Ok(1));
     assert_eq!((buf[0], world.now()), (1, micros(110)));
@@ -258,8 +217,7 @@ fn reading_waits_for_a_byte_and_no_longer() {
 
 #[test]
 fn nothing_to_read_or_write_takes_no_time() {
-    let world = world();
-    let mut port = world.port();
+    let (world, mut port, _) = line(1);
     assert_eq!(port.read(&mut []), Ok(0));
     assert_eq!(port.write(&[]), Ok(0));
     assert_eq!(port.flush(), Ok(()));
@@ -273,11 +231,9 @@ fn nothing_to_read_or_write_takes_no_time() {
 
 #[test]
 fn a_full_transmit_buffer_takes_what_fits_and_waits_for_room() {
-    let world = world();
+    let (world, _, listener) = line(1);
     let small = TransceiverConfig { transmit_buffer: 4, ..Default::default() };
     let mut port = world.port_with(small);
-    let listener = Hand::listening();
-    world.attach(listener.node());
     assert_eq!(port.write(&[1, 2, 3, 4, 5, 6]), Ok(4));
     assert_eq!(port.write_ready(), Ok(false));
     assert_eq!(world.now(), micros(0));
@@ -287,15 +243,15 @@ fn a_full_transmit_buffer_takes_what_fits_and_waits_for_room() {
     assert_eq!(port.write(&[6]), Ok(1));
     port.flush().unwrap();
     assert_eq!(port.write_ready(), Ok(true));
-    assert_eq!(bytes(&listener), [1, 2, 3, 4, 5, 6]);
+    assert_eq!(listener.frames().concat(), [1, 2, 3, 4, 5, 6]);
     assert_eq!(world.now(), micros(60));
 }
 
 #[test]
 fn a_receive_buffer_overflows_and_counts() {
-    let world = world();
+    let (world, ..) = line(1);
     let mut port = world.port_with(TransceiverConfig { receive_buffer: 2, ..Default::default() });
-    world.attach(Hand::sending([(0, vec![1, 2, 3, 4, 5])]).node());
+    world.sender([(0, vec![1, 2, 3, 4, 5])]);
     world.run_until(micros(100));
     assert_eq!(port.overflows(), 3);
     assert_eq!(received(&mut port), [1, 2]);
@@ -303,9 +259,8 @@ fn a_receive_buffer_overflows_and_counts() {
 
 #[test]
 fn a_clock_idles_until_a_byte_arrives() {
-    let world = world();
-    world.attach(Hand::sending([(100, vec![1, 2])]).node());
-    let mut port = world.port();
+    let (world, mut port, _) = line(1);
+    world.sender([(100, vec![1, 2])]);
     let clock = world.clock();
     clock.idle(micros(1_000));
     assert_eq!(clock.now(), micros(110));
@@ -318,9 +273,8 @@ fn a_clock_idles_until_a_byte_arrives() {
 
 #[test]
 fn asynchronous_masters_let_time_go_on() {
-    let world = world();
-    world.attach(Hand::mirroring().node());
-    let mut port = world.port();
+    let (world, mut port, _) = line(1);
+    world.mirror();
     let clock = world.clock();
     let run = world.block_on(async {
         embedded_io_async::Write::write_all(&mut port, &[7]).await.unwrap();
@@ -338,8 +292,7 @@ fn asynchronous_masters_let_time_go_on() {
 
 #[test]
 fn waiting_for_what_cannot_come_ends() {
-    let world = world();
-    let mut port = world.port();
+    let (world, mut port, _) = line(1);
     let mut buf = [0; 1];
     assert_eq!(world.block_on(embedded_io_async::Read::read(&mut port, &mut buf)), None);
 }

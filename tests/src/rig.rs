@@ -3,9 +3,6 @@
 //!
 //! Every command carries a token in bytes 4 to 7, and a node puts the token of the command that it
 //! answers in bytes 4 to 7 of its reply. So a reply says by itself which request it was made for.
-//!
-//! Only part of it is used by each of the tests that include it.
-#![allow(dead_code, reason = "each test uses some of it")]
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -27,13 +24,10 @@ use myactuator_protocol_core::{
 };
 
 /// Marks a set-point of a stream in byte 1 of a speed command; requests of the same kind have another.
-pub(crate) const STREAM_MARK: u8 = 0;
+pub const STREAM_MARK: u8 = 0;
 
-pub(crate) fn id(number: u8) -> MotorId {
-    MotorId::new(number).expect("1 to 32")
-}
-
-pub(crate) fn token_of(data: &Data) -> u32 {
+/// The token in bytes 4 to 7.
+pub fn token_of(data: &Data) -> u32 {
     u32::from_le_bytes([data[4], data[5], data[6], data[7]])
 }
 
@@ -48,9 +42,11 @@ macro_rules! tokened {
     ($($(#[$doc:meta])* $name:ident: $opcode:ident => $reply:ty, $byte:literal;)+) => {$(
         $(#[$doc])*
         #[derive(Clone, Copy, Debug)]
-        pub(crate) struct $name {
-            pub(crate) index: u8,
-            pub(crate) token: u32,
+        pub struct $name {
+            /// Byte 1.
+            pub index: u8,
+            /// Bytes 4 to 7.
+            pub token: u32,
         }
 
         impl Command for $name {
@@ -89,15 +85,16 @@ tokened! {
 
 /// A seeded stream of chance.
 #[derive(Clone, Debug)]
-pub(crate) struct Dice(u64);
+pub struct Dice(u64);
 
 impl Dice {
-    pub(crate) const fn new(seed: u64) -> Self {
+    /// The chance of a seed.
+    pub const fn new(seed: u64) -> Self {
         Self(seed)
     }
 
     /// SplitMix64.
-    pub(crate) fn draw(&mut self) -> u64 {
+    pub fn draw(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -105,55 +102,62 @@ impl Dice {
         z ^ (z >> 31)
     }
 
-    pub(crate) fn below(&mut self, bound: u64) -> u64 {
+    /// A number below `bound`.
+    pub fn below(&mut self, bound: u64) -> u64 {
         self.draw() % bound
     }
 }
 
 /// What is known of one motor.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Page {
+pub struct Page {
     /// Commands with a reply to this motor that were on the wire whole.
-    pub(crate) asked: u64,
+    pub asked: u64,
     /// Commands to all with a reply that were on the wire whole.
-    pub(crate) asked_all: u64,
+    pub asked_all: u64,
     /// Its replies that were on the wire whole.
-    pub(crate) replied: u64,
+    pub replied: u64,
     /// Its replies that the injector kept from the master.
-    pub(crate) replies_lost: u64,
+    pub replies_lost: u64,
     /// Commands with a reply that reached the drive.
-    pub(crate) heard: u64,
+    pub heard: u64,
     /// How often each incremental move was on the wire, and how often the drive heard it.
-    pub(crate) moves: HashMap<u32, (u32, u32)>,
-    /// The newest set-point on the wire, and the newest at the drive.
-    pub(crate) newest_sent: Option<u32>,
-    pub(crate) newest_heard: Option<u32>,
-    /// Set-points that came after a newer one, on the wire and at the drive.
-    pub(crate) stale_sent: u64,
-    pub(crate) stale_heard: u64,
-    pub(crate) set_points_sent: u64,
+    pub moves: HashMap<u32, (u32, u32)>,
+    /// The newest set-point on the wire.
+    pub newest_sent: Option<u32>,
+    /// The newest set-point at the drive.
+    pub newest_heard: Option<u32>,
+    /// Set-points that came onto the wire after a newer one.
+    pub stale_sent: u64,
+    /// Set-points that came to the drive after a newer one.
+    pub stale_heard: u64,
+    /// All set-points on the wire.
+    pub set_points_sent: u64,
     /// When motion (set-points and moves) was on the wire last.
-    pub(crate) last_motion_sent: Option<Instant>,
+    pub last_motion_sent: Option<Instant>,
     /// When the drive was told to stop last.
-    pub(crate) last_stop_heard: Option<Instant>,
+    pub last_stop_heard: Option<Instant>,
     /// When a stop to it was on the wire first after the ledger was asked to watch for one.
-    pub(crate) first_stop_sent: Option<Instant>,
+    pub first_stop_sent: Option<Instant>,
 }
 
 /// What really happened.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Ledger(Arc<Mutex<Vec<Page>>>);
+pub struct Ledger(Arc<Mutex<Vec<Page>>>);
 
 impl Ledger {
-    pub(crate) fn new() -> Self {
+    /// An empty ledger.
+    pub fn new() -> Self {
         Self(Arc::new(Mutex::new(vec![Page::default(); MotorId::COUNT])))
     }
 
-    pub(crate) fn pages(&self) -> MutexGuard<'_, Vec<Page>> {
+    /// All pages, by [`MotorId::index`].
+    pub fn pages(&self) -> MutexGuard<'_, Vec<Page>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn page(&self, motor: MotorId) -> Page {
+    /// A copy of one motor's page.
+    pub fn page(&self, motor: MotorId) -> Page {
         self.pages()[motor.index()].clone()
     }
 
@@ -236,7 +240,8 @@ fn is_stale(newest: &mut Option<u32>, (number, step): (u32, u32)) -> bool {
 }
 
 /// A drive that answers every command after 0.7 to 0.9 ms, in order, with the command's own token.
-pub(crate) struct Teller {
+#[derive(Debug)]
+pub struct Teller {
     motor: MotorId,
     receiver: Receiver,
     replies: VecDeque<(Instant, Packet)>,
@@ -245,7 +250,8 @@ pub(crate) struct Teller {
 }
 
 impl Teller {
-    pub(crate) fn new(motor: MotorId, seed: u64, ledger: &Ledger) -> Self {
+    /// A drive that answers to this id and writes what it hears into the ledger.
+    pub fn new(motor: MotorId, seed: u64, ledger: &Ledger) -> Self {
         Self {
             motor,
             receiver: Receiver::new(),
@@ -328,16 +334,19 @@ impl Node<Vec<u8>> for Teller {
 }
 
 /// One of the two buses, so that each test is written once.
-pub(crate) trait Wire: Medium<Frame: Sync> + Sized + 'static {
+pub trait Wire: Medium<Frame: Sync> + Sized + 'static {
     /// The loop that runs a master on it.
     type Runner: Runner<32>;
     /// Its name in messages.
     const NAME: &'static str;
 
+    /// A bus without stations, with this seed for its chance.
     fn world(seed: u64) -> World<Self>;
+    /// A master on the bus, and its place.
     fn runner(world: &World<Self>, config: Config) -> (Self::Runner, StationId);
     /// The library's own configuration for it.
     const CONFIG: Config;
+    /// Puts a drive on the bus.
     fn seat(world: &World<Self>, teller: Teller) -> StationId;
     /// A command as it is on the wire.
     fn frame(command: &Packet) -> Self::Frame;
@@ -413,22 +422,28 @@ impl Wire for Rs485Line {
 }
 
 /// A bus with truth-telling drives, a master and the ledger.
-pub(crate) struct Rig<W: Wire> {
-    pub(crate) world: World<W>,
-    pub(crate) runner: W::Runner,
+#[derive(Debug)]
+pub struct Rig<W: Wire> {
+    /// The bus.
+    pub world: World<W>,
+    /// The master.
+    pub runner: W::Runner,
     /// The master's place on the bus.
-    pub(crate) port: StationId,
+    pub port: StationId,
     /// The drives' places, in the order of their ids.
-    pub(crate) nodes: Vec<StationId>,
-    pub(crate) ledger: Ledger,
+    pub nodes: Vec<StationId>,
+    /// What really happened.
+    pub ledger: Ledger,
 }
 
 impl<W: Wire> Rig<W> {
-    pub(crate) fn new(motors: u8, seed: u64) -> Self {
+    /// Motors 1 to `motors` and a master as the library configures it.
+    pub fn new(motors: u8, seed: u64) -> Self {
         Self::with_config(motors, seed, W::CONFIG)
     }
 
-    pub(crate) fn with_config(motors: u8, seed: u64, config: Config) -> Self {
+    /// As [`Self::new`], with a master of this configuration.
+    pub fn with_config(motors: u8, seed: u64, config: Config) -> Self {
         let world = W::world(seed);
         let ledger = Ledger::new();
         let (runner, port) = W::runner(&world, config);
@@ -460,7 +475,8 @@ impl<W: Wire> Rig<W> {
         Self { world, runner, port, nodes, ledger }
     }
 
-    pub(crate) fn motors(&self) -> impl Iterator<Item = MotorId> + use<W> {
+    /// The ids of the drives.
+    pub fn motors(&self) -> impl Iterator<Item = MotorId> + use<W> {
         MotorId::all().take(self.nodes.len())
     }
 }

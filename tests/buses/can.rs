@@ -1,10 +1,6 @@
 //! The simulated CAN bus under the virtual clock. Times are counted by hand in bits, which at
 //! 1 Mbit/s are microseconds.
 
-#[path = "bus_script.rs"]
-mod bus_script;
-
-use bus_script::Hand;
 use embedded_can::{ExtendedId, Frame, Id, StandardId, blocking, nb::Can as _};
 use myactuator_host_std::sim::bus::Node;
 use myactuator_host_std::sim::bus::can::{
@@ -15,6 +11,7 @@ use myactuator_host_std::sim::bus::trace::{Event, Record};
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::SimpleFrame;
+use myactuator_tests::script::{Hand, Stage as _, broken, micros};
 use proptest::prelude::*;
 
 /// A frame of 112 bits for identifier 0x141; others differ by their stuff bits.
@@ -35,16 +32,19 @@ fn world() -> CanWorld {
     CanWorld::new(CanConfig::default(), 1)
 }
 
-fn micros(at: u64) -> Instant {
-    Instant::from_micros(at)
+/// A bus with a master's port and somebody who listens.
+fn scene() -> (CanWorld, CanPort, Hand<SimpleFrame>) {
+    let world = world();
+    let listener = world.listener();
+    (world.clone(), world.port(), listener)
 }
 
-fn ids(heard: &[(u64, SimpleFrame)]) -> Vec<u16> {
-    let id = |frame: &SimpleFrame| match frame.id() {
+fn ids(listener: &Hand<SimpleFrame>) -> Vec<u16> {
+    let id = |frame: SimpleFrame| match frame.id() {
         Id::Standard(id) => id.as_raw(),
         Id::Extended(id) => panic!("{id:?}"),
     };
-    heard.iter().map(|(_, frame)| id(frame)).collect()
+    listener.frames().into_iter().map(id).collect()
 }
 
 fn send(port: &mut CanPort, frame: SimpleFrame) {
@@ -120,8 +120,7 @@ proptest! {
 fn a_frame_arrives_with_its_last_bit() {
     for (bit_rate, bit_us) in [(1_000_000, 1), (500_000, 2), (250_000, 4)] {
         let world = CanWorld::new(CanConfig { bit_rate }, 1);
-        let listener = Hand::listening();
-        world.attach(listener.node());
+        let listener = world.listener();
         let mut port = world.port();
         send(&mut port, frame(0x141));
         send(&mut port, smooth());
@@ -136,24 +135,22 @@ fn a_frame_arrives_with_its_last_bit() {
 fn the_lowest_identifier_goes_first() {
     let world = world();
     for id in [0x300, 0x141, 0x2FF] {
-        world.attach(Hand::sending([(10, frame(id))]).node());
+        world.sender([(10, frame(id))]);
     }
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let listener = world.listener();
     world.run_until(micros(1_000));
-    assert_eq!(ids(&listener.heard()), [0x141, 0x2FF, 0x300]);
+    assert_eq!(ids(&listener), [0x141, 0x2FF, 0x300]);
 }
 
 #[test]
 fn a_frame_on_the_wire_is_not_interrupted() {
     let world = world();
-    world.attach(Hand::sending([(0, frame(0x7FF)), (0, frame(0x7FE))]).node());
-    world.attach(Hand::sending([(50, frame(0x001))]).node());
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    world.sender([(0, frame(0x7FF)), (0, frame(0x7FE))]);
+    world.sender([(50, frame(0x001))]);
+    let listener = world.listener();
     world.run_until(micros(1_000));
     // 0x7FE wins against 0x7FF in the mailboxes, since both were there before the first bit.
-    assert_eq!(ids(&listener.heard()), [0x7FE, 0x001, 0x7FF]);
+    assert_eq!(ids(&listener), [0x7FE, 0x001, 0x7FF]);
 }
 
 #[test]
@@ -162,20 +159,16 @@ fn a_standard_identifier_beats_the_extended_one_that_begins_alike() {
     let extended = SimpleFrame::new(ExtendedId::new(0x141 << 18).unwrap(), &[1]).unwrap();
     let remote = SimpleFrame::new_remote(StandardId::new(0x141).unwrap(), 1).unwrap();
     for sent in [extended, remote, frame(0x141)] {
-        world.attach(Hand::sending([(0, sent)]).node());
+        world.sender([(0, sent)]);
     }
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let listener = world.listener();
     world.run_until(micros(1_000));
-    let order: Vec<_> = listener.heard().into_iter().map(|(_, frame)| frame).collect();
-    assert_eq!(order, [frame(0x141), remote, extended]);
+    assert_eq!(listener.frames(), [frame(0x141), remote, extended]);
 }
 
 #[test]
 fn nobody_hears_itself() {
-    let world = world();
-    world.attach(Hand::listening().node());
-    let mut port = world.port();
+    let (world, mut port, _) = scene();
     send(&mut port, frame(0x141));
     world.run_until(micros(1_000));
     assert_eq!(port.receive(), Err(nb::Error::WouldBlock));
@@ -184,9 +177,7 @@ fn nobody_hears_itself() {
 
 #[test]
 fn a_full_queue_would_block_until_a_frame_has_left() {
-    let world = world();
-    world.attach(Hand::listening().node());
-    let mut port = world.port();
+    let (world, mut port, _) = scene();
     for _ in 0..10 {
         send(&mut port, frame(0x141));
     }
@@ -200,22 +191,18 @@ fn a_full_queue_would_block_until_a_frame_has_left() {
 
 #[test]
 fn a_fifo_keeps_its_order_whatever_the_priority() {
-    let world = world();
-    let listener = Hand::listening();
-    world.attach(listener.node());
-    let mut port = world.port();
+    let (world, mut port, listener) = scene();
     for id in [0x300, 0x200, 0x100] {
         send(&mut port, frame(id));
     }
     world.run_until(micros(1_000));
-    assert_eq!(ids(&listener.heard()), [0x300, 0x200, 0x100]);
+    assert_eq!(ids(&listener), [0x300, 0x200, 0x100]);
 }
 
 #[test]
 fn mailboxes_go_by_priority_and_give_way() {
     let world = world();
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let listener = world.listener();
     let mut port = world.port_with(ControllerConfig::MAILBOXES);
     send(&mut port, frame(0x300));
     world.run_until(micros(5));
@@ -227,22 +214,20 @@ fn mailboxes_go_by_priority_and_give_way() {
     // Of equals the first goes first, so an equal one does not give way.
     assert_eq!(port.transmit(&data_frame(0x200, &[])), Err(nb::Error::WouldBlock));
     world.run_until(micros(1_000));
-    assert_eq!(ids(&listener.heard()), [0x300, 0x100, 0x200]);
+    assert_eq!(ids(&listener), [0x300, 0x100, 0x200]);
 }
 
 #[test]
 fn equal_identifiers_leave_a_mailbox_in_order() {
     let world = world();
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let listener = world.listener();
     let mut port = world.port_with(ControllerConfig::MAILBOXES);
     let sent = [data_frame(0x141, &[3]), data_frame(0x141, &[2]), data_frame(0x141, &[1])];
     for frame in sent {
         send(&mut port, frame);
     }
     world.run_until(micros(1_000));
-    let heard: Vec<_> = listener.heard().into_iter().map(|(_, frame)| frame).collect();
-    assert_eq!(heard, sent);
+    assert_eq!(listener.frames(), sent);
 }
 
 #[test]
@@ -264,8 +249,7 @@ fn silence_makes_error_passive_and_nothing_worse() {
     world.run_until(Instant::ZERO + Duration::from_secs(10));
     assert_eq!((status().transmit_errors, status().queued), (128, 1));
     // Somebody joins: the next attempt goes through.
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let listener = world.listener();
     world.run_for(Duration::from_millis(1));
     assert_eq!(listener.heard().len(), 1);
     assert_eq!((status().transmit_errors, status().queued), (127, 0));
@@ -296,27 +280,25 @@ fn times(records: &[Record<SimpleFrame>], event: &Event<SimpleFrame>) -> Vec<u64
     records.iter().filter(|record| record.event == *event).map(|record| record.at_ns).collect()
 }
 
+/// Sends a frame that breaks each time, until the controller leaves the bus.
+fn break_until_bus_off(world: &CanWorld, port: &mut CanPort) {
+    world.set_faults(Direction::ToNodes, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE });
+    send(port, frame(0x141));
+    while world.controller(port.station()).state != ErrorState::BusOff {
+        assert!(world.step());
+    }
+}
+
 #[test]
 fn errors_lead_to_bus_off_and_silence_back() {
-    let world = world();
-    let listener = Hand::listening();
-    world.attach(listener.node());
-    let mut port = world.port();
+    let (world, mut port, listener) = scene();
     let log = world.log();
-    world.set_faults(Direction::ToNodes, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE });
-    send(&mut port, frame(0x141));
-    let until_bus_off = || {
-        while world.controller(port.station()).state != ErrorState::BusOff {
-            assert!(world.step());
-        }
-    };
-    until_bus_off();
+    break_until_bus_off(&world, &mut port);
     // 32 times 8 is the first count above 255.
     assert_eq!(world.controller(port.station()).transmit_errors, 256);
-    let broken = log.take();
-    let attempts = broken.iter().filter(|record| matches!(record.event, Event::Broken { .. }));
-    assert_eq!(attempts.count(), 32);
-    let [left] = times(&broken, &Event::BusOff)[..] else { panic!("{broken:?}") };
+    let records = log.take();
+    assert_eq!(broken(&records).count(), 32);
+    let [left] = times(&records, &Event::BusOff)[..] else { panic!("{records:?}") };
     assert_eq!(port.transmit(&frame(0x141)), Err(nb::Error::Other(CanError::BusOff)));
     assert_eq!(blocking::Can::transmit(&mut port, &frame(0x141)), Err(CanError::BusOff));
 
@@ -327,25 +309,18 @@ fn errors_lead_to_bus_off_and_silence_back() {
     let status = world.controller(port.station());
     assert_eq!((status.state, status.transmit_errors, status.queued), (ErrorState::Active, 0, 0));
     // What was queued is still sent.
-    assert_eq!(ids(&listener.heard()), [0x141]);
+    assert_eq!(ids(&listener), [0x141]);
 }
 
 #[test]
 fn a_busy_bus_ends_bus_off_later() {
-    let world = world();
-    let listener = Hand::listening();
-    world.attach(listener.node());
-    let mut port = world.port();
+    let (world, mut port, _listener) = scene();
     let log = world.log();
-    world.set_faults(Direction::ToNodes, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE });
-    send(&mut port, frame(0x141));
-    while world.controller(port.station()).state != ErrorState::BusOff {
-        assert!(world.step());
-    }
+    break_until_bus_off(&world, &mut port);
     let left = times(&log.take(), &Event::BusOff)[0];
     // Frames without a gap, one sequence of eleven recessive bits each.
     let begin = left / 1_000 + 23;
-    world.attach(Hand::sending((0..300).map(|_| (begin, data_frame(0, &[])))).node());
+    world.sender((0..300).map(|_| (begin, data_frame(0, &[]))));
     world.run_for(Duration::from_millis(20));
     // The 128th sequence ends with the 128th frame's intermission; 53 bits a frame.
     assert_eq!(times(&log.take(), &Event::Recovered), [(begin + 128 * 53) * 1_000]);
@@ -354,11 +329,10 @@ fn a_busy_bus_ends_bus_off_later() {
 #[test]
 fn a_controller_may_stay_bus_off() {
     let world = world();
-    world.attach(Hand::listening().node());
+    world.silent();
     let config = ControllerConfig { recovers: false, ..ControllerConfig::SOCKETCAN };
     let mut port = world.port_with(config);
-    world.set_faults(Direction::ToNodes, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE });
-    send(&mut port, frame(0x141));
+    break_until_bus_off(&world, &mut port);
     world.run_until(Instant::ZERO + Duration::from_secs(1));
     assert_eq!(world.controller(port.station()).state, ErrorState::BusOff);
     world.reset(port.station());
@@ -370,8 +344,7 @@ fn the_same_frame_from_two_is_one_on_the_wire() {
     let world = world();
     let twins = [(); 2].map(|()| Hand::sending([(0, frame(0x300))]));
     let stations = twins.each_ref().map(|twin| world.attach(twin.node()));
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let listener = world.listener();
     world.run_until(micros(1_000));
     assert_eq!(listener.heard().len(), 1);
     for (twin, station) in twins.iter().zip(stations) {
@@ -384,24 +357,19 @@ fn the_same_frame_from_two_is_one_on_the_wire() {
 fn one_identifier_with_different_data_collides_until_error_passive() {
     let world = world();
     let log = world.log();
-    let high = world.attach(Hand::sending([(0, data_frame(0x300, &[0x01; 8]))]).node());
-    let low = world.attach(Hand::sending([(0, data_frame(0x300, &[0x00; 8]))]).node());
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let high = world.sender([(0, data_frame(0x300, &[0x01; 8]))]);
+    let low = world.sender([(0, data_frame(0x300, &[0x00; 8]))]);
+    let listener = world.listener();
     world.run_until(micros(10_000));
-    let taken = log.take();
-    let broken = |station| {
-        let own = taken.iter().filter(|record| record.station == station);
-        own.filter(|record| matches!(record.event, Event::Broken { .. })).count()
-    };
+    let records = log.take();
+    let broken_of = |station| broken(&records).filter(|record| record.station == station).count();
     // Sixteen times 8 makes both error-passive. Then the one whose bit is recessive gives in.
-    assert_eq!(broken(low), 16);
-    assert_eq!(broken(high), 17);
+    assert_eq!(broken_of(low), 16);
+    assert_eq!(broken_of(high), 17);
     // One less for the frame that is sent; at 0 and not below for the one that is received.
     assert_eq!(world.controller(low).transmit_errors, 127);
     assert_eq!(world.controller(low).receive_errors, 0);
-    let heard: Vec<_> = listener.heard().into_iter().map(|(_, frame)| frame).collect();
-    assert_eq!(heard, [data_frame(0x300, &[0x00; 8]), data_frame(0x300, &[0x01; 8])]);
+    assert_eq!(listener.frames(), [data_frame(0x300, &[0x00; 8]), data_frame(0x300, &[0x01; 8])]);
     assert_eq!(world.controller(high).transmit_errors, 128 + 8 - 1);
 }
 
@@ -411,7 +379,7 @@ fn a_receive_queue_overflows_and_counts() {
     let config = ControllerConfig { receive_queue: 2, ..ControllerConfig::SOCKETCAN };
     let mut port = world.port_with(config);
     let sent = [1, 2, 3].map(|n| (0, data_frame(0x241, &[n])));
-    world.attach(Hand::sending(sent).node());
+    world.sender(sent);
     world.run_until(micros(1_000));
     let status = world.controller(port.station());
     assert_eq!((status.received, status.overflows), (2, 1));
@@ -423,7 +391,7 @@ fn a_receive_queue_overflows_and_counts() {
 #[test]
 fn blocking_calls_let_time_go_on() {
     let world = world();
-    world.attach(Hand::mirroring().node());
+    world.mirror();
     let mut port = world.port();
     blocking::Can::transmit(&mut port, &frame(0x141)).unwrap();
     assert_eq!(blocking::Can::receive(&mut port), Ok(frame(0x141)));
@@ -438,7 +406,7 @@ fn blocking_calls_let_time_go_on() {
 #[test]
 fn a_blocking_transmit_waits_for_room() {
     let world = world();
-    world.attach(Hand::listening().node());
+    world.silent();
     let order = QueueOrder::Fifo;
     let config = ControllerConfig { transmit_queue: 1, order, ..ControllerConfig::SOCKETCAN };
     let mut port = world.port_with(config);
@@ -456,7 +424,7 @@ fn a_blocking_transmit_waits_for_room() {
 fn a_clock_idles_until_something_arrives() {
     let world = world();
     let mut port = world.port();
-    world.attach(Hand::sending([(1_000, frame(0x141))]).node());
+    world.sender([(1_000, frame(0x141))]);
     let clock = world.clock();
     clock.idle(micros(500));
     assert_eq!(clock.now(), micros(500));
@@ -472,9 +440,7 @@ fn a_clock_idles_until_something_arrives() {
 
 #[test]
 fn a_clock_idles_until_there_is_room_again() {
-    let world = world();
-    world.attach(Hand::listening().node());
-    let mut port = world.port();
+    let (world, mut port, _) = scene();
     while port.transmit(&frame(0x141)).is_ok() {}
     let clock = world.clock();
     clock.idle(micros(5_000));
@@ -485,7 +451,7 @@ fn a_clock_idles_until_there_is_room_again() {
 #[test]
 fn polling_costs_time_only_if_told() {
     let world = world();
-    world.attach(Hand::sending([(100, frame(0x141))]).node());
+    world.sender([(100, frame(0x141))]);
     let mut port = world.port();
     for _ in 0..1_000 {
         assert_eq!(port.receive(), Err(nb::Error::WouldBlock));
@@ -511,12 +477,10 @@ fn a_node_is_asked_again_when_its_mailboxes_have_room() {
         }
     }
     let world = world();
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let listener = world.listener();
     world.attach(Burst((0..8).rev().map(|n| data_frame(0x241, &[n; 8])).collect()));
     world.run_until(micros(2_000));
-    let heard: Vec<u8> = listener.heard().iter().map(|(_, frame)| frame.data()[0]).collect();
-    assert_eq!(heard, [0, 1, 2, 3, 4, 5, 6, 7]);
+    assert_eq!(listener.frames(), [0, 1, 2, 3, 4, 5, 6, 7].map(|n| data_frame(0x241, &[n; 8])));
 }
 
 #[test]
@@ -542,7 +506,7 @@ fn steps_go_from_event_to_event() {
     let world = world();
     assert!(!world.step());
     assert_eq!(world.next_event(), None);
-    world.attach(Hand::listening().node());
+    world.silent();
     let mut port = world.port();
     send(&mut port, frame(0x141));
     let mut times = Vec::new();
@@ -557,7 +521,7 @@ fn steps_go_from_event_to_event() {
 #[test]
 fn the_same_world_runs_in_real_time() {
     let world = world().in_real_time();
-    world.attach(Hand::mirroring().node());
+    world.mirror();
     let mut port = world.port();
     // However slow this machine is, the answer cannot come before its bits.
     port.set_give_up(Duration::from_secs(60));

@@ -1,11 +1,7 @@
 //! Faults by chance and by hand, on both simulated buses, under the virtual clock.
 
-#[path = "bus_script.rs"]
-mod bus_script;
-
 use std::sync::{Arc, Mutex};
 
-use bus_script::Hand;
 use embedded_can::{Frame, StandardId, nb::Can as _};
 use embedded_io::Write as _;
 use myactuator_host_std::sim::bus::Node;
@@ -13,16 +9,13 @@ use myactuator_host_std::sim::bus::can::{
     CanConfig, CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
 };
 use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
-use myactuator_host_std::sim::bus::rs485::{LineConfig, SerialWorld, TransceiverConfig};
+use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
 use myactuator_host_std::sim::bus::trace::{Event, Fault, Log, Record};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::SimpleFrame;
+use myactuator_tests::script::{Hand, READ_PID, Stage as _, broken, late_by, line, micros};
 
 const BOTH: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
-
-fn micros(at: u64) -> Instant {
-    Instant::from_micros(at)
-}
 
 fn seconds(count: u64) -> Instant {
     Instant::ZERO + Duration::from_secs(count)
@@ -38,8 +31,17 @@ fn number(frame: &SimpleFrame) -> u16 {
     u16::from_le_bytes([frame.data()[0], frame.data()[1]])
 }
 
-fn numbers(heard: &[(u64, SimpleFrame)]) -> Vec<u16> {
-    heard.iter().map(|(_, frame)| number(frame)).collect()
+fn numbers(hand: &Hand<SimpleFrame>) -> Vec<u16> {
+    hand.frames().iter().map(number).collect()
+}
+
+fn flipped_bits(found: &[u8], sent: &[u8]) -> u32 {
+    found.iter().zip(sent).map(|(a, b)| (a ^ b).count_ones()).sum()
+}
+
+fn can() -> (CanWorld, CanPort) {
+    let world = CanWorld::new(CanConfig::default(), 1);
+    (world.clone(), world.port())
 }
 
 fn receive_all(port: &mut CanPort) -> Vec<SimpleFrame> {
@@ -63,15 +65,12 @@ fn broadcast(seed: u64, direction: Direction, plan: FaultPlan) -> Broadcast {
         transmit_queue: 2_000,
         ..ControllerConfig::SOCKETCAN
     });
-    let listeners = [(); 2].map(|()| Hand::listening());
-    for listener in &listeners {
-        world.attach(listener.node());
-    }
+    let listeners = [(); 2].map(|()| world.listener());
     let log = world.log();
     world.set_faults(direction, plan);
     match direction {
         Direction::ToPorts => {
-            world.attach(Hand::sending((0..SENT).map(|n| (u64::from(n) * 1_000, frame(n)))).node());
+            world.sender((0..SENT).map(|n| (u64::from(n) * 1_000, frame(n))));
         }
         Direction::ToNodes => {
             for n in 0..SENT {
@@ -92,7 +91,7 @@ fn in_order() -> Vec<u16> {
 fn without_faults_all_arrive_once_and_in_order() {
     for direction in BOTH {
         let mut run = broadcast(1, direction, FaultPlan::NONE);
-        assert_eq!(numbers(&run.listeners[0].heard()), in_order());
+        assert_eq!(numbers(&run.listeners[0]), in_order());
         let at_port = receive_all(&mut run.port);
         assert_eq!(at_port.len(), if direction == Direction::ToPorts { 1_000 } else { 0 });
     }
@@ -108,12 +107,12 @@ fn certain_loss_loses_all_in_its_direction() {
     // The wire knows nothing of it.
     let status = run.world.controller(run.port.station());
     assert_eq!((status.state, status.transmit_errors), (ErrorState::Active, 0));
-    let carried = run.log.take();
-    let carried = carried.iter().filter(|record| matches!(record.event, Event::Carried { .. }));
+    let records = run.log.take();
+    let carried = records.iter().filter(|record| matches!(record.event, Event::Carried { .. }));
     assert_eq!(carried.count(), 1_000);
     // The other direction is not struck.
     let world = run.world;
-    world.attach(Hand::sending([(0, frame(7))]).node());
+    world.sender([(0, frame(7))]);
     world.run_for(Duration::from_millis(1));
     let mut port = run.port;
     assert_eq!(receive_all(&mut port), [frame(7)]);
@@ -128,7 +127,7 @@ fn is_a_tenth(count: usize) -> bool {
 fn some_loss_strikes_each_receiver_by_itself() {
     let lossy = FaultPlan { lose: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, lossy);
-    let heard = run.listeners.each_ref().map(|listener| numbers(&listener.heard()));
+    let heard = run.listeners.each_ref().map(numbers);
     for heard in &heard {
         assert!(is_a_tenth(1_000 - heard.len()), "{}", heard.len());
         assert!(heard.is_sorted());
@@ -140,12 +139,11 @@ fn some_loss_strikes_each_receiver_by_itself() {
 fn corruption_on_can_is_noticed_and_repeated() {
     let noisy = FaultPlan { corrupt: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, noisy);
-    assert_eq!(numbers(&run.listeners[0].heard()), in_order());
+    assert_eq!(numbers(&run.listeners[0]), in_order());
     let records = run.log.take();
-    let broken = records.iter().filter(|record| matches!(record.event, Event::Broken { .. }));
-    assert!(is_a_tenth(broken.clone().count() * 9 / 10));
+    assert!(is_a_tenth(broken(&records).count() * 9 / 10));
     // The error frame, 20 bits, and the intermission, 3, are in front of the repetition.
-    for record in broken {
+    for record in broken(&records) {
         let again = record.at_ns + 23_000;
         let started = |record: &&Record<SimpleFrame>| match record.event {
             Event::Carried { started_ns, .. } | Event::Broken { started_ns, .. } => {
@@ -159,9 +157,8 @@ fn corruption_on_can_is_noticed_and_repeated() {
 
 #[test]
 fn corruption_is_counted_at_both_ends() {
-    let world = CanWorld::new(CanConfig::default(), 1);
-    let listener = world.attach(Hand::<SimpleFrame>::listening().node());
-    let mut port = world.port();
+    let (world, mut port) = can();
+    let listener = world.silent();
     world.set_faults(Direction::ToNodes, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE });
     assert_eq!(port.transmit(&frame(1)), Ok(None));
     let log = world.log();
@@ -180,12 +177,10 @@ fn corruption_is_counted_at_both_ends() {
 fn undetected_corruption_flips_one_data_bit() {
     let plan = FaultPlan { corrupt: 1.0, undetected: 1.0, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, plan);
-    let heard = run.listeners[0].heard();
+    let heard = run.listeners[0].frames();
     assert_eq!(heard.len(), 1_000);
-    for ((_, heard), n) in heard.iter().zip(0..) {
-        let differing: u32 =
-            heard.data().iter().zip(frame(n).data()).map(|(a, b)| (a ^ b).count_ones()).sum();
-        assert_eq!(differing, 1);
+    for (heard, n) in heard.iter().zip(0..) {
+        assert_eq!(flipped_bits(heard.data(), frame(n).data()), 1);
         assert_eq!(heard.id(), frame(n).id());
     }
 }
@@ -195,7 +190,7 @@ fn duplicates_arrive_twice() {
     let all = FaultPlan { duplicate: 1.0, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, all);
     let twice: Vec<u16> = (0..SENT).flat_map(|n| [n, n]).collect();
-    assert_eq!(numbers(&run.listeners[0].heard()), twice);
+    assert_eq!(numbers(&run.listeners[0]), twice);
     let some = FaultPlan { duplicate: 0.1, ..FaultPlan::NONE };
     let mut run = broadcast(1, Direction::ToPorts, some);
     let mut heard: Vec<u16> = receive_all(&mut run.port).iter().map(number).collect();
@@ -206,13 +201,7 @@ fn duplicates_arrive_twice() {
 
 #[test]
 fn delayed_frames_are_late_and_stay_in_order() {
-    let late = FaultPlan {
-        delay: 1.0,
-        delay_min: Duration::from_micros(500),
-        delay_max: Duration::from_micros(500),
-        ..FaultPlan::NONE
-    };
-    let run = broadcast(1, Direction::ToNodes, late);
+    let run = broadcast(1, Direction::ToNodes, late_by(Duration::from_micros(500)));
     for ((at, heard), n) in run.listeners[0].heard().iter().zip(0..) {
         assert_eq!(number(heard), n);
         let arrives = u64::from(n) * 1_000 + u64::from(frame_bits(&frame(n))) - 3;
@@ -221,8 +210,8 @@ fn delayed_frames_are_late_and_stay_in_order() {
     // Late by more than the distance to the next one, which waits then.
     let late = FaultPlan { delay: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, late);
+    assert_eq!(numbers(&run.listeners[0]), in_order());
     let heard = run.listeners[0].heard();
-    assert_eq!(numbers(&heard), in_order());
     let on_time = heard.iter().zip(0u64..).filter(|((at, _), n)| *at < n * 1_000 + 150).count();
     assert!((400..900).contains(&on_time), "{on_time}");
 }
@@ -232,10 +221,10 @@ fn reordered_frames_arrive_behind_the_next_one() {
     let all = FaultPlan { reorder: 1.0, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, all);
     let swapped: Vec<u16> = (0..SENT).map(|n| n ^ 1).collect();
-    assert_eq!(numbers(&run.listeners[0].heard()), swapped);
+    assert_eq!(numbers(&run.listeners[0]), swapped);
     let some = FaultPlan { reorder: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, some);
-    let mut heard = numbers(&run.listeners[0].heard());
+    let mut heard = numbers(&run.listeners[0]);
     let steps_back = heard.windows(2).filter(|pair| pair[1] < pair[0]).count();
     assert!(is_a_tenth(steps_back), "{steps_back}");
     heard.sort_unstable();
@@ -244,10 +233,8 @@ fn reordered_frames_arrive_behind_the_next_one() {
 
 #[test]
 fn a_reordered_frame_that_nothing_follows_arrives_in_the_end() {
-    let world = CanWorld::new(CanConfig::default(), 1);
-    let listener = Hand::listening();
-    world.attach(listener.node());
-    let mut port = world.port();
+    let (world, mut port) = can();
+    let listener = world.listener();
     let hold = Duration::from_millis(3);
     let plan = FaultPlan { reorder: 1.0, reorder_hold: hold, ..FaultPlan::NONE };
     world.set_faults(Direction::ToNodes, plan);
@@ -259,8 +246,7 @@ fn a_reordered_frame_that_nothing_follows_arrives_in_the_end() {
 
 #[test]
 fn a_nodes_own_plan_strikes_it_alone() {
-    let world = CanWorld::new(CanConfig::default(), 1);
-    let mut port = world.port();
+    let (world, mut port) = can();
     let [bad, good] = [(); 2].map(|()| Hand::mirroring());
     let bad_station = world.attach(bad.node());
     world.attach(good.node());
@@ -285,7 +271,7 @@ fn chaos(seed: u64) -> Vec<Record<SimpleFrame>> {
     let world = CanWorld::new(CanConfig::default(), seed);
     let log = world.log();
     let mut port = world.port();
-    let nodes: Vec<_> = (0..4).map(|_| world.attach(Hand::mirroring().node())).collect();
+    let nodes: Vec<_> = (0..4).map(|_| world.mirror()).collect();
     let plan = FaultPlan {
         lose: 0.05,
         corrupt: 0.05,
@@ -328,19 +314,17 @@ fn a_seed_determines_the_whole_run() {
 
 #[test]
 fn a_cut_wire_isolates_both_ways_and_mending_restores() {
-    let world = CanWorld::new(CanConfig::default(), 1);
-    let mut port = world.port();
+    let (world, mut port) = can();
     let cut_off = Hand::sending([(1_000, frame(1))]);
     let station = world.attach(cut_off.node());
-    let other = Hand::listening();
-    world.attach(other.node());
+    let other = world.listener();
     world.run_until(micros(500));
     world.cut(station);
     world.cut(station);
     assert_eq!(port.transmit(&frame(2)), Ok(None));
     world.run_until(seconds(1));
     assert_eq!(cut_off.heard(), []);
-    assert_eq!(numbers(&other.heard()), [2]);
+    assert_eq!(numbers(&other), [2]);
     // Alone on its stub nobody acknowledges, while the bus goes on.
     let status = world.controller(station);
     assert_eq!((status.state, status.transmit_errors), (ErrorState::Passive, 128));
@@ -350,16 +334,16 @@ fn a_cut_wire_isolates_both_ways_and_mending_restores() {
     assert_eq!(port.transmit(&frame(3)), Ok(None));
     world.run_for(Duration::from_millis(1));
     assert_eq!(receive_all(&mut port), [frame(1)]);
-    assert_eq!(numbers(&cut_off.heard()), [3]);
+    assert_eq!(numbers(&cut_off), [3]);
     assert_eq!(world.controller(station).queued, 0);
 }
 
 #[test]
 fn cutting_the_sender_breaks_its_frame_off() {
-    let world = CanWorld::new(CanConfig::default(), 1);
-    let station = world.attach(Hand::sending([(0, frame(1))]).node());
+    let (world, _) = can();
+    let station = world.sender([(0, frame(1))]);
     let listener = Hand::listening();
-    let ear = world.attach(listener.node());
+    let ear = world.put(&listener);
     let log = world.log();
     world.run_until(micros(50));
     world.cut(station);
@@ -372,16 +356,15 @@ fn cutting_the_sender_breaks_its_frame_off() {
 
 #[test]
 fn who_joins_in_the_middle_of_a_frame_does_not_hear_it() {
-    let world = CanWorld::new(CanConfig::default(), 1);
-    world.attach(Hand::sending([(0, frame(1)), (0, frame(2))]).node());
-    world.attach(Hand::<SimpleFrame>::listening().node());
+    let (world, _) = can();
+    world.sender([(0, frame(1)), (0, frame(2))]);
     let late = Hand::listening();
-    let station = world.attach(late.node());
+    let station = world.put(&late);
     world.cut(station);
     world.run_until(micros(50));
     world.mend(station);
     world.run_until(seconds(1));
-    assert_eq!(numbers(&late.heard()), [2]);
+    assert_eq!(numbers(&late), [2]);
 }
 
 /// Counts its resets.
@@ -402,7 +385,7 @@ impl<F> Node<F> for Resettable {
 
 #[test]
 fn a_reset_tells_the_node_and_empties_its_controller() {
-    let world = CanWorld::new(CanConfig::default(), 1);
+    let (world, _) = can();
     let resets = Arc::new(Mutex::new(Vec::new()));
     let station = world.attach(Resettable(Arc::clone(&resets)));
     world.run_until(micros(77));
@@ -411,7 +394,7 @@ fn a_reset_tells_the_node_and_empties_its_controller() {
 
     // Nobody acknowledges: all stays in the queue.
     let alone = CanWorld::new(CanConfig::default(), 1);
-    let station = alone.attach(Hand::sending([(0, frame(1)), (0, frame(2))]).node());
+    let station = alone.sender([(0, frame(1)), (0, frame(2))]);
     alone.run_until(seconds(1));
     let status = alone.controller(station);
     assert_eq!((status.queued, status.transmit_errors), (2, 128));
@@ -423,9 +406,8 @@ fn a_reset_tells_the_node_and_empties_its_controller() {
 
 #[test]
 fn a_slow_node_answers_late_and_in_order() {
-    let world = CanWorld::new(CanConfig::default(), 1);
-    let mut port = world.port();
-    let station = world.attach(Hand::mirroring().node());
+    let (world, mut port) = can();
+    let station = world.mirror();
     let log = world.log();
     world.slow_down(station, Duration::from_millis(5));
     assert_eq!(port.transmit(&frame(1)), Ok(None));
@@ -446,7 +428,7 @@ fn a_slow_node_answers_late_and_in_order() {
 #[test]
 fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
     let world = CanWorld::new(CanConfig::default(), 1);
-    let station = world.attach(Hand::sending([(0, frame(1))]).node());
+    let station = world.sender([(0, frame(1))]);
     world.slow_down(station, Duration::from_millis(1));
     let interval = Duration::from_micros(10);
     // Nobody acknowledges, so the babble fills the mailboxes before the frame gets there.
@@ -460,9 +442,8 @@ fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
 
 #[test]
 fn a_babbling_station_sends_until_it_is_silenced() {
-    let world = CanWorld::new(CanConfig::default(), 1);
-    let mut port = world.port();
-    let station = world.attach(Hand::<SimpleFrame>::listening().node());
+    let (world, mut port) = can();
+    let station = world.silent();
     let interval = Duration::from_millis(1);
     world.babble(station, Some(Babble::Fixed { interval, frame: frame(5) }));
     world.run_until(micros(9_900));
@@ -479,9 +460,8 @@ fn a_babbling_station_sends_until_it_is_silenced() {
 
 #[test]
 fn a_babbler_of_high_priority_starves_the_others() {
-    let world = CanWorld::new(CanConfig::default(), 1);
-    let mut port = world.port();
-    let station = world.attach(Hand::<SimpleFrame>::listening().node());
+    let (world, mut port) = can();
+    let station = world.silent();
     let first = SimpleFrame::new(StandardId::new(0).unwrap(), &[]).unwrap();
     world
         .babble(station, Some(Babble::Fixed { interval: Duration::from_micros(10), frame: first }));
@@ -494,18 +474,13 @@ fn a_babbler_of_high_priority_starves_the_others() {
     assert_eq!(world.controller(port.station()).queued, 0);
 }
 
-const MESSAGE: [u8; 13] = [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
-
 /// What a node hears of 100 messages that a master writes.
 fn messages(seed: u64, plan: FaultPlan) -> Vec<(u64, Vec<u8>)> {
-    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, seed);
-    let listener = Hand::listening();
-    world.attach(listener.node());
-    let mut port = world.port();
+    let (world, mut port, listener) = line(seed);
     world.set_faults(Direction::ToNodes, plan);
     for n in 0..100 {
         world.run_until(micros(n * 1_000));
-        let mut message = MESSAGE;
+        let mut message = READ_PID;
         message[4] = n as u8;
         port.write_all(&message).unwrap();
     }
@@ -513,13 +488,13 @@ fn messages(seed: u64, plan: FaultPlan) -> Vec<(u64, Vec<u8>)> {
     listener.heard()
 }
 
-fn line(heard: &[(u64, Vec<u8>)]) -> Vec<u8> {
+fn bytes(heard: &[(u64, Vec<u8>)]) -> Vec<u8> {
     heard.iter().flat_map(|(_, bytes)| bytes.clone()).collect()
 }
 
 /// Their numbers, of whole messages.
 fn message_numbers(heard: &[(u64, Vec<u8>)]) -> Vec<u8> {
-    line(heard)
+    bytes(heard)
         .chunks(13)
         .map(|message| {
             assert_eq!((message.len(), message[0], message[12]), (13, 0x3E, 0xDD));
@@ -542,12 +517,11 @@ fn a_message_on_rs485_is_lost_as_a_whole() {
 
 #[test]
 fn a_corrupted_message_on_rs485_has_one_flipped_bit() {
-    let all = line(&messages(1, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE }));
-    let clean = line(&messages(1, FaultPlan::NONE));
+    let all = bytes(&messages(1, FaultPlan { corrupt: 1.0, ..FaultPlan::NONE }));
+    let clean = bytes(&messages(1, FaultPlan::NONE));
     assert_eq!((all.len(), clean.len()), (1_300, 1_300));
     for (corrupted, clean) in all.chunks(13).zip(clean.chunks(13)) {
-        let flipped: u32 = corrupted.iter().zip(clean).map(|(a, b)| (a ^ b).count_ones()).sum();
-        assert_eq!(flipped, 1);
+        assert_eq!(flipped_bits(corrupted, clean), 1);
     }
 }
 
@@ -561,13 +535,7 @@ fn messages_on_rs485_are_duplicated_delayed_and_reordered_as_a_whole() {
     let heard = messages(1, FaultPlan { reorder: 1.0, ..FaultPlan::NONE });
     assert_eq!(message_numbers(&heard), swapped);
 
-    let late = FaultPlan {
-        delay: 1.0,
-        delay_min: Duration::from_micros(300),
-        delay_max: Duration::from_micros(300),
-        ..FaultPlan::NONE
-    };
-    let heard = messages(1, late);
+    let heard = messages(1, late_by(Duration::from_micros(300)));
     assert_eq!(message_numbers(&heard), (0..100).collect::<Vec<u8>>());
     // Byte by byte, 10 us each.
     assert_eq!((heard[0].0, heard[1].0, heard[13].0), (310, 320, 1_310));
@@ -575,13 +543,10 @@ fn messages_on_rs485_are_duplicated_delayed_and_reordered_as_a_whole() {
 
 #[test]
 fn a_cut_wire_on_rs485_leaves_only_the_echo() {
-    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, 1);
+    let (world, mut port, listener) = line(1);
     let echoing = TransceiverConfig { echo: true, ..Default::default() };
     let node = Hand::sending([(50, vec![1]), (250, vec![2])]);
     let station = world.attach_with(node.node(), echoing);
-    let listener = Hand::listening();
-    world.attach(listener.node());
-    let mut port = world.port();
     world.cut(station);
     world.run_until(micros(100));
     port.write_all(&[0x77]).unwrap();
@@ -598,34 +563,26 @@ fn a_cut_wire_on_rs485_leaves_only_the_echo() {
 
 #[test]
 fn a_reset_on_rs485_stops_what_is_being_sent() {
-    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, 1);
-    let station = world.attach(Hand::sending([(0, MESSAGE.to_vec())]).node());
-    let listener = Hand::listening();
-    world.attach(listener.node());
+    let (world, _, listener) = line(1);
+    let station = world.sender([(0, READ_PID.to_vec())]);
     world.run_until(micros(35));
     world.reset(station);
     world.run_until(seconds(1));
     let heard = listener.heard();
     // Three whole bytes, and the rest of the fourth.
     assert_eq!(heard.len(), 4);
-    assert_eq!(line(&heard)[..3], MESSAGE[..3]);
+    assert_eq!(bytes(&heard)[..3], READ_PID[..3]);
 }
 
 #[test]
 fn a_babbler_on_rs485_garbles_others() {
-    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, 1);
-    let babbler = world.attach(Hand::<Vec<u8>>::listening().node());
-    let listener = Hand::listening();
-    world.attach(listener.node());
-    let mut port = world.port();
+    let (world, mut port, listener) = line(1);
+    let babbler = world.silent();
     world.babble(babbler, Some(Babble::Random { interval: Duration::from_micros(20) }));
     let log = world.log();
     world.run_until(micros(1_000));
-    port.write_all(&MESSAGE).unwrap();
+    port.write_all(&READ_PID).unwrap();
     world.run_until(micros(2_000));
-    let own = |record: &Record<Vec<u8>>| {
-        record.station == port.station() && matches!(record.event, Event::Broken { .. })
-    };
-    assert!(log.take().iter().any(own));
-    assert!(!line(&listener.heard()).windows(13).any(|window| window == MESSAGE));
+    assert!(broken(&log.take()).any(|record| record.station == port.station()));
+    assert!(!bytes(&listener.heard()).windows(13).any(|window| window == READ_PID));
 }

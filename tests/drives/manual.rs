@@ -3,10 +3,6 @@
 //! The documentation of each test gives the sentence's section and its meaning. Motor: 0.02 kg·m²,
 //! 2 N·m/A, friction 0.05 N·m·s; rated current 6 A, stall current 12 A; 16384 pulses, gear 6.
 
-#[path = "drive_bench/mod.rs"]
-mod drive_bench;
-
-use drive_bench::*;
 use myactuator_protocol_core::command::Speed;
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{
@@ -17,17 +13,11 @@ use myactuator_protocol_core::opcode::ReplyRule;
 use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::units::*;
 use myactuator_protocol_core::wire::rs485;
-use myactuator_protocol_core::{AnyCommand, AnyReply, Channel, MotorId, Opcode, Packet, Target};
+use myactuator_protocol_core::{AnyCommand, AnyReply, Channel, Opcode, Packet, Target};
+use myactuator_tests::bench::*;
+use myactuator_tests::values::*;
 
 const TURN: i32 = 98_304;
-
-fn id(id: u8) -> MotorId {
-    MotorId::new(id).unwrap()
-}
-
-fn gain(value: f32) -> Gain {
-    Gain::new(value).unwrap()
-}
 
 fn acceleration(dps2: u32) -> Acceleration {
     Acceleration::try_from_raw(dps2).unwrap()
@@ -68,8 +58,8 @@ fn one_of_each() -> Vec<AnyCommand> {
         ReadStatus1.into(),
         ReadStatus2.into(),
         ReadStatus3.into(),
-        Torque { current: amperes(0.1) }.into(),
-        Speed { max_torque: percent(0), speed: dps(10.0) }.into(),
+        push(0.1).into(),
+        turn(10.0).into(),
         AbsolutePosition { max_speed, angle }.into(),
         SingleTurnPosition { direction, max_speed, angle: single }.into(),
         IncrementalPosition { max_speed, angle }.into(),
@@ -176,11 +166,11 @@ fn gains_act_on_the_loops() {
     let mut bench = Bench::default();
     bench.write(WritePidRam { index: PidIndex::SpeedKp, value: gain(0.0) });
     bench.write(WritePidRam { index: PidIndex::SpeedKi, value: gain(0.0) });
-    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.ask(turn(100.0));
     bench.run(millis(500));
     assert_eq!(bench.speed(), 0.0);
     bench.restart();
-    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.ask(turn(100.0));
     bench.run(millis(500));
     assert!((bench.speed() - 100.0).abs() < 1.0, "{}", bench.speed());
 }
@@ -191,7 +181,7 @@ fn current_gains_act_on_the_current() {
     let mut bench = Bench::default();
     bench.write(WritePidRam { index: PidIndex::CurrentKp, value: gain(0.5) });
     bench.write(WritePidRam { index: PidIndex::CurrentKi, value: gain(10.0) });
-    bench.ask(Torque { current: amperes(2.0) });
+    bench.ask(push(2.0));
     assert!((bench.current() - 1.04).abs() < 0.05, "{}", bench.current());
     bench.run(millis(95));
     // 2 A less e^-1 of the half that was missing.
@@ -249,29 +239,27 @@ fn position_is_raw_less_offset() {
 fn a_given_zero_acts_after_a_restart() {
     let mut bench = Bench::default();
     bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(TURN / 4) });
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    assert_eq!(bench.told_angle(), 0.0);
     bench.restart();
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), -90.0);
+    assert_eq!(bench.told_angle(), -90.0);
 }
 
 /// 2.10: 0x64 makes the current position the zero, tells it, and it is valid after 0x76.
 #[test]
 fn the_current_position_becomes_the_zero_after_a_reset() {
     let mut bench = Bench::default();
-    bench.drive.plant_mut().set_angle_deg(90.0);
-    bench.run(millis(1));
+    bench.turn_to(90.0);
     assert_eq!(bench.ask(SetCurrentPositionZero).offset.raw(), TURN / 4);
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 90.0);
+    assert_eq!(bench.told_angle(), 90.0);
     bench.restart();
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    assert_eq!(bench.told_angle(), 0.0);
     bench.power_cycle();
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    assert_eq!(bench.told_angle(), 0.0);
     // A second time, with a zero that is none of the encoder's.
-    bench.drive.plant_mut().set_angle_deg(135.0);
-    bench.run(millis(1));
+    bench.turn_to(135.0);
     assert_eq!(bench.ask(SetCurrentPositionZero).offset.raw(), TURN * 3 / 8);
     bench.restart();
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    assert_eq!(bench.told_angle(), 0.0);
 }
 
 /// 2.11.3: single-turn encoder position, raw position and offset.
@@ -280,8 +268,7 @@ fn the_single_turn_encoder_tells_all_three() {
     let mut bench = Bench::default();
     bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(9_355) });
     bench.restart();
-    bench.drive.plant_mut().set_angle_deg(f64::from(16_384 + 11_454) * 360.0 / f64::from(TURN));
-    bench.run(millis(1));
+    bench.turn_to(f64::from(16_384 + 11_454) * 360.0 / f64::from(TURN));
     let reading = bench.ask(ReadSingleTurnEncoder);
     let told = [reading.position, reading.raw, reading.offset].map(SingleTurnPulses::raw);
     assert_eq!(told, [2_099, 11_454, 9_355]); // the manual's example, 2.11.4
@@ -294,13 +281,11 @@ fn the_angle_counts_turns_and_feedback_saturates() {
     for (angle, fine, coarse) in
         [(360.0, 36_000, 360), (-725.5, -72_550, -726), (40_000.0, 4_000_000, 32_767)]
     {
-        bench.drive.plant_mut().set_angle_deg(angle);
-        bench.run(millis(1));
+        bench.turn_to(angle);
         assert_eq!(bench.ask(ReadMultiTurnAngle).angle.raw(), fine);
         assert_eq!(bench.feedback().angle.raw(), coarse);
     }
-    bench.drive.plant_mut().set_angle_deg(-40_000.0);
-    bench.run(millis(1));
+    bench.turn_to(-40_000.0);
     assert_eq!(bench.feedback().angle.raw(), -32_767);
 }
 
@@ -309,8 +294,7 @@ fn the_angle_counts_turns_and_feedback_saturates() {
 fn the_single_turn_angle_comes_back_to_zero() {
     let mut bench = Bench::default();
     for (angle, told) in [(0.0, 0), (100.0, 10_000), (360.0, 0), (400.0, 4_000), (-90.0, 27_000)] {
-        bench.drive.plant_mut().set_angle_deg(angle);
-        bench.run(millis(1));
+        bench.turn_to(angle);
         assert!(bench.ask(ReadSingleTurnAngle).angle.raw().abs_diff(told) <= 1, "{angle}");
     }
 }
@@ -330,7 +314,7 @@ fn status_tells_what_is_measured() {
     assert_eq!((status.voltage.raw(), status.errors), (485, ErrorFlags::ENCODER_CALIBRATION));
     bench.drive.clear_fault(ErrorFlags::all());
     bench.write(ReleaseBrake);
-    bench.ask(Torque { current: amperes(2.0) });
+    bench.ask(push(2.0));
     bench.run(millis(20));
     let status = bench.ask(ReadStatus3);
     let phases = [status.phase_a, status.phase_b, status.phase_c].map(Current::raw);
@@ -344,7 +328,7 @@ fn status_tells_what_is_measured() {
 #[test]
 fn shutdown_leaves_the_motor_free() {
     let mut bench = Bench::default();
-    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.ask(turn(100.0));
     bench.run(millis(200));
     bench.write(Shutdown);
     assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Unknown(0));
@@ -359,7 +343,7 @@ fn shutdown_leaves_the_motor_free() {
 #[test]
 fn stop_holds_against_a_force() {
     let mut bench = Bench::default();
-    bench.ask(Speed { max_torque: percent(0), speed: dps(300.0) });
+    bench.ask(turn(300.0));
     bench.run(millis(300));
     bench.write(Stop);
     bench.run(millis(1_000));
@@ -378,13 +362,13 @@ fn stop_holds_against_a_force() {
 #[test]
 fn torque_sets_the_current() {
     let mut bench = Bench::default();
-    bench.ask(Torque { current: amperes(-1.0) });
+    bench.ask(push(-1.0));
     assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Current);
     bench.run(millis(50));
     assert_eq!(bench.feedback().current.raw(), -100);
     assert!(bench.speed() < 0.0);
     // 2.20.2, remark 1: nothing exceeds the stall current.
-    bench.ask(Torque { current: amperes(300.0) });
+    bench.ask(push(300.0));
     bench.watch(millis(20), |state| assert!(state.measurement.current_a <= 12.0));
 }
 
@@ -392,14 +376,14 @@ fn torque_sets_the_current() {
 #[test]
 fn torque_needs_the_brake_released_first() {
     let mut bench = Bench::with_brake();
-    bench.ask(Torque { current: amperes(1.0) });
+    bench.ask(push(1.0));
     assert_eq!(bench.not_run(), Some(NotRunReason::BrakeLocked));
     bench.run(millis(100));
     assert_eq!((bench.current(), bench.angle()), (0.0, 0.0));
     bench.write(ReleaseBrake);
     bench.run(millis(100));
     assert_eq!(bench.current(), 0.0, "the old command must not come alive");
-    bench.ask(Torque { current: amperes(1.0) });
+    bench.ask(push(1.0));
     bench.run(millis(100));
     assert!(bench.angle() > 1.0);
 }
@@ -409,7 +393,7 @@ fn torque_needs_the_brake_released_first() {
 fn speed_is_reached_either_way() {
     let mut bench = Bench::default();
     for target in [100.0, -100.0, 0.5] {
-        bench.ask(Speed { max_torque: percent(0), speed: dps(target) });
+        bench.ask(turn(target));
         assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Speed);
         bench.run(millis(1_000));
         assert!((bench.speed() - target).abs() < 0.01, "{target}: {}", bench.speed());
@@ -423,16 +407,16 @@ fn speed_follows_its_ramps() {
     let mut bench = Bench::default();
     plan(&mut bench, AccelerationIndex::SpeedAcceleration, 1_000);
     plan(&mut bench, AccelerationIndex::SpeedDeceleration, 500);
-    bench.ask(Speed { max_torque: percent(0), speed: dps(200.0) });
+    bench.ask(turn(200.0));
     bench.run(millis(95));
     assert!((bench.speed() - 95.0).abs() < 10.0, "{}", bench.speed());
     bench.run(millis(400));
-    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.ask(turn(100.0));
     bench.run(millis(95));
     assert!((bench.speed() - 150.0).abs() < 5.0, "{}", bench.speed());
     bench.run(millis(300));
     plan(&mut bench, AccelerationIndex::SpeedAcceleration, 0);
-    bench.ask(Speed { max_torque: percent(0), speed: dps(1_000.0) });
+    bench.ask(turn(1_000.0));
     // 24 N·m / 0.02 kg·m² give 900 dps in 13 ms.
     bench.run(millis(45));
     assert!((bench.speed() - 1_000.0).abs() < 60.0, "{}", bench.speed());
@@ -461,7 +445,7 @@ fn an_absolute_position_is_planned() {
     let mut bench = Bench::default();
     plan(&mut bench, AccelerationIndex::PositionAcceleration, 2_000);
     plan(&mut bench, AccelerationIndex::PositionDeceleration, 1_000);
-    bench.ask(AbsolutePosition { max_speed: up_to(500), angle: degrees(360.0) });
+    bench.ask(go_to(360.0, 500));
     assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Position);
     let (mut fastest, mut farthest, mut speeds) = (0.0_f32, 0.0_f64, Vec::new());
     bench.watch(millis(1_600), |state| {
@@ -482,7 +466,7 @@ fn an_absolute_position_is_planned() {
 fn a_shaft_that_was_held_back_does_not_jump() {
     let mut bench = Bench::default();
     plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
-    let go = AbsolutePosition { max_speed: up_to(500), angle: degrees(180.0) };
+    let go = go_to(180.0, 500);
     bench.drive.plant_mut().friction_nm_s = 1e9;
     bench.ask(go);
     bench.run(millis(600));
@@ -510,7 +494,7 @@ fn a_deceleration_of_zero_is_the_accelerations() {
         let mut bench = Bench::default();
         plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
         plan(&mut bench, AccelerationIndex::PositionDeceleration, deceleration);
-        bench.ask(AbsolutePosition { max_speed: up_to(400), angle: degrees(360.0) });
+        bench.ask(go_to(360.0, 400));
         while bench.angle() < 340.0 {
             bench.run(millis(1));
         }
@@ -524,7 +508,7 @@ fn a_deceleration_of_zero_is_the_accelerations() {
 fn an_absolute_position_is_gone_to_from_anywhere() {
     let mut bench = Bench::default();
     for target in [360.0, -360.0, -359.5, 0.0] {
-        bench.ask(AbsolutePosition { max_speed: up_to(0), angle: degrees(target) });
+        bench.ask(go_to(target, 0));
         bench.run(millis(2_000));
         assert!((bench.angle() - f64::from(target)).abs() < 0.02, "{target}: {}", bench.angle());
     }
@@ -536,7 +520,7 @@ fn acceleration_zero_tracks_directly() {
     for (max_speed, at_most) in [(200, 215.0), (0, 2_400.0)] {
         let mut bench = Bench::default();
         plan(&mut bench, AccelerationIndex::PositionAcceleration, 0);
-        bench.ask(AbsolutePosition { max_speed: up_to(max_speed), angle: degrees(90.0) });
+        bench.ask(go_to(90.0, max_speed));
         let mut fastest = 0.0_f32;
         bench.watch(millis(1_500), |state| fastest = fastest.max(state.measurement.speed_dps));
         assert!(fastest < at_most, "{fastest}");
@@ -566,8 +550,7 @@ fn a_single_turn_position_turns_as_told() {
 #[test]
 fn single_turn_360_degrees_are_0() {
     let mut bench = Bench::default();
-    bench.drive.plant_mut().set_angle_deg(90.0);
-    bench.run(millis(1));
+    bench.turn_to(90.0);
     let angle = SingleTurnTarget::try_from_raw(36_000).unwrap();
     let direction = Direction::CounterClockwise;
     let reply = bench.ask(SingleTurnPosition { direction, max_speed: up_to(500), angle });
@@ -630,7 +613,7 @@ fn a_force_position_limits_its_torque() {
 fn a_reset_starts_anew() {
     let mut bench = Bench::default();
     bench.run(millis(10_000));
-    bench.ask(Torque { current: amperes(0.1) });
+    bench.ask(push(0.1));
     bench.restart();
     assert!(!bench.state().output_on);
     assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 5);
@@ -676,7 +659,7 @@ fn the_brake_holds_and_lets_go() {
 #[test]
 fn locking_the_brake_ends_the_run() {
     let mut bench = Bench::with_brake();
-    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.ask(turn(100.0));
     bench.run(millis(200));
     assert!(bench.speed() > 90.0);
     bench.write(LockBrake);
@@ -704,7 +687,7 @@ fn protected() -> Bench {
     let mut bench = Bench::with_brake();
     let timeout = Milliseconds::from_raw(100);
     bench.write(CommunicationLossProtection { timeout });
-    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.ask(turn(100.0));
     bench
 }
 
@@ -731,7 +714,7 @@ fn communication_loss_cuts_and_locks() {
 fn the_motor_runs_again_only_once_communication_is_steady() {
     let mut bench = protected();
     bench.run(millis(200));
-    let go = Speed { max_torque: percent(0), speed: dps(100.0) };
+    let go = turn(100.0);
     bench.ask(go);
     bench.write(ReleaseBrake);
     assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::Lock, "third command, but a read");
@@ -757,7 +740,7 @@ fn without_protection_the_motor_goes_on() {
     bench.power_cycle();
     assert_eq!(bench.drive.settings().protection_timeout.raw(), 100);
     bench.write(CommunicationLossProtection { timeout: Milliseconds::from_raw(0) });
-    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.ask(turn(100.0));
     bench.run(millis(10_000));
     assert!(bench.speed() > 99.0);
 }
@@ -827,17 +810,15 @@ fn function_1_clears_the_turns_after_a_restart() {
     let mut bench = Bench::default();
     bench.write(FunctionControl::SaveMultiTurn(Switch::On));
     bench.restart();
-    bench.drive.plant_mut().set_angle_deg(3.0 * 360.0 + 30.0);
-    bench.run(millis(1));
+    bench.turn_to(3.0 * 360.0 + 30.0);
     bench.write(FunctionControl::ClearMultiTurn);
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 1_110.0);
+    assert_eq!(bench.told_angle(), 1_110.0);
     bench.restart();
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 0.0);
+    assert_eq!(bench.told_angle(), 0.0);
     assert_eq!(bench.ask(ReadMultiTurnEncoderRaw).raw.raw(), TURN / 12);
-    bench.drive.plant_mut().set_angle_deg(5.0 * 360.0 + 30.0);
-    bench.run(millis(1));
+    bench.turn_to(5.0 * 360.0 + 30.0);
     bench.power_cycle();
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 720.0);
+    assert_eq!(bench.told_angle(), 720.0);
 }
 
 /// 2.35.4, function 2: 0x280 reaches a drive only while its id filter is off; kept after power-off.
@@ -891,19 +872,17 @@ fn function_4_saves_the_turns() {
         let mut bench = Bench::default();
         bench.write(FunctionControl::SaveMultiTurn(on));
         bench.restart();
-        bench.drive.plant_mut().set_angle_deg(1_110.0);
-        bench.run(millis(1));
+        bench.turn_to(1_110.0);
         bench.power_cycle();
-        assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), kept);
+        assert_eq!(bench.told_angle(), kept);
         bench.restart();
-        assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), kept);
+        assert_eq!(bench.told_angle(), kept);
     }
     let mut bench = Bench::default();
-    bench.drive.plant_mut().set_angle_deg(1_110.0);
-    bench.run(millis(1));
+    bench.turn_to(1_110.0);
     bench.write(FunctionControl::SaveMultiTurn(Switch::On));
     bench.power_cycle();
-    assert_eq!(bench.ask(ReadMultiTurnAngle).angle.degrees(), 30.0, "on only after a restart");
+    assert_eq!(bench.told_angle(), 30.0, "on only after a restart");
 }
 
 /// 2.35.4, function 5: a new id acts after a restart.
@@ -930,7 +909,7 @@ fn functions_6_and_7_limit_positions() {
             bench.power_cycle();
         }
         for (target, end) in [(360.0, 90.0), (-360.0, -45.0), (10.0, 10.0)] {
-            bench.ask(AbsolutePosition { max_speed: up_to(500), angle: degrees(target) });
+            bench.ask(go_to(target, 500));
             bench.run(millis(1_500));
             assert!((bench.angle() - end).abs() < 0.02, "{target}: {}", bench.angle());
         }
@@ -1023,7 +1002,7 @@ fn motion_mode_is_a_spring_a_damper_and_a_torque() {
 #[test]
 fn level_two_recovers_by_itself() {
     let mut bench = Bench::with_brake();
-    let go = Speed { max_torque: percent(0), speed: dps(100.0) };
+    let go = turn(100.0);
     bench.ask(go);
     bench.run(millis(200));
     bench.drive.plant_mut().sensors.supply_voltage_v = 10.0;
@@ -1050,7 +1029,7 @@ fn a_stall_needs_a_restart() {
     let mut bench = Bench::default();
     let against_a_stop = IdealPlant { friction_nm_s: 1e9, ..IdealPlant::default() };
     *bench.drive.plant_mut() = against_a_stop;
-    bench.ask(Speed { max_torque: percent(0), speed: dps(100.0) });
+    bench.ask(turn(100.0));
     bench.run(millis(900));
     assert_eq!(bench.state().errors, ErrorFlags::empty());
     bench.run(millis(600));

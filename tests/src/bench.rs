@@ -1,27 +1,31 @@
 //! A drive with an ideal motor on a bench: commands go in, replies come out, time is virtual.
-#![allow(dead_code, reason = "each test file uses its own part")]
 
-use myactuator_protocol_core::command::{Command, ErrorFlags, Feedback, ReadStatus2};
+use myactuator_protocol_core::command::{
+    Command, ErrorFlags, Feedback, ReadMultiTurnAngle, ReadStatus2,
+};
 use myactuator_protocol_core::drive::{
     Bus, Drive, Event, IdealPlant, NotRunReason, Parameters, RamMemory, State,
 };
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{Angle, Current, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::{AnyCommand, Channel, Data, MotorId, Opcode, Packet, Target};
 
-pub(crate) struct Bench {
-    pub(crate) drive: Drive<IdealPlant, RamMemory>,
-    pub(crate) now: Instant,
+use crate::values::millis;
+
+/// A drive, its motor, and all that came out of it.
+#[derive(Debug)]
+pub struct Bench {
+    /// The drive.
+    pub drive: Drive<IdealPlant, RamMemory>,
+    /// What time it is.
+    pub now: Instant,
     /// Everything that the drive sent, and when.
-    pub(crate) sent: Vec<(Instant, Packet)>,
-    pub(crate) events: Vec<Event>,
+    pub sent: Vec<(Instant, Packet)>,
+    /// What the drive told its program.
+    pub events: Vec<Event>,
 }
 
-pub(crate) const ID: MotorId = MotorId::MIN;
-
-pub(crate) fn millis(millis: u64) -> Duration {
-    Duration::from_millis(millis)
-}
+/// The drive's id.
+pub const ID: MotorId = MotorId::MIN;
 
 impl Default for Bench {
     fn default() -> Self {
@@ -30,11 +34,13 @@ impl Default for Bench {
 }
 
 impl Bench {
-    pub(crate) fn new(parameters: Parameters) -> Self {
+    /// A drive on CAN with an ideal motor.
+    pub fn new(parameters: Parameters) -> Self {
         Self::with(parameters, IdealPlant::default())
     }
 
-    pub(crate) fn with(parameters: Parameters, plant: IdealPlant) -> Self {
+    /// A drive with this motor.
+    pub fn with(parameters: Parameters, plant: IdealPlant) -> Self {
         let now = Instant::from_millis(1_000);
         let drive = Drive::new(parameters, plant, RamMemory::default(), now).unwrap();
         let mut bench = Self { drive, now, sent: Vec::new(), events: Vec::new() };
@@ -42,11 +48,13 @@ impl Bench {
         bench
     }
 
-    pub(crate) fn with_brake() -> Self {
+    /// A drive that has a holding brake.
+    pub fn with_brake() -> Self {
         Self::new(Parameters { has_brake: true, ..Parameters::default() })
     }
 
-    pub(crate) fn on_rs485() -> Self {
+    /// A drive on RS485.
+    pub fn on_rs485() -> Self {
         Self::new(Parameters { bus: Bus::Rs485, ..Parameters::default() })
     }
 
@@ -60,7 +68,7 @@ impl Bench {
     }
 
     /// Lets time pass, waking the drive only when it asks for it.
-    pub(crate) fn run(&mut self, span: Duration) {
+    pub fn run(&mut self, span: Duration) {
         let end = self.now + span;
         while self.now < end {
             self.now = self.drive.poll_at().map_or(end, |at| at.max(self.now).min(end));
@@ -71,13 +79,13 @@ impl Bench {
     }
 
     /// Puts a packet on the bus.
-    pub(crate) fn put(&mut self, channel: Channel, data: Data) {
+    pub fn put(&mut self, channel: Channel, data: Data) {
         self.drive.handle_packet(&Packet { channel, data }, self.now);
         self.collect();
     }
 
     /// Puts a command on the bus and waits 5 ms: the data of whatever comes back in that time.
-    pub(crate) fn exchange(&mut self, channel: Channel, data: Data) -> Vec<Packet> {
+    pub fn exchange(&mut self, channel: Channel, data: Data) -> Vec<Packet> {
         let before = self.sent.len();
         self.put(channel, data);
         self.run(millis(5));
@@ -85,7 +93,7 @@ impl Bench {
     }
 
     /// Sends any command to the drive; the data of its only reply, `None` if there is none.
-    pub(crate) fn send(&mut self, command: impl Into<AnyCommand>) -> Option<Data> {
+    pub fn send(&mut self, command: impl Into<AnyCommand>) -> Option<Data> {
         let command = command.into();
         let target = if command.opcode() == Opcode::BusId { Target::All } else { ID.into() };
         let packet = command.packet(target).unwrap();
@@ -95,86 +103,85 @@ impl Bench {
     }
 
     /// Sends a command that is answered.
-    pub(crate) fn ask<C: Command + Into<AnyCommand>>(&mut self, command: C) -> C::Reply {
+    pub fn ask<C: Command + Into<AnyCommand>>(&mut self, command: C) -> C::Reply {
         let data = self.send(command).expect("no reply");
         C::decode_reply(&data).expect("not a reply")
     }
 
     /// Sends a command that a drive echoes, and checks that it does.
-    pub(crate) fn write<C: Command + Into<AnyCommand> + Copy>(&mut self, command: C) {
+    pub fn write<C: Command + Into<AnyCommand> + Copy>(&mut self, command: C) {
         assert_eq!(self.send(command), Some(command.encode()));
     }
 
-    pub(crate) fn feedback(&mut self) -> Feedback {
+    /// What 0x9C tells.
+    pub fn feedback(&mut self) -> Feedback {
         self.ask(ReadStatus2)
     }
 
-    pub(crate) fn state(&self) -> State {
+    /// What an onlooker sees.
+    pub fn state(&self) -> State {
         self.drive.state()
     }
 
-    pub(crate) fn angle(&self) -> f64 {
+    /// Turns the shaft by hand, to an angle in degrees.
+    pub fn turn_to(&mut self, angle_deg: f64) {
+        self.drive.plant_mut().set_angle_deg(angle_deg);
+        self.run(millis(1));
+    }
+
+    /// What 0x92 tells, in degrees.
+    pub fn told_angle(&mut self) -> f32 {
+        self.ask(ReadMultiTurnAngle).angle.degrees()
+    }
+
+    /// The true angle, in degrees.
+    pub fn angle(&self) -> f64 {
         self.drive.state().angle_deg
     }
 
-    pub(crate) fn speed(&self) -> f32 {
+    /// The speed, in degrees per second.
+    pub fn speed(&self) -> f32 {
         self.drive.state().measurement.speed_dps
     }
 
-    pub(crate) fn current(&self) -> f32 {
+    /// The current, in amperes.
+    pub fn current(&self) -> f32 {
         self.drive.state().measurement.current_a
     }
 
     /// Runs for `span` and looks every millisecond.
-    pub(crate) fn watch(&mut self, span: Duration, mut look: impl FnMut(&State)) {
+    pub fn watch(&mut self, span: Duration, mut look: impl FnMut(&State)) {
         for _ in 0..span.as_millis() {
             self.run(millis(1));
             look(&self.drive.state());
         }
     }
 
-    pub(crate) fn restart(&mut self) {
+    /// Restarts the drive by 0x76.
+    pub fn restart(&mut self) {
         assert_eq!(self.send(myactuator_protocol_core::command::Reset), None);
     }
 
-    pub(crate) fn power_cycle(&mut self) {
+    /// Takes the power away for 100 ms.
+    pub fn power_cycle(&mut self) {
         self.drive.power_off(self.now);
         self.run(millis(100));
         self.drive.power_on(self.now);
         self.run(millis(1));
     }
 
-    pub(crate) fn raise(&mut self, errors: ErrorFlags) {
+    /// Raises errors by hand.
+    pub fn raise(&mut self, errors: ErrorFlags) {
         self.drive.raise_fault(errors);
         self.collect();
     }
 
     /// The reason why the last command was not run, if it was not; forgets older events.
-    pub(crate) fn not_run(&mut self) -> Option<NotRunReason> {
+    pub fn not_run(&mut self) -> Option<NotRunReason> {
         let mut reasons = self.events.drain(..).filter_map(|event| match event {
             Event::NotRun { reason, .. } => Some(reason),
             _ => None,
         });
         reasons.next_back()
     }
-}
-
-pub(crate) fn amperes(amperes: f32) -> Current {
-    Current::from_amperes(amperes).unwrap()
-}
-
-pub(crate) fn dps(dps: f32) -> SpeedTarget {
-    SpeedTarget::from_dps(dps).unwrap()
-}
-
-pub(crate) fn degrees(degrees: f32) -> Angle {
-    Angle::from_degrees(degrees).unwrap()
-}
-
-pub(crate) fn up_to(dps: u16) -> MaxSpeed {
-    MaxSpeed::from_raw(dps)
-}
-
-pub(crate) fn percent(percent: u8) -> MaxTorque {
-    MaxTorque::from_raw(percent)
 }

@@ -1,0 +1,9 @@
+//! The simulated drive: its motor, what it answers and does, alone and in a fleet.
+
+mod drives {
+    mod fleet;
+    mod manual;
+    mod plant_physics;
+    mod quirks;
+    mod runs;
+}

@@ -1,0 +1,7 @@
+//! The master against simulated drives. What takes long is a program of its own, `master_truth`.
+
+mod masters {
+    mod bring_up;
+    mod losses;
+    mod streams;
+}

@@ -1,0 +1,197 @@
+//! First contact and safe ways of working against whole simulated drives, on both buses.
+
+use std::fmt::Debug;
+
+use myactuator_host_std::sim::Fleet;
+use myactuator_protocol_core::command::{
+    BrakeCommand, ErrorFlags, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadStatus1,
+};
+use myactuator_protocol_core::drive::Quirks;
+use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
+use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::master::{Failure, MotorSet};
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::units::Milliseconds;
+use myactuator_tests::fleet::{Bus, state, turn_to};
+use myactuator_tests::listen::listen;
+use myactuator_tests::on_both_buses;
+use myactuator_tests::values::{id, millis, push, turn};
+
+on_both_buses! {
+    a_scan_tells_who_is_there
+    a_motor_that_is_being_asked_is_not_there_before_it_answers
+    a_motor_tells_what_it_is
+    a_motor_is_waited_for_after_its_power_was_cycled
+    a_zero_is_kept_over_a_power_cycle
+    an_id_is_not_changed_while_two_motors_listen_or_it_is_taken
+    the_only_motor_gets_its_new_id_for_good
+    a_brake_is_open_before_torque_comes
+    a_brake_that_does_not_open_is_told
+    a_protected_motor_stops_when_nobody_speaks
+}
+
+fn ids(numbers: impl IntoIterator<Item = u8>) -> MotorSet {
+    numbers.into_iter().map(id).collect()
+}
+
+fn read_angle<R: Runner<8, Error: Debug>>(runner: &mut R) -> f32 {
+    runner.ask(id(1), ReadMultiTurnAngle).expect("it is there").angle.degrees()
+}
+
+fn a_scan_tells_who_is_there<B: Bus>() {
+    let bus = B::with(&Fleet::new(5)).unwrap();
+    let runner = &mut bus.master();
+    let mut told = Vec::new();
+    let found = bring_up::scan(runner, MotorSet::ALL, |motor, there| told.push((motor, there)));
+    assert_eq!(found, Ok(ids(1..=5)));
+    told.sort_unstable();
+    let expected: Vec<_> = (1..=32).map(|number| (id(number), number <= 5)).collect();
+    assert_eq!(told, expected, "each is told of once");
+    // The places that it needed are free again.
+    assert_eq!(runner.master().motors(), MotorSet::EMPTY);
+    assert_eq!(bring_up::scan(runner, ids([2, 9]), |_, _| {}), Ok(ids([2])));
+}
+
+fn a_motor_that_is_being_asked_is_not_there_before_it_answers<B: Bus>() {
+    let bus = B::with(&Fleet::new(1)).unwrap();
+    let runner = &mut bus.master();
+    // Both are being asked already; only motor 1 is there to answer.
+    let now = runner.now();
+    for motor in [id(1), id(9)] {
+        let _ticket = runner.master().request(motor, ReadStatus1, now).expect("it is free");
+    }
+    assert_eq!(bring_up::scan(runner, ids([1, 9]), |_, _| {}), Ok(ids([1])));
+}
+
+fn a_motor_tells_what_it_is<B: Bus>() {
+    let bus = B::with(&Fleet::new(2)).unwrap();
+    let runner = &mut bus.master();
+    listen(runner, millis(300));
+    let identity = bring_up::identify(runner, id(2)).expect("it is there");
+    assert_eq!(identity.model.to_string(), "X8-PRO");
+    assert_eq!(identity.status.errors, ErrorFlags::empty());
+    assert!((290..=400).contains(&identity.run_time.raw()), "{}", identity.run_time);
+    let nobody = bring_up::identify(runner, id(7)).expect_err("nobody is there");
+    assert_eq!(nobody, CallError::Failed(Failure::NoReply));
+}
+
+fn a_motor_is_waited_for_after_its_power_was_cycled<B: Bus>() {
+    let slow = Quirks { slow_boot: true, ..Quirks::default() };
+    let bus = B::with(&Fleet::new(1).quirks(slow)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+    bus.power_cycle(drive.station());
+    let begun = runner.now();
+    let half = millis(500);
+    let early = bring_up::wait_until_there(runner, id(1), half);
+    assert_eq!(early, Err(BringUpError::NotThere(id(1))));
+    assert!(runner.now() - begun < half + millis(100));
+    bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
+    let took = runner.now() - begun;
+    assert!(took >= Quirks::SLOW_BOOT, "{took}");
+    assert!(took < Quirks::SLOW_BOOT + millis(150), "{took}");
+    assert!(runner.ask(id(1), ReadStatus1).is_ok());
+}
+
+fn a_zero_is_kept_over_a_power_cycle<B: Bus>() {
+    let bus = B::with(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+    turn_to(drive, 90.0);
+    listen(runner, millis(20));
+    let before = read_angle(runner);
+    assert!((before - 90.0).abs() < 0.1, "{before}");
+    let offset = bring_up::zero_here(runner, id(1)).expect("it keeps its zero");
+    assert_ne!(offset.raw(), 0);
+    bus.power_cycle(drive.station());
+    bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
+    let kept = runner.ask(id(1), ReadMultiTurnEncoderOffset).expect("it is there").offset;
+    assert_eq!(kept, offset);
+    let after = read_angle(runner);
+    assert!(after.abs() < 0.1, "{after}");
+    // The zero is a place and not wherever the shaft is.
+    turn_to(drive, 120.0);
+    listen(runner, millis(20));
+    let turned = read_angle(runner);
+    assert!((turned - 30.0).abs() < 0.1, "{turned}");
+}
+
+fn an_id_is_not_changed_while_two_motors_listen_or_it_is_taken<B: Bus>() {
+    let bus = B::with(&Fleet::new(2)).unwrap();
+    let runner = &mut bus.master();
+    let two = bring_up::change_id(runner, id(1), id(9));
+    assert_eq!(two, Err(BringUpError::NotAlone(ids([1, 2]))));
+    let taken = bring_up::change_id(runner, id(1), id(2));
+    assert_eq!(taken, Err(BringUpError::IdTaken(id(2))));
+    let stranger = bring_up::change_id(runner, id(5), id(6));
+    assert_eq!(stranger, Err(BringUpError::NotAlone(ids([1, 2]))));
+    for (drive, number) in bus.drives().iter().zip(1..) {
+        let ids = drive.with(|drive| (drive.id(), drive.stored_settings().id));
+        assert_eq!(ids, (id(number), id(number)), "nothing was changed");
+    }
+}
+
+fn the_only_motor_gets_its_new_id_for_good<B: Bus>() {
+    let slow = Quirks { slow_boot: true, silent_id_change: true, ..Quirks::default() };
+    for quirks in [Quirks::default(), slow] {
+        let bus = B::with(&Fleet::new(1).quirks(quirks)).unwrap();
+        let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+        bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
+        let empty = bring_up::change_id(runner, id(3), id(4));
+        assert_eq!(empty, Err(BringUpError::NotAlone(ids([1]))), "the only one there is another");
+        bring_up::change_id(runner, id(1), id(9)).expect("it is alone");
+        assert_eq!(bring_up::scan(runner, MotorSet::ALL, |_, _| {}), Ok(ids([9])));
+        bus.power_cycle(drive.station());
+        let there = bring_up::wait_until_there(runner, id(9), Duration::from_secs(3));
+        there.expect("it kept its id");
+    }
+}
+
+fn a_brake_is_open_before_torque_comes<B: Bus>() {
+    let slow = Quirks { slow_brake: true, ..Quirks::default() };
+    let bus = B::with(&Fleet::new(1).brakes(true).quirks(slow)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+    let moved = || state(drive).angle_deg.abs();
+    let begun = runner.now();
+    bring_up::release_brake(runner, id(1)).expect("it has a brake");
+    let took = runner.now() - begun;
+    assert!(took >= Quirks::SLOW_BRAKE_MAX, "it is waited for: {took}");
+    assert_eq!(state(drive).brake, BrakeCommand::Release);
+    // Torque moves the shaft from the first moment.
+    assert!(moved() < 0.01);
+    runner.ask(id(1), push(2.0)).expect("it is there");
+    listen(runner, millis(50));
+    assert!(moved() > 0.01, "{}", moved());
+}
+
+fn a_brake_that_does_not_open_is_told<B: Bus>() {
+    let bus = B::with(&Fleet::new(1).brakes(true)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+    // A drive that has lost its master answers 0x77 and does nothing.
+    let limit = Milliseconds::from_raw(100);
+    assert_eq!(bring_up::protect(runner, id(1), limit), Ok(Protection::Confirmed));
+    listen(runner, millis(300));
+    assert!(state(drive).communication_lost);
+    let refused = bring_up::release_brake(runner, id(1));
+    assert_eq!(refused, Err(BringUpError::BrakeNotReleased(BrakeCommand::Lock)));
+}
+
+fn a_protected_motor_stops_when_nobody_speaks<B: Bus>() {
+    let bus = B::with(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+    let limit = Milliseconds::from_raw(200);
+    assert_eq!(bring_up::protect(runner, id(1), limit), Ok(Protection::Confirmed));
+    for _ in 0..20 {
+        runner.ask(id(1), turn(50.0)).expect("it is there");
+        listen(runner, millis(50));
+        assert!(state(drive).output_on, "commands come in time");
+    }
+    // What no command can read back: it stops when nobody speaks.
+    listen(runner, millis(180));
+    assert!(!state(drive).output_on);
+    assert!(state(drive).communication_lost);
+    // Switched off, it does not.
+    let off = bring_up::protect(runner, id(1), Milliseconds::from_raw(0));
+    assert_eq!(off, Ok(Protection::Confirmed));
+    runner.ask(id(1), turn(50.0)).expect("it is there");
+    listen(runner, millis(1_000));
+    assert!(state(drive).output_on);
+}

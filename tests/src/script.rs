@@ -1,0 +1,153 @@
+//! Participants of a simulated bus that send by a timetable and note what they hear.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex};
+
+use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::faults::FaultPlan;
+use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, SerialWorld};
+use myactuator_host_std::sim::bus::trace::{Event, Record};
+use myactuator_host_std::sim::bus::{Node, StationId, World};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::can::SimpleFrame;
+
+/// So many microseconds after the world began.
+pub const fn micros(at: u64) -> Instant {
+    Instant::from_micros(at)
+}
+
+/// What a bus carries and when, in microseconds.
+pub type Timetable<F> = Vec<(u64, F)>;
+
+/// What it will send and what it heard.
+#[derive(Debug)]
+pub struct Script<F> {
+    to_send: VecDeque<(u64, F)>,
+    heard: Timetable<F>,
+    /// Whether it sends back what it hears.
+    mirrors: bool,
+}
+
+/// A hand on a script that is on a bus.
+#[derive(Clone, Debug)]
+pub struct Hand<F>(Arc<Mutex<Script<F>>>);
+
+impl<F: Clone> Hand<F> {
+    /// One that sends each frame at its time.
+    pub fn sending(timetable: impl IntoIterator<Item = (u64, F)>) -> Self {
+        let to_send = timetable.into_iter().collect();
+        let script = Script { to_send, heard: Vec::new(), mirrors: false };
+        Self(Arc::new(Mutex::new(script)))
+    }
+
+    /// One that sends nothing.
+    pub fn listening() -> Self {
+        Self::sending([])
+    }
+
+    /// One that sends back what it hears.
+    pub fn mirroring() -> Self {
+        let hand = Self::listening();
+        hand.0.lock().unwrap().mirrors = true;
+        hand
+    }
+
+    /// The node to attach.
+    pub fn node(&self) -> Arc<Mutex<Script<F>>> {
+        Arc::clone(&self.0)
+    }
+
+    /// What it heard so far, and when.
+    pub fn heard(&self) -> Timetable<F> {
+        self.0.lock().unwrap().heard.clone()
+    }
+
+    /// What it heard so far.
+    pub fn frames(&self) -> Vec<F> {
+        self.heard().into_iter().map(|(_, frame)| frame).collect()
+    }
+}
+
+/// A bus that scripts take part in.
+pub trait Stage {
+    /// What the bus carries.
+    type Frame: Clone;
+
+    /// Puts a script on the bus.
+    fn put(&self, hand: &Hand<Self::Frame>) -> StationId;
+
+    /// Puts one on the bus that sends each frame at its time.
+    fn sender(&self, timetable: impl IntoIterator<Item = (u64, Self::Frame)>) -> StationId {
+        self.put(&Hand::sending(timetable))
+    }
+
+    /// Puts one on the bus that only listens.
+    fn listener(&self) -> Hand<Self::Frame> {
+        let hand = Hand::listening();
+        self.put(&hand);
+        hand
+    }
+
+    /// Puts one on the bus that says nothing.
+    fn silent(&self) -> StationId {
+        self.put(&Hand::listening())
+    }
+
+    /// Puts one on the bus that sends back what it hears.
+    fn mirror(&self) -> StationId {
+        self.put(&Hand::mirroring())
+    }
+}
+
+impl Stage for World<CanBus> {
+    type Frame = SimpleFrame;
+
+    fn put(&self, hand: &Hand<SimpleFrame>) -> StationId {
+        self.attach(hand.node())
+    }
+}
+
+impl Stage for World<Rs485Line> {
+    type Frame = Vec<u8>;
+
+    fn put(&self, hand: &Hand<Vec<u8>>) -> StationId {
+        self.attach(hand.node())
+    }
+}
+
+/// A line at 1 Mbit/s, on which a byte lasts 10 µs, with a master's port and somebody who listens.
+pub fn line(seed: u64) -> (SerialWorld, SerialPort, Hand<Vec<u8>>) {
+    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, seed);
+    let listener = world.listener();
+    (world.clone(), world.port(), listener)
+}
+
+/// The manual's example of reading a PID gain (2.1.5).
+pub const READ_PID: [u8; 13] = [0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
+
+/// Every frame is this much late.
+pub fn late_by(delay: Duration) -> FaultPlan {
+    FaultPlan { delay: 1.0, delay_min: delay, delay_max: delay, ..FaultPlan::NONE }
+}
+
+/// What was on the wire and came to nothing.
+pub fn broken<F>(records: &[Record<F>]) -> impl Iterator<Item = &Record<F>> {
+    records.iter().filter(|record| matches!(record.event, Event::Broken { .. }))
+}
+
+impl<F: Clone + Send> Node<F> for Script<F> {
+    fn handle_frame(&mut self, frame: &F, now: Instant) {
+        self.heard.push((now.as_micros(), frame.clone()));
+        if self.mirrors {
+            self.to_send.push_back((now.as_micros(), frame.clone()));
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<F> {
+        self.to_send.pop_front_if(|(at, _)| *at <= now.as_micros()).map(|(_, frame)| frame)
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        self.to_send.front().map(|(at, _)| Instant::from_micros(*at))
+    }
+}
