@@ -4,8 +4,8 @@
 use core::fmt;
 
 use crate::command::NoReply;
-use crate::field::{self, Data};
-use crate::range::OutOfRange;
+use crate::data::{self, Data};
+use crate::quantity::{Form, OutOfRange, Quantity, Unit};
 use crate::units::Milliseconds;
 
 command! {
@@ -15,13 +15,13 @@ command! {
 
 code! {
     /// A control loop (2.25.3).
-    Mode {
+    Mode "running mode" {
         /// Torque current.
-        Current = 1 "current",
+        CURRENT = 1 "current",
         /// Speed.
-        Speed = 2 "speed",
+        SPEED = 2 "speed",
         /// Position.
-        Position = 3 "position",
+        POSITION = 3 "position",
     }
 }
 
@@ -73,6 +73,11 @@ reply! {
 pub struct VersionDate(u32);
 
 impl VersionDate {
+    /// Its name and form.
+    pub const QUANTITY: Quantity =
+        Quantity { name: "version date", unit: Unit::None, form: Form::Date };
+    pub(crate) const BYTES: u8 = 4;
+
     /// The date with this number on the wire.
     pub const fn from_raw(raw: u32) -> Self {
         Self(raw)
@@ -96,12 +101,12 @@ impl VersionDate {
 
     #[inline(always)]
     pub(crate) const fn put<const AT: usize>(self, data: &mut Data) {
-        field::put_u32::<AT>(data, self.0);
+        data::put_u32::<AT>(data, self.0);
     }
 
     #[inline(always)]
     pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
-        Ok(Self(field::get_u32::<AT>(data)))
+        Ok(Self(data::get_u32::<AT>(data)))
     }
 }
 
@@ -134,6 +139,11 @@ reply! {
 pub struct ModelName([u8; 7]);
 
 impl ModelName {
+    /// Its name and form.
+    pub const QUANTITY: Quantity =
+        Quantity { name: "model name", unit: Unit::None, form: Form::Text };
+    pub(crate) const BYTES: u8 = 7;
+
     /// The name with these bytes on the wire, whatever they are.
     pub const fn from_bytes(bytes: [u8; 7]) -> Self {
         Self(bytes)
@@ -160,8 +170,13 @@ impl ModelName {
 
     #[inline(always)]
     pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
-        let [_, a, b, c, d, e, f, g] = *data;
-        Ok(Self([a, b, c, d, e, f, g]))
+        Ok(Self::of(data))
+    }
+
+    /// The name in the only place that a data field has for it.
+    pub(crate) const fn of(data: &Data) -> Self {
+        let [_, name @ ..] = *data;
+        Self(name)
     }
 }
 

@@ -263,7 +263,7 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
     let open = runner.now() + BRAKE_OPENING;
     wait_until(runner, open)?;
     match runner.ask(motor, ReadStatus1)?.brake {
-        BrakeCommand::Release => Ok(()),
+        BrakeCommand::RELEASE => Ok(()),
         other => Err(BringUpError::BrakeNotReleased(other)),
     }
 }

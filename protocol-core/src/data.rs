@@ -1,4 +1,4 @@
-//! Little-endian integers at fixed places of a data field.
+//! The data field of a frame, and little-endian integers at fixed places of it.
 //!
 //! The place is a constant parameter, so that no bounds check is left at run time.
 
