@@ -374,7 +374,7 @@ impl<W: Wire> Session<W> {
         match choice {
             // A restart keeps a motor quiet for two seconds, so it is rare.
             0 if self.scenario.motors == 32 => self.put(motor, Reset, now),
-            0..10 => self.put(motor, SetBaudRate { baud_rate: BaudCode::Can1MRs485At500k }, now),
+            0..10 => self.put(motor, SetBaudRate { baud_rate: BaudCode::CAN_1M_RS485_500K }, now),
             10..300 => self.put(motor, Pid { index: gain, token }, now),
             300..400 => self.put(motor, Acceleration { index: gain, token }, now),
             400..550 => self.put(motor, Angle { index: 0, token }, now),

@@ -67,7 +67,7 @@ fn one_of_each() -> Vec<AnyCommand> {
         ReadRunTime.into(),
         ReadVersionDate.into(),
         CommunicationLossProtection { timeout: Milliseconds::from_raw(1_000) }.into(),
-        SetBaudRate { baud_rate: BaudCode::Can500kRs485At115200 }.into(),
+        SetBaudRate { baud_rate: BaudCode::CAN_500K_RS485_115200 }.into(),
         ReadModel.into(),
         ActiveReply {
             command: ReportedCommand::Status2,
@@ -749,17 +749,17 @@ fn without_protection_the_motor_goes_on() {
 #[test]
 fn the_bit_rate_is_kept() {
     let mut bench = Bench::default();
-    let slow = BaudCode::Can500kRs485At115200;
+    let slow = BaudCode::CAN_500K_RS485_115200;
     bench.send(SetBaudRate { baud_rate: slow });
     assert_eq!(bench.drive.baud_rate(), slow);
     assert!(bench.events.contains(&Event::BitRateChanged(slow)));
     bench.power_cycle();
     assert_eq!(bench.drive.baud_rate(), slow);
-    assert_eq!(bench.send(SetBaudRate { baud_rate: BaudCode::Rs485At1M }), None);
+    assert_eq!(bench.send(SetBaudRate { baud_rate: BaudCode::RS485_1M }), None);
     assert_eq!(bench.drive.baud_rate(), slow);
     let mut bench = Bench::on_rs485();
-    bench.send(SetBaudRate { baud_rate: BaudCode::Rs485At1M });
-    assert_eq!(bench.drive.baud_rate(), BaudCode::Rs485At1M);
+    bench.send(SetBaudRate { baud_rate: BaudCode::RS485_1M });
+    assert_eq!(bench.drive.baud_rate(), BaudCode::RS485_1M);
 }
 
 fn report(command: ReportedCommand, enable: Switch, interval: u16) -> ActiveReply {

@@ -337,9 +337,9 @@ fn commands() -> Vec<Layout<AnyCommand>> {
         opcode: Opcode::SetBaudRate,
         section: "2.32.2",
         places: &[("baud_rate", 7, 1)],
-        base: (set(BaudCode::Can500kRs485At115200), [0xB4, 0, 0, 0, 0, 0, 0, 0]),
+        base: (set(BaudCode::CAN_500K_RS485_115200), [0xB4, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("baud_rate", set(BaudCode::Rs485At1M), [0xB4, 0, 0, 0, 0, 0, 0, 2]),
+            ("baud_rate", set(BaudCode::RS485_1M), [0xB4, 0, 0, 0, 0, 0, 0, 2]),
             ("baud_rate", set(BaudCode::Unknown(0xFE)), [0xB4, 0, 0, 0, 0, 0, 0, 0xFE]),
         ],
     });

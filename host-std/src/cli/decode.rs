@@ -4,10 +4,11 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::PathBuf;
 
-use myactuator_host_std::explain::{Explanation, Rs485Stream, Sender, can_frame};
+use myactuator_host_std::explain::{Explainer, Explanation, Rs485Stream, Sender};
 use myactuator_host_std::text::can::LogLine;
 use myactuator_host_std::{BusKind, text};
 
+use super::arguments::Revision;
 use super::{DONE, NOT_ALL_DECODED, names, print_line, wrong_usage};
 
 /// Explain frames: one line each for people, or with --json one object a line.
@@ -30,6 +31,8 @@ pub(super) struct Arguments {
     /// Which way frames went whose bytes cannot tell (RS485, and bus id on CAN).
     #[arg(long, value_parser = names::sender(), value_name = "WAY")]
     direction: Option<Sender>,
+    #[command(flatten)]
+    revision: Revision,
     /// Frames, files, or - for standard input, which is also read if there is none of these.
     #[arg(value_name = "FRAME|FILE|-")]
     inputs: Vec<String>,
@@ -63,7 +66,11 @@ pub(super) fn run(arguments: &Arguments) -> u8 {
         bus,
         json: arguments.json,
         binary: arguments.binary,
-        sender: arguments.direction,
+        explainer: Explainer {
+            firmware: arguments.revision.firmware,
+            ranges: arguments.revision.motion_ranges(),
+            sender: arguments.direction,
+        },
         out: io::stdout().lock(),
         all_decoded: true,
     };
@@ -78,7 +85,7 @@ struct Decoder<W> {
     bus: BusKind,
     json: bool,
     binary: bool,
-    sender: Option<Sender>,
+    explainer: Explainer,
     out: W,
     all_decoded: bool,
 }
@@ -140,7 +147,7 @@ impl<W: Write> Decoder<W> {
         if !self.binary {
             return self.text(source, name);
         }
-        let mut stream = Rs485Stream::new(self.sender);
+        let mut stream = Rs485Stream::new(self.explainer);
         let mut bytes = [0; 4096];
         loop {
             match source.read(&mut bytes) {
@@ -159,7 +166,7 @@ impl<W: Write> Decoder<W> {
 
     /// Text, line by line: a live bus is explained as it goes.
     fn text(&mut self, source: impl BufRead, name: &str) -> Result<(), Stop> {
-        let mut stream = Rs485Stream::new(self.sender);
+        let mut stream = Rs485Stream::new(self.explainer);
         for line in source.split(b'\n') {
             let line = line.map_err(|error| unreadable(name, &error))?;
             let line = String::from_utf8_lossy(&line);
@@ -188,7 +195,7 @@ impl<W: Write> Decoder<W> {
     fn can_line(&self, line: &str) -> Explanation {
         let LogLine { stamp, rest, frame } = LogLine::read(line);
         let explanation = match frame {
-            Ok(frame) => can_frame(&frame, self.sender),
+            Ok(frame) => self.explainer.can_frame(&frame),
             Err(error) => {
                 let bytes = text::rs485::parse_line(rest);
                 let looks_like_rs485 = bytes.is_ok_and(|bytes| bytes.len() > 8);

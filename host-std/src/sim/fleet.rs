@@ -210,7 +210,7 @@ pub fn parameters_of(model: &MotorParameters) -> Parameters {
         / rating.voltage_v) as f32;
     Parameters {
         model: model_name(&model.name),
-        baud_rate: BaudCode::Can1MRs485At500k,
+        baud_rate: BaudCode::CAN_1M_RS485_500K,
         encoder_bits: model.encoder.bits,
         gear_ratio: model.gear.ratio as f32,
         torque_constant_nm_per_a: rating.torque_constant_nm_per_a as f32,

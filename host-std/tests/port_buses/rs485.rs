@@ -62,7 +62,7 @@ fn asks_and_gets_answers(how: Line) {
             assert_eq!(reading.angle.degrees(), degrees(id));
         }
         let version = master.ask(motor(1), ReadVersionDate).unwrap();
-        assert_eq!(version.date.year_month_day(), Some((2022, 2, 6)));
+        assert_eq!(version.version_date.year_month_day(), Some((2022, 2, 6)));
     }
     assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
     drop(master);

@@ -72,6 +72,11 @@ impl Field {
         Self { when: When::NoneOf(at, codes), ..self }
     }
 
+    /// Its name with its unit behind it, for programs: `"max_speed_dps"`.
+    pub fn key(&self) -> Key {
+        Key(self.name, self.quantity.unit.key())
+    }
+
     /// Whether a data field has this field.
     pub fn is_in(&self, data: &Data) -> bool {
         let byte = |at: u8| data.get(usize::from(at)).copied();
@@ -116,7 +121,7 @@ impl Field {
 
     /// As text for people, with name and unit; a motion value on these scales, or as its step where
     /// they are not known.
-    pub fn print(
+    pub(super) fn print(
         &self,
         f: &mut fmt::Formatter<'_>,
         data: &Data,
@@ -163,6 +168,17 @@ impl Field {
             write!(f, "{word} ")?;
         }
         Ok(())
+    }
+}
+
+/// A field's name and unit in one word: see [`Field::key`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Key(&'static str, &'static str);
+
+impl fmt::Display for Key {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.0)?;
+        if self.1.is_empty() { Ok(()) } else { write!(f, "_{}", self.1) }
     }
 }
 

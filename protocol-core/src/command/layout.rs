@@ -218,7 +218,7 @@ macro_rules! reply {
                 let mut data = [0; 8];
                 $crate::command::Fields::put(self, &mut data);
                 let fields = <Self as $crate::command::Fields>::FIELDS;
-                $crate::command::print::phrase(f, fields, &data, None)
+                $crate::command::Phrase { fields, data: &data, ranges: None }.fmt(f)
             }
         }
     };

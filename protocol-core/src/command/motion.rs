@@ -270,7 +270,7 @@ impl Fields for RawMotionFeedback {
 
 impl fmt::Display for RawMotionFeedback {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        crate::command::print::phrase(f, Self::FIELDS, &self.encode(), None)
+        crate::command::Phrase { fields: Self::FIELDS, data: &self.encode(), ranges: None }.fmt(f)
     }
 }
 

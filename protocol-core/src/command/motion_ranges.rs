@@ -178,6 +178,27 @@ impl MotionRanges {
         min as f64 + step as f64 * (max as f64 - min as f64) / last as f64
     }
 
+    /// The step of a scale nearest to a value; halves go up.
+    ///
+    /// # Errors
+    /// [`MotionOutOfRange`] for a value beyond the scale, an infinity or NaN.
+    pub fn step(&self, scale: MotionScale, value: f64) -> Result<u16, MotionOutOfRange> {
+        let (min, max) = self.ends(scale);
+        let (name, unit, last) = match scale {
+            MotionScale::Position => ("position", "rad", LAST_16),
+            MotionScale::Velocity => ("velocity", "rad/s", LAST_12),
+            MotionScale::Kp => ("kp", "N·m/rad", LAST_12),
+            MotionScale::Kd => ("kd", "N·m·s/rad", LAST_12),
+            MotionScale::Torque => ("torque", "N·m", LAST_12),
+        };
+        let (low, high) = (f64::from(min), f64::from(max));
+        if low <= value && value <= high {
+            Ok(((value - low) / (high - low) * f64::from(last) + 0.5) as u16)
+        } else {
+            Err(MotionOutOfRange { name, unit, min, max, given: value as f32 })
+        }
+    }
+
     /// The largest value of each scale.
     pub const fn limits(&self) -> MotionLimits {
         self.0
@@ -438,6 +459,13 @@ mod tests {
         {
             assert_eq!(quantise(MotionSetPoint { position_rad, ..zero }).unwrap().position, step);
         }
+        let step = |scale, value| MotionRanges::V4_3.step(scale, value);
+        assert_eq!(step(MotionScale::Position, 10.0), Ok(58_982)); // 5.4
+        assert_eq!(step(MotionScale::Kp, 10.0), Ok(82));
+        assert_eq!(step(MotionScale::Torque, -24.0), Ok(0));
+        assert_eq!(step(MotionScale::Torque, 24.0), Ok(4_095));
+        assert_eq!(step(MotionScale::Velocity, 45.1).unwrap_err().name, "velocity");
+        assert!(step(MotionScale::Kd, f64::NAN).is_err());
         let raw = quantise(zero).unwrap(); // halves go up, and -0.0 is 0
         assert_eq!((raw.position, raw.velocity.get(), raw.kp.get()), (32_768, 2_048, 0));
         assert_eq!(quantise(MotionSetPoint { kd: -0.0, ..zero }), Ok(raw));

@@ -7,20 +7,28 @@ use crate::command::{AnyCommand, AnyReply, Field, MotionRanges};
 use crate::data::Data;
 use crate::firmware::Firmware;
 
-/// Fields as a phrase: `max speed 500 dps, angle 360 deg`.
-pub(super) fn phrase(
-    f: &mut Formatter<'_>,
-    fields: &[Field],
-    data: &Data,
-    ranges: Option<&MotionRanges>,
-) -> fmt::Result {
-    for (place, field) in fields.iter().filter(|field| field.is_in(data)).enumerate() {
-        if place > 0 {
-            f.write_str(", ")?;
+/// The fields of a data field as text: `max speed 500 dps, angle 360 deg`.
+#[derive(Clone, Copy, Debug)]
+pub struct Phrase<'a> {
+    /// Which fields; those that this data field does not have are passed over.
+    pub fields: &'a [Field],
+    /// The data field.
+    pub data: &'a Data,
+    /// The scales of motion mode. Where they are not known its values are printed as steps.
+    pub ranges: Option<&'a MotionRanges>,
+}
+
+impl Display for Phrase<'_> {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let there = self.fields.iter().filter(|field| field.is_in(self.data));
+        for (place, field) in there.enumerate() {
+            if place > 0 {
+                f.write_str(", ")?;
+            }
+            field.print(f, self.data, self.ranges)?;
         }
-        field.print(f, data, ranges)?;
+        Ok(())
     }
-    Ok(())
 }
 
 /// A name, and fields if there are any.
@@ -32,8 +40,7 @@ pub(super) fn named(
 ) -> fmt::Result {
     name.fmt(f)?;
     if fields.iter().any(|field| field.is_in(data)) {
-        f.write_str(": ")?;
-        phrase(f, fields, data, None)?;
+        write!(f, ": {}", Phrase { fields, data, ranges: None })?;
     }
     Ok(())
 }
@@ -138,7 +145,7 @@ mod tests {
             (
                 Channel::Reply(M1),
                 [0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 1], // 2.30.4
-                "reply of motor 1: read-version-date (0xB2): date 20220206 (2022-02-06)",
+                "reply of motor 1: read-version-date (0xB2): version date 20220206 (2022-02-06)",
             ),
             (
                 Channel::Command(M1.into()),

@@ -61,7 +61,7 @@ reply! {
     /// Date of the drive's software (2.30.3).
     Version {
         /// The date.
-        date: VersionDate => 4,
+        version_date: VersionDate => 4,
     }
 }
 
@@ -128,7 +128,7 @@ reply! {
     /// The motor's model (2.33.3).
     Model {
         /// Its name.
-        name: ModelName => 1,
+        model: ModelName => 1,
     }
 }
 
@@ -204,10 +204,10 @@ mod tests {
     fn reads_the_manuals_examples() {
         let model =
             ReadModel::decode_reply(&[0xB5, 0x58, 0x38, 0x53, 0x32, 0x56, 0x31, 0x30]).unwrap();
-        assert_eq!(model.name.as_str(), Some("X8S2V10")); // 2.33.4
+        assert_eq!(model.model.as_str(), Some("X8S2V10")); // 2.33.4
         let version =
             ReadVersionDate::decode_reply(&[0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 0x01]).unwrap();
-        assert_eq!(version.date.raw(), 20_220_206); // 2.30.4
+        assert_eq!(version.version_date.raw(), 20_220_206); // 2.30.4
         let run = ReadRunTime::decode_reply(&[0xB1, 0, 0, 0, 0, 0, 0, 0x10]).unwrap();
         assert_eq!(run.run_time.raw(), 268_435_456); // 2.29.4
     }

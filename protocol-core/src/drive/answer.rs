@@ -322,9 +322,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 AnyReply::ReadRunTime(RunTime { run_time })
             }
             Opcode::ReadVersionDate => {
-                AnyReply::ReadVersionDate(Version { date: self.parameters.version_date })
+                AnyReply::ReadVersionDate(Version { version_date: self.parameters.version_date })
             }
-            Opcode::ReadModel => AnyReply::ReadModel(Model { name: self.parameters.model }),
+            Opcode::ReadModel => AnyReply::ReadModel(Model { model: self.parameters.model }),
             _ => return None,
         })
     }

@@ -1,7 +1,6 @@
 //! What the output shaft carries.
 
-use myactuator_protocol_core::OutOfRange;
-use myactuator_protocol_core::range::Quantity;
+use super::figure::{Figure, ImpossibleFigure};
 use serde::{Deserialize, Serialize};
 
 /// What is fixed to the output shaft: any of its parts may be there, all at once too.
@@ -41,19 +40,10 @@ pub struct SpringStop {
     pub stiffness_nm_per_rad: f64,
 }
 
-const TORQUE: Quantity = Quantity { name: "load torque", unit: "N·m", min: -1e6, max: 1e6 };
-const INERTIA: Quantity = Quantity { name: "load inertia", unit: "kg·m²", min: 0.0, max: 1e6 };
-const STOP_ANGLE: Quantity = Quantity { name: "stop angle", unit: "deg", min: -1e9, max: 1e9 };
-const STIFFNESS: Quantity =
-    Quantity { name: "stop stiffness", unit: "N·m/rad", min: 0.0, max: 1e9 };
-
-pub(super) fn in_range(quantity: &'static Quantity, given: f64) -> Result<f64, OutOfRange> {
-    if given >= quantity.min && given <= quantity.max {
-        Ok(given)
-    } else {
-        Err(OutOfRange { quantity, given: given.into() })
-    }
-}
+const TORQUE: Figure = Figure { name: "load torque", unit: "N·m", min: -1e6, max: 1e6 };
+const INERTIA: Figure = Figure { name: "load inertia", unit: "kg·m²", min: 0.0, max: 1e6 };
+const STOP_ANGLE: Figure = Figure { name: "stop angle", unit: "deg", min: -1e9, max: 1e9 };
+const STIFFNESS: Figure = Figure { name: "stop stiffness", unit: "N·m/rad", min: 0.0, max: 1e9 };
 
 impl Load {
     /// A bare shaft.
@@ -113,12 +103,12 @@ impl Load {
         stiffness(self.upper_stop).max(stiffness(self.lower_stop))
     }
 
-    pub(super) fn check(&self) -> Result<(), OutOfRange> {
-        in_range(&TORQUE, self.torque_nm)?;
-        in_range(&INERTIA, self.inertia_kg_m2)?;
+    pub(super) fn check(&self) -> Result<(), ImpossibleFigure> {
+        TORQUE.check(self.torque_nm)?;
+        INERTIA.check(self.inertia_kg_m2)?;
         for stop in [self.upper_stop, self.lower_stop].into_iter().flatten() {
-            in_range(&STOP_ANGLE, stop.at_deg)?;
-            in_range(&STIFFNESS, stop.stiffness_nm_per_rad)?;
+            STOP_ANGLE.check(stop.at_deg)?;
+            STIFFNESS.check(stop.stiffness_nm_per_rad)?;
         }
         Ok(())
     }

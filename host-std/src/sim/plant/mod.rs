@@ -27,12 +27,14 @@
 //! # Ok::<(), myactuator_host_std::sim::plant::ParameterError>(())
 //! ```
 
+mod figure;
 mod load;
 mod motor;
 mod parameters;
 mod supply;
 mod thermal;
 
+pub use figure::{Figure, ImpossibleFigure};
 pub use load::{Load, SpringStop};
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{

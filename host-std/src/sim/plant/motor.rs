@@ -2,12 +2,11 @@
 
 use std::f64::consts::TAU;
 
-use myactuator_protocol_core::OutOfRange;
+use super::figure::Figure;
+use super::figure::ImpossibleFigure;
 use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
-use myactuator_protocol_core::range::Quantity;
 use myactuator_protocol_core::time::Duration;
 
-use super::load::in_range;
 use super::supply::{Link, check_voltage};
 use super::{Load, MotorParameters, ParameterError, Supply, ThermalNode};
 
@@ -28,11 +27,11 @@ const MAX_SPRING_RATE_PER_S: f64 = 0.2 / STEP_S;
 
 const HALF_SQRT_3: f64 = 0.866_025_403_784_438_6;
 
-const TORQUE: Quantity = Quantity { name: "external torque", unit: "N·m", min: -1e6, max: 1e6 };
-const TEMPERATURE: Quantity =
-    Quantity { name: "temperature", unit: "°C", min: -273.15, max: 10_000.0 };
-const ANGLE: Quantity = Quantity { name: "output angle", unit: "deg", min: -1e9, max: 1e9 };
-const SPEED: Quantity = Quantity { name: "output speed", unit: "deg/s", min: -1e6, max: 1e6 };
+const TORQUE: Figure = Figure { name: "external torque", unit: "N·m", min: -1e6, max: 1e6 };
+const TEMPERATURE: Figure =
+    Figure { name: "temperature", unit: "°C", min: -273.15, max: 10_000.0 };
+const ANGLE: Figure = Figure { name: "output angle", unit: "deg", min: -1e9, max: 1e9 };
+const SPEED: Figure = Figure { name: "output speed", unit: "deg/s", min: -1e6, max: 1e6 };
 
 /// A motor with gearbox, load, brake, encoder and supply, in software.
 ///
@@ -213,8 +212,8 @@ impl SimulatedMotor {
     /// Connects another supply. The capacitor at the drive's input keeps its voltage and follows.
     ///
     /// # Errors
-    /// [`OutOfRange`] for a figure that cannot be.
-    pub fn set_supply(&mut self, supply: Supply) -> Result<(), OutOfRange> {
+    /// [`ImpossibleFigure`] for a figure that cannot be.
+    pub fn set_supply(&mut self, supply: Supply) -> Result<(), ImpossibleFigure> {
         supply.check()?;
         self.link.replace_supply(supply, STEP_S);
         Ok(())
@@ -223,9 +222,9 @@ impl SimulatedMotor {
     /// Turns the shaft to an angle, degrees, at rest.
     ///
     /// # Errors
-    /// [`OutOfRange`] beyond ±10⁹ degrees.
-    pub fn set_output_angle_deg(&mut self, angle_deg: f64) -> Result<(), OutOfRange> {
-        self.angle_rad = in_range(&ANGLE, angle_deg)?.to_radians();
+    /// [`ImpossibleFigure`] beyond ±10⁹ degrees.
+    pub fn set_output_angle_deg(&mut self, angle_deg: f64) -> Result<(), ImpossibleFigure> {
+        self.angle_rad = ANGLE.check(angle_deg)?.to_radians();
         self.speed_rad_s = 0.0;
         Ok(())
     }
@@ -233,35 +232,38 @@ impl SimulatedMotor {
     /// Gives the shaft a speed, degrees per second.
     ///
     /// # Errors
-    /// [`OutOfRange`] beyond ±10⁶ degrees per second.
-    pub fn set_output_speed_dps(&mut self, speed_dps: f64) -> Result<(), OutOfRange> {
-        self.speed_rad_s = in_range(&SPEED, speed_dps)?.to_radians();
+    /// [`ImpossibleFigure`] beyond ±10⁶ degrees per second.
+    pub fn set_output_speed_dps(&mut self, speed_dps: f64) -> Result<(), ImpossibleFigure> {
+        self.speed_rad_s = SPEED.check(speed_dps)?.to_radians();
         Ok(())
     }
 
     /// Turns the shaft by hand: a torque on it besides the load's, N·m, until set anew.
     ///
     /// # Errors
-    /// [`OutOfRange`] beyond ±10⁶ N·m.
-    pub fn set_external_torque_nm(&mut self, torque_nm: f64) -> Result<(), OutOfRange> {
-        self.external_torque_nm = in_range(&TORQUE, torque_nm)?;
+    /// [`ImpossibleFigure`] beyond ±10⁶ N·m.
+    pub fn set_external_torque_nm(&mut self, torque_nm: f64) -> Result<(), ImpossibleFigure> {
+        self.external_torque_nm = TORQUE.check(torque_nm)?;
         Ok(())
     }
 
     /// Sets the air's temperature, °C.
     ///
     /// # Errors
-    /// [`OutOfRange`] below absolute zero.
-    pub fn set_ambient_c(&mut self, ambient_c: f64) -> Result<(), OutOfRange> {
-        self.ambient_c = in_range(&TEMPERATURE, ambient_c)?;
+    /// [`ImpossibleFigure`] below absolute zero.
+    pub fn set_ambient_c(&mut self, ambient_c: f64) -> Result<(), ImpossibleFigure> {
+        self.ambient_c = TEMPERATURE.check(ambient_c)?;
         Ok(())
     }
 
     /// Holds the voltage at the drive's input, V, whatever is drawn; `None` lets it go.
     ///
     /// # Errors
-    /// [`OutOfRange`] for what no supply has.
-    pub fn force_supply_voltage_v(&mut self, voltage_v: Option<f64>) -> Result<(), OutOfRange> {
+    /// [`ImpossibleFigure`] for what no supply has.
+    pub fn force_supply_voltage_v(
+        &mut self,
+        voltage_v: Option<f64>,
+    ) -> Result<(), ImpossibleFigure> {
         self.link.held_v = voltage_v.map(check_voltage).transpose()?;
         Ok(())
     }
@@ -269,8 +271,11 @@ impl SimulatedMotor {
     /// Holds the temperature of the winding, °C; `None` lets it go on from there.
     ///
     /// # Errors
-    /// [`OutOfRange`] below absolute zero.
-    pub fn force_motor_temperature_c(&mut self, held_c: Option<f64>) -> Result<(), OutOfRange> {
+    /// [`ImpossibleFigure`] below absolute zero.
+    pub fn force_motor_temperature_c(
+        &mut self,
+        held_c: Option<f64>,
+    ) -> Result<(), ImpossibleFigure> {
         self.forced_motor_c = force(&mut self.winding, held_c)?;
         Ok(())
     }
@@ -278,8 +283,8 @@ impl SimulatedMotor {
     /// Holds the temperature of the output stage, °C; `None` lets it go on from there.
     ///
     /// # Errors
-    /// [`OutOfRange`] below absolute zero.
-    pub fn force_mos_temperature_c(&mut self, held_c: Option<f64>) -> Result<(), OutOfRange> {
+    /// [`ImpossibleFigure`] below absolute zero.
+    pub fn force_mos_temperature_c(&mut self, held_c: Option<f64>) -> Result<(), ImpossibleFigure> {
         self.forced_mos_c = force(&mut self.mos, held_c)?;
         Ok(())
     }
@@ -383,9 +388,9 @@ impl SimulatedMotor {
     }
 }
 
-fn force(node: &mut ThermalNode, held_c: Option<f64>) -> Result<Option<f64>, OutOfRange> {
+fn force(node: &mut ThermalNode, held_c: Option<f64>) -> Result<Option<f64>, ImpossibleFigure> {
     if let Some(held_c) = held_c {
-        node.set_temperature_c(in_range(&TEMPERATURE, held_c)?);
+        node.set_temperature_c(TEMPERATURE.check(held_c)?);
     }
     Ok(held_c)
 }

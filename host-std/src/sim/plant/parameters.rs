@@ -2,8 +2,7 @@
 
 use std::fmt;
 
-use myactuator_protocol_core::OutOfRange;
-use myactuator_protocol_core::range::Quantity;
+use super::figure::{Figure, ImpossibleFigure};
 use serde::{Deserialize, Serialize};
 
 /// A motor model that comes with the library.
@@ -45,7 +44,7 @@ macro_rules! table {
                 $(
                     check(
                         concat!($key, ".", stringify!($field)),
-                        &Quantity { name: $what, unit: $unit, min: $min as f64, max: $max as f64 },
+                        &Figure { name: $what, unit: $unit, min: $min as f64, max: $max as f64 },
                         Into::<f64>::into(self.$field),
                     )?;
                 )*
@@ -292,11 +291,10 @@ impl MotorParameters {
     }
 }
 
-fn check(key: &'static str, allowed: &Quantity, given: f64) -> Result<(), ParameterError> {
-    if given >= allowed.min && given <= allowed.max {
-        Ok(())
-    } else {
-        Err(ParameterError::OutOfRange { key, allowed: *allowed, given })
+fn check(key: &'static str, allowed: &'static Figure, given: f64) -> Result<(), ParameterError> {
+    match allowed.check(given) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(ParameterError::OutOfRange { key, error }),
     }
 }
 
@@ -328,13 +326,11 @@ pub enum ParameterError {
     OutOfRange {
         /// Table and key of the figure.
         key: &'static str,
-        /// What is allowed.
-        allowed: Quantity,
-        /// What was given, in the unit of `allowed`.
-        given: f64,
+        /// What is allowed, and what was given.
+        error: ImpossibleFigure,
     },
     /// A load, a supply or the like that cannot be.
-    Setting(OutOfRange),
+    Setting(ImpossibleFigure),
     /// Two figures that cannot both be.
     Contradiction {
         /// Table and key of the figure that must be the smaller one or equal.
@@ -368,13 +364,7 @@ impl fmt::Display for ParameterError {
                 write!(f, ", or write a parameter file of your own")
             }
             Self::Toml(error) => write!(f, "motor parameters: {error}"),
-            Self::OutOfRange { key, allowed: Quantity { name, unit, min, max }, given } => {
-                let space = if unit.is_empty() { "" } else { " " };
-                write!(
-                    f,
-                    "{key}: {name} must be {min} to {max}{space}{unit}, but {given}{space}{unit} was given"
-                )
-            }
+            Self::OutOfRange { key, error } => write!(f, "{key}: {error}"),
             Self::Setting(error) => error.fmt(f),
             Self::Contradiction { low_key, low, high_key, high } => write!(
                 f,
@@ -398,8 +388,8 @@ impl std::error::Error for ParameterError {
     }
 }
 
-impl From<OutOfRange> for ParameterError {
-    fn from(error: OutOfRange) -> Self {
+impl From<ImpossibleFigure> for ParameterError {
+    fn from(error: ImpossibleFigure) -> Self {
         Self::Setting(error)
     }
 }

@@ -1,10 +1,7 @@
 //! Where the power comes from, and where it goes when the motor feeds back.
 
-use myactuator_protocol_core::OutOfRange;
-use myactuator_protocol_core::range::Quantity;
+use super::figure::{Figure, ImpossibleFigure};
 use serde::{Deserialize, Serialize};
-
-use super::load::in_range;
 
 /// A voltage source behind a resistance, with the capacitor at the drive's input.
 ///
@@ -24,11 +21,11 @@ pub struct Supply {
     pub capacitance_f: f64,
 }
 
-const VOLTAGE: Quantity = Quantity { name: "supply voltage", unit: "V", min: 0.0, max: 1000.0 };
-const RESISTANCE: Quantity =
-    Quantity { name: "supply resistance", unit: "Ω", min: 0.000_1, max: 1_000_000.0 };
-const CAPACITANCE: Quantity =
-    Quantity { name: "input capacitance", unit: "F", min: 0.000_1, max: 100.0 };
+const VOLTAGE: Figure = Figure { name: "supply voltage", unit: "V", min: 0.0, max: 1000.0 };
+const RESISTANCE: Figure =
+    Figure { name: "supply resistance", unit: "Ω", min: 0.000_1, max: 1_000_000.0 };
+const CAPACITANCE: Figure =
+    Figure { name: "input capacitance", unit: "F", min: 0.000_1, max: 100.0 };
 
 impl Supply {
     /// A battery: 50 mΩ both ways. The capacitor of this and of [`bench`](Self::bench) is the
@@ -47,17 +44,17 @@ impl Supply {
         Self { feedback_resistance_ohm: 20.0, ..Self::battery(voltage_v) }
     }
 
-    pub(super) fn check(&self) -> Result<(), OutOfRange> {
-        in_range(&VOLTAGE, self.voltage_v)?;
-        in_range(&RESISTANCE, self.resistance_ohm)?;
-        in_range(&RESISTANCE, self.feedback_resistance_ohm)?;
-        in_range(&CAPACITANCE, self.capacitance_f)?;
+    pub(super) fn check(&self) -> Result<(), ImpossibleFigure> {
+        VOLTAGE.check(self.voltage_v)?;
+        RESISTANCE.check(self.resistance_ohm)?;
+        RESISTANCE.check(self.feedback_resistance_ohm)?;
+        CAPACITANCE.check(self.capacitance_f)?;
         Ok(())
     }
 }
 
-pub(super) fn check_voltage(voltage_v: f64) -> Result<f64, OutOfRange> {
-    in_range(&VOLTAGE, voltage_v)
+pub(super) fn check_voltage(voltage_v: f64) -> Result<f64, ImpossibleFigure> {
+    VOLTAGE.check(voltage_v)
 }
 
 /// The voltage at the drive's input as time goes on.
