@@ -16,6 +16,7 @@ use myactuator_protocol_core::wire::rs485;
 use myactuator_protocol_core::{AnyCommand, AnyReply, Channel, Opcode, Packet, Target};
 use myactuator_tests::bench::*;
 use myactuator_tests::values::*;
+use myactuator_tests::vectors::one_of_each;
 
 const TURN: i32 = 98_304;
 
@@ -27,64 +28,11 @@ fn plan(bench: &mut Bench, index: AccelerationIndex, dps2: u32) {
     bench.write(WriteAcceleration { index, acceleration: acceleration(dps2) });
 }
 
-/// Every command, with values that a drive takes.
-fn one_of_each() -> Vec<AnyCommand> {
-    let direction = Direction::Clockwise;
-    let single = SingleTurnTarget::try_from_raw(9_000).unwrap();
-    let (max_speed, angle) = (up_to(100), degrees(5.0));
-    let index = AccelerationIndex::SpeedAcceleration;
-    vec![
-        FunctionControl::CanIdFilter(Switch::On).into(),
-        ReadPid { index: PidIndex::SpeedKp }.into(),
-        WritePidRam { index: PidIndex::SpeedKp, value: gain(0.01) }.into(),
-        WritePidRom { index: PidIndex::SpeedKp, value: gain(0.01) }.into(),
-        ReadAcceleration { index }.into(),
-        WriteAcceleration { index, acceleration: acceleration(500) }.into(),
-        ReadMultiTurnEncoder.into(),
-        ReadMultiTurnEncoderRaw.into(),
-        ReadMultiTurnEncoderOffset.into(),
-        SetEncoderZero { offset: EncoderPulses::from_raw(7) }.into(),
-        SetCurrentPositionZero.into(),
-        ReadRunningMode.into(),
-        Reset.into(),
-        ReleaseBrake.into(),
-        LockBrake.into(),
-        BusId::Read.into(),
-        Shutdown.into(),
-        Stop.into(),
-        ReadSingleTurnEncoder.into(),
-        ReadMultiTurnAngle.into(),
-        ReadSingleTurnAngle.into(),
-        ReadStatus1.into(),
-        ReadStatus2.into(),
-        ReadStatus3.into(),
-        push(0.1).into(),
-        turn(10.0).into(),
-        AbsolutePosition { max_speed, angle }.into(),
-        SingleTurnPosition { direction, max_speed, angle: single }.into(),
-        IncrementalPosition { max_speed, angle }.into(),
-        ForcePosition { max_torque: percent(50), max_speed, angle }.into(),
-        ReadRunTime.into(),
-        ReadVersionDate.into(),
-        CommunicationLossProtection { timeout: Milliseconds::from_raw(1_000) }.into(),
-        SetBaudRate { baud_rate: BaudCode::Can500kRs485At115200 }.into(),
-        ReadModel.into(),
-        ActiveReply {
-            command: ReportedCommand::Status2,
-            enable: Switch::On,
-            interval: ReportInterval::from_raw(100),
-        }
-        .into(),
-        RawMotion::from_data(&[0x80, 0, 0x80, 0, 0, 0, 0x08, 0]).into(),
-    ]
-}
-
 /// 2 to 7: each kind is answered as its row in the table says.
 #[test]
 fn every_kind_is_answered_by_its_rule() {
-    let commands = one_of_each();
-    for &opcode in Opcode::ALL {
-        let command = *commands.iter().find(|c| c.opcode() == opcode).expect("a command missing");
+    for command in one_of_each() {
+        let opcode = command.opcode();
         let reply = Bench::default().send(command);
         match opcode.reply_rule() {
             ReplyRule::Echo | ReplyRule::Acknowledge => {
