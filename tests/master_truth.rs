@@ -385,7 +385,7 @@ impl<W: Wire> Session<W> {
             750..850 => {
                 // A finite number whatever the token.
                 let value = Gain::new(f32::from_bits(token & 0x3FFF_FFFF)).expect("finite");
-                self.put(motor, WritePidRam { index: PidIndex::SpeedKp, value }, now);
+                self.put(motor, WritePidRam { index: PidIndex::SPEED_KP, value }, now);
             }
             850..900 => {
                 let speed = Speed {
@@ -436,7 +436,7 @@ impl<W: Wire> Session<W> {
                 (1, "CAN") => {
                     let [high, low] = (number as u16).to_be_bytes();
                     let data = [high, low, 0, 0, 0, 0, 0, 0];
-                    master.set_point(motor, RawMotion::from_data(&data), now)
+                    master.set_point(motor, RawMotion::decode(&data), now)
                 }
                 _ => {
                     let max_torque = MaxTorque::from_raw(STREAM_MARK);

@@ -49,6 +49,12 @@ fn objects(output: &Output) -> Vec<Value> {
     lines(output).into_iter().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
+/// Rows of a table that is written as text: what is put in, an arrow, and what is to come out.
+fn rows(table: &str) -> impl Iterator<Item = (&str, &str)> {
+    let rows = table.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
+    rows.map(|row| row.split_once(" => ").unwrap_or_else(|| panic!("no arrow in {row:?}")))
+}
+
 /// The one sentence of a refusal.
 fn refusal(arguments: &[&str]) -> String {
     let output = run(arguments);
@@ -198,38 +204,35 @@ fn every_command_of_the_manual_is_encoded_from_its_fields() {
     }
 }
 
+/// Commands, and the frames that they are.
+const FRAMES: &str = "
+absolute-position --angle -360 --max-speed 500 => 141#A400F4016073FFFF
+read-pid --index current-kp => 141#3001000000000000
+read-acceleration --index position-deceleration => 141#4201000000000000
+function-control --index can-id-filter --value 1 => 141#2002000001000000
+function-control --index clear-multi-turn => 141#2001000000000000
+function-control --index 7 --value -90 => 141#20070000A6FFFFFF
+active-reply --command read-multi-turn-encoder --enabled true --interval 10 => 141#B660010100000000
+active-reply --command 0x60 --enabled false --interval 0 => 141#B660000000000000
+set-baud-rate --baud-code can-1m-rs485-500k => 141#B400000000000001
+speed --speed-dps 100 => 141#A200000010270000
+single-turn-position --direction counter-clockwise --angle 359.99 --max-speed 1 => 141#A60101009F8C0000
+# The ends of the ranges: 2147483647 and -2147483648 hundredths, 32767 and -32768.
+absolute-position --angle-deg 21474836.47 --max-speed-dps 65535 => 141#A400FFFFFFFFFF7F
+absolute-position --angle-deg -21474836.48 --max-speed-dps 0 => 141#A400000000000080
+speed --speed-dps 21474836.47 --max-torque-pct 255 => 141#A2FF0000FFFFFF7F
+torque --current-a 327.67 => 141#A1000000FF7F0000
+torque --current-a -327.68 => 141#A100000000800000
+write-acceleration --index 0 --acceleration-dps2 100 => 141#4300000064000000
+write-acceleration --index 0 --acceleration-dps2 60000 => 141#4300000060EA0000
+communication-loss-protection --timeout-ms 4294967295 => 141#B3000000FFFFFFFF
+active-reply --command 0x9A --enabled true --interval-ms 655350 => 141#B69A01FFFF000000
+set-encoder-zero --offset-pulses -2147483648 => 141#6300000000000080
+";
+
 #[test]
 fn codes_have_names_and_flags_may_be_short() {
-    for (arguments, frame) in [
-        ("absolute-position --angle -360 --max-speed 500", "141#A400F4016073FFFF"),
-        ("read-pid --index current-kp", "141#3001000000000000"),
-        ("read-acceleration --index position-deceleration", "141#4201000000000000"),
-        ("function-control --index can-id-filter --value 1", "141#2002000001000000"),
-        ("function-control --index clear-multi-turn", "141#2001000000000000"),
-        ("function-control --index 7 --value -90", "141#20070000A6FFFFFF"),
-        (
-            "active-reply --command read-multi-turn-encoder --enabled true --interval 10",
-            "141#B660010100000000",
-        ),
-        ("active-reply --command 0x60 --enabled false --interval 0", "141#B660000000000000"),
-        ("set-baud-rate --baud-code can-1m-rs485-500k", "141#B400000000000001"),
-        ("speed --speed-dps 100", "141#A200000010270000"),
-        (
-            "single-turn-position --direction counter-clockwise --angle 359.99 --max-speed 1",
-            "141#A60101009F8C0000",
-        ),
-        // The ends of the ranges: 2147483647 and -2147483648 hundredths, 32767 and -32768.
-        ("absolute-position --angle-deg 21474836.47 --max-speed-dps 65535", "141#A400FFFFFFFFFF7F"),
-        ("absolute-position --angle-deg -21474836.48 --max-speed-dps 0", "141#A400000000000080"),
-        ("speed --speed-dps 21474836.47 --max-torque-pct 255", "141#A2FF0000FFFFFF7F"),
-        ("torque --current-a 327.67", "141#A1000000FF7F0000"),
-        ("torque --current-a -327.68", "141#A100000000800000"),
-        ("write-acceleration --index 0 --acceleration-dps2 100", "141#4300000064000000"),
-        ("write-acceleration --index 0 --acceleration-dps2 60000", "141#4300000060EA0000"),
-        ("communication-loss-protection --timeout-ms 4294967295", "141#B3000000FFFFFFFF"),
-        ("active-reply --command 0x9A --enabled true --interval-ms 655350", "141#B69A01FFFF000000"),
-        ("set-encoder-zero --offset-pulses -2147483648", "141#6300000000000080"),
-    ] {
+    for (arguments, frame) in rows(FRAMES) {
         let words: Vec<&str> =
             ["encode", "--id", "1"].into_iter().chain(arguments.split(' ')).collect();
         let output = run(&words);
@@ -242,135 +245,50 @@ fn codes_have_names_and_flags_may_be_short() {
     assert_eq!(lines(&run(&["encode", "--id", "all", "stop"])), ["280#8100000000000000"]);
 }
 
+/// Commands, and the sentences that refuse them.
+const REFUSALS: &str = r#"
+--id 33 stop => --id: motor id must be 1 to 32, or all, but "33" was given
+--id 0 stop => --id: motor id must be 1 to 32, or all, but "0" was given
+--id -1 stop => --id: motor id must be 1 to 32, or all, but "-1" was given
+stop => --id is missing: tell which motor, 1 to 32, or all
+--id 1 absolute-position --max-speed 1 --angle 21474836.48 => --angle-deg: angle must be -21474836.48 to 21474836.47 deg, but 21474836.48 deg was given
+--id 1 absolute-position --max-speed 1 --angle -21474836.49 => --angle-deg: angle must be -21474836.48 to 21474836.47 deg, but -21474836.49 deg was given
+--id 1 absolute-position --max-speed 1 --angle up => --angle-deg: angle must be -21474836.48 to 21474836.47 deg, but "up" is no number
+--id 1 absolute-position --max-speed 65536 --angle 1 => --max-speed-dps: maximum speed must be 0 to 65535 dps, but 65536 dps was given
+--id 1 absolute-position --max-speed -1 --angle 1 => --max-speed-dps: maximum speed must be 0 to 65535 dps, but -1 dps was given
+--id 1 speed --speed 21474836.48 => --speed-dps: speed must be -21474836.48 to 21474836.47 dps, but 21474836.48 dps was given
+--id 1 speed --speed 1 --max-torque 256 => --max-torque-pct: maximum torque must be 0 to 255 % of rated current, but 256 % of rated current was given
+--id 1 torque --current 327.68 => --current-a: torque current must be -327.68 to 327.67 A, but 327.68 A was given
+--id 1 torque --current NaN => --current-a: torque current must be -327.68 to 327.67 A, but NaN A was given
+--id 1 torque --current -inf => --current-a: torque current must be -327.68 to 327.67 A, but -inf A was given
+--id 1 single-turn-position --max-speed 1 --direction clockwise --angle 360.01 => --angle-deg: single-turn angle must be 0 to 360 deg, but 360.01 deg was given
+--id 1 single-turn-position --max-speed 1 --direction left --angle 1 => --direction: direction must be one of 0 (clockwise), 1 (counter-clockwise), but "left" was given
+--id 1 write-acceleration --index 0 --acceleration-dps2 99 => --acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 99 dps/s was given
+--id 1 write-acceleration --index 0 --acceleration-dps2 60001 => --acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 60001 dps/s was given
+--id 1 write-acceleration --index 0 --acceleration-dps2 0 => --acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 0 dps/s was given
+--id 1 communication-loss-protection --timeout-ms 4294967296 => --timeout-ms: time must be 0 to 4294967295 ms, but 4294967296 ms was given
+--id 1 communication-loss-protection --timeout-ms 1.5 => --timeout-ms: time must be 0 to 4294967295 ms, but "1.5" is no whole number
+--id 1 active-reply --command 0x60 --enabled true --interval 4 => --interval-ms: report interval must be 0 to 655350 ms in steps of 10 ms, but 4 ms was given
+--id 1 active-reply --command 0x60 --enabled true --interval 655360 => --interval-ms: report interval must be 0 to 655350 ms, but 655360 ms was given
+--id 1 set-encoder-zero --offset-pulses 2147483648 => --offset-pulses: encoder position must be -2147483648 to 2147483647 pulses, but 2147483648 pulses was given
+--id 1 set-baud-rate --baud-code 256 => --baud-code: baud code must be 0 to 255, but 256 was given
+--id 1 read-acceleration --index 4 => --index: acceleration index must be one of 0 (position-acceleration), 1 (position-deceleration), 2 (speed-acceleration), 3 (speed-deceleration), but "4" was given
+--id 1 function-control --index 2 --value 2 => --value: switch must be 0 to 1, but 2 was given
+--id 1 function-control --index 5 --value 300 => --value: motor id must be 1 to 32, but 300 was given
+--id 1 function-control --index 1 --value 1 => --value: clear-multi-turn takes no value but 0, but "1" was given
+--id 1 function-control --index 3 => --value is missing: function 3 needs one
+bus-id --write 33 => --write: motor id must be 1 to 32, but 33 was given
+--id 1 bus-id --read => --id: bus-id (0x79) reaches every motor that is connected and names none: send it to all
+--id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 24.1 => --torque-nm: torque must be -24 to 24 N·m, but 24.1 N·m was given
+--id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm x => --torque-nm: torque must be -24 to 24 N·m, but "x" is no number
+--id all motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --id: motion goes to one motor only: name its id
+--id 1 --bus rs485 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --bus: motion exists on CAN only
+--id 1 --bus rs485 active-reply --command 0x60 --enabled true --interval 10 => --bus: active-reply (0xB6) exists on CAN only
+"#;
+
 #[test]
 fn wrong_values_are_refused_in_one_sentence_with_what_is_allowed() {
-    let motion = "motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm";
-    for (arguments, sentence) in [
-        ("--id 33 stop", "--id: motor id must be 1 to 32, or all, but \"33\" was given"),
-        ("--id 0 stop", "--id: motor id must be 1 to 32, or all, but \"0\" was given"),
-        ("--id -1 stop", "--id: motor id must be 1 to 32, or all, but \"-1\" was given"),
-        ("stop", "--id is missing: tell which motor, 1 to 32, or all"),
-        (
-            "--id 1 absolute-position --max-speed 1 --angle 21474836.48",
-            "--angle-deg: angle must be -21474836.48 to 21474836.47 deg, but 21474836.48 deg was given",
-        ),
-        (
-            "--id 1 absolute-position --max-speed 1 --angle -21474836.49",
-            "--angle-deg: angle must be -21474836.48 to 21474836.47 deg, but -21474836.49 deg was given",
-        ),
-        (
-            "--id 1 absolute-position --max-speed 1 --angle up",
-            "--angle-deg: angle must be -21474836.48 to 21474836.47 deg, but \"up\" is no number",
-        ),
-        (
-            "--id 1 absolute-position --max-speed 65536 --angle 1",
-            "--max-speed-dps: maximum speed must be 0 to 65535 dps, but 65536 dps was given",
-        ),
-        (
-            "--id 1 absolute-position --max-speed -1 --angle 1",
-            "--max-speed-dps: maximum speed must be 0 to 65535 dps, but -1 dps was given",
-        ),
-        (
-            "--id 1 speed --speed 21474836.48",
-            "--speed-dps: speed must be -21474836.48 to 21474836.47 dps, but 21474836.48 dps was given",
-        ),
-        (
-            "--id 1 speed --speed 1 --max-torque 256",
-            "--max-torque-pct: maximum torque must be 0 to 255 % of rated current, but 256 % of rated current was given",
-        ),
-        (
-            "--id 1 torque --current 327.68",
-            "--current-a: torque current must be -327.68 to 327.67 A, but 327.68 A was given",
-        ),
-        (
-            "--id 1 torque --current NaN",
-            "--current-a: torque current must be -327.68 to 327.67 A, but NaN A was given",
-        ),
-        (
-            "--id 1 torque --current -inf",
-            "--current-a: torque current must be -327.68 to 327.67 A, but -inf A was given",
-        ),
-        (
-            "--id 1 single-turn-position --max-speed 1 --direction clockwise --angle 360.01",
-            "--angle-deg: single-turn angle must be 0 to 360 deg, but 360.01 deg was given",
-        ),
-        (
-            "--id 1 single-turn-position --max-speed 1 --direction left --angle 1",
-            "--direction: direction must be one of 0 (clockwise), 1 (counter-clockwise), but \"left\" was given",
-        ),
-        (
-            "--id 1 write-acceleration --index 0 --acceleration-dps2 99",
-            "--acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 99 dps/s was given",
-        ),
-        (
-            "--id 1 write-acceleration --index 0 --acceleration-dps2 60001",
-            "--acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 60001 dps/s was given",
-        ),
-        (
-            "--id 1 write-acceleration --index 0 --acceleration-dps2 0",
-            "--acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 0 dps/s was given",
-        ),
-        (
-            "--id 1 communication-loss-protection --timeout-ms 4294967296",
-            "--timeout-ms: time must be 0 to 4294967295 ms, but 4294967296 ms was given",
-        ),
-        (
-            "--id 1 communication-loss-protection --timeout-ms 1.5",
-            "--timeout-ms: time must be 0 to 4294967295 ms, but \"1.5\" is no whole number",
-        ),
-        (
-            "--id 1 active-reply --command 0x60 --enabled true --interval 4",
-            "--interval-ms: report interval must be 0 to 655350 ms in steps of 10 ms, but 4 ms was given",
-        ),
-        (
-            "--id 1 active-reply --command 0x60 --enabled true --interval 655360",
-            "--interval-ms: report interval must be 0 to 655350 ms, but 655360 ms was given",
-        ),
-        (
-            "--id 1 set-encoder-zero --offset-pulses 2147483648",
-            "--offset-pulses: encoder position must be -2147483648 to 2147483647 pulses, but 2147483648 pulses was given",
-        ),
-        (
-            "--id 1 set-baud-rate --baud-code 256",
-            "--baud-code: baud code must be 0 to 255, but 256 was given",
-        ),
-        (
-            "--id 1 read-acceleration --index 4",
-            "--index: acceleration index must be one of 0 (position-acceleration), 1 (position-deceleration), 2 (speed-acceleration), 3 (speed-deceleration), but \"4\" was given",
-        ),
-        (
-            "--id 1 function-control --index 2 --value 2",
-            "--value: switch must be 0 to 1, but 2 was given",
-        ),
-        (
-            "--id 1 function-control --index 5 --value 300",
-            "--value: motor id must be 1 to 32, but 300 was given",
-        ),
-        (
-            "--id 1 function-control --index 1 --value 1",
-            "--value: clear-multi-turn takes no value but 0, but \"1\" was given",
-        ),
-        ("--id 1 function-control --index 3", "--value is missing: function 3 needs one"),
-        ("bus-id --write 33", "--write: motor id must be 1 to 32, but 33 was given"),
-        (
-            "--id 1 bus-id --read",
-            "--id: bus-id (0x79) reaches every motor that is connected and names none: send it to all",
-        ),
-        (
-            &format!("--id 1 {motion} 24.1"),
-            "--torque-nm: torque must be -24 to 24 N·m, but 24.1 N·m was given",
-        ),
-        (
-            &format!("--id 1 {motion} x"),
-            "--torque-nm: torque must be -24 to 24 N·m, but \"x\" is no number",
-        ),
-        (&format!("--id all {motion} 0"), "--id: motion goes to one motor only: name its id"),
-        (&format!("--id 1 --bus rs485 {motion} 0"), "--bus: motion exists on CAN only"),
-        (
-            "--id 1 --bus rs485 active-reply --command 0x60 --enabled true --interval 10",
-            "--bus: active-reply (0xB6) exists on CAN only",
-        ),
-    ] {
+    for (arguments, sentence) in rows(REFUSALS) {
         let words: Vec<&str> = ["encode"].into_iter().chain(arguments.split(' ')).collect();
         assert_eq!(refusal(&words), sentence, "{arguments}");
     }

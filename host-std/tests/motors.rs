@@ -212,34 +212,23 @@ fn who_is_not_there_is_told() {
     }
 }
 
+/// Commands, and the sentences that refuse them.
+const REFUSALS: &str = r#"
+status --id 33 => --id: motor id must be 1 to 32, or all, but "33" was given
+move --id 0 --angle-deg 1 => --id: motor id must be 1 to 32, but 0 was given
+move --id 1 --angle-deg 1 --max-speed-dps 70000 => --max-speed-dps: maximum speed must be 0 to 65535 dps, but 70000 dps was given
+move --id 1 --angle-deg 1 --max-torque-pct 0 => --max-torque-pct: 0 leaves no torque to move with: give 1 to 255, or leave it out
+speed --id 1 --speed-dps 1 --for-s 0 => --for-s: time must be 0.01 to 3600 s, but 0 s was given
+torque --id 1 --current-a 400 => --current-a: torque current must be -327.68 to 327.67 A, but 400 A was given
+motion --id 1 --position-rad 13 --kp 1 --kd 1 => position must be -12.5 to 12.5 rad, but 13 rad was given
+id --new-id 33 => --new-id: motor id must be 1 to 32, but 33 was given
+scan --all-rates => --all-rates: all simulated motors have the rate of their bus
+"#;
+
 #[test]
 fn values_out_of_range_are_refused_with_the_range() {
-    for (arguments, sentence) in [
-        ("status --id 33", "--id: motor id must be 1 to 32, or all, but \"33\" was given"),
-        ("move --id 0 --angle-deg 1", "--id: motor id must be 1 to 32, but 0 was given"),
-        (
-            "move --id 1 --angle-deg 1 --max-speed-dps 70000",
-            "--max-speed-dps: maximum speed must be 0 to 65535 dps, but 70000 dps was given",
-        ),
-        (
-            "move --id 1 --angle-deg 1 --max-torque-pct 0",
-            "--max-torque-pct: 0 leaves no torque to move with: give 1 to 255, or leave it out",
-        ),
-        (
-            "speed --id 1 --speed-dps 1 --for-s 0",
-            "--for-s: time must be 0.01 to 3600 s, but 0 s was given",
-        ),
-        (
-            "torque --id 1 --current-a 400",
-            "--current-a: torque current must be -327.68 to 327.67 A, but 400 A was given",
-        ),
-        (
-            "motion --id 1 --position-rad 13 --kp 1 --kd 1",
-            "position must be -12.5 to 12.5 rad, but 13 rad was given",
-        ),
-        ("id --new-id 33", "--new-id: motor id must be 1 to 32, but 33 was given"),
-        ("scan --all-rates", "--all-rates: all simulated motors have the rate of their bus"),
-    ] {
+    for row in REFUSALS.trim().lines() {
+        let (arguments, sentence) = row.split_once(" => ").unwrap();
         assert_eq!(refused(arguments), (2, sentence.to_owned()), "{arguments}");
     }
 }

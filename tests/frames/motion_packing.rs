@@ -15,6 +15,15 @@ fn u12(step: u16) -> U12 {
     U12::new(step).expect("at most 4095")
 }
 
+fn raw([position, velocity, kp, kd, torque]: [u16; 5]) -> RawMotion {
+    let [velocity, kp, kd, torque] = [velocity, kp, kd, torque].map(u12);
+    RawMotion { position, velocity, kp, kd, torque }
+}
+
+fn steps(raw: &RawMotion) -> [u16; 5] {
+    [raw.position, raw.velocity.get(), raw.kp.get(), raw.kd.get(), raw.torque.get()]
+}
+
 /// 5.2 as one string of 64 bits, the first on the left: p 16, v 12, kp 12, kd 12, t 12.
 fn command_bits([p, v, kp, kd, t]: [u16; 5]) -> Data {
     let bits = u64::from(p) << 48
@@ -33,11 +42,10 @@ fn reply_bits([id, p, v, t]: [u16; 4]) -> Data {
 
 /// Both directions of a command, by every way that the library offers.
 fn check_command(steps: [u16; 5]) {
-    let [p, v, kp, kd, t] = steps;
-    let raw = RawMotion { position: p, velocity: u12(v), kp: u12(kp), kd: u12(kd), torque: u12(t) };
+    let raw = raw(steps);
     let bytes = command_bits(steps);
     assert_eq!(raw.encode(), bytes, "{raw:?}");
-    assert_eq!(RawMotion::from_data(&bytes), raw);
+    assert_eq!(RawMotion::decode(&bytes), raw);
     assert_eq!(RawMotion::decode(&bytes), Ok(raw));
     assert_eq!(AnyCommand::decode_as(Opcode::Motion, &bytes), Ok(raw.into()));
 }
@@ -102,9 +110,7 @@ fn every_id_packs_and_unpacks_and_no_other_does() {
 fn a_walking_bit_belongs_to_one_field() {
     for place in 0..64 {
         let bytes = (1_u64 << place).to_be_bytes();
-        let raw = RawMotion::from_data(&bytes);
-        let steps =
-            [raw.position, raw.velocity.get(), raw.kp.get(), raw.kd.get(), raw.torque.get()];
+        let raw = RawMotion::decode(&bytes);
         // From the right: t 0..12, kd 12..24, kp 24..36, v 36..48, p 48..64.
         let (field, within) = match place {
             0..12 => (4, place),
@@ -113,11 +119,11 @@ fn a_walking_bit_belongs_to_one_field() {
             36..48 => (1, place - 36),
             _ => (0, place - 48),
         };
-        assert_eq!(steps, with(field, 1 << within, false), "bit {place}");
+        assert_eq!(steps(&raw), with(field, 1 << within, false), "bit {place}");
         assert_eq!(raw.encode(), bytes);
 
         let hole = !(1_u64 << place);
-        assert_eq!(RawMotion::from_data(&hole.to_be_bytes()).encode(), hole.to_be_bytes());
+        assert_eq!(RawMotion::decode(&hole.to_be_bytes()).encode(), hole.to_be_bytes());
     }
 }
 
@@ -138,94 +144,63 @@ fn a_12_bit_step_has_12_bits() {
     }
 }
 
-/// One value of a set-point: how to get and set it, and the scale that 5.1 gives it.
+/// One value of a set-point: its place among the five, and the scale that 5.1 gives it.
 struct Scale {
     name: &'static str,
-    set: fn(&mut MotionSetPoint, f32),
-    get: fn(&MotionSetPoint) -> f32,
-    set_step: fn(&mut RawMotion, u16),
-    step: fn(&RawMotion) -> u16,
-    /// The largest value; `max` of `MotionLimits`.
-    max: fn(&MotionLimits) -> f32,
+    place: usize,
     symmetric: bool,
     last: u16,
 }
 
 const SCALES: [Scale; 5] = [
-    Scale {
-        name: "position",
-        set: |to, value| to.position_rad = value,
-        get: |from| from.position_rad,
-        set_step: |to, step| to.position = step,
-        step: |from| from.position,
-        max: |limits| limits.position_rad,
-        symmetric: true,
-        last: LAST_16,
-    },
-    Scale {
-        name: "velocity",
-        set: |to, value| to.velocity_rad_s = value,
-        get: |from| from.velocity_rad_s,
-        set_step: |to, step| to.velocity = u12(step),
-        step: |from| from.velocity.get(),
-        max: |limits| limits.velocity_rad_s,
-        symmetric: true,
-        last: LAST_12,
-    },
-    Scale {
-        name: "kp",
-        set: |to, value| to.kp = value,
-        get: |from| from.kp,
-        set_step: |to, step| to.kp = u12(step),
-        step: |from| from.kp.get(),
-        max: |limits| limits.kp,
-        symmetric: false,
-        last: LAST_12,
-    },
-    Scale {
-        name: "kd",
-        set: |to, value| to.kd = value,
-        get: |from| from.kd,
-        set_step: |to, step| to.kd = u12(step),
-        step: |from| from.kd.get(),
-        max: |limits| limits.kd,
-        symmetric: false,
-        last: LAST_12,
-    },
-    Scale {
-        name: "torque",
-        set: |to, value| to.torque_nm = value,
-        get: |from| from.torque_nm,
-        set_step: |to, step| to.torque = u12(step),
-        step: |from| from.torque.get(),
-        max: |limits| limits.torque_nm,
-        symmetric: true,
-        last: LAST_12,
-    },
+    Scale { name: "position", place: 0, symmetric: true, last: LAST_16 },
+    Scale { name: "velocity", place: 1, symmetric: true, last: LAST_12 },
+    Scale { name: "kp", place: 2, symmetric: false, last: LAST_12 },
+    Scale { name: "kd", place: 3, symmetric: false, last: LAST_12 },
+    Scale { name: "torque", place: 4, symmetric: true, last: LAST_12 },
 ];
+
+fn limits([position_rad, velocity_rad_s, kp, kd, torque_nm]: [f32; 5]) -> MotionLimits {
+    MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm }
+}
+
+fn maxima(limits: &MotionLimits) -> [f32; 5] {
+    [limits.position_rad, limits.velocity_rad_s, limits.kp, limits.kd, limits.torque_nm]
+}
+
+fn set_point([position_rad, velocity_rad_s, kp, kd, torque_nm]: [f32; 5]) -> MotionSetPoint {
+    MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm }
+}
+
+fn values(of: &MotionSetPoint) -> [f32; 5] {
+    [of.position_rad, of.velocity_rad_s, of.kp, of.kd, of.torque_nm]
+}
+
+/// All 0 but one.
+fn only<T: Default + Copy>(place: usize, value: T) -> [T; 5] {
+    let mut all = [T::default(); 5];
+    all[place] = value;
+    all
+}
 
 impl Scale {
     fn ends(&self, ranges: &MotionRanges) -> (f32, f32) {
-        let max = (self.max)(&ranges.limits());
+        let max = maxima(&ranges.limits())[self.place];
         (if self.symmetric { -max } else { 0.0 }, max)
     }
 
     fn quantise(&self, ranges: &MotionRanges, value: f32) -> Option<u16> {
-        let mut wanted = MotionSetPoint::default();
-        (self.set)(&mut wanted, value);
-        ranges.quantise(&wanted).ok().map(|raw| (self.step)(&raw))
+        let raw = ranges.quantise(&set_point(only(self.place, value))).ok()?;
+        Some(steps(&raw)[self.place])
     }
 
     fn saturate(&self, ranges: &MotionRanges, value: f32) -> Option<u16> {
-        let mut wanted = MotionSetPoint::default();
-        (self.set)(&mut wanted, value);
-        ranges.saturating_quantise(&wanted).ok().map(|raw| (self.step)(&raw))
+        let raw = ranges.saturating_quantise(&set_point(only(self.place, value))).ok()?;
+        Some(steps(&raw)[self.place])
     }
 
     fn value(&self, ranges: &MotionRanges, step: u16) -> f32 {
-        let mut raw = RawMotion::from_data(&[0; 8]);
-        (self.set_step)(&mut raw, step);
-        (self.get)(&ranges.set_point(&raw))
+        values(&ranges.set_point(&raw(only(self.place, step))))[self.place]
     }
 
     /// Where `value` lies on this scale, in steps, in double precision.
@@ -251,18 +226,13 @@ fn all_ranges() -> Vec<MotionRanges> {
         [1e-3, 1e-3, 1e-3, 1e-3, 1e-3],
         [1e6, 1e6, 1e6, 1e6, 1e6],
     ]
-    .map(|[position_rad, velocity_rad_s, kp, kd, torque_nm]| {
-        MotionRanges::new(MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm })
-            .expect("positive limits")
-    });
+    .map(|maxima| MotionRanges::new(limits(maxima)).expect("positive limits"));
     [MotionRanges::V4_3].into_iter().chain(other).collect()
 }
 
 #[test]
 fn the_ranges_are_those_of_5_1() {
-    let limits = MotionRanges::V4_3.limits();
-    let found = SCALES.map(|scale| (scale.max)(&limits));
-    assert_eq!(found, [12.5, 45.0, 500.0, 5.0, 24.0]);
+    assert_eq!(maxima(&MotionRanges::V4_3.limits()), [12.5, 45.0, 500.0, 5.0, 24.0]);
 }
 
 #[test]
@@ -347,22 +317,11 @@ fn steps_never_fall_while_values_rise() {
 #[test]
 fn the_manuals_example_is_rounded_not_cut() {
     // 5.4: 10 rad lies at 58981.5, kp 10 at 81.9, kd 1 at 819, 10 N·m at 2900.6.
-    let raw = MotionRanges::V4_3
-        .quantise(&MotionSetPoint {
-            position_rad: 10.0,
-            velocity_rad_s: 1.0,
-            kp: 10.0,
-            kd: 1.0,
-            torque_nm: 10.0,
-        })
-        .expect("within the ranges");
-    assert_eq!(raw.position, 58_982);
-    assert_eq!(raw.kp.get(), 82);
-    assert_eq!(raw.kd.get(), 819);
-    assert_eq!(raw.torque.get(), 2_901);
     // 1 rad/s lies at 46 · 4095 / 90 = 2093.0. The manual prints 2094, which is 1.022 rad/s: a
     // misprint, or another speed than the one that its text works out.
-    assert_eq!(raw.velocity.get(), 2_093);
+    let raw = MotionRanges::V4_3.quantise(&set_point([10.0, 1.0, 10.0, 1.0, 10.0]));
+    let raw = raw.expect("within the ranges");
+    assert_eq!(steps(&raw), [58_982, 2_093, 82, 819, 2_901]);
     assert_eq!(raw.encode(), command_bits([58_982, 2_093, 82, 819, 2_901]));
 }
 
@@ -463,14 +422,10 @@ fn feedback_ends_with_its_scale_and_is_never_a_nan() {
 fn ranges_that_are_no_ranges_are_refused() {
     let good = MotionRanges::V4_3.limits();
     for bad in [0.0, -0.0, -1.0, f32::NAN, f32::INFINITY, 1.1e6, f32::MIN_POSITIVE / 2.0] {
-        for limits in [
-            MotionLimits { position_rad: bad, ..good },
-            MotionLimits { velocity_rad_s: bad, ..good },
-            MotionLimits { kp: bad, ..good },
-            MotionLimits { kd: bad, ..good },
-            MotionLimits { torque_nm: bad, ..good },
-        ] {
-            assert!(MotionRanges::new(limits).is_err(), "{bad}");
+        for place in 0..5 {
+            let mut maxima = maxima(&good);
+            maxima[place] = bad;
+            assert!(MotionRanges::new(limits(maxima)).is_err(), "{place}: {bad}");
         }
     }
 }

@@ -10,9 +10,9 @@ use myactuator_protocol_core::command::{
 use myactuator_protocol_core::opcode::{Buses, ReplyRule};
 use myactuator_protocol_core::wire::can;
 use myactuator_protocol_core::{
-    AnyCommand, AnyReply, Channel, Data, MotorId, Opcode, Packet, RequestError, Target,
+    AnyCommand, AnyReply, Channel, Data, MotorId, Opcode, RequestError, Target,
 };
-use myactuator_tests::line::{Line, crc16_modbus};
+use myactuator_tests::line::{Line, frame_bytes};
 use myactuator_tests::vectors::{Bus, Direction, Row, rows, sections};
 
 /// The kinds of which the manual prints no example, with the frame that the table of their section
@@ -20,20 +20,11 @@ use myactuator_tests::vectors::{Bus, Direction, Row, rows, sections};
 /// is the same).
 fn without_example() -> [(Opcode, AnyCommand, AnyReply, Data); 3] {
     [
-        (Opcode::Stop, Stop.into(), AnyReply::Stop(Stop), [0x81, 0, 0, 0, 0, 0, 0, 0]),
-        (
-            Opcode::ReleaseBrake,
-            ReleaseBrake.into(),
-            AnyReply::ReleaseBrake(ReleaseBrake),
-            [0x77, 0, 0, 0, 0, 0, 0, 0],
-        ),
-        (
-            Opcode::LockBrake,
-            LockBrake.into(),
-            AnyReply::LockBrake(LockBrake),
-            [0x78, 0, 0, 0, 0, 0, 0, 0],
-        ),
+        (Opcode::Stop, Stop.into(), AnyReply::Stop(Stop), 0x81),
+        (Opcode::ReleaseBrake, ReleaseBrake.into(), AnyReply::ReleaseBrake(ReleaseBrake), 0x77),
+        (Opcode::LockBrake, LockBrake.into(), AnyReply::LockBrake(LockBrake), 0x78),
     ]
+    .map(|(opcode, command, reply, byte)| (opcode, command, reply, [byte, 0, 0, 0, 0, 0, 0, 0]))
 }
 
 /// The rows of the kind.
@@ -98,11 +89,8 @@ fn the_list_of_sections_is_whole() {
         if !parent.is_empty() {
             assert!(sections.contains_key(parent), "{number} has no parent");
         }
-        let before = if parent.is_empty() {
-            format!("{}", last - 1)
-        } else {
-            format!("{parent}.{}", last - 1)
-        };
+        let dot = if parent.is_empty() { "" } else { "." };
+        let before = format!("{parent}{dot}{}", last - 1);
         assert!(last == 1 || sections.contains_key(before.as_str()), "{before} is missing");
     }
 }
@@ -169,10 +157,7 @@ fn kinds_without_an_example_are_as_their_table_says() {
         let packet = command.packet(Target::Motor(id)).expect("a packet");
         assert_eq!(can::identifier(packet.channel), 0x141, "{opcode}");
 
-        let mut bytes = [0x3E, 1, 8, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
-        bytes[3..11].copy_from_slice(&data);
-        let crc = crc16_modbus(&bytes[..11]).to_le_bytes();
-        bytes[11..].copy_from_slice(&crc);
+        let bytes = frame_bytes(1, data);
         assert_eq!(Line::after(&bytes).frames(), [bytes], "{opcode}");
     }
 }
@@ -303,15 +288,9 @@ fn a_types_kind_is_the_tables() {
         let command = AnyCommand::decode_as(opcode, &data).expect("a command of zeros");
         assert_eq!(command.opcode(), opcode);
         // A table row that two types shared would show here.
-        let packet = Packet {
-            channel: command
-                .packet(Target::All)
-                .or_else(|_| command.packet(Target::Motor(MotorId::MIN)))
-                .expect("a packet")
-                .channel,
-            data: command.encode(),
-        };
-        assert_eq!(AnyCommand::decode(&packet), Ok(command));
+        let to_all = command.packet(Target::All);
+        let packet = to_all.or_else(|_| command.packet(MotorId::MIN.into())).expect("a packet");
+        assert_eq!(AnyCommand::decode(&packet, Firmware::V4_3), Ok(command));
         assert_eq!(packet.data, data, "{opcode}");
     }
 }

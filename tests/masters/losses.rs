@@ -2,15 +2,13 @@
 //! know, frame by frame.
 
 use myactuator_host_std::sim::bus::can::CanBus;
-use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::sim::bus::faults::FaultPlan;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::Speed;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
 use myactuator_protocol_core::time::Duration;
-use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
-use myactuator_tests::rig::{Angle, Rig, STREAM_MARK, Wire};
+use myactuator_tests::rig::{Angle, Rig, Wire};
 use myactuator_tests::values::id;
 
 #[derive(Clone, Copy, Debug)]
@@ -40,8 +38,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
     let mut rig = Rig::<W>::new(case.motors, u64::from(case.percent) + u64::from(case.motors));
     if !case.cuts {
         let lossy = FaultPlan { lose: case.percent as f32 / 100.0, ..FaultPlan::NONE };
-        rig.world.set_faults(Direction::ToNodes, lossy);
-        rig.world.set_faults(Direction::ToPorts, lossy);
+        rig.strike(lossy);
     }
     let mut told = vec![Told::default(); case.motors.into()];
     let patience = Patience { reply_timeout: W::CONFIG.reply_timeout, attempts: case.attempts };
@@ -63,9 +60,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
             let read = Angle { index: 0, token: round };
             let _ticket =
                 master.request_with(motor, read, patience, now).expect("nothing is under way");
-            let max_torque = MaxTorque::from_raw(STREAM_MARK);
-            let speed = SpeedTarget::from_raw(round as i32 + 1);
-            master.set_point(motor, Speed { max_torque, speed }, now).expect("there is a place");
+            rig.put(motor, round + 1).expect("there is a place");
         }
         let mut broadcast = case.broadcasts && round % 4 == 0;
         if broadcast {

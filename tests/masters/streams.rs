@@ -3,58 +3,31 @@
 use myactuator_host_std::sim::bus::can::{CanBus, ControllerConfig};
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
-use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{AbsolutePosition, Speed};
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};
-use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{self, MaxSpeed, MaxTorque, SpeedTarget};
-use myactuator_tests::rig::{Angle, Rig, STREAM_MARK, Step, Wire};
-use myactuator_tests::values::id;
-
-fn put<W: Wire>(rig: &mut Rig<W>, motor: MotorId, number: u32) -> Result<(), RequestError> {
-    let max_torque = MaxTorque::from_raw(STREAM_MARK);
-    let speed = SpeedTarget::from_raw(number as i32);
-    rig.runner.set_point(motor, Speed { max_torque, speed })
-}
-
-/// Runs the loop until `until`, and hands over what it tells. Errors of the bus are passed over.
-fn run_until<W: Wire>(rig: &mut Rig<W>, until: Instant) -> Vec<Event> {
-    let mut events = Vec::new();
-    while rig.world.now() < until {
-        match rig.runner.poll() {
-            Ok(Some(event)) => events.push(event),
-            Ok(None) => rig.runner.idle(until),
-            Err(_) => rig.world.run_for(Duration::from_micros(200)),
-        }
-    }
-    events
-}
+use myactuator_protocol_core::time::Duration;
+use myactuator_tests::rig::{Angle, Ledger, Rig, Step, Wire};
+use myactuator_tests::script::late_by;
+use myactuator_tests::values::{go_to, id, millis};
 
 /// Set-points come faster than the bus takes them, for a second.
 fn flood<W: Wire>(plan: FaultPlan, cuts: bool) {
     let mut rig = Rig::<W>::new(4, 5);
-    for direction in [Direction::ToNodes, Direction::ToPorts] {
-        rig.world.set_faults(direction, plan);
-    }
+    rig.strike(plan);
     let (mut number, mut dropped) = (0, 0);
     for step in 0..5_000 {
         number += 1;
-        for motor in 1..=4 {
-            put(&mut rig, id(motor), number).expect("there is a place");
-        }
+        rig.put_all(number);
         if cuts && step % 1_000 == 0 {
             rig.world.cut(rig.port);
         } else if cuts && step % 1_000 == 400 {
             rig.world.mend(rig.port);
         }
-        let next = rig.world.now() + Duration::from_micros(200);
-        let told = run_until(&mut rig, next);
+        let told = rig.run_for(Duration::from_micros(200));
         dropped += told.iter().filter(|told| matches!(told, Event::SetPointDropped { .. })).count();
     }
-    let end = rig.world.now() + Duration::from_millis(200);
-    run_until(&mut rig, end);
+    rig.run_for(millis(200));
     assert!(!cuts || W::NAME != "CAN" || dropped > 0, "a dead bus drops set-points");
     for motor in rig.motors() {
         let (page, health) = (rig.ledger.page(motor), rig.runner.master().health(motor));
@@ -75,8 +48,7 @@ fn flood<W: Wire>(plan: FaultPlan, cuts: bool) {
 #[test]
 fn no_set_point_is_sent_after_a_newer_one_whatever_goes_wrong() {
     for p in [0.0, 0.01, 0.1, 0.5] {
-        let delayed =
-            FaultPlan { delay: p, delay_max: Duration::from_millis(15), ..FaultPlan::NONE };
+        let delayed = FaultPlan { delay: p, delay_max: millis(15), ..FaultPlan::NONE };
         for plan in [
             FaultPlan { lose: p, ..FaultPlan::NONE },
             FaultPlan { duplicate: p, ..FaultPlan::NONE },
@@ -99,40 +71,33 @@ fn no_set_point_is_sent_after_a_newer_one_over_a_wire_that_comes_and_goes() {
 #[test]
 fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     let mut rig = Rig::<CanBus>::new(8, 3);
-    for motor in 1..=8 {
-        put(&mut rig, id(motor), 1).expect("there is a place");
-    }
-    let end = rig.world.now() + Duration::from_millis(20);
-    run_until(&mut rig, end);
+    rig.put_all(1);
+    rig.run_for(millis(20));
     // Nobody acknowledges. The stream goes on, and a move and a read are asked for.
     rig.world.cut(rig.port);
     let mut events = Vec::new();
     for number in 2..200 {
-        for motor in 1..=8 {
-            put(&mut rig, id(motor), number).expect("there is a place");
-        }
-        let next = rig.world.now() + Duration::from_millis(1);
-        events.extend(run_until(&mut rig, next));
+        rig.put_all(number);
+        events.extend(rig.run_for(millis(1)));
     }
     let now = rig.runner.now();
     let step = Step { index: 0, token: 77 };
     let step = rig.runner.master().request(id(1), step, now).expect("nothing is under way");
     let read = Angle { index: 0, token: 78 };
     let read = rig.runner.master().request(id(2), read, now).expect("nothing is under way");
-    let end = now + Duration::from_millis(100);
-    events.extend(run_until(&mut rig, end));
-    let is_down = |event: &Event| step.outcome(event) == Some(Err(Failure::BusDown));
-    assert!(events.iter().any(is_down), "the move is dropped");
-    let is_down = |event: &Event| read.outcome(event) == Some(Err(Failure::BusDown));
-    assert!(events.iter().any(is_down), "nobody waits for ever for the read");
+    events.extend(rig.run_for(millis(100)));
+    let down = Some(Err(Failure::BusDown));
+    assert!(events.iter().any(|event| step.outcome(event) == down), "the move is dropped");
+    let down = Some(Err(Failure::BusDown));
+    assert!(events.iter().any(|event| read.outcome(event) == down), "nobody waits for ever");
     for motor in 1..=8 {
         assert!(events.contains(&Event::SetPointDropped { motor: id(motor) }), "motor {motor}");
     }
-    let before: u64 = rig.motors().map(|motor| rig.ledger.page(motor).set_points_sent).sum();
+    let sent = |ledger: &Ledger| -> u64 { ledger.pages().iter().map(|p| p.set_points_sent).sum() };
+    let before = sent(&rig.ledger);
     rig.world.mend(rig.port);
-    let end = rig.world.now() + Duration::from_millis(200);
-    run_until(&mut rig, end);
-    let after: u64 = rig.motors().map(|motor| rig.ledger.page(motor).set_points_sent).sum();
+    rig.run_for(millis(200));
+    let after = sent(&rig.ledger);
     // What the controller had taken before it was full it sends: nobody but its driver can take that
     // back. The master adds nothing.
     let queue = ControllerConfig::SOCKETCAN.transmit_queue as u64;
@@ -153,11 +118,8 @@ fn rates(silent: bool) -> Vec<u64> {
     }
     let mut feedback = vec![0; 8];
     for number in 1..=500 {
-        for motor in 1..=8 {
-            put(&mut rig, id(motor), number).expect("there is a place");
-        }
-        let next = rig.world.now() + Duration::from_millis(2);
-        for event in run_until(&mut rig, next) {
+        rig.put_all(number);
+        for event in rig.run_for(millis(2)) {
             if let Event::Feedback { motor, .. } = event {
                 feedback[motor.index()] += 1;
             }
@@ -179,18 +141,16 @@ fn a_silent_motor_among_eight_costs_the_other_seven_nothing() {
 fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> (usize, usize) {
     let mut rig = Rig::<W>::new(8, seed);
     let lossy = FaultPlan { lose: 0.5, ..FaultPlan::NONE };
-    rig.world.set_faults(Direction::ToNodes, lossy);
-    rig.world.set_faults(Direction::ToPorts, lossy);
+    rig.strike(lossy);
     // Everything is in flight: streams, moves and reads.
     for number in 1..20 {
-        for motor in 1..=8 {
-            put(&mut rig, id(motor), number).expect("there is a place");
+        for motor in rig.motors() {
+            rig.put(motor, number).expect("there is a place");
             let now = rig.runner.now();
             let step = Step { index: 0, token: number };
-            let _ = rig.runner.master().request(id(motor), step, now);
+            let _ = rig.runner.master().request(motor, step, now);
         }
-        let next = rig.world.now() + Duration::from_millis(1);
-        run_until(&mut rig, next);
+        rig.run_for(millis(1));
     }
     let begun = rig.runner.now();
     rig.ledger.pages().iter_mut().for_each(|page| page.first_stop_sent = None);
@@ -198,7 +158,7 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> (usize, usize) {
     let took = rig.runner.now() - begun;
     // 15 attempts of 21 ms, on RS485 one motor after another.
     let longest = if W::NAME == "CAN" { 330 } else { 8 * 15 * 7 + 10 };
-    assert!(took <= Duration::from_millis(longest), "{}: {took} for all to stop", W::NAME);
+    assert!(took <= millis(longest), "{}: {took} for all to stop", W::NAME);
     for motor in rig.motors() {
         let page = rig.ledger.page(motor);
         let told = format!("{}: motor {motor}, seed {seed}", W::NAME);
@@ -211,10 +171,10 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> (usize, usize) {
             assert!(first - begun < Duration::from_micros(18 * 135), "{told} waited");
         }
         // And nothing moves it until the stop is lifted.
-        assert_eq!(put(&mut rig, motor, 1_000), Err(RequestError::Stopped));
+        assert_eq!(rig.put(motor, 1_000), Err(RequestError::Stopped));
     }
     rig.runner.master().lift_stop();
-    put(&mut rig, id(1), 1_000).expect("the stop is lifted");
+    rig.put(id(1), 1_000).expect("the stop is lifted");
     (8 - unconfirmed.len(), unconfirmed.len())
 }
 
@@ -237,27 +197,20 @@ fn a_safe_stop_under_50_percent_loss_reaches_all_or_says_who_was_not_reached() {
 #[test]
 fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one() {
     let mut rig = Rig::<CanBus>::new(1, 1);
-    let go =
-        AbsolutePosition { max_speed: MaxSpeed::from_raw(1), angle: units::Angle::from_raw(1) };
-    rig.runner.set_point(id(1), go).expect("there is a place");
-    let end = rig.world.now() + Duration::from_millis(5);
-    run_until(&mut rig, end);
+    rig.runner.set_point(id(1), go_to(0.01, 1)).expect("there is a place");
+    rig.run_for(millis(5));
     // The first answer comes only after the second stop was sent, and that one is lost.
-    let late = Duration::from_millis(24);
-    let plan = FaultPlan { delay: 1.0, delay_min: late, delay_max: late, ..FaultPlan::NONE };
-    rig.world.set_faults(Direction::ToPorts, plan);
+    rig.world.set_faults(Direction::ToPorts, late_by(millis(24)));
     let now = rig.runner.now();
     rig.runner.master().stop_all(StopKind::Hold, MotorSet::EMPTY, now).expect("no motor is new");
-    let end = now + Duration::from_millis(2);
-    run_until(&mut rig, end);
+    rig.run_for(millis(2));
     rig.world.set_faults(Direction::ToPorts, FaultPlan::NONE);
     rig.world.set_faults(Direction::ToNodes, FaultPlan { lose: 1.0, ..FaultPlan::NONE });
-    let again = now + Duration::from_millis(10);
-    run_until(&mut rig, again);
+    rig.run_for(millis(8));
+    let again = rig.runner.now();
     rig.runner.master().lift_stop();
     rig.runner.master().stop_all(StopKind::Hold, MotorSet::EMPTY, again).expect("no motor is new");
-    let end = now + Duration::from_millis(60);
-    let told = run_until(&mut rig, end);
+    let told = rig.run_for(millis(50));
     let confirmed = told.contains(&Event::StopConfirmed { motor: id(1) });
     assert!(!confirmed, "the drive has not heard the second stop");
 }

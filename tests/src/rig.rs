@@ -8,15 +8,19 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use myactuator_host_std::sim::bus::can::{CanBus, CanConfig, CanPort};
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort};
 use myactuator_host_std::sim::bus::trace::{Event, Fault};
 use myactuator_host_std::sim::bus::{Medium, Node, SimClock, StationId, World};
 use myactuator_protocol_core::command::{
-    AccelerationReading, Feedback, MultiTurnAngle, MultiTurnEncoder, PidGain, RunTime, Version,
+    AccelerationReading, Feedback, MultiTurnAngle, MultiTurnEncoder, PidGain, RunTime, Speed,
+    Version,
 };
+use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
-use myactuator_protocol_core::master::Config;
+use myactuator_protocol_core::master::{self, Config};
 use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
 use myactuator_protocol_core::{
@@ -473,6 +477,41 @@ impl<W: Wire> Rig<W> {
             _ => {}
         });
         Self { world, runner, port, nodes, ledger }
+    }
+
+    /// What goes wrong on the bus from now on, both ways.
+    pub fn strike(&self, plan: FaultPlan) {
+        for direction in [Direction::ToNodes, Direction::ToPorts] {
+            self.world.set_faults(direction, plan);
+        }
+    }
+
+    /// Puts a set-point of a stream of speeds.
+    pub fn put(&mut self, motor: MotorId, number: u32) -> Result<(), RequestError> {
+        let max_torque = MaxTorque::from_raw(STREAM_MARK);
+        let speed = SpeedTarget::from_raw(number as i32);
+        self.runner.set_point(motor, Speed { max_torque, speed })
+    }
+
+    /// Puts one for every motor.
+    pub fn put_all(&mut self, number: u32) {
+        for motor in self.motors() {
+            self.put(motor, number).expect("there is a place");
+        }
+    }
+
+    /// Runs the master for so long, and hands over what it tells. Errors of the bus are passed over.
+    pub fn run_for(&mut self, span: Duration) -> Vec<master::Event> {
+        let until = self.world.now() + span;
+        let mut events = Vec::new();
+        while self.world.now() < until {
+            match self.runner.poll() {
+                Ok(Some(event)) => events.push(event),
+                Ok(None) => self.runner.idle(until),
+                Err(_) => self.world.run_for(Duration::from_micros(200)),
+            }
+        }
+        events
     }
 
     /// The ids of the drives.

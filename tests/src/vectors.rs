@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use myactuator_protocol_core::{Channel, Data, MotorId, Target};
+use myactuator_protocol_core::{AnyCommand, Channel, Data, MotorId, Opcode, Target};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
@@ -120,6 +120,19 @@ pub fn hex(text: &str) -> Vec<u8> {
 pub fn rows() -> Vec<Row> {
     let parse = |line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e} in {line}"));
     include_str!("../vectors/manual-v4.3.jsonl").lines().map(parse).collect()
+}
+
+/// A command of each kind: the manual's first example of it, or, for the three that have none (2.18,
+/// 2.27, 2.28), the command byte and seven NULL.
+pub fn one_of_each() -> Vec<AnyCommand> {
+    let rows = rows();
+    let command = |&opcode: &Opcode| {
+        let is_command = |row: &&Row| row.direction == Direction::Command;
+        let example = rows.iter().filter(is_command).find(|row| row.name == opcode.name());
+        let bare = || [opcode.byte().expect("a command byte"), 0, 0, 0, 0, 0, 0, 0];
+        AnyCommand::decode_as(opcode, &example.map_or_else(bare, Row::data)).expect("a command")
+    };
+    Opcode::ALL.iter().map(command).collect()
 }
 
 /// The headings of the manual's table of contents by section: `sections.txt`.

@@ -107,7 +107,7 @@ mod tests {
         );
         assert_eq!(
             reply(Opcode::ReadModel, [0xB5, b'X', 0xFF, 0, 0, 0, 0, 0]),
-            r#"{"name":"X......","name_raw":65368}"#
+            r#"{"model":"X......","model_raw":65368}"#
         );
         assert_eq!(
             command(Opcode::ActiveReply, [0xB6, 0x11, 0, 0xFF, 0xFF, 0, 0, 0]),
