@@ -530,6 +530,7 @@ impl<W: Wire> Session<W> {
             }
             Event::Stray { .. } => self.totals.stray += 1,
             Event::Report { .. } | Event::LostMaster { .. } => {}
+            ref other => panic!("{other:?}. {}", self.told()),
         }
     }
 
