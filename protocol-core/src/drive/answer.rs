@@ -240,30 +240,15 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 self.run_motion(&motion);
                 AnyReply::Motion(self.motion_feedback()).into()
             }
-            AnyCommand::ReadMultiTurnEncoder(_)
-            | AnyCommand::ReadMultiTurnEncoderRaw(_)
-            | AnyCommand::ReadMultiTurnEncoderOffset(_)
-            | AnyCommand::ReadRunningMode(_)
-            | AnyCommand::ReadSingleTurnEncoder(_)
-            | AnyCommand::ReadMultiTurnAngle(_)
-            | AnyCommand::ReadSingleTurnAngle(_)
-            | AnyCommand::ReadSingleTurnAngleV4_4(_)
-            | AnyCommand::ReadStatus1(_)
-            | AnyCommand::ReadStatus2(_)
-            | AnyCommand::ReadStatus3(_)
-            | AnyCommand::ReadRunTime(_)
-            | AnyCommand::ReadVersionDate(_)
-            | AnyCommand::ReadModel(_) => {
-                if self.reporting.reports(opcode) {
-                    return Answer::Ignored(IgnoreReason::ReportedActively(opcode));
-                }
-                self.reading(opcode).map_or(Answer::None, Answer::from)
+            // What only reads.
+            _ if self.reporting.reports(opcode) => {
+                Answer::Ignored(IgnoreReason::ReportedActively(opcode))
             }
-            AnyCommand::Raw(_) => Answer::Ignored(IgnoreReason::UnknownCommand),
+            _ => self.reading(opcode).map_or(Answer::None, Answer::from),
         }
     }
 
-    /// The reply to a read that names nothing; `None` for other kinds.
+    /// The reply to a read that names nothing; `None` for kinds that [`answer`](Self::answer) does.
     pub(super) fn reading(&self, opcode: Opcode) -> Option<AnyReply> {
         let m = &self.measurement;
         Some(match opcode {
@@ -325,7 +310,31 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 AnyReply::ReadVersionDate(Version { version_date: self.parameters.version_date })
             }
             Opcode::ReadModel => AnyReply::ReadModel(Model { model: self.parameters.model }),
-            _ => return None,
+            // Each kind stands here or above, so that the compiler asks for a new one.
+            Opcode::FunctionControl
+            | Opcode::ReadPid
+            | Opcode::WritePidRam
+            | Opcode::WritePidRom
+            | Opcode::ReadAcceleration
+            | Opcode::WriteAcceleration
+            | Opcode::SetEncoderZero
+            | Opcode::SetCurrentPositionZero
+            | Opcode::Reset
+            | Opcode::ReleaseBrake
+            | Opcode::LockBrake
+            | Opcode::BusId
+            | Opcode::Shutdown
+            | Opcode::Stop
+            | Opcode::Torque
+            | Opcode::Speed
+            | Opcode::AbsolutePosition
+            | Opcode::SingleTurnPosition
+            | Opcode::IncrementalPosition
+            | Opcode::ForcePosition
+            | Opcode::CommunicationLossProtection
+            | Opcode::SetBaudRate
+            | Opcode::ActiveReply
+            | Opcode::Motion => return None,
         })
     }
 
