@@ -9,9 +9,9 @@
 
 use std::fmt;
 
-use myactuator_host_std::bus::can::CanBus;
-use myactuator_host_std::bus::faults::{Babble, Direction, FaultPlan};
-use myactuator_host_std::bus::rs485::Rs485Line;
+use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::command::{
     AbsolutePosition, BaudCode, Command, PidIndex, RawMotion, Reset, SetBaudRate, Speed,
     WritePidRam,
@@ -374,7 +374,7 @@ impl<W: Wire> Session<W> {
         match choice {
             // A restart keeps a motor quiet for two seconds, so it is rare.
             0 if self.scenario.motors == 32 => self.put(motor, Reset, now),
-            0..10 => self.put(motor, SetBaudRate { baud_rate: BaudCode::Can1MRs485At500k }, now),
+            0..10 => self.put(motor, SetBaudRate { baud_rate: BaudCode::CAN_1M_RS485_500K }, now),
             10..300 => self.put(motor, Pid { index: gain, token }, now),
             300..400 => self.put(motor, Acceleration { index: gain, token }, now),
             400..550 => self.put(motor, Angle { index: 0, token }, now),
@@ -385,7 +385,7 @@ impl<W: Wire> Session<W> {
             750..850 => {
                 // A finite number whatever the token.
                 let value = Gain::new(f32::from_bits(token & 0x3FFF_FFFF)).expect("finite");
-                self.put(motor, WritePidRam { index: PidIndex::SpeedKp, value }, now);
+                self.put(motor, WritePidRam { index: PidIndex::SPEED_KP, value }, now);
             }
             850..900 => {
                 let speed = Speed {
@@ -436,7 +436,7 @@ impl<W: Wire> Session<W> {
                 (1, "CAN") => {
                     let [high, low] = (number as u16).to_be_bytes();
                     let data = [high, low, 0, 0, 0, 0, 0, 0];
-                    master.set_point(motor, RawMotion::from_data(&data), now)
+                    master.set_point(motor, RawMotion::decode(&data), now)
                 }
                 _ => {
                     let max_torque = MaxTorque::from_raw(STREAM_MARK);

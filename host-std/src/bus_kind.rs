@@ -1,9 +1,10 @@
 //! Which of the two buses is meant.
 
 use std::fmt;
+use std::str::FromStr;
 
 /// The two buses that the protocol runs on (manual 1.1, 1.2).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum BusKind {
     /// CAN, standard identifiers, eight data bytes.
     #[default]
@@ -13,6 +14,9 @@ pub enum BusKind {
 }
 
 impl BusKind {
+    /// Both of them.
+    pub const ALL: [Self; 2] = [Self::Can, Self::Rs485];
+
     /// Its name in tools: `"can"` or `"rs485"`.
     pub const fn name(self) -> &'static str {
         match self {
@@ -25,5 +29,27 @@ impl BusKind {
 impl fmt::Display for BusKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
+    }
+}
+
+/// Text that is the name of neither bus.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NotABus(String);
+
+impl fmt::Display for NotABus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [can, rs485] = BusKind::ALL;
+        write!(f, "expected {can} or {rs485}, found {:?}", self.0)
+    }
+}
+
+impl std::error::Error for NotABus {}
+
+impl FromStr for BusKind {
+    type Err = NotABus;
+
+    fn from_str(text: &str) -> Result<Self, NotABus> {
+        let known = Self::ALL.into_iter().find(|bus| bus.name() == text);
+        known.ok_or_else(|| NotABus(text.to_owned()))
     }
 }

@@ -1,22 +1,47 @@
-//! MyActuator servo motors on a host.
+//! MyActuator servo motors on a host: buses of Linux, simulated drives, and frames as text.
 //!
-//! | module | for |
-//! |---|---|
-//! | [`text`] | frames as people and tools write them: `ID#DATA`, candump lines, RS485 bytes |
-//! | [`explain`] | what a frame says: name, fields with their units, and a sentence |
-//! | [`sim`] | simulated drives on simulated buses |
-//! | [`bus`] | the simulated buses: CAN and RS485, in virtual or real time |
-//! | [`plant`] | the physics behind a simulated drive |
-//! | [`nvm`] | a value in a file, safe against a crash |
-//! | [`port`] | real buses on Linux: SocketCAN, SLCAN, RS485, opened from one string |
+//! | layer | for | stands on | feature |
+//! |---|---|---|---|
+//! | [`text`] | frames as people and tools write them: `ID#DATA`, candump lines, RS485 bytes, SLCAN | | |
+//! | [`explain`] | what a frame says: name, fields with their units, and a sentence | `text` | `explain` |
+//! | [`port`] | real buses on Linux: SocketCAN, SLCAN adapters, RS485 | `text` | `port` |
+//! | [`sim`] | simulated drives on simulated buses, under a virtual clock or in real time | | `sim` |
+//! | [`open`] | a master on whatever bus one string names, real or simulated | `port`, `sim` | both |
+//! | [`serve`] | simulated drives offered to other programs | `text`, `port`, `sim` | both |
+//!
+//! A layer uses those that it stands on and no other; `port` and `sim` know nothing of each other.
+//! Above them all is the program `myactuator`, the command line, which is no part of the library.
+//!
+//! # Features
+//!
+//! | feature | what it adds | which crates it pulls |
+//! |---|---|---|
+//! | (none) | [`text`], [`BusKind`] and [`protocol`] | embedded-can |
+//! | `explain` | [`explain`] | serde_json |
+//! | `port` | [`port`] | socketcan, serial2, rustix, embedded-io, nb |
+//! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io, nb |
+//! | `port` and `sim` | [`open`], [`serve`] | |
+//! | `cli` (default) | the program `myactuator`, and all of the above | clap, indicatif, signal-hook |
+//! | `can-stack` | nothing: a test that takes its machine's CAN interfaces is built | |
+//!
+//! A library that needs simulated drives only depends on this with `default-features = false` and
+//! `features = ["sim"]`.
 
-pub mod bus;
 mod bus_kind;
+#[cfg(feature = "explain")]
 pub mod explain;
-pub mod nvm;
-pub mod plant;
+#[cfg(all(feature = "port", feature = "sim"))]
+pub mod open;
+#[cfg(feature = "port")]
 pub mod port;
+#[cfg(all(feature = "port", feature = "sim"))]
+pub mod serve;
+#[cfg(feature = "sim")]
 pub mod sim;
 pub mod text;
 
-pub use bus_kind::BusKind;
+pub use bus_kind::{BusKind, NotABus};
+/// The protocol itself, [`myactuator_protocol_core`]: who depends on this crate needs no dependency
+/// on that, and cannot get another version of it.
+#[doc(no_inline)]
+pub use myactuator_protocol_core as protocol;

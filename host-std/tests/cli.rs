@@ -331,7 +331,91 @@ fn every_notation_of_a_can_log_is_read() {
     let output = run_on(log, &["decode"]);
     assert_eq!(output.status.code(), Some(0));
     let line = "141#A400F401A08C0000  motor 1  command  absolute-position (0xA4): max speed 500 dps, angle 360 deg";
-    assert_eq!(lines(&output), [line; 5]);
+    let stamps = [
+        "",
+        "can0 ",
+        "(1436509052.249713) can0 ",
+        "(1436509052.249713) can0 ",
+        "(1436509052.249713) can0 ",
+    ];
+    assert_eq!(lines(&output), stamps.map(|stamp| format!("{stamp}{line}")));
+}
+
+#[test]
+fn time_and_interface_of_a_can_log_are_kept() {
+    let log = "\
+141#8100000000000000
+  can0  141   [8]  81 00 00 00 00 00 00 00
+(0000000012.000345) vcan1 141#8100000000000000
+ (2015-07-10 06:57:32.249713)  can0  141   [8]  81 00 00 00 00 00 00 00
+(1436509052.249713123) can0 141#F1
+(1436509052.249713) can0 141##1A4
+ (1436509053.000001)  can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME
+(1436509052.249713) can0 nonsense
+";
+    let told = objects(&run_on(log, &["decode", "--json"]));
+    let kept: Vec<[Option<&str>; 3]> = told
+        .iter()
+        .map(|object| ["time", "interface", "raw"].map(|key| object.get(key)?.as_str()))
+        .collect();
+    let stop = Some("141#8100000000000000");
+    let (can0, vcan1) = (Some("can0"), Some("vcan1"));
+    assert_eq!(
+        kept,
+        [
+            [None, None, stop],
+            [None, can0, stop],
+            [Some("0000000012.000345"), vcan1, stop],
+            [Some("2015-07-10 06:57:32.249713"), can0, stop],
+            // What is no frame of a motor has them as well.
+            [Some("1436509052.249713123"), can0, Some("141#F1")],
+            [Some("1436509052.249713"), can0, Some("141##1A4")],
+            [
+                Some("1436509053.000001"),
+                can0,
+                Some("20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME")
+            ],
+            // A line that no tool writes is told as it is.
+            [None, None, Some("(1436509052.249713) can0 nonsense")],
+        ]
+    );
+    let output = run_on(log, &["decode"]);
+    let sentence = "this is a CAN FD frame, and the protocol uses classic CAN frames only";
+    assert_eq!(lines(&output)[5], format!("(1436509052.249713) can0 141##1A4  error: {sentence}"));
+}
+
+/// What is read may not steer the terminal that it is shown on.
+#[test]
+fn control_characters_are_shown_not_sent() {
+    // Escape, bell, delete, and U+009B, which begins a sequence as escape does.
+    let line = "\u{1b}[31m\u{7}\u{7f}\u{9b}é";
+    let shown = r"\u001b[31m\u0007\u007f\u009bé";
+    let output = run_on(line, &["decode"]);
+    assert!(lines(&output)[0].starts_with(&format!("{shown}  error: ")), "{output:?}");
+    let output = run_on(line, &["decode", "--json"]);
+    assert!(text(&output.stdout).contains(&format!("\"raw\":\"{shown}\"")), "{output:?}");
+    assert_eq!(objects(&output)[0]["raw"], line);
+    let output = run_on(line, &["decode", "--bus", "rs485"]);
+    assert_eq!(lines(&output)[0].matches(shown).count(), 2, "{output:?}");
+    let output = run_on("(1) c\u{1b}n0 141#8100000000000000", &["decode"]);
+    assert!(lines(&output)[0].starts_with(r"(1) c\u001bn0 141#81"), "{output:?}");
+
+    let name = "no\u{1b}\u{7f}\nfile";
+    for arguments in [
+        ["decode", name].as_slice(),
+        &["decode", "--binary", name],
+        &["encode", "--id", name, "stop"],
+        &["status", "--bus", name],
+        &["status", "--bus", "slcan:/dev/\u{1b}\u{7f}\n@1000000"],
+        &["sim", "--fault", name],
+        &["sim", "--memory", "/dev/null/\u{1b}\u{7f}\n"],
+    ] {
+        let output = run(arguments);
+        let told = text(&output.stderr);
+        let sentence = told.strip_suffix('\n').unwrap();
+        assert!(sentence.contains(r"\u001b\u007f\u000a"), "{arguments:?}: {told:?}");
+        assert!(!sentence.contains(char::is_control), "{arguments:?}: {told:?}");
+    }
 }
 
 #[test]

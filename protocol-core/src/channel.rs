@@ -3,7 +3,9 @@
 //! Both wires map their addresses to a [`Channel`] and back; everything above them speaks of
 //! channels and never of identifiers or address bytes.
 
-use crate::field::Data;
+use core::fmt;
+
+use crate::data::Data;
 use crate::id::{MotorId, Target};
 
 /// Who speaks to whom, and in which of the protocol's three forms.
@@ -21,6 +23,18 @@ pub enum Channel {
     Motion(MotorId),
     /// A motor's reply to a motion mode command, CAN only (manual 5).
     MotionReply(MotorId),
+}
+
+impl fmt::Display for Channel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Command(target) => write!(f, "command to {target}"),
+            Self::Reply(motor) => write!(f, "reply of motor {motor}"),
+            Self::BusId => f.write_str("bus id"),
+            Self::Motion(motor) => write!(f, "motion command to motor {motor}"),
+            Self::MotionReply(motor) => write!(f, "motion reply of motor {motor}"),
+        }
+    }
 }
 
 /// One frame without its framing: a data field and the channel it travels on.

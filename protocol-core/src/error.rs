@@ -4,14 +4,15 @@ use core::fmt;
 
 use crate::channel::Channel;
 use crate::opcode::Opcode;
-pub use crate::range::{Given, OutOfRange};
+use crate::quantity::OutOfRange;
 
 /// Why a data field does not mean anything.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub enum DecodeError {
-    /// The command byte is none of V4.3's.
+    /// The command byte is not in the table.
     UnknownOpcode(u8),
     /// The command byte is another than the asked-for kind's.
     WrongOpcode {
@@ -49,16 +50,16 @@ impl fmt::Display for DecodeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::UnknownOpcode(byte) => {
-                write!(f, "command byte 0x{byte:02X} is none of protocol V4.3's")
+                write!(f, "command byte 0x{byte:02X} is in no table of commands")
             }
             Self::WrongOpcode { expected, found } => {
                 write!(f, "expected {expected}, found command byte 0x{found:02X}")
             }
             Self::WrongChannel { opcode, channel } => {
-                write!(f, "{opcode} does not travel on channel {channel:?}")
+                write!(f, "{opcode} does not travel as {channel}")
             }
-            Self::NotACommand(channel) => write!(f, "channel {channel:?} carries no commands"),
-            Self::NotAReply(channel) => write!(f, "channel {channel:?} carries no replies"),
+            Self::NotACommand(channel) => write!(f, "expected a command, found a {channel}"),
+            Self::NotAReply(channel) => write!(f, "expected a reply, found a {channel}"),
             Self::NoReply(opcode) => write!(f, "{opcode} has no reply with a meaning"),
             Self::OutOfRange(error) => error.fmt(f),
             Self::NotABusId(found) => {
@@ -84,6 +85,7 @@ impl core::error::Error for DecodeError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub enum RequestError {
     /// The command goes to one motor; there is no form of it for all (motion mode).
     OneMotorOnly(Opcode),

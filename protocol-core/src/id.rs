@@ -2,8 +2,9 @@
 
 use core::fmt;
 use core::num::NonZeroU8;
+use core::str::FromStr;
 
-use crate::range::{Given, OutOfRange, Quantity};
+use crate::quantity::{Given, OutOfRange, Quantity};
 
 /// The number of a motor on its bus, 1 to 32 (manual 1.1.2, 1.2.2).
 ///
@@ -21,7 +22,7 @@ pub struct MotorId(NonZeroU8);
 
 impl MotorId {
     /// What a motor id may be.
-    pub const QUANTITY: Quantity = Quantity { name: "motor id", unit: "", min: 1.0, max: 32.0 };
+    pub const QUANTITY: Quantity = Quantity::whole("motor id", 1, 32);
     /// How many ids there are.
     pub const COUNT: usize = 32;
     /// The smallest id, 1: what a drive leaves the factory with.
@@ -33,9 +34,14 @@ impl MotorId {
     /// [`OutOfRange`] unless `id` is 1 to 32.
     #[inline]
     pub const fn new(id: u8) -> Result<Self, OutOfRange> {
-        match NonZeroU8::new(id) {
+        Self::from_u32(id as u32)
+    }
+
+    #[inline]
+    pub(crate) const fn from_u32(id: u32) -> Result<Self, OutOfRange> {
+        match NonZeroU8::new(id as u8) {
             Some(nonzero) if id <= 32 => Ok(Self(nonzero)),
-            _ => Err(OutOfRange { quantity: &Self::QUANTITY, given: Given::steps(id as u32, 1) }),
+            _ => Err(OutOfRange { quantity: &Self::QUANTITY, given: Given::steps(id, 1) }),
         }
     }
 
@@ -67,6 +73,35 @@ impl TryFrom<u8> for MotorId {
 impl From<MotorId> for u8 {
     fn from(id: MotorId) -> u8 {
         id.get()
+    }
+}
+
+/// A text that is no motor id.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NotAMotorId {
+    /// It is no whole number.
+    NotANumber,
+    /// It is another number.
+    OutOfRange(OutOfRange),
+}
+
+impl fmt::Display for NotAMotorId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotANumber => write!(f, "{}, but no number was given", MotorId::QUANTITY),
+            Self::OutOfRange(error) => error.fmt(f),
+        }
+    }
+}
+
+impl core::error::Error for NotAMotorId {}
+
+/// A decimal number, 1 to 32.
+impl FromStr for MotorId {
+    type Err = NotAMotorId;
+    fn from_str(text: &str) -> Result<Self, NotAMotorId> {
+        let id = text.parse().map_err(|_| NotAMotorId::NotANumber)?;
+        Self::from_u32(id).map_err(NotAMotorId::OutOfRange)
     }
 }
 
@@ -117,6 +152,7 @@ impl fmt::Display for Target {
 
 #[cfg(test)]
 mod tests {
+    extern crate std;
     use super::*;
 
     #[test]
@@ -124,6 +160,10 @@ mod tests {
         for id in 0..=255 {
             assert_eq!(MotorId::new(id).is_ok(), (1..=32).contains(&id), "{id}");
         }
+        assert_eq!("32".parse(), MotorId::new(32).map_err(NotAMotorId::OutOfRange));
+        assert_eq!("three".parse::<MotorId>(), Err(NotAMotorId::NotANumber));
+        let error = "1000".parse::<MotorId>().unwrap_err();
+        assert_eq!(std::format!("{error}"), "motor id must be 1 to 32, but 1000 was given");
         assert!(MotorId::all().map(MotorId::get).eq(1..=32));
         assert!(MotorId::all().map(MotorId::index).eq(0..32));
     }

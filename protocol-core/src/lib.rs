@@ -4,10 +4,11 @@
 //! # The map
 //! | layer | what it is for |
 //! |---|---|
-//! | [`id`], [`units`], [`time`] | who is meant; quantities with their unit; time as an argument |
-//! | [`channel`] | who speaks to whom, free of any wire |
-//! | [`opcode`] | **the** table: one row a kind of frame |
-//! | [`error`], [`range`] | what can be wrong with bytes, requests and values |
+//! | [`id`], [`time`], [`units`] | who is meant; time as an argument; quantities with their unit |
+//! | [`quantity`] | what a value may be, and the error for what it may not |
+//! | [`channel`], [`firmware`] | who speaks to whom, free of any wire; which revision of the protocol |
+//! | [`opcode`], [`kind`] | **the** table: one row a kind of frame; and what is not in it |
+//! | [`error`] | what can be wrong with bytes and requests |
 //! | [`command`] | what a data field means: each request, its reply beside it, both ways |
 //! | [`wire`] | how a data field is framed: CAN identifiers, RS485 bytes |
 //! | [`master`] | the master as a state machine |
@@ -25,21 +26,25 @@
 //!
 //! # One frame from end to end
 //! ```
-//! use myactuator_protocol_core::command::{AbsolutePosition, Command};
+//! use myactuator_protocol_core::command::AbsolutePosition;
 //! use myactuator_protocol_core::units::{Angle, MaxSpeed};
-//! use myactuator_protocol_core::{AnyCommand, MotorId, wire::rs485};
+//! use myactuator_protocol_core::{AnyCommand, Firmware, MotorId, wire::rs485};
 //!
 //! // Ranges are checked when a value is made, so encoding cannot fail.
 //! let go = AbsolutePosition { max_speed: MaxSpeed::from_dps(500.0)?, angle: Angle::from_degrees(360.0)? };
 //! assert_eq!(go.encode(), [0xA4, 0x00, 0xF4, 0x01, 0xA0, 0x8C, 0x00, 0x00]);
 //!
 //! // The same data field on either bus.
-//! let packet = AnyCommand::from(go).packet(MotorId::new(1)?.into())?;
+//! let packet = go.packet(MotorId::new(1)?);
 //! let line = rs485::Frame::from_packet(&packet).unwrap().encode();
 //! assert_eq!(line[..3], [0x3E, 0x01, 0x08]);
 //!
 //! // And back.
-//! assert_eq!(AnyCommand::decode(&packet)?, go.into());
+//! assert_eq!(AnyCommand::decode(&packet, Firmware::V4_3)?, go.into());
+//! assert_eq!(
+//!     packet.to_string(),
+//!     "command to motor 1: absolute-position (0xA4): max speed 500 dps, angle 360 deg"
+//! );
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
@@ -57,21 +62,26 @@
 
 pub mod channel;
 pub mod command;
+mod data;
 pub mod drive;
 pub mod error;
-mod field;
+pub mod firmware;
 pub mod id;
 pub mod io;
+pub mod kind;
 pub mod master;
 pub mod opcode;
-pub mod range;
+pub mod quantity;
 pub mod time;
 pub mod units;
 pub mod wire;
 
 pub use channel::{Channel, Packet};
 pub use command::{AnyCommand, AnyReply, Command, Reply};
-pub use error::{DecodeError, OutOfRange, RequestError};
-pub use field::Data;
+pub use data::Data;
+pub use error::{DecodeError, RequestError};
+pub use firmware::Firmware;
 pub use id::{MotorId, Target};
+pub use kind::Kind;
 pub use opcode::Opcode;
+pub use quantity::OutOfRange;

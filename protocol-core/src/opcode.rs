@@ -1,13 +1,15 @@
 //! The table of frame kinds: one row each, and everything that follows from the kind alone.
 
 use core::fmt;
+use core::str::FromStr;
 
-use crate::field::Data;
+use crate::firmware::Firmware;
 
 /// How a drive answers a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[non_exhaustive]
 pub enum ReplyRule {
     /// With the same eight bytes.
     Echo,
@@ -20,6 +22,13 @@ pub enum ReplyRule {
     Silent,
     /// With bytes that mean nothing, because the bus has just changed speed (0xB4): never wait.
     Garbled,
+}
+
+impl ReplyRule {
+    /// Whether a drive answers with bytes that can be waited for.
+    pub const fn has_reply(self) -> bool {
+        !matches!(self, Self::Silent | Self::Garbled)
+    }
 }
 
 /// What a second sending of the same command does.
@@ -46,17 +55,142 @@ pub enum Buses {
     CanOnly,
 }
 
+/// Whom a command can be sent to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum Reach {
+    /// To one motor, or to all at once (2, 3, 6).
+    OneOrAll,
+    /// To one motor only (5).
+    One,
+    /// To whatever is connected; it names no motor (4, 7).
+    Connected,
+}
+
+/// What else a command can be used for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum Usage {
+    /// For nothing else.
+    Plain,
+    /// Its reply can be reported by itself (0xB6, 2.34.2).
+    Report,
+    /// It moves the motor on: each one counts, so it is no set-point (0xA8).
+    Move,
+    /// It moves the motor and replaces the one before it: it can be streamed.
+    SetPoint,
+}
+
+/// Calls a macro with the rows of the table.
+macro_rules! opcode_table {
+    ($callback:ident) => {
+        $callback! {
+    // name, byte, name in tools, section, how the drive replies, key byte, a second sending, buses,
+    // whom it reaches, what else it is used for, which firmware has it
+
+    /// One of seven special functions.
+    FunctionControl = 0x20, "function-control", "2.35", Echo, 1, ActsAgain, Both, OneOrAll, Plain, any;
+    /// Read one gain of a control loop.
+    ReadPid = 0x30, "read-pid", "2.1", Values, 1, Harmless, Both, OneOrAll, Plain, any;
+    /// Write one gain, until power-off or reset.
+    WritePidRam = 0x31, "write-pid-ram", "2.2", Echo, 1, Harmless, Both, OneOrAll, Plain, any;
+    /// Write one gain for good.
+    WritePidRom = 0x32, "write-pid-rom", "2.3", Echo, 1, ActsAgain, Both, OneOrAll, Plain, any;
+    /// Read one of the four planning accelerations.
+    ReadAcceleration = 0x42, "read-acceleration", "2.4", Values, 1, Harmless, Both, OneOrAll, Plain, any;
+    /// Write one of the four planning accelerations for good.
+    WriteAcceleration = 0x43, "write-acceleration", "2.5", Echo, 1, ActsAgain, Both, OneOrAll, Plain, any;
+    /// Read the multi-turn encoder position, less its zero offset.
+    ReadMultiTurnEncoder = 0x60, "read-multi-turn-encoder", "2.6", Values, none, Harmless, Both, OneOrAll, Report, any;
+    /// Read the multi-turn encoder position without its zero offset.
+    ReadMultiTurnEncoderRaw = 0x61, "read-multi-turn-encoder-raw", "2.7", Values, none, Harmless, Both, OneOrAll, Report, any;
+    /// Read the zero offset of the multi-turn encoder.
+    ReadMultiTurnEncoderOffset = 0x62, "read-multi-turn-encoder-offset", "2.8", Values, none, Harmless, Both, OneOrAll, Report, any;
+    /// Make a given encoder position the zero, after a restart.
+    SetEncoderZero = 0x63, "set-encoder-zero", "2.9", Echo, none, ActsAgain, Both, OneOrAll, Plain, any;
+    /// Make the current position the zero, after a restart.
+    SetCurrentPositionZero = 0x64, "set-current-position-zero", "2.10", Values, none, ActsAgain, Both, OneOrAll, Plain, any;
+    /// Read which control loop runs.
+    ReadRunningMode = 0x70, "read-running-mode", "2.25", Values, none, Harmless, Both, OneOrAll, Plain, any;
+    /// Restart the drive.
+    Reset = 0x76, "reset", "2.26", Silent, none, ActsAgain, Both, OneOrAll, Plain, any;
+    /// Open the brake.
+    ReleaseBrake = 0x77, "release-brake", "2.27", Echo, none, Harmless, Both, OneOrAll, Plain, any;
+    /// Close the brake.
+    LockBrake = 0x78, "lock-brake", "2.28", Echo, none, Harmless, Both, OneOrAll, Plain, any;
+    /// Read or set the motor id of whatever is connected.
+    BusId = 0x79, "bus-id", "4", Values, 2, ActsAgain, Both, Connected, Plain, V4_3;
+    /// Switch the output off and leave every control mode.
+    Shutdown = 0x80, "shutdown", "2.17", Echo, none, Harmless, Both, OneOrAll, Plain, any;
+    /// Stop and hold still.
+    Stop = 0x81, "stop", "2.18", Echo, none, Harmless, Both, OneOrAll, Plain, any;
+    /// Read the single-turn encoder (direct-drive motors).
+    ReadSingleTurnEncoder = 0x90, "read-single-turn-encoder", "2.11", Values, none, Harmless, Both, OneOrAll, Plain, V4_3;
+    /// Read the multi-turn angle of the output shaft.
+    ReadMultiTurnAngle = 0x92, "read-multi-turn-angle", "2.12", Values, none, Harmless, Both, OneOrAll, Report, any;
+    /// Read the single-turn angle (direct-drive motors).
+    ReadSingleTurnAngle = 0x94, "read-single-turn-angle", "2.13", Values, none, Harmless, Both, OneOrAll, Plain, V4_3;
+    /// Read the single-turn angle, as V4.4 answers it.
+    ReadSingleTurnAngleV4_4 = 0x94, "read-single-turn-angle-v4.4", "2.13", Values, none, Harmless, Both, OneOrAll, Plain, V4_4;
+    /// Read temperatures, brake, voltage and error flags.
+    ReadStatus1 = 0x9A, "read-status1", "2.14", Values, none, Harmless, Both, OneOrAll, Report, any;
+    /// Read temperature, torque current, speed and angle.
+    ReadStatus2 = 0x9C, "read-status2", "2.15", Values, none, Harmless, Both, OneOrAll, Report, any;
+    /// Read temperature and phase currents.
+    ReadStatus3 = 0x9D, "read-status3", "2.16", Values, none, Harmless, Both, OneOrAll, Report, any;
+    /// Run at a torque current.
+    Torque = 0xA1, "torque", "2.19", Values, none, Stale, Both, OneOrAll, SetPoint, any;
+    /// Run at a speed.
+    Speed = 0xA2, "speed", "2.20", Values, none, Stale, Both, OneOrAll, SetPoint, any;
+    /// Go to a multi-turn angle.
+    AbsolutePosition = 0xA4, "absolute-position", "2.21", Values, none, Stale, Both, OneOrAll, SetPoint, any;
+    /// Go to a single-turn angle in a given direction (direct-drive motors).
+    SingleTurnPosition = 0xA6, "single-turn-position", "2.22", Values, none, Stale, Both, OneOrAll, SetPoint, any;
+    /// Go on by an angle.
+    IncrementalPosition = 0xA8, "incremental-position", "2.23", Values, none, ActsAgain, Both, OneOrAll, Move, any;
+    /// Go to a multi-turn angle with limited torque.
+    ForcePosition = 0xA9, "force-position", "2.24", Values, none, Stale, Both, OneOrAll, SetPoint, any;
+    /// Read how long the drive has run since its last start.
+    ReadRunTime = 0xB1, "read-run-time", "2.29", Values, none, Harmless, Both, OneOrAll, Plain, any;
+    /// Read the date of the drive's software.
+    ReadVersionDate = 0xB2, "read-version-date", "2.30", Values, none, Harmless, Both, OneOrAll, Plain, any;
+    /// Set after how long without a command the drive stops by itself.
+    CommunicationLossProtection = 0xB3, "communication-loss-protection", "2.31", Acknowledge, none, ActsAgain, Both, OneOrAll, Plain, any;
+    /// Set the bit rate of the bus.
+    SetBaudRate = 0xB4, "set-baud-rate", "2.32", Garbled, none, ActsAgain, Both, OneOrAll, Plain, V4_3;
+    /// Read the motor's model.
+    ReadModel = 0xB5, "read-model", "2.33", Values, none, Harmless, Both, OneOrAll, Plain, V4_3;
+    /// Have a reply sent by itself at an interval.
+    ActiveReply = 0xB6, "active-reply", "2.34", Silent, 1, ActsAgain, CanOnly, OneOrAll, Plain, any;
+    /// Motion (MIT) mode: position, speed, both gains and torque in one frame.
+    Motion = none, "motion", "5", Values, none, Stale, CanOnly, One, SetPoint, any;
+        }
+    };
+}
+pub(crate) use opcode_table;
+
 macro_rules! opcodes {
     ($(
         $(#[doc = $doc:literal])+
-        $name:ident = $byte:expr, $kebab:literal, $section:literal, $reply:ident, $key:expr, $repeat:ident, $buses:ident;
+        $name:ident = $byte:tt, $kebab:literal, $section:literal, $reply:ident, $key:tt, $repeat:ident,
+        $buses:ident, $reach:ident, $usage:ident, $firmware:ident;
     )+) => {
-        /// A kind of frame of protocol V4.3. Each variant's documentation ends in its section of the
-        /// manual.
+        /// A kind of frame.
+        ///
+        /// | kind | byte | CAN identifier | manual | answered | buses | firmware |
+        /// |---|---|---|---|---|---|---|
+        $(#[doc = concat!(
+            "| [`", $kebab, "`](Self::", stringify!($name), ") | ", stringify!($byte), " | ",
+            opcodes!(@identifier $reach), " | ", $section, " | ", stringify!($reply), " | ",
+            stringify!($buses), " | ", stringify!($firmware), " |"
+        )])+
+        ///
+        /// How it is answered is a [`ReplyRule`]. On RS485 the address is the id, or 0xCD for all.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-        #[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
+        #[non_exhaustive]
         pub enum Opcode {
             $($(#[doc = $doc])+ #[doc = concat!("Manual ", $section, ".")] $name,)+
         }
@@ -70,20 +204,18 @@ macro_rules! opcodes {
             #[inline]
             pub const fn byte(self) -> Option<u8> {
                 // A match would become a jump table wherever it is inlined.
-                const BYTES: [Option<u8>; Opcode::ALL.len()] = [$($byte),+];
+                const BYTES: [Option<u8>; Opcode::ALL.len()] = [$(opcodes!(@option $byte)),+];
                 BYTES[self as usize]
-            }
-
-            /// The kind with this command byte.
-            #[inline]
-            pub const fn from_byte(byte: u8) -> Option<Self> {
-                let place = byte.wrapping_sub(FIRST_BYTE) as usize;
-                if place < KINDS.len() { KINDS[place] } else { None }
             }
 
             /// Its name in tools: `"read-multi-turn-angle"`.
             pub const fn name(self) -> &'static str {
                 match self { $(Self::$name => $kebab,)+ }
+            }
+
+            /// What it does, in a sentence.
+            pub const fn meaning(self) -> &'static str {
+                match self { $(Self::$name => concat!($($doc),+).trim_ascii(),)+ }
             }
 
             /// The section of the manual that describes it.
@@ -99,7 +231,7 @@ macro_rules! opcodes {
             /// The place of the byte that, beside the command byte, must agree between command and
             /// reply: a parameter's index, or read and write of a bus id.
             pub const fn key_byte(self) -> Option<usize> {
-                match self { $(Self::$name => $key,)+ }
+                match self { $(Self::$name => opcodes!(@option $key),)+ }
             }
 
             /// What a second sending does.
@@ -111,135 +243,112 @@ macro_rules! opcodes {
             pub const fn buses(self) -> Buses {
                 match self { $(Self::$name => Buses::$buses,)+ }
             }
+
+            /// Whom it can be sent to.
+            pub const fn reach(self) -> Reach {
+                match self { $(Self::$name => Reach::$reach,)+ }
+            }
+
+            /// What else it can be used for.
+            pub const fn usage(self) -> Usage {
+                match self { $(Self::$name => Usage::$usage,)+ }
+            }
+
+            /// Whether this firmware has it.
+            pub const fn is_in(self, firmware: Firmware) -> bool {
+                match self { $(Self::$name => opcodes!(@in firmware $firmware),)+ }
+            }
         }
     };
+    (@option none) => { None };
+    (@option $value:literal) => { Some($value) };
+    (@in $asked:ident any) => { true };
+    (@in $asked:ident $only:ident) => { matches!($asked, Firmware::$only) };
+    (@identifier OneOrAll) => { "0x140 + id, all 0x280" };
+    (@identifier One) => { "0x400 + id" };
+    (@identifier Connected) => { "0x300" };
 }
 
-const KEY1: Option<usize> = Some(1);
-const KEY2: Option<usize> = Some(2);
-
-opcodes! {
-    // name, byte, name in tools, section, how the drive replies, key byte, a second sending, buses
-
-    /// One of seven special functions.
-    FunctionControl = Some(0x20), "function-control", "2.35", Echo, KEY1, ActsAgain, Both;
-    /// Read one gain of a control loop.
-    ReadPid = Some(0x30), "read-pid", "2.1", Values, KEY1, Harmless, Both;
-    /// Write one gain, until power-off or reset.
-    WritePidRam = Some(0x31), "write-pid-ram", "2.2", Echo, KEY1, Harmless, Both;
-    /// Write one gain for good.
-    WritePidRom = Some(0x32), "write-pid-rom", "2.3", Echo, KEY1, ActsAgain, Both;
-    /// Read one of the four planning accelerations.
-    ReadAcceleration = Some(0x42), "read-acceleration", "2.4", Values, KEY1, Harmless, Both;
-    /// Write one of the four planning accelerations for good.
-    WriteAcceleration = Some(0x43), "write-acceleration", "2.5", Echo, KEY1, ActsAgain, Both;
-    /// Read the multi-turn encoder position, less its zero offset.
-    ReadMultiTurnEncoder = Some(0x60), "read-multi-turn-encoder", "2.6", Values, None, Harmless, Both;
-    /// Read the multi-turn encoder position without its zero offset.
-    ReadMultiTurnEncoderRaw = Some(0x61), "read-multi-turn-encoder-raw", "2.7", Values, None, Harmless, Both;
-    /// Read the zero offset of the multi-turn encoder.
-    ReadMultiTurnEncoderOffset = Some(0x62), "read-multi-turn-encoder-offset", "2.8", Values, None, Harmless, Both;
-    /// Make a given encoder position the zero, after a restart.
-    SetEncoderZero = Some(0x63), "set-encoder-zero", "2.9", Echo, None, ActsAgain, Both;
-    /// Make the current position the zero, after a restart.
-    SetCurrentPositionZero = Some(0x64), "set-current-position-zero", "2.10", Values, None, ActsAgain, Both;
-    /// Read which control loop runs.
-    ReadRunningMode = Some(0x70), "read-running-mode", "2.25", Values, None, Harmless, Both;
-    /// Restart the drive.
-    Reset = Some(0x76), "reset", "2.26", Silent, None, ActsAgain, Both;
-    /// Open the brake.
-    ReleaseBrake = Some(0x77), "release-brake", "2.27", Echo, None, Harmless, Both;
-    /// Close the brake.
-    LockBrake = Some(0x78), "lock-brake", "2.28", Echo, None, Harmless, Both;
-    /// Read or set the motor id of whatever is connected.
-    BusId = Some(0x79), "bus-id", "4", Values, KEY2, ActsAgain, Both;
-    /// Switch the output off and leave every control mode.
-    Shutdown = Some(0x80), "shutdown", "2.17", Echo, None, Harmless, Both;
-    /// Stop and hold still.
-    Stop = Some(0x81), "stop", "2.18", Echo, None, Harmless, Both;
-    /// Read the single-turn encoder (direct-drive motors).
-    ReadSingleTurnEncoder = Some(0x90), "read-single-turn-encoder", "2.11", Values, None, Harmless, Both;
-    /// Read the multi-turn angle of the output shaft.
-    ReadMultiTurnAngle = Some(0x92), "read-multi-turn-angle", "2.12", Values, None, Harmless, Both;
-    /// Read the single-turn angle (direct-drive motors).
-    ReadSingleTurnAngle = Some(0x94), "read-single-turn-angle", "2.13", Values, None, Harmless, Both;
-    /// Read temperatures, brake, voltage and error flags.
-    ReadStatus1 = Some(0x9A), "read-status1", "2.14", Values, None, Harmless, Both;
-    /// Read temperature, torque current, speed and angle.
-    ReadStatus2 = Some(0x9C), "read-status2", "2.15", Values, None, Harmless, Both;
-    /// Read temperature and phase currents.
-    ReadStatus3 = Some(0x9D), "read-status3", "2.16", Values, None, Harmless, Both;
-    /// Run at a torque current.
-    Torque = Some(0xA1), "torque", "2.19", Values, None, Stale, Both;
-    /// Run at a speed.
-    Speed = Some(0xA2), "speed", "2.20", Values, None, Stale, Both;
-    /// Go to a multi-turn angle.
-    AbsolutePosition = Some(0xA4), "absolute-position", "2.21", Values, None, Stale, Both;
-    /// Go to a single-turn angle in a given direction (direct-drive motors).
-    SingleTurnPosition = Some(0xA6), "single-turn-position", "2.22", Values, None, Stale, Both;
-    /// Go on by an angle.
-    IncrementalPosition = Some(0xA8), "incremental-position", "2.23", Values, None, ActsAgain, Both;
-    /// Go to a multi-turn angle with limited torque.
-    ForcePosition = Some(0xA9), "force-position", "2.24", Values, None, Stale, Both;
-    /// Read how long the drive has run since its last start.
-    ReadRunTime = Some(0xB1), "read-run-time", "2.29", Values, None, Harmless, Both;
-    /// Read the date of the drive's software.
-    ReadVersionDate = Some(0xB2), "read-version-date", "2.30", Values, None, Harmless, Both;
-    /// Set after how long without a command the drive stops by itself.
-    CommunicationLossProtection = Some(0xB3), "communication-loss-protection", "2.31", Acknowledge, None, ActsAgain, Both;
-    /// Set the bit rate of the bus.
-    SetBaudRate = Some(0xB4), "set-baud-rate", "2.32", Garbled, None, ActsAgain, Both;
-    /// Read the motor's model.
-    ReadModel = Some(0xB5), "read-model", "2.33", Values, None, Harmless, Both;
-    /// Have a reply sent by itself at an interval.
-    ActiveReply = Some(0xB6), "active-reply", "2.34", Silent, KEY1, ActsAgain, CanOnly;
-    /// Motion (MIT) mode: position, speed, both gains and torque in one frame.
-    Motion = None, "motion", "5", Values, None, Stale, CanOnly;
-}
+opcode_table!(opcodes);
 
 const FIRST_BYTE: u8 = 0x20;
 const LAST_BYTE: u8 = 0xB6;
+const BYTES: usize = (LAST_BYTE - FIRST_BYTE) as usize + 1;
+type Kinds = [Option<Opcode>; BYTES];
 
-/// The kind of every command byte from the first to the last.
-static KINDS: [Option<Opcode>; (LAST_BYTE - FIRST_BYTE) as usize + 1] = {
-    let mut kinds = [None; _];
+/// The kind of every command byte from the first to the last, in one firmware.
+const fn kinds(firmware: Firmware) -> Kinds {
+    let mut kinds: Kinds = [None; BYTES];
     let mut row = 0;
     while row < Opcode::ALL.len() {
         let opcode = Opcode::ALL[row];
-        if let Some(byte) = opcode.byte() {
+        if let (true, Some(byte)) = (opcode.is_in(firmware), opcode.byte()) {
             kinds[(byte - FIRST_BYTE) as usize] = Some(opcode);
         }
         row += 1;
     }
     kinds
-};
+}
+
+static V4_3: Kinds = kinds(Firmware::V4_3);
+static V4_4: Kinds = kinds(Firmware::V4_4);
 
 impl Opcode {
-    /// The kind with this name in tools.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.iter().copied().find(|opcode| opcode.name() == name)
-    }
-
-    /// Whether `reply` can be the answer to `command`: the same command byte and, where the kind has
-    /// one, the same key byte. Who sent it is the channel's affair.
+    /// The kind that a firmware knows under this command byte.
     #[inline]
-    pub fn answers(self, command: &Data, reply: &Data) -> bool {
-        let key_agrees = match self.key_byte() {
-            Some(at) => command.get(at) == reply.get(at),
-            None => true,
+    pub const fn of_firmware(firmware: Firmware, byte: u8) -> Option<Self> {
+        let kinds = match firmware {
+            Firmware::V4_3 => &V4_3,
+            Firmware::V4_4 => &V4_4,
         };
-        key_agrees && self.byte().is_none_or(|byte| reply[0] == byte)
+        let place = byte.wrapping_sub(FIRST_BYTE) as usize;
+        if place < kinds.len() { kinds[place] } else { None }
     }
 
-    /// Whether a drive answers it with bytes that can be waited for.
-    pub const fn has_reply(self) -> bool {
-        !matches!(self.reply_rule(), ReplyRule::Silent | ReplyRule::Garbled)
+    /// The kind under this command byte in the oldest firmware that has it. Two firmwares may lay its
+    /// fields out differently, but how it is answered, repeated and used is the same in all.
+    #[inline]
+    pub const fn from_byte(byte: u8) -> Option<Self> {
+        match Self::of_firmware(Firmware::V4_3, byte) {
+            Some(opcode) => Some(opcode),
+            None => Self::of_firmware(Firmware::V4_4, byte),
+        }
+    }
+
+    /// Its place among those whose reply can be reported (0xB6), from 0; `None` for all others.
+    pub(crate) fn report_place(self) -> Option<u32> {
+        let reports = |opcode: &&Self| opcode.usage() == Usage::Report;
+        let place = Self::ALL.iter().filter(reports).position(|&opcode| opcode == self)?;
+        u32::try_from(place).ok()
     }
 }
 
-/// The command byte of a frame that drives were seen to send once a second after they lost their
-/// master. The manual does not know it; it never answers a request.
-pub const LOST_MASTER_BYTE: u8 = 0xF1;
+/// A byte that no firmware known here has for a command, or a name that no command has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnknownOpcode;
+
+impl fmt::Display for UnknownOpcode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("no command has this byte or name: see the table of opcodes")
+    }
+}
+
+impl core::error::Error for UnknownOpcode {}
+
+impl TryFrom<u8> for Opcode {
+    type Error = UnknownOpcode;
+    fn try_from(byte: u8) -> Result<Self, UnknownOpcode> {
+        Self::from_byte(byte).ok_or(UnknownOpcode)
+    }
+}
+
+/// By its name in tools.
+impl FromStr for Opcode {
+    type Err = UnknownOpcode;
+    fn from_str(name: &str) -> Result<Self, UnknownOpcode> {
+        Self::ALL.iter().copied().find(|opcode| opcode.name() == name).ok_or(UnknownOpcode)
+    }
+}
 
 impl fmt::Display for Opcode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -250,6 +359,35 @@ impl fmt::Display for Opcode {
     }
 }
 
+/// By its name in tools.
+#[cfg(feature = "serde")]
+impl serde::Serialize for Opcode {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
+#[cfg(feature = "serde")]
+impl<'de> serde::Deserialize<'de> for Opcode {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visitor;
+        impl serde::de::Visitor<'_> for Visitor {
+            type Value = Opcode;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a command's name")
+            }
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Opcode, E> {
+                name.parse().map_err(E::custom)
+            }
+        }
+        deserializer.deserialize_str(Visitor)
+    }
+}
+
+/// The command byte of a frame that drives were seen to send once a second after they lost their
+/// master. The manual does not know it; it never answers a request.
+pub const LOST_MASTER_BYTE: u8 = 0xF1;
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -257,19 +395,26 @@ mod tests {
     #[test]
     fn a_byte_leads_back_to_its_row() {
         for &opcode in Opcode::ALL {
-            if let Some(byte) = opcode.byte() {
-                assert_eq!(Opcode::from_byte(byte), Some(opcode));
+            for &firmware in Firmware::ALL {
+                if let Some(byte) = opcode.byte() {
+                    let found = Opcode::of_firmware(firmware, byte);
+                    assert_eq!(found == Some(opcode), opcode.is_in(firmware), "{opcode:?}");
+                }
             }
-            assert_eq!(Opcode::from_name(opcode.name()), Some(opcode));
+            assert_eq!(opcode.name().parse(), Ok(opcode));
         }
         assert_eq!(Opcode::from_byte(LOST_MASTER_BYTE), None);
+        assert_eq!(Opcode::try_from(0x94), Ok(Opcode::ReadSingleTurnAngle));
     }
 
     #[test]
-    fn an_answer_has_the_commands_byte_and_key() {
-        let command = [0x30, 4, 0, 0, 0, 0, 0, 0];
-        assert!(Opcode::ReadPid.answers(&command, &[0x30, 4, 0, 0, 0, 0, 0x80, 0x3F]));
-        assert!(!Opcode::ReadPid.answers(&command, &[0x30, 5, 0, 0, 0, 0, 0x80, 0x3F]));
-        assert!(!Opcode::ReadPid.answers(&command, &[0x31, 4, 0, 0, 0, 0, 0x80, 0x3F]));
+    fn what_follows_from_a_byte_is_the_same_in_every_firmware() {
+        for &opcode in Opcode::ALL {
+            let Some(first) = opcode.byte().and_then(Opcode::from_byte) else { continue };
+            let facts = |o: Opcode| {
+                (o.reply_rule(), o.key_byte(), o.repeat(), o.buses(), o.reach(), o.usage())
+            };
+            assert_eq!(facts(opcode), facts(first), "{opcode:?}");
+        }
     }
 }

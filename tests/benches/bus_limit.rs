@@ -29,9 +29,9 @@
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
 
-use myactuator_host_std::bus::faults::{Direction, FaultPlan};
-use myactuator_host_std::bus::{Medium, World, trace};
 use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::sim::bus::{Medium, World, trace};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint, ReadStatus2};
 use myactuator_protocol_core::io::Runner;

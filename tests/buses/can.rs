@@ -2,12 +2,12 @@
 //! 1 Mbit/s are microseconds.
 
 use embedded_can::{ExtendedId, Frame, Id, StandardId, blocking, nb::Can as _};
-use myactuator_host_std::bus::Node;
-use myactuator_host_std::bus::can::{
+use myactuator_host_std::sim::bus::Node;
+use myactuator_host_std::sim::bus::can::{
     CanConfig, CanError, CanPort, CanWorld, ControllerConfig, ErrorState, QueueOrder, frame_bits,
 };
-use myactuator_host_std::bus::faults::{Direction, FaultPlan};
-use myactuator_host_std::bus::trace::{Event, Record};
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::sim::bus::trace::{Event, Record};
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::SimpleFrame;

@@ -4,13 +4,13 @@ use std::sync::{Arc, Mutex};
 
 use embedded_can::{Frame, StandardId, nb::Can as _};
 use embedded_io::Write as _;
-use myactuator_host_std::bus::Node;
-use myactuator_host_std::bus::can::{
+use myactuator_host_std::sim::bus::Node;
+use myactuator_host_std::sim::bus::can::{
     CanConfig, CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
 };
-use myactuator_host_std::bus::faults::{Babble, Direction, FaultPlan};
-use myactuator_host_std::bus::rs485::TransceiverConfig;
-use myactuator_host_std::bus::trace::{Event, Fault, Log, Record};
+use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
+use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
+use myactuator_host_std::sim::bus::trace::{Event, Fault, Log, Record};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 use myactuator_tests::script::{Hand, READ_PID, Stage as _, broken, late_by, line, micros};

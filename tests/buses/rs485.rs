@@ -2,10 +2,10 @@
 //! bits.
 
 use embedded_io::{Read as _, ReadReady as _, Write as _, WriteReady as _};
-use myactuator_host_std::bus::rs485::{
+use myactuator_host_std::sim::bus::rs485::{
     LineConfig, SerialError, SerialPort, SerialWorld, TransceiverConfig,
 };
-use myactuator_host_std::bus::trace::Event;
+use myactuator_host_std::sim::bus::trace::Event;
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::Duration;
 use myactuator_tests::script::{Hand, READ_PID, Stage as _, broken, line, micros};

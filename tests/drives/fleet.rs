@@ -3,7 +3,7 @@
 
 use std::fmt::Debug;
 
-use myactuator_host_std::plant::SimulatedMotor;
+use myactuator_host_std::sim::plant::SimulatedMotor;
 use myactuator_host_std::sim::{CanFleet, Fleet, FleetError};
 use myactuator_protocol_core::command::{
     ActiveReply, AnyReply, BrakeCommand, CommunicationLossProtection, ErrorFlags, FunctionControl,
@@ -43,7 +43,7 @@ fn quirky<B: Bus>(quirks: Quirks) -> B {
 }
 
 fn rom_speed_kp(value: f32) -> WritePidRom {
-    WritePidRom { index: PidIndex::SpeedKp, value: gain(value) }
+    WritePidRom { index: PidIndex::SPEED_KP, value: gain(value) }
 }
 
 fn is_unanswered<T, E>(result: &Result<T, CallError<E>>) -> bool {
@@ -51,7 +51,7 @@ fn is_unanswered<T, E>(result: &Result<T, CallError<E>>) -> bool {
 }
 
 fn read_speed_kp<R: Runner<8, Error: Debug>>(master: &mut R) -> f32 {
-    master.ask(MOTOR, ReadPid { index: PidIndex::SpeedKp }).unwrap().value.value()
+    master.ask(MOTOR, ReadPid { index: PidIndex::SPEED_KP }).unwrap().value.value()
 }
 
 fn read_angle<R: Runner<8, Error: Debug>>(master: &mut R) -> f64 {
@@ -70,7 +70,7 @@ fn restart<R: Runner<8, Error: Debug>>(master: &mut R, then: MotorId) {
 /// 0xB6 for 0x9C.
 fn report_status2(enable: Switch, interval_ms: f32) -> ActiveReply {
     let interval = ReportInterval::from_millis(interval_ms).unwrap();
-    ActiveReply { command: ReportedCommand::Status2, enable, interval }
+    ActiveReply { command: ReportedCommand::of(Opcode::ReadStatus2).unwrap(), enable, interval }
 }
 
 // ---- quirks ----
@@ -116,7 +116,7 @@ fn a_slow_brake_holds_the_shaft_for_a_while<B: Bus>() {
         let told = master.now();
         master.ask(MOTOR, push(3.0)).unwrap();
         // It says so at once: what it tells is the command, not the brake's state.
-        assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().brake, BrakeCommand::Release);
+        assert_eq!(master.ask(MOTOR, ReadStatus1).unwrap().brake, BrakeCommand::RELEASE);
         [45, 175].map(|after| {
             listen_until(&mut master, told + millis(after));
             angle_deg(drive)
@@ -300,7 +300,7 @@ fn memory_in_files_outlives_the_fleet<B: Bus>() {
         let mut master = bus.master();
         let at_factory = read_speed_kp(&mut master);
         master.ask(MOTOR, rom_speed_kp(first)).unwrap();
-        let to_ram = WritePidRam { index: PidIndex::SpeedKp, value: gain(second) };
+        let to_ram = WritePidRam { index: PidIndex::SPEED_KP, value: gain(second) };
         master.ask(MOTOR, to_ram).unwrap();
         assert_eq!(read_speed_kp(&mut master), second);
         at_factory
@@ -309,7 +309,7 @@ fn memory_in_files_outlives_the_fleet<B: Bus>() {
     let mut master = bus.master();
     assert_eq!(read_speed_kp(&mut master), first);
     // Each drive has a memory of its own.
-    let other = master.ask(id(2), ReadPid { index: PidIndex::SpeedKp }).unwrap();
+    let other = master.ask(id(2), ReadPid { index: PidIndex::SPEED_KP }).unwrap();
     assert_eq!(other.value.value(), at_factory);
 
     // A damaged memory is told, not guessed at.
@@ -410,7 +410,7 @@ fn a_fault_stops_the_motor_and_every_control_command<B: Bus>() {
     listen(&mut master, millis(100));
     let status = master.ask(MOTOR, ReadStatus1).unwrap();
     assert_eq!(status.errors.bits(), 0x0002); // 2.14.3
-    assert_eq!(status.brake, BrakeCommand::Lock);
+    assert_eq!(status.brake, BrakeCommand::LOCK);
     let stopped_at = angle_deg(drive);
 
     // All are answered, and nothing moves.
@@ -471,7 +471,7 @@ fn physical_errors_of_level_two_recover<B: Bus>() {
             0x0004 => assert_eq!(status.voltage.volts(), 15.0),
             0x0008 => assert_eq!(status.voltage.volts(), 60.0),
             0x1000 => assert_eq!(status.temperature.celsius(), 120.0),
-            _ => assert_eq!(status.mos_temperature.celsius(), 120.0),
+            _ => assert_eq!(status.mosfet_temperature.celsius(), 120.0),
         }
         master.ask(MOTOR, turn(90.0)).unwrap();
         listen(&mut master, millis(1_000));

@@ -101,7 +101,7 @@ fn ram_gains_are_lost() {
 #[test]
 fn rom_gains_are_kept() {
     let mut bench = Bench::default();
-    let index = PidIndex::PositionKp;
+    let index = PidIndex::POSITION_KP;
     bench.write(WritePidRom { index, value: gain(1.5) });
     assert_eq!(bench.ask(ReadPid { index }).value, gain(1.5));
     bench.power_cycle();
@@ -112,8 +112,8 @@ fn rom_gains_are_kept() {
 #[test]
 fn gains_act_on_the_loops() {
     let mut bench = Bench::default();
-    bench.write(WritePidRam { index: PidIndex::SpeedKp, value: gain(0.0) });
-    bench.write(WritePidRam { index: PidIndex::SpeedKi, value: gain(0.0) });
+    bench.write(WritePidRam { index: PidIndex::SPEED_KP, value: gain(0.0) });
+    bench.write(WritePidRam { index: PidIndex::SPEED_KI, value: gain(0.0) });
     bench.ask(turn(100.0));
     bench.run(millis(500));
     assert_eq!(bench.speed(), 0.0);
@@ -127,8 +127,8 @@ fn gains_act_on_the_loops() {
 #[test]
 fn current_gains_act_on_the_current() {
     let mut bench = Bench::default();
-    bench.write(WritePidRam { index: PidIndex::CurrentKp, value: gain(0.5) });
-    bench.write(WritePidRam { index: PidIndex::CurrentKi, value: gain(10.0) });
+    bench.write(WritePidRam { index: PidIndex::CURRENT_KP, value: gain(0.5) });
+    bench.write(WritePidRam { index: PidIndex::CURRENT_KI, value: gain(10.0) });
     bench.ask(push(2.0));
     assert!((bench.current() - 1.04).abs() < 0.05, "{}", bench.current());
     bench.run(millis(95));
@@ -165,7 +165,7 @@ fn an_acceleration_out_of_range_is_ignored() {
         ));
     }
     assert!(bench.sent.is_empty());
-    let index = AccelerationIndex::PositionAcceleration;
+    let index = AccelerationIndex::POSITION_ACCELERATION;
     assert_eq!(bench.ask(ReadAcceleration { index }).acceleration.raw(), 10_000);
 }
 
@@ -258,7 +258,7 @@ fn status_tells_what_is_measured() {
     bench.write(ReleaseBrake);
     bench.raise(ErrorFlags::ENCODER_CALIBRATION);
     let status = bench.ask(ReadStatus1);
-    assert_eq!((status.temperature.raw(), status.mos_temperature.raw()), (50, 61));
+    assert_eq!((status.temperature.raw(), status.mosfet_temperature.raw()), (50, 61));
     assert_eq!((status.voltage.raw(), status.errors), (485, ErrorFlags::ENCODER_CALIBRATION));
     bench.drive.clear_fault(ErrorFlags::all());
     bench.write(ReleaseBrake);
@@ -267,9 +267,9 @@ fn status_tells_what_is_measured() {
     let status = bench.ask(ReadStatus3);
     let phases = [status.phase_a, status.phase_b, status.phase_c].map(Current::raw);
     assert_eq!(phases, [200, -100, -100]);
-    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::Release);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::RELEASE);
     bench.write(LockBrake);
-    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::Lock);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::LOCK);
 }
 
 /// 2.17.1: switches the output off and leaves every closed loop.
@@ -279,7 +279,7 @@ fn shutdown_leaves_the_motor_free() {
     bench.ask(turn(100.0));
     bench.run(millis(200));
     bench.write(Shutdown);
-    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Unknown(0));
+    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::from_raw(0));
     assert_eq!((bench.state().output_on, bench.current()), (false, 0.0));
     bench.drive.plant_mut().load_nm = 1.0;
     let before = bench.angle();
@@ -311,7 +311,7 @@ fn stop_holds_against_a_force() {
 fn torque_sets_the_current() {
     let mut bench = Bench::default();
     bench.ask(push(-1.0));
-    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Current);
+    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::CURRENT);
     bench.run(millis(50));
     assert_eq!(bench.feedback().current.raw(), -100);
     assert!(bench.speed() < 0.0);
@@ -342,7 +342,7 @@ fn speed_is_reached_either_way() {
     let mut bench = Bench::default();
     for target in [100.0, -100.0, 0.5] {
         bench.ask(turn(target));
-        assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Speed);
+        assert_eq!(bench.ask(ReadRunningMode).mode, Mode::SPEED);
         bench.run(millis(1_000));
         assert!((bench.speed() - target).abs() < 0.01, "{target}: {}", bench.speed());
     }
@@ -353,8 +353,8 @@ fn speed_is_reached_either_way() {
 #[test]
 fn speed_follows_its_ramps() {
     let mut bench = Bench::default();
-    plan(&mut bench, AccelerationIndex::SpeedAcceleration, 1_000);
-    plan(&mut bench, AccelerationIndex::SpeedDeceleration, 500);
+    plan(&mut bench, AccelerationIndex::SPEED_ACCELERATION, 1_000);
+    plan(&mut bench, AccelerationIndex::SPEED_DECELERATION, 500);
     bench.ask(turn(200.0));
     bench.run(millis(95));
     assert!((bench.speed() - 95.0).abs() < 10.0, "{}", bench.speed());
@@ -363,7 +363,7 @@ fn speed_follows_its_ramps() {
     bench.run(millis(95));
     assert!((bench.speed() - 150.0).abs() < 5.0, "{}", bench.speed());
     bench.run(millis(300));
-    plan(&mut bench, AccelerationIndex::SpeedAcceleration, 0);
+    plan(&mut bench, AccelerationIndex::SPEED_ACCELERATION, 0);
     bench.ask(turn(1_000.0));
     // 24 N·m / 0.02 kg·m² give 900 dps in 13 ms.
     bench.run(millis(45));
@@ -376,7 +376,7 @@ fn speed_follows_its_ramps() {
 fn speed_mode_limits_its_torque() {
     for (limit, largest) in [(50, 3.0), (100, 6.0), (0, 12.0), (255, 12.0)] {
         let mut bench = Bench::default();
-        plan(&mut bench, AccelerationIndex::SpeedAcceleration, 0);
+        plan(&mut bench, AccelerationIndex::SPEED_ACCELERATION, 0);
         let mut seen = 0.0_f32;
         bench.put(
             Channel::Command(ID.into()),
@@ -391,10 +391,10 @@ fn speed_mode_limits_its_torque() {
 #[test]
 fn an_absolute_position_is_planned() {
     let mut bench = Bench::default();
-    plan(&mut bench, AccelerationIndex::PositionAcceleration, 2_000);
-    plan(&mut bench, AccelerationIndex::PositionDeceleration, 1_000);
+    plan(&mut bench, AccelerationIndex::POSITION_ACCELERATION, 2_000);
+    plan(&mut bench, AccelerationIndex::POSITION_DECELERATION, 1_000);
     bench.ask(go_to(360.0, 500));
-    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Position);
+    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::POSITION);
     let (mut fastest, mut farthest, mut speeds) = (0.0_f32, 0.0_f64, Vec::new());
     bench.watch(millis(1_600), |state| {
         fastest = fastest.max(state.measurement.speed_dps);
@@ -413,7 +413,7 @@ fn an_absolute_position_is_planned() {
 #[test]
 fn a_shaft_that_was_held_back_does_not_jump() {
     let mut bench = Bench::default();
-    plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
+    plan(&mut bench, AccelerationIndex::POSITION_ACCELERATION, 1_000);
     let go = go_to(180.0, 500);
     bench.drive.plant_mut().friction_nm_s = 1e9;
     bench.ask(go);
@@ -425,7 +425,7 @@ fn a_shaft_that_was_held_back_does_not_jump() {
     assert!((bench.speed() - 100.0).abs() < 15.0, "{}", bench.speed());
     // The same without a shutdown between: a new command is a new motion.
     let mut bench = Bench::default();
-    plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
+    plan(&mut bench, AccelerationIndex::POSITION_ACCELERATION, 1_000);
     bench.ask(go);
     bench.drive.plant_mut().friction_nm_s = 1e9;
     bench.run(millis(600));
@@ -440,8 +440,8 @@ fn a_shaft_that_was_held_back_does_not_jump() {
 fn a_deceleration_of_zero_is_the_accelerations() {
     for (deceleration, speed_near_the_end) in [(0, 200.0), (500, 141.0)] {
         let mut bench = Bench::default();
-        plan(&mut bench, AccelerationIndex::PositionAcceleration, 1_000);
-        plan(&mut bench, AccelerationIndex::PositionDeceleration, deceleration);
+        plan(&mut bench, AccelerationIndex::POSITION_ACCELERATION, 1_000);
+        plan(&mut bench, AccelerationIndex::POSITION_DECELERATION, deceleration);
         bench.ask(go_to(360.0, 400));
         while bench.angle() < 340.0 {
             bench.run(millis(1));
@@ -467,7 +467,7 @@ fn an_absolute_position_is_gone_to_from_anywhere() {
 fn acceleration_zero_tracks_directly() {
     for (max_speed, at_most) in [(200, 215.0), (0, 2_400.0)] {
         let mut bench = Bench::default();
-        plan(&mut bench, AccelerationIndex::PositionAcceleration, 0);
+        plan(&mut bench, AccelerationIndex::POSITION_ACCELERATION, 0);
         bench.ask(go_to(90.0, max_speed));
         let mut fastest = 0.0_f32;
         bench.watch(millis(1_500), |state| fastest = fastest.max(state.measurement.speed_dps));
@@ -480,7 +480,7 @@ fn acceleration_zero_tracks_directly() {
 /// 2.22.1: 0xA6 turns clockwise (0) or counter-clockwise (1) to an angle within a turn.
 #[test]
 fn a_single_turn_position_turns_as_told() {
-    for (direction, end) in [(Direction::Clockwise, 270.0), (Direction::CounterClockwise, -90.0)] {
+    for (direction, end) in [(Direction::CLOCKWISE, 270.0), (Direction::COUNTER_CLOCKWISE, -90.0)] {
         let mut bench = Bench::default();
         let angle = SingleTurnTarget::from_degrees(270.0).unwrap();
         let go = SingleTurnPosition { direction, max_speed: up_to(500), angle };
@@ -500,7 +500,7 @@ fn single_turn_360_degrees_are_0() {
     let mut bench = Bench::default();
     bench.turn_to(90.0);
     let angle = SingleTurnTarget::try_from_raw(36_000).unwrap();
-    let direction = Direction::CounterClockwise;
+    let direction = Direction::COUNTER_CLOCKWISE;
     let reply = bench.ask(SingleTurnPosition { direction, max_speed: up_to(500), angle });
     assert_eq!(reply.encoder.raw(), 24_576 % 16_384);
     bench.run(millis(1_000));
@@ -514,7 +514,7 @@ fn a_single_turn_position_needs_single_turn_mode() {
     bench.write(FunctionControl::SaveMultiTurn(Switch::On));
     bench.restart();
     let angle = SingleTurnTarget::try_from_raw(9_000).unwrap();
-    let direction = Direction::Clockwise;
+    let direction = Direction::CLOCKWISE;
     bench.ask(SingleTurnPosition { direction, max_speed: up_to(500), angle });
     assert_eq!(bench.not_run(), Some(NotRunReason::NotSingleTurn));
     bench.run(millis(500));
@@ -573,7 +573,7 @@ fn a_reset_starts_anew() {
 fn a_reset_ends_reporting() {
     let mut bench = Bench::default();
     bench.write(FunctionControl::ErrorReporting(Switch::On));
-    bench.send(report(ReportedCommand::Status2, Switch::On, 1));
+    bench.send(report(ReportedCommand::of(Opcode::ReadStatus2).unwrap(), Switch::On, 1));
     bench.restart();
     bench.sent.clear();
     bench.raise(ErrorFlags::OVER_VOLTAGE);
@@ -613,7 +613,7 @@ fn locking_the_brake_ends_the_run() {
     bench.write(LockBrake);
     assert!(!bench.state().output_on);
     bench.write(Stop); // holds already, and must not open it
-    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::Lock);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::LOCK);
 }
 
 /// 2.29.3: run time in ms since the start. 2.30, 2.33: version date and model are those of the drive.
@@ -653,7 +653,7 @@ fn communication_loss_cuts_and_locks() {
     bench.run(millis(3));
     let state = bench.state();
     assert!(!state.output_on && state.communication_lost);
-    assert_eq!((state.brake, state.measurement.speed_dps), (BrakeCommand::Lock, 0.0));
+    assert_eq!((state.brake, state.measurement.speed_dps), (BrakeCommand::LOCK, 0.0));
     assert_eq!(bench.events.last(), Some(&Event::ProtectionTripped));
 }
 
@@ -665,7 +665,7 @@ fn the_motor_runs_again_only_once_communication_is_steady() {
     let go = turn(100.0);
     bench.ask(go);
     bench.write(ReleaseBrake);
-    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::Lock, "third command, but a read");
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::LOCK, "third command, but a read");
     assert!(bench.events.contains(&Event::ProtectionRecovered));
     assert!(!bench.state().output_on, "old commands must not come alive");
     bench.run(millis(200));
@@ -697,17 +697,17 @@ fn without_protection_the_motor_goes_on() {
 #[test]
 fn the_bit_rate_is_kept() {
     let mut bench = Bench::default();
-    let slow = BaudCode::Can500kRs485At115200;
+    let slow = BaudCode::CAN_500K_RS485_115200;
     bench.send(SetBaudRate { baud_rate: slow });
     assert_eq!(bench.drive.baud_rate(), slow);
     assert!(bench.events.contains(&Event::BitRateChanged(slow)));
     bench.power_cycle();
     assert_eq!(bench.drive.baud_rate(), slow);
-    assert_eq!(bench.send(SetBaudRate { baud_rate: BaudCode::Rs485At1M }), None);
+    assert_eq!(bench.send(SetBaudRate { baud_rate: BaudCode::RS485_1M }), None);
     assert_eq!(bench.drive.baud_rate(), slow);
     let mut bench = Bench::on_rs485();
-    bench.send(SetBaudRate { baud_rate: BaudCode::Rs485At1M });
-    assert_eq!(bench.drive.baud_rate(), BaudCode::Rs485At1M);
+    bench.send(SetBaudRate { baud_rate: BaudCode::RS485_1M });
+    assert_eq!(bench.drive.baud_rate(), BaudCode::RS485_1M);
 }
 
 fn report(command: ReportedCommand, enable: Switch, interval: u16) -> ActiveReply {
@@ -719,8 +719,8 @@ fn report(command: ReportedCommand, enable: Switch, interval: u16) -> ActiveRepl
 #[test]
 fn active_replies_take_turns() {
     let mut bench = Bench::default();
-    bench.send(report(ReportedCommand::MultiTurnEncoder, Switch::On, 2));
-    bench.send(report(ReportedCommand::Status2, Switch::On, 2));
+    bench.send(report(ReportedCommand::of(Opcode::ReadMultiTurnEncoder).unwrap(), Switch::On, 2));
+    bench.send(report(ReportedCommand::of(Opcode::ReadStatus2).unwrap(), Switch::On, 2));
     bench.sent.clear();
     bench.run(millis(100));
     let bytes: Vec<u8> = bench.sent.iter().map(|(_, packet)| packet.data[0]).collect();
@@ -731,8 +731,8 @@ fn active_replies_take_turns() {
     assert!(bench.sent.iter().all(|(_, packet)| packet.channel == Channel::Reply(ID)));
     assert_eq!(bench.send(ReadStatus2), None);
     assert!(bench.send(ReadMultiTurnAngle).is_some(), "others are answered");
-    bench.send(report(ReportedCommand::MultiTurnEncoder, Switch::Off, 0));
-    bench.send(report(ReportedCommand::Status2, Switch::Off, 0));
+    bench.send(report(ReportedCommand::of(Opcode::ReadMultiTurnEncoder).unwrap(), Switch::Off, 0));
+    bench.send(report(ReportedCommand::of(Opcode::ReadStatus2).unwrap(), Switch::Off, 0));
     bench.sent.clear();
     bench.run(millis(100));
     assert!(bench.sent.is_empty());
@@ -743,8 +743,8 @@ fn active_replies_take_turns() {
 #[test]
 fn active_reply_and_motion_are_not_on_rs485() {
     let mut bench = Bench::on_rs485();
-    bench.send(report(ReportedCommand::Status2, Switch::On, 1));
-    bench.send(RawMotion::from_data(&[0x80; 8]));
+    bench.send(report(ReportedCommand::of(Opcode::ReadStatus2).unwrap(), Switch::On, 1));
+    bench.send(RawMotion::decode(&[0x80; 8]));
     bench.run(millis(100));
     assert!(bench.sent.is_empty());
     let can_only = |opcode| move |event: &Event| matches!(event, Event::Ignored { reason: IgnoreReason::CanOnly(o), .. } if *o == opcode);
@@ -933,7 +933,7 @@ fn motion_mode_is_a_spring_a_damper_and_a_torque() {
     let raw = ranges.quantise(&hold).unwrap();
     let answer = bench.ask(raw);
     assert_eq!(answer.id, ID);
-    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::Current);
+    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::CURRENT);
     bench.run(millis(2_000));
     // Half a step of velocity times kd is 0.02 N·m, and of torque 0.006 N·m: 0.6 mrad at kp 50.
     assert!((bench.angle().to_radians() - 1.0).abs() < 0.002, "{}", bench.angle());
@@ -957,7 +957,7 @@ fn level_two_recovers_by_itself() {
     bench.run(millis(20));
     let state = bench.state();
     assert_eq!((state.errors, state.indicator), (ErrorFlags::UNDER_VOLTAGE, Indicator::SlowBlink));
-    assert_eq!((state.output_on, state.brake), (false, BrakeCommand::Lock));
+    assert_eq!((state.output_on, state.brake), (false, BrakeCommand::LOCK));
     bench.ask(go);
     assert_eq!(bench.not_run(), Some(NotRunReason::Fault(ErrorFlags::UNDER_VOLTAGE)));
     bench.drive.plant_mut().sensors.supply_voltage_v = 48.0;
@@ -1042,7 +1042,7 @@ fn a_failing_memory_is_an_error_and_not_acknowledged() {
     }
     let now = Instant::ZERO;
     let mut drive = Drive::new(Parameters::default(), IdealPlant::default(), Worn, now).unwrap();
-    let write = WritePidRom { index: PidIndex::SpeedKp, value: gain(9.0) };
+    let write = WritePidRom { index: PidIndex::SPEED_KP, value: gain(9.0) };
     let packet = AnyCommand::from(write).packet(ID.into()).unwrap();
     drive.handle_packet(&packet, now);
     assert_eq!(drive.poll_transmit(now + millis(5)), None);

@@ -4,7 +4,7 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use myactuator_host_std::plant::{
+use myactuator_host_std::sim::plant::{
     CurrentScale, Load, MODELS, MotorParameters, SimulatedMotor, SpringStop, Supply,
 };
 use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};

@@ -114,7 +114,7 @@ fn turns_lost() {
 #[test]
 fn rom_needs_shutdown() {
     let mut bench = with(Quirks { rom_needs_shutdown: true, ..Quirks::default() });
-    let write = WritePidRom { index: PidIndex::SpeedKi, value: Gain::new(0.25).unwrap() };
+    let write = WritePidRom { index: PidIndex::SPEED_KI, value: Gain::new(0.25).unwrap() };
     let held = bench.ask(ReadPid { index: write.index }).value;
     bench.ask(turn(10.0));
     bench.write(write);

@@ -16,9 +16,9 @@
 use std::fmt::Write as _;
 
 use embedded_can::{Frame as _, Id, StandardId};
-use myactuator_host_std::bus::can::frame_bits;
-use myactuator_host_std::bus::trace::{Event as OnBus, Record};
-use myactuator_host_std::plant::{Load, MotorParameters, SpringStop};
+use myactuator_host_std::sim::bus::can::frame_bits;
+use myactuator_host_std::sim::bus::trace::{Event as OnBus, Record};
+use myactuator_host_std::sim::plant::{Load, MotorParameters, SpringStop};
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet};
 use myactuator_host_std::text;
 use myactuator_protocol_core::command::{
@@ -109,7 +109,8 @@ fn position_profile() {
     let drive = &fleet.drives[0];
     let mut master = fleet.master::<1>();
     let acceleration = Acceleration::try_from_raw(ACCELERATION_DPS2 as u32).unwrap();
-    for index in [AccelerationIndex::PositionAcceleration, AccelerationIndex::PositionDeceleration]
+    for index in
+        [AccelerationIndex::POSITION_ACCELERATION, AccelerationIndex::POSITION_DECELERATION]
     {
         master.ask(MOTOR, WriteAcceleration { index, acceleration }).unwrap();
     }
@@ -141,7 +142,7 @@ fn position_profile() {
             let off_a = (f64::from(measured.current_a) - cruising_a).abs();
             assert!(off_a < 0.1, "{ms} ms: {} A, expected {cruising_a}", measured.current_a);
         }
-        assert_eq!(state.mode, Mode::Position);
+        assert_eq!(state.mode, Mode::POSITION);
 
         writeln!(
             table,
@@ -203,11 +204,11 @@ fn communication_loss() {
                 _ => continue,
             };
             if silent_ms <= 100 {
-                let runs = state.output_on && state.brake == BrakeCommand::Release;
+                let runs = state.output_on && state.brake == BrakeCommand::RELEASE;
                 assert!(runs || tick == 0, "cut after {silent_ms} ms");
             } else if silent_ms >= 102 {
                 assert!(!state.output_on, "on after {silent_ms} ms");
-                assert_eq!(state.brake, BrakeCommand::Lock, "after {silent_ms} ms");
+                assert_eq!(state.brake, BrakeCommand::LOCK, "after {silent_ms} ms");
             }
         }
         let state = state_at(drive, master.now());
@@ -224,7 +225,7 @@ fn communication_loss() {
         // Losing the master is no error (2.14.3 has none for it).
         assert!(state.errors.is_empty());
 
-        let brake = if state.brake == BrakeCommand::Lock { "locked" } else { "open" };
+        let brake = if state.brake == BrakeCommand::LOCK { "locked" } else { "open" };
         let what: Vec<String> = happened(drive)
             .iter()
             .map(|event| match event {
@@ -335,7 +336,7 @@ fn stall() {
             // It has lasted, and stays so whatever is said until 0x76.
             34..=37 => {
                 assert_eq!(state.errors, ErrorFlags::STALL, "row {row}");
-                assert!(!state.output_on && state.brake == BrakeCommand::Lock, "row {row}");
+                assert!(!state.output_on && state.brake == BrakeCommand::LOCK, "row {row}");
                 assert_eq!(state.indicator, Indicator::FastBlink);
                 assert!(state.angle_deg > 30.0, "row {row}: it has moved to {}", state.angle_deg);
             }
@@ -343,7 +344,7 @@ fn stall() {
             _ => {}
         }
 
-        let brake = if state.brake == BrakeCommand::Lock { "locked" } else { "open" };
+        let brake = if state.brake == BrakeCommand::LOCK { "locked" } else { "open" };
         let row = format!(
             "{:5} {:>8} {:>8}  {:6}  {:6}  {:13}  {:9}  {said}",
             (at - start).as_millis(),

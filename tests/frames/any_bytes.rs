@@ -81,24 +81,24 @@ fn over_the_wires(packet: &Packet, opcode: Opcode) -> Result<Vec<Packet>, TestCa
 }
 
 fn check_packet(packet: &Packet) -> Result<(), TestCaseError> {
-    let command = AnyCommand::decode(packet);
+    let command = AnyCommand::decode(packet, Firmware::V4_3);
     if let Ok(command) = command {
         let again = Packet { channel: packet.channel, data: command.encode() };
         for again in over_the_wires(&again, command.opcode())? {
             prop_assert_eq!(again.channel, packet.channel);
-            prop_assert_eq!(AnyCommand::decode(&again), Ok(command));
+            prop_assert_eq!(AnyCommand::decode(&again, Firmware::V4_3), Ok(command));
         }
         let json = to_string(&command).expect("JSON");
         prop_assert_eq!(from_str::<AnyCommand>(&json).ok(), Some(command), "{}", json);
         let text = format!("{command:?}");
         prop_assert!(!text.contains("NaN") && !text.contains("inf"), "{}", text);
     }
-    let reply = AnyReply::decode(packet);
+    let reply = AnyReply::decode(packet, Firmware::V4_3);
     if let Ok(reply) = reply {
         let again = Packet { channel: packet.channel, data: reply.encode() };
         for again in over_the_wires(&again, reply.opcode())? {
             prop_assert_eq!(again.channel, packet.channel);
-            prop_assert_eq!(AnyReply::decode(&again), Ok(reply));
+            prop_assert_eq!(AnyReply::decode(&again, Firmware::V4_3), Ok(reply));
         }
         let json = to_string(&reply).expect("JSON");
         prop_assert_eq!(from_str::<AnyReply>(&json).ok(), Some(reply), "{}", json);
@@ -344,13 +344,13 @@ fn every_identifier_takes_every_first_byte() {
                 let data = [first, rest, rest, rest, rest, rest, rest, rest];
                 let frame = SimpleFrame::new(standard(identifier), &data).expect("eight bytes");
                 if let Received::Packet(packet) = can::decode(&frame) {
-                    if let Ok(command) = AnyCommand::decode(&packet) {
+                    if let Ok(command) = AnyCommand::decode(&packet, Firmware::V4_3) {
                         let again = Packet { channel: packet.channel, data: command.encode() };
-                        assert_eq!(AnyCommand::decode(&again), Ok(command));
+                        assert_eq!(AnyCommand::decode(&again, Firmware::V4_3), Ok(command));
                     }
-                    if let Ok(reply) = AnyReply::decode(&packet) {
+                    if let Ok(reply) = AnyReply::decode(&packet, Firmware::V4_3) {
                         let again = Packet { channel: packet.channel, data: reply.encode() };
-                        assert_eq!(AnyReply::decode(&again), Ok(reply));
+                        assert_eq!(AnyReply::decode(&again, Firmware::V4_3), Ok(reply));
                     }
                 }
             }

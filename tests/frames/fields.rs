@@ -105,10 +105,10 @@ fn commands() -> Vec<Layout<AnyCommand>> {
         opcode: Opcode::ReadPid,
         section: "2.1.2",
         places: &[INDEX],
-        base: (read(PidIndex::Unknown(0)), [0x30, 0, 0, 0, 0, 0, 0, 0]),
+        base: (read(PidIndex::from_raw(0)), [0x30, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("index", read(PidIndex::PositionKd), [0x30, 0x09, 0, 0, 0, 0, 0, 0]),
-            ("index", read(PidIndex::Unknown(0xFE)), [0x30, 0xFE, 0, 0, 0, 0, 0, 0]),
+            ("index", read(PidIndex::POSITION_KD), [0x30, 0x09, 0, 0, 0, 0, 0, 0]),
+            ("index", read(PidIndex::from_raw(0xFE)), [0x30, 0xFE, 0, 0, 0, 0, 0, 0]),
         ],
     });
     // 0x44332211 and 0x81828384 are the floats 716.53 and -4.8e-38.
@@ -117,22 +117,22 @@ fn commands() -> Vec<Layout<AnyCommand>> {
         opcode: Opcode::WritePidRam,
         section: "2.2.2",
         places: &[INDEX, VALUE],
-        base: (write(PidIndex::Unknown(0), 0), [0x31, 0, 0, 0, 0, 0, 0, 0]),
+        base: (write(PidIndex::from_raw(0), 0), [0x31, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("index", write(PidIndex::SpeedKi, 0), [0x31, 0x05, 0, 0, 0, 0, 0, 0]),
+            ("index", write(PidIndex::SPEED_KI, 0), [0x31, 0x05, 0, 0, 0, 0, 0, 0]),
             (
                 "value",
-                write(PidIndex::Unknown(0), 0x4433_2211),
+                write(PidIndex::from_raw(0), 0x4433_2211),
                 [0x31, 0, 0, 0, 0x11, 0x22, 0x33, 0x44],
             ),
             (
                 "value",
-                write(PidIndex::Unknown(0), 0x8182_8384),
+                write(PidIndex::from_raw(0), 0x8182_8384),
                 [0x31, 0, 0, 0, 0x84, 0x83, 0x82, 0x81],
             ),
             (
                 "",
-                write(PidIndex::CurrentKi, 0x4433_2211),
+                write(PidIndex::CURRENT_KI, 0x4433_2211),
                 [0x31, 0x02, 0, 0, 0x11, 0x22, 0x33, 0x44],
             ),
         ],
@@ -142,15 +142,19 @@ fn commands() -> Vec<Layout<AnyCommand>> {
         opcode: Opcode::WritePidRom,
         section: "2.3.2",
         places: &[INDEX, VALUE],
-        base: (write(PidIndex::Unknown(0), 0), [0x32, 0, 0, 0, 0, 0, 0, 0]),
+        base: (write(PidIndex::from_raw(0), 0), [0x32, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("index", write(PidIndex::PositionKp, 0), [0x32, 0x07, 0, 0, 0, 0, 0, 0]),
+            ("index", write(PidIndex::POSITION_KP, 0), [0x32, 0x07, 0, 0, 0, 0, 0, 0]),
             (
                 "value",
-                write(PidIndex::Unknown(0), 0x4433_2211),
+                write(PidIndex::from_raw(0), 0x4433_2211),
                 [0x32, 0, 0, 0, 0x11, 0x22, 0x33, 0x44],
             ),
-            ("", write(PidIndex::SpeedKp, 0x8182_8384), [0x32, 0x04, 0, 0, 0x84, 0x83, 0x82, 0x81]),
+            (
+                "",
+                write(PidIndex::SPEED_KP, 0x8182_8384),
+                [0x32, 0x04, 0, 0, 0x84, 0x83, 0x82, 0x81],
+            ),
         ],
     });
     let read = |index| AnyCommand::from(ReadAcceleration { index });
@@ -158,10 +162,10 @@ fn commands() -> Vec<Layout<AnyCommand>> {
         opcode: Opcode::ReadAcceleration,
         section: "2.4.2",
         places: &[INDEX],
-        base: (read(AccelerationIndex::PositionAcceleration), [0x42, 0, 0, 0, 0, 0, 0, 0]),
+        base: (read(AccelerationIndex::POSITION_ACCELERATION), [0x42, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("index", read(AccelerationIndex::SpeedDeceleration), [0x42, 3, 0, 0, 0, 0, 0, 0]),
-            ("index", read(AccelerationIndex::Unknown(0xA5)), [0x42, 0xA5, 0, 0, 0, 0, 0, 0]),
+            ("index", read(AccelerationIndex::SPEED_DECELERATION), [0x42, 3, 0, 0, 0, 0, 0, 0]),
+            ("index", read(AccelerationIndex::from_raw(0xA5)), [0x42, 0xA5, 0, 0, 0, 0, 0, 0]),
         ],
     });
     let write =
@@ -171,22 +175,22 @@ fn commands() -> Vec<Layout<AnyCommand>> {
         opcode: Opcode::WriteAcceleration,
         section: "2.5.2",
         places: &[INDEX, ("acceleration", 4, 4)],
-        base: (write(AccelerationIndex::PositionAcceleration, 0), [0x43, 0, 0, 0, 0, 0, 0, 0]),
+        base: (write(AccelerationIndex::POSITION_ACCELERATION, 0), [0x43, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("index", write(AccelerationIndex::SpeedAcceleration, 0), [0x43, 2, 0, 0, 0, 0, 0, 0]),
+            ("index", write(AccelerationIndex::SPEED_ACCELERATION, 0), [0x43, 2, 0, 0, 0, 0, 0, 0]),
             (
                 "acceleration",
-                write(AccelerationIndex::PositionAcceleration, 60_000),
+                write(AccelerationIndex::POSITION_ACCELERATION, 60_000),
                 [0x43, 0, 0, 0, 0x60, 0xEA, 0, 0],
             ),
             (
                 "acceleration",
-                write(AccelerationIndex::PositionAcceleration, 100),
+                write(AccelerationIndex::POSITION_ACCELERATION, 100),
                 [0x43, 0, 0, 0, 0x64, 0, 0, 0],
             ),
             (
                 "",
-                write(AccelerationIndex::PositionDeceleration, 0x1234),
+                write(AccelerationIndex::POSITION_DECELERATION, 0x1234),
                 [0x43, 1, 0, 0, 0x34, 0x12, 0, 0],
             ),
         ],
@@ -269,16 +273,16 @@ fn commands() -> Vec<Layout<AnyCommand>> {
         opcode: Opcode::SingleTurnPosition,
         section: "2.22.2",
         places: &[("direction", 1, 1), ("max_speed", 2, 2), ("angle", 4, 2)],
-        base: (go(Direction::Clockwise, 0, 0), [0xA6, 0, 0, 0, 0, 0, 0, 0]),
+        base: (go(Direction::CLOCKWISE, 0, 0), [0xA6, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("direction", go(Direction::CounterClockwise, 0, 0), [0xA6, 1, 0, 0, 0, 0, 0, 0]),
-            ("direction", go(Direction::Unknown(0xFE), 0, 0), [0xA6, 0xFE, 0, 0, 0, 0, 0, 0]),
-            ("max_speed", go(Direction::Clockwise, 0xF1F2, 0), [0xA6, 0, 0xF2, 0xF1, 0, 0, 0, 0]),
-            ("angle", go(Direction::Clockwise, 0, 0x8182), [0xA6, 0, 0, 0, 0x82, 0x81, 0, 0]),
-            ("angle", go(Direction::Clockwise, 0, 36_000), [0xA6, 0, 0, 0, 0xA0, 0x8C, 0, 0]),
+            ("direction", go(Direction::COUNTER_CLOCKWISE, 0, 0), [0xA6, 1, 0, 0, 0, 0, 0, 0]),
+            ("direction", go(Direction::from_raw(0xFE), 0, 0), [0xA6, 0xFE, 0, 0, 0, 0, 0, 0]),
+            ("max_speed", go(Direction::CLOCKWISE, 0xF1F2, 0), [0xA6, 0, 0xF2, 0xF1, 0, 0, 0, 0]),
+            ("angle", go(Direction::CLOCKWISE, 0, 0x8182), [0xA6, 0, 0, 0, 0x82, 0x81, 0, 0]),
+            ("angle", go(Direction::CLOCKWISE, 0, 36_000), [0xA6, 0, 0, 0, 0xA0, 0x8C, 0, 0]),
             (
                 "",
-                go(Direction::CounterClockwise, 0x1516, 0x0203),
+                go(Direction::COUNTER_CLOCKWISE, 0x1516, 0x0203),
                 [0xA6, 1, 0x16, 0x15, 3, 2, 0, 0],
             ),
         ],
@@ -337,16 +341,16 @@ fn commands() -> Vec<Layout<AnyCommand>> {
         opcode: Opcode::SetBaudRate,
         section: "2.32.2",
         places: &[("baud_rate", 7, 1)],
-        base: (set(BaudCode::Can500kRs485At115200), [0xB4, 0, 0, 0, 0, 0, 0, 0]),
+        base: (set(BaudCode::CAN_500K_RS485_115200), [0xB4, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("baud_rate", set(BaudCode::Rs485At1M), [0xB4, 0, 0, 0, 0, 0, 0, 2]),
-            ("baud_rate", set(BaudCode::Unknown(0xFE)), [0xB4, 0, 0, 0, 0, 0, 0, 0xFE]),
+            ("baud_rate", set(BaudCode::RS485_1M), [0xB4, 0, 0, 0, 0, 0, 0, 2]),
+            ("baud_rate", set(BaudCode::from_raw(0xFE)), [0xB4, 0, 0, 0, 0, 0, 0, 0xFE]),
         ],
     });
     let report = |command, enable, raw| {
         AnyCommand::from(ActiveReply { command, enable, interval: ReportInterval::from_raw(raw) })
     };
-    let nothing = ReportedCommand::Unknown(0);
+    let nothing = ReportedCommand::from_raw(0);
     all.push(Layout {
         opcode: Opcode::ActiveReply,
         section: "2.34.2",
@@ -355,14 +359,18 @@ fn commands() -> Vec<Layout<AnyCommand>> {
         cases: vec![
             (
                 "command",
-                report(ReportedCommand::Status3, Switch::Off, 0),
+                report(ReportedCommand::of(Opcode::ReadStatus3).unwrap(), Switch::Off, 0),
                 [0xB6, 0x9D, 0, 0, 0, 0, 0, 0],
             ),
             ("enable", report(nothing, Switch::On, 0), [0xB6, 0, 1, 0, 0, 0, 0, 0]),
             ("interval", report(nothing, Switch::Off, 0xF1F2), [0xB6, 0, 0, 0xF2, 0xF1, 0, 0, 0]),
             (
                 "",
-                report(ReportedCommand::MultiTurnAngle, Switch::On, 0x0203),
+                report(
+                    ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
+                    Switch::On,
+                    0x0203,
+                ),
                 [0xB6, 0x92, 1, 3, 2, 0, 0, 0],
             ),
         ],
@@ -461,7 +469,7 @@ fn feedback(
         wrap(Feedback {
             temperature: Temperature::from_raw(i8_of(temperature)),
             current: Current::from_raw(i16_of(current)),
-            speed: units::Speed::from_raw(i16_of(speed)),
+            speed: units::CoarseSpeed::from_raw(i16_of(speed)),
             angle: CoarseAngle::from_raw(i16_of(angle)),
         })
     };
@@ -545,15 +553,15 @@ fn replies() -> Vec<Layout<AnyReply>> {
         opcode: Opcode::ReadPid,
         section: "2.1.3",
         places: &[("index", 1, 1), ("value", 4, 4)],
-        base: (pid(PidIndex::Unknown(0), 0), [0x30, 0, 0, 0, 0, 0, 0, 0]),
+        base: (pid(PidIndex::from_raw(0), 0), [0x30, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("index", pid(PidIndex::PositionKi, 0), [0x30, 8, 0, 0, 0, 0, 0, 0]),
+            ("index", pid(PidIndex::POSITION_KI, 0), [0x30, 8, 0, 0, 0, 0, 0, 0]),
             (
                 "value",
-                pid(PidIndex::Unknown(0), 0x4433_2211),
+                pid(PidIndex::from_raw(0), 0x4433_2211),
                 [0x30, 0, 0, 0, 0x11, 0x22, 0x33, 0x44],
             ),
-            ("", pid(PidIndex::CurrentKp, 0x8182_8384), [0x30, 1, 0, 0, 0x84, 0x83, 0x82, 0x81]),
+            ("", pid(PidIndex::CURRENT_KP, 0x8182_8384), [0x30, 1, 0, 0, 0x84, 0x83, 0x82, 0x81]),
         ],
     });
     let reading = |index, raw| {
@@ -566,21 +574,21 @@ fn replies() -> Vec<Layout<AnyReply>> {
         opcode: Opcode::ReadAcceleration,
         section: "2.4.3",
         places: &[("index", 1, 1), ("acceleration", 4, 4)],
-        base: (reading(AccelerationIndex::PositionAcceleration, 0), [0x42, 0, 0, 0, 0, 0, 0, 0]),
+        base: (reading(AccelerationIndex::POSITION_ACCELERATION, 0), [0x42, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
             (
                 "index",
-                reading(AccelerationIndex::SpeedDeceleration, 0),
+                reading(AccelerationIndex::SPEED_DECELERATION, 0),
                 [0x42, 3, 0, 0, 0, 0, 0, 0],
             ),
             (
                 "acceleration",
-                reading(AccelerationIndex::PositionAcceleration, 0x0403_0201),
+                reading(AccelerationIndex::POSITION_ACCELERATION, 0x0403_0201),
                 [0x42, 0, 0, 0, 1, 2, 3, 4],
             ),
             (
                 "",
-                reading(AccelerationIndex::SpeedAcceleration, 0x8182_8384),
+                reading(AccelerationIndex::SPEED_ACCELERATION, 0x8182_8384),
                 [0x42, 2, 0, 0, 0x84, 0x83, 0x82, 0x81],
             ),
         ],
@@ -616,7 +624,7 @@ fn replies() -> Vec<Layout<AnyReply>> {
             ("angle", angle(0x8182_8384), [0x92, 0, 0, 0, 0x84, 0x83, 0x82, 0x81]),
         ],
     });
-    let angle = |raw| R::ReadSingleTurnAngle(CircleAngle { angle: circle(raw) });
+    let angle = |raw| R::ReadSingleTurnAngle(SingleTurnAngle { angle: circle(raw) });
     all.push(Layout {
         opcode: Opcode::ReadSingleTurnAngle,
         section: "2.13.3",
@@ -630,13 +638,13 @@ fn replies() -> Vec<Layout<AnyReply>> {
     let status = |temperature, mos, brake, voltage, errors| {
         R::ReadStatus1(Status1 {
             temperature: Temperature::from_raw(i8_of(temperature)),
-            mos_temperature: Temperature::from_raw(i8_of(mos)),
+            mosfet_temperature: Temperature::from_raw(i8_of(mos)),
             brake,
             voltage: Voltage::from_raw(voltage),
             errors: ErrorFlags::from_bits_retain(errors),
         })
     };
-    let lock = BrakeCommand::Lock;
+    let lock = BrakeCommand::LOCK;
     all.push(Layout {
         opcode: Opcode::ReadStatus1,
         section: "2.14.3",
@@ -651,15 +659,15 @@ fn replies() -> Vec<Layout<AnyReply>> {
         cases: vec![
             ("temperature", status(0xF1, 0, lock, 0, 0), [0x9A, 0xF1, 0, 0, 0, 0, 0, 0]),
             ("mos_temperature", status(0, 0xF2, lock, 0, 0), [0x9A, 0, 0xF2, 0, 0, 0, 0, 0]),
-            ("brake", status(0, 0, BrakeCommand::Release, 0, 0), [0x9A, 0, 0, 1, 0, 0, 0, 0]),
+            ("brake", status(0, 0, BrakeCommand::RELEASE, 0, 0), [0x9A, 0, 0, 1, 0, 0, 0, 0]),
             (
                 "brake",
-                status(0, 0, BrakeCommand::Unknown(0xF3), 0, 0),
+                status(0, 0, BrakeCommand::from_raw(0xF3), 0, 0),
                 [0x9A, 0, 0, 0xF3, 0, 0, 0, 0],
             ),
             ("voltage", status(0, 0, lock, 0x8182, 0), [0x9A, 0, 0, 0, 0x82, 0x81, 0, 0]),
             ("errors", status(0, 0, lock, 0, 0x8384), [0x9A, 0, 0, 0, 0, 0, 0x84, 0x83]),
-            ("", status(1, 2, BrakeCommand::Release, 0x0405, 0x0607), [0x9A, 1, 2, 1, 5, 4, 7, 6]),
+            ("", status(1, 2, BrakeCommand::RELEASE, 0x0405, 0x0607), [0x9A, 1, 2, 1, 5, 4, 7, 6]),
         ],
     });
     let status = |temperature, a, b, c| {
@@ -687,7 +695,7 @@ fn replies() -> Vec<Layout<AnyReply>> {
         R::SingleTurnPosition(SingleTurnFeedback {
             temperature: Temperature::from_raw(i8_of(temperature)),
             current: Current::from_raw(i16_of(current)),
-            speed: units::Speed::from_raw(i16_of(speed)),
+            speed: units::CoarseSpeed::from_raw(i16_of(speed)),
             encoder: SingleTurnPulses::from_raw(encoder),
         })
     };
@@ -709,10 +717,10 @@ fn replies() -> Vec<Layout<AnyReply>> {
         opcode: Opcode::ReadRunningMode,
         section: "2.25.3",
         places: &[("mode", 7, 1)],
-        base: (running(Mode::Unknown(0)), [0x70, 0, 0, 0, 0, 0, 0, 0]),
+        base: (running(Mode::from_raw(0)), [0x70, 0, 0, 0, 0, 0, 0, 0]),
         cases: vec![
-            ("mode", running(Mode::Speed), [0x70, 0, 0, 0, 0, 0, 0, 2]),
-            ("mode", running(Mode::Unknown(0xFE)), [0x70, 0, 0, 0, 0, 0, 0, 0xFE]),
+            ("mode", running(Mode::SPEED), [0x70, 0, 0, 0, 0, 0, 0, 2]),
+            ("mode", running(Mode::from_raw(0xFE)), [0x70, 0, 0, 0, 0, 0, 0, 0xFE]),
         ],
     });
     let time = |raw| R::ReadRunTime(RunTime { run_time: Milliseconds::from_raw(raw) });
@@ -997,7 +1005,7 @@ fn steps_have_the_size_that_the_manual_gives() {
     assert_eq!(Temperature::from_raw(-40).celsius(), -40.0); // 1 °C, 2.14.3
     assert_eq!(Voltage::from_raw(485).volts(), 48.5); // 0.1 V, 2.14.3
     assert_eq!(Current::from_raw(-125).amperes(), -1.25); // 0.01 A, 2.15.3
-    assert_eq!(units::Speed::from_raw(-500).dps(), -500.0); // 1 dps, 2.15.3
+    assert_eq!(units::CoarseSpeed::from_raw(-500).dps(), -500.0); // 1 dps, 2.15.3
     assert_eq!(CoarseAngle::from_raw(-45).degrees(), -45.0); // 1 degree, 2.15.3
     assert_eq!(Angle::from_raw(-36_025).degrees(), -360.25); // 0.01 degree, 2.12.3
     assert_eq!(circle(35_950).degrees(), 359.5); // 0.01 degree, 2.13.3

@@ -49,8 +49,8 @@ enum Any {
 impl Any {
     fn decode(direction: Direction, packet: &Packet, row: &Row) -> Self {
         match direction {
-            Direction::Command => AnyCommand::decode(packet).map(Self::Command),
-            Direction::Reply => AnyReply::decode(packet).map(Self::Reply),
+            Direction::Command => AnyCommand::decode(packet, Firmware::V4_3).map(Self::Command),
+            Direction::Reply => AnyReply::decode(packet, Firmware::V4_3).map(Self::Reply),
         }
         .unwrap_or_else(|error| panic!("{row}: {error}"))
     }
@@ -203,7 +203,7 @@ fn reply_fields(reply: &AnyReply) -> Value {
                 status.errors.each().map(|e| e.name().unwrap_or("unknown")).collect();
             json!({
                 "temperature_c": status.temperature.celsius(),
-                "mos_temperature_c": status.mos_temperature.celsius(),
+                "mos_temperature_c": status.mosfet_temperature.celsius(),
                 "brake_released": status.brake.raw() == 1,
                 "voltage_v": status.voltage.volts(),
                 "errors": errors,

@@ -45,7 +45,7 @@ fn check_command(steps: [u16; 5]) {
     let raw = raw(steps);
     let bytes = command_bits(steps);
     assert_eq!(raw.encode(), bytes, "{raw:?}");
-    assert_eq!(RawMotion::from_data(&bytes), raw);
+    assert_eq!(RawMotion::decode(&bytes), raw);
     assert_eq!(RawMotion::decode(&bytes), Ok(raw));
     assert_eq!(AnyCommand::decode_as(Opcode::Motion, &bytes), Ok(raw.into()));
 }
@@ -110,7 +110,7 @@ fn every_id_packs_and_unpacks_and_no_other_does() {
 fn a_walking_bit_belongs_to_one_field() {
     for place in 0..64 {
         let bytes = (1_u64 << place).to_be_bytes();
-        let raw = RawMotion::from_data(&bytes);
+        let raw = RawMotion::decode(&bytes);
         // From the right: t 0..12, kd 12..24, kp 24..36, v 36..48, p 48..64.
         let (field, within) = match place {
             0..12 => (4, place),
@@ -123,7 +123,7 @@ fn a_walking_bit_belongs_to_one_field() {
         assert_eq!(raw.encode(), bytes);
 
         let hole = !(1_u64 << place);
-        assert_eq!(RawMotion::from_data(&hole.to_be_bytes()).encode(), hole.to_be_bytes());
+        assert_eq!(RawMotion::decode(&hole.to_be_bytes()).encode(), hole.to_be_bytes());
     }
 }
 

@@ -290,7 +290,7 @@ fn a_types_kind_is_the_tables() {
         // A table row that two types shared would show here.
         let to_all = command.packet(Target::All);
         let packet = to_all.or_else(|_| command.packet(MotorId::MIN.into())).expect("a packet");
-        assert_eq!(AnyCommand::decode(&packet), Ok(command));
+        assert_eq!(AnyCommand::decode(&packet, Firmware::V4_3), Ok(command));
         assert_eq!(packet.data, data, "{opcode}");
     }
 }

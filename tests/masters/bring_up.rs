@@ -154,7 +154,7 @@ fn a_brake_is_open_before_torque_comes<B: Bus>() {
     bring_up::release_brake(runner, id(1)).expect("it has a brake");
     let took = runner.now() - begun;
     assert!(took >= Quirks::SLOW_BRAKE_MAX, "it is waited for: {took}");
-    assert_eq!(state(drive).brake, BrakeCommand::Release);
+    assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
     // Torque moves the shaft from the first moment.
     assert!(moved() < 0.01);
     runner.ask(id(1), push(2.0)).expect("it is there");
@@ -171,7 +171,7 @@ fn a_brake_that_does_not_open_is_told<B: Bus>() {
     listen(runner, millis(300));
     assert!(state(drive).communication_lost);
     let refused = bring_up::release_brake(runner, id(1));
-    assert_eq!(refused, Err(BringUpError::BrakeNotReleased(BrakeCommand::Lock)));
+    assert_eq!(refused, Err(BringUpError::BrakeNotReleased(BrakeCommand::LOCK)));
 }
 
 fn a_protected_motor_stops_when_nobody_speaks<B: Bus>() {

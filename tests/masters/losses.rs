@@ -1,9 +1,9 @@
 //! Every loss is counted: what the master's health and events tell is what the wire and the drives
 //! know, frame by frame.
 
-use myactuator_host_std::bus::can::CanBus;
-use myactuator_host_std::bus::faults::FaultPlan;
-use myactuator_host_std::bus::rs485::Rs485Line;
+use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::faults::FaultPlan;
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};

@@ -1,8 +1,8 @@
 //! Streams of set-points and the safe stop, where an old frame would be dangerous.
 
-use myactuator_host_std::bus::can::{CanBus, ControllerConfig};
-use myactuator_host_std::bus::faults::{Direction, FaultPlan};
-use myactuator_host_std::bus::rs485::Rs485Line;
+use myactuator_host_std::sim::bus::can::{CanBus, ControllerConfig};
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};

@@ -2,9 +2,9 @@
 
 use std::fmt::Debug;
 
-use myactuator_host_std::bus::can::{CanBus, CanPort};
-use myactuator_host_std::bus::rs485::{Rs485Line, SerialPort};
-use myactuator_host_std::bus::{SimClock, StationId};
+use myactuator_host_std::sim::bus::can::{CanBus, CanPort};
+use myactuator_host_std::sim::bus::rs485::{Rs485Line, SerialPort};
+use myactuator_host_std::sim::bus::{SimClock, StationId};
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet, FleetError, LineFleet};
 use myactuator_protocol_core::drive::{Event, State};
 use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};

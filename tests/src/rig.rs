@@ -7,11 +7,11 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use myactuator_host_std::bus::can::{CanBus, CanConfig, CanPort};
-use myactuator_host_std::bus::faults::{Direction, FaultPlan};
-use myactuator_host_std::bus::rs485::{LineConfig, Rs485Line, SerialPort};
-use myactuator_host_std::bus::trace::{Event, Fault};
-use myactuator_host_std::bus::{Medium, Node, SimClock, StationId, World};
+use myactuator_host_std::sim::bus::can::{CanBus, CanConfig, CanPort};
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort};
+use myactuator_host_std::sim::bus::trace::{Event, Fault};
+use myactuator_host_std::sim::bus::{Medium, Node, SimClock, StationId, World};
 use myactuator_protocol_core::command::{
     AccelerationReading, Feedback, MultiTurnAngle, MultiTurnEncoder, PidGain, RunTime, Speed,
     Version,

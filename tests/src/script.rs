@@ -3,11 +3,11 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-use myactuator_host_std::bus::can::CanBus;
-use myactuator_host_std::bus::faults::FaultPlan;
-use myactuator_host_std::bus::rs485::{LineConfig, Rs485Line, SerialPort, SerialWorld};
-use myactuator_host_std::bus::trace::{Event, Record};
-use myactuator_host_std::bus::{Node, StationId, World};
+use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::faults::FaultPlan;
+use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, SerialWorld};
+use myactuator_host_std::sim::bus::trace::{Event, Record};
+use myactuator_host_std::sim::bus::{Node, StationId, World};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 

@@ -1,61 +1,22 @@
 //! Turns what a person typed into the library's quantities, or into a sentence with the range.
 
-use std::fmt::Display;
 use std::str::FromStr;
 
-use myactuator_protocol_core::command::{
-    AccelerationIndex, BaudCode, Direction, FunctionControl, MotionOutOfRange, MotionRanges,
-    MotionSetPoint, PidIndex, ReportedCommand,
-};
-use myactuator_protocol_core::range::{OutOfRange, Quantity};
-use myactuator_protocol_core::time::Duration;
-use myactuator_protocol_core::units::{
-    Acceleration, Angle, Current, EncoderPulses, Gain, MaxSpeed, MaxTorque, Milliseconds,
-    ReportInterval, SingleTurnTarget, SpeedTarget,
-};
-use myactuator_protocol_core::{MotorId, Target};
+use myactuator_host_std::protocol::command::{Field, MotionLimits, MotionRanges};
+use myactuator_host_std::protocol::quantity::{Form, OutOfRange, Quantity, Steps};
+use myactuator_host_std::protocol::time::Duration;
+use myactuator_host_std::protocol::units::{Angle, Current, MaxSpeed, MaxTorque, SpeedTarget};
+use myactuator_host_std::protocol::{Firmware, MotorId, Target};
 
 /// A value, or one sentence about what is allowed.
 type Parsed<T> = Result<T, String>;
 
-/// What a quantity allows, in words: `angle must be -10 to 10 deg`.
-fn allowed(quantity: &Quantity) -> String {
-    let Quantity { name, unit, min, max } = quantity;
-    format!("{name} must be {min} to {max} {unit}").trim_end().to_owned()
-}
-
-fn not_a_number(allowed: impl Display, text: &str) -> String {
-    format!("{allowed}, but \"{text}\" is no number")
-}
-
-fn float(text: &str, quantity: &Quantity) -> Parsed<f64> {
-    text.parse().map_err(|_| not_a_number(allowed(quantity), text))
-}
-
-/// The library's sentence, with the number as it was typed: single precision would show through.
-fn refuse(error: OutOfRange, given: f64) -> String {
-    OutOfRange { given: given.into(), ..error }.to_string()
-}
-
-/// Parsers of quantities with a conversion from `f32` or `f64`.
-macro_rules! floats {
-    ($($parser:ident: $quantity:ident by $from:ident($float:ty);)+) => {$(
-        pub(super) fn $parser(text: &str) -> Parsed<$quantity> {
-            let given = float(text, &$quantity::QUANTITY)?;
-            $quantity::$from(given as $float).map_err(|error| refuse(error, given))
-        }
-    )+};
-}
-
-floats! {
-    current: Current by from_amperes(f32);
-    speed: SpeedTarget by from_dps_f64(f64);
-    max_speed: MaxSpeed by from_dps(f32);
-    max_torque: MaxTorque by from_percent(f32);
-    angle: Angle by from_degrees_f64(f64);
-    single_turn_angle: SingleTurnTarget by from_degrees(f32);
-    acceleration: Acceleration by from_dps2(f32);
-    gain: Gain by new(f32);
+/// A number, decimal or whole with `0x`.
+fn number(text: &str) -> Option<f64> {
+    match integer(text) {
+        Some(whole) => Some(whole as f64),
+        None => text.parse().ok(),
+    }
 }
 
 /// A whole number, decimal or with `0x`.
@@ -67,185 +28,157 @@ fn integer(text: &str) -> Option<i64> {
     }
 }
 
-/// A whole number that a quantity without fractions allows.
-fn whole<T: TryFrom<i64>>(text: &str, quantity: &'static Quantity) -> Parsed<T> {
-    let Some(given) = integer(text) else {
-        return Err(format!("{}, but \"{text}\" is no whole number", allowed(quantity)));
-    };
-    T::try_from(given)
-        .map_err(|_| OutOfRange { quantity, given: (given as f64).into() }.to_string())
+/// The number on the wire nearest to an amount of a quantity.
+fn amount(text: &str, quantity: &'static Quantity) -> Parsed<i64> {
+    let given = number(text).ok_or_else(|| format!("{quantity}, but \"{text}\" is no number"))?;
+    let raw = quantity.nearest(given).map_err(|error| error.to_string())?;
+    match quantity.form {
+        // Large steps are not what somebody else meant: rounding could end at 0.
+        Form::Steps(Steps { numerator: 2.., .. }) if quantity.amount(raw) != given => {
+            let (step, unit) = (quantity.amount(1), quantity.unit.symbol());
+            Err(format!("{quantity} in steps of {step} {unit}, but {given} {unit} was given"))
+        }
+        _ => Ok(raw),
+    }
 }
 
-pub(super) fn pulses(text: &str) -> Parsed<EncoderPulses> {
-    whole(text, &EncoderPulses::QUANTITY).map(EncoderPulses::from_raw)
+/// The number on the wire of a field's value: an amount in its unit, a code's name or number, on or
+/// off, or a motion value on these scales.
+pub(super) fn field(text: &str, field: &Field, ranges: Option<&MotionRanges>) -> Parsed<i64> {
+    let quantity = field.quantity;
+    match quantity.form {
+        Form::Code(names) => {
+            let named = names.iter().find(|name| name.name == text).map(|name| name.raw.into());
+            let number = || integer(text).filter(|code| (0..=0xFF).contains(code));
+            named.or_else(number).ok_or_else(|| format!("{quantity}, but \"{text}\" was given"))
+        }
+        Form::Switch => match text {
+            "on" | "true" | "1" => Ok(1),
+            "off" | "false" | "0" => Ok(0),
+            _ => Err(format!("{} must be on or off, but \"{text}\" was given", quantity.name)),
+        },
+        Form::Motion(scale) => {
+            let ranges = ranges.ok_or(
+                "--ranges is missing: the scales of this firmware's motion mode depend on the motor",
+            )?;
+            let value: f64 = text.parse().map_err(|_| {
+                format!("{} must be a number, but \"{text}\" was given", quantity.name)
+            })?;
+            ranges.step(scale, value).map(i64::from).map_err(|error| error.to_string())
+        }
+        _ => amount(text, quantity),
+    }
 }
 
-pub(super) fn milliseconds(text: &str) -> Parsed<Milliseconds> {
-    whole(text, &Milliseconds::QUANTITY).map(Milliseconds::from_raw)
+/// Parsers of quantities by their amount.
+macro_rules! amounts {
+    ($($parser:ident: $quantity:ident($raw:ty);)+) => {$(
+        pub(super) fn $parser(text: &str) -> Parsed<$quantity> {
+            // `nearest` gives nothing that does not fit.
+            amount(text, &$quantity::QUANTITY).map(|raw| $quantity::from_raw(raw as $raw))
+        }
+    )+};
+}
+
+amounts! {
+    current: Current(i16);
+    speed: SpeedTarget(i32);
+    max_speed: MaxSpeed(u16);
+    max_torque: MaxTorque(u8);
+    angle: Angle(i32);
 }
 
 /// A span of time that a command may take.
 pub(super) fn seconds(text: &str) -> Parsed<Duration> {
-    const SPAN: Quantity = Quantity { name: "time", unit: "s", min: 0.01, max: 3600.0 };
-    let given = float(text, &SPAN)?;
-    if (SPAN.min..=SPAN.max).contains(&given) {
-        Ok(Duration::from_micros((given * 1e6).round() as u64))
-    } else {
-        Err(OutOfRange { quantity: &SPAN, given: given.into() }.to_string())
-    }
-}
-
-/// A multiple of the interval's step: rounding could end at 0.
-pub(super) fn interval(text: &str) -> Parsed<ReportInterval> {
-    let given = float(text, &ReportInterval::QUANTITY)?;
-    let interval =
-        ReportInterval::from_millis(given as f32).map_err(|error| refuse(error, given))?;
-    if f64::from(interval.millis()) == given {
-        Ok(interval)
-    } else {
-        let allowed = allowed(&ReportInterval::QUANTITY);
-        let step = ReportInterval::from_raw(1);
-        Err(format!("{allowed} in steps of {step}, but {given} ms was given"))
+    match number(text) {
+        Some(given) if (0.01..=3600.0).contains(&given) => {
+            Ok(Duration::from_micros((given * 1e6).round() as u64))
+        }
+        Some(given) => Err(format!("time must be 0.01 to 3600 s, but {given} s was given")),
+        None => Err(format!("time must be 0.01 to 3600 s, but \"{text}\" is no number")),
     }
 }
 
 pub(super) fn motor_id(text: &str) -> Parsed<MotorId> {
     let quantity = &MotorId::QUANTITY;
-    let given: i64 = whole(text, quantity)?;
-    u8::try_from(given)
-        .ok()
-        .and_then(|id| MotorId::new(id).ok())
-        .ok_or_else(|| OutOfRange { quantity, given: (given as f64).into() }.to_string())
+    let given =
+        integer(text).ok_or_else(|| format!("{quantity}, but \"{text}\" is no whole number"))?;
+    let id = u8::try_from(given).ok().and_then(|id| MotorId::new(id).ok());
+    id.ok_or_else(|| OutOfRange { quantity, given: (given as f64).into() }.to_string())
 }
 
 pub(super) fn target(text: &str) -> Parsed<Target> {
     if text.eq_ignore_ascii_case("all") {
         return Ok(Target::All);
     }
-    match integer(text).and_then(|id| u8::try_from(id).ok()).map(MotorId::new) {
-        Some(Ok(id)) => Ok(Target::Motor(id)),
-        _ => {
-            let Quantity { name, min, max, .. } = MotorId::QUANTITY;
-            Err(format!("{name} must be {min} to {max}, or all, but \"{text}\" was given"))
+    motor_id(text)
+        .map(Target::Motor)
+        .map_err(|_| format!("{}, or all, but \"{text}\" was given", MotorId::QUANTITY))
+}
+
+pub(super) fn firmware(text: &str) -> Parsed<Firmware> {
+    text.parse().map_err(|error| format!("{error}, but \"{text}\" was given"))
+}
+
+/// The scales of motion mode: those of a firmware, or five numbers.
+pub(super) fn ranges(text: &str) -> Parsed<MotionRanges> {
+    if let Some(ranges) = Firmware::from_str(text).ok().and_then(Firmware::motion_ranges) {
+        return Ok(ranges);
+    }
+    let numbers: Result<Vec<f32>, _> = text.split(',').map(f32::from_str).collect();
+    match numbers.as_deref() {
+        Ok(&[position_rad, velocity_rad_s, kp, kd, torque_nm]) => {
+            MotionRanges::new(MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm })
+                .map_err(|error| error.to_string())
         }
+        _ => Err(format!(
+            "expected v4.3 or five numbers such as 12.5,45,500,5,24 (the largest position in rad, \
+             velocity in rad/s, kp, kd and torque in N·m), found \"{text}\""
+        )),
     }
 }
 
-/// A code by its number or by its name, from a list of those that the manual names.
-fn code<T: Copy>(
-    text: &str,
-    what: &str,
-    all: impl Iterator<Item = (T, u8, &'static str)> + Clone,
-) -> Parsed<T> {
-    let number = integer(text);
-    let found = all.clone().find(|&(_, raw, name)| number == Some(raw.into()) || name == text);
-    found.map(|(code, _, _)| code).ok_or_else(|| {
-        let list: Vec<String> = all.map(|(_, raw, name)| format!("{raw} ({name})")).collect();
-        format!("{what} must be one of {}, but \"{text}\" was given", list.join(", "))
-    })
+/// Which revision of the protocol frames are of, and the scales of their motion mode.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(super) struct Revision {
+    /// The revision of the protocol: v4.3 or v4.4 (of which only what it shares with v4.3 is known).
+    #[arg(long, global = true, value_parser = firmware, default_value = "v4.3")]
+    pub(super) firmware: Firmware,
+    /// The scales of motion mode, where they are not the firmware's: the largest position, velocity, kp,
+    /// kd and torque, as in 12.566,45,500,5,60.
+    #[arg(long, global = true, value_parser = ranges)]
+    pub(super) ranges: Option<MotionRanges>,
 }
 
-/// Parsers of codes that the manual names one by one.
-macro_rules! codes {
-    ($($parser:ident: $code:ident $what:literal;)+) => {$(
-        pub(super) fn $parser(text: &str) -> Parsed<$code> {
-            code(text, $what, $code::ALL.iter().map(|&code| (code, code.raw(), code.name())))
-        }
-    )+};
-}
-
-codes! {
-    pid_index: PidIndex "gain index";
-    acceleration_index: AccelerationIndex "acceleration index";
-    direction: Direction "direction";
-}
-
-pub(super) fn reported_command(text: &str) -> Parsed<ReportedCommand> {
-    let all = ReportedCommand::ALL.iter();
-    let number = integer(text);
-    let found = all.clone().find(|code| number == Some(code.raw().into()) || code.name() == text);
-    found.copied().ok_or_else(|| {
-        let list: Vec<String> =
-            all.map(|code| format!("0x{:02X} ({})", code.raw(), code.name())).collect();
-        format!("reported command must be one of {}, but \"{text}\" was given", list.join(", "))
-    })
-}
-
-/// Any code: the manual names three and leaves those of the faster RS485 rates open (2.32.4).
-pub(super) fn baud_code(text: &str) -> Parsed<BaudCode> {
-    const CODE: Quantity = Quantity { name: "baud code", unit: "", min: 0.0, max: 255.0 };
-    if let Some(code) = BaudCode::ALL.iter().find(|code| code.name() == text) {
-        return Ok(*code);
+impl Revision {
+    /// The scales that were given, else the firmware's own where it has them.
+    pub(super) fn motion_ranges(&self) -> Option<MotionRanges> {
+        self.ranges.or(self.firmware.motion_ranges())
     }
-    whole(text, &CODE).map(BaudCode::from_raw)
 }
 
-/// The index of a special function (2.35).
-pub(super) fn function_index(text: &str) -> Parsed<u8> {
-    // Every function with its smallest value that is allowed everywhere: 1.
-    let all = (1..=u8::MAX)
-        .map_while(|index| FunctionControl::from_index(index, 1).ok())
-        .take_while(|function| !matches!(function, FunctionControl::Unknown { .. }))
-        .map(|function| (function.index(), function.index(), function.name()));
-    code(text, "function index", all)
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// A special function with its value (2.35).
-pub(super) fn function(index: u8, value: Option<&str>) -> Parsed<FunctionControl> {
-    const SIGNED: Quantity =
-        Quantity { name: "angle limit", unit: "", min: i32::MIN as f64, max: i32::MAX as f64 };
-    const UNSIGNED: Quantity = Quantity { name: "value", unit: "", min: 0.0, max: u32::MAX as f64 };
-    let Some(text) = value else {
-        return match FunctionControl::from_index(index, 0) {
-            Ok(function @ FunctionControl::ClearMultiTurn) => Ok(function),
-            _ => Err(format!("--value is missing: function {index} needs one")),
-        };
-    };
-    let named = |sentence: String| format!("--value: {sentence}");
-    let function = match FunctionControl::from_index(index, 1) {
-        Ok(FunctionControl::MaxPositiveAngle(_)) => {
-            FunctionControl::MaxPositiveAngle(whole(text, &SIGNED).map_err(named)?)
-        }
-        Ok(FunctionControl::MaxNegativeAngle(_)) => {
-            FunctionControl::MaxNegativeAngle(whole(text, &SIGNED).map_err(named)?)
-        }
-        Ok(FunctionControl::ClearMultiTurn) if integer(text) != Some(0) => {
-            let name = FunctionControl::ClearMultiTurn.name();
-            return Err(named(format!("{name} takes no value but 0, but \"{text}\" was given")));
-        }
-        _ => {
-            let raw: u32 = whole(text, &UNSIGNED).map_err(named)?;
-            FunctionControl::from_index(index, raw)
-                .map_err(|error| named(refuse(error, f64::from(raw))))?
-        }
-    };
-    Ok(function)
-}
+    #[test]
+    fn a_limit_is_never_rounded_to_none() {
+        assert_eq!(max_speed("0").unwrap().raw(), 0);
+        assert_eq!(
+            max_speed("0.4").unwrap_err(),
+            "maximum speed must be 1 to 65535 dps (0: no limit), but 0.4 dps was given"
+        );
+        assert!(max_torque("0.2").is_err());
+        assert!(max_torque("-0.2").is_err());
+    }
 
-/// Parsers of motion mode's values, each by the same check that encodes them all.
-macro_rules! motion {
-    ($($parser:ident: $field:ident;)+) => {$(
-        pub(super) fn $parser(text: &str) -> Parsed<f32> {
-            motion_value(text, |$field| MotionSetPoint { $field, ..MotionSetPoint::default() })
-        }
-    )+};
-}
-
-motion! {
-    position: position_rad;
-    velocity: velocity_rad_s;
-    kp: kp;
-    kd: kd;
-    torque: torque_nm;
-}
-
-fn motion_value(text: &str, set_point: impl Fn(f32) -> MotionSetPoint) -> Parsed<f32> {
-    let number = f32::from_str(text);
-    match MotionRanges::V4_3.quantise(&set_point(number.clone().unwrap_or(f32::NAN))) {
-        Ok(_) => Ok(number.unwrap_or_default()),
-        Err(MotionOutOfRange { name, unit, min, max, .. }) if number.is_err() => {
-            Err(not_a_number(format_args!("{name} must be {min} to {max} {unit}"), text))
-        }
-        Err(error) => Err(error.to_string()),
+    #[test]
+    fn ranges_are_named_or_given_number_by_number() {
+        assert_eq!(ranges("V4.3"), Ok(MotionRanges::V4_3));
+        assert_eq!(ranges("12.5,45,500,5,24"), Ok(MotionRanges::V4_3));
+        assert_ne!(ranges("12.566,45,500,5,60"), Ok(MotionRanges::V4_3));
+        let sentence = ranges("v4.4").unwrap_err();
+        assert!(sentence.starts_with("expected v4.3 or five numbers"), "{sentence}");
+        assert!(ranges("12.5,45").is_err() && ranges("12.5,45,500,5,-24").is_err());
     }
 }

@@ -4,20 +4,23 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::PathBuf;
 
-use myactuator_host_std::explain::{Explanation, Rs485Stream, Sender, can_frame};
+use myactuator_host_std::explain::{Explainer, Explanation, Rs485Stream, Sender};
+use myactuator_host_std::text::can::LogLine;
 use myactuator_host_std::{BusKind, text};
 
-use super::{DONE, NOT_ALL_DECODED, print_line, wrong_usage};
+use super::arguments::Revision;
+use super::{DONE, NOT_ALL_DECODED, names, print_line, wrong_usage};
 
 /// Explain frames: one line each for people, or with --json one object a line.
 ///
-/// On CAN a frame is ID#DATA or a line of candump or candump -L. On RS485 it is bytes, hexadecimal
+/// On CAN a frame is ID#DATA or a line of candump or candump -L, whose time and interface are kept. On
+/// RS485 it is bytes, hexadecimal
 /// or decimal, with commas or spaces or without; they may hold several frames and noise. Exit status:
 /// 0 if every frame was decoded, 1 if some were not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// The bus that the frames are from [default: can, with --binary rs485].
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = names::bus())]
     bus: Option<BusKind>,
     /// Print one JSON object a line.
     #[arg(long)]
@@ -26,8 +29,10 @@ pub(super) struct Arguments {
     #[arg(long)]
     binary: bool,
     /// Which way frames went whose bytes cannot tell (RS485, and bus id on CAN).
-    #[arg(long, value_enum, value_name = "WAY")]
+    #[arg(long, value_parser = names::sender(), value_name = "WAY")]
     direction: Option<Sender>,
+    #[command(flatten)]
+    revision: Revision,
     /// Frames, files, or - for standard input, which is also read if there is none of these.
     #[arg(value_name = "FRAME|FILE|-")]
     inputs: Vec<String>,
@@ -61,7 +66,11 @@ pub(super) fn run(arguments: &Arguments) -> u8 {
         bus,
         json: arguments.json,
         binary: arguments.binary,
-        sender: arguments.direction,
+        explainer: Explainer {
+            firmware: arguments.revision.firmware,
+            ranges: arguments.revision.motion_ranges(),
+            sender: arguments.direction,
+        },
         out: io::stdout().lock(),
         all_decoded: true,
     };
@@ -76,7 +85,7 @@ struct Decoder<W> {
     bus: BusKind,
     json: bool,
     binary: bool,
-    sender: Option<Sender>,
+    explainer: Explainer,
     out: W,
     all_decoded: bool,
 }
@@ -138,7 +147,7 @@ impl<W: Write> Decoder<W> {
         if !self.binary {
             return self.text(source, name);
         }
-        let mut stream = Rs485Stream::new(self.sender);
+        let mut stream = Rs485Stream::new(self.explainer);
         let mut bytes = [0; 4096];
         loop {
             match source.read(&mut bytes) {
@@ -157,7 +166,7 @@ impl<W: Write> Decoder<W> {
 
     /// Text, line by line: a live bus is explained as it goes.
     fn text(&mut self, source: impl BufRead, name: &str) -> Result<(), Stop> {
-        let mut stream = Rs485Stream::new(self.sender);
+        let mut stream = Rs485Stream::new(self.explainer);
         for line in source.split(b'\n') {
             let line = line.map_err(|error| unreadable(name, &error))?;
             let line = String::from_utf8_lossy(&line);
@@ -184,13 +193,17 @@ impl<W: Write> Decoder<W> {
     }
 
     fn can_line(&self, line: &str) -> Explanation {
-        let error = match text::can::parse_line(line) {
-            Ok(frame) => return can_frame(&frame, self.sender),
-            Err(error) => error,
+        let LogLine { stamp, rest, frame } = LogLine::read(line);
+        let explanation = match frame {
+            Ok(frame) => self.explainer.can_frame(&frame),
+            Err(error) => {
+                let bytes = text::rs485::parse_line(rest);
+                let looks_like_rs485 = bytes.is_ok_and(|bytes| bytes.len() > 8);
+                let hint = if looks_like_rs485 { " (for RS485 bytes add --bus rs485)" } else { "" };
+                Explanation::no_frame(self.bus, rest, format!("{error}{hint}"))
+            }
         };
-        let looks_like_rs485 = text::rs485::parse_line(line).is_ok_and(|bytes| bytes.len() > 8);
-        let hint = if looks_like_rs485 { " (for RS485 bytes add --bus rs485)" } else { "" };
-        Explanation::no_frame(self.bus, line, format!("{error}{hint}"))
+        Explanation { stamp, ..explanation }
     }
 
     fn tell(&mut self, explanations: impl IntoIterator<Item = Explanation>) -> Result<(), Stop> {

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use clap::Args;
 use myactuator_host_std::BusKind;
-use myactuator_host_std::bus::{Medium, World, trace};
 use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::bus::{Medium, World, trace};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
     AbsolutePosition, AnyReply, Feedback, MotionRanges, MotionSetPoint, ReadMultiTurnAngle,
@@ -19,7 +19,7 @@ use myactuator_protocol_core::master::{Bus, Config, Event, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
-use super::{DONE, FAILED};
+use super::{DONE, FAILED, names, tell};
 
 const MOTORS: u8 = 4;
 const CAN_BIT_RATE: u32 = 1_000_000;
@@ -32,7 +32,7 @@ const RESPONSE_SPREAD: Duration = Duration::from_micros(100);
 #[derive(Debug, Args)]
 pub(super) struct Arguments {
     /// The bus that they are on
-    #[arg(long, value_enum, default_value_t = BusKind::Can)]
+    #[arg(long, value_parser = names::bus(), default_value_t)]
     bus: BusKind,
 }
 
@@ -46,7 +46,7 @@ pub(super) fn run(arguments: &Arguments) -> u8 {
         // Nobody is left to tell: `… | head`.
         Err(error) if is_broken_pipe(&*error) => DONE,
         Err(error) => {
-            let _ = writeln!(io::stderr(), "error: the demonstration ended early: {error}");
+            tell("error", format_args!("the demonstration ended early: {error}"));
             FAILED
         }
     }

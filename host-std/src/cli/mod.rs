@@ -5,9 +5,11 @@ mod decode;
 mod demo;
 mod encode;
 mod motors;
+mod names;
 mod sim;
 
 use std::error::Error as _;
+use std::fmt::Display;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
@@ -73,10 +75,30 @@ fn stop_parsing(error: &clap::Error) -> u8 {
     }
 }
 
-/// Tells what is wrong, in one sentence.
+/// Tells that the program was used wrongly, and how.
 fn wrong_usage(sentence: &str) -> u8 {
-    let _ = writeln!(io::stderr(), "error: {sentence}");
+    tell("error", sentence);
     WRONG_USAGE
+}
+
+/// Prints one sentence beside the output: an `error` or a `note`.
+fn tell(kind: &str, sentence: impl Display) {
+    // Nobody is left to tell if that fails.
+    let _ = writeln!(io::stderr(), "{kind}: {}", printable(&sentence.to_string()));
+}
+
+/// A line without control characters, which may come from whatever is decoded or named, and could
+/// steer a terminal. They are written as in JSON, so that JSON keeps its meaning.
+fn printable(line: &str) -> String {
+    let mut shown = String::with_capacity(line.len());
+    for character in line.chars() {
+        if character.is_control() {
+            shown.push_str(&format!("\\u{:04x}", u32::from(character)));
+        } else {
+            shown.push(character);
+        }
+    }
+    shown
 }
 
 /// What the parser found, without the usage that it prints below.
@@ -97,7 +119,7 @@ fn parse_sentence(error: &clap::Error) -> String {
 
 /// Prints a line. `Ok(false)` if whoever reads it has left, which is no error: `… | head`.
 fn print_line(out: &mut impl Write, line: &str) -> io::Result<bool> {
-    match writeln!(out, "{line}").and_then(|()| out.flush()) {
+    match writeln!(out, "{}", printable(line)).and_then(|()| out.flush()) {
         Ok(()) => Ok(true),
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
         Err(error) => Err(error),

@@ -2,29 +2,29 @@
 
 mod folders;
 mod options;
-mod tell;
+mod places;
 
 use std::error::Error;
-use std::io::{self, Write};
+use std::io;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::{Args, ValueEnum};
-use myactuator_host_std::bus::rs485::TransceiverConfig;
-use myactuator_host_std::plant::MotorParameters;
-use myactuator_host_std::port::BusAddress;
-use myactuator_host_std::port::slcan::Rate;
-use myactuator_host_std::sim::serve::Server;
-use myactuator_host_std::sim::{Fleet, PlannedFault};
+use myactuator_host_std::open::BusAddress;
+use myactuator_host_std::serve::{Notice, PlannedFault, Server};
+use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
+use myactuator_host_std::sim::plant::MotorParameters;
+use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::MotorId;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-use super::{DONE, FAILED, print_line, wrong_usage};
+use super::{DONE, FAILED, print_line, tell, wrong_usage};
 use folders::{Links, MemoryFolder};
 use options::Quirk;
-use tell::Place;
+use places::Place;
 
 /// How likely an adapter with `echo-noise` hears a byte that nobody sent, each time it switches.
 const ECHO_NOISE: f32 = 0.1;
@@ -94,10 +94,10 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FOLDER")]
     memory: Option<PathBuf>,
     /// Bit rate of the CAN bus, bit/s
-    #[arg(long, value_name = "RATE", default_value = "1000000", value_parser = options::can_rate)]
+    #[arg(long, value_name = "RATE", default_value = "1000000")]
     bit_rate: Rate,
     /// Bit rate of the RS485 line, bit/s
-    #[arg(long, value_name = "RATE", default_value = "1000000", value_parser = options::line_rate)]
+    #[arg(long, value_name = "RATE", default_value = "1000000", value_parser = BusAddress::line_rate)]
     rs485_rate: u32,
     /// Serve the CAN bus on this interface as well, such as vcan0; never on one with real motors
     #[arg(long, value_name = "INTERFACE")]
@@ -134,7 +134,7 @@ pub(super) fn run(arguments: &Arguments) -> u8 {
     match serve(arguments) {
         Ok(()) => DONE,
         Err(error) => {
-            let _ = writeln!(io::stderr(), "error: {error}");
+            tell("error", error);
             FAILED
         }
     }
@@ -217,14 +217,20 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
     }
     let motors = MotorId::all().take(arguments.count.into()).collect();
     let out = &mut io::stdout();
-    for line in tell::lines(&places, motors, arguments.json) {
+    for line in places::lines(&places, motors, arguments.json) {
         // Whoever reads may leave; the drives stay.
         if !print_line(out, &line)? {
             break;
         }
     }
     server.run(stop, |notice| {
-        let _ = writeln!(io::stderr(), "note: {notice}");
+        let remedy = match notice {
+            Notice::WrongRate { asked, .. } => {
+                format!(", or start with --bit-rate {}", asked.bits_per_second())
+            }
+            _ => String::new(),
+        };
+        tell("note", format_args!("{notice}{remedy}"));
     })?;
     Ok(())
 }

@@ -2,12 +2,14 @@
 
 use std::fmt;
 
-use myactuator_protocol_core::{Opcode, Target};
+use myactuator_protocol_core::command::{Field, MotionRanges, Phrase};
+use myactuator_protocol_core::opcode::LOST_MASTER_BYTE;
+use myactuator_protocol_core::{Data, Opcode, Target};
 use serde_json::{Value, json};
 
-use super::fields::Fields;
-use super::prose::prose;
+use super::values::{Values, values};
 use crate::BusKind;
+use crate::text::can::Stamp;
 
 /// Whether a frame goes to a motor or comes from one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -31,21 +33,72 @@ impl FrameDirection {
     }
 }
 
+/// A data field, and the fields that it has in one way to read it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    pub(super) fields: &'static [Field],
+    pub(super) data: Data,
+    pub(super) ranges: Option<MotionRanges>,
+}
+
+impl Reading {
+    /// Its values; the unit ends each key.
+    pub fn values(&self) -> Values {
+        values(self.fields, &self.data, self.ranges.as_ref())
+    }
+
+    /// Whether it has no values.
+    pub fn is_empty(&self) -> bool {
+        !self.fields.iter().any(|field| field.is_in(&self.data))
+    }
+
+    /// Whether every bit that is set belongs to the command byte or to a field.
+    pub(super) fn is_exact(&self, opcode: Opcode) -> bool {
+        let mut rest = self.data;
+        if opcode.byte().is_some() {
+            rest[0] = 0;
+        }
+        for field in self.fields.iter().filter(|field| field.is_in(&self.data)) {
+            field.place.put(&mut rest, 0);
+        }
+        rest == [0; 8]
+    }
+}
+
+/// As a phrase for people.
+impl fmt::Display for Reading {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { fields, data, ranges } = self;
+        Phrase { fields, data, ranges: ranges.as_ref() }.fmt(f)
+    }
+}
+
 /// What a decoded frame says.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decoded {
-    /// Its values; the unit ends each key. Where the direction is open, those of a command.
-    pub fields: Fields,
-    /// Its values if it is a reply, where the direction is open and they differ.
-    pub fields_if_reply: Option<Fields>,
+    /// What it says. Where the direction is open, as a command.
+    pub reading: Reading,
+    /// What it says as a reply, where the direction is open and that is something else.
+    pub if_reply: Option<Reading>,
     /// What the library's own encoder makes of the decoded value. It differs from the frame only
     /// in bytes that mean nothing (NULL in the manual) or have two spellings (4.3, 7.3).
     pub canonical: String,
 }
 
+/// What is known of a frame's kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameKind {
+    /// The firmware has it.
+    Known(Opcode),
+    /// The firmware knows no such command byte.
+    Raw(u8),
+}
+
 /// A frame, or bytes that are none, and what is known about it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Explanation {
+    /// When and where it was heard, for whom knows that: `Default` else.
+    pub stamp: Stamp,
     /// The frame in the notation of [`text`](crate::text), or the text or bytes that are no frame.
     pub raw: String,
     /// The bus it came on.
@@ -55,8 +108,8 @@ pub struct Explanation {
     pub id: Option<Target>,
     /// Which way it went, where that is known or at least a question.
     pub direction: Option<FrameDirection>,
-    /// The kind of frame, where it is known.
-    pub opcode: Option<Opcode>,
+    /// The kind of frame, where there is one.
+    pub kind: Option<FrameKind>,
     /// What it says, or one sentence about why it says nothing.
     pub outcome: Result<Decoded, String>,
 }
@@ -65,11 +118,12 @@ impl Explanation {
     /// For what is no frame of the protocol: the text or bytes, and one sentence why.
     pub fn no_frame(bus: BusKind, raw: impl Into<String>, sentence: impl Into<String>) -> Self {
         Self {
+            stamp: Stamp::default(),
             raw: raw.into(),
             bus,
             id: None,
             direction: None,
-            opcode: None,
+            kind: None,
             outcome: Err(sentence.into()),
         }
     }
@@ -79,25 +133,36 @@ impl Explanation {
         self.outcome.is_ok()
     }
 
-    /// As a JSON object with the keys `raw`, `bus`, `id`, `direction`, `name`, `opcode` and then
-    /// `fields` (perhaps `fields_if_reply`) and `canonical`, or `error`. What is not known is null.
+    /// As a JSON object with the keys `time` and `interface` where they are known, then `raw`, `bus`,
+    /// `id`, `direction`, `name`, `opcode` and then `fields` (perhaps `fields_if_reply`) and
+    /// `canonical`, or `error`. What else is not known is null; so is the name of a raw command.
     pub fn to_json(&self) -> Value {
-        let mut object = json!({
-            "raw": self.raw,
-            "bus": self.bus.name(),
-            "id": self.id.map(|id| match id {
-                Target::Motor(id) => Value::from(id.get()),
-                Target::All => Value::from("all"),
-            }),
-            "direction": self.direction.map(FrameDirection::name),
-            "name": self.opcode.map(Opcode::name),
-            "opcode": self.opcode.and_then(Opcode::byte).map(|byte| format!("0x{byte:02X}")),
+        let mut object = json!({});
+        if let Some(time) = &self.stamp.time {
+            object["time"] = time.clone().into();
+        }
+        if let Some(interface) = &self.stamp.interface {
+            object["interface"] = interface.clone().into();
+        }
+        object["raw"] = self.raw.clone().into();
+        object["bus"] = self.bus.name().into();
+        object["id"] = self.id.map_or(Value::Null, |id| match id {
+            Target::Motor(id) => id.get().into(),
+            Target::All => "all".into(),
         });
+        object["direction"] = self.direction.map(FrameDirection::name).into();
+        let (name, byte) = match self.kind {
+            Some(FrameKind::Known(opcode)) => (Some(opcode.name()), opcode.byte()),
+            Some(FrameKind::Raw(byte)) => (None, Some(byte)),
+            None => (None, None),
+        };
+        object["name"] = name.into();
+        object["opcode"] = byte.map(|byte| format!("0x{byte:02X}")).into();
         match &self.outcome {
             Ok(decoded) => {
-                object["fields"] = decoded.fields.clone().into();
-                if let Some(fields) = &decoded.fields_if_reply {
-                    object["fields_if_reply"] = fields.clone().into();
+                object["fields"] = decoded.reading.values().into();
+                if let Some(reply) = &decoded.if_reply {
+                    object["fields_if_reply"] = reply.values().into();
                 }
                 object["canonical"] = decoded.canonical.clone().into();
             }
@@ -107,9 +172,13 @@ impl Explanation {
     }
 }
 
-/// One line for people.
+/// One line for people. Text that was no frame stands in it as it came: who shows it on a terminal
+/// takes care of control characters.
 impl fmt::Display for Explanation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.stamp != Stamp::default() {
+            write!(f, "{} ", self.stamp)?;
+        }
         f.write_str(&self.raw)?;
         if let Some(id) = self.id {
             write!(f, "  {id}")?;
@@ -125,18 +194,27 @@ impl fmt::Display for Explanation {
             Ok(decoded) => decoded,
             Err(sentence) => return write!(f, "  error: {sentence}"),
         };
-        if let Some(opcode) = self.opcode {
-            write!(f, "  {opcode}")?;
+        match self.kind {
+            Some(FrameKind::Known(opcode)) => write!(f, "  {opcode}")?,
+            Some(FrameKind::Raw(byte)) => {
+                write!(f, "  raw: command byte 0x{byte:02X} is not known")?;
+                if byte == LOST_MASTER_BYTE {
+                    f.write_str(LOST_MASTER)?;
+                }
+            }
+            None => {}
         }
-        if !decoded.fields.is_empty() {
-            write!(f, ": {}", prose(&decoded.fields))?;
+        let nothing = if decoded.reading.is_empty() {
+            ": no values"
+        } else {
+            write!(f, ": {}", decoded.reading)?;
+            ""
+        };
+        if let Some(reply) = &decoded.if_reply {
+            write!(f, "{nothing}; if it is a reply: {reply}")?;
         }
-        if let Some(fields) = &decoded.fields_if_reply {
-            let nothing = if decoded.fields.is_empty() { ": no values" } else { "" };
-            write!(f, "{nothing}; if it is a reply: {}", prose(fields))?;
-        }
-        if self.opcode == Some(Opcode::Motion) {
-            f.write_str(" (by the ranges of protocol V4.3; other firmware has others)")?;
+        if self.kind == Some(FrameKind::Known(Opcode::Motion)) && decoded.reading.ranges.is_none() {
+            f.write_str(" (the ranges of this firmware depend on the motor: give them)")?;
         }
         if decoded.canonical != self.raw {
             write!(f, "; the usual spelling is {}", decoded.canonical)?;
@@ -144,3 +222,6 @@ impl fmt::Display for Explanation {
         Ok(())
     }
 }
+
+pub(super) const LOST_MASTER: &str =
+    "; drives were seen to send it once a second after they lost their master";

@@ -1,14 +1,18 @@
 //! What a frame says: its name, its fields with their units, and a sentence for people.
 //!
-//! [`can_frame`] and [`rs485_frame`] give an [`Explanation`], which is a JSON object
+//! An [`Explainer`] makes of a frame an [`Explanation`], which is a JSON object
 //! ([`Explanation::to_json`]) or a line of text (`Display`). [`Rs485Stream`] finds the frames in a
-//! stream of bytes and tells what was thrown away.
+//! stream of bytes and reports what was thrown away.
+//!
+//! Stands on [`text`](crate::text) alone: it needs no bus, real or simulated.
 //!
 //! ```
-//! use myactuator_host_std::{explain, text};
+//! use myactuator_host_std::explain::Explainer;
+//! use myactuator_host_std::protocol::Firmware;
+//! use myactuator_host_std::text;
 //!
 //! let frame = text::can::parse_line("141#A400F401A08C0000").unwrap();
-//! let explanation = explain::can_frame(&frame, None);
+//! let explanation = Explainer::new(Firmware::V4_3).can_frame(&frame);
 //! assert_eq!(
 //!     explanation.to_string(),
 //!     "141#A400F401A08C0000  motor 1  command  absolute-position (0xA4): max speed 500 dps, angle 360 deg"
@@ -17,13 +21,11 @@
 //! ```
 
 mod explanation;
-mod fields;
-mod prose;
 mod reading;
 mod stream;
+mod values;
 
-pub use explanation::{Decoded, Explanation, FrameDirection};
-pub use fields::{Fields, command_fields, reply_fields};
-pub use prose::prose;
-pub use reading::{Sender, can_frame, rs485_frame};
+pub use explanation::{Decoded, Explanation, FrameDirection, FrameKind, Reading};
+pub use reading::{Explainer, NotASender, Sender};
 pub use stream::Rs485Stream;
+pub use values::{Values, values};

@@ -4,7 +4,7 @@ use myactuator_protocol_core::wire::rs485::{ALL, FRAME_LENGTH, Fault, Fed, Frame
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::explanation::Explanation;
-use super::reading::{Sender, rs485_frame};
+use super::reading::Explainer;
 use crate::{BusKind, text};
 
 /// Explains RS485 bytes as they come.
@@ -13,18 +13,19 @@ use crate::{BusKind, text};
 /// from [`finish`](Self::finish).
 ///
 /// ```
-/// use myactuator_host_std::explain::Rs485Stream;
+/// use myactuator_host_std::explain::{Explainer, Rs485Stream};
+/// use myactuator_host_std::protocol::Firmware;
 ///
-/// let mut stream = Rs485Stream::new(None);
+/// let mut stream = Rs485Stream::new(Explainer::new(Firmware::V4_3));
 /// let bytes = [0x00, 0x3E, 0x01, 0x08, 0x30, 0x01, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
 /// let found = stream.feed(&bytes);
 /// assert_eq!(found.len(), 2);
 /// assert!(!found[0].is_decoded() && found[1].is_decoded());
 /// assert!(stream.finish().is_none());
 /// ```
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Rs485Stream {
-    sender: Option<Sender>,
+    explainer: Explainer,
     receiver: Receiver,
     /// What the receiver holds.
     held: Vec<u8>,
@@ -34,9 +35,10 @@ pub struct Rs485Stream {
 }
 
 impl Rs485Stream {
-    /// A stream that starts here. `sender` as for [`rs485_frame`].
-    pub fn new(sender: Option<Sender>) -> Self {
-        Self { sender, ..Self::default() }
+    /// A stream that starts here.
+    pub fn new(explainer: Explainer) -> Self {
+        let (held, noise) = (Vec::new(), Vec::new());
+        Self { explainer, receiver: Receiver::new(), held, noise, reason: None }
     }
 
     /// Takes the next bytes, and explains what they complete.
@@ -49,7 +51,7 @@ impl Rs485Stream {
                 Fed::Frame(frame) => {
                     self.held.clear();
                     found.extend(self.take_noise());
-                    found.push(rs485_frame(&frame, self.sender));
+                    found.push(self.explainer.rs485_frame(&frame));
                 }
                 Fed::Discarded { bytes, fault } => {
                     self.reason.get_or_insert_with(|| reason(fault, &self.held));
@@ -88,23 +90,19 @@ impl Rs485Stream {
 }
 
 fn reason(fault: Fault, held: &[u8]) -> String {
-    match (fault, held) {
-        (Fault::Header, [found, ..]) => format!("a frame begins with 3E, found {found:02X}"),
-        (Fault::Address, [_, found, ..]) => {
-            format!("an address is 1 to 32 or 0xCD, found 0x{found:02X}")
-        }
-        (Fault::Length, [_, _, found, ..]) => {
-            format!("the length of every frame is 08, found {found:02X}")
-        }
-        (Fault::Crc, [_, address, _, data @ .., low, high]) => {
-            let found = format!("the CRC is wrong, found {low:02X} {high:02X}");
-            match right_crc(*address, data) {
-                Some([low, high]) => format!("{found}, expected {low:02X} {high:02X}"),
-                None => found,
+    let found = match (fault, held) {
+        (Fault::Header, [found, ..])
+        | (Fault::Address, [_, found, ..])
+        | (Fault::Length, [_, _, found, ..]) => format!(", found {found:02X}"),
+        (Fault::Crc, [_, address, _, data @ .., low, high]) => match right_crc(*address, data) {
+            Some([right_low, right_high]) => {
+                format!(", found {low:02X} {high:02X}, expected {right_low:02X} {right_high:02X}")
             }
-        }
-        (fault, _) => format!("{fault:?}"),
-    }
+            None => format!(", found {low:02X} {high:02X}"),
+        },
+        _ => String::new(),
+    };
+    format!("{fault}{found}")
 }
 
 /// The CRC that belongs to these bytes, as it is on the line.
@@ -121,6 +119,7 @@ fn right_crc(address: u8, data: &[u8]) -> Option<[u8; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use myactuator_protocol_core::Firmware;
 
     const READ_PID: [u8; 13] = [0x3E, 1, 8, 0x30, 1, 0, 0, 0, 0, 0, 0, 0xE8, 0xDD];
 
@@ -134,7 +133,7 @@ mod tests {
         bytes.extend(READ_PID);
         bytes.extend(&READ_PID[..5]);
         for split in 0..bytes.len() {
-            let mut stream = Rs485Stream::new(None);
+            let mut stream = Rs485Stream::new(Explainer::new(Firmware::V4_3));
             let (first, second) = bytes.split_at(split);
             let mut found = stream.feed(first);
             found.extend(stream.feed(second));

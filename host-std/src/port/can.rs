@@ -10,7 +10,7 @@ use socketcan::{CanAddr, CanFrame, CanSocket, Socket as _, SocketOptions as _};
 
 use crate::port::clock::Backlog;
 use crate::port::outage::Outage;
-use crate::port::{BusError, HostClock};
+use crate::port::{HostClock, PortError};
 
 /// The kernel's error reports that tell whether the bus carries frames: time-out, controller state,
 /// missing acknowledgement, bus off, restarted (`linux/can/error.h`).
@@ -46,21 +46,21 @@ impl SocketCan {
     /// Opens an interface that is up. Frames that this socket sends are not received by it.
     ///
     /// # Errors
-    /// [`BusError`]: Linux has no CAN sockets, there is no such interface, it is not for CAN or down,
+    /// [`PortError`]: Linux has no CAN sockets, there is no such interface, it is not for CAN or down,
     /// or the user may not open it.
-    pub fn open(interface: &str) -> Result<Self, BusError> {
+    pub fn open(interface: &str) -> Result<Self, PortError> {
         let address = CanAddr::from_iface(interface).map_err(|error| {
             // Without CAN sockets there are no CAN interfaces either, and that is the thing to tell.
             match CanSocket::open_addr(&CanAddr::new(0)).map_err(|error| errno(&error)) {
-                Err(Some(Errno::AFNOSUPPORT | Errno::PROTONOSUPPORT)) => BusError::NoCanSupport,
+                Err(Some(Errno::AFNOSUPPORT | Errno::PROTONOSUPPORT)) => PortError::NoCanSupport,
                 _ if errno(&error) == Some(Errno::NODEV) => {
-                    BusError::NoSuchInterface(interface.to_owned())
+                    PortError::NoSuchInterface(interface.to_owned())
                 }
-                _ => BusError::os(interface, error),
+                _ => PortError::os(interface, error),
             }
         })?;
         let socket = CanSocket::open_addr(&address).map_err(|error| match errno(&error) {
-            Some(Errno::NODEV) => BusError::NotCan(interface.to_owned()),
+            Some(Errno::NODEV) => PortError::NotCan(interface.to_owned()),
             _ => explain(interface, error),
         })?;
         let configured = socket
@@ -69,7 +69,7 @@ impl SocketCan {
             .and_then(|()| socket.set_error_filter(REPORTS))
             // The kernel makes of this the least that it allows.
             .and_then(|()| socket.as_raw_socket().set_send_buffer_size(1));
-        configured.map_err(|error| BusError::os(interface, error))?;
+        configured.map_err(|error| PortError::os(interface, error))?;
         // A socket on an interface that is down opens, and has an error waiting.
         match socket.as_raw_socket().take_error() {
             Ok(None) => {}
@@ -86,17 +86,17 @@ impl SocketCan {
     /// A clock that waits for this interface.
     ///
     /// # Errors
-    /// [`BusError::Os`] when the operating system has no file descriptor left.
-    pub fn clock(&self) -> Result<HostClock, BusError> {
+    /// [`PortError::Os`] when the operating system has no file descriptor left.
+    pub fn clock(&self) -> Result<HostClock, PortError> {
         HostClock::with_backlog(self, self.backlog.clone())
-            .map_err(|error| BusError::os(&self.interface, error))
+            .map_err(|error| PortError::os(&self.interface, error))
     }
 
     fn note(&mut self, report: ErrorCause) {
         match verdict(report) {
-            Some(Verdict::BusOff) => self.outage.begin(BusError::BusOff(self.interface.clone())),
+            Some(Verdict::BusOff) => self.outage.begin(PortError::BusOff(self.interface.clone())),
             Some(Verdict::NotAcknowledged) => {
-                self.outage.begin(BusError::NotAcknowledged(self.interface.clone()));
+                self.outage.begin(PortError::NotAcknowledged(self.interface.clone()));
             }
             Some(Verdict::Recovered) => self.outage.end(),
             None => {}
@@ -112,9 +112,9 @@ impl AsFd for SocketCan {
 
 impl Can for SocketCan {
     type Frame = CanFrame;
-    type Error = BusError;
+    type Error = PortError;
 
-    fn transmit(&mut self, frame: &CanFrame) -> nb::Result<Option<CanFrame>, BusError> {
+    fn transmit(&mut self, frame: &CanFrame) -> nb::Result<Option<CanFrame>, PortError> {
         self.outage.admit(frame)?;
         let sent = self.socket.write_frame(frame);
         let error = sent.as_ref().err().and_then(errno);
@@ -127,7 +127,7 @@ impl Can for SocketCan {
         }
     }
 
-    fn receive(&mut self) -> nb::Result<CanFrame, BusError> {
+    fn receive(&mut self) -> nb::Result<CanFrame, PortError> {
         for _ in 0..READS_A_CALL {
             match self.socket.read_frame() {
                 Ok(CanFrame::Error(reports)) => {
@@ -180,14 +180,14 @@ fn errno(error: &io::Error) -> Option<Errno> {
     Errno::from_io_error(error)
 }
 
-fn explain(interface: &str, error: io::Error) -> BusError {
+fn explain(interface: &str, error: io::Error) -> PortError {
     let name = || interface.to_owned();
     match errno(&error) {
-        Some(Errno::AFNOSUPPORT | Errno::PROTONOSUPPORT) => BusError::NoCanSupport,
-        Some(Errno::NETDOWN) => BusError::InterfaceDown(name()),
-        Some(Errno::NODEV | Errno::NXIO) => BusError::InterfaceGone(name()),
-        Some(Errno::PERM | Errno::ACCESS) => BusError::NotPermitted(name()),
-        _ => BusError::os(interface, error),
+        Some(Errno::AFNOSUPPORT | Errno::PROTONOSUPPORT) => PortError::NoCanSupport,
+        Some(Errno::NETDOWN) => PortError::InterfaceDown(name()),
+        Some(Errno::NODEV | Errno::NXIO) => PortError::InterfaceGone(name()),
+        Some(Errno::PERM | Errno::ACCESS) => PortError::NotPermitted(name()),
+        _ => PortError::os(interface, error),
     }
 }
 

@@ -1,15 +1,15 @@
-//! What can go wrong with a bus, in one sentence each.
+//! What can go wrong with a real bus, in one sentence each.
 
 use std::fmt;
 use std::io;
 use std::sync::Arc;
 
-/// A bus that cannot be opened, or that fails while in use.
+/// A real bus that cannot be opened, or that fails while in use.
 ///
 /// `Debug` prints the same sentence as `Display`, so that an `unwrap` and the errors that wrap this
 /// one are readable.
 #[derive(Clone)]
-pub enum BusError {
+pub enum PortError {
     /// The kernel has no CAN sockets.
     NoCanSupport,
     /// There is no network interface of this name.
@@ -45,13 +45,6 @@ pub enum BusError {
     },
     /// The serial port has gone, such as an adapter that was pulled out.
     PortGone(String),
-    /// A simulated bus that cannot be made, or that faults keep from working.
-    Simulated {
-        /// The bus.
-        bus: String,
-        /// What the simulation says.
-        sentence: String,
-    },
     /// Anything else that the operating system reports.
     Os {
         /// The bus.
@@ -61,11 +54,7 @@ pub enum BusError {
     },
 }
 
-impl BusError {
-    pub(super) fn simulated(bus: &impl fmt::Display, error: &impl fmt::Display) -> Self {
-        Self::Simulated { bus: bus.to_string(), sentence: error.to_string() }
-    }
-
+impl PortError {
     pub(super) fn os(bus: &str, error: io::Error) -> Self {
         Self::Os { bus: bus.to_owned(), error: Arc::new(error) }
     }
@@ -79,7 +68,7 @@ impl BusError {
     }
 }
 
-impl fmt::Display for BusError {
+impl fmt::Display for PortError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoCanSupport => f.write_str(
@@ -139,9 +128,6 @@ impl fmt::Display for BusError {
                 f,
                 "the serial port \"{port}\" has gone: plug the adapter in again and restart"
             ),
-            Self::Simulated { bus, sentence } => {
-                write!(f, "the simulated bus \"{bus}\" fails: {sentence}")
-            }
             Self::Os { bus, error } => {
                 write!(f, "\"{bus}\" fails: the operating system reports: {error}")
             }
@@ -149,13 +135,13 @@ impl fmt::Display for BusError {
     }
 }
 
-impl fmt::Debug for BusError {
+impl fmt::Debug for PortError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)
     }
 }
 
-impl std::error::Error for BusError {
+impl std::error::Error for PortError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match self {
             Self::Os { error, .. } => Some(error.as_ref()),
@@ -164,7 +150,7 @@ impl std::error::Error for BusError {
     }
 }
 
-impl embedded_can::Error for BusError {
+impl embedded_can::Error for PortError {
     fn kind(&self) -> embedded_can::ErrorKind {
         match self {
             Self::NotAcknowledged(_) => embedded_can::ErrorKind::Acknowledge,
@@ -173,7 +159,7 @@ impl embedded_can::Error for BusError {
     }
 }
 
-impl embedded_io::Error for BusError {
+impl embedded_io::Error for PortError {
     fn kind(&self) -> embedded_io::ErrorKind {
         match self {
             Self::NoSuchInterface(_) | Self::NoSuchPort(_) => embedded_io::ErrorKind::NotFound,

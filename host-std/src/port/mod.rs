@@ -1,42 +1,39 @@
-//! Buses on Linux, real and simulated, for the loops of `myactuator_protocol_core::io`.
-//!
-//! [`AnyMaster::open`] opens whatever a [`BusAddress`] names, a [`BusAddress`] being read from one
-//! string: `sim:4`, `can0`, `slcan:/dev/ttyACM0@1000000`, `rs485:/dev/ttyUSB0@115200,echo`.
+//! Real buses on Linux, for the loops of [`protocol::io`](crate::protocol::io). Knows nothing of the
+//! simulation; [`open`](crate::open) is above both.
 //!
 //! | bus | port |
 //! |---|---|
 //! | CAN interface of Linux | [`SocketCan`] |
-//! | USB-CAN adapter that speaks SLCAN | [`Slcan`](slcan::Slcan) |
+//! | USB-CAN adapter that speaks SLCAN | [`Slcan`] |
 //! | RS485 adapter on a serial port | [`Rs485`] |
 //!
 //! None of them blocks; [`HostClock`] waits for them by `ppoll`.
 //!
 //! ```no_run
-//! use myactuator_host_std::port::{AnyMaster, BusAddress};
-//! use myactuator_protocol_core::MotorId;
-//! use myactuator_protocol_core::command::ReadMultiTurnAngle;
-//! use myactuator_protocol_core::io::Runner;
+//! use myactuator_host_std::port::SocketCan;
+//! use myactuator_host_std::protocol::MotorId;
+//! use myactuator_host_std::protocol::command::ReadMultiTurnAngle;
+//! use myactuator_host_std::protocol::io::{CanMaster, Runner};
+//! use myactuator_host_std::protocol::master::Config;
 //!
-//! let bus: BusAddress = "can0".parse()?;
-//! let mut arm = AnyMaster::<8>::open(&bus)?;
+//! let can = SocketCan::open("can0")?;
+//! let clock = can.clock()?;
+//! let mut arm = CanMaster::<_, _, 8>::new(can, clock, Config::CAN);
 //! let reading = arm.ask(MotorId::new(1)?, ReadMultiTurnAngle)?;
 //! println!("{}", reading.angle.degrees());
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod address;
-mod any_master;
 mod can;
 mod clock;
 mod error;
 mod outage;
 mod serial;
-pub mod slcan;
+mod slcan;
 mod tty;
 
-pub use address::{BusAddress, NotAnAddress};
-pub use any_master::AnyMaster;
 pub use can::SocketCan;
 pub use clock::HostClock;
-pub use error::BusError;
+pub use error::PortError;
 pub use serial::Rs485;
+pub use slcan::Slcan;

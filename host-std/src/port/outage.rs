@@ -5,7 +5,7 @@ use myactuator_protocol_core::channel::Channel;
 use myactuator_protocol_core::opcode::{Opcode, Repeat};
 use myactuator_protocol_core::wire::can::{self, Received};
 
-use crate::port::BusError;
+use crate::port::PortError;
 
 /// A bus of which it is known that it carries nothing, from when that is reported until a frame
 /// comes or the controller recovers.
@@ -15,10 +15,10 @@ use crate::port::BusError;
 /// then is let through: reads, stop, shutdown and locking the brake. Their replies, in turn, tell
 /// that the bus is back.
 #[derive(Debug, Default)]
-pub(super) struct Outage(Option<BusError>);
+pub(super) struct Outage(Option<PortError>);
 
 impl Outage {
-    pub(super) fn begin(&mut self, why: BusError) {
+    pub(super) fn begin(&mut self, why: PortError) {
         self.0 = Some(why);
     }
 
@@ -27,7 +27,7 @@ impl Outage {
     }
 
     /// Whether this frame may be sent now; if not, why.
-    pub(super) fn admit(&self, frame: &impl Frame) -> Result<(), BusError> {
+    pub(super) fn admit(&self, frame: &impl Frame) -> Result<(), PortError> {
         match &self.0 {
             Some(why) if !is_harmless_later(frame) => Err(why.clone()),
             _ => Ok(()),
@@ -65,7 +65,7 @@ mod tests {
         let mut outage = Outage::default();
         let torque = frame(0x141, 0xA1);
         assert!(outage.admit(&torque).is_ok());
-        outage.begin(BusError::NotAcknowledged("can0".into()));
+        outage.begin(PortError::NotAcknowledged("can0".into()));
         for first in [0xA1, 0xA2, 0xA4, 0xA6, 0xA8, 0xA9, 0x77, 0x31, 0x64, 0x76, 0x20, 0xFF] {
             assert!(outage.admit(&frame(0x141, first)).is_err(), "{first:02X}");
             assert!(outage.admit(&frame(0x280, first)).is_err(), "{first:02X} to all");
@@ -80,7 +80,7 @@ mod tests {
     #[test]
     fn reads_and_stops_are_sent_all_the_same() {
         let mut outage = Outage::default();
-        outage.begin(BusError::BusOff("can0".into()));
+        outage.begin(PortError::BusOff("can0".into()));
         for first in [0x80, 0x81, 0x78, 0x92, 0x9A, 0x9C, 0x30] {
             assert!(outage.admit(&frame(0x141, first)).is_ok(), "{first:02X}");
         }

@@ -8,7 +8,7 @@ use embedded_io::{ErrorType, Read, ReadReady, Write};
 use rustix::event::PollFlags;
 
 use crate::port::tty::Tty;
-use crate::port::{BusError, HostClock};
+use crate::port::{HostClock, PortError};
 
 /// How long a port may take no byte. At 1200 bit/s a frame of 13 bytes takes 110 ms.
 const LONGEST_STALL: Duration = Duration::from_secs(1);
@@ -29,18 +29,18 @@ impl Rs485 {
     /// Opens the serial port at this path at `bit_rate` bit/s.
     ///
     /// # Errors
-    /// [`BusError`]: there is no such port, it is no serial port, the user may not open it, another
+    /// [`PortError`]: there is no such port, it is no serial port, the user may not open it, another
     /// program has it open, or it cannot run at this rate.
-    pub fn open(path: impl AsRef<Path>, bit_rate: u32) -> Result<Self, BusError> {
+    pub fn open(path: impl AsRef<Path>, bit_rate: u32) -> Result<Self, PortError> {
         Ok(Self { tty: Tty::open(path.as_ref(), bit_rate)? })
     }
 
     /// A clock that waits for this port.
     ///
     /// # Errors
-    /// [`BusError::Os`] when the operating system has no file descriptor left.
-    pub fn clock(&self) -> Result<HostClock, BusError> {
-        HostClock::for_port(self).map_err(|error| BusError::os(self.tty.name(), error))
+    /// [`PortError::Os`] when the operating system has no file descriptor left.
+    pub fn clock(&self) -> Result<HostClock, PortError> {
+        HostClock::for_port(self).map_err(|error| PortError::os(self.tty.name(), error))
     }
 }
 
@@ -51,17 +51,17 @@ impl AsFd for Rs485 {
 }
 
 impl ErrorType for Rs485 {
-    type Error = BusError;
+    type Error = PortError;
 }
 
 impl ReadReady for Rs485 {
-    fn read_ready(&mut self) -> Result<bool, BusError> {
+    fn read_ready(&mut self) -> Result<bool, PortError> {
         self.tty.wait(PollFlags::IN, Some(Duration::ZERO))
     }
 }
 
 impl Read for Rs485 {
-    fn read(&mut self, buf: &mut [u8]) -> Result<usize, BusError> {
+    fn read(&mut self, buf: &mut [u8]) -> Result<usize, PortError> {
         if buf.is_empty() {
             return Ok(0);
         }
@@ -77,7 +77,7 @@ impl Read for Rs485 {
 impl Write for Rs485 {
     /// Waits for room, a second at the most; then throws away what the port holds, for a command that
     /// leaves so late is stale.
-    fn write(&mut self, buf: &[u8]) -> Result<usize, BusError> {
+    fn write(&mut self, buf: &[u8]) -> Result<usize, PortError> {
         if buf.is_empty() {
             return Ok(0);
         }
@@ -88,12 +88,12 @@ impl Write for Rs485 {
             }
             if !self.tty.wait(PollFlags::OUT, Some(LONGEST_STALL))? {
                 self.tty.discard_output()?;
-                return Err(BusError::Stalled(self.tty.name().to_owned()));
+                return Err(PortError::Stalled(self.tty.name().to_owned()));
             }
         }
     }
 
-    fn flush(&mut self) -> Result<(), BusError> {
+    fn flush(&mut self) -> Result<(), PortError> {
         self.tty.drain()
     }
 }

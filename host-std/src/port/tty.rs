@@ -9,7 +9,7 @@ use rustix::fs::FlockOperation;
 use rustix::io::Errno;
 use serial2::{KeepSettings, SerialPort};
 
-use crate::port::BusError;
+use crate::port::PortError;
 
 #[derive(Debug)]
 pub(super) struct Tty {
@@ -19,12 +19,12 @@ pub(super) struct Tty {
 
 impl Tty {
     /// Opens a serial port in raw mode, eight data bits, no parity, one stop bit (8N1).
-    pub(super) fn open(path: &Path, bit_rate: u32) -> Result<Self, BusError> {
+    pub(super) fn open(path: &Path, bit_rate: u32) -> Result<Self, PortError> {
         let name = path.display().to_string();
         let failed = |error: io::Error| explain(&name, error);
         let mut port = SerialPort::open(path, KeepSettings).map_err(failed)?;
         if !rustix::termios::isatty(&port) {
-            return Err(BusError::NotASerialPort(name));
+            return Err(PortError::NotASerialPort(name));
         }
         // The lock keeps out those that lock as well, root included; exclusive mode keeps out all
         // others but root.
@@ -34,7 +34,7 @@ impl Tty {
 
         let mut settings = port.get_configuration().map_err(failed)?;
         settings.set_raw();
-        let unable = |_| BusError::LineRate { port: name.clone(), bit_rate };
+        let unable = |_| PortError::LineRate { port: name.clone(), bit_rate };
         settings.set_baud_rate(bit_rate).map_err(unable)?;
         port.set_configuration(&settings).map_err(unable)?;
         port.discard_buffers().map_err(failed)?;
@@ -46,10 +46,10 @@ impl Tty {
     }
 
     /// What has arrived; `None` if nothing has.
-    pub(super) fn read(&self, buffer: &mut [u8]) -> Result<Option<usize>, BusError> {
+    pub(super) fn read(&self, buffer: &mut [u8]) -> Result<Option<usize>, PortError> {
         loop {
             match rustix::io::read(&self.port, &mut *buffer) {
-                Ok(0) | Err(Errno::IO) => return Err(BusError::PortGone(self.name.clone())),
+                Ok(0) | Err(Errno::IO) => return Err(PortError::PortGone(self.name.clone())),
                 Ok(length) => return Ok(Some(length)),
                 Err(Errno::AGAIN) => return Ok(None),
                 Err(Errno::INTR) => {}
@@ -59,13 +59,13 @@ impl Tty {
     }
 
     /// How many of these bytes are taken: none if there is no room.
-    pub(super) fn write(&self, bytes: &[u8]) -> Result<usize, BusError> {
+    pub(super) fn write(&self, bytes: &[u8]) -> Result<usize, PortError> {
         loop {
             match rustix::io::write(&self.port, bytes) {
                 Ok(length) => return Ok(length),
                 Err(Errno::AGAIN) => return Ok(0),
                 Err(Errno::INTR) => {}
-                Err(Errno::IO) => return Err(BusError::PortGone(self.name.clone())),
+                Err(Errno::IO) => return Err(PortError::PortGone(self.name.clone())),
                 Err(error) => return Err(explain(&self.name, error.into())),
             }
         }
@@ -77,7 +77,7 @@ impl Tty {
         &self,
         flags: PollFlags,
         timeout: Option<std::time::Duration>,
-    ) -> Result<bool, BusError> {
+    ) -> Result<bool, PortError> {
         let deadline = timeout.map(|timeout| std::time::Instant::now() + timeout);
         loop {
             let left = deadline.map(|deadline| {
@@ -93,7 +93,7 @@ impl Tty {
     }
 
     /// Waits until the last byte has left the port.
-    pub(super) fn drain(&self) -> Result<(), BusError> {
+    pub(super) fn drain(&self) -> Result<(), PortError> {
         loop {
             match rustix::termios::tcdrain(&self.port) {
                 Ok(()) => return Ok(()),
@@ -104,12 +104,12 @@ impl Tty {
     }
 
     /// Throws away what is not sent yet.
-    pub(super) fn discard_output(&self) -> Result<(), BusError> {
+    pub(super) fn discard_output(&self) -> Result<(), PortError> {
         self.port.discard_output_buffer().map_err(|error| explain(&self.name, error))
     }
 
     /// Throws away what has arrived.
-    pub(super) fn discard_input(&self) -> Result<(), BusError> {
+    pub(super) fn discard_input(&self) -> Result<(), PortError> {
         self.port.discard_input_buffer().map_err(|error| explain(&self.name, error))
     }
 }
@@ -120,14 +120,16 @@ impl AsFd for Tty {
     }
 }
 
-fn explain(name: &str, error: io::Error) -> BusError {
+fn explain(name: &str, error: io::Error) -> PortError {
     let port = || name.to_owned();
     match Errno::from_io_error(&error) {
         // A device file without a device behind it reports an input/output error.
-        Some(Errno::NOENT | Errno::NXIO | Errno::NODEV | Errno::IO) => BusError::NoSuchPort(port()),
-        Some(Errno::ACCESS | Errno::PERM) => BusError::NotPermitted(port()),
-        Some(Errno::BUSY | Errno::AGAIN) => BusError::InUse(port()),
-        Some(Errno::NOTTY | Errno::ISDIR | Errno::NOTDIR) => BusError::NotASerialPort(port()),
-        _ => BusError::os(name, error),
+        Some(Errno::NOENT | Errno::NXIO | Errno::NODEV | Errno::IO) => {
+            PortError::NoSuchPort(port())
+        }
+        Some(Errno::ACCESS | Errno::PERM) => PortError::NotPermitted(port()),
+        Some(Errno::BUSY | Errno::AGAIN) => PortError::InUse(port()),
+        Some(Errno::NOTTY | Errno::ISDIR | Errno::NOTDIR) => PortError::NotASerialPort(port()),
+        _ => PortError::os(name, error),
     }
 }

@@ -11,11 +11,12 @@ use myactuator_protocol_core::io::{CanMaster, SerialMaster};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
 
-use crate::bus::can::{CanBus, CanConfig, CanPort};
-use crate::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
-use crate::bus::{SimClock, StationId, World};
-use crate::plant::{MotorParameters, ParameterError, SimulatedMotor};
-use crate::sim::{DriveMemory, MemoryError, Seat};
+use crate::sim::Seat;
+use crate::sim::bus::can::{CanBus, CanConfig, CanPort};
+use crate::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
+use crate::sim::bus::{SimClock, StationId, World};
+use crate::sim::memory::{DriveMemory, MemoryError};
+use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
 
 /// A drive with its physics and its memory.
 pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;
@@ -209,7 +210,7 @@ pub fn parameters_of(model: &MotorParameters) -> Parameters {
         / rating.voltage_v) as f32;
     Parameters {
         model: model_name(&model.name),
-        baud_rate: BaudCode::Can1MRs485At500k,
+        baud_rate: BaudCode::CAN_1M_RS485_500K,
         encoder_bits: model.encoder.bits,
         gear_ratio: model.gear.ratio as f32,
         torque_constant_nm_per_a: rating.torque_constant_nm_per_a as f32,

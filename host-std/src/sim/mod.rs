@@ -1,14 +1,23 @@
 //! Simulated drives on simulated buses: a robot on a laptop.
 //!
 //! A [`Fleet`] puts whole drives, each with its physics and memory, on one bus. Masters attach with
-//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged. Other programs come in by a
-//! [`serve::Server`].
+//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged.
+//!
+//! | module | for |
+//! |---|---|
+//! | [`bus`] | the simulated buses: CAN and RS485, in virtual or real time |
+//! | [`plant`] | the physics behind a simulated drive |
+//! | [`memory`] | what a simulated drive remembers over power-off |
+//!
+//! Knows nothing of real buses: what offers simulated drives to other programs is
+//! [`serve`](crate::serve), and what makes them answer to an address such as `sim:4` is
+//! [`open`](crate::open).
 //!
 //! ```
 //! use myactuator_host_std::sim::Fleet;
-//! use myactuator_protocol_core::MotorId;
-//! use myactuator_protocol_core::command::ReadMultiTurnAngle;
-//! use myactuator_protocol_core::io::Runner;
+//! use myactuator_host_std::protocol::MotorId;
+//! use myactuator_host_std::protocol::command::ReadMultiTurnAngle;
+//! use myactuator_host_std::protocol::io::Runner;
 //!
 //! let fleet = Fleet::new(4).on_can(1_000_000)?;
 //! let mut master = fleet.master::<8>();
@@ -17,15 +26,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod bus;
 mod fleet;
-mod memory;
-mod planned_fault;
+pub mod memory;
+pub mod plant;
 mod seat;
-pub mod serve;
 
 pub use fleet::{
     CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive, parameters_of,
 };
-pub use memory::{DriveMemory, MemoryError};
-pub use planned_fault::{Chance, FaultKind, NotAFault, PlannedFault};
 pub use seat::Seat;

@@ -5,7 +5,7 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
 
-use crate::bus::Node;
+use crate::sim::bus::Node;
 
 /// How long a drive is without power when its node is reset.
 const POWER_CYCLE: Duration = Duration::from_millis(1);

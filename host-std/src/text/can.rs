@@ -74,46 +74,110 @@ pub fn frame(frame: &SimpleFrame) -> String {
     }
 }
 
-/// The frame on a line: `ID#DATA`, or as `candump` or `candump -L` print it, with time stamps,
-/// interface and flags or without.
+/// When and where a frame was heard, as far as the log has it.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Stamp {
+    /// The time as candump wrote it, without the brackets: mostly seconds such as
+    /// `1436509052.249713`, since 1970 or since whatever candump was told to count from.
+    pub time: Option<String>,
+    /// The interface, such as `can0`.
+    pub interface: Option<String>,
+}
+
+/// As `candump -L` writes it: `(1436509052.249713) can0`.
+impl fmt::Display for Stamp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (&self.time, &self.interface) {
+            (Some(time), Some(interface)) => write!(f, "({time}) {interface}"),
+            (Some(time), None) => write!(f, "({time})"),
+            (None, Some(interface)) => f.write_str(interface),
+            (None, None) => Ok(()),
+        }
+    }
+}
+
+/// A line of a log, taken apart: `ID#DATA`, or as `candump` or `candump -L` print it, with time
+/// stamps, interface and flags or without.
 ///
 /// ```
-/// use myactuator_host_std::text::can::{frame, parse_line};
+/// use myactuator_host_std::text::can::{LogLine, frame};
 ///
 /// for line in [
-///     "141#A400F401A08C0000",
 ///     "(1436509052.249713) can0 141#A400F401A08C0000",
-///     "  can0  141   [8]  A4 00 F4 01 A0 8C 00 00",
+///     " (1436509052.249713)  can0  141   [8]  A4 00 F4 01 A0 8C 00 00",
 /// ] {
-///     assert_eq!(frame(&parse_line(line).unwrap()), "141#A400F401A08C0000");
+///     let line = LogLine::read(line);
+///     assert_eq!(line.stamp.to_string(), "(1436509052.249713) can0");
+///     assert_eq!(frame(&line.frame.unwrap()), "141#A400F401A08C0000");
 /// }
 /// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct LogLine<'a> {
+    /// Time and interface; neither on a line that is none of a log's.
+    pub stamp: Stamp,
+    /// What stands behind them.
+    pub rest: &'a str,
+    /// The frame there, or what was expected and found.
+    pub frame: Result<SimpleFrame, NotAFrame>,
+}
+
+impl<'a> LogLine<'a> {
+    /// Takes a line apart.
+    pub fn read(line: &'a str) -> Self {
+        let line = line.trim();
+        let (stamp, rest) = stamp(line);
+        match stamped_frame(&stamp, rest) {
+            Err(NotAFrame::Notation) => {
+                Self { stamp: Stamp::default(), rest: line, frame: Err(NotAFrame::Notation) }
+            }
+            frame => Self { stamp, rest, frame },
+        }
+    }
+}
+
+/// The frame of a [`LogLine`] alone.
 ///
 /// # Errors
 /// [`NotAFrame`] tells what was expected and found.
 pub fn parse_line(line: &str) -> Result<SimpleFrame, NotAFrame> {
-    let words: Vec<&str> = line.split_whitespace().collect();
-    if let Some(at) = words.iter().position(|word| word.starts_with('[') && word.ends_with(']')) {
-        let (before, rest) = words.split_at(at);
-        if let (Some(id), [length, data @ ..]) = (before.last(), rest) {
-            return from_columns(id, length, data);
-        }
-    }
-    let mut notations = words.iter().filter(|word| word.contains('#'));
-    match (notations.next(), notations.next()) {
-        (Some(notation), None) if is_log_line(&words, notation) => from_notation(notation),
-        _ => Err(NotAFrame::Notation),
-    }
+    LogLine::read(line).frame
 }
 
-/// Whether the words around `ID#DATA` are those of `candump -L`: time, interface, flags.
-fn is_log_line(words: &[&str], notation: &str) -> bool {
-    match words {
-        [only] => *only == notation,
-        [time, _, frame, flags @ ..] => {
-            time.starts_with('(') && *frame == notation && flags.iter().all(|flag| flag.len() == 1)
+/// Time and interface, and what follows them.
+fn stamp(line: &str) -> (Stamp, &str) {
+    // candump can also write date and time, with a space between.
+    let (time, line) = match line.strip_prefix('(').and_then(|line| line.split_once(')')) {
+        Some((time, rest)) => (Some(time.to_owned()), rest.trim_start()),
+        None => (None, line),
+    };
+    let (interface, rest) = match line.split_once(char::is_whitespace) {
+        Some((word, rest)) if !word.contains('#') && !rest.trim_start().starts_with('[') => {
+            (Some(word.to_owned()), rest.trim_start())
         }
-        _ => false,
+        _ => (None, line),
+    };
+    (Stamp { time, interface }, rest)
+}
+
+/// The frame behind this stamp.
+fn stamped_frame(stamp: &Stamp, text: &str) -> Result<SimpleFrame, NotAFrame> {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    if let Some(at) = words.iter().position(|word| word.starts_with('[') && word.ends_with(']')) {
+        let (before, rest) = words.split_at(at);
+        return match (before, rest) {
+            ([.., id], [length, data @ ..]) => from_columns(id, length, data),
+            _ => Err(NotAFrame::Notation),
+        };
+    }
+    match (stamp, words.as_slice()) {
+        (Stamp { time: None, interface: None }, [notation]) => from_notation(notation),
+        // Behind it may stand flags (candump -L -x).
+        (Stamp { time: Some(_), interface: Some(_) }, [notation, flags @ ..])
+            if flags.iter().all(|flag| flag.len() == 1) =>
+        {
+            from_notation(notation)
+        }
+        _ => Err(NotAFrame::Notation),
     }
 }
 
@@ -210,6 +274,24 @@ mod tests {
         assert_eq!(normal("241#R").as_deref(), Ok("241#R"));
         assert_eq!(normal("can0  241   [8]  remote request").as_deref(), Ok("241#R8"));
         assert_eq!(normal("00000141#01").as_deref(), Ok("00000141#01"));
+    }
+
+    #[test]
+    fn time_and_interface_stand_before_the_frame() {
+        let read = |line| {
+            let LogLine { stamp, rest, frame } = LogLine::read(line);
+            (stamp.time, stamp.interface, rest, frame.is_ok())
+        };
+        let (time, can0) = (Some("1.5".to_owned()), Some("can0".to_owned()));
+        assert_eq!(read("(1.5) can0 141#00 T"), (time.clone(), can0.clone(), "141#00 T", true));
+        assert_eq!(read("can0 RX - - 141 [0]"), (None, can0.clone(), "RX - - 141 [0]", true));
+        assert_eq!(read("(1.5) 141 [0]"), (time.clone(), None, "141 [0]", true));
+        assert_eq!(read("141 [0]"), (None, None, "141 [0]", true));
+        assert_eq!(read("(1.5) can0 141##1"), (time, can0, "141##1", false));
+        for line in ["(1.5) 141#00", "can0 141#00", "(1.5 can0 141#00", "(1.5) can0 x", "141#00 T"]
+        {
+            assert_eq!(read(line), (None, None, line, false));
+        }
     }
 
     #[test]

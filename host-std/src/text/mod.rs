@@ -1,10 +1,13 @@
 //! Frames as text, the way people and other tools write them.
 //!
-//! [`can`] reads `ID#DATA` (cansend), `candump` and `candump -L` lines; [`rs485`] reads bytes.
-//! [`packet`] writes either.
+//! [`can`] reads `ID#DATA` (cansend), `candump` and `candump -L` lines; [`rs485`] reads bytes;
+//! [`slcan`] is the text that CAN adapters on serial ports speak. [`packet`] writes a packet for people.
+//!
+//! The lowest layer: nothing here opens anything or knows what a frame means.
 
 pub mod can;
 pub mod rs485;
+pub mod slcan;
 
 use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::wire::{can as can_wire, rs485::Frame};
@@ -17,13 +20,13 @@ use crate::BusKind;
 ///
 /// ```
 /// use myactuator_host_std::{BusKind, text};
-/// use myactuator_protocol_core::command::{AnyCommand, ReadStatus1};
-/// use myactuator_protocol_core::{MotorId, Target};
+/// use myactuator_host_std::protocol::command::{AnyCommand, ReadStatus1};
+/// use myactuator_host_std::protocol::{MotorId, Target};
 ///
 /// let read = AnyCommand::from(ReadStatus1);
 /// let packet = read.packet(Target::Motor(MotorId::new(1)?)).unwrap();
 /// assert_eq!(text::packet(BusKind::Can, &packet).unwrap(), "141#9A00000000000000");
-/// # Ok::<(), myactuator_protocol_core::OutOfRange>(())
+/// # Ok::<(), myactuator_host_std::protocol::OutOfRange>(())
 /// ```
 pub fn packet(bus: BusKind, packet: &Packet) -> Option<String> {
     match bus {

@@ -3,7 +3,7 @@
 use myactuator_protocol_core::command::{Feedback, MultiTurnAngle, Version};
 use myactuator_protocol_core::units::Angle;
 use myactuator_protocol_core::{
-    AnyCommand, AnyReply, Channel, Data, MotorId, Packet, Reply, Target,
+    AnyCommand, AnyReply, Channel, Data, Firmware, MotorId, Packet, Reply, Target,
 };
 
 pub(crate) fn motor(id: u8) -> MotorId {
@@ -22,17 +22,17 @@ pub(crate) fn answer(command: &Packet) -> Option<Packet> {
     if id.get() > 2 {
         return None;
     }
-    let reply = match AnyCommand::decode(command).ok()? {
+    let reply = match AnyCommand::decode(command, Firmware::V4_3).ok()? {
         AnyCommand::ReadMultiTurnAngle(_) => {
             let angle = Angle::from_degrees(degrees(id)).unwrap();
             AnyReply::ReadMultiTurnAngle(MultiTurnAngle { angle })
         }
         AnyCommand::ReadVersionDate(_) => {
             let data = [0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 0x01]; // manual 2.30.4: 20220206
-            AnyReply::ReadVersionDate(Version::from_data(&data).unwrap())
+            AnyReply::ReadVersionDate(Version::decode(&data).unwrap())
         }
         AnyCommand::Stop(stop) => AnyReply::Stop(stop),
-        AnyCommand::Torque(_) => AnyReply::Torque(Feedback::from_data(&TORQUE_FEEDBACK).unwrap()),
+        AnyCommand::Torque(_) => AnyReply::Torque(Feedback::decode(&TORQUE_FEEDBACK).unwrap()),
         _ => return None,
     };
     Some(Packet { channel: Channel::Reply(id), data: reply.encode() })

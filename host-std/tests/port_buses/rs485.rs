@@ -6,7 +6,8 @@ use std::path::Path;
 use std::thread::JoinHandle;
 
 use embedded_io::{Read as _, ReadReady as _, Write as _};
-use myactuator_host_std::port::{AnyMaster, BusAddress, BusError, Rs485};
+use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+use myactuator_host_std::port::{PortError, Rs485};
 use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadVersionDate};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
@@ -61,7 +62,7 @@ fn asks_and_gets_answers(how: Line) {
             assert_eq!(reading.angle.degrees(), degrees(id));
         }
         let version = master.ask(motor(1), ReadVersionDate).unwrap();
-        assert_eq!(version.date.year_month_day(), Some((2022, 2, 6)));
+        assert_eq!(version.version_date.year_month_day(), Some((2022, 2, 6)));
     }
     assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
     drop(master);
@@ -88,7 +89,7 @@ fn a_port_belongs_to_one_program() {
     let (_line, path) = pty::open();
     let first = Rs485::open(&path, 115_200).unwrap();
     let error = Rs485::open(&path, 115_200).unwrap_err();
-    assert!(matches!(error, BusError::InUse(_)), "{error}");
+    assert!(matches!(error, PortError::InUse(_)), "{error}");
     assert!(error.to_string().contains(path.to_str().unwrap()), "{error}");
     drop(first);
     Rs485::open(&path, 115_200).unwrap();
@@ -125,10 +126,10 @@ fn bytes_pass_unchanged_both_ways() {
 #[test]
 fn what_is_no_serial_port_is_told() {
     let error = |path: &str| Rs485::open(path, 115_200).unwrap_err();
-    assert!(matches!(error("/dev/there-is-no-such-port"), BusError::NoSuchPort(_)));
-    assert!(matches!(error("/dev/null"), BusError::NotASerialPort(_)));
-    assert!(matches!(error("/dev"), BusError::NotASerialPort(_)));
-    assert!(matches!(error(env!("CARGO_MANIFEST_PATH")), BusError::NotASerialPort(_)));
+    assert!(matches!(error("/dev/there-is-no-such-port"), PortError::NoSuchPort(_)));
+    assert!(matches!(error("/dev/null"), PortError::NotASerialPort(_)));
+    assert!(matches!(error("/dev"), PortError::NotASerialPort(_)));
+    assert!(matches!(error(env!("CARGO_MANIFEST_PATH")), PortError::NotASerialPort(_)));
 }
 
 #[test]
@@ -138,7 +139,7 @@ fn an_adapter_that_is_pulled_out_is_told() {
     drop(line);
     let error = master.ask(motor(1), ReadMultiTurnAngle).unwrap_err();
     let CallError::Bus(error) = error else { panic!("{error}") };
-    assert!(matches!(error, BusError::PortGone(_)), "{error}");
+    assert!(matches!(error, BusError::Port(PortError::PortGone(_))), "{error}");
 }
 
 #[test]
@@ -146,5 +147,5 @@ fn what_nobody_takes_is_thrown_away() {
     let (_line, path) = pty::open();
     let mut port = Rs485::open(&path, 115_200).unwrap();
     let error = (0..10_000).find_map(|_| port.write_all(&[0; 100]).err()).unwrap();
-    assert!(matches!(error, BusError::Stalled(_)), "{error}");
+    assert!(matches!(error, PortError::Stalled(_)), "{error}");
 }

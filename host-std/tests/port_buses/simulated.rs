@@ -1,6 +1,6 @@
 //! Simulated buses, opened by the same string as real ones.
 
-use myactuator_host_std::port::{AnyMaster, BusAddress};
+use myactuator_host_std::open::{AnyMaster, BusAddress};
 use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus1};
 use myactuator_protocol_core::io::{CallError, Runner, bring_up};
 use myactuator_protocol_core::master::{Failure, MotorSet};

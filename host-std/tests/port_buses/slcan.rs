@@ -7,8 +7,9 @@ use std::thread::JoinHandle;
 
 use embedded_can::nb::Can as _;
 use embedded_can::{Frame as _, StandardId};
-use myactuator_host_std::port::slcan::{AdapterCodec, Answer, Command, Rate, Slcan};
-use myactuator_host_std::port::{AnyMaster, BusAddress, BusError, HostClock};
+use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+use myactuator_host_std::port::{HostClock, PortError, Slcan};
+use myactuator_host_std::text::slcan::{AdapterCodec, AdapterCommand, Answer, Rate};
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::{Clock as _, Runner};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
@@ -39,7 +40,7 @@ fn frame(first: u8) -> SimpleFrame {
 }
 
 /// Plays adapter and drives until the port is closed; gives the commands heard.
-fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<Command>> {
+fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<AdapterCommand>> {
     std::thread::spawn(move || {
         let mut codec = AdapterCodec::new();
         let (mut chunk, mut heard, mut is_open) = ([0; 64], Vec::new(), false);
@@ -52,22 +53,22 @@ fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<Command>> {
                     }
                 };
                 match command {
-                    Command::Open if adapter.refuses_to_open => tell(Answer::Refused),
-                    Command::Open => {
+                    AdapterCommand::Open if adapter.refuses_to_open => tell(Answer::Refused),
+                    AdapterCommand::Open => {
                         is_open = true;
                         tell(Answer::Done);
                     }
-                    Command::Close if !is_open => tell(Answer::Refused),
-                    Command::Close => {
+                    AdapterCommand::Close if !is_open => tell(Answer::Refused),
+                    AdapterCommand::Close => {
                         is_open = false;
                         tell(Answer::Done);
                     }
-                    Command::Transmit(frame)
+                    AdapterCommand::Transmit(frame)
                         if adapter.refuses_torque && frame.data()[0] == TORQUE =>
                     {
                         tell(Answer::Refused);
                     }
-                    Command::Transmit(frame) if is_open => {
+                    AdapterCommand::Transmit(frame) if is_open => {
                         tell(Answer::Accepted { is_extended: false });
                         if let Received::Packet(packet) = can::decode(&frame)
                             && let Some(reply) = answer(&packet)
@@ -76,7 +77,7 @@ fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<Command>> {
                             Answer::Frame(can::encode(&reply).unwrap()).encode(&mut told);
                         }
                     }
-                    Command::Transmit(_) | Command::Unknown => tell(Answer::Refused),
+                    AdapterCommand::Transmit(_) | AdapterCommand::Unknown => tell(Answer::Refused),
                     _ => tell(Answer::Done),
                 }
                 heard.push(command);
@@ -106,10 +107,16 @@ fn asks_and_gets_answers(adapter: Adapter) {
     assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
     drop(master);
     let heard = device.join().unwrap();
-    let setup = [Command::Nothing, Command::Close, Command::SetRate(Rate::Mbit1), Command::Open];
+    let setup = [
+        AdapterCommand::Nothing,
+        AdapterCommand::Close,
+        AdapterCommand::SetRate(Rate::Mbit1),
+        AdapterCommand::Open,
+    ];
     assert!(heard.starts_with(&setup), "{heard:?}");
-    assert!(heard.ends_with(&[Command::Nothing, Command::Close]), "{heard:?}");
-    let frames = heard.iter().filter(|command| matches!(command, Command::Transmit(_))).count();
+    assert!(heard.ends_with(&[AdapterCommand::Nothing, AdapterCommand::Close]), "{heard:?}");
+    let frames =
+        heard.iter().filter(|command| matches!(command, AdapterCommand::Transmit(_))).count();
     assert_eq!(frames, heard.len() - 6);
     assert!(frames >= 42);
 }
@@ -135,7 +142,7 @@ fn an_adapter_that_will_not_open_is_told() {
     let (line, path) = pty::open();
     let device = play(line, Adapter { refuses_to_open: true, ..Adapter::default() });
     let error = open(&path).unwrap_err();
-    assert!(matches!(error, BusError::Refused(_)), "{error}");
+    assert!(matches!(error, BusError::Port(PortError::Refused(_))), "{error}");
     device.join().unwrap();
 }
 
@@ -145,7 +152,7 @@ fn a_port_belongs_to_one_program() {
     let device = play(line, Adapter::default());
     let first = open(&path).unwrap();
     let error = open(&path).unwrap_err();
-    assert!(matches!(error, BusError::InUse(_)), "{error}");
+    assert!(matches!(error, BusError::Port(PortError::InUse(_))), "{error}");
     drop(first);
     device.join().unwrap();
 }
@@ -181,7 +188,7 @@ fn after_a_refusal_nothing_that_moves_is_sent_until_an_answer_comes() {
             _ => None,
         }
     });
-    assert!(matches!(error, BusError::Refused(_)), "{error}");
+    assert!(matches!(error, PortError::Refused(_)), "{error}");
     assert!(error.is_outage());
 
     can.transmit(&frame(READ_ANGLE)).unwrap();
@@ -207,9 +214,9 @@ fn what_an_adapter_does_not_take_is_thrown_away() {
         }
         None
     });
-    assert!(matches!(error, BusError::Stalled(_)), "{error}");
+    assert!(matches!(error, PortError::Stalled(_)), "{error}");
     match can.transmit(&frame(TORQUE)) {
-        Err(nb::Error::WouldBlock | nb::Error::Other(BusError::Stalled(_))) => {}
+        Err(nb::Error::WouldBlock | nb::Error::Other(PortError::Stalled(_))) => {}
         other => panic!("{other:?}"),
     }
 }

@@ -153,7 +153,7 @@ fn run() -> Result<(), Trouble> {
         black_box(encode_motion(set_point, data));
     };
     row("quantise and encode a motion command", cost(&set_point, &mut data, job, nothing), 70, 70);
-    assert_eq!(RawMotion::from_data(&data).position, 58_982); // 5.4
+    assert_eq!(RawMotion::decode(&data).position, 58_982); // 5.4
 
     let reply = [0x01, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0]; // 5.4
     let id = MotorId::MIN;

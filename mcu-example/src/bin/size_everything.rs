@@ -56,7 +56,8 @@ const SET_POINT: MotionSetPoint =
 
 fn use_codecs(data: [u8; 8], channel: Channel) {
     let packet = Packet { channel, data };
-    let (command, reply) = (AnyCommand::decode(&packet), AnyReply::decode(&packet));
+    let (command, reply) =
+        (AnyCommand::decode(&packet, Firmware::V4_3), AnyReply::decode(&packet, Firmware::V4_3));
     if let Ok(command) = black_box(command) {
         black_box(command.encode());
         let _ = black_box(command.packet(Target::All));

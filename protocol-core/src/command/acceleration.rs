@@ -4,15 +4,15 @@ use crate::units::{Acceleration, ReportedAcceleration};
 
 code! {
     /// Which of the four planning accelerations (2.4.4).
-    AccelerationIndex {
+    AccelerationIndex "acceleration index" {
         /// Position planning, from the start speed to the maximum speed.
-        PositionAcceleration = 0x00 "position-acceleration",
+        POSITION_ACCELERATION = 0x00 "position-acceleration",
         /// Position planning, from the maximum speed to standstill.
-        PositionDeceleration = 0x01 "position-deceleration",
+        POSITION_DECELERATION = 0x01 "position-deceleration",
         /// Speed planning, up to the target speed, in either direction of turning.
-        SpeedAcceleration = 0x02 "speed-acceleration",
+        SPEED_ACCELERATION = 0x02 "speed-acceleration",
         /// Speed planning, down to the target speed in the same direction.
-        SpeedDeceleration = 0x03 "speed-deceleration",
+        SPEED_DECELERATION = 0x03 "speed-deceleration",
     }
 }
 
@@ -45,8 +45,6 @@ command! {
     }
 }
 
-echo!(WriteAcceleration);
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -55,7 +53,7 @@ mod tests {
     #[test]
     fn writes_10000_as_the_manual_does() {
         let write = WriteAcceleration {
-            index: AccelerationIndex::SpeedDeceleration,
+            index: AccelerationIndex::SPEED_DECELERATION,
             acceleration: Acceleration::from_dps2(10_000.0).unwrap(),
         };
         assert_eq!(write.encode(), [0x43, 0x03, 0, 0, 0x10, 0x27, 0, 0]); // 2.5.5 example 4

@@ -1,6 +1,6 @@
 //! Angles of the output shaft (manual 2.12 and 2.13).
 
-use crate::units::{Angle, SingleTurnAngle};
+use crate::units::{Angle, ReportedSingleTurnAngle};
 
 command! {
     /// Read the multi-turn angle of the output shaft: 0x92 (2.12).
@@ -20,15 +20,28 @@ reply! {
 
 command! {
     /// Read the angle within one turn of a direct-drive motor: 0x94 (2.13).
-    ReadSingleTurnAngle -> CircleAngle
+    ReadSingleTurnAngle -> SingleTurnAngle
 }
 
 reply! {
     /// Angle within one turn, clockwise from the encoder's zero (2.13.3; the left column of its
     /// table, the formulas are one index low).
-    CircleAngle {
+    SingleTurnAngle {
         /// The angle.
-        angle: SingleTurnAngle => 6,
+        angle: ReportedSingleTurnAngle => 6,
+    }
+}
+
+command! {
+    /// Read the angle within one turn: 0x94 of firmware V4.4, which answers with another layout.
+    ReadSingleTurnAngleV4_4 -> SingleTurnAngleV4_4
+}
+
+reply! {
+    /// Angle within one turn as firmware V4.4 reports it: -180 to 180 degrees from the zero.
+    SingleTurnAngleV4_4 {
+        /// The angle.
+        angle: Angle => 4,
     }
 }
 
@@ -46,8 +59,18 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_turn_is_no_single_turn_angle() {
+    fn a_whole_turn_is_no_reason_to_lose_a_reading() {
         let reply = [0x94, 0, 0, 0, 0, 0, 0xA0, 0x8C]; // 36000
-        assert!(ReadSingleTurnAngle::decode_reply(&reply).is_err());
+        assert_eq!(ReadSingleTurnAngle::decode_reply(&reply).unwrap().angle.degrees(), 360.0);
+    }
+
+    #[test]
+    fn a_layout_differs_by_firmware() {
+        // -90 degrees are -9000, 0xFFFFDCD8, which V4.3 would read as 655.35 degrees.
+        let reply = [0x94, 0, 0, 0, 0xD8, 0xDC, 0xFF, 0xFF];
+        let angle = ReadSingleTurnAngleV4_4::decode_reply(&reply).unwrap().angle;
+        assert_eq!(angle.degrees(), -90.0);
+        assert_eq!(ReadSingleTurnAngle::decode_reply(&reply).unwrap().angle.raw(), 0xFFFF);
+        assert_eq!(ReadSingleTurnAngleV4_4.encode(), ReadSingleTurnAngle.encode());
     }
 }

@@ -1,53 +1,73 @@
-//! Any command and any reply, for drives, monitors and tools.
+//! Any command and any reply, for drives, monitors and tools: made from the table of opcodes.
+
+use core::any::Any;
 
 use crate::channel::{Channel, Packet};
-use crate::command::layout::Fields;
-use crate::command::{self, expect_opcode};
+// The table names each kind as the type of its command, but for motion mode.
+use crate::command::RawMotion as Motion;
+use crate::command::*;
+use crate::data::Data;
 use crate::error::{DecodeError, RequestError};
-use crate::field::Data;
+use crate::firmware::Firmware;
 use crate::id::Target;
-use crate::opcode::{Buses, Opcode};
+use crate::kind::Kind;
+use crate::opcode::{Buses, Opcode, Reach, opcode_table};
 
 macro_rules! any {
-    (
-        answered { $($opcode:ident: $command:ident => $reply:ty,)+ }
-        silent { $($silent:ident,)+ }
-    ) => {
-        /// Any command of protocol V4.3.
-        #[derive(Clone, Copy, Debug, PartialEq)]
+    ($(
+        $(#[$doc:meta])+
+        $name:ident = $byte:tt, $kebab:literal, $section:literal, $reply:ident, $key:tt, $repeat:ident,
+        $buses:ident, $reach:ident, $usage:ident, $firmware:ident;
+    )+) => {
+        /// Any command, known or not.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-        #[allow(missing_docs, reason = "each variant is its type, which is documented")]
+        #[non_exhaustive]
         pub enum AnyCommand {
-            $($opcode(command::$command),)+
-            $($silent(command::$silent),)+
+            $($(#[$doc])+ $name($name),)+
+            /// A command that the firmware in question does not know.
+            Raw(RawCommand),
         }
 
-        /// Any reply of protocol V4.3, named for the command that it answers.
-        #[derive(Clone, Copy, Debug, PartialEq)]
+        /// Any reply, known or not, named for the command that it answers.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-        #[allow(missing_docs, reason = "each variant is its command's reply, which is documented")]
+        #[non_exhaustive]
         pub enum AnyReply {
-            $($opcode($reply),)+
+            $(
+                #[doc = concat!("To [`", stringify!($name), "`](AnyCommand::", stringify!($name), ").")]
+                $name(<$name as Command>::Reply),
+            )+
+            /// A reply to a command that the firmware in question does not know.
+            Raw(RawReply),
         }
 
         impl AnyCommand {
-            /// Its row in the table.
+            /// Its row in the table, `None` for a raw one.
             #[inline(never)]
-            pub const fn opcode(&self) -> Opcode {
+            pub const fn opcode(&self) -> Option<Opcode> {
                 match self {
-                    $(Self::$opcode(_) => Opcode::$opcode,)+
-                    $(Self::$silent(_) => Opcode::$silent,)+
+                    $(Self::$name(_) => Some(Opcode::$name),)+
+                    Self::Raw(_) => None,
+                }
+            }
+
+            /// What a master has to know of it.
+            pub fn kind(&self) -> Kind {
+                match self {
+                    $(Self::$name(_) => Kind::Known(Opcode::$name),)+
+                    Self::Raw(command) => command.kind(),
                 }
             }
 
             /// The data field.
             pub fn encode(&self) -> Data {
-                let mut data = with_opcode(self.opcode());
+                let mut data = self.opcode().map_or([0; 8], with_opcode);
                 match self {
-                    $(Self::$opcode(command) => command.put(&mut data),)+
-                    $(Self::$silent(command) => command.put(&mut data),)+
+                    $(Self::$name(command) => command.put(&mut data),)+
+                    Self::Raw(command) => command.put(&mut data),
                 }
                 data
             }
@@ -55,109 +75,100 @@ macro_rules! any {
             /// The command of a known kind from its data field.
             ///
             /// # Errors
-            /// As [`Command::decode`](command::Command::decode).
+            /// [`DecodeError`] if the command byte is another's or a field holds what is not allowed.
             pub fn decode_as(opcode: Opcode, data: &Data) -> Result<Self, DecodeError> {
                 expect_opcode(data, opcode)?;
-                match opcode {
-                    $(Opcode::$opcode => Fields::read(data).map(Self::$opcode),)+
-                    $(Opcode::$silent => Fields::read(data).map(Self::$silent),)+
-                }
+                match opcode { $(Opcode::$name => Fields::read(data).map(Self::$name),)+ }
             }
         }
 
         impl AnyReply {
-            /// The row in the table of the command that it answers.
+            /// The row in the table of the command that it answers, `None` for a raw one.
             #[inline(never)]
-            pub const fn opcode(&self) -> Opcode {
-                match self { $(Self::$opcode(_) => Opcode::$opcode,)+ }
+            pub const fn opcode(&self) -> Option<Opcode> {
+                match self {
+                    $(Self::$name(_) => Some(Opcode::$name),)+
+                    Self::Raw(_) => None,
+                }
             }
 
             /// The data field.
             pub fn encode(&self) -> Data {
-                let mut data = with_opcode(self.opcode());
-                match self { $(Self::$opcode(reply) => reply.put(&mut data),)+ }
+                let mut data = self.opcode().map_or([0; 8], with_opcode);
+                match self {
+                    $(Self::$name(reply) => reply.put(&mut data),)+
+                    Self::Raw(reply) => reply.put(&mut data),
+                }
                 data
             }
 
             /// The reply to a command of a known kind from its data field.
             ///
             /// # Errors
-            /// As [`Command::decode_reply`](command::Command::decode_reply); [`DecodeError::NoReply`] for kinds that have none.
+            /// As [`AnyCommand::decode_as`]; [`DecodeError::NoReply`] for kinds that have none.
             pub fn decode_as(opcode: Opcode, data: &Data) -> Result<Self, DecodeError> {
-                if !opcode.has_reply() {
+                if !opcode.reply_rule().has_reply() {
                     return Err(DecodeError::NoReply(opcode));
                 }
                 expect_opcode(data, opcode)?;
-                match opcode {
-                    $(Opcode::$opcode => Fields::read(data).map(Self::$opcode),)+
-                    $(Opcode::$silent => Err(DecodeError::NoReply(opcode)),)+
+                match opcode { $(Opcode::$name => Fields::read(data).map(Self::$name),)+ }
+            }
+
+            /// What it holds, whatever its type.
+            pub(super) fn fields(&self) -> &dyn Any {
+                match self {
+                    $(Self::$name(reply) => reply,)+
+                    Self::Raw(reply) => reply,
                 }
             }
         }
 
-        $(impl From<command::$command> for AnyCommand {
-            fn from(command: command::$command) -> Self {
-                Self::$opcode(command)
+        impl Opcode {
+            /// The fields of the command.
+            pub const fn command_fields(self) -> &'static [Field] {
+                match self { $(Self::$name => <$name as Fields>::FIELDS,)+ }
             }
-        })+
-        $(impl From<command::$silent> for AnyCommand {
-            fn from(command: command::$silent) -> Self {
-                Self::$silent(command)
+
+            /// The fields of the reply; none where there is no reply.
+            pub const fn reply_fields(self) -> &'static [Field] {
+                match self { $(Self::$name => <<$name as Command>::Reply as Fields>::FIELDS,)+ }
             }
-        })+
+        }
+
+        $(
+            impl From<$name> for AnyCommand {
+                fn from(command: $name) -> Self {
+                    Self::$name(command)
+                }
+            }
+            any!(@$usage $name);
+        )+
     };
+    (@SetPoint $name:ident) => { impl SetPoint for $name {} };
+    (@$other:ident $name:ident) => {};
 }
 
-any! {
-    answered {
-        FunctionControl: FunctionControl => command::FunctionControl,
-        ReadPid: ReadPid => command::PidGain,
-        WritePidRam: WritePidRam => command::WritePidRam,
-        WritePidRom: WritePidRom => command::WritePidRom,
-        ReadAcceleration: ReadAcceleration => command::AccelerationReading,
-        WriteAcceleration: WriteAcceleration => command::WriteAcceleration,
-        ReadMultiTurnEncoder: ReadMultiTurnEncoder => command::MultiTurnEncoder,
-        ReadMultiTurnEncoderRaw: ReadMultiTurnEncoderRaw => command::MultiTurnEncoderRaw,
-        ReadMultiTurnEncoderOffset: ReadMultiTurnEncoderOffset => command::MultiTurnEncoderOffset,
-        SetEncoderZero: SetEncoderZero => command::SetEncoderZero,
-        SetCurrentPositionZero: SetCurrentPositionZero => command::MultiTurnEncoderOffset,
-        ReadRunningMode: ReadRunningMode => command::RunningMode,
-        ReleaseBrake: ReleaseBrake => command::ReleaseBrake,
-        LockBrake: LockBrake => command::LockBrake,
-        BusId: BusId => command::BusIdReply,
-        Shutdown: Shutdown => command::Shutdown,
-        Stop: Stop => command::Stop,
-        ReadSingleTurnEncoder: ReadSingleTurnEncoder => command::SingleTurnEncoder,
-        ReadMultiTurnAngle: ReadMultiTurnAngle => command::MultiTurnAngle,
-        ReadSingleTurnAngle: ReadSingleTurnAngle => command::CircleAngle,
-        ReadStatus1: ReadStatus1 => command::Status1,
-        ReadStatus2: ReadStatus2 => command::Feedback,
-        ReadStatus3: ReadStatus3 => command::Status3,
-        Torque: Torque => command::Feedback,
-        Speed: Speed => command::Feedback,
-        AbsolutePosition: AbsolutePosition => command::Feedback,
-        SingleTurnPosition: SingleTurnPosition => command::SingleTurnFeedback,
-        IncrementalPosition: IncrementalPosition => command::Feedback,
-        ForcePosition: ForcePosition => command::Feedback,
-        ReadRunTime: ReadRunTime => command::RunTime,
-        ReadVersionDate: ReadVersionDate => command::Version,
-        CommunicationLossProtection: CommunicationLossProtection => command::CommunicationLossProtection,
-        ReadModel: ReadModel => command::Model,
-        Motion: RawMotion => command::RawMotionFeedback,
+opcode_table!(any);
+
+impl From<RawCommand> for AnyCommand {
+    fn from(command: RawCommand) -> Self {
+        Self::Raw(command)
     }
-    silent { Reset, SetBaudRate, ActiveReply, }
 }
 
 impl AnyCommand {
-    /// The command in a packet.
+    /// The command in a packet, as this firmware reads it.
     ///
     /// # Errors
-    /// [`DecodeError`] if the channel carries replies, the kind does not travel on it, the command
-    /// byte is unknown, or a field holds what is not allowed.
-    pub fn decode(packet: &Packet) -> Result<Self, DecodeError> {
+    /// [`DecodeError`] if the channel carries replies, the kind does not travel on it, or a field holds
+    /// what is not allowed.
+    pub fn decode(packet: &Packet, firmware: Firmware) -> Result<Self, DecodeError> {
         match packet.channel {
             Channel::Command(_) | Channel::BusId | Channel::Motion(_) => {
-                Self::decode_as(opcode_on(packet)?, &packet.data)
+                match opcode_on(packet, firmware)? {
+                    Some(opcode) => Self::decode_as(opcode, &packet.data),
+                    None => Ok(Self::Raw(RawCommand::heard(packet.data))),
+                }
             }
             Channel::Reply(_) | Channel::MotionReply(_) => {
                 Err(DecodeError::NotACommand(packet.channel))
@@ -170,43 +181,40 @@ impl AnyCommand {
     /// # Errors
     /// As [`channel_of`].
     pub fn packet(&self, target: Target) -> Result<Packet, RequestError> {
-        Ok(Packet { channel: channel_of(self.opcode(), target)?, data: self.encode() })
+        Ok(Packet { channel: channel_of(self.kind(), target)?, data: self.encode() })
     }
 }
 
 impl AnyReply {
-    /// The reply in a packet.
+    /// The reply in a packet, as this firmware means it.
     ///
     /// # Errors
     /// [`DecodeError`] if the channel carries commands, the kind does not travel on it or has no
-    /// reply, the command byte is unknown, or a field holds what is not allowed.
-    pub fn decode(packet: &Packet) -> Result<Self, DecodeError> {
+    /// reply, or a field holds what is not allowed.
+    pub fn decode(packet: &Packet, firmware: Firmware) -> Result<Self, DecodeError> {
         match packet.channel {
             Channel::Reply(_) | Channel::BusId | Channel::MotionReply(_) => {
-                Self::decode_as(opcode_on(packet)?, &packet.data)
+                match opcode_on(packet, firmware)? {
+                    Some(opcode) => Self::decode_as(opcode, &packet.data),
+                    None => Ok(Self::Raw(RawReply(packet.data))),
+                }
             }
             Channel::Command(_) | Channel::Motion(_) => Err(DecodeError::NotAReply(packet.channel)),
         }
     }
 }
 
-/// A data field that holds nothing but its command byte.
-fn with_opcode(opcode: Opcode) -> Data {
-    [opcode.byte().unwrap_or(0), 0, 0, 0, 0, 0, 0, 0]
-}
-
-/// The kind of a packet from its channel and command byte.
-fn opcode_on(packet: &Packet) -> Result<Opcode, DecodeError> {
+/// The kind of a packet from its channel and command byte, `None` where the firmware knows none.
+fn opcode_on(packet: &Packet, firmware: Firmware) -> Result<Option<Opcode>, DecodeError> {
     let channel = packet.channel;
     if let Channel::Motion(_) | Channel::MotionReply(_) = channel {
-        return Ok(Opcode::Motion);
+        return Ok(Some(Opcode::Motion));
     }
-    let opcode =
-        Opcode::from_byte(packet.data[0]).ok_or(DecodeError::UnknownOpcode(packet.data[0]))?;
-    if (opcode == Opcode::BusId) == (channel == Channel::BusId) {
-        Ok(opcode)
-    } else {
-        Err(DecodeError::WrongChannel { opcode, channel })
+    match Opcode::of_firmware(firmware, packet.data[0]) {
+        Some(opcode) if (opcode.reach() == Reach::Connected) != (channel == Channel::BusId) => {
+            Err(DecodeError::WrongChannel { opcode, channel })
+        }
+        known_or_not => Ok(known_or_not),
     }
 }
 
@@ -215,13 +223,14 @@ fn opcode_on(packet: &Packet) -> Result<Opcode, DecodeError> {
 /// # Errors
 /// [`RequestError::OneMotorOnly`] for motion mode to all, [`RequestError::AllMotorsOnly`] for a bus
 /// id to one.
-pub const fn channel_of(opcode: Opcode, target: Target) -> Result<Channel, RequestError> {
-    match (opcode, target) {
-        (Opcode::BusId, Target::All) => Ok(Channel::BusId),
-        (Opcode::BusId, Target::Motor(_)) => Err(RequestError::AllMotorsOnly(opcode)),
-        (Opcode::Motion, Target::Motor(id)) => Ok(Channel::Motion(id)),
-        (Opcode::Motion, Target::All) => Err(RequestError::OneMotorOnly(opcode)),
-        (_, target) => Ok(Channel::Command(target)),
+pub const fn channel_of(kind: Kind, target: Target) -> Result<Channel, RequestError> {
+    let Kind::Known(opcode) = kind else { return Ok(Channel::Command(target)) };
+    match (opcode.reach(), target) {
+        (Reach::OneOrAll, target) => Ok(Channel::Command(target)),
+        (Reach::One, Target::Motor(id)) => Ok(Channel::Motion(id)),
+        (Reach::One, Target::All) => Err(RequestError::OneMotorOnly(opcode)),
+        (Reach::Connected, Target::All) => Ok(Channel::BusId),
+        (Reach::Connected, Target::Motor(_)) => Err(RequestError::AllMotorsOnly(opcode)),
     }
 }
 
@@ -229,10 +238,12 @@ pub const fn channel_of(opcode: Opcode, target: Target) -> Result<Channel, Reque
 ///
 /// # Errors
 /// [`RequestError::CanOnly`].
-pub const fn check_on_rs485(opcode: Opcode) -> Result<(), RequestError> {
-    match opcode.buses() {
-        Buses::Both => Ok(()),
-        Buses::CanOnly => Err(RequestError::CanOnly(opcode)),
+pub const fn check_on_rs485(kind: Kind) -> Result<(), RequestError> {
+    match kind {
+        Kind::Known(opcode) if matches!(opcode.buses(), Buses::CanOnly) => {
+            Err(RequestError::CanOnly(opcode))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -243,26 +254,58 @@ mod tests {
 
     const M1: MotorId = MotorId::MIN;
 
+    fn command(packet: &Packet) -> Result<AnyCommand, DecodeError> {
+        AnyCommand::decode(packet, Firmware::V4_3)
+    }
+
     #[test]
     fn a_kind_travels_on_its_own_channel_only() {
         let bus_id = [0x79, 0, 1, 0, 0, 0, 0, 0];
         let on_one = Packet { channel: Channel::Command(Target::Motor(M1)), data: bus_id };
-        assert!(matches!(AnyCommand::decode(&on_one), Err(DecodeError::WrongChannel { .. })));
+        assert!(matches!(command(&on_one), Err(DecodeError::WrongChannel { .. })));
         let stop = [0x81, 0, 0, 0, 0, 0, 0, 0];
         let on_bus_id = Packet { channel: Channel::BusId, data: stop };
-        assert!(matches!(AnyCommand::decode(&on_bus_id), Err(DecodeError::WrongChannel { .. })));
+        assert!(matches!(command(&on_bus_id), Err(DecodeError::WrongChannel { .. })));
         let reply = Packet { channel: Channel::Reply(M1), data: stop };
-        assert!(matches!(AnyCommand::decode(&reply), Err(DecodeError::NotACommand(_))));
-        assert_eq!(AnyReply::decode(&reply), Ok(AnyReply::Stop(command::Stop)));
+        assert!(matches!(command(&reply), Err(DecodeError::NotACommand(_))));
+        assert_eq!(AnyReply::decode(&reply, Firmware::V4_3), Ok(AnyReply::Stop(Stop)));
     }
 
     #[test]
     fn some_kinds_go_to_one_motor_only_or_to_all_only() {
-        let read = AnyCommand::from(command::BusId::Read);
+        let read = AnyCommand::from(BusId::Read);
         assert_eq!(read.packet(M1.into()), Err(RequestError::AllMotorsOnly(Opcode::BusId)));
-        assert_eq!(read.packet(Target::All).unwrap().channel, Channel::BusId);
-        let motion = AnyCommand::from(command::RawMotion::from_data(&[0; 8]));
+        assert_eq!(read.packet(Target::All).unwrap(), BusId::Read.packet());
+        let motion = AnyCommand::from(RawMotion::decode(&[0; 8]));
         assert_eq!(motion.packet(Target::All), Err(RequestError::OneMotorOnly(Opcode::Motion)));
         assert_eq!(motion.packet(M1.into()).unwrap().channel, Channel::Motion(M1));
+    }
+
+    #[test]
+    fn what_a_firmware_does_not_know_is_raw_and_kept() {
+        let data = [0xC0, 1, 2, 3, 4, 5, 6, 7];
+        let packet = Packet { channel: Channel::Command(M1.into()), data };
+        let raw = command(&packet).unwrap();
+        assert_eq!((raw.opcode(), raw.encode()), (None, data));
+        assert!(raw.kind().may_move());
+        let reply = Packet { channel: Channel::Reply(M1), data };
+        assert_eq!(AnyReply::decode(&reply, Firmware::V4_3), Ok(AnyReply::Raw(RawReply(data))));
+        // V4.4 has dropped 0x90.
+        let packet = ReadSingleTurnEncoder.packet(M1);
+        assert_eq!(command(&packet), Ok(ReadSingleTurnEncoder.into()));
+        assert_eq!(AnyCommand::decode(&packet, Firmware::V4_4).unwrap().opcode(), None);
+    }
+
+    #[test]
+    fn a_reply_comes_out_as_its_type() {
+        let reply = AnyReply::decode_as(Opcode::Torque, &[0xA1, 50, 100, 0, 0, 0, 0, 0]).unwrap();
+        assert_eq!(Feedback::try_from(reply).unwrap().temperature.celsius(), 50.0);
+        assert_eq!(Stop::try_from(reply), Err(reply));
+    }
+
+    #[test]
+    fn packets_are_made_at_compile_time() {
+        const STOP: Packet = Stop.packet(M1);
+        assert_eq!(STOP, AnyCommand::from(Stop).packet(M1.into()).unwrap());
     }
 }

@@ -13,8 +13,6 @@ command! {
     LockBrake -> Self
 }
 
-echo!(ReleaseBrake, LockBrake);
-
 #[cfg(test)]
 mod tests {
     use super::*;

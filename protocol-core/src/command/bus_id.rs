@@ -3,15 +3,30 @@
 //! The command names no motor: **every** motor on the bus obeys. With more than one connected, a
 //! write gives all of them the same id.
 
-use crate::command::layout::Fields;
-use crate::command::{Command, Reply, expect_opcode};
+use crate::channel::{Channel, Packet};
+use crate::command::{Field, Fields};
+use crate::data::{self, Data};
 use crate::error::DecodeError;
-use crate::field::{self, Data};
 use crate::id::MotorId;
 use crate::opcode::Opcode;
+use crate::quantity::{Form, OutOfRange, Quantity, Unit};
 
 const READ: u8 = 1;
 const WRITE: u8 = 0;
+
+code! {
+    /// What is to be done with the id (4.1).
+    Access "access" {
+        /// Write the id.
+        WRITE = 0 "write",
+        /// Read the id.
+        READ = 1 "read",
+    }
+}
+
+const ACCESS: Field = Field::bytes("access", "Read or write.", &Access::QUANTITY, 2, 1);
+const NEW_ID: Field =
+    Field::bytes("motor_id", "The new id.", &MotorId::QUANTITY, 7, 1).only_when(2, WRITE);
 
 /// Read or set the motor id: 0x79, on CAN at identifier 0x300, on RS485 at address 0xCD.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -33,24 +48,19 @@ impl BusId {
             Self::Write(id) => [0x79, 0, WRITE, 0, 0, 0, 0, id.get()],
         }
     }
-}
 
-impl Command for BusId {
-    const OPCODE: Opcode = Opcode::BusId;
-    type Reply = BusIdReply;
-
-    #[inline]
-    fn encode(&self) -> Data {
-        Self::encode(self)
-    }
-
-    fn decode(data: &Data) -> Result<Self, DecodeError> {
-        expect_opcode(data, Self::OPCODE)?;
-        Fields::read(data)
+    /// The command to whatever is connected.
+    pub const fn packet(&self) -> Packet {
+        Packet { channel: Channel::BusId, data: self.encode() }
     }
 }
+
+table_command!(BusId, Opcode::BusId);
+reply_to!(BusId -> BusIdReply);
 
 impl Fields for BusId {
+    const FIELDS: &'static [Field] = &[ACCESS, NEW_ID];
+
     #[inline]
     fn put(&self, data: &mut Data) {
         *data = self.encode();
@@ -84,52 +94,56 @@ impl BusIdReply {
     }
 }
 
-impl Reply for BusIdReply {
-    fn to_data(&self, _: Opcode) -> Data {
-        match self {
+/// The id that a drive reports in its last two bytes, 0 for none: a reply identifier, or a bare id in
+/// either byte, for the table and the example of 7 disagree about which.
+pub(super) const fn told_id(told: u16) -> u8 {
+    match told.to_le_bytes() {
+        [low, 0x02] if low >= 0x41 && low <= 0x60 => low - 0x40,
+        [0, id] | [id, 0] if id <= 32 => id,
+        _ => 0,
+    }
+}
+
+impl crate::command::Reply for BusIdReply {}
+
+as_any_reply!(BusIdReply);
+
+impl Fields for BusIdReply {
+    const FIELDS: &'static [Field] = &{
+        const TOLD: Quantity =
+            Quantity { name: "motor id", unit: Unit::None, form: Form::ReplyIdentifier };
+        let told = Field::bytes("motor_id", "The id that acts.", &TOLD, 6, 2).only_when(2, READ);
+        [ACCESS, NEW_ID, told]
+    };
+
+    #[inline(never)]
+    fn put(&self, data: &mut Data) {
+        *data = match self {
             Self::Written(id) => BusId::Write(*id).encode(),
             Self::OnCan(id) => [0x79, 0, READ, 0, 0, 0, 0x40 + id.get(), 0x02],
             Self::OnRs485(id) => [0x79, 0, READ, 0, 0, 0, 0, id.get()],
-        }
-    }
-
-    /// For a read, takes a reply identifier, or a bare id in either of the last two bytes: the table
-    /// and the example of 7 disagree about which.
-    fn from_data(data: &Data) -> Result<Self, DecodeError> {
-        if !is_read(data)? {
-            return Ok(Self::Written(MotorId::new(data[7])?));
-        }
-        let told = field::get_u16::<6>(data);
-        match (data[6], data[7]) {
-            (low, 0x02) if (0x41..=0x60).contains(&low) => {
-                Ok(Self::OnCan(MotorId::new(low - 0x40)?))
-            }
-            (0, id) | (id, 0) => {
-                MotorId::new(id).map(Self::OnRs485).map_err(|_| DecodeError::NotABusId(told))
-            }
-            _ => Err(DecodeError::NotABusId(told)),
-        }
-    }
-}
-
-impl Fields for BusIdReply {
-    #[inline(never)]
-    fn put(&self, data: &mut Data) {
-        *data = self.to_data(Opcode::BusId);
+        };
     }
 
     fn read(data: &Data) -> Result<Self, DecodeError> {
-        Self::from_data(data)
+        if !is_read(data)? {
+            return Ok(Self::Written(MotorId::new(data[7])?));
+        }
+        let told = data::get_u16::<6>(data);
+        let id = MotorId::new(told_id(told)).map_err(|_| DecodeError::NotABusId(told))?;
+        Ok(if told > 0x240 && data[7] == 0x02 { Self::OnCan(id) } else { Self::OnRs485(id) })
     }
 }
 
-fn is_read(data: &Data) -> Result<bool, DecodeError> {
+/// Anything but read and write is refused: a drive that took it for a write would take a new id.
+fn is_read(data: &Data) -> Result<bool, OutOfRange> {
     Ok(crate::command::Switch::read::<2>(data)?.is_on())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::command::Command;
 
     fn id(id: u8) -> MotorId {
         MotorId::new(id).unwrap()

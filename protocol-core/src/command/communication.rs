@@ -1,8 +1,9 @@
 //! Communication-loss protection, bit rate and active reply (manual 2.31, 2.32 and 2.34).
 
 use crate::command::NoReply;
-use crate::field::Data;
-use crate::range::{Given, OutOfRange, Quantity};
+use crate::data::Data;
+use crate::opcode::{Opcode, Usage};
+use crate::quantity::{Form, Given, Name, OutOfRange, Quantity, Unit};
 use crate::units::{Milliseconds, ReportInterval};
 
 command! {
@@ -17,18 +18,16 @@ command! {
     }
 }
 
-echo!(CommunicationLossProtection);
-
 code! {
     /// The bit rates that the manual gives a code (2.32.4). It names none for the 1.5 and
-    /// 2.5 Mbit/s of RS485; `Unknown` sends any other code.
-    BaudCode {
+    /// 2.5 Mbit/s of RS485; [`from_raw`](Self::from_raw) takes any other code.
+    BaudCode "baud code" {
         /// CAN at 500 kbit/s, RS485 at 115200 bit/s.
-        Can500kRs485At115200 = 0 "can-500k-rs485-115200",
+        CAN_500K_RS485_115200 = 0 "can-500k-rs485-115200",
         /// CAN at 1 Mbit/s, RS485 at 500 kbit/s.
-        Can1MRs485At500k = 1 "can-1m-rs485-500k",
+        CAN_1M_RS485_500K = 1 "can-1m-rs485-500k",
         /// RS485 at 1 Mbit/s; not valid on CAN.
-        Rs485At1M = 2 "rs485-1m",
+        RS485_1M = 2 "rs485-1m",
     }
 }
 
@@ -36,19 +35,19 @@ impl BaudCode {
     /// Bit rate on CAN, `None` where the manual gives none.
     pub const fn can_bits_per_second(self) -> Option<u32> {
         match self {
-            Self::Can500kRs485At115200 => Some(500_000),
-            Self::Can1MRs485At500k => Some(1_000_000),
-            Self::Rs485At1M | Self::Unknown(_) => None,
+            Self::CAN_500K_RS485_115200 => Some(500_000),
+            Self::CAN_1M_RS485_500K => Some(1_000_000),
+            _ => None,
         }
     }
 
     /// Bit rate on RS485, `None` where the manual gives none.
     pub const fn rs485_bits_per_second(self) -> Option<u32> {
         match self {
-            Self::Can500kRs485At115200 => Some(115_200),
-            Self::Can1MRs485At500k => Some(500_000),
-            Self::Rs485At1M => Some(1_000_000),
-            Self::Unknown(_) => None,
+            Self::CAN_500K_RS485_115200 => Some(115_200),
+            Self::CAN_1M_RS485_500K => Some(500_000),
+            Self::RS485_1M => Some(1_000_000),
+            _ => None,
         }
     }
 }
@@ -62,27 +61,57 @@ command! {
     }
 }
 
-code! {
-    /// What a drive can report by itself (2.34.2).
-    ReportedCommand {
-        /// As 0x60.
-        MultiTurnEncoder = 0x60 "read-multi-turn-encoder",
-        /// As 0x61.
-        MultiTurnEncoderRaw = 0x61 "read-multi-turn-encoder-raw",
-        /// As 0x62.
-        MultiTurnEncoderOffset = 0x62 "read-multi-turn-encoder-offset",
-        /// As 0x92.
-        MultiTurnAngle = 0x92 "read-multi-turn-angle",
-        /// As 0x9A.
-        Status1 = 0x9A "read-status1",
-        /// As 0x9C.
-        Status2 = 0x9C "read-status2",
-        /// As 0x9D.
-        Status3 = 0x9D "read-status3",
-        /// 0x9E stands in the list, but the manual describes no such command.
-        Undescribed9E = 0x9E "undescribed-9e",
+/// What a drive can report by itself, by its command byte (2.34.2): the kinds of [`Usage::Report`] in
+/// the table. (0x9E stands in the manual's list too, but the manual describes no such command; it has
+/// no name here.)
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ReportedCommand(u8);
+
+impl ReportedCommand {
+    /// The code of this kind, `None` if its reply cannot be reported.
+    pub const fn of(opcode: Opcode) -> Option<Self> {
+        match (opcode.usage(), opcode.byte()) {
+            (Usage::Report, Some(byte)) => Some(Self(byte)),
+            _ => None,
+        }
     }
+
+    /// The kind whose reply is reported, `None` for codes without a name.
+    pub fn opcode(self) -> Option<Opcode> {
+        Opcode::from_byte(self.0).filter(|opcode| opcode.usage() == Usage::Report)
+    }
+
+    /// The names of the commands that can be reported.
+    pub const QUANTITY: Quantity =
+        Quantity { name: "reported command", unit: Unit::None, form: Form::Code(&REPORTED) };
 }
+
+const REPORTED: [Name; reported_count()] = {
+    let mut names = [Name { raw: 0, name: "", meaning: "" }; reported_count()];
+    let (mut row, mut count) = (0, 0);
+    while row < Opcode::ALL.len() {
+        let opcode = Opcode::ALL[row];
+        if let Some(code) = ReportedCommand::of(opcode) {
+            names[count] =
+                Name { raw: code.0 as u16, name: opcode.name(), meaning: opcode.meaning() };
+            count += 1;
+        }
+        row += 1;
+    }
+    names
+};
+
+const fn reported_count() -> usize {
+    let (mut row, mut count) = (0, 0);
+    while row < Opcode::ALL.len() {
+        count += ReportedCommand::of(Opcode::ALL[row]).is_some() as usize;
+        row += 1;
+    }
+    count
+}
+
+code_methods!(ReportedCommand);
 
 /// A byte that switches something: 0 or 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -98,7 +127,9 @@ pub enum Switch {
 
 impl Switch {
     /// Name and allowed range.
-    pub const QUANTITY: Quantity = Quantity { name: "switch", unit: "", min: 0.0, max: 1.0 };
+    pub const QUANTITY: Quantity =
+        Quantity { name: "switch", unit: Unit::None, form: Form::Switch };
+    pub(crate) const BYTES: u8 = 1;
 
     /// On for `true`.
     pub const fn from_bool(on: bool) -> Self {
@@ -151,7 +182,7 @@ mod tests {
     #[test]
     fn active_reply_is_the_manuals() {
         let report = ActiveReply {
-            command: ReportedCommand::MultiTurnEncoder,
+            command: ReportedCommand::of(Opcode::ReadMultiTurnEncoder).unwrap(),
             enable: Switch::On,
             interval: ReportInterval::from_millis(10.0).unwrap(),
         };
@@ -162,7 +193,7 @@ mod tests {
 
     #[test]
     fn a_baud_rate_without_a_name_can_be_sent() {
-        let set = SetBaudRate { baud_rate: BaudCode::Unknown(4) };
+        let set = SetBaudRate { baud_rate: BaudCode::from_raw(4) };
         assert_eq!(set.encode(), [0xB4, 0, 0, 0, 0, 0, 0, 4]);
         assert_eq!(SetBaudRate::decode(&set.encode()), Ok(set));
         assert!(SetBaudRate::decode_reply(&set.encode()).is_err());

@@ -2,8 +2,8 @@
 
 use crate::command::status::Feedback;
 use crate::units::{
-    Angle, Current, MaxSpeed, MaxTorque, SingleTurnPulses, SingleTurnTarget, SpeedTarget,
-    Temperature,
+    Angle, CoarseSpeed, Current, MaxSpeed, MaxTorque, SingleTurnPulses, SingleTurnTarget,
+    SpeedTarget, Temperature,
 };
 
 command! {
@@ -16,8 +16,6 @@ command! {
     /// Stop, and hold still against outside force: 0x81 (2.18). The reply is the same frame.
     Stop -> Self
 }
-
-echo!(Shutdown, Stop);
 
 command! {
     /// Run at a torque current: 0xA1 (2.19). A motor with a brake needs
@@ -51,11 +49,11 @@ command! {
 
 code! {
     /// Which way to turn to a single-turn angle (2.22.1).
-    Direction {
+    Direction "direction" {
         /// Clockwise.
-        Clockwise = 0x00 "clockwise",
+        CLOCKWISE = 0x00 "clockwise",
         /// Counter-clockwise.
-        CounterClockwise = 0x01 "counter-clockwise",
+        COUNTER_CLOCKWISE = 0x01 "counter-clockwise",
     }
 }
 
@@ -79,7 +77,7 @@ reply! {
         /// Torque current.
         current: Current => 2,
         /// Speed of the output shaft.
-        speed: crate::units::Speed => 4,
+        speed: CoarseSpeed => 4,
         /// Encoder position from the zero.
         encoder: SingleTurnPulses => 6,
     }
@@ -110,7 +108,6 @@ command! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::command::Command;
 
     #[test]
     fn an_absolute_position_is_the_manuals() {
@@ -140,7 +137,7 @@ mod tests {
     fn single_turn_targets_end_at_360_degrees() {
         let go = [0xA6, 0x01, 0xF4, 0x01, 0xA0, 0x8C, 0, 0]; // 2.22.4 example 2
         let decoded = SingleTurnPosition::decode(&go).unwrap();
-        assert_eq!(decoded.direction, Direction::CounterClockwise);
+        assert_eq!(decoded.direction, Direction::COUNTER_CLOCKWISE);
         assert_eq!(decoded.angle.degrees(), 360.0);
         assert!(SingleTurnPosition::decode(&[0xA6, 0, 0, 0, 0xA1, 0x8C, 0, 0]).is_err());
     }

@@ -50,8 +50,6 @@ command! {
     }
 }
 
-echo!(SetEncoderZero);
-
 command! {
     /// Make the current position the zero, in ROM: 0x64 (2.10). It takes effect after
     /// [`Reset`](crate::command::Reset). Not while the motor starts or moves. The reply tells the

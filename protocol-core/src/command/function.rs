@@ -1,12 +1,32 @@
 //! Function control: seven special functions behind one command byte (manual 2.35).
 
 use crate::command::communication::Switch;
-use crate::command::layout::Fields;
-use crate::command::{Command, expect_opcode};
+use crate::command::{Field, Fields};
+use crate::data::{self, Data};
 use crate::error::DecodeError;
-use crate::field::{self, Data};
 use crate::id::MotorId;
 use crate::opcode::Opcode;
+use crate::quantity::{Given, OutOfRange, Quantity};
+
+code! {
+    /// Which special function (2.35.4).
+    FunctionIndex "function index" {
+        /// Forget the turns, take the position as the new zero and save it.
+        CLEAR_MULTI_TURN = 1 "clear-multi-turn",
+        /// Listen only to the own CAN identifier.
+        CAN_ID_FILTER = 2 "can-id-filter",
+        /// Report errors unasked.
+        ERROR_REPORTING = 3 "error-reporting",
+        /// Save the turns at power-off.
+        SAVE_MULTI_TURN = 4 "save-multi-turn",
+        /// Change the CAN id.
+        SET_CAN_ID = 5 "set-can-id",
+        /// Limit the positive angle of position commands.
+        MAX_POSITIVE_ANGLE = 6 "max-positive-angle",
+        /// Limit the negative angle of position commands.
+        MAX_NEGATIVE_ANGLE = 7 "max-negative-angle",
+    }
+}
 
 /// One of the special functions: 0x20 (2.35). Not while the motor starts or moves. The reply is the
 /// same frame.
@@ -14,6 +34,7 @@ use crate::opcode::Opcode;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "kebab-case"))]
+#[non_exhaustive]
 pub enum FunctionControl {
     /// 1: forget the turns, take the position as the new zero and save it. Takes effect after a
     /// restart.
@@ -26,21 +47,44 @@ pub enum FunctionControl {
     /// 4: save the turns at power-off. Off, the drive is in single-turn mode. Takes effect after a
     /// restart.
     SaveMultiTurn(Switch),
-    /// 5: change the CAN id. Takes effect after a restart.
+    /// 5: change the CAN id. It is saved, and takes effect after a restart.
     SetCanId(MotorId),
-    /// 6: the largest positive angle of position commands. Takes effect at once. The manual tells no
-    /// unit, so the number is passed as it is.
+    /// 6: the largest positive angle of position commands. It is saved, and takes effect at once. The
+    /// manual gives no unit, so the number is passed as it is.
     MaxPositiveAngle(i32),
     /// 7: the largest negative angle of position commands, as
     /// [`MaxPositiveAngle`](Self::MaxPositiveAngle).
     MaxNegativeAngle(i32),
-    /// A function that V4.3 does not name.
-    Unknown {
-        /// Its index.
-        index: u8,
-        /// Its value.
-        value: u32,
-    },
+    /// A function that V4.3 does not name. [`FunctionControl::from_index`] makes it.
+    Other(OtherFunction),
+}
+
+/// A special function that has no name here, so that it can never be one that has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(try_from = "(u8, u32)", into = "(u8, u32)"))]
+pub struct OtherFunction {
+    index: u8,
+    value: u32,
+}
+
+impl From<OtherFunction> for (u8, u32) {
+    fn from(function: OtherFunction) -> Self {
+        (function.index, function.value)
+    }
+}
+
+/// Only an index without a name.
+impl TryFrom<(u8, u32)> for OtherFunction {
+    type Error = OutOfRange;
+    fn try_from((index, value): (u8, u32)) -> Result<Self, OutOfRange> {
+        const UNNAMED: Quantity = Quantity::whole("index of a function without a name", 8, 255);
+        match FunctionControl::from_index(index, value) {
+            Ok(FunctionControl::Other(other)) => Ok(other),
+            _ => Err(OutOfRange { quantity: &UNNAMED, given: Given::steps(index.into(), 1) }),
+        }
+    }
 }
 
 impl FunctionControl {
@@ -55,7 +99,7 @@ impl FunctionControl {
             Self::SetCanId(_) => 5,
             Self::MaxPositiveAngle(_) => 6,
             Self::MaxNegativeAngle(_) => 7,
-            Self::Unknown { index, .. } => index,
+            Self::Other(other) => other.index,
         }
     }
 
@@ -67,30 +111,16 @@ impl FunctionControl {
             Self::CanIdFilter(on) | Self::ErrorReporting(on) | Self::SaveMultiTurn(on) => on as u32,
             Self::SetCanId(id) => id.get() as u32,
             Self::MaxPositiveAngle(angle) | Self::MaxNegativeAngle(angle) => angle as u32,
-            Self::Unknown { value, .. } => value,
-        }
-    }
-
-    /// Its name in tools; `"unknown"` where the manual gives none.
-    pub const fn name(&self) -> &'static str {
-        match self {
-            Self::ClearMultiTurn => "clear-multi-turn",
-            Self::CanIdFilter(_) => "can-id-filter",
-            Self::ErrorReporting(_) => "error-reporting",
-            Self::SaveMultiTurn(_) => "save-multi-turn",
-            Self::SetCanId(_) => "set-can-id",
-            Self::MaxPositiveAngle(_) => "max-positive-angle",
-            Self::MaxNegativeAngle(_) => "max-negative-angle",
-            Self::Unknown { .. } => "unknown",
+            Self::Other(other) => other.value,
         }
     }
 
     /// The function with this index and value.
     ///
     /// # Errors
-    /// [`OutOfRange`](crate::OutOfRange) if the function does not take that value. The value of
+    /// [`OutOfRange`] if the function does not take that value. The value of
     /// [`ClearMultiTurn`](Self::ClearMultiTurn) is not looked at.
-    pub const fn from_index(index: u8, value: u32) -> Result<Self, crate::OutOfRange> {
+    pub const fn from_index(index: u8, value: u32) -> Result<Self, OutOfRange> {
         macro_rules! checked {
             ($variant:ident, $result:expr) => {
                 match $result {
@@ -104,56 +134,67 @@ impl FunctionControl {
             2 => checked!(CanIdFilter, Switch::from_raw(value)),
             3 => checked!(ErrorReporting, Switch::from_raw(value)),
             4 => checked!(SaveMultiTurn, Switch::from_raw(value)),
-            5 => checked!(SetCanId, MotorId::new(if value > 255 { 255 } else { value as u8 })),
+            5 => checked!(SetCanId, MotorId::from_u32(value)),
             6 => Ok(Self::MaxPositiveAngle(value as i32)),
             7 => Ok(Self::MaxNegativeAngle(value as i32)),
-            _ => Ok(Self::Unknown { index, value }),
+            _ => Ok(Self::Other(OtherFunction { index, value })),
         }
     }
 
     /// The data field.
     #[inline]
     pub const fn encode(&self) -> Data {
-        let mut data = [0x20, self.index(), 0, 0, 0, 0, 0, 0];
-        field::put_u32::<4>(&mut data, self.value());
-        data
+        let [a, b, c, d] = self.value().to_le_bytes();
+        [0x20, self.index(), 0, 0, a, b, c, d]
     }
 }
 
-impl Command for FunctionControl {
-    const OPCODE: Opcode = Opcode::FunctionControl;
-    type Reply = Self;
+table_command!(FunctionControl, Opcode::FunctionControl);
+targeted!(FunctionControl);
+reply_to!(FunctionControl -> FunctionControl);
+as_any_reply!(FunctionControl);
 
-    #[inline]
-    fn encode(&self) -> Data {
-        Self::encode(self)
-    }
-
-    #[inline]
-    fn decode(data: &Data) -> Result<Self, DecodeError> {
-        expect_opcode(data, Self::OPCODE)?;
-        Fields::read(data)
-    }
-}
+impl crate::command::Reply for FunctionControl {}
 
 impl Fields for FunctionControl {
+    const FIELDS: &'static [Field] = &{
+        const ANGLE: Quantity = Quantity::whole("largest angle", i32::MIN as i64, i32::MAX as i64);
+        const VALUE: Quantity = Quantity::whole("value", 0, u32::MAX as i64);
+        const fn value(meaning: &'static str, quantity: &'static Quantity) -> Field {
+            Field::bytes("value", meaning, quantity, 4, 4)
+        }
+        const SWITCH: Field = value("Off or on.", &Switch::QUANTITY);
+        const LIMIT: Field =
+            value("The largest angle, in a unit that the manual does not give.", &ANGLE);
+        [
+            Field::bytes("index", "Which function.", &FunctionIndex::QUANTITY, 1, 1),
+            SWITCH.only_when(1, 2),
+            SWITCH.only_when(1, 3),
+            SWITCH.only_when(1, 4),
+            value("The new id.", &MotorId::QUANTITY).only_when(1, 5),
+            LIMIT.only_when(1, 6),
+            LIMIT.only_when(1, 7),
+            value("The value of a function without a name.", &VALUE)
+                .only_when_none(1, &[1, 2, 3, 4, 5, 6, 7]),
+        ]
+    };
+
     #[inline(never)]
     fn put(&self, data: &mut Data) {
-        data[1] = self.index();
-        field::put_u32::<4>(data, self.value());
+        *data = self.encode();
     }
 
     #[inline]
     fn read(data: &Data) -> Result<Self, DecodeError> {
-        Ok(Self::from_index(data[1], field::get_u32::<4>(data))?)
+        Ok(Self::from_index(data[1], data::get_u32::<4>(data))?)
     }
 }
 
-echo!(FunctionControl);
-
 #[cfg(test)]
 mod tests {
+    extern crate std;
     use super::*;
+    use std::string::ToString;
 
     #[test]
     fn the_id_filter_is_function_2() {
@@ -171,7 +212,7 @@ mod tests {
             FunctionControl::SetCanId(MotorId::new(32).unwrap()),
             FunctionControl::MaxPositiveAngle(36_000),
             FunctionControl::MaxNegativeAngle(-36_000),
-            FunctionControl::Unknown { index: 8, value: 0xDEAD_BEEF },
+            FunctionControl::from_index(8, 0xDEAD_BEEF).unwrap(),
         ] {
             assert_eq!(FunctionControl::decode(&function.encode()), Ok(function));
         }
@@ -187,5 +228,18 @@ mod tests {
         assert!(FunctionControl::from_index(5, 0).is_err());
         assert!(FunctionControl::from_index(5, 33).is_err());
         assert!(FunctionControl::from_index(5, 257).is_err());
+    }
+
+    #[test]
+    fn what_was_given_is_reported_as_it_was() {
+        let error = FunctionControl::decode(&[0x20, 5, 0, 0, 0xE8, 3, 0, 0]).unwrap_err();
+        assert_eq!(error.to_string(), "motor id must be 1 to 32, but 1000 was given");
+    }
+
+    #[test]
+    fn a_function_without_a_name_cannot_be_one_with_a_name() {
+        assert!(OtherFunction::try_from((5, 99)).is_err());
+        let other = OtherFunction::try_from((8, 1)).unwrap();
+        assert_eq!(FunctionControl::from_index(8, 1), Ok(FunctionControl::Other(other)));
     }
 }

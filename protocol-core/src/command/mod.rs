@@ -31,9 +31,13 @@ pub mod bus_id;
 pub mod communication;
 pub mod control;
 pub mod encoder;
+mod field;
 pub mod function;
 pub mod motion;
+pub mod motion_ranges;
 pub mod pid;
+mod print;
+mod raw;
 pub mod status;
 pub mod system;
 
@@ -45,71 +49,74 @@ pub use bus_id::*;
 pub use communication::*;
 pub use control::*;
 pub use encoder::*;
+pub use field::{Field, Key, When};
 pub use function::*;
+pub use layout::Fields;
 pub use motion::*;
+pub use motion_ranges::*;
 pub use pid::*;
+pub use print::{PacketText, Phrase};
+pub use raw::{RawCommand, RawReply};
 pub use status::*;
 pub use system::*;
 
+use crate::data::Data;
 use crate::error::DecodeError;
-use crate::field::Data;
+use crate::kind::Kind;
 use crate::opcode::Opcode;
 
-/// A request: what a master sends, tied to what the drive answers.
+/// A command: what a master sends, tied to what the drive answers.
 ///
 /// ```
 /// use myactuator_protocol_core::command::{Command, ReadPid, PidIndex};
 ///
-/// let request = ReadPid { index: PidIndex::CurrentKp };
-/// assert_eq!(request.encode(), [0x30, 0x01, 0, 0, 0, 0, 0, 0]);
+/// let read = ReadPid { index: PidIndex::CURRENT_KP };
+/// assert_eq!(read.encode(), [0x30, 0x01, 0, 0, 0, 0, 0, 0]);
 ///
 /// // The manual's answer (2.1.5): the current loop's KP is 1.0.
 /// let reply = ReadPid::decode_reply(&[0x30, 0x01, 0, 0, 0, 0, 0x80, 0x3F])?;
 /// assert_eq!(reply.value.value(), 1.0);
 /// # Ok::<(), myactuator_protocol_core::DecodeError>(())
 /// ```
-pub trait Command: Sized {
-    /// Its row in the table.
-    const OPCODE: Opcode;
+pub trait Command: Fields {
     /// What a drive answers.
     type Reply: Reply;
+
+    /// What a master has to know of it: its row in the table.
+    fn kind(&self) -> Kind;
 
     /// The data field.
     fn encode(&self) -> Data;
 
-    /// The request from a data field.
-    ///
-    /// # Errors
-    /// [`DecodeError`] if the command byte is another's or a field holds what is not allowed.
-    fn decode(data: &Data) -> Result<Self, DecodeError>;
-
     /// The answer from a data field.
     ///
     /// # Errors
-    /// As [`decode`](Self::decode).
-    #[inline]
-    fn decode_reply(data: &Data) -> Result<Self::Reply, DecodeError> {
-        expect_opcode(data, Self::OPCODE)?;
-        Self::Reply::from_data(data)
-    }
+    /// [`DecodeError`] if the command byte is another's or a field holds what is not allowed.
+    fn decode_reply(data: &Data) -> Result<Self::Reply, DecodeError>;
 }
 
 /// An answer. Several commands share some of them ([`Feedback`] above all), so that the command byte
 /// is given from outside.
-pub trait Reply: Sized {
+pub trait Reply: Fields {
     /// The data field of this answer to a command of kind `to`.
-    fn to_data(&self, to: Opcode) -> Data;
+    fn encode(&self, to: Opcode) -> Data {
+        let mut data = with_opcode(to);
+        self.put(&mut data);
+        data
+    }
 
     /// The answer from a data field, whatever its command byte.
     ///
     /// # Errors
     /// [`DecodeError`] if a field holds what is not allowed.
-    fn from_data(data: &Data) -> Result<Self, DecodeError>;
+    fn decode(data: &Data) -> Result<Self, DecodeError> {
+        Self::read(data)
+    }
 }
 
 /// The reply type of commands that have none, or none with a meaning (0x76, 0xB4, 0xB6). It has no
 /// values.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum NoReply {}
 
@@ -120,17 +127,31 @@ impl defmt::Format for NoReply {
     }
 }
 
-impl Reply for NoReply {
-    fn to_data(&self, _: Opcode) -> Data {
+impl Reply for NoReply {}
+
+impl Fields for NoReply {
+    const FIELDS: &'static [Field] = &[];
+
+    fn put(&self, _: &mut Data) {
         match *self {}
     }
 
-    fn from_data(data: &Data) -> Result<Self, DecodeError> {
-        match Opcode::from_byte(data[0]) {
-            Some(opcode) => Err(DecodeError::NoReply(opcode)),
-            None => Err(DecodeError::UnknownOpcode(data[0])),
-        }
+    fn read(data: &Data) -> Result<Self, DecodeError> {
+        Err(match Opcode::from_byte(data[0]) {
+            Some(opcode) => DecodeError::NoReply(opcode),
+            None => DecodeError::UnknownOpcode(data[0]),
+        })
     }
+}
+
+/// A data field that holds nothing but its command byte.
+#[inline(always)]
+pub(crate) const fn with_opcode(opcode: Opcode) -> Data {
+    let byte = match opcode.byte() {
+        Some(byte) => byte,
+        None => 0,
+    };
+    [byte, 0, 0, 0, 0, 0, 0, 0]
 }
 
 #[inline(always)]
@@ -142,14 +163,8 @@ fn expect_opcode(data: &Data, expected: Opcode) -> Result<(), DecodeError> {
 }
 
 /// A command that replaces the one before it: where to be, how fast to turn, how hard to push. It
-/// may be sent over and over, and an old one must never follow a new one.
+/// may be sent over and over, and an old one must never follow a new one. The kinds of
+/// [`Usage::SetPoint`](crate::opcode::Usage::SetPoint) in the table.
 ///
 /// [`IncrementalPosition`] is none: each sending moves the motor on.
 pub trait SetPoint: Command {}
-
-impl SetPoint for Torque {}
-impl SetPoint for Speed {}
-impl SetPoint for AbsolutePosition {}
-impl SetPoint for SingleTurnPosition {}
-impl SetPoint for ForcePosition {}
-impl SetPoint for RawMotion {}

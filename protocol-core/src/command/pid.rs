@@ -4,21 +4,21 @@ use crate::units::Gain;
 
 code! {
     /// Which gain (2.1.4).
-    PidIndex {
+    PidIndex "gain index" {
         /// Current loop, proportional.
-        CurrentKp = 0x01 "current-kp",
+        CURRENT_KP = 0x01 "current-kp",
         /// Current loop, integral.
-        CurrentKi = 0x02 "current-ki",
+        CURRENT_KI = 0x02 "current-ki",
         /// Speed loop, proportional.
-        SpeedKp = 0x04 "speed-kp",
+        SPEED_KP = 0x04 "speed-kp",
         /// Speed loop, integral.
-        SpeedKi = 0x05 "speed-ki",
+        SPEED_KI = 0x05 "speed-ki",
         /// Position loop, proportional.
-        PositionKp = 0x07 "position-kp",
+        POSITION_KP = 0x07 "position-kp",
         /// Position loop, integral.
-        PositionKi = 0x08 "position-ki",
+        POSITION_KI = 0x08 "position-ki",
         /// Position loop, derivative.
-        PositionKd = 0x09 "position-kd",
+        POSITION_KD = 0x09 "position-kd",
     }
 }
 
@@ -62,8 +62,6 @@ command! {
     }
 }
 
-echo!(WritePidRam, WritePidRom);
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -72,7 +70,7 @@ mod tests {
     #[test]
     fn a_gain_is_a_little_endian_float() {
         // 1.5 is 0x3FC00000 (2.2.5).
-        let write = WritePidRam { index: PidIndex::CurrentKp, value: Gain::new(1.5).unwrap() };
+        let write = WritePidRam { index: PidIndex::CURRENT_KP, value: Gain::new(1.5).unwrap() };
         assert_eq!(write.encode(), [0x31, 0x01, 0, 0, 0, 0, 0xC0, 0x3F]);
         assert_eq!(WritePidRam::decode(&write.encode()), Ok(write));
     }
@@ -85,7 +83,7 @@ mod tests {
     #[test]
     fn an_index_that_the_manual_does_not_name_is_kept() {
         let read = ReadPid::decode(&[0x30, 3, 0, 0, 0, 0, 0, 0]).unwrap();
-        assert_eq!(read.index, PidIndex::Unknown(3));
+        assert_eq!(read.index, PidIndex::from_raw(3));
         assert_eq!(read.encode()[1], 3);
     }
 }

@@ -4,9 +4,9 @@ use core::fmt;
 
 use bitflags::bitflags;
 
-use crate::field::{self, Data};
-use crate::range::OutOfRange;
-use crate::units::{CoarseAngle, Current, Speed, Temperature, Voltage};
+use crate::data::{self, Data};
+use crate::quantity::{Form, Name, OutOfRange, Quantity, Unit};
+use crate::units::{CoarseAngle, CoarseSpeed, Current, Temperature, Voltage};
 
 command! {
     /// Read temperatures, brake, voltage and error flags: 0x9A (2.14).
@@ -20,7 +20,7 @@ reply! {
         /// Motor temperature.
         temperature: Temperature => 1,
         /// MOSFET temperature.
-        mos_temperature: Temperature => 2,
+        mosfet_temperature: Temperature => 2,
         /// What the brake has been told.
         brake: BrakeCommand => 3,
         /// Supply voltage.
@@ -33,11 +33,11 @@ reply! {
 code! {
     /// What the brake has been told (2.14.3). It is the command, not the brake's true state, and on
     /// some firmware 1 only while a command runs.
-    BrakeCommand {
+    BrakeCommand "brake" {
         /// Lock.
-        Lock = 0 "lock",
+        LOCK = 0 "lock",
         /// Release.
-        Release = 1 "release",
+        RELEASE = 1 "release",
     }
 }
 
@@ -77,6 +77,13 @@ macro_rules! error_flags {
         }
 
         impl ErrorFlags {
+            /// The names of the named errors.
+            pub const QUANTITY: Quantity = Quantity {
+                name: "errors",
+                unit: Unit::None,
+                form: Form::Flags(&[$(Name { raw: $bit, name: $name, meaning: $text }),+]),
+            };
+
             /// Every error that the manual names.
             pub const NAMED: &'static [Self] = &[$(Self::$flag),+];
 
@@ -138,14 +145,16 @@ impl ErrorFlags {
         self.each().any(|error| error.level() != Some(ErrorLevel::Two))
     }
 
+    pub(crate) const BYTES: u8 = 2;
+
     #[inline(always)]
     pub(crate) const fn put<const AT: usize>(self, data: &mut Data) {
-        field::put_u16::<AT>(data, self.bits());
+        data::put_u16::<AT>(data, self.bits());
     }
 
     #[inline(always)]
     pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
-        Ok(Self::from_bits_retain(field::get_u16::<AT>(data)))
+        Ok(Self::from_bits_retain(data::get_u16::<AT>(data)))
     }
 }
 
@@ -188,7 +197,7 @@ reply! {
         /// Torque current.
         current: Current => 2,
         /// Speed of the output shaft.
-        speed: Speed => 4,
+        speed: CoarseSpeed => 4,
         /// Angle of the output shaft from its zero; it ends at ±32767 degrees.
         angle: CoarseAngle => 6,
     }
@@ -205,11 +214,11 @@ reply! {
         /// Motor temperature.
         temperature: Temperature => 1,
         /// Current of phase A.
-        phase_a: Current => 2,
+        phase_a_current: Current => 2,
         /// Current of phase B.
-        phase_b: Current => 4,
+        phase_b_current: Current => 4,
         /// Current of phase C.
-        phase_c: Current => 6,
+        phase_c_current: Current => 6,
     }
 }
 
@@ -226,15 +235,15 @@ mod tests {
         let status =
             ReadStatus1::decode_reply(&[0x9A, 0x32, 0x00, 0x01, 0xE5, 0x01, 0x04, 0x00]).unwrap();
         assert_eq!(status.temperature.celsius(), 50.0);
-        assert_eq!(status.brake, BrakeCommand::Release);
+        assert_eq!(status.brake, BrakeCommand::RELEASE);
         assert_eq!(status.voltage.volts(), 48.5);
         assert_eq!(status.errors, ErrorFlags::UNDER_VOLTAGE);
         // 2.16.4
         let status =
             ReadStatus3::decode_reply(&[0x9D, 0x32, 0xC2, 0x0B, 0x10, 0xFA, 0xC0, 0xF9]).unwrap();
-        assert_eq!(status.phase_a.amperes(), 30.1);
-        assert_eq!(status.phase_b.amperes(), -15.2);
-        assert_eq!(status.phase_c.amperes(), -16.0);
+        assert_eq!(status.phase_a_current.amperes(), 30.1);
+        assert_eq!(status.phase_b_current.amperes(), -15.2);
+        assert_eq!(status.phase_c_current.amperes(), -16.0);
     }
 
     #[test]

@@ -4,8 +4,8 @@
 use core::fmt;
 
 use crate::command::NoReply;
-use crate::field::{self, Data};
-use crate::range::OutOfRange;
+use crate::data::{self, Data};
+use crate::quantity::{Form, OutOfRange, Quantity, Unit};
 use crate::units::Milliseconds;
 
 command! {
@@ -15,13 +15,13 @@ command! {
 
 code! {
     /// A control loop (2.25.3).
-    Mode {
+    Mode "running mode" {
         /// Torque current.
-        Current = 1 "current",
+        CURRENT = 1 "current",
         /// Speed.
-        Speed = 2 "speed",
+        SPEED = 2 "speed",
         /// Position.
-        Position = 3 "position",
+        POSITION = 3 "position",
     }
 }
 
@@ -61,7 +61,7 @@ reply! {
     /// Date of the drive's software (2.30.3).
     Version {
         /// The date.
-        date: VersionDate => 4,
+        version_date: VersionDate => 4,
     }
 }
 
@@ -73,6 +73,11 @@ reply! {
 pub struct VersionDate(u32);
 
 impl VersionDate {
+    /// Its name and form.
+    pub const QUANTITY: Quantity =
+        Quantity { name: "version date", unit: Unit::None, form: Form::Date };
+    pub(crate) const BYTES: u8 = 4;
+
     /// The date with this number on the wire.
     pub const fn from_raw(raw: u32) -> Self {
         Self(raw)
@@ -96,12 +101,12 @@ impl VersionDate {
 
     #[inline(always)]
     pub(crate) const fn put<const AT: usize>(self, data: &mut Data) {
-        field::put_u32::<AT>(data, self.0);
+        data::put_u32::<AT>(data, self.0);
     }
 
     #[inline(always)]
     pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
-        Ok(Self(field::get_u32::<AT>(data)))
+        Ok(Self(data::get_u32::<AT>(data)))
     }
 }
 
@@ -123,7 +128,7 @@ reply! {
     /// The motor's model (2.33.3).
     Model {
         /// Its name.
-        name: ModelName => 1,
+        model: ModelName => 1,
     }
 }
 
@@ -134,6 +139,11 @@ reply! {
 pub struct ModelName([u8; 7]);
 
 impl ModelName {
+    /// Its name and form.
+    pub const QUANTITY: Quantity =
+        Quantity { name: "model name", unit: Unit::None, form: Form::Text };
+    pub(crate) const BYTES: u8 = 7;
+
     /// The name with these bytes on the wire, whatever they are.
     pub const fn from_bytes(bytes: [u8; 7]) -> Self {
         Self(bytes)
@@ -160,8 +170,13 @@ impl ModelName {
 
     #[inline(always)]
     pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
-        let [_, a, b, c, d, e, f, g] = *data;
-        Ok(Self([a, b, c, d, e, f, g]))
+        Ok(Self::of(data))
+    }
+
+    /// The name in the only place that a data field has for it.
+    pub(crate) const fn of(data: &Data) -> Self {
+        let [_, name @ ..] = *data;
+        Self(name)
     }
 }
 
@@ -189,10 +204,10 @@ mod tests {
     fn reads_the_manuals_examples() {
         let model =
             ReadModel::decode_reply(&[0xB5, 0x58, 0x38, 0x53, 0x32, 0x56, 0x31, 0x30]).unwrap();
-        assert_eq!(model.name.as_str(), Some("X8S2V10")); // 2.33.4
+        assert_eq!(model.model.as_str(), Some("X8S2V10")); // 2.33.4
         let version =
             ReadVersionDate::decode_reply(&[0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 0x01]).unwrap();
-        assert_eq!(version.date.raw(), 20_220_206); // 2.30.4
+        assert_eq!(version.version_date.raw(), 20_220_206); // 2.30.4
         let run = ReadRunTime::decode_reply(&[0xB1, 0, 0, 0, 0, 0, 0, 0x10]).unwrap();
         assert_eq!(run.run_time.raw(), 268_435_456); // 2.29.4
     }

@@ -20,20 +20,20 @@
 
 use crate::channel::Packet;
 use crate::command::{
-    AccelerationReading, AnyCommand, AnyReply, BusId, BusIdReply, CircleAngle, Feedback,
-    FunctionControl, Model, MotionFeedback, MultiTurnAngle, MultiTurnEncoder,
-    MultiTurnEncoderOffset, MultiTurnEncoderRaw, PidGain, RawMotionFeedback, RunTime, RunningMode,
+    AccelerationReading, AnyCommand, AnyReply, BusId, BusIdReply, Feedback, FunctionControl, Model,
+    MotionFeedback, MultiTurnAngle, MultiTurnEncoder, MultiTurnEncoderOffset, MultiTurnEncoderRaw,
+    PidGain, RawMotionFeedback, RunTime, RunningMode, SingleTurnAngle, SingleTurnAngleV4_4,
     SingleTurnEncoder, SingleTurnFeedback, Status1, Status3, U12, Version,
 };
+use crate::data::Data;
 use crate::drive::encoder::saturated;
 use crate::drive::protection::{Heard, STEADY_COMMANDS, STEADY_COMMANDS_SEEN};
-use crate::drive::{
-    Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings, brake, reporting,
-};
-use crate::field::Data;
+use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings, brake};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
-use crate::units::{Current, Milliseconds, ReportedAcceleration, Speed, Temperature, Voltage};
+use crate::units::{
+    CoarseSpeed, Current, Milliseconds, ReportedAcceleration, Temperature, Voltage,
+};
 
 mod run;
 
@@ -55,8 +55,13 @@ impl From<AnyReply> for Answer {
 
 impl<P: Plant, M: Memory> Drive<P, M> {
     /// Does what the command says.
-    pub(super) fn answer(&mut self, command: AnyCommand, packet: &Packet, now: Instant) -> Answer {
-        let opcode = command.opcode();
+    pub(super) fn answer(
+        &mut self,
+        command: AnyCommand,
+        opcode: Opcode,
+        packet: &Packet,
+        now: Instant,
+    ) -> Answer {
         let quirks = self.parameters.quirks;
         let needed =
             if quirks.lost_master_heartbeat { STEADY_COMMANDS_SEEN } else { STEADY_COMMANDS };
@@ -168,7 +173,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 answer
             }
             AnyCommand::ActiveReply(set) => {
-                let Some(reported) = reporting::opcode(set.command) else { return unknown };
+                let Some(reported) = set.command.opcode() else { return unknown };
                 if set.enable.is_on() {
                     self.reporting.enable(reported, set.interval, now);
                 } else {
@@ -242,6 +247,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             | AnyCommand::ReadSingleTurnEncoder(_)
             | AnyCommand::ReadMultiTurnAngle(_)
             | AnyCommand::ReadSingleTurnAngle(_)
+            | AnyCommand::ReadSingleTurnAngleV4_4(_)
             | AnyCommand::ReadStatus1(_)
             | AnyCommand::ReadStatus2(_)
             | AnyCommand::ReadStatus3(_)
@@ -253,6 +259,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 }
                 self.reading(opcode).map_or(Answer::None, Answer::from)
             }
+            AnyCommand::Raw(_) => Answer::Ignored(IgnoreReason::UnknownCommand),
         }
     }
 
@@ -283,21 +290,31 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             Opcode::ReadMultiTurnAngle => {
                 AnyReply::ReadMultiTurnAngle(MultiTurnAngle { angle: self.encoder.angle_reading() })
             }
-            Opcode::ReadSingleTurnAngle => AnyReply::ReadSingleTurnAngle(CircleAngle {
+            Opcode::ReadSingleTurnAngle => AnyReply::ReadSingleTurnAngle(SingleTurnAngle {
                 angle: self.encoder.single_turn_angle(),
             }),
+            Opcode::ReadSingleTurnAngleV4_4 => {
+                let angle = self.encoder.half_turn_angle();
+                AnyReply::ReadSingleTurnAngleV4_4(SingleTurnAngleV4_4 { angle })
+            }
             Opcode::ReadStatus1 => AnyReply::ReadStatus1(Status1 {
                 temperature: celsius(m.motor_temperature_c),
-                mos_temperature: celsius(m.mos_temperature_c),
+                mosfet_temperature: celsius(m.mos_temperature_c),
                 brake: self.brake.command(),
                 voltage: Voltage::saturating_from_volts(m.supply_voltage_v).unwrap_or_default(),
                 errors: self.faults.all(),
             }),
             Opcode::ReadStatus2 => AnyReply::ReadStatus2(self.feedback()),
             Opcode::ReadStatus3 => {
-                let [phase_a, phase_b, phase_c] = m.phase_currents_a.map(amperes);
+                let [phase_a_current, phase_b_current, phase_c_current] =
+                    m.phase_currents_a.map(amperes);
                 let temperature = celsius(m.motor_temperature_c);
-                AnyReply::ReadStatus3(Status3 { temperature, phase_a, phase_b, phase_c })
+                AnyReply::ReadStatus3(Status3 {
+                    temperature,
+                    phase_a_current,
+                    phase_b_current,
+                    phase_c_current,
+                })
             }
             Opcode::ReadRunTime => {
                 let millis = self.run_time(self.clock).as_millis();
@@ -305,9 +322,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 AnyReply::ReadRunTime(RunTime { run_time })
             }
             Opcode::ReadVersionDate => {
-                AnyReply::ReadVersionDate(Version { date: self.parameters.version_date })
+                AnyReply::ReadVersionDate(Version { version_date: self.parameters.version_date })
             }
-            Opcode::ReadModel => AnyReply::ReadModel(Model { name: self.parameters.model }),
+            Opcode::ReadModel => AnyReply::ReadModel(Model { model: self.parameters.model }),
             _ => return None,
         })
     }
@@ -329,21 +346,22 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     }
 
     fn motion_feedback(&self) -> RawMotionFeedback {
-        let m = &self.measurement;
+        let (id, m) = (self.active.id, &self.measurement);
         let number = |x: f32| if x.is_nan() { 0.0 } else { x };
         let feedback = MotionFeedback {
-            id: self.active.id,
             position_rad: self.encoder.angle_deg().to_radians() as f32,
             velocity_rad_s: number(m.speed_dps.to_radians()),
             torque_nm: number(m.current_a * self.parameters.torque_constant_nm_per_a),
         };
         // Only what is no number is refused, and no such thing is left.
-        self.parameters.motion_ranges.quantise_feedback(&feedback).unwrap_or(RawMotionFeedback {
-            id: self.active.id,
-            position: 0,
-            velocity: U12::default(),
-            torque: U12::default(),
-        })
+        self.parameters.motion_ranges.quantise_feedback(id, &feedback).unwrap_or(
+            RawMotionFeedback {
+                id_byte: id.get(),
+                position: 0,
+                velocity: U12::default(),
+                torque: U12::default(),
+            },
+        )
     }
 
     fn function(&mut self, function: FunctionControl, echo: Answer) -> Answer {
@@ -384,7 +402,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 let angle = Some(crate::units::Angle::from_raw(angle));
                 self.write_rom(opcode, echo, |settings| settings.max_negative_angle = angle)
             }
-            FunctionControl::Unknown { .. } => Answer::Ignored(IgnoreReason::UnknownCode(opcode)),
+            FunctionControl::Other(_) => Answer::Ignored(IgnoreReason::UnknownCode(opcode)),
         }
     }
 
@@ -429,6 +447,6 @@ fn amperes(x: f32) -> Current {
     Current::saturating_from_amperes(x).unwrap_or_default()
 }
 
-fn dps(x: f32) -> Speed {
-    Speed::saturating_from_dps(x).unwrap_or_default()
+fn dps(x: f32) -> CoarseSpeed {
+    CoarseSpeed::saturating_from_dps(x).unwrap_or_default()
 }

@@ -59,8 +59,8 @@ impl Brake {
     /// What it has been told last (0x9A).
     pub(super) const fn command(&self) -> BrakeCommand {
         match self.state {
-            State::Locked => BrakeCommand::Lock,
-            State::Released { .. } => BrakeCommand::Release,
+            State::Locked => BrakeCommand::LOCK,
+            State::Released { .. } => BrakeCommand::RELEASE,
         }
     }
 
@@ -96,7 +96,7 @@ mod tests {
         let mut brake = Brake::new(true);
         assert!(brake.holds() && !brake.is_open(LATER));
         brake.release(Instant::from_millis(50));
-        assert_eq!(brake.command(), BrakeCommand::Release);
+        assert_eq!(brake.command(), BrakeCommand::RELEASE);
         assert!(
             !brake.is_open(Instant::from_millis(49)) && brake.is_open(Instant::from_millis(50))
         );

@@ -13,7 +13,7 @@
 
 use crate::drive::parameters::Parameters;
 use crate::units::{
-    Angle, CoarseAngle, EncoderPulses, SingleTurnAngle, SingleTurnPulses, round_f64,
+    Angle, CoarseAngle, EncoderPulses, ReportedSingleTurnAngle, SingleTurnPulses, round_f64,
 };
 
 #[derive(Clone, Debug)]
@@ -102,11 +102,17 @@ impl Encoder {
     }
 
     /// 0x94: clockwise from the zero, back to 0 after a turn.
-    pub(super) fn single_turn_angle(&self) -> SingleTurnAngle {
+    pub(super) fn single_turn_angle(&self) -> ReportedSingleTurnAngle {
         let within = remainder(self.position(), self.output_turn);
         // In whole steps rounded down, so that a full turn is never reached.
         let steps = (within * 36_000).checked_div(self.output_turn).unwrap_or(0);
-        SingleTurnAngle::try_from_raw(u16::try_from(steps).unwrap_or(0)).unwrap_or(SINGLE_TURN_ZERO)
+        ReportedSingleTurnAngle::from_raw(u16::try_from(steps).unwrap_or(0))
+    }
+
+    /// 0x94 of V4.4: the same place, from half a turn below the zero to half a turn above.
+    pub(super) fn half_turn_angle(&self) -> Angle {
+        let steps = i32::from(self.single_turn_angle().raw());
+        Angle::from_raw(if steps > 18_000 { steps - 36_000 } else { steps })
     }
 
     /// 0x90: position, raw and offset within a turn of the motor shaft. An encoder of more than 16
@@ -118,12 +124,6 @@ impl Encoder {
         })
     }
 }
-
-/// Decided while compiling: 0 is a single-turn angle.
-const SINGLE_TURN_ZERO: SingleTurnAngle = match SingleTurnAngle::try_from_raw(0) {
-    Ok(zero) => zero,
-    Err(_) => unreachable!(),
-};
 
 /// The part of `pulses` within a turn, 0 to less than `turn`.
 const fn remainder(pulses: i64, turn: i64) -> i64 {

@@ -9,6 +9,7 @@ use crate::opcode::Opcode;
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub enum Event {
     /// A packet had no effect and no answer.
     Ignored {
@@ -49,9 +50,12 @@ pub enum Event {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub enum IgnoreReason {
     /// It means nothing, or holds what is not allowed.
     Malformed(DecodeError),
+    /// The drive's firmware does not know the command byte.
+    UnknownCommand,
     /// The drive is starting and does not hear yet.
     Starting,
     /// The drive has no supply.
@@ -72,6 +76,7 @@ pub enum IgnoreReason {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub enum NotRunReason {
     /// An error stands.
     Fault(ErrorFlags),

@@ -19,21 +19,21 @@
 //! use myactuator_protocol_core::drive::{Drive, IdealPlant, Parameters, RamMemory};
 //! use myactuator_protocol_core::time::Instant;
 //! use myactuator_protocol_core::units::{Angle, MaxSpeed};
-//! use myactuator_protocol_core::{AnyCommand, MotorId, Target};
+//! use myactuator_protocol_core::{Firmware, MotorId};
 //!
 //! let mut now = Instant::ZERO;
 //! let mut drive =
 //!     Drive::new(Parameters::default(), IdealPlant::default(), RamMemory::default(), now).unwrap();
 //!
 //! let go = AbsolutePosition { max_speed: MaxSpeed::from_raw(500), angle: Angle::from_raw(36_000) };
-//! let packet = AnyCommand::from(go).packet(Target::Motor(MotorId::MIN)).unwrap();
+//! let packet = go.packet(MotorId::MIN);
 //! drive.handle_packet(&packet, now);
 //!
 //! // Nothing happens before the drive's response delay is over.
 //! assert_eq!(drive.poll_transmit(now), None);
 //! now = drive.poll_at().unwrap();
 //! let reply = drive.poll_transmit(now).unwrap();
-//! assert!(matches!(AnyReply::decode(&reply), Ok(AnyReply::AbsolutePosition(_))));
+//! assert!(matches!(AnyReply::decode(&reply, Firmware::V4_3), Ok(AnyReply::AbsolutePosition(_))));
 //!
 //! while now < Instant::from_millis(1_500) {
 //!     now = drive.poll_at().unwrap();
@@ -206,11 +206,13 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         if to_all && self.active.can_id_filter && self.parameters.bus == Bus::Can {
             return self.ignore(packet, IgnoreReason::IdFilter);
         }
-        let command = match AnyCommand::decode(packet) {
+        let command = match AnyCommand::decode(packet, self.parameters.firmware) {
             Ok(command) => command,
             Err(error) => return self.ignore(packet, IgnoreReason::Malformed(error)),
         };
-        let opcode = command.opcode();
+        let Some(opcode) = command.opcode() else {
+            return self.ignore(packet, IgnoreReason::UnknownCommand);
+        };
         if self.parameters.bus == Bus::Rs485 && opcode.buses() == Buses::CanOnly {
             return self.ignore(packet, IgnoreReason::CanOnly(opcode));
         }
@@ -219,7 +221,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             Channel::Motion(_) => Channel::MotionReply(self.active.id),
             _ => Channel::Reply(self.active.id),
         };
-        match self.answer(command, packet, now) {
+        match self.answer(command, opcode, packet, now) {
             Answer::Data(data) => self.reply(Packet { channel, data }, now),
             Answer::None => {}
             Answer::Ignored(reason) => self.ignore(packet, reason),

@@ -3,6 +3,7 @@
 use crate::command::{BaudCode, ModelName, MotionRanges, VersionDate};
 use crate::drive::quirks::Quirks;
 use crate::drive::settings::Gains;
+use crate::firmware::Firmware;
 use crate::id::MotorId;
 use crate::time::Duration;
 
@@ -97,6 +98,8 @@ pub struct Parameters {
     pub baud_rate: BaudCode,
     /// The model's name (0xB5).
     pub model: ModelName,
+    /// Which revision of the protocol it speaks: its commands and their layouts.
+    pub firmware: Firmware,
     /// The date of the software (0xB2).
     pub version_date: VersionDate,
     /// Bits of the encoder on the motor shaft: 14 for 16384 pulses in a turn. At most 24.
@@ -141,8 +144,9 @@ impl Default for Parameters {
         Self {
             id: MotorId::MIN,
             bus: Bus::Can,
-            baud_rate: BaudCode::Can1MRs485At500k,
+            baud_rate: BaudCode::CAN_1M_RS485_500K,
             model: ModelName::from_bytes(*b"X8S2V10"),
+            firmware: Firmware::V4_3,
             version_date: VersionDate::from_raw(20_250_512),
             encoder_bits: 14,
             gear_ratio: 6.0,

@@ -13,7 +13,6 @@
 
 use heapless::Vec;
 
-use crate::command::ReportedCommand;
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 use crate::units::ReportInterval;
@@ -55,20 +54,6 @@ pub(super) struct Reporting {
     errors_wanted: bool,
     errors: Option<Timer>,
     heartbeat: Option<Timer>,
-}
-
-/// The kind whose reply is reported, `None` for 0x9E and codes that the manual does not name.
-pub(super) const fn opcode(command: ReportedCommand) -> Option<Opcode> {
-    match command {
-        ReportedCommand::MultiTurnEncoder => Some(Opcode::ReadMultiTurnEncoder),
-        ReportedCommand::MultiTurnEncoderRaw => Some(Opcode::ReadMultiTurnEncoderRaw),
-        ReportedCommand::MultiTurnEncoderOffset => Some(Opcode::ReadMultiTurnEncoderOffset),
-        ReportedCommand::MultiTurnAngle => Some(Opcode::ReadMultiTurnAngle),
-        ReportedCommand::Status1 => Some(Opcode::ReadStatus1),
-        ReportedCommand::Status2 => Some(Opcode::ReadStatus2),
-        ReportedCommand::Status3 => Some(Opcode::ReadStatus3),
-        ReportedCommand::Undescribed9E | ReportedCommand::Unknown(_) => None,
-    }
 }
 
 impl Reporting {

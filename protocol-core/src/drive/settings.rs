@@ -57,28 +57,28 @@ impl Gains {
     /// The gain with this index, `None` for one that the manual does not name.
     pub const fn get(&self, index: PidIndex) -> Option<Gain> {
         match index {
-            PidIndex::CurrentKp => Some(self.current_kp),
-            PidIndex::CurrentKi => Some(self.current_ki),
-            PidIndex::SpeedKp => Some(self.speed_kp),
-            PidIndex::SpeedKi => Some(self.speed_ki),
-            PidIndex::PositionKp => Some(self.position_kp),
-            PidIndex::PositionKi => Some(self.position_ki),
-            PidIndex::PositionKd => Some(self.position_kd),
-            PidIndex::Unknown(_) => None,
+            PidIndex::CURRENT_KP => Some(self.current_kp),
+            PidIndex::CURRENT_KI => Some(self.current_ki),
+            PidIndex::SPEED_KP => Some(self.speed_kp),
+            PidIndex::SPEED_KI => Some(self.speed_ki),
+            PidIndex::POSITION_KP => Some(self.position_kp),
+            PidIndex::POSITION_KI => Some(self.position_ki),
+            PidIndex::POSITION_KD => Some(self.position_kd),
+            _ => None,
         }
     }
 
     /// Sets the gain with this index. An index that the manual does not name changes nothing.
     pub const fn set(&mut self, index: PidIndex, value: Gain) {
         match index {
-            PidIndex::CurrentKp => self.current_kp = value,
-            PidIndex::CurrentKi => self.current_ki = value,
-            PidIndex::SpeedKp => self.speed_kp = value,
-            PidIndex::SpeedKi => self.speed_ki = value,
-            PidIndex::PositionKp => self.position_kp = value,
-            PidIndex::PositionKi => self.position_ki = value,
-            PidIndex::PositionKd => self.position_kd = value,
-            PidIndex::Unknown(_) => {}
+            PidIndex::CURRENT_KP => self.current_kp = value,
+            PidIndex::CURRENT_KI => self.current_ki = value,
+            PidIndex::SPEED_KP => self.speed_kp = value,
+            PidIndex::SPEED_KI => self.speed_ki = value,
+            PidIndex::POSITION_KP => self.position_kp = value,
+            PidIndex::POSITION_KI => self.position_ki = value,
+            PidIndex::POSITION_KD => self.position_kd = value,
+            _ => {}
         }
     }
 }
@@ -108,22 +108,22 @@ impl Accelerations {
     /// The acceleration with this index, `None` for one that the manual does not name.
     pub const fn get(&self, index: AccelerationIndex) -> Option<Acceleration> {
         match index {
-            AccelerationIndex::PositionAcceleration => Some(self.position_acceleration),
-            AccelerationIndex::PositionDeceleration => Some(self.position_deceleration),
-            AccelerationIndex::SpeedAcceleration => Some(self.speed_acceleration),
-            AccelerationIndex::SpeedDeceleration => Some(self.speed_deceleration),
-            AccelerationIndex::Unknown(_) => None,
+            AccelerationIndex::POSITION_ACCELERATION => Some(self.position_acceleration),
+            AccelerationIndex::POSITION_DECELERATION => Some(self.position_deceleration),
+            AccelerationIndex::SPEED_ACCELERATION => Some(self.speed_acceleration),
+            AccelerationIndex::SPEED_DECELERATION => Some(self.speed_deceleration),
+            _ => None,
         }
     }
 
     /// Sets the acceleration with this index. One that the manual does not name changes nothing.
     pub const fn set(&mut self, index: AccelerationIndex, value: Acceleration) {
         match index {
-            AccelerationIndex::PositionAcceleration => self.position_acceleration = value,
-            AccelerationIndex::PositionDeceleration => self.position_deceleration = value,
-            AccelerationIndex::SpeedAcceleration => self.speed_acceleration = value,
-            AccelerationIndex::SpeedDeceleration => self.speed_deceleration = value,
-            AccelerationIndex::Unknown(_) => {}
+            AccelerationIndex::POSITION_ACCELERATION => self.position_acceleration = value,
+            AccelerationIndex::POSITION_DECELERATION => self.position_deceleration = value,
+            AccelerationIndex::SPEED_ACCELERATION => self.speed_acceleration = value,
+            AccelerationIndex::SPEED_DECELERATION => self.speed_deceleration = value,
+            _ => {}
         }
     }
 }
@@ -273,7 +273,7 @@ mod tests {
         for (place, &index) in PidIndex::ALL.iter().enumerate() {
             assert_eq!(gains.get(index).unwrap().value(), place as f32);
         }
-        assert_eq!(gains.get(PidIndex::Unknown(3)), None);
+        assert_eq!(gains.get(PidIndex::from_raw(3)), None);
 
         let mut accelerations = Accelerations::default();
         for (place, &index) in AccelerationIndex::ALL.iter().enumerate() {

@@ -173,8 +173,8 @@ pub fn identify<R: Runner<N>, const N: usize>(
     motor: MotorId,
 ) -> Result<Identity, CallError<R::Error>> {
     Ok(Identity {
-        model: runner.ask(motor, ReadModel)?.name,
-        version: runner.ask(motor, ReadVersionDate)?.date,
+        model: runner.ask(motor, ReadModel)?.model,
+        version: runner.ask(motor, ReadVersionDate)?.version_date,
         run_time: runner.ask(motor, ReadRunTime)?.run_time,
         mode: runner.ask(motor, ReadRunningMode)?.mode,
         status: runner.ask(motor, ReadStatus1)?,
@@ -263,7 +263,7 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
     let open = runner.now() + BRAKE_OPENING;
     wait_until(runner, open)?;
     match runner.ask(motor, ReadStatus1)?.brake {
-        BrakeCommand::Release => Ok(()),
+        BrakeCommand::RELEASE => Ok(()),
         other => Err(BringUpError::BrakeNotReleased(other)),
     }
 }

@@ -1,11 +1,12 @@
 //! A command to all motors, and who has answered it.
 
-use crate::channel::{Channel, Packet};
-use crate::field::Data;
+use crate::channel::Packet;
+use crate::command;
+use crate::data::Data;
 use crate::id::{MotorId, Target};
+use crate::kind::Kind;
 use crate::master::ticks::{CoarseTick, Earliest, LONGEST_COARSE_GAP, Span, Tick};
 use crate::master::{Master, MotorSet};
-use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -19,6 +20,7 @@ enum State {
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Broadcast {
+    kind: Option<Kind>,
     data: Data,
     expected: MotorSet,
     answered: MotorSet,
@@ -34,7 +36,8 @@ pub(super) struct Broadcast {
 }
 
 impl Broadcast {
-    pub(super) fn put(&mut self, data: Data, expected: MotorSet) {
+    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet) {
+        self.kind = Some(kind);
         self.data = data;
         self.expected = expected;
         self.answered = MotorSet::EMPTY;
@@ -59,18 +62,13 @@ impl Broadcast {
         }
     }
 
-    fn is_bus_id(&self) -> bool {
-        Opcode::BusId.byte() == Some(self.data[0])
-    }
-
-    pub(super) fn packet(&self) -> Packet {
-        let channel = if self.is_bus_id() { Channel::BusId } else { Channel::Command(Target::All) };
-        Packet { channel, data: self.data }
+    pub(super) fn packet(&self) -> Option<Packet> {
+        let channel = command::channel_of(self.kind?, Target::All).ok()?;
+        Some(Packet { channel, data: self.data })
     }
 
     pub(super) fn was_sent(&mut self, now: Instant, timeout: Span, late_window: Duration) {
-        let opcode = Opcode::from_byte(self.data[0]);
-        let has_reply = opcode.is_some_and(Opcode::has_reply);
+        let has_reply = self.kind.is_some_and(Kind::has_reply);
         let awaits_reply = has_reply && !self.expected.is_empty();
         self.state = if awaits_reply { State::InFlight } else { State::Done };
         self.deadline = Tick::after(now, timeout);
@@ -111,10 +109,9 @@ impl Broadcast {
         if self.is_echoing && data[0] == self.sent_byte {
             self.heard.insert(motor);
         }
-        let opcode = Opcode::from_byte(self.data[0]);
         let answers = self.is_in_flight()
             && self.expected.contains(motor)
-            && opcode.is_some_and(|opcode| opcode.answers(&self.data, data))
+            && self.kind.is_some_and(|kind| kind.answers(&self.data, data))
             && !self.answered.contains(motor);
         if answers {
             self.answered.insert(motor);

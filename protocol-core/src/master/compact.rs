@@ -1,5 +1,7 @@
 //! The configuration as a master keeps it.
 
+use crate::firmware::Firmware;
+use crate::kind::Kind;
 use crate::master::config::{Bus, Config, Patience};
 use crate::master::ticks::Span;
 use crate::opcode::{Opcode, Repeat};
@@ -17,6 +19,7 @@ pub(super) enum Wire {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Compact {
     pub(super) wire: Wire,
+    pub(super) firmware: Firmware,
     pub(super) turnaround_us: u16,
     pub(super) timeout: Span,
     pub(super) attempts: u8,
@@ -51,6 +54,7 @@ impl Compact {
         };
         Self {
             wire,
+            firmware: config.firmware,
             turnaround_us: micros(turnaround),
             timeout: Span::from_duration(config.reply_timeout),
             attempts: config.attempts,
@@ -72,8 +76,8 @@ impl Compact {
         Duration::from_millis(self.late_ms.into())
     }
 
-    pub(super) fn patience(&self, opcode: Opcode) -> Patience {
-        let attempts = match opcode.repeat() {
+    pub(super) fn patience(&self, kind: Kind) -> Patience {
+        let attempts = match kind.repeat() {
             Repeat::Harmless => self.attempts,
             Repeat::Stale | Repeat::ActsAgain => 1,
         };
@@ -81,8 +85,8 @@ impl Compact {
     }
 
     /// How long a motor is left alone after a command without reply.
-    pub(super) fn hold_after(&self, opcode: Opcode) -> Duration {
-        if opcode == Opcode::Reset {
+    pub(super) fn hold_after(&self, kind: Kind) -> Duration {
+        if kind == Kind::Known(Opcode::Reset) {
             Duration::from_millis(self.restart_ms.into())
         } else {
             self.settle.duration()

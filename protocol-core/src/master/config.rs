@@ -1,5 +1,6 @@
 //! What a master assumes about its bus, and how patient it is.
 
+use crate::firmware::Firmware;
 use crate::time::Duration;
 
 /// The bus that a master speaks on.
@@ -30,6 +31,9 @@ const LONGEST_CAN_FRAME_BITS: u32 = 135;
 pub struct Config {
     /// The bus.
     pub bus: Bus,
+    /// Which revision of the protocol the motors speak, for what comes without a typed request:
+    /// feedback, reports, answers to broadcasts.
+    pub firmware: Firmware,
     /// How long to wait for a reply after a command is sent, 1 to 261 ms. On a full bus replies
     /// queue behind other motors' frames, so this is longer than a drive takes.
     pub reply_timeout: Duration,
@@ -58,7 +62,7 @@ pub struct Config {
 }
 
 impl Config {
-    /// For CAN at 1 Mbit/s.
+    /// For CAN at 1 Mbit/s and firmware V4.3.
     pub const CAN: Self = Self::can(1_000_000);
 
     /// For CAN at `bit_rate`: replies within 3 ms and the time of 128 frames, which is two cycles of
@@ -69,6 +73,7 @@ impl Config {
         let reply_micros = 3_000 + 128 * frame_micros;
         Self {
             bus: Bus::Can,
+            firmware: Firmware::V4_3,
             reply_timeout: Duration::from_micros(reply_micros),
             attempts: 3,
             frame_time: Duration::from_micros(frame_micros),

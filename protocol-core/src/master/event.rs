@@ -4,11 +4,11 @@ use core::fmt;
 use core::marker::PhantomData;
 
 use crate::command::{AnyReply, Command};
+use crate::data::Data;
 use crate::error::DecodeError;
-use crate::field::Data;
 use crate::id::MotorId;
+use crate::kind::Kind;
 use crate::master::MotorSet;
-use crate::opcode::Opcode;
 
 /// Names one request; its [`Ticket`] carries the type of its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -81,9 +81,10 @@ impl<C> defmt::Format for Ticket<C> {
 }
 
 /// Why a request has no answer.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub enum Failure {
     /// No reply came in time, after all attempts.
     NoReply,
@@ -115,16 +116,17 @@ impl fmt::Display for Failure {
 impl core::error::Error for Failure {}
 
 /// What a master has to tell.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub enum Event {
     /// A request was answered. [`Ticket::outcome`] reads it.
     Reply {
         /// Which request.
         ticket: TicketId,
         /// The kind of its command.
-        opcode: Opcode,
+        kind: Kind,
         /// The reply's data field.
         data: Data,
     },

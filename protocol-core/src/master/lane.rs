@@ -3,12 +3,12 @@
 use bitflags::bitflags;
 
 use crate::channel::{Channel, Packet};
-use crate::field::Data;
+use crate::data::Data;
 use crate::id::{MotorId, Target};
+use crate::kind::Kind;
 use crate::master::config::Patience;
 use crate::master::health::{Health, Tally};
 use crate::master::ticks::{CoarseTick, Earliest, LONGEST_COARSE_GAP, Span, Tick};
-use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
 /// Where a motor's request stands.
@@ -42,8 +42,6 @@ bitflags! {
         const SET_POINT_MOTION = 1 << 2;
         /// A set-point was sent last, so that it is a waiting request's turn.
         const SET_POINT_LAST = 1 << 3;
-        /// The request is a motion mode command.
-        const REQUEST_MOTION = 1 << 4;
         /// The request is a stop: before everything else, whatever is in flight.
         const STOP = 1 << 5;
         /// No request may go out before the quarantine is over.
@@ -124,6 +122,8 @@ pub(super) struct Lane {
     pub(super) timeout: Span,
     /// Which reports (0xB6) are on, a bit each.
     pub(super) reported: u8,
+    /// What the request is, or the last one was.
+    pub(super) request_kind: Option<Kind>,
     pub(super) request_data: Data,
     pub(super) set_point: Data,
     /// When the last command was sent.
@@ -149,17 +149,9 @@ impl Lane {
         self.request == RequestState::Idle && !self.flags.intersects(busy | Flags::SETTLING)
     }
 
-    pub(super) fn request_opcode(&self) -> Option<Opcode> {
-        if self.flags.contains(Flags::REQUEST_MOTION) {
-            Some(Opcode::Motion)
-        } else {
-            Opcode::from_byte(self.request_data[0])
-        }
-    }
-
-    pub(super) fn put_request(&mut self, opcode: Opcode, data: Data, patience: Patience) {
+    pub(super) fn put_request(&mut self, kind: Kind, data: Data, patience: Patience) {
         self.request = RequestState::Waiting;
-        self.flags.set(Flags::REQUEST_MOTION, opcode == Opcode::Motion);
+        self.request_kind = Some(kind);
         self.request_data = data;
         self.timeout = Span::from_duration(patience.reply_timeout);
         self.counts.set_attempts_left(patience.attempts.clamp(1, 15));
@@ -168,7 +160,7 @@ impl Lane {
     /// Puts a stop in the place of whatever waits. What is in flight stays owed.
     pub(super) fn put_stop(
         &mut self,
-        opcode: Opcode,
+        kind: Kind,
         data: Data,
         timeout: Duration,
         tally: &mut Tally,
@@ -179,20 +171,16 @@ impl Lane {
             self.flags.insert(Flags::TELL_STOPPED);
         }
         let answers_something_else =
-            self.request == RequestState::InFlight && self.request_opcode() != Some(opcode);
+            self.request == RequestState::InFlight && self.request_kind != Some(kind);
         self.counts.set_doubts(self.counts.owed().saturating_sub(u8::from(answers_something_else)));
         self.drop_set_point(tally);
         self.flags.insert(Flags::STOP);
-        self.put_request(
-            opcode,
-            data,
-            Patience { reply_timeout: timeout, attempts: STOP_ATTEMPTS },
-        );
+        self.put_request(kind, data, Patience { reply_timeout: timeout, attempts: STOP_ATTEMPTS });
     }
 
     pub(super) fn put_set_point(
         &mut self,
-        opcode: Opcode,
+        kind: Kind,
         data: Data,
         expiry: CoarseTick,
         tally: &mut Tally,
@@ -201,7 +189,7 @@ impl Lane {
             tally.superseded = tally.superseded.saturating_add(1);
         }
         self.flags.insert(Flags::SET_POINT_WAITING);
-        self.flags.set(Flags::SET_POINT_MOTION, opcode == Opcode::Motion);
+        self.flags.set(Flags::SET_POINT_MOTION, kind.is_motion());
         self.set_point = data;
         self.set_point_expiry = expiry;
     }
@@ -246,11 +234,11 @@ impl Lane {
     }
 
     /// Whether feedback of the motor's stream may still come that would look like a reply to this.
-    pub(super) fn is_streamed(&self, opcode: Opcode) -> bool {
+    pub(super) fn is_streamed(&self, kind: Kind) -> bool {
         let busy = Flags::SET_POINT_WAITING | Flags::SET_POINT_IN_FLIGHT | Flags::SET_POINT_LATE;
         let is_motion = self.flags.contains(Flags::SET_POINT_MOTION);
         let byte = if is_motion { None } else { Some(self.set_point[0]) };
-        self.flags.intersects(busy) && opcode.byte() == byte
+        self.flags.intersects(busy) && kind.byte() == byte
     }
 
     /// Ends the wait for the feedback of the set-point in flight.
@@ -265,7 +253,7 @@ impl Lane {
 
     pub(super) fn request_packet(&self) -> Option<Packet> {
         let motor = self.motor?;
-        let motion = self.flags.contains(Flags::REQUEST_MOTION);
+        let motion = self.request_kind.is_some_and(Kind::is_motion);
         Some(Packet { channel: channel(motor, motion), data: self.request_data })
     }
 

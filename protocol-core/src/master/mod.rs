@@ -44,11 +44,12 @@ pub use health::{Health, Presence};
 pub use motor_set::MotorSet;
 
 use crate::channel::Packet;
-use crate::command::{self, Command, SetPoint, Shutdown, Stop};
+use crate::command::{self, Command, FunctionIndex, SetPoint, Shutdown, Stop};
+use crate::data::Data;
 use crate::error::RequestError;
-use crate::field::Data;
 use crate::id::{MotorId, Target};
-use crate::opcode::{Opcode, Repeat};
+use crate::kind::Kind;
+use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 use broadcast::Broadcast;
 use compact::{Compact, Wire};
@@ -92,12 +93,12 @@ enum Offer {
 /// The loops of [`io`](crate::io) do just that.
 ///
 /// ```
-/// use myactuator_protocol_core::command::{Command, ReadMultiTurnAngle, MultiTurnAngle};
+/// use myactuator_protocol_core::command::{MultiTurnAngle, ReadMultiTurnAngle};
 /// use myactuator_protocol_core::master::{Config, Master};
 /// use myactuator_protocol_core::time::Instant;
 /// use myactuator_protocol_core::units::Angle;
 /// use myactuator_protocol_core::wire::can::Received;
-/// use myactuator_protocol_core::{Channel, MotorId, Opcode, Packet, Reply};
+/// use myactuator_protocol_core::{Channel, MotorId, Opcode, Packet};
 ///
 /// let elbow = MotorId::new(1)?;
 /// let mut master = Master::<8>::new(Config::CAN);
@@ -112,7 +113,7 @@ enum Offer {
 /// let angle = MultiTurnAngle { angle: Angle::from_degrees(360.0)? };
 /// let reply = Packet {
 ///     channel: Channel::Reply(elbow),
-///     data: angle.to_data(Opcode::ReadMultiTurnAngle),
+///     data: angle.encode(Opcode::ReadMultiTurnAngle),
 /// };
 /// let event = master.handle_frame(&Received::Packet(reply), Instant::from_millis(1)).unwrap();
 /// assert_eq!(ticket.outcome(&event), Some(Ok(Some(angle))));
@@ -169,7 +170,7 @@ impl<const N: usize> Master<N> {
         command: C,
         now: Instant,
     ) -> Result<Ticket<C>, RequestError> {
-        let patience = self.config.patience(C::OPCODE);
+        let patience = self.config.patience(command.kind());
         self.request_with(motor, command, patience, now)
     }
 
@@ -184,21 +185,23 @@ impl<const N: usize> Master<N> {
         patience: Patience,
         now: Instant,
     ) -> Result<Ticket<C>, RequestError> {
-        let opcode = C::OPCODE;
-        self.check(opcode, motor.into())?;
+        let kind = command.kind();
+        self.check(kind, motor.into())?;
         let pace = self.pace;
         let (lane, _) = self.lane_for(motor)?;
         if lane.request != RequestState::Idle || lane.flags.contains(Flags::TELL_STOPPED) {
             return Err(RequestError::Busy);
         }
-        if reported_bit(opcode).is_some_and(|bit| lane.reported & bit != 0) {
-            return Err(RequestError::Reported(opcode));
-        }
-        if lane.is_streamed(opcode) {
-            return Err(RequestError::Streamed(opcode));
+        if let Some(opcode) = kind.opcode() {
+            if reported_bit(opcode).is_some_and(|bit| lane.reported & bit != 0) {
+                return Err(RequestError::Reported(opcode));
+            }
+            if lane.is_streamed(kind) {
+                return Err(RequestError::Streamed(opcode));
+            }
         }
         lane.join(pace);
-        lane.put_request(opcode, command.encode(), patience);
+        lane.put_request(kind, command.encode(), patience);
         lane.generation = lane.generation.wrapping_add(1);
         let id = TicketId { motor, generation: lane.generation };
         self.advance(now);
@@ -217,17 +220,18 @@ impl<const N: usize> Master<N> {
         command: C,
         now: Instant,
     ) -> Result<(), RequestError> {
-        self.check(C::OPCODE, motor.into())?;
+        let kind = command.kind();
+        self.check(kind, motor.into())?;
         let expiry = CoarseTick::after(now, Duration::from_millis(self.config.max_age_ms.into()));
         // What was offered is older than this.
         self.offer = None;
         let pace = self.pace;
         let (lane, tally) = self.lane_for(motor)?;
-        if lane.request != RequestState::Idle && lane.request_opcode() == Some(C::OPCODE) {
+        if lane.request != RequestState::Idle && lane.request_kind == Some(kind) {
             return Err(RequestError::Busy);
         }
         lane.join(pace);
-        lane.put_set_point(C::OPCODE, command.encode(), expiry, tally);
+        lane.put_set_point(kind, command.encode(), expiry, tally);
         self.advance(now);
         Ok(())
     }
@@ -250,11 +254,12 @@ impl<const N: usize> Master<N> {
         expected: MotorSet,
         now: Instant,
     ) -> Result<(), RequestError> {
-        self.check(C::OPCODE, Target::All)?;
+        let kind = command.kind();
+        self.check(kind, Target::All)?;
         if self.broadcast.is_active() {
             return Err(RequestError::Busy);
         }
-        self.broadcast.put(command.encode(), expected);
+        self.broadcast.put(kind, command.encode(), expected);
         self.advance(now);
         Ok(())
     }
@@ -274,9 +279,9 @@ impl<const N: usize> Master<N> {
         also: MotorSet,
         now: Instant,
     ) -> Result<(), RequestError> {
-        let (opcode, data) = match kind {
-            StopKind::Hold => (Opcode::Stop, Stop.encode()),
-            StopKind::Off => (Opcode::Shutdown, Shutdown.encode()),
+        let (command, data) = match kind {
+            StopKind::Hold => (Kind::Known(Opcode::Stop), Stop.encode()),
+            StopKind::Off => (Kind::Known(Opcode::Shutdown), Shutdown.encode()),
         };
         self.advance(now);
         self.stopped = true;
@@ -289,7 +294,7 @@ impl<const N: usize> Master<N> {
         let timeout = self.config.timeout.duration();
         for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
             if lane.motor.is_some() {
-                lane.put_stop(opcode, data, timeout, tally);
+                lane.put_stop(command, data, timeout, tally);
             }
         }
         result
@@ -329,12 +334,12 @@ impl<const N: usize> Master<N> {
         match self.offer.take() {
             Some(Offer::Request(index)) => {
                 if let Some(lane) = self.lanes.get_mut(usize::from(index)) {
-                    let opcode = lane.request_opcode();
+                    let kind = lane.request_kind;
                     let awaits_reply =
-                        opcode.is_some_and(|opcode| awaits_reply(opcode, &lane.request_data));
+                        kind.is_some_and(|kind| awaits_reply(kind, &lane.request_data));
                     told_without_reply = !awaits_reply;
-                    let hold = opcode.map_or(Duration::ZERO, |opcode| config.hold_after(opcode));
-                    note_report(lane, opcode);
+                    let hold = kind.map_or(Duration::ZERO, |kind| config.hold_after(kind));
+                    note_report(lane, kind);
                     self.pace = lane.round;
                     lane.request_was_sent(now, awaits_reply, hold);
                 }
@@ -486,13 +491,12 @@ impl<const N: usize> Master<N> {
         self.broadcast.is_in_flight() || self.lanes.iter().any(Lane::is_in_flight)
     }
 
-    fn check(&self, opcode: Opcode, target: Target) -> Result<(), RequestError> {
-        command::channel_of(opcode, target)?;
+    fn check(&self, kind: Kind, target: Target) -> Result<(), RequestError> {
+        command::channel_of(kind, target)?;
         if self.config.is_rs485() {
-            command::check_on_rs485(opcode)?;
+            command::check_on_rs485(kind)?;
         }
-        let harmless = opcode.repeat() == Repeat::Harmless && opcode != Opcode::ReleaseBrake;
-        if self.stopped && !harmless { Err(RequestError::Stopped) } else { Ok(()) }
+        if self.stopped && kind.may_move() { Err(RequestError::Stopped) } else { Ok(()) }
     }
 
     #[inline(never)]
@@ -558,28 +562,20 @@ fn lane_event(lane: &mut Lane) -> Option<Event> {
 
 /// The bit of a command that a drive can report by itself (2.34.2).
 fn reported_bit(opcode: Opcode) -> Option<u8> {
-    match opcode {
-        Opcode::ReadMultiTurnEncoder => Some(1 << 0),
-        Opcode::ReadMultiTurnEncoderRaw => Some(1 << 1),
-        Opcode::ReadMultiTurnEncoderOffset => Some(1 << 2),
-        Opcode::ReadMultiTurnAngle => Some(1 << 3),
-        Opcode::ReadStatus1 => Some(1 << 4),
-        Opcode::ReadStatus2 => Some(1 << 5),
-        Opcode::ReadStatus3 => Some(1 << 6),
-        _ => None,
-    }
+    opcode.report_place().map(|place| 1 << place)
 }
 
 /// Whether a command is over only when its reply has come. Function 5 is over when it is sent: drives
 /// were seen to obey it without the echo that 2.35.3 promises. An echo that comes is a stray.
-fn awaits_reply(opcode: Opcode, data: &Data) -> bool {
-    const SET_CAN_ID: u8 = 5;
-    opcode.has_reply() && !(opcode == Opcode::FunctionControl && data[1] == SET_CAN_ID)
+fn awaits_reply(kind: Kind, data: &Data) -> bool {
+    let sets_id =
+        kind == Kind::Known(Opcode::FunctionControl) && data[1] == FunctionIndex::SET_CAN_ID.raw();
+    kind.has_reply() && !sets_id
 }
 
 /// Keeps track of what a motor reports by itself, from the commands that switch it.
-fn note_report(lane: &mut Lane, sent: Option<Opcode>) {
-    match sent {
+fn note_report(lane: &mut Lane, sent: Option<Kind>) {
+    match sent.and_then(Kind::opcode) {
         Some(Opcode::Reset) => lane.reported = 0,
         Some(Opcode::ActiveReply) => {
             let [_, command, enable, ..] = lane.request_data;

@@ -2,12 +2,12 @@
 
 use crate::channel::{Channel, Packet};
 use crate::command::{AnyReply, BusId, Command};
-use crate::field::Data;
+use crate::data::Data;
 use crate::id::MotorId;
 use crate::master::lane::{Flags, RequestState};
 use crate::master::ticks::MicroTick;
 use crate::master::{Event, Master, TicketId, reported_bit};
-use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
+use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat, Usage};
 use crate::time::{Duration, Instant};
 use crate::wire::{can, rs485};
 
@@ -67,8 +67,7 @@ impl<const N: usize> Master<N> {
         let data = &packet.data;
         match packet.channel {
             Channel::Reply(motor) if data[0] == LOST_MASTER_BYTE => self.lost_master(motor, now),
-            Channel::Reply(motor) => self.handle_reply(motor, packet, now),
-            Channel::MotionReply(motor) if data[0] == motor.get() => {
+            Channel::Reply(motor) | Channel::MotionReply(motor) => {
                 self.handle_reply(motor, packet, now)
             }
             Channel::BusId => {
@@ -77,7 +76,6 @@ impl<const N: usize> Master<N> {
                 let is_answer = self.answers_broadcast(motor, data, now);
                 is_answer.then_some(Event::BroadcastReply { motor, reply })
             }
-            Channel::MotionReply(motor) => Some(self.stray(motor, data)),
             Channel::Command(_) | Channel::Motion(_) => None,
         }
     }
@@ -113,7 +111,7 @@ impl<const N: usize> Master<N> {
             if !is_motion && !is_control(data[0]) {
                 return None;
             }
-            let reply = AnyReply::decode(packet).ok()?;
+            let reply = AnyReply::decode(packet, config.firmware).ok()?;
             lane.flags.remove(Flags::SET_POINT_IN_FLIGHT);
             let sent = lane.set_point;
             if lane.is_ignored(&sent, data) {
@@ -123,8 +121,8 @@ impl<const N: usize> Master<N> {
             return Some(Some(Event::Feedback { motor, reply }));
         }
 
-        let opcode = lane.request_opcode()?;
-        if (opcode == Opcode::Motion) != is_motion || !opcode.answers(&lane.request_data, data) {
+        let kind = lane.request_kind?;
+        if kind.is_motion() != is_motion || !kind.answers(&lane.request_data, data) {
             return None;
         }
         lane.reply_has_come();
@@ -134,7 +132,7 @@ impl<const N: usize> Master<N> {
             return Some(None);
         }
         if lane.is_ignored(&command, data) {
-            if lane.counts.attempts_left() > 0 && opcode.repeat() == Repeat::Harmless {
+            if lane.counts.attempts_left() > 0 && kind.repeat() == Repeat::Harmless {
                 lane.request = RequestState::Waiting;
             } else {
                 lane.finish_request(RequestState::NotExecuted, now, config.late_window());
@@ -149,7 +147,7 @@ impl<const N: usize> Master<N> {
         Some(Some(if is_stop {
             Event::StopConfirmed { motor }
         } else {
-            Event::Reply { ticket, opcode, data: *data }
+            Event::Reply { ticket, kind, data: *data }
         }))
     }
 
@@ -182,11 +180,12 @@ impl<const N: usize> Master<N> {
         may_be_late: bool,
         now: Instant,
     ) -> Event {
-        let reply = AnyReply::decode(packet);
-        if let Ok(reply) = reply
-            && self.answers_broadcast(motor, &packet.data, now)
-        {
-            return Event::BroadcastReply { motor, reply };
+        let reply = AnyReply::decode(packet, self.config.firmware);
+        match reply {
+            Ok(reply) if self.answers_broadcast(motor, &packet.data, now) => {
+                return Event::BroadcastReply { motor, reply };
+            }
+            _ => {}
         }
         let reported = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
         let lane = self.lane_of(motor).map(|(lane, _)| lane);
@@ -227,7 +226,8 @@ impl<const N: usize> Master<N> {
     }
 }
 
-/// Whether this is the command byte of a motion command (2.19 to 2.24).
+/// Whether this is the command byte of a command that moves the motor (2.19 to 2.24).
 fn is_control(byte: u8) -> bool {
-    (0xA1..=0xA9).contains(&byte)
+    Opcode::from_byte(byte)
+        .is_some_and(|opcode| matches!(opcode.usage(), Usage::Move | Usage::SetPoint))
 }

@@ -63,7 +63,7 @@ impl<const N: usize> Master<N> {
         }
         let requests_quiet = !self.lanes.iter().any(Lane::keeps_broadcast_back);
         if self.broadcast.is_waiting() && requests_quiet && self.broadcast.may_go(self.motors()) {
-            return Some((Offer::Broadcast, self.broadcast.packet()));
+            return Some((Offer::Broadcast, self.broadcast.packet()?));
         }
         let mut first: Option<(usize, &Lane)> = None;
         for (place, lane) in lanes() {
@@ -112,8 +112,10 @@ impl<const N: usize> Master<N> {
         } else {
             self.lanes.iter().any(|lane| lane.may_send_request() && self.is_confusable(lane))
         };
-        if echo_matters && let Some(end) = self.broadcast.echo_until(now) {
-            earliest.take(end);
+        if echo_matters {
+            if let Some(end) = self.broadcast.echo_until(now) {
+                earliest.take(end);
+            }
         }
     }
 }

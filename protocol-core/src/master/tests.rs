@@ -9,9 +9,10 @@ use super::*;
 use crate::channel::{Channel, Packet};
 use crate::command::{
     AbsolutePosition, ActiveReply, AnyReply, BaudCode, BusId, FunctionControl, IncrementalPosition,
-    PidIndex, RawMotion, ReadModel, ReadMultiTurnAngle, ReadPid, ReadStatus1, ReportedCommand,
-    Reset, SetBaudRate, Switch, Torque,
+    PidIndex, RawCommand, RawMotion, RawReply, ReadModel, ReadMultiTurnAngle, ReadPid, ReadStatus1,
+    ReportedCommand, Reset, SetBaudRate, Switch, Torque,
 };
+use crate::opcode::ReplyRule;
 use crate::units::{Angle, Current, MaxSpeed, ReportInterval};
 use crate::wire::can::Received;
 use crate::wire::rs485::{Fed, Frame};
@@ -73,14 +74,15 @@ fn ask<C: Command, const N: usize>(
 
 #[test]
 fn fits_its_budget() {
-    assert!(size_of::<Master<32>>() <= 1536, "{}", size_of::<Master<32>>());
+    assert!(size_of::<Master<8>>() <= 1_024, "{}", size_of::<Master<8>>());
+    assert!(size_of::<Master<32>>() <= 4_096, "{}", size_of::<Master<32>>());
 }
 
 #[test]
 fn an_answer_finds_its_question_by_motor_command_byte_and_index() {
     let mut master = Master::<4>::new(Config::CAN);
     let angle = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
-    let gain = master.request(id(2), ReadPid { index: PidIndex::SpeedKp }, ms(0)).unwrap();
+    let gain = master.request(id(2), ReadPid { index: PidIndex::SPEED_KP }, ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 2, "both at once");
     // Another motor's angle, another index, another command byte.
     for (motor, data) in
@@ -325,24 +327,57 @@ fn an_unanswered_set_point_does_not_hold_up_the_next() {
 #[test]
 fn motion_mode_feedback_comes_on_its_own_channel() {
     let mut master = Master::<2>::new(Config::CAN);
-    let set_point = RawMotion::from_data(&[0xE6, 0x66, 0x82, 0xE0, 0x52, 0x33, 0x3B, 0x55]);
+    let set_point = RawMotion::decode(&[0xE6, 0x66, 0x82, 0xE0, 0x52, 0x33, 0x3B, 0x55]);
     master.set_point(id(1), set_point, ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0))[0].channel, Channel::Motion(id(1)));
-    let motion_reply = |who| Packet {
-        channel: Channel::MotionReply(id(1)),
-        data: [who, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0],
-    };
-    let wrong = master.handle_frame(&Received::Packet(motion_reply(2)), ms(1));
-    assert!(matches!(wrong, Some(Event::Stray { .. })), "its id byte names another motor");
-    let event = master.handle_frame(&Received::Packet(motion_reply(1)), ms(1)).unwrap();
-    assert!(matches!(event, Event::Feedback { reply: AnyReply::Motion(_), .. }));
+    // Its id byte names another motor, or none (5.4): the identifier is the truth.
+    for (turn, id_byte) in [1, 2, 0, 33].into_iter().enumerate() {
+        let data = [id_byte, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0];
+        let packet = Packet { channel: Channel::MotionReply(id(1)), data };
+        let now = ms(1 + 2 * turn as u64);
+        let event = master.handle_frame(&Received::Packet(packet), now).unwrap();
+        let Event::Feedback { motor, reply: AnyReply::Motion(feedback) } = event else {
+            panic!("{event:?}")
+        };
+        assert_eq!((motor, feedback.id_byte, feedback.position), (id(1), id_byte, 58_982));
+        master.set_point(id(1), set_point, now).unwrap();
+        assert_eq!(sent(&mut master, now).len(), 1);
+    }
+}
+
+#[test]
+fn a_raw_command_is_carried_and_matched_like_any_other() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let power = RawCommand::new([0x71, 0, 0, 0, 0, 0, 0, 0], ReplyRule::Values, false);
+    let ticket = master.request(id(1), power, ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0))[0], power.packet_to(id(1).into()));
+    let other = reply(&mut master, 1, [0x72, 0, 0, 0, 0, 0, 1, 0], ms(1)).unwrap();
+    assert!(matches!(other, Event::Stray { .. }), "{other:?}");
+    let data = [0x71, 0, 0, 0, 0, 0, 0xE8, 3];
+    let event = reply(&mut master, 1, data, ms(1)).unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Ok(Some(RawReply(data)))));
+    // It is sent once only, and one that may move not at all while the motors are stopped.
+    let ticket = master.request(id(1), power, ms(2)).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    master.handle_timeout(ms(60));
+    let event = master.poll_event().unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Err(Failure::NoReply)));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY, ms(200)).unwrap();
+    let moves = RawCommand::new([0x72, 0, 0, 0, 0, 0, 0, 0], ReplyRule::Values, true);
+    assert_eq!(master.request(id(2), moves, ms(200)).unwrap_err(), RequestError::Stopped);
+    assert!(master.request(id(2), power, ms(200)).is_ok());
+    // What the table knows is what the table says it is.
+    let torque = RawCommand::new([0xA1, 0, 0, 0, 1, 0, 0, 0], ReplyRule::Silent, false);
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY, ms(0)).unwrap();
+    assert_eq!(master.request(id(2), torque, ms(0)).unwrap_err(), RequestError::Stopped);
 }
 
 #[test]
 fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
     let mut master = Master::<2>::new(Config::CAN);
     let report = ActiveReply {
-        command: ReportedCommand::MultiTurnAngle,
+        command: ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
         enable: Switch::On,
         interval: ReportInterval::from_raw(1),
     };
@@ -472,14 +507,14 @@ fn rs485_carries_one_exchange_at_a_time() {
     assert_eq!(sent(&mut master, ms(1)).len(), 0, "the drives turn around for 100 µs");
     assert!(master.poll_at().unwrap() <= Instant::from_micros(1_120));
     assert_eq!(sent(&mut master, Instant::from_micros(1_120)).len(), 1);
-    let motion = RawMotion::from_data(&[0; 8]);
+    let motion = RawMotion::decode(&[0; 8]);
     assert_eq!(master.set_point(id(1), motion, ms(2)), Err(RequestError::CanOnly(Opcode::Motion)));
 }
 
 #[test]
 fn on_rs485_nobody_speaks_while_an_unwanted_answer_may_come() {
     let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
-    let faster = SetBaudRate { baud_rate: BaudCode::Can1MRs485At500k };
+    let faster = SetBaudRate { baud_rate: BaudCode::CAN_1M_RS485_500K };
     let _set = master.request(id(1), faster, ms(0)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     let _other = master.request(id(2), ReadModel, ms(0)).unwrap();

@@ -14,7 +14,7 @@
 use embedded_can::{Frame, Id, StandardId};
 
 use crate::channel::{Channel, Packet};
-use crate::field::Data;
+use crate::data::Data;
 use crate::id::{MotorId, Target};
 
 const COMMAND: u16 = 0x140;
@@ -131,6 +131,17 @@ pub struct SimpleFrame {
     data: Data,
 }
 
+impl SimpleFrame {
+    /// The frame that carries a packet: [`encode`] at compile time.
+    pub const fn from_packet(packet: &Packet) -> Self {
+        let id = match StandardId::new(identifier(packet.channel)) {
+            Some(id) => id,
+            None => StandardId::MAX, // no channel has more than eleven bits
+        };
+        Self { id: Id::Standard(id), remote: false, length: 8, data: packet.data }
+    }
+}
+
 #[cfg(feature = "defmt")]
 impl defmt::Format for SimpleFrame {
     fn format(&self, f: defmt::Formatter<'_>) {
@@ -215,5 +226,13 @@ mod tests {
         {
             assert_eq!(channel(foreign), None, "{foreign:03X}");
         }
+    }
+
+    #[test]
+    fn frames_are_made_at_compile_time() {
+        const STOP: SimpleFrame =
+            SimpleFrame::from_packet(&crate::command::Stop.packet(MotorId::MIN));
+        assert_eq!(Some(STOP), encode(&crate::command::Stop.packet(MotorId::MIN)));
+        assert_eq!(STOP.data(), [0x81, 0, 0, 0, 0, 0, 0, 0]);
     }
 }

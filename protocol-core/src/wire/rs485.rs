@@ -3,9 +3,9 @@
 use crc::{CRC_16_MODBUS, Crc, Table};
 
 use crate::channel::{Channel, Packet};
-use crate::field::Data;
+use crate::data::Data;
 use crate::id::{MotorId, Target};
-use crate::opcode::Opcode;
+use crate::opcode::{Buses, Opcode};
 
 /// Bytes in a frame.
 pub const FRAME_LENGTH: usize = 13;
@@ -47,7 +47,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The frame that carries a packet; `None` for motion mode, which RS485 does not have.
+    /// The frame that carries a packet; `None` for what RS485 does not have: motion mode, and active
+    /// reply (0xB6).
     #[inline]
     pub const fn from_packet(packet: &Packet) -> Option<Self> {
         let address = match packet.channel {
@@ -56,7 +57,29 @@ impl Frame {
             Channel::BusId => Target::All,
             Channel::Motion(_) | Channel::MotionReply(_) => return None,
         };
-        Some(Self { address, data: packet.data })
+        match Opcode::from_byte(packet.data[0]) {
+            Some(opcode) if matches!(opcode.buses(), Buses::CanOnly) => None,
+            _ => Some(Self { address, data: packet.data }),
+        }
+    }
+
+    /// The frame in 13 bytes that are known to be one: from a DMA buffer, or the `idle` interrupt of a
+    /// serial port. Where frames begin is not known, use a [`Receiver`].
+    ///
+    /// # Errors
+    /// What is wrong with the bytes.
+    pub fn decode(line: &[u8; FRAME_LENGTH]) -> Result<Self, Fault> {
+        let [header, id, length, data @ .., low, high] = *line;
+        if header != HEADER {
+            return Err(Fault::Header);
+        }
+        let address = address(id).ok_or(Fault::Address)?;
+        if length != DATA_LENGTH {
+            return Err(Fault::Length);
+        }
+        let frame = Self { address, data };
+        let [.., right_low, right_high] = frame.encode();
+        if [low, high] == [right_low, right_high] { Ok(frame) } else { Err(Fault::Crc) }
     }
 
     /// The frame as a drive hears it.
@@ -133,6 +156,19 @@ pub enum Fed {
         fault: Fault,
     },
 }
+
+impl core::fmt::Display for Fault {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Header => "a frame begins with 3E",
+            Self::Address => "an address is 1 to 32 or 0xCD",
+            Self::Length => "the length of every frame is 08",
+            Self::Crc => "the CRC is wrong",
+        })
+    }
+}
+
+impl core::error::Error for Fault {}
 
 /// Why bytes are no frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -283,8 +319,23 @@ mod tests {
 
     #[test]
     fn a_frame_goes_round() {
-        assert_eq!(received().data, [0x30, 1, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(received().encode(), EXAMPLE);
+        let frame = received();
+        assert_eq!(frame.data, [0x30, 1, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(frame.encode(), EXAMPLE);
+        assert_eq!(Frame::decode(&EXAMPLE), Ok(frame));
+    }
+
+    #[test]
+    fn thirteen_bytes_are_a_frame_or_not() {
+        let wrong = |at: usize, byte: u8| {
+            let mut line = EXAMPLE;
+            line[at] = byte;
+            Frame::decode(&line).unwrap_err()
+        };
+        assert_eq!(wrong(0, 0x3F), Fault::Header);
+        assert_eq!(wrong(1, 33), Fault::Address);
+        assert_eq!(wrong(2, 7), Fault::Length);
+        assert!((3..13).all(|at| wrong(at, EXAMPLE[at] ^ 1) == Fault::Crc));
     }
 
     #[test]
@@ -302,5 +353,8 @@ mod tests {
             Frame::from_packet(&Packet { channel: Channel::Motion(id), data: [0; 8] }),
             None
         );
+        let report = [0xB6, 0x60, 1, 1, 0, 0, 0, 0];
+        let packet = Packet { channel: Channel::Command(id.into()), data: report };
+        assert_eq!(Frame::from_packet(&packet), None);
     }
 }

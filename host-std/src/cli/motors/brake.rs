@@ -51,7 +51,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             session.standing(motor)?;
             session.ask(motor, LockBrake)?;
             match session.ask(motor, ReadStatus1)?.brake {
-                BrakeCommand::Lock => say(&format!("motor {motor}: brake locked")),
+                BrakeCommand::LOCK => say(&format!("motor {motor}: brake locked")),
                 other => Err(Unfinished::Failed(format!(
                     "motor {motor}: the brake was told to lock and says {other}"
                 ))),

@@ -1,12 +1,12 @@
 //! `myactuator info`: what motors are.
 
-use myactuator_host_std::explain::{Fields, reply_fields};
 use myactuator_protocol_core::command::{
-    AnyReply, Model, ReadMultiTurnEncoderOffset, RunTime, RunningMode, Version,
+    Model, ReadMultiTurnEncoderOffset, RunTime, RunningMode, Version,
 };
 use myactuator_protocol_core::io::bring_up;
 use myactuator_protocol_core::{MotorId, Target};
 
+use super::group::Group;
 use super::session::{OnBus, Outcome, Session, Unfinished};
 use super::status::tell_each;
 use crate::cli::arguments as parse;
@@ -31,13 +31,14 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     tell_each(&mut session, arguments.id, arguments.json, read)
 }
 
-fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Fields>> {
+fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
     let is = bring_up::identify(&mut session.master, motor).map_err(Unfinished::of_motor(motor))?;
     let zero = session.ask(motor, ReadMultiTurnEncoderOffset)?;
-    let mut made = reply_fields(&AnyReply::ReadModel(Model { name: is.model }));
-    made.extend(reply_fields(&AnyReply::ReadVersionDate(Version { date: is.version })));
-    let mut runs = reply_fields(&AnyReply::ReadRunTime(RunTime { run_time: is.run_time }));
-    runs.extend(reply_fields(&AnyReply::ReadRunningMode(RunningMode { mode: is.mode })));
-    runs.extend(reply_fields(&AnyReply::ReadMultiTurnEncoderOffset(zero)));
-    Ok(vec![made, runs, reply_fields(&AnyReply::ReadStatus1(is.status))])
+    let made =
+        Group::default().and(&Model { model: is.model }).and(&Version { version_date: is.version });
+    let runs = Group::default()
+        .and(&RunTime { run_time: is.run_time })
+        .and(&RunningMode { mode: is.mode })
+        .and(&zero);
+    Ok(vec![made, runs, Group::default().and(&is.status)])
 }

@@ -5,6 +5,7 @@
 
 mod brake;
 mod change_id;
+mod group;
 mod halt;
 mod info;
 mod motion;

@@ -1,17 +1,15 @@
 //! `myactuator motion`: one set-point of motion (MIT) mode, for a while.
 
-use std::io::{self, Write};
-use std::str::FromStr;
-
 use myactuator_host_std::BusKind;
-use myactuator_protocol_core::Opcode;
 use myactuator_protocol_core::command::{
-    MotionLimits, MotionRanges, MotionSetPoint, check_on_rs485,
+    MotionRanges, MotionSetPoint, ReadVersionDate, check_on_rs485,
 };
 use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::{Firmware, Opcode};
 
 use super::run_for::{self, Run, Span};
-use super::session::{Outcome, Unfinished};
+use super::session::{Outcome, Session, Unfinished};
+use crate::cli::arguments as parse;
 
 /// Run a motor in motion (MIT) mode at one set-point for a while, then stop it (0x81); CAN only
 ///
@@ -37,33 +35,47 @@ pub(in crate::cli) struct Arguments {
     /// Torque added to both, N·m.
     #[arg(long, allow_hyphen_values = true, default_value_t = 0.0)]
     torque_nm: f32,
-    /// The scales of the motor's firmware: v4.3, or the largest position, velocity, kp, kd and torque
-    /// as in 12.5,45,500,5,24. Wrong ones multiply the torque [default: v4.3].
-    #[arg(long, value_parser = ranges)]
+    /// The revision of the protocol that the motor speaks, such as v4.3, where its version date (0xB2)
+    /// does not lead to it.
+    #[arg(long, value_parser = parse::firmware)]
+    firmware: Option<Firmware>,
+    /// The scales of its motion mode: the largest position, velocity, kp, kd and torque, as in
+    /// 12.5,45,500,5,24. Wrong ones multiply the torque.
+    #[arg(long, value_parser = parse::ranges)]
     ranges: Option<MotionRanges>,
 }
 
-const V4_3: &str = "v4.3";
-
-fn ranges(text: &str) -> Result<MotionRanges, String> {
-    if text.eq_ignore_ascii_case(V4_3) {
-        return Ok(MotionRanges::V4_3);
+/// The scales that were given, or those of the firmware, for which the motor is asked. They are never
+/// guessed: V4.3's sent to a V4.4 have given 2.5 times the torque.
+fn scales(arguments: &Arguments, session: &mut Session) -> Outcome<MotionRanges> {
+    let motor = arguments.span.id;
+    if let Some(ranges) = arguments.ranges {
+        return Ok(ranges);
     }
-    let numbers: Result<Vec<f32>, _> = text.split(',').map(f32::from_str).collect();
-    match numbers.as_deref() {
-        Ok(&[position_rad, velocity_rad_s, kp, kd, torque_nm]) => {
-            MotionRanges::new(MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm })
-                .map_err(|error| error.to_string())
+    let firmware = match arguments.firmware {
+        Some(firmware) => firmware,
+        None => {
+            let date = session.ask(motor, ReadVersionDate)?.version_date;
+            Firmware::of_version_date(date).ok_or_else(|| {
+                Unfinished::Failed(format!(
+                    "motor {motor} reports version date {}, and which firmware that is, is not known: \
+                     wrong scales multiply its torque, so nothing was sent; give --firmware v4.3 if \
+                     its manual says so, or its own scales by --ranges",
+                    date.raw()
+                ))
+            })?
         }
-        _ => Err(format!(
-            "expected {V4_3} or five numbers such as 12.5,45,500,5,24, found \"{text}\""
-        )),
-    }
+    };
+    firmware.motion_ranges().ok_or_else(|| {
+        Unfinished::Failed(format!(
+            "the scales of motion mode of firmware {firmware} depend on the motor: give them by --ranges"
+        ))
+    })
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     if arguments.span.on.bus.kind() == BusKind::Rs485 {
-        check_on_rs485(Opcode::Motion)
+        check_on_rs485(Opcode::Motion.into())
             .map_err(|error| Unfinished::Usage(format!("--bus: {error}")))?;
     }
     let set_point = MotionSetPoint {
@@ -73,15 +85,10 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         kd: arguments.kd,
         torque_nm: arguments.torque_nm,
     };
-    let ranges = arguments.ranges.unwrap_or(MotionRanges::V4_3);
+    let mut session = arguments.span.open()?;
+    let ranges = scales(arguments, &mut session)?;
     let command =
         ranges.quantise(&set_point).map_err(|error| Unfinished::Usage(error.to_string()))?;
-    if arguments.ranges.is_none() {
-        let _ = writeln!(
-            io::stderr(),
-            "motion ranges: those of protocol V4.3 are taken; on other firmware they multiply the torque, so tell its own by --ranges"
-        );
-    }
     let run = Run {
         command,
         does: format!(
@@ -95,29 +102,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         needs_open_brake: true,
         end: StopKind::Hold,
     };
-    run_for::run(&arguments.span, &run, |raw| {
+    run_for::run(&mut session, &arguments.span, &run, |raw| {
         let feedback = ranges.feedback(raw);
         format!(
             "{:8.3} rad {:8.3} rad/s {:8.3} N·m",
             feedback.position_rad, feedback.velocity_rad_s, feedback.torque_nm
         )
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ranges_are_named_or_told_number_by_number() {
-        assert_eq!(ranges("V4.3"), Ok(MotionRanges::V4_3));
-        assert_eq!(ranges("12.5,45,500,5,24"), Ok(MotionRanges::V4_3));
-        assert_ne!(ranges("12.566,45,500,5,60"), Ok(MotionRanges::V4_3));
-        let told = ranges("12.5,45").unwrap_err();
-        assert_eq!(
-            told,
-            "expected v4.3 or five numbers such as 12.5,45,500,5,24, found \"12.5,45\""
-        );
-        assert!(ranges("12.5,45,500,5,-24").is_err());
-    }
 }

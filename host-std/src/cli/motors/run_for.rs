@@ -37,6 +37,12 @@ pub(super) struct Span {
     pub(super) consent: Consent,
 }
 
+impl Span {
+    pub(super) fn open(&self) -> Outcome<Session> {
+        Session::open_to_change(&self.on, self.consent)
+    }
+}
+
 /// What runs, and how it begins and ends.
 #[derive(Debug)]
 pub(super) struct Run<C> {
@@ -51,14 +57,14 @@ pub(super) struct Run<C> {
 
 /// Asks, runs and ends. `reading` tells a reply in a few words.
 pub(super) fn run<C: Command + Copy>(
+    session: &mut Session,
     span: &Span,
     run: &Run<C>,
     reading: impl Fn(&C::Reply) -> String,
 ) -> Outcome {
-    let mut session = Session::open_to_change(&span.on, span.consent)?;
     let motor = span.id;
     let seconds = seconds(span.for_s);
-    let locked = session.ready(motor)?.brake == BrakeCommand::Lock;
+    let locked = session.ready(motor)?.brake == BrakeCommand::LOCK;
     let opens = run.needs_open_brake && locked;
     let first = if opens { "have its brake released and " } else { "" };
     let then = match run.end {
@@ -154,8 +160,8 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
 
-    use myactuator_host_std::bus::trace::{Event, Log};
-    use myactuator_host_std::port::AnyMaster;
+    use myactuator_host_std::open::AnyMaster;
+    use myactuator_host_std::sim::bus::trace::{Event, Log};
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{ErrorFlags, Speed, Torque};
     use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};

@@ -1,15 +1,15 @@
 //! `myactuator scan`: who is there.
 
 use indicatif::ProgressBar;
-use myactuator_host_std::explain::{prose, reply_fields};
-use myactuator_host_std::port::slcan::Rate;
-use myactuator_host_std::port::{BusAddress, BusError};
+use myactuator_host_std::open::{BusAddress, BusError};
+use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{AnyReply, ReadModel, ReadStatus1};
+use myactuator_protocol_core::command::{ReadModel, ReadStatus1};
 use myactuator_protocol_core::io::{CallError, bring_up};
 use myactuator_protocol_core::master::MotorSet;
 use serde_json::{Value, json};
 
+use super::group::Group;
 use super::session::{OnBus, Outcome, Session, Unfinished, say};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
@@ -102,22 +102,19 @@ fn told_of_rate(address: &BusAddress, found: &Found) -> String {
 
 /// A line about one motor.
 fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome {
-    let read = session.ask(motor, ReadModel).and_then(|model| {
-        let mut fields = reply_fields(&AnyReply::ReadModel(model));
-        let status = session.ask(motor, ReadStatus1)?;
-        fields.extend(reply_fields(&AnyReply::ReadStatus1(status)));
-        Ok(fields)
-    });
+    let read = session
+        .ask(motor, ReadModel)
+        .and_then(|model| Ok(Group::default().and(&model).and(&session.ask(motor, ReadStatus1)?)));
     let bus = session.address.to_string();
     match read {
-        Ok(fields) if as_json => {
+        Ok(group) if as_json => {
             let mut object = json!({ "bus": bus, "id": motor.get() });
             if let Value::Object(object) = &mut object {
-                object.extend(fields);
+                object.extend(group.values());
             }
             say(&object.to_string())
         }
-        Ok(fields) => say(&format!("motor {motor}: {}", prose(&fields))),
+        Ok(group) => say(&format!("motor {motor}: {group}")),
         Err(Unfinished::Failed(_)) if as_json => {
             say(&json!({ "bus": bus, "id": motor.get() }).to_string())
         }

@@ -4,14 +4,15 @@ use std::io::{self, BufRead, IsTerminal, Write};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use myactuator_host_std::port::{AnyMaster, BusAddress, BusError};
+use myactuator_host_std::BusKind;
+use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
 use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::{MotorId, Target};
 
-use crate::cli::{DONE, FAILED, INTERRUPTED, WRONG_USAGE, print_line};
+use crate::cli::{DONE, FAILED, INTERRUPTED, WRONG_USAGE, print_line, printable, tell};
 
 /// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
 const STILL_DPS: f32 = 2.0;
@@ -66,7 +67,7 @@ impl Unfinished {
             Self::Interrupted(sentence) => (sentence, INTERRUPTED),
             Self::ReaderLeft => return DONE,
         };
-        let _ = writeln!(io::stderr(), "error: {sentence}");
+        tell("error", sentence);
         status
     }
 }
@@ -120,10 +121,13 @@ impl Session {
     pub(super) fn open(on: &OnBus) -> Outcome<Self> {
         let master = AnyMaster::open(&on.bus)?;
         if let BusAddress::Simulated { motors, kind } = &on.bus {
-            let kind = if kind.name() == "can" { "a CAN bus" } else { "an RS485 line" };
-            let _ = writeln!(
-                io::stderr(),
-                "simulated drives: {motors} on {kind}, made anew for each run; --bus names a real bus"
+            let kind = match kind {
+                BusKind::Can => "a CAN bus",
+                BusKind::Rs485 => "an RS485 line",
+            };
+            tell(
+                "simulated drives",
+                format!("{motors} on {kind}, made anew for each run; --bus names a real bus"),
             );
         }
         let interrupted = Arc::new(AtomicBool::new(false));
@@ -148,7 +152,7 @@ impl Session {
             return Ok(());
         }
         let mut ask = io::stderr().lock();
-        write!(ask, "{what} Go on? [y/N] ")?;
+        write!(ask, "{} Go on? [y/N] ", printable(what))?;
         ask.flush()?;
         let mut answer = String::new();
         io::stdin().lock().read_line(&mut answer)?;

@@ -1,16 +1,14 @@
 //! `myactuator status`: how motors do.
 
-use std::io::{self, Write};
-
-use myactuator_host_std::explain::{Fields, prose, reply_fields};
 use myactuator_protocol_core::command::{
-    AnyReply, ReadMultiTurnAngle, ReadRunningMode, ReadStatus1, ReadStatus2, ReadStatus3,
+    ReadMultiTurnAngle, ReadRunningMode, ReadStatus1, ReadStatus2, ReadStatus3,
 };
 use myactuator_protocol_core::{MotorId, Target};
 use serde_json::{Value, json};
 
+use super::group::Group;
 use super::session::{OnBus, Outcome, Session, Unfinished, say};
-use crate::cli::arguments as parse;
+use crate::cli::{arguments as parse, tell};
 
 /// Tell how motors do: angle, speed, currents, temperatures, voltage, brake and errors
 ///
@@ -32,23 +30,17 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     tell_each(&mut session, arguments.id, arguments.json, read)
 }
 
-fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Fields>> {
+fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
     let feedback = session.ask(motor, ReadStatus2)?;
     let mode = session.ask(motor, ReadRunningMode)?;
     let phases = session.ask(motor, ReadStatus3)?;
     let state = session.ask(motor, ReadStatus1)?;
     let angle = session.ask(motor, ReadMultiTurnAngle)?;
-    // The finer angle takes the place of the feedback's.
-    let mut moves = reply_fields(&AnyReply::ReadMultiTurnAngle(angle));
-    let mut feedback = reply_fields(&AnyReply::ReadStatus2(feedback));
-    feedback.shift_remove("angle_deg");
-    let mut phases = reply_fields(&AnyReply::ReadStatus3(phases));
-    // Status 1 tells the temperature beside that of the MOSFETs.
-    feedback.shift_remove("temperature_c");
-    phases.shift_remove("temperature_c");
-    moves.extend(feedback);
-    moves.extend(reply_fields(&AnyReply::ReadRunningMode(mode)));
-    Ok(vec![moves, phases, reply_fields(&AnyReply::ReadStatus1(state))])
+    // The finer angle takes the place of the feedback's, and status 1 has the temperature too.
+    let moves =
+        Group::default().and(&angle).and_but(&feedback, &["angle", "temperature"]).and(&mode);
+    let phases = Group::default().and_but(&phases, &["temperature"]);
+    Ok(vec![moves, phases, Group::default().and(&state)])
 }
 
 /// Reads each motor that is meant, and tells it in groups of fields: a line each, or one object.
@@ -56,7 +48,7 @@ pub(super) fn tell_each(
     session: &mut Session,
     target: Target,
     as_json: bool,
-    read: impl Fn(&mut Session, MotorId) -> Outcome<Vec<Fields>>,
+    read: impl Fn(&mut Session, MotorId) -> Outcome<Vec<Group>>,
 ) -> Outcome {
     let mut outcome = Ok(());
     for motor in session.meant(target)?.iter() {
@@ -64,19 +56,19 @@ pub(super) fn tell_each(
             Ok(groups) if as_json => {
                 let mut object = json!({ "bus": session.address.to_string(), "id": motor.get() });
                 if let Value::Object(object) = &mut object {
-                    object.extend(groups.into_iter().flatten());
+                    object.extend(groups.iter().flat_map(Group::values));
                 }
                 say(&object.to_string())?;
             }
             Ok(groups) => {
                 say(&format!("motor {motor}"))?;
                 for group in groups {
-                    say(&format!("  {}", prose(&group)))?;
+                    say(&format!("  {group}"))?;
                 }
             }
             // The others are told all the same.
             Err(Unfinished::Failed(sentence)) => {
-                let _ = writeln!(io::stderr(), "error: {sentence}");
+                tell("error", sentence);
                 outcome = Err(Unfinished::FailedAndTold);
             }
             Err(other) => return Err(other),

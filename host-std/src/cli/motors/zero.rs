@@ -49,7 +49,7 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::AtomicBool;
 
-    use myactuator_host_std::port::AnyMaster;
+    use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::command::{AbsolutePosition, ReadStatus2};
     use myactuator_protocol_core::io::Runner;

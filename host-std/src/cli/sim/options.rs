@@ -2,9 +2,7 @@
 
 use std::fs;
 
-use myactuator_host_std::plant::MotorParameters;
-use myactuator_host_std::port::BusAddress;
-use myactuator_host_std::port::slcan::Rate;
+use myactuator_host_std::sim::plant::MotorParameters;
 use myactuator_protocol_core::drive::Quirks;
 use serde_json::{Map, Value};
 
@@ -67,24 +65,6 @@ pub(super) fn model(text: &str) -> Result<MotorParameters, String> {
         .map_err(|error| format!("{text}: {}", error.to_string().trim_end().replace('\n', " ")))
 }
 
-/// A bit rate that a bus address may have.
-pub(super) fn can_rate(text: &str) -> Result<Rate, String> {
-    match format!("slcan:tty@{text}").parse() {
-        Ok(BusAddress::Slcan { rate, .. }) => Ok(rate),
-        Ok(_) => Err(format!("expected a bit rate, found \"{text}\"")),
-        Err(error) => Err(error.to_string()),
-    }
-}
-
-/// A bit rate that a bus address may have.
-pub(super) fn line_rate(text: &str) -> Result<u32, String> {
-    match format!("rs485:tty@{text}").parse() {
-        Ok(BusAddress::Rs485 { bit_rate, echo: false, .. }) => Ok(bit_rate),
-        Ok(_) => Err(format!("expected a bit rate, found \"{text}\"")),
-        Err(error) => Err(error.to_string()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -101,14 +81,5 @@ mod tests {
         let expected = Quirks { slow_boot: true, turns_lost: true, ..Quirks::default() };
         assert_eq!(drives_quirks(&both).unwrap(), expected);
         assert!(quirk("slow_boot").unwrap_err().contains("slow-boot, slow-brake"));
-    }
-
-    #[test]
-    fn rates_are_those_of_bus_addresses() {
-        assert_eq!(can_rate("500000"), Ok(Rate::Kbit500));
-        assert!(can_rate("123").unwrap_err().contains("250000, 500000"));
-        assert_eq!(line_rate("115200"), Ok(115_200));
-        assert!(line_rate("115200,echo").is_err());
-        assert!(line_rate("fast").unwrap_err().contains("found \"fast\""));
     }
 }

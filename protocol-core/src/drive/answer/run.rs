@@ -57,11 +57,13 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         let clockwise = (f64::from(to.angle.raw()) / 100.0 - here).rem_euclid_deg();
         let near = clockwise.min(360.0 - clockwise) < SHORT_WAY_DEG;
         let way = match to.direction {
-            Direction::Unknown(_) => return false,
-            _ if near && clockwise < 180.0 => clockwise,
-            _ if near => clockwise - 360.0,
-            Direction::Clockwise => clockwise,
-            Direction::CounterClockwise => clockwise - 360.0,
+            Direction::CLOCKWISE | Direction::COUNTER_CLOCKWISE if near && clockwise < 180.0 => {
+                clockwise
+            }
+            Direction::CLOCKWISE | Direction::COUNTER_CLOCKWISE if near => clockwise - 360.0,
+            Direction::CLOCKWISE => clockwise,
+            Direction::COUNTER_CLOCKWISE => clockwise - 360.0,
+            _ => return false,
         };
         if self.active.save_multi_turn {
             self.not_run(Opcode::SingleTurnPosition, NotRunReason::NotSingleTurn);

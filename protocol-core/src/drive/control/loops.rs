@@ -109,25 +109,25 @@ mod tests {
     #[test]
     fn each_gain_acts_on_its_own_term() {
         let mut l = Loops::default();
-        assert_eq!(l.position(&gains(PidIndex::PositionKp, 10.0), 2.0, 3.0, 1.0, 1e6, DT), 23.0);
-        assert_eq!(l.position(&gains(PidIndex::PositionKd, 0.5), 2.0, 3.0, 1.0, 1e6, DT), 4.0);
-        assert_eq!(l.speed(&gains(PidIndex::SpeedKp, 0.1), 20.0, 1e6, DT), 2.0);
-        assert_eq!(l.current(&gains(PidIndex::CurrentKp, 1.0), 5.0, 0.0, 1e6, DT), 5.0);
+        assert_eq!(l.position(&gains(PidIndex::POSITION_KP, 10.0), 2.0, 3.0, 1.0, 1e6, DT), 23.0);
+        assert_eq!(l.position(&gains(PidIndex::POSITION_KD, 0.5), 2.0, 3.0, 1.0, 1e6, DT), 4.0);
+        assert_eq!(l.speed(&gains(PidIndex::SPEED_KP, 0.1), 20.0, 1e6, DT), 2.0);
+        assert_eq!(l.current(&gains(PidIndex::CURRENT_KP, 1.0), 5.0, 0.0, 1e6, DT), 5.0);
         let mut sum = 0.0;
         for _ in 0..1_000 {
-            sum = l.speed(&gains(PidIndex::SpeedKi, 2.0), 3.0, 1e6, DT);
+            sum = l.speed(&gains(PidIndex::SPEED_KI, 2.0), 3.0, 1e6, DT);
         }
         assert!((sum - 6.0).abs() < 1e-3);
         for _ in 0..1_000 {
-            sum = l.position(&gains(PidIndex::PositionKi, 2.0), 3.0, 0.0, 0.0, 1e6, DT);
+            sum = l.position(&gains(PidIndex::POSITION_KI, 2.0), 3.0, 0.0, 0.0, 1e6, DT);
         }
         assert!((sum - 6.0).abs() < 1e-3);
     }
 
     #[test]
     fn the_current_integral_takes_away_what_the_stage_leaves() {
-        let mut gains = gains(PidIndex::CurrentKp, 1.0);
-        gains.set(PidIndex::CurrentKi, Gain::new(50.0).unwrap());
+        let mut gains = gains(PidIndex::CURRENT_KP, 1.0);
+        gains.set(PidIndex::CURRENT_KI, Gain::new(50.0).unwrap());
         let mut l = Loops::default();
         let mut output = 0.0;
         for _ in 0..1_000 {
@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn a_saturated_integral_lets_go_at_once() {
-        let gains = gains(PidIndex::SpeedKi, 1_000.0);
+        let gains = gains(PidIndex::SPEED_KI, 1_000.0);
         let mut l = Loops::default();
         for _ in 0..10_000 {
             assert!(l.speed(&gains, 100.0, 5.0, DT) <= 5.0);
@@ -151,8 +151,8 @@ mod tests {
         let values = [0.0, -1.0, 1e38, -1e38, f32::MAX, f32::MIN];
         for kp in values {
             for ki in values {
-                let mut gains = gains(PidIndex::SpeedKp, kp);
-                gains.set(PidIndex::SpeedKi, Gain::new(ki).unwrap());
+                let mut gains = gains(PidIndex::SPEED_KP, kp);
+                gains.set(PidIndex::SPEED_KI, Gain::new(ki).unwrap());
                 let mut l = Loops::default();
                 for error in [0.0, 1e30, -1e30, f32::MAX, f32::NAN, f32::INFINITY, 3.0, 0.0] {
                     assert!(l.speed(&gains, error, 5.0, DT).abs() <= 5.0, "{kp} {ki} {error}");

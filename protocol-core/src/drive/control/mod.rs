@@ -78,10 +78,10 @@ impl Controller {
     /// no mode the byte is 0.
     pub(super) const fn mode(&self) -> Mode {
         match self.task {
-            Task::Off => Mode::Unknown(0),
-            Task::Current { .. } | Task::Motion(_) => Mode::Current,
-            Task::Speed { .. } | Task::Stopping { .. } => Mode::Speed,
-            Task::Position { .. } => Mode::Position,
+            Task::Off => Mode::from_raw(0),
+            Task::Current { .. } | Task::Motion(_) => Mode::CURRENT,
+            Task::Speed { .. } | Task::Stopping { .. } => Mode::SPEED,
+            Task::Position { .. } => Mode::POSITION,
         }
     }
 
@@ -159,10 +159,8 @@ impl Controller {
         let stall_a = input.stall_current_a;
         let speed_up = accelerations.speed_acceleration.dps2();
         let slow_down = accelerations.speed_deceleration.dps2();
-        if let Task::Stopping { now_dps } = self.task
-            && now_dps == 0.0
-            && input.speed_dps.abs() < STANDING_DPS
-        {
+        let ramp_is_over = matches!(self.task, Task::Stopping { now_dps } if now_dps == 0.0);
+        if ramp_is_over && input.speed_dps.abs() < STANDING_DPS {
             self.task = self.hold(input.angle_deg, input);
         }
         let loops = &mut self.loops;
@@ -266,17 +264,17 @@ mod tests {
     #[test]
     fn modes_are_told_as_the_manual_numbers_them() {
         let mut controller = Controller::new();
-        assert_eq!((controller.mode(), step(&mut controller, &INPUT)), (Mode::Unknown(0), None));
+        assert_eq!((controller.mode(), step(&mut controller, &INPUT)), (Mode::from_raw(0), None));
         let full = INPUT.stall_current_a;
         for (set_point, mode) in [
-            (SetPoint::Current { current_a: 1.0 }, Mode::Current),
-            (SetPoint::Speed { speed_dps: 1.0, limit_a: full }, Mode::Speed),
+            (SetPoint::Current { current_a: 1.0 }, Mode::CURRENT),
+            (SetPoint::Speed { speed_dps: 1.0, limit_a: full }, Mode::SPEED),
             (
                 SetPoint::Position { target_deg: 1.0, max_speed_dps: 1.0, limit_a: full },
-                Mode::Position,
+                Mode::POSITION,
             ),
-            (SetPoint::Motion(MotionSetPoint::default()), Mode::Current),
-            (SetPoint::Stop, Mode::Speed),
+            (SetPoint::Motion(MotionSetPoint::default()), Mode::CURRENT),
+            (SetPoint::Stop, Mode::SPEED),
         ] {
             controller.set(set_point, &INPUT);
             assert_eq!(controller.mode(), mode);

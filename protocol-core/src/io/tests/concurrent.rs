@@ -39,7 +39,7 @@ macro_rules! session {
         let mut log: Vec<String> = Vec::new();
         let mut on_event = Vec::new();
         log.push(format!("{:?}", $arm.ask(id(1), ReadMultiTurnAngle) $($wait)*));
-        log.push(format!("{:?}", $arm.ask(id(2), ReadPid { index: PidIndex::SpeedKp }) $($wait)*));
+        log.push(format!("{:?}", $arm.ask(id(2), ReadPid { index: PidIndex::SPEED_KP }) $($wait)*));
         log.push(format!("{:?}", $arm.call(id(3), Reset) $($wait)*));
         log.push(format!("{:?}", $arm.ask(id(9), ReadMultiTurnAngle) $($wait)*));
         log.push(format!("{:?}", $arm.ask(id(9), step()) $($wait)*));
@@ -54,8 +54,8 @@ macro_rules! session {
 
 fn check(log: &[String]) {
     assert_eq!(log.len(), 8);
-    assert_eq!(log[0], "Ok(MultiTurnAngle { angle: Angle(36000) })");
-    assert!(log[1].contains("SpeedKp"), "{}", log[1]);
+    assert_eq!(log[0], "Ok(MultiTurnAngle { angle: Angle(360 deg) })");
+    assert!(log[1].contains("speed-kp"), "{}", log[1]);
     assert_eq!(log[2], "Ok(None)");
     assert_eq!(log[3], "Err(Failed(NoReply))");
     assert_eq!(log[4], "Err(Failed(NoReply))");

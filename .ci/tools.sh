@@ -1,0 +1,55 @@
+# shellcheck shell=bash
+# Sourced by the scripts beside it: brings the tools that they need.
+
+die() { echo "error: $*" >&2; exit 1; }
+
+sudo=
+apt_updated=
+apt_update() {
+    [[ -z $apt_updated ]] || return 0
+    command -v apt-get >/dev/null || die "there is no apt-get here to install: $*. Install it by hand."
+    if ((EUID != 0)); then
+        sudo=$(command -v sudo) || die "neither root nor sudo to install: $*. Install it by hand."
+    fi
+    $sudo apt-get update -q || die "apt-get could not update its lists to install: $*."
+    apt_updated=yes
+}
+
+# --no-remove: never trade a contributor's own packages for ours.
+apt_options=(-q -y --no-install-recommends --no-remove)
+apt_install() { # packages...
+    apt_update "$@"
+    $sudo env DEBIAN_FRONTEND=noninteractive apt-get install "${apt_options[@]}" "$@" ||
+        die "apt-get could not install: $*. Install it by hand."
+}
+
+need() { # program, packages...
+    command -v "$1" >/dev/null || apt_install "${@:2}"
+    command -v "$1" >/dev/null || die "$1 is still missing after installing ${*:2}."
+}
+
+# Beside a newer qemu-utils apt-get cannot install an emulator without removing that. Then the
+# emulator is unpacked in a folder, and only what it depends on is installed.
+need_qemu() { # program, package, folder
+    PATH=$PATH:$3/usr/bin
+    "$1" --version >/dev/null 2>&1 && return
+    apt_update "$2"
+    if apt-get install --simulate "${apt_options[@]}" "$2" >/dev/null 2>&1; then
+        need "$1" "$2"
+        return
+    fi
+
+    echo "apt-get cannot install $2 beside the packages that are here: it is unpacked in $3."
+    # shellcheck disable=SC2046 # several packages
+    apt_install --no-upgrade $(apt-cache depends "$2" | awk '$1 == "Depends:" && $2 !~ /^qemu-/ { print $2 }')
+    rm -rf "$3" "$3.part"
+    mkdir -p "$3.part"
+    (
+        cd "$3.part"
+        apt-get download -q "$2" qemu-system-common qemu-system-data
+        for package in *.deb; do dpkg-deb -x "$package" .; done
+        rm ./*.deb
+    )
+    mv "$3.part" "$3"
+    "$1" --version >/dev/null || die "$1, unpacked in $3, does not run. Install it by hand."
+}

@@ -1,0 +1,423 @@
+//! The name of a bus, as people type it.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use myactuator_protocol_core::master::Config;
+
+use crate::BusKind;
+use crate::text::slcan::{NotARate, Rate};
+
+/// The longest name that Linux gives to a network interface.
+const LONGEST_INTERFACE: usize = 15;
+/// As many motors as the protocol has ids for.
+const MOST_MOTORS: u8 = 32;
+/// How many motors are simulated if nobody says.
+const USUAL_MOTORS: u8 = 4;
+/// The bit rates of the simulated buses, bit/s: those that drives are delivered with.
+const SIMULATED_CAN_RATE: u32 = 1_000_000;
+const SIMULATED_LINE_RATE: u32 = 115_200;
+/// The slowest and the fastest serial line that an address may name, in bit/s.
+const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
+
+/// One string that names a bus, the same in every tool and configuration.
+///
+/// | string | bus |
+/// |---|---|
+/// | `sim`, `sim:2` | simulated CAN bus at 1 Mbit/s with four or so many motors, 1 to 32 |
+/// | `sim:2,rs485` | simulated RS485 line at 115200 bit/s |
+/// | `can0`, `can:can0` | SocketCAN interface |
+/// | `slcan:/dev/ttyACM0@1000000` | SLCAN adapter on a serial port, bit rate of the CAN bus in bit/s |
+/// | `rs485:/dev/ttyUSB0@115200` | RS485 adapter on a serial port, bit rate of the line in bit/s |
+/// | `rs485:/dev/ttyUSB0@115200,echo` | one that hands back what it sends |
+///
+/// ```
+/// use myactuator_host_std::open::BusAddress;
+///
+/// let bus: BusAddress = "rs485:/dev/ttyUSB0@115200,echo".parse()?;
+/// assert_eq!(bus.to_string(), "rs485:/dev/ttyUSB0@115200,echo");
+/// # Ok::<(), myactuator_host_std::open::NotAnAddress>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum BusAddress {
+    /// A simulated bus.
+    Simulated {
+        /// How many motors are on it, with ids from 1: 1 to 32.
+        motors: u8,
+        /// Which of the protocol's two buses it is.
+        kind: BusKind,
+    },
+    /// A CAN interface of Linux.
+    SocketCan {
+        /// Its name, 1 to 15 characters.
+        interface: String,
+    },
+    /// An SLCAN adapter.
+    Slcan {
+        /// The serial port.
+        path: PathBuf,
+        /// The bit rate of the CAN bus.
+        rate: Rate,
+    },
+    /// A serial port with an RS485 transceiver.
+    Rs485 {
+        /// The serial port.
+        path: PathBuf,
+        /// The bit rate of the line in bit/s, 1200 to 12000000.
+        bit_rate: u32,
+        /// Whether the adapter hands back what it sends.
+        echo: bool,
+    },
+}
+
+impl BusAddress {
+    /// The bit rate of an RS485 line as it stands in an address, in bit/s.
+    ///
+    /// # Errors
+    /// [`NotAnAddress::LineRate`].
+    pub fn line_rate(text: &str) -> Result<u32, NotAnAddress> {
+        let rate = decimal(text).filter(|rate| LINE_RATES.contains(rate));
+        rate.ok_or_else(|| NotAnAddress::LineRate(text.to_owned()))
+    }
+
+    /// Whether the motors on it are simulated.
+    pub const fn is_simulated(&self) -> bool {
+        matches!(self, Self::Simulated { .. })
+    }
+
+    /// Which of the protocol's two buses this is.
+    pub const fn kind(&self) -> BusKind {
+        match self {
+            Self::Simulated { kind, .. } => *kind,
+            Self::SocketCan { .. } | Self::Slcan { .. } => BusKind::Can,
+            Self::Rs485 { .. } => BusKind::Rs485,
+        }
+    }
+
+    /// The bit rate of the bus in bit/s; `None` for a CAN interface of Linux, whose rate is set
+    /// outside.
+    pub const fn bit_rate(&self) -> Option<u32> {
+        match self {
+            Self::Simulated { kind: BusKind::Can, .. } => Some(SIMULATED_CAN_RATE),
+            Self::Simulated { kind: BusKind::Rs485, .. } => Some(SIMULATED_LINE_RATE),
+            Self::SocketCan { .. } => None,
+            Self::Slcan { rate, .. } => Some(rate.bits_per_second()),
+            Self::Rs485 { bit_rate, .. } => Some(*bit_rate),
+        }
+    }
+
+    /// The master's configuration for this bus.
+    pub const fn config(&self) -> Config {
+        match self {
+            Self::Simulated { kind: BusKind::Rs485, .. } => {
+                Config::rs485(SIMULATED_LINE_RATE, false)
+            }
+            Self::Simulated { .. } | Self::SocketCan { .. } | Self::Slcan { .. } => Config::CAN,
+            Self::Rs485 { bit_rate, echo, .. } => Config::rs485(*bit_rate, *echo),
+        }
+    }
+}
+
+impl fmt::Display for BusAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Simulated { motors, kind: BusKind::Can } => write!(f, "sim:{motors}"),
+            Self::Simulated { motors, kind: BusKind::Rs485 } => write!(f, "sim:{motors},rs485"),
+            // An interface may have a name that means something else here.
+            Self::SocketCan { interface } if interface == SIMULATED => write!(f, "can:{interface}"),
+            Self::SocketCan { interface } => f.write_str(interface),
+            Self::Slcan { path, rate } => {
+                write!(f, "slcan:{}@{}", path.display(), rate.bits_per_second())
+            }
+            Self::Rs485 { path, bit_rate, echo } => {
+                let echo = if *echo { ",echo" } else { "" };
+                write!(f, "rs485:{}@{bit_rate}{echo}", path.display())
+            }
+        }
+    }
+}
+
+const SIMULATED: &str = "sim";
+
+/// Text that names no bus.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NotAnAddress {
+    /// Nothing at all.
+    Empty,
+    /// A word before the colon that is no kind of bus.
+    Kind(String),
+    /// No number of motors, or not 1 to 32.
+    Motors(String),
+    /// No name that a network interface can have.
+    Interface(String),
+    /// The path of the serial port, or the `@` and the bit rate behind it, is missing.
+    Port {
+        /// `"slcan"` or `"rs485"`.
+        kind: &'static str,
+        /// What stands behind the colon.
+        found: String,
+    },
+    /// A bit rate that SLCAN adapters do not know.
+    CanRate(NotARate),
+    /// A bit rate that no serial line has.
+    LineRate(String),
+    /// A word behind the comma that is no option.
+    Option {
+        /// The option that there is, `"echo"` or `"rs485"`.
+        expected: &'static str,
+        /// What stands behind the comma.
+        found: String,
+    },
+}
+
+impl fmt::Display for NotAnAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const EXAMPLES: &str =
+            "sim:4, can0, slcan:/dev/ttyACM0@1000000 or rs485:/dev/ttyUSB0@115200";
+        match self {
+            Self::Empty => write!(f, "expected a bus such as {EXAMPLES}, found nothing"),
+            Self::Kind(found) => write!(f, "expected a bus such as {EXAMPLES}, found \"{found}\""),
+            Self::Motors(found) => write!(
+                f,
+                "expected a number of simulated motors from 1 to {MOST_MOTORS} behind \"sim:\", found \"{found}\""
+            ),
+            Self::Interface(found) => write!(
+                f,
+                "expected the name of a CAN interface such as can0, up to {LONGEST_INTERFACE} characters without '/', ':' and spaces, found \"{found}\""
+            ),
+            Self::Port { kind, found } => {
+                let rate = if *kind == "slcan" { "1000000" } else { "115200" };
+                write!(
+                    f,
+                    "expected a serial port and a bit rate such as {kind}:/dev/ttyUSB0@{rate}, found \"{kind}:{found}\""
+                )
+            }
+            Self::CanRate(error) => error.fmt(f),
+            Self::LineRate(found) => write!(
+                f,
+                "expected a bit rate from {} to {} bit/s such as 115200, found \"{found}\"",
+                LINE_RATES.start(),
+                LINE_RATES.end()
+            ),
+            Self::Option { expected, found } => {
+                write!(f, "expected \"{expected}\" or no comma, found \",{found}\"")
+            }
+        }
+    }
+}
+
+impl std::error::Error for NotAnAddress {}
+
+impl FromStr for BusAddress {
+    type Err = NotAnAddress;
+
+    fn from_str(text: &str) -> Result<Self, NotAnAddress> {
+        match text.split_once(':') {
+            None if text.is_empty() => Err(NotAnAddress::Empty),
+            None if text == SIMULATED => {
+                Ok(Self::Simulated { motors: USUAL_MOTORS, kind: BusKind::Can })
+            }
+            None if text.contains('/') => Err(NotAnAddress::Kind(text.to_owned())),
+            None => socket_can(text),
+            Some((SIMULATED, motors)) => simulated(motors),
+            Some(("can", interface)) => socket_can(interface),
+            Some(("slcan", port)) => slcan(port),
+            Some(("rs485", port)) => rs485(port),
+            Some(_) => Err(NotAnAddress::Kind(text.to_owned())),
+        }
+    }
+}
+
+fn simulated(motors: &str) -> Result<BusAddress, NotAnAddress> {
+    let (motors, kind) = match motors.split_once(',') {
+        None => (motors, BusKind::Can),
+        Some((motors, "rs485")) => (motors, BusKind::Rs485),
+        Some((_, found)) => {
+            return Err(NotAnAddress::Option { expected: "rs485", found: found.to_owned() });
+        }
+    };
+    let wrong = || NotAnAddress::Motors(motors.to_owned());
+    let motors = decimal(motors).and_then(|motors| u8::try_from(motors).ok()).ok_or_else(wrong)?;
+    if (1..=MOST_MOTORS).contains(&motors) {
+        Ok(BusAddress::Simulated { motors, kind })
+    } else {
+        Err(wrong())
+    }
+}
+
+/// As the kernel judges names.
+fn socket_can(interface: &str) -> Result<BusAddress, NotAnAddress> {
+    let forbidden = |c: char| c == '/' || c == ':' || c.is_whitespace() || c.is_control();
+    let known = !interface.is_empty()
+        && interface.len() <= LONGEST_INTERFACE
+        && !matches!(interface, "." | "..")
+        && !interface.contains(forbidden);
+    if known {
+        Ok(BusAddress::SocketCan { interface: interface.to_owned() })
+    } else {
+        Err(NotAnAddress::Interface(interface.to_owned()))
+    }
+}
+
+fn slcan(port: &str) -> Result<BusAddress, NotAnAddress> {
+    let (path, rate) = path_and_rate("slcan", port)?;
+    let rate = rate.parse().map_err(NotAnAddress::CanRate)?;
+    Ok(BusAddress::Slcan { path: path.into(), rate })
+}
+
+fn rs485(port: &str) -> Result<BusAddress, NotAnAddress> {
+    let (path, rate) = path_and_rate("rs485", port)?;
+    let (rate, echo) = match rate.split_once(',') {
+        None => (rate, false),
+        Some((rate, "echo")) => (rate, true),
+        Some((_, found)) => {
+            return Err(NotAnAddress::Option { expected: "echo", found: found.to_owned() });
+        }
+    };
+    let bit_rate = BusAddress::line_rate(rate)?;
+    Ok(BusAddress::Rs485 { path: path.into(), bit_rate, echo })
+}
+
+/// The last `@` divides, for paths may hold one.
+fn path_and_rate<'a>(
+    kind: &'static str,
+    port: &'a str,
+) -> Result<(&'a str, &'a str), NotAnAddress> {
+    match port.rsplit_once('@') {
+        Some((path, rate)) if !path.is_empty() => Ok((path, rate)),
+        _ => Err(NotAnAddress::Port { kind, found: port.to_owned() }),
+    }
+}
+
+/// Digits only: `u32`'s own parser takes a plus sign as well.
+fn decimal(text: &str) -> Option<u32> {
+    text.bytes().all(|byte| byte.is_ascii_digit()).then(|| text.parse().ok())?
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<BusAddress, NotAnAddress> {
+        text.parse()
+    }
+
+    #[test]
+    fn every_form_is_read() {
+        let can = |interface: &str| Ok(BusAddress::SocketCan { interface: interface.to_owned() });
+        let sim = |motors, kind| Ok(BusAddress::Simulated { motors, kind });
+        assert_eq!(parse("sim"), sim(4, BusKind::Can));
+        assert_eq!(parse("sim:1"), sim(1, BusKind::Can));
+        assert_eq!(parse("sim:32"), sim(32, BusKind::Can));
+        assert_eq!(parse("sim:2,rs485"), sim(2, BusKind::Rs485));
+        assert_eq!(parse("can0"), can("can0"));
+        assert_eq!(parse("can:can0"), can("can0"));
+        assert_eq!(parse("can:sim"), can("sim"));
+        assert_eq!(parse("slcan0"), can("slcan0"));
+        assert_eq!(parse("left-arm@2"), can("left-arm@2"));
+        assert_eq!(
+            parse("slcan:/dev/ttyACM0@500000"),
+            Ok(BusAddress::Slcan { path: "/dev/ttyACM0".into(), rate: Rate::Kbit500 })
+        );
+        let rs485 = |path: &str, bit_rate, echo| {
+            Ok(BusAddress::Rs485 { path: path.into(), bit_rate, echo })
+        };
+        assert_eq!(parse("rs485:/dev/ttyUSB0@115200"), rs485("/dev/ttyUSB0", 115_200, false));
+        assert_eq!(parse("rs485:/dev/ttyS1@2500000,echo"), rs485("/dev/ttyS1", 2_500_000, true));
+        let by_path = "/dev/serial/by-path/pci@1:0,usb";
+        assert_eq!(parse(&format!("rs485:{by_path}@9600")), rs485(by_path, 9_600, false));
+    }
+
+    #[test]
+    fn what_is_printed_is_read_again() {
+        for text in [
+            "sim:4",
+            "sim:2,rs485",
+            "can0",
+            "can:sim",
+            "slcan:/dev/ttyACM0@1000000",
+            "rs485:/dev/ttyUSB0@115200",
+            "rs485:/dev/ttyUSB0@115200,echo",
+        ] {
+            assert_eq!(parse(text).unwrap().to_string(), text);
+        }
+        assert_eq!(parse("sim").unwrap().to_string(), "sim:4");
+        assert_eq!(parse("can:can0").unwrap().to_string(), "can0");
+    }
+
+    #[test]
+    fn what_names_no_bus_is_refused() {
+        use NotAnAddress as Not;
+        let can_rate = |text: &str| Not::CanRate(text.parse::<Rate>().unwrap_err());
+        for (text, why) in [
+            ("", Not::Empty),
+            ("/dev/ttyUSB0", Not::Kind("/dev/ttyUSB0".into())),
+            ("usb:can0", Not::Kind("usb:can0".into())),
+            ("sim:", Not::Motors(String::new())),
+            ("sim:0", Not::Motors("0".into())),
+            ("sim:33", Not::Motors("33".into())),
+            ("sim:+4", Not::Motors("+4".into())),
+            ("sim:260", Not::Motors("260".into())),
+            ("sim:,rs485", Not::Motors(String::new())),
+            ("sim:4,echo", Not::Option { expected: "rs485", found: "echo".into() }),
+            ("can:", Not::Interface(String::new())),
+            ("can 0", Not::Interface("can 0".into())),
+            ("..", Not::Interface("..".into())),
+            ("sixteen-letters0", Not::Interface("sixteen-letters0".into())),
+            ("slcan:/dev/ttyACM0", Not::Port { kind: "slcan", found: "/dev/ttyACM0".into() }),
+            ("rs485:@115200", Not::Port { kind: "rs485", found: "@115200".into() }),
+            ("slcan:/dev/ttyACM0@1500000", can_rate("1500000")),
+            ("slcan:/dev/ttyACM0@500000,echo", can_rate("500000,echo")),
+            ("rs485:/dev/ttyUSB0@", Not::LineRate(String::new())),
+            ("rs485:/dev/ttyUSB0@0", Not::LineRate("0".into())),
+            ("rs485:/dev/ttyUSB0@115200 ", Not::LineRate("115200 ".into())),
+            ("rs485:/dev/ttyUSB0@115200,", Not::Option { expected: "echo", found: String::new() }),
+            (
+                "rs485:/dev/ttyUSB0@115200,8n1",
+                Not::Option { expected: "echo", found: "8n1".into() },
+            ),
+        ] {
+            assert_eq!(parse(text), Err(why), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn the_rate_of_a_line_is_read_alone_as_in_an_address() {
+        assert_eq!(BusAddress::line_rate("115200"), Ok(115_200));
+        for text in ["115200,echo", "fast", "1199", "12000001", ""] {
+            let refused = Err(NotAnAddress::LineRate(text.to_owned()));
+            assert_eq!(BusAddress::line_rate(text), refused);
+        }
+    }
+
+    #[test]
+    fn each_bus_tells_its_kind_and_rate() {
+        for (text, kind, rate) in [
+            ("sim:4", BusKind::Can, Some(1_000_000)),
+            ("sim:4,rs485", BusKind::Rs485, Some(115_200)),
+            ("can0", BusKind::Can, None),
+            ("slcan:/dev/ttyACM0@500000", BusKind::Can, Some(500_000)),
+            ("rs485:/dev/ttyUSB0@2500000", BusKind::Rs485, Some(2_500_000)),
+        ] {
+            let bus = parse(text).unwrap();
+            assert_eq!((bus.kind(), bus.bit_rate()), (kind, rate), "{text}");
+            assert_eq!(bus.is_simulated(), text.starts_with("sim"));
+        }
+    }
+
+    #[test]
+    fn errors_tell_what_was_expected_and_found() {
+        let sentence = |text: &str| parse(text).unwrap_err().to_string();
+        assert_eq!(
+            sentence("slcan:/dev/ttyACM0@115200"),
+            "expected a bit rate that SLCAN adapters know (10000, 20000, 50000, 100000, 125000, \
+             250000, 500000, 800000, 1000000), found \"115200\""
+        );
+        assert_eq!(
+            sentence("rs485:/dev/ttyUSB0"),
+            "expected a serial port and a bit rate such as rs485:/dev/ttyUSB0@115200, found \
+             \"rs485:/dev/ttyUSB0\""
+        );
+    }
+}

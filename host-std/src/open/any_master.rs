@@ -1,0 +1,120 @@
+//! A master on whatever bus an address names.
+
+use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
+use myactuator_protocol_core::master::{Config, Event, Master};
+use myactuator_protocol_core::time::Instant;
+
+use super::{BusAddress, BusError};
+use crate::BusKind;
+use crate::port::{HostClock, Rs485, Slcan, SocketCan};
+use crate::sim::Fleet;
+use crate::sim::bus::SimClock;
+use crate::sim::bus::can::{CanBus, CanPort};
+use crate::sim::bus::rs485::{Rs485Line, SerialPort};
+
+/// A master of up to `N` motors, real or simulated: the same [`Runner`] whatever the bus.
+#[derive(Debug)]
+pub enum AnyMaster<const N: usize> {
+    /// On a simulated CAN bus, in virtual time: waiting takes no time.
+    SimulatedCan(CanMaster<CanPort, SimClock<CanBus>, N>),
+    /// On a simulated RS485 line, in virtual time.
+    SimulatedRs485(SerialMaster<SerialPort, SimClock<Rs485Line>, N>),
+    /// On a CAN interface of Linux.
+    SocketCan(CanMaster<SocketCan, HostClock, N>),
+    /// On an SLCAN adapter.
+    Slcan(CanMaster<Slcan, HostClock, N>),
+    /// On an RS485 adapter.
+    Rs485(SerialMaster<Rs485, HostClock, N>),
+}
+
+impl<const N: usize> AnyMaster<N> {
+    /// Opens this bus, or makes it if it is simulated, with the [configuration](BusAddress::config) that suits it.
+    ///
+    /// # Errors
+    /// [`BusError`] tells why it cannot be opened, and what to do.
+    pub fn open(address: &BusAddress) -> Result<Self, BusError> {
+        Self::open_with(address, address.config())
+    }
+
+    /// Opens this bus with a configuration of the caller's, made from
+    /// [its own](BusAddress::config).
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_with(address: &BusAddress, config: Config) -> Result<Self, BusError> {
+        match address {
+            BusAddress::Simulated { motors, kind } => {
+                // Its handles keep the simulated world alive. Motors with brakes, so that what must
+                // release them first is not forgotten until it runs on a robot.
+                let fleet = Fleet::new(*motors).brakes(true);
+                let rate = address.bit_rate().unwrap_or_default();
+                Ok(match kind {
+                    BusKind::Can => {
+                        let world = fleet.on_can(rate)?.world;
+                        let master = CanMaster::new(world.port(), world.clock(), config);
+                        Self::SimulatedCan(master)
+                    }
+                    BusKind::Rs485 => {
+                        let world = fleet.on_rs485(rate)?.world;
+                        let master = SerialMaster::new(world.port(), world.clock(), config);
+                        Self::SimulatedRs485(master)
+                    }
+                })
+            }
+            BusAddress::SocketCan { interface } => {
+                let can = SocketCan::open(interface)?;
+                let clock = can.clock()?;
+                Ok(Self::SocketCan(CanMaster::new(can, clock, config)))
+            }
+            BusAddress::Slcan { path, rate } => {
+                let can = Slcan::open(path, *rate)?;
+                let clock = can.clock()?;
+                Ok(Self::Slcan(CanMaster::new(can, clock, config)))
+            }
+            BusAddress::Rs485 { path, bit_rate, echo: _ } => {
+                let serial = Rs485::open(path, *bit_rate)?;
+                let clock = serial.clock()?;
+                Ok(Self::Rs485(SerialMaster::new(serial, clock, config)))
+            }
+        }
+    }
+}
+
+/// The same for each bus.
+macro_rules! on_each {
+    ($master:expr, $runner:ident => $call:expr) => {
+        match $master {
+            Self::SimulatedCan($runner) => $call,
+            Self::SimulatedRs485($runner) => $call,
+            Self::SocketCan($runner) => $call,
+            Self::Slcan($runner) => $call,
+            Self::Rs485($runner) => $call,
+        }
+    };
+}
+
+impl<const N: usize> Runner<N> for AnyMaster<N> {
+    type Error = BusError;
+
+    fn master(&mut self) -> &mut Master<N> {
+        on_each!(self, runner => runner.master())
+    }
+
+    fn now(&self) -> Instant {
+        on_each!(self, runner => runner.now())
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, BusError> {
+        match self {
+            Self::SimulatedCan(runner) => runner.poll().map_err(BusError::SimulatedCan),
+            Self::SimulatedRs485(runner) => runner.poll().map_err(BusError::SimulatedRs485),
+            Self::SocketCan(runner) => runner.poll().map_err(BusError::Port),
+            Self::Slcan(runner) => runner.poll().map_err(BusError::Port),
+            Self::Rs485(runner) => runner.poll().map_err(BusError::Port),
+        }
+    }
+
+    fn idle(&mut self, until: Instant) {
+        on_each!(self, runner => runner.idle(until))
+    }
+}

@@ -1,0 +1,26 @@
+//! A master on whatever bus one string names: real or simulated, the same code from there on.
+//!
+//! Stands above [`port`](crate::port) and [`sim`](crate::sim), which know nothing of each other.
+//! [`AnyMaster::open`] opens what a [`BusAddress`] names: `sim:4`, `can0`,
+//! `slcan:/dev/ttyACM0@1000000`, `rs485:/dev/ttyUSB0@115200,echo`.
+//!
+//! ```
+//! use myactuator_host_std::open::{AnyMaster, BusAddress};
+//! use myactuator_host_std::protocol::MotorId;
+//! use myactuator_host_std::protocol::command::ReadMultiTurnAngle;
+//! use myactuator_host_std::protocol::io::Runner;
+//!
+//! let bus: BusAddress = "sim:4".parse()?;
+//! let mut arm = AnyMaster::<8>::open(&bus)?;
+//! let reading = arm.ask(MotorId::new(1)?, ReadMultiTurnAngle)?;
+//! assert_eq!(reading.angle.degrees(), 0.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod address;
+mod any_master;
+mod error;
+
+pub use address::{BusAddress, NotAnAddress};
+pub use any_master::AnyMaster;
+pub use error::BusError;

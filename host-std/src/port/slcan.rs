@@ -1,0 +1,217 @@
+//! SLCAN adapters on serial ports of this machine.
+
+use std::os::fd::{AsFd, BorrowedFd};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use embedded_can::nb::Can;
+use myactuator_protocol_core::wire::can::SimpleFrame;
+use rustix::event::PollFlags;
+
+use crate::port::clock::Backlog;
+use crate::port::outage::Outage;
+use crate::port::tty::Tty;
+use crate::port::{HostClock, PortError};
+use crate::text::slcan::{AdapterCommand, Answer, Codec, Rate};
+
+/// The rate of the serial line, which USB adapters ignore.
+const LINE_RATE: u32 = 115_200;
+/// How long an adapter may take to answer while it is set up. Some never answer.
+const ANSWER_TIME: Duration = Duration::from_millis(100);
+/// An adapter that says nothing for so long has said what it had to say.
+const QUIET: Duration = Duration::from_millis(20);
+/// A port that takes nothing for so long holds stale frames.
+const LONGEST_STALL: Duration = Duration::from_millis(20);
+/// Bytes read at once, and how often in one call at the most.
+const CHUNK: usize = 256;
+const READS_A_CALL: usize = 16;
+
+/// A CAN bus behind an SLCAN adapter.
+///
+/// The adapter is one on USB, for which the rate of the serial line means nothing; others have to run
+/// at 115200 bit/s. It is opened here and closed when this is dropped; no other program can open the
+/// port meanwhile.
+///
+/// BEL from the adapter counts as a bus that carries nothing: from then until a frame comes,
+/// [`transmit`](Can::transmit) refuses, with an error, all that could move a motor. A port that takes
+/// nothing for 20 ms is emptied, for what it holds is stale. What its driver does not give back, and
+/// what the adapter itself holds, may be sent when the bus is back, and many adapters report nothing
+/// at all: protect the drives on their own side, by communication-loss protection (0xB3).
+#[derive(Debug)]
+pub struct Slcan {
+    tty: Tty,
+    codec: Codec,
+    chunk: Box<[u8; CHUNK]>,
+    /// The bytes of `chunk` that are still to be looked at.
+    unread: std::ops::Range<usize>,
+    /// The rest of a line that the port has not taken yet.
+    unsent: Vec<u8>,
+    stalled_since: Option<Instant>,
+    outage: Outage,
+    backlog: Backlog,
+}
+
+impl Slcan {
+    /// Opens the adapter on this serial port and puts it on the bus.
+    ///
+    /// Takes up to half a second with adapters that answer nothing.
+    ///
+    /// # Errors
+    /// [`PortError`]: there is no such port, it is no serial port, the user may not open it, another
+    /// program has it open, or the adapter refuses the bit rate or to open.
+    pub fn open(path: impl AsRef<Path>, rate: Rate) -> Result<Self, PortError> {
+        let mut slcan = Self {
+            tty: Tty::open(path.as_ref(), LINE_RATE)?,
+            codec: Codec::new(),
+            chunk: Box::new([0; CHUNK]),
+            unread: 0..0,
+            unsent: Vec::new(),
+            stalled_since: None,
+            outage: Outage::default(),
+            backlog: Backlog::default(),
+        };
+        // Ends a line that an interrupted program left, and closes what it left open. An adapter that
+        // is closed already refuses that.
+        slcan.tell(AdapterCommand::Nothing)?;
+        slcan.tell(AdapterCommand::Close)?;
+        // Answers to what an earlier program said last may still be on their way.
+        slcan.read_until_quiet()?;
+        slcan.tty.discard_input()?;
+        slcan.unread = 0..0;
+        slcan.codec = Codec::new();
+        for command in [AdapterCommand::SetRate(rate), AdapterCommand::Open] {
+            if slcan.tell(command)? == Some(Answer::Refused) {
+                return Err(PortError::Refused(slcan.tty.name().to_owned()));
+            }
+        }
+        Ok(slcan)
+    }
+
+    /// A clock that waits for this adapter.
+    ///
+    /// # Errors
+    /// [`PortError::Os`] when the operating system has no file descriptor left.
+    pub fn clock(&self) -> Result<HostClock, PortError> {
+        HostClock::with_backlog(self, self.backlog.clone())
+            .map_err(|error| PortError::os(self.tty.name(), error))
+    }
+
+    /// Sends a command of the set-up and waits for its answer; `None` if none comes.
+    fn tell(&mut self, command: AdapterCommand) -> Result<Option<Answer>, PortError> {
+        command.encode(&mut self.unsent);
+        let deadline = Instant::now() + ANSWER_TIME;
+        loop {
+            self.send_on()?;
+            while let Some(answer) = self.next_answer()? {
+                if matches!(answer, Answer::Done | Answer::Refused) {
+                    return Ok(Some(answer));
+                }
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            self.tty.wait(PollFlags::IN, Some(left))?;
+        }
+    }
+
+    /// Passes over what arrives, until nothing has for a while.
+    fn read_until_quiet(&mut self) -> Result<(), PortError> {
+        let end = Instant::now() + ANSWER_TIME;
+        let mut has_come = true;
+        while has_come && Instant::now() < end {
+            self.tty.wait(PollFlags::IN, Some(QUIET))?;
+            has_come = self.next_answer()?.is_some();
+        }
+        Ok(())
+    }
+
+    /// Hands the port what it has not taken yet.
+    fn send_on(&mut self) -> Result<(), PortError> {
+        if self.unsent.is_empty() {
+            return Ok(());
+        }
+        let taken = self.tty.write(&self.unsent)?;
+        self.unsent.drain(..taken);
+        self.backlog.set(!self.unsent.is_empty());
+        if taken > 0 {
+            self.stalled_since = None;
+            return Ok(());
+        }
+        let since = *self.stalled_since.get_or_insert_with(Instant::now);
+        if since.elapsed() < LONGEST_STALL {
+            return Ok(());
+        }
+        self.tty.discard_output()?;
+        self.stalled_since = None;
+        // The adapter may hold the beginning of a line.
+        self.unsent.clear();
+        AdapterCommand::Nothing.encode(&mut self.unsent);
+        let stalled = PortError::Stalled(self.tty.name().to_owned());
+        self.outage.begin(stalled.clone());
+        Err(stalled)
+    }
+
+    /// The next answer among what has arrived.
+    fn next_answer(&mut self) -> Result<Option<Answer>, PortError> {
+        for _ in 0..READS_A_CALL {
+            for place in self.unread.by_ref() {
+                if let Some(answer) = self.codec.feed(self.chunk[place]) {
+                    return Ok(Some(answer));
+                }
+            }
+            match self.tty.read(&mut *self.chunk)? {
+                Some(length) => self.unread = 0..length,
+                None => break,
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl Drop for Slcan {
+    /// Takes the adapter off the bus, as far as it still listens.
+    fn drop(&mut self) {
+        let _ = self.tty.discard_output();
+        let _ = self.tty.write(b"\rC\r");
+    }
+}
+
+impl AsFd for Slcan {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.tty.as_fd()
+    }
+}
+
+impl Can for Slcan {
+    type Frame = SimpleFrame;
+    type Error = PortError;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> nb::Result<Option<SimpleFrame>, PortError> {
+        self.send_on()?;
+        if !self.unsent.is_empty() {
+            return Err(nb::Error::WouldBlock);
+        }
+        self.outage.admit(frame)?;
+        AdapterCommand::Transmit(*frame).encode(&mut self.unsent);
+        self.send_on()?;
+        Ok(None)
+    }
+
+    fn receive(&mut self) -> nb::Result<SimpleFrame, PortError> {
+        self.send_on()?;
+        while let Some(answer) = self.next_answer()? {
+            match answer {
+                Answer::Frame(frame) => {
+                    self.outage.end();
+                    return Ok(frame);
+                }
+                Answer::Refused => {
+                    self.outage.begin(PortError::Refused(self.tty.name().to_owned()));
+                }
+                _ => {}
+            }
+        }
+        Err(nb::Error::WouldBlock)
+    }
+}

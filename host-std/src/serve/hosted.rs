@@ -1,0 +1,186 @@
+//! A simulated bus with its drives in real time.
+
+use std::time::Duration;
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::ErrorFlags;
+use myactuator_protocol_core::drive::Event;
+
+use crate::sim::DriveHandle;
+use crate::sim::bus::faults::{Babble, Direction, FaultPlan};
+use crate::sim::bus::{Medium, World};
+
+use super::planned_fault::{FaultKind, PlannedFault};
+
+const DIRECTIONS: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
+
+/// A bus of either kind that is being served.
+pub(super) trait Hosted {
+    /// Has time go on with the wall clock from now on, whatever has passed.
+    fn follow_wall_clock(&self);
+
+    /// When something happens next by itself: a clock that counts down to it.
+    fn next_event(&self) -> NextEvent<'_>;
+
+    /// Lets something go wrong.
+    fn strike(&mut self, fault: &PlannedFault);
+
+    /// Takes the supply from all drives, which store what they save then. Gives those that could not.
+    fn power_off(&self) -> Vec<MotorId>;
+}
+
+/// Tells how long it still is until something happens on a bus; `None` for nothing ever.
+pub(super) type NextEvent<'a> = Box<dyn Fn() -> Option<Duration> + 'a>;
+
+/// A bus, its drives, and what is wrong with them.
+#[derive(Debug)]
+pub(super) struct Host<B: Medium> {
+    world: World<B>,
+    drives: Vec<DriveHandle>,
+    /// The plans of all drives that have none of their own, by direction.
+    common: [FaultPlan; 2],
+    /// Each drive's own plans.
+    own: Vec<[Option<FaultPlan>; 2]>,
+}
+
+impl<B: Medium> Host<B> {
+    pub(super) fn new(world: World<B>, drives: Vec<DriveHandle>) -> Self {
+        let own = vec![[None; 2]; drives.len()];
+        Self { world, drives, common: [FaultPlan::NONE; 2], own }
+    }
+
+    /// Changes what chance does, and leaves what it did so far.
+    fn change_plans(&mut self, fault: &PlannedFault, change: impl Fn(&mut FaultPlan)) {
+        for (way, &direction) in DIRECTIONS.iter().enumerate() {
+            if fault.direction.is_some_and(|only| only != direction) {
+                continue;
+            }
+            let common = &mut self.common[way];
+            for (drive, own) in self.drives.iter().zip(&mut self.own) {
+                let own = &mut own[way];
+                if fault.motor == Some(drive.motor()) {
+                    change(own.get_or_insert(*common));
+                } else if let (None, Some(own)) = (fault.motor, &mut *own) {
+                    change(own);
+                }
+                self.world.set_node_faults(drive.station(), direction, *own);
+            }
+            if fault.motor.is_none() {
+                change(common);
+                self.world.set_faults(direction, *common);
+            }
+        }
+    }
+}
+
+impl<B: Medium> Hosted for Host<B> {
+    fn follow_wall_clock(&self) {
+        self.world.clone().in_real_time();
+    }
+
+    fn next_event(&self) -> NextEvent<'_> {
+        let next = self.world.next_event();
+        Box::new(move || {
+            next.map(|next| Duration::from_micros((next - self.world.now()).as_micros()))
+        })
+    }
+
+    fn strike(&mut self, fault: &PlannedFault) {
+        if let FaultKind::Chance(chance) = fault.kind {
+            return self.change_plans(fault, |plan| chance.add_to(plan));
+        }
+        let world = &self.world;
+        let struck = |drive: &&DriveHandle| fault.motor.is_none_or(|motor| motor == drive.motor());
+        for drive in self.drives.iter().filter(struck) {
+            let station = drive.station();
+            match fault.kind {
+                FaultKind::Chance(_) => {}
+                FaultKind::Babble(interval) => {
+                    world.babble(station, Some(Babble::Random { interval }));
+                }
+                FaultKind::Slow(by) => world.slow_down(station, by),
+                FaultKind::Cut => world.cut(station),
+                FaultKind::Mend => {
+                    world.mend(station);
+                    world.slow_down(station, Default::default());
+                    world.babble(station, None);
+                }
+                FaultKind::Reset => world.reset(station),
+                FaultKind::Error(errors) => drive.with(|drive| drive.raise_fault(errors)),
+                FaultKind::Clear => {
+                    drive.with(|drive| drive.clear_fault(ErrorFlags::all()));
+                }
+            }
+        }
+    }
+
+    fn power_off(&self) -> Vec<MotorId> {
+        let now = self.world.now();
+        let fails = |drive: &&DriveHandle| {
+            drive.with(|drive| {
+                while drive.poll_event().is_some() {}
+                drive.power_off(now);
+                let mut events = std::iter::from_fn(|| drive.poll_event());
+                events.any(|event| event == Event::MemoryFailed)
+            })
+        };
+        self.drives.iter().filter(fails).map(DriveHandle::motor).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::Fleet;
+    use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus1};
+    use myactuator_protocol_core::io::{CanMaster, Runner};
+    use myactuator_protocol_core::master::Config;
+
+    /// Two drives under virtual time, what hosts them, and whether each of them answers.
+    fn answers(faults: &[&str]) -> [bool; 2] {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let mut host = Host::new(fleet.world.clone(), fleet.drives.clone());
+        for fault in faults {
+            host.strike(&fault.parse().unwrap());
+        }
+        let config = Config { attempts: 1, ..Config::CAN };
+        let mut master = CanMaster::<_, _, 2>::new(fleet.world.port(), fleet.world.clock(), config);
+        [1, 2].map(|id| master.ask(MotorId::new(id).unwrap(), ReadMultiTurnAngle).is_ok())
+    }
+
+    #[test]
+    fn faults_strike_whom_they_name() {
+        assert_eq!(answers(&[]), [true, true]);
+        assert_eq!(answers(&["lose=1"]), [false, false]);
+        assert_eq!(answers(&["lose=1@2"]), [true, false]);
+        assert_eq!(answers(&["lose=1@2,from-drives"]), [true, false]);
+        assert_eq!(answers(&["cut@1"]), [false, true]);
+        assert_eq!(answers(&["slow=1s@2"]), [true, false]);
+    }
+
+    #[test]
+    fn later_faults_add_to_earlier_ones() {
+        assert_eq!(answers(&["lose=1@2", "duplicate=0.5"]), [true, false]);
+        assert_eq!(answers(&["lose=1", "duplicate=0.5@2"]), [false, false]);
+        assert_eq!(answers(&["lose=1@2", "lose=0"]), [true, true]);
+        assert_eq!(answers(&["lose=1", "lose=0@2"]), [false, true]);
+        assert_eq!(answers(&["cut", "slow=1s", "babble@1", "mend"]), [true, true]);
+    }
+
+    #[test]
+    fn errors_come_and_go() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut host = Host::new(fleet.world.clone(), fleet.drives.clone());
+        let mut master = fleet.master::<1>();
+        let mut named = |fault: &str| {
+            host.strike(&fault.parse().unwrap());
+            let errors = master.ask(MotorId::MIN, ReadStatus1).unwrap().errors;
+            errors.each().filter_map(|error| error.name()).collect::<Vec<_>>()
+        };
+        assert_eq!(named("over-speed"), ["over-speed"]);
+        assert_eq!(named("stall@1"), ["stall", "over-speed"]);
+        // Stall is of level one, which only a restart ends (8.2).
+        assert_eq!(named("clear"), ["stall"]);
+        assert_eq!(named("stall@2"), ["stall"]);
+    }
+}

@@ -1,0 +1,123 @@
+//! The CAN bus on a CAN interface of Linux.
+
+use std::collections::VecDeque;
+use std::os::fd::{AsFd, BorrowedFd};
+use std::time::Duration;
+
+use embedded_can::Frame;
+use embedded_can::nb::Can as _;
+use myactuator_protocol_core::wire::can::SimpleFrame;
+use socketcan::CanFrame;
+
+use super::end::End;
+use super::{Notice, ServeError};
+use crate::port::SocketCan;
+use crate::sim::bus::can::CanPort;
+
+/// How many frames wait for the interface at most; the oldest give way.
+const MOST_WAITING: usize = 256;
+/// When to try again a frame that the interface had no room for: its queue gives no sign.
+const TRY_AGAIN: Duration = Duration::from_millis(1);
+
+/// A bridge: whatever is on one bus is sent on the other.
+#[derive(Debug)]
+pub(super) struct InterfaceEnd {
+    socket: SocketCan,
+    port: CanPort,
+    /// From outside, for the simulated bus.
+    inward: Option<SimpleFrame>,
+    /// From the simulated bus, for outside.
+    outward: VecDeque<CanFrame>,
+    /// It has been told that the bus outside carries nothing.
+    is_outage_told: bool,
+}
+
+impl InterfaceEnd {
+    pub(super) fn new(socket: SocketCan, port: CanPort) -> Self {
+        Self { socket, port, inward: None, outward: VecDeque::new(), is_outage_told: false }
+    }
+
+    fn pump_inward(&mut self) -> Result<(), ServeError> {
+        loop {
+            if let Some(frame) = self.inward {
+                match self.port.transmit(&frame) {
+                    Err(nb::Error::WouldBlock) => return Ok(()),
+                    // A controller that is bus-off loses it, as a real one would.
+                    Ok(_) | Err(nb::Error::Other(_)) => self.inward = None,
+                }
+            }
+            match self.socket.receive() {
+                Ok(frame) => self.inward = convert(&frame),
+                Err(nb::Error::WouldBlock) => return Ok(()),
+                Err(nb::Error::Other(error)) => return Err(error.into()),
+            }
+        }
+    }
+
+    fn pump_outward(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
+        while let Ok(frame) = self.port.receive() {
+            if self.outward.len() >= MOST_WAITING {
+                self.outward.pop_front();
+            }
+            self.outward.extend(convert::<CanFrame>(&frame));
+        }
+        while let Some(frame) = self.outward.front() {
+            match self.socket.transmit(frame) {
+                Ok(_) => self.is_outage_told = false,
+                Err(nb::Error::WouldBlock) => break,
+                Err(nb::Error::Other(error)) if error.is_outage() => {
+                    if !std::mem::replace(&mut self.is_outage_told, true) {
+                        notify(Notice::Outage(error));
+                    }
+                }
+                Err(nb::Error::Other(error)) => return Err(error.into()),
+            }
+            self.outward.pop_front();
+        }
+        Ok(())
+    }
+}
+
+impl End for InterfaceEnd {
+    fn source(&self) -> Option<BorrowedFd<'_>> {
+        self.inward.is_none().then(|| self.socket.as_fd())
+    }
+
+    fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
+        self.pump_inward()?;
+        self.pump_outward(notify)
+    }
+
+    fn patience(&mut self) -> Option<Duration> {
+        if self.port.world().controller(self.port.station()).received > 0 {
+            Some(Duration::ZERO)
+        } else {
+            (!self.outward.is_empty()).then_some(TRY_AGAIN)
+        }
+    }
+}
+
+/// The same frame in another type; `None` for a kind that the type has not.
+fn convert<F: Frame>(frame: &impl Frame) -> Option<F> {
+    if frame.is_remote_frame() {
+        F::new_remote(frame.id(), frame.dlc())
+    } else {
+        F::new(frame.id(), frame.data())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::text::can;
+
+    #[test]
+    fn frames_go_through_as_they_are() {
+        for text in ["141#9C00000000000000", "7FF#", "1FFFFFFF#A55A", "141#R8", "00000141#R"] {
+            let frame = can::parse_line(text).unwrap();
+            let outside: CanFrame = convert(&frame).unwrap();
+            let back: SimpleFrame = convert(&outside).unwrap();
+            assert_eq!(can::frame(&back), text);
+        }
+    }
+}

@@ -1,0 +1,353 @@
+//! Simulated drives in real time, for other programs: on serial ports and CAN interfaces.
+//!
+//! Stands above [`sim`](crate::sim), which it runs against the wall clock, and
+//! [`port`](crate::port), whose CAN interface it puts the drives on.
+//!
+//! A [`Server`] takes fleets and gives ways to them:
+//!
+//! | way | what programs find there |
+//! |---|---|
+//! | [`serve_line`](Server::serve_line) | a pseudo-terminal that is an RS485 adapter |
+//! | [`serve_adapter`](Server::serve_adapter) | a pseudo-terminal that is an SLCAN adapter |
+//! | [`serve_interface`](Server::serve_interface) | the drives on a CAN interface of Linux |
+//!
+//! An adapter and an interface lead to the same CAN bus: what is sent on one is heard on the other.
+//! Pseudo-terminals have no bit rate, so bytes take their time on the simulated bus alone, and a
+//! program may set what it likes.
+//!
+//! One thread waits for all programs and for the next thing that happens on a bus, and sleeps
+//! meanwhile.
+
+mod adapter;
+mod adapter_end;
+mod end;
+mod hosted;
+mod interface_end;
+mod line_end;
+mod planned_fault;
+mod pty;
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::io;
+use std::os::fd::{AsFd, BorrowedFd};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use myactuator_protocol_core::master::MotorSet;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+
+use crate::port::{PortError, SocketCan};
+use crate::sim::bus::can::ControllerConfig;
+use crate::sim::bus::rs485::{SerialError, TransceiverConfig};
+use crate::sim::{CanFleet, LineFleet};
+use crate::text::slcan::Rate;
+
+use adapter_end::AdapterEnd;
+use end::End;
+use hosted::{Host, Hosted};
+use interface_end::InterfaceEnd;
+use line_end::LineEnd;
+use pty::Pty;
+
+pub use planned_fault::{Chance, FaultKind, NotAFault, PlannedFault};
+
+/// The longest wait: drives move, and simulated time must not fall behind.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
+/// Time that passes beyond a wait is made up for, unless it is more than this: then the process was
+/// stopped, or the computer is too slow.
+const LONGEST_LAG: Duration = Duration::from_millis(500);
+/// How many frames a simulated USB adapter keeps for the bus.
+const ADAPTER_QUEUE: usize = 64;
+
+/// Serves fleets of simulated drives to other programs. See the [module](self).
+#[derive(Default)]
+pub struct Server {
+    hosts: Vec<Box<dyn Hosted>>,
+    ends: Vec<Box<dyn End>>,
+    /// By time.
+    faults: VecDeque<PlannedFault>,
+}
+
+impl fmt::Debug for Server {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Server")
+            .field("buses", &self.hosts.len())
+            .field("ways", &self.ends.len())
+            .field("faults", &self.faults)
+            .finish()
+    }
+}
+
+/// What the person in front of a server should know.
+#[derive(Clone, Debug)]
+pub enum Notice {
+    /// The process was stopped or the computer was busy: simulated time has left out so much.
+    LeftOut(Duration),
+    /// A program asked the SLCAN adapter for another bit rate than the bus has, and was refused.
+    WrongRate {
+        /// What it asked for.
+        asked: Rate,
+        /// What the bus has, in bit/s.
+        bit_rate: u32,
+    },
+    /// The CAN interface's bus carries nothing, so the drives' frames are lost.
+    Outage(PortError),
+}
+
+impl fmt::Display for Notice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::LeftOut(span) => write!(
+                f,
+                "simulated time stood still for {:.1} s: the program was stopped, or the computer \
+                 is too slow for so many drives",
+                span.as_secs_f64()
+            ),
+            Self::WrongRate { asked, bit_rate } => write!(
+                f,
+                "a program asked the SLCAN adapter for {} bit/s, but the simulated bus runs at \
+                 {bit_rate}: set the program to that",
+                asked.bits_per_second()
+            ),
+            Self::Outage(error) => write!(f, "replies are lost: {error}"),
+        }
+    }
+}
+
+/// Why drives cannot be served, or not any more.
+#[derive(Debug)]
+pub enum ServeError {
+    /// The operating system refuses a pseudo-terminal, or fails it.
+    Terminal(io::Error),
+    /// The CAN interface cannot be opened or has failed.
+    Interface(PortError),
+    /// These drives could not store what they keep over power-off.
+    NotStored(MotorSet),
+}
+
+impl fmt::Display for ServeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Terminal(error) => {
+                write!(f, "no pseudo-terminal to serve: the operating system reports: {error}")
+            }
+            Self::Interface(error) => error.fmt(f),
+            Self::NotStored(motors) => write!(
+                f,
+                "motors {motors} could not store their settings and turns: check the folder's \
+                 permissions and room"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for ServeError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Terminal(error) => Some(error),
+            Self::Interface(error) => Some(error),
+            Self::NotStored(_) => None,
+        }
+    }
+}
+
+impl From<io::Error> for ServeError {
+    fn from(error: io::Error) -> Self {
+        Self::Terminal(error)
+    }
+}
+
+impl From<SerialError> for ServeError {
+    fn from(error: SerialError) -> Self {
+        Self::Terminal(io::Error::new(io::ErrorKind::TimedOut, error))
+    }
+}
+
+impl From<PortError> for ServeError {
+    fn from(error: PortError) -> Self {
+        Self::Interface(error)
+    }
+}
+
+impl Server {
+    /// One that serves nothing yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Serves drives on an RS485 line, by an adapter with these properties. Gives the path of its
+    /// serial port.
+    ///
+    /// # Errors
+    /// [`ServeError::Terminal`].
+    pub fn serve_line(
+        &mut self,
+        fleet: &LineFleet,
+        transceiver: TransceiverConfig,
+    ) -> Result<PathBuf, ServeError> {
+        let pty = Pty::open()?;
+        let path = pty.path().to_owned();
+        let port = fleet.world.port_with(transceiver);
+        self.hosts.push(Box::new(Host::new(fleet.world.clone(), fleet.drives.clone())));
+        self.ends.push(Box::new(LineEnd { pty, port, waiting: Vec::new() }));
+        Ok(path)
+    }
+
+    /// Takes drives on a CAN bus, to serve them by adapters and interfaces. They live without as
+    /// well.
+    pub fn host_can(&mut self, fleet: &CanFleet) {
+        self.hosts.push(Box::new(Host::new(fleet.world.clone(), fleet.drives.clone())));
+    }
+
+    /// Serves [hosted](Self::host_can) drives by an SLCAN adapter. Gives the path of its serial port.
+    ///
+    /// # Errors
+    /// [`ServeError::Terminal`].
+    pub fn serve_adapter(&mut self, fleet: &CanFleet) -> Result<PathBuf, ServeError> {
+        let pty = Pty::open()?;
+        let path = pty.path().to_owned();
+        let queues =
+            ControllerConfig { transmit_queue: ADAPTER_QUEUE, ..ControllerConfig::SOCKETCAN };
+        let port = fleet.world.port_with(queues);
+        self.ends.push(Box::new(AdapterEnd::new(pty, port, fleet.bit_rate())));
+        Ok(path)
+    }
+
+    /// Serves [hosted](Self::host_can) drives on a CAN interface. On a real one they answer next to
+    /// whatever else is there: take care that no motor has the same id.
+    ///
+    /// # Errors
+    /// [`ServeError::Interface`].
+    pub fn serve_interface(&mut self, fleet: &CanFleet, interface: &str) -> Result<(), ServeError> {
+        let socket = SocketCan::open(interface)?;
+        self.ends.push(Box::new(InterfaceEnd::new(socket, fleet.world.port())));
+        Ok(())
+    }
+
+    /// Plans what goes wrong, on all buses.
+    pub fn plan(&mut self, faults: impl IntoIterator<Item = PlannedFault>) {
+        self.faults.extend(faults);
+        self.faults.make_contiguous().sort_by_key(|fault| fault.after);
+    }
+
+    /// Serves until there is something to read from `stop` or it is closed, then takes the supply
+    /// from the drives.
+    ///
+    /// # Errors
+    /// [`ServeError`] as soon as a way is gone for good, or [`ServeError::NotStored`] at the end.
+    pub fn run(
+        mut self,
+        stop: impl AsFd,
+        mut notify: impl FnMut(Notice),
+    ) -> Result<(), ServeError> {
+        let served = self.serve(stop.as_fd(), &mut notify);
+        let not_stored: MotorSet = self.hosts.iter().flat_map(|host| host.power_off()).collect();
+        match served {
+            Ok(()) if !not_stored.is_empty() => Err(ServeError::NotStored(not_stored)),
+            served => served,
+        }
+    }
+
+    fn serve(
+        &mut self,
+        stop: BorrowedFd<'_>,
+        notify: &mut dyn FnMut(Notice),
+    ) -> Result<(), ServeError> {
+        self.follow_wall_clock();
+        let mut start = Instant::now();
+        loop {
+            let round = Instant::now();
+            self.strike(round - start);
+            for end in &mut self.ends {
+                end.pump(notify)?;
+            }
+            let wait = self.patience(round - start);
+            if self.wait(stop, wait)? {
+                return Ok(());
+            }
+            let lag = round.elapsed().saturating_sub(wait);
+            if lag > LONGEST_LAG {
+                self.follow_wall_clock();
+                start += lag;
+                notify(Notice::LeftOut(lag));
+            }
+        }
+    }
+
+    fn follow_wall_clock(&self) {
+        for host in &self.hosts {
+            host.follow_wall_clock();
+        }
+    }
+
+    /// Lets go wrong what is due.
+    fn strike(&mut self, passed: Duration) {
+        while self.faults.front().is_some_and(|fault| Duration::from(fault.after) <= passed)
+            && let Some(fault) = self.faults.pop_front()
+        {
+            for host in &mut self.hosts {
+                host.strike(&fault);
+            }
+        }
+    }
+
+    /// How long to wait for programs at most.
+    fn patience(&mut self, passed: Duration) -> Duration {
+        // In this order: what a port gets after it was asked is an event before the next one known.
+        let events: Vec<_> = self.hosts.iter().map(|host| host.next_event()).collect();
+        let ends = self.ends.iter_mut().filter_map(|end| end.patience()).min();
+        let events = events.iter().filter_map(|next| next()).min();
+        let fault =
+            self.faults.front().map(|fault| Duration::from(fault.after).saturating_sub(passed));
+        [ends, events, fault].into_iter().flatten().fold(LONGEST_WAIT, Duration::min)
+    }
+
+    /// Waits for programs; true if it is time to stop.
+    fn wait(&self, stop: BorrowedFd<'_>, patience: Duration) -> Result<bool, ServeError> {
+        let mut sources = vec![PollFd::from_borrowed_fd(stop, PollFlags::IN)];
+        let ends = self.ends.iter().filter_map(|end| end.source());
+        sources.extend(ends.map(|end| PollFd::from_borrowed_fd(end, PollFlags::IN)));
+        let patience = Timespec::try_from(patience).unwrap_or_default();
+        match poll(&mut sources, Some(&patience)) {
+            Ok(_) => Ok(sources.first().is_some_and(|stop| !stop.revents().is_empty())),
+            Err(Errno::INTR) => Ok(false),
+            Err(error) => Err(ServeError::Terminal(error.into())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::Fleet;
+    use myactuator_protocol_core::command::ErrorFlags;
+    use myactuator_protocol_core::drive::Event;
+
+    #[test]
+    fn planned_faults_come_in_their_time_on_all_buses() {
+        let can = Fleet::new(1).on_can(1_000_000).unwrap();
+        let line = Fleet::new(1).on_rs485(115_200).unwrap();
+        let mut server = Server::new();
+        server.host_can(&can);
+        server.serve_line(&line, TransceiverConfig::default()).unwrap();
+        let plan = ["clear+2s", "over-speed+1s", "over-voltage@1"];
+        server.plan(plan.map(|fault| fault.parse().unwrap()));
+        let mut at = |seconds: f64| {
+            server.strike(Duration::from_secs_f64(seconds));
+            [&can.drives[0], &line.drives[0]].map(|drive| {
+                let next = || drive.with(|drive| drive.poll_event());
+                std::iter::from_fn(next)
+                    .filter(|event| *event != Event::Started)
+                    .collect::<Vec<_>>()
+            })
+        };
+        let both = |events: &[Event]| [events.to_vec(), events.to_vec()];
+        assert_eq!(at(0.0), both(&[Event::FaultRaised(ErrorFlags::OVER_VOLTAGE)]));
+        assert_eq!(at(0.999), both(&[]));
+        assert_eq!(at(1.0), both(&[Event::FaultRaised(ErrorFlags::OVER_SPEED)]));
+        let errors = ErrorFlags::OVER_VOLTAGE | ErrorFlags::OVER_SPEED;
+        assert_eq!(at(3.0), both(&[Event::FaultCleared(errors)]));
+    }
+}

@@ -1,0 +1,403 @@
+//! A fault in one word, as people type it, and what it does to a bus and its drives.
+
+use std::fmt;
+use std::str::FromStr;
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::ErrorFlags;
+use myactuator_protocol_core::time::Duration;
+
+use crate::sim::bus::faults::{Direction, FaultPlan};
+
+/// How likely a fault is where nothing is said.
+const USUAL_CHANCE: f32 = 0.01;
+/// The pause between two frames of a babbling drive where nothing is said.
+const USUAL_BABBLE: Duration = Duration::from_millis(10);
+
+/// Something that goes wrong, with whom, and when: `KIND[=VALUE][@WHERE][+TIME]`.
+///
+/// | kind | value, and what it is without | what happens |
+/// |---|---|---|
+/// | `lose` | chance, 0.01 | a frame does not arrive |
+/// | `corrupt` | chance, 0.01 | a bit is disturbed: on CAN an error frame and a repetition, on RS485 a wrong bit |
+/// | `undetected` | share, 0.01 | so many of the corrupted CAN frames pass the CRC with a wrong bit |
+/// | `duplicate` | chance, 0.01 | a frame arrives twice |
+/// | `delay` | chance, `0.1:2ms` or `0.1:1ms..5ms`, 0.01:1ms..5ms | a frame arrives late |
+/// | `reorder` | chance, 0.01 | a frame arrives behind the next one |
+/// | `babble` | pause, 10ms | a drive sends random frames |
+/// | `slow` | time | all that a drive sends comes that much later |
+/// | `cut` | | a drive's wire is cut |
+/// | `mend` | | ends `cut`, `slow` and `babble` |
+/// | `reset` | | a drive's power is cycled |
+/// | an error's name, such as `stall` | | a drive has this error |
+/// | `clear` | | takes the causes of such errors away |
+///
+/// `@WHERE` is a motor's id, else all are struck. Faults by chance may have a direction instead or
+/// as well, `@to-drives`, `@from-drives` or `@2,from-drives`, else they strike both ways. `+TIME`
+/// counts from the start. Times are numbers with `us`, `ms` or `s`.
+///
+/// ```
+/// use myactuator_host_std::serve::PlannedFault;
+///
+/// let fault: PlannedFault = "lose=0.05@from-drives".parse()?;
+/// assert_eq!(fault.motor, None);
+/// let fault: PlannedFault = "stall@2+1.5s".parse()?;
+/// assert_eq!(fault.after.as_millis(), 1_500);
+/// # Ok::<(), myactuator_host_std::serve::NotAFault>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlannedFault {
+    /// What goes wrong.
+    pub kind: FaultKind,
+    /// The motor that it strikes; `None` for all.
+    pub motor: Option<MotorId>,
+    /// The way of the frames that it strikes; `None` for both. Faults by chance only.
+    pub direction: Option<Direction>,
+    /// When it begins, after the start.
+    pub after: Duration,
+}
+
+/// What can be planned to go wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FaultKind {
+    /// Frames are struck by chance from now on.
+    Chance(Chance),
+    /// A drive sends random frames with this pause between them.
+    Babble(Duration),
+    /// What a drive sends comes that much later.
+    Slow(Duration),
+    /// A drive's wire is cut.
+    Cut,
+    /// A drive's wire is whole, and it is as fast and as silent as ever.
+    Mend,
+    /// A drive's power is cycled.
+    Reset,
+    /// A drive has this error.
+    Error(ErrorFlags),
+    /// The causes of errors raised by hand are gone.
+    Clear,
+}
+
+/// Faults that strike frames by chance, as in [`FaultPlan`]. Chances are from 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Chance {
+    /// [`FaultPlan::lose`].
+    Lose(f32),
+    /// [`FaultPlan::corrupt`].
+    Corrupt(f32),
+    /// [`FaultPlan::undetected`].
+    Undetected(f32),
+    /// [`FaultPlan::duplicate`].
+    Duplicate(f32),
+    /// [`FaultPlan::delay`].
+    Delay {
+        /// How likely it is.
+        chance: f32,
+        /// The least that a frame is late.
+        min: Duration,
+        /// The most that a frame is late.
+        max: Duration,
+    },
+    /// [`FaultPlan::reorder`].
+    Reorder(f32),
+}
+
+impl Chance {
+    /// Adds this to a plan.
+    pub const fn add_to(self, plan: &mut FaultPlan) {
+        match self {
+            Self::Lose(chance) => plan.lose = chance,
+            Self::Corrupt(chance) => plan.corrupt = chance,
+            Self::Undetected(share) => plan.undetected = share,
+            Self::Duplicate(chance) => plan.duplicate = chance,
+            Self::Delay { chance, min, max } => {
+                plan.delay = chance;
+                plan.delay_min = min;
+                plan.delay_max = max;
+            }
+            Self::Reorder(chance) => plan.reorder = chance,
+        }
+    }
+}
+
+/// Text that is no fault.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NotAFault {
+    /// A word that names none.
+    Kind(String),
+    /// No number from 0 to 1.
+    Chance(String),
+    /// No time with its unit.
+    Time(String),
+    /// A kind without a value has one.
+    NoValue {
+        /// The kind.
+        kind: String,
+        /// The value.
+        found: String,
+    },
+    /// Neither a motor nor a direction, or one of them twice.
+    Where(String),
+    /// A direction for what has none.
+    NoDirection(String),
+}
+
+impl fmt::Display for NotAFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Kind(found) => {
+                f.write_str(
+                    "expected lose, corrupt, undetected, duplicate, delay, reorder, babble, slow, cut, \
+                     mend, reset, clear or an error (",
+                )?;
+                for (place, error) in ErrorFlags::NAMED.iter().enumerate() {
+                    let comma = if place == 0 { "" } else { ", " };
+                    write!(f, "{comma}{}", error.name().unwrap_or_default())?;
+                }
+                write!(f, "), found \"{found}\"")
+            }
+            Self::Chance(found) => {
+                write!(f, "expected a chance from 0 to 1 such as 0.01, found \"{found}\"")
+            }
+            Self::Time(found) => {
+                write!(
+                    f,
+                    "expected a time with its unit such as 500us, 2ms or 1.5s, found \"{found}\""
+                )
+            }
+            Self::NoValue { kind, found } => {
+                write!(f, "{kind} takes no value, found \"{found}\"")
+            }
+            Self::Where(found) => write!(
+                f,
+                "expected a motor from 1 to {}, to-drives, from-drives, or both with a comma behind \
+                 \"@\", found \"{found}\"",
+                MotorId::COUNT
+            ),
+            Self::NoDirection(kind) => write!(
+                f,
+                "{kind} has no direction: leave to-drives and from-drives to faults by chance"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for NotAFault {}
+
+impl FromStr for PlannedFault {
+    type Err = NotAFault;
+
+    fn from_str(text: &str) -> Result<Self, NotAFault> {
+        let (text, after) = match text.rsplit_once('+') {
+            Some((text, after)) => (text, time(after)?),
+            None => (text, Duration::ZERO),
+        };
+        let (text, place) = match text.split_once('@') {
+            Some((text, place)) => (text, Some(place)),
+            None => (text, None),
+        };
+        let (name, value) = match text.split_once('=') {
+            Some((name, value)) => (name, Some(value)),
+            None => (text, None),
+        };
+        let kind = kind(name, value)?;
+        let (motor, direction) = place.map_or(Ok((None, None)), whom)?;
+        if direction.is_some() && !matches!(kind, FaultKind::Chance(_)) {
+            return Err(NotAFault::NoDirection(name.to_owned()));
+        }
+        Ok(Self { kind, motor, direction, after })
+    }
+}
+
+fn kind(name: &str, value: Option<&str>) -> Result<FaultKind, NotAFault> {
+    let usual = || value.map_or(Ok(USUAL_CHANCE), chance);
+    let kind = match name {
+        "lose" => FaultKind::Chance(Chance::Lose(usual()?)),
+        "corrupt" => FaultKind::Chance(Chance::Corrupt(usual()?)),
+        "undetected" => FaultKind::Chance(Chance::Undetected(usual()?)),
+        "duplicate" => FaultKind::Chance(Chance::Duplicate(usual()?)),
+        "delay" => FaultKind::Chance(delay(value)?),
+        "reorder" => FaultKind::Chance(Chance::Reorder(usual()?)),
+        "babble" => FaultKind::Babble(value.map_or(Ok(USUAL_BABBLE), time)?),
+        "slow" => FaultKind::Slow(time(value.unwrap_or_default())?),
+        _ => {
+            let kind = match name {
+                "cut" => FaultKind::Cut,
+                "mend" => FaultKind::Mend,
+                "reset" => FaultKind::Reset,
+                "clear" => FaultKind::Clear,
+                _ => ErrorFlags::NAMED
+                    .iter()
+                    .find(|error| error.name() == Some(name))
+                    .map(|&error| FaultKind::Error(error))
+                    .ok_or_else(|| NotAFault::Kind(name.to_owned()))?,
+            };
+            if let Some(found) = value {
+                return Err(NotAFault::NoValue { kind: name.into(), found: found.into() });
+            }
+            kind
+        }
+    };
+    Ok(kind)
+}
+
+fn delay(value: Option<&str>) -> Result<Chance, NotAFault> {
+    let FaultPlan { delay_min: min, delay_max: max, .. } = FaultPlan::NONE;
+    let Some(value) = value else {
+        return Ok(Chance::Delay { chance: USUAL_CHANCE, min, max });
+    };
+    let Some((likely, late)) = value.split_once(':') else {
+        return Ok(Chance::Delay { chance: chance(value)?, min, max });
+    };
+    let (least, most) = late.split_once("..").unwrap_or((late, late));
+    let (min, max) = (time(least)?, time(most)?);
+    if min > max {
+        return Err(NotAFault::Time(late.to_owned()));
+    }
+    Ok(Chance::Delay { chance: chance(likely)?, min, max })
+}
+
+fn chance(text: &str) -> Result<f32, NotAFault> {
+    let chance = text.parse().ok().filter(|chance| (0.0..=1.0).contains(chance));
+    chance.ok_or_else(|| NotAFault::Chance(text.to_owned()))
+}
+
+fn time(text: &str) -> Result<Duration, NotAFault> {
+    /// The longest that makes sense, in microseconds: a year.
+    const LONGEST_US: f64 = 365.0 * 86_400.0 * 1e6;
+    let wrong = || NotAFault::Time(text.to_owned());
+    let unit_at = text.find(|c: char| c.is_ascii_alphabetic()).ok_or_else(wrong)?;
+    let (number, unit) = text.split_at(unit_at);
+    let micros = match unit {
+        "us" => 1.0,
+        "ms" => 1e3,
+        "s" => 1e6,
+        _ => return Err(wrong()),
+    } * number.parse::<f64>().map_err(|_| wrong())?;
+    if !(0.0..=LONGEST_US).contains(&micros) {
+        return Err(wrong());
+    }
+    Ok(Duration::from_micros(micros.round() as u64))
+}
+
+fn whom(text: &str) -> Result<(Option<MotorId>, Option<Direction>), NotAFault> {
+    let wrong = || NotAFault::Where(text.to_owned());
+    let (mut motor, mut direction) = (None, None);
+    for word in text.split(',') {
+        let was_told = match word {
+            "to-drives" => direction.replace(Direction::ToNodes).is_some(),
+            "from-drives" => direction.replace(Direction::ToPorts).is_some(),
+            id => {
+                let id = id.parse().ok().and_then(|id| MotorId::new(id).ok()).ok_or_else(wrong)?;
+                motor.replace(id).is_some()
+            }
+        };
+        if was_told {
+            return Err(wrong());
+        }
+    }
+    Ok((motor, direction))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fault(text: &str) -> PlannedFault {
+        text.parse().unwrap_or_else(|error| panic!("{text}: {error}"))
+    }
+
+    fn refused(text: &str) -> String {
+        text.parse::<PlannedFault>().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn every_kind_is_read() {
+        let kinds = [
+            ("lose=0.25", FaultKind::Chance(Chance::Lose(0.25))),
+            ("corrupt", FaultKind::Chance(Chance::Corrupt(0.01))),
+            ("undetected=1", FaultKind::Chance(Chance::Undetected(1.0))),
+            ("duplicate=0", FaultKind::Chance(Chance::Duplicate(0.0))),
+            ("reorder=0.5", FaultKind::Chance(Chance::Reorder(0.5))),
+            ("babble", FaultKind::Babble(Duration::from_millis(10))),
+            ("babble=250us", FaultKind::Babble(Duration::from_micros(250))),
+            ("slow=2ms", FaultKind::Slow(Duration::from_millis(2))),
+            ("cut", FaultKind::Cut),
+            ("mend", FaultKind::Mend),
+            ("reset", FaultKind::Reset),
+            ("clear", FaultKind::Clear),
+            ("stall", FaultKind::Error(ErrorFlags::STALL)),
+            ("under-voltage", FaultKind::Error(ErrorFlags::UNDER_VOLTAGE)),
+        ];
+        for (text, kind) in kinds {
+            let expected =
+                PlannedFault { kind, motor: None, direction: None, after: Duration::ZERO };
+            assert_eq!(fault(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_delay_has_a_time_or_two() {
+        let late = |chance, min, max| {
+            let (min, max) = (Duration::from_millis(min), Duration::from_millis(max));
+            FaultKind::Chance(Chance::Delay { chance, min, max })
+        };
+        assert_eq!(fault("delay").kind, late(0.01, 1, 5));
+        assert_eq!(fault("delay=0.1").kind, late(0.1, 1, 5));
+        assert_eq!(fault("delay=0.1:2ms").kind, late(0.1, 2, 2));
+        assert_eq!(fault("delay=0.1:2ms..30ms").kind, late(0.1, 2, 30));
+        assert!(refused("delay=0.1:3ms..2ms").contains("\"3ms..2ms\""));
+    }
+
+    #[test]
+    fn whom_and_when() {
+        let motor = Some(MotorId::new(3).unwrap());
+        let all = fault("lose=0.5@3,from-drives+1.5s");
+        assert_eq!((all.motor, all.direction), (motor, Some(Direction::ToPorts)));
+        assert_eq!(all.after, Duration::from_millis(1_500));
+        let way = fault("lose@to-drives");
+        assert_eq!((way.motor, way.direction), (None, Some(Direction::ToNodes)));
+        assert_eq!(fault("cut@3+20ms").motor, motor);
+    }
+
+    #[test]
+    fn what_is_wrong_is_told() {
+        assert!(refused("loose").starts_with("expected lose, corrupt"));
+        assert!(refused("loose").contains("stall, under-voltage"));
+        for wrong in ["lose=2", "lose=-0.1", "lose=NaN", "lose="] {
+            assert!(refused(wrong).starts_with("expected a chance"), "{wrong}");
+        }
+        for wrong in ["slow", "slow=5", "slow=ms", "slow=-1s", "babble=inf", "cut+soon"] {
+            assert!(refused(wrong).starts_with("expected a time"), "{wrong}");
+        }
+        for wrong in ["cut@0", "cut@33", "cut@", "lose@1,2", "lose@sideways"] {
+            assert!(refused(wrong).starts_with("expected a motor"), "{wrong}");
+        }
+        assert_eq!(refused("cut=2"), "cut takes no value, found \"2\"");
+        assert!(refused("stall@to-drives").starts_with("stall has no direction"));
+    }
+
+    #[test]
+    fn chances_add_up_in_one_plan() {
+        let mut plan = FaultPlan::NONE;
+        for text in ["lose=0.1", "corrupt=0.2", "undetected=0.3", "duplicate=0.4", "reorder=0.6"] {
+            let FaultKind::Chance(chance) = fault(text).kind else { panic!("{text}") };
+            chance.add_to(&mut plan);
+        }
+        let FaultKind::Chance(chance) = fault("delay=0.5:7ms").kind else { panic!() };
+        chance.add_to(&mut plan);
+        let late = Duration::from_millis(7);
+        let expected = FaultPlan {
+            lose: 0.1,
+            corrupt: 0.2,
+            undetected: 0.3,
+            duplicate: 0.4,
+            delay: 0.5,
+            delay_min: late,
+            delay_max: late,
+            reorder: 0.6,
+            ..FaultPlan::NONE
+        };
+        assert_eq!(plan, expected);
+    }
+}

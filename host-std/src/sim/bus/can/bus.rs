@@ -1,0 +1,482 @@
+//! The wire and who is on it.
+
+use embedded_can::{Frame, StandardId};
+use myactuator_protocol_core::wire::can::SimpleFrame;
+
+use super::CanConfig;
+use super::controller::{Controller, ControllerConfig, ControllerStatus, ErrorState, Recovery};
+use super::timing::{AFTER_ACKNOWLEDGE, INTERMISSION, frame_bits, line_bits};
+use crate::sim::bus::faults::Disturbance;
+use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, Wire, sealed::Bus};
+use crate::sim::bus::nanos::{NEVER, Nanos, bits};
+use crate::sim::bus::random::Random;
+use crate::sim::bus::trace::Event;
+
+/// Flag of six bits, the others' echo of six more, delimiter of eight.
+const ERROR_FRAME: u32 = 6 + 6 + 8;
+/// The flag of a sender that nobody hears has no echo.
+const LONE_ERROR_FRAME: u32 = 6 + 8;
+/// How much longer an error-passive sender waits.
+const SUSPEND: u32 = 8;
+/// Eleven recessive bits are one sequence towards the end of bus-off.
+const SEQUENCE: u32 = 11;
+
+/// How a frame on the wire will end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Ending {
+    Good,
+    /// With this data bit flipped.
+    Falsified(u64),
+    Unacknowledged,
+    /// With an error frame.
+    Broken,
+}
+
+#[derive(Debug)]
+struct Transmission {
+    /// All that send this very frame; more than one only if the frames are equal.
+    senders: Vec<usize>,
+    /// Error-passive stations that lost behind the arbitration field.
+    losers: Vec<usize>,
+    frame: SimpleFrame,
+    started: Nanos,
+    ending: Ending,
+}
+
+#[derive(Debug)]
+enum Phase {
+    Idle {
+        since: Nanos,
+    },
+    Sending {
+        transmission: Transmission,
+        until: Nanos,
+    },
+    /// Error frame and intermission.
+    Gap {
+        until: Nanos,
+    },
+}
+
+/// A CAN bus and the controllers on it.
+#[derive(Debug)]
+pub struct CanBus {
+    bit_rate: u32,
+    controllers: Vec<Controller>,
+    /// The common wire, then each station's stub.
+    wires: Vec<Phase>,
+    cut_off: usize,
+    messages: u64,
+}
+
+const fn place(wire: Wire) -> usize {
+    match wire {
+        Wire::Common => 0,
+        Wire::Stub(station) => station + 1,
+    }
+}
+
+impl CanBus {
+    pub(super) fn new(config: CanConfig) -> Self {
+        Self {
+            bit_rate: config.bit_rate,
+            controllers: Vec::new(),
+            wires: vec![Phase::Idle { since: 0 }],
+            cut_off: 0,
+            messages: 0,
+        }
+    }
+
+    fn bits(&self, count: u32) -> Nanos {
+        bits(count.into(), self.bit_rate)
+    }
+
+    /// The wires with somebody on them.
+    fn wires(&self) -> impl Iterator<Item = Wire> + use<> {
+        let stubs: Vec<Wire> = if self.cut_off == 0 {
+            Vec::new()
+        } else {
+            self.controllers
+                .iter()
+                .map(|controller| controller.wire)
+                .filter(|&wire| wire != Wire::Common)
+                .collect()
+        };
+        std::iter::once(Wire::Common).chain(stubs)
+    }
+
+    fn on(&self, wire: Wire) -> impl Iterator<Item = (usize, &Controller)> {
+        self.controllers.iter().enumerate().filter(move |(_, controller)| controller.wire == wire)
+    }
+
+    fn on_mut(&mut self, wire: Wire) -> impl Iterator<Item = (usize, &mut Controller)> {
+        let all = self.controllers.iter_mut().enumerate();
+        all.filter(move |(_, controller)| controller.wire == wire)
+    }
+
+    fn recovery_at(&self, recovery: Recovery) -> Nanos {
+        recovery.since.saturating_add(bits(recovery.wanted * u64::from(SEQUENCE), self.bit_rate))
+    }
+
+    fn next_on(&self, wire: Wire) -> Nanos {
+        match &self.wires[place(wire)] {
+            Phase::Sending { until, .. } | Phase::Gap { until } => *until,
+            Phase::Idle { since } => {
+                let mut next = NEVER;
+                for (_, controller) in self.on(wire) {
+                    if let Some((from, _)) = controller.wants_bus() {
+                        next = next.min(from.max(*since));
+                    }
+                    if let Some(recovery) = controller.recovery {
+                        next = next.min(self.recovery_at(recovery));
+                    }
+                }
+                next
+            }
+        }
+    }
+
+    /// The wire is taken from `now` on: counts what silence there was towards the end of bus-off.
+    fn end_silence(&mut self, wire: Wire, now: Nanos) {
+        let sequence = self.bits(SEQUENCE);
+        for (_, controller) in self.on_mut(wire) {
+            if let Some(recovery) = &mut controller.recovery {
+                let seen = now.saturating_sub(recovery.since) / sequence;
+                recovery.wanted = recovery.wanted.saturating_sub(seen);
+            }
+        }
+    }
+
+    /// The wire is free again at `until`; the delimiter, end of frame and intermission before were
+    /// one sequence of eleven recessive bits.
+    fn begin_silence(&mut self, wire: Wire, until: Nanos) {
+        for (_, controller) in self.on_mut(wire) {
+            if let Some(recovery) = &mut controller.recovery {
+                recovery.wanted = recovery.wanted.saturating_sub(1);
+                recovery.since = until;
+            }
+        }
+    }
+
+    fn start_on(&mut self, wire: Wire, around: &mut Surroundings<'_, SimpleFrame>) {
+        let now = around.now;
+        let waiting = |(station, controller): (usize, &Controller)| {
+            let (from, key) = controller.wants_bus()?;
+            (from <= now).then_some((key, station))
+        };
+        let Some((key, first)) = self.on(wire).filter_map(waiting).min() else { return };
+        let winners: Vec<usize> = self
+            .on(wire)
+            .filter_map(waiting)
+            .filter(|&(other, _)| other == key)
+            .map(|(_, station)| station)
+            .collect();
+        self.end_silence(wire, now);
+        let mut frames = Vec::with_capacity(winners.len());
+        for &station in &winners {
+            if let Some(frame) = self.controllers[station].begin() {
+                frames.push((station, frame));
+            }
+        }
+        let Some(&(_, mut frame)) = frames.first() else { return };
+        let mut senders = winners;
+        let mut losers = Vec::new();
+        let mut clash = None;
+        if frames.iter().any(|(_, other)| *other != frame) {
+            let lines: Vec<_> = frames.iter().map(|(_, frame)| line_bits(frame)).collect();
+            // Dominant, false, goes through.
+            let best = (0..lines.len()).min_by(|&a, &b| lines[a].cmp(&lines[b])).unwrap_or(0);
+            frame = frames[best].1;
+            let (same, others): (Vec<_>, Vec<_>) =
+                frames.iter().partition(|(_, other)| *other == frame);
+            let is_passive =
+                |&station: &usize| self.controllers[station].state() == ErrorState::Passive;
+            let losing: Vec<usize> = others.iter().map(|(station, _)| *station).collect();
+            if losing.iter().all(is_passive) {
+                senders = same.iter().map(|(station, _)| *station).collect();
+                losers = losing;
+            } else {
+                // The first error-active station that sees its recessive bit overruled speaks up.
+                let differs = |line: &Vec<bool>| {
+                    lines[best].iter().zip(line).position(|(a, b)| a != b).unwrap_or(0) + 1
+                };
+                clash = frames
+                    .iter()
+                    .zip(&lines)
+                    .filter(|((station, other), _)| *other != frame && !is_passive(station))
+                    .map(|(_, line)| differs(line) as u32)
+                    .min();
+            }
+        }
+        let length = frame_bits(&frame);
+        let disturbance = around.injector.disturbance(first, length - INTERMISSION);
+        let alone = !self.on(wire).any(|(station, controller)| {
+            !controller.is_bus_off() && !senders.contains(&station) && !losers.contains(&station)
+        });
+        let (ending, taken) = match (clash, disturbance) {
+            (Some(bit), _) => (Ending::Broken, bit),
+            (None, Some(Disturbance::Detected(bit))) => (Ending::Broken, bit),
+            _ if alone => (Ending::Unacknowledged, length - INTERMISSION - AFTER_ACKNOWLEDGE),
+            (None, Some(Disturbance::Undetected(bit))) => {
+                (Ending::Falsified(bit), length - INTERMISSION)
+            }
+            (None, None) => (Ending::Good, length - INTERMISSION),
+        };
+        let transmission = Transmission { senders, losers, frame, started: now, ending };
+        let until = now + self.bits(taken);
+        self.wires[place(wire)] = Phase::Sending { transmission, until };
+    }
+
+    fn finish_on(&mut self, wire: Wire, around: &mut Surroundings<'_, SimpleFrame>) {
+        let now = around.now;
+        let phase = &mut self.wires[place(wire)];
+        match phase {
+            Phase::Sending { until, .. } if *until <= now => {
+                let sent = std::mem::replace(phase, Phase::Gap { until: now });
+                if let Phase::Sending { transmission, .. } = sent {
+                    self.end_transmission(wire, transmission, around);
+                }
+            }
+            Phase::Gap { until } if *until <= now => {
+                *phase = Phase::Idle { since: *until };
+                self.recover_on(wire, around);
+            }
+            Phase::Idle { .. } => self.recover_on(wire, around),
+            Phase::Sending { .. } | Phase::Gap { .. } => {}
+        }
+    }
+
+    fn recover_on(&mut self, wire: Wire, around: &mut Surroundings<'_, SimpleFrame>) {
+        for station in 0..self.controllers.len() {
+            let controller = &self.controllers[station];
+            let due = controller.recovery.is_some_and(|recovery| {
+                controller.wire == wire && self.recovery_at(recovery) <= around.now
+            });
+            if due {
+                self.controllers[station].recover();
+                around.freed.push(station);
+                around.trace.record(around.now, station, || Event::Recovered);
+            }
+        }
+    }
+
+    fn end_transmission(
+        &mut self,
+        wire: Wire,
+        transmission: Transmission,
+        around: &mut Surroundings<'_, SimpleFrame>,
+    ) {
+        let Transmission { senders, losers, frame, started: started_ns, ending } = transmission;
+        let now = around.now;
+        let sent = matches!(ending, Ending::Good | Ending::Falsified(_));
+        let gap = match ending {
+            Ending::Good | Ending::Falsified(_) => INTERMISSION,
+            Ending::Unacknowledged => LONE_ERROR_FRAME + INTERMISSION,
+            Ending::Broken => ERROR_FRAME + INTERMISSION,
+        };
+        let free_at = now + self.bits(gap);
+        self.wires[place(wire)] = Phase::Gap { until: free_at };
+        self.begin_silence(wire, free_at);
+        let suspended_until = free_at + self.bits(SUSPEND);
+        for (station, controller) in self.on_mut(wire) {
+            if senders.contains(&station) {
+                match ending {
+                    Ending::Good | Ending::Falsified(_) => controller.count_sent(),
+                    Ending::Unacknowledged => controller.count_unacknowledged(),
+                    Ending::Broken => drop(controller.count_transmit_error()),
+                }
+            } else if losers.contains(&station) {
+                controller.count_transmit_error();
+            } else if !controller.is_bus_off() {
+                match ending {
+                    Ending::Good | Ending::Falsified(_) => controller.count_received(),
+                    Ending::Broken => controller.count_receive_error(),
+                    Ending::Unacknowledged => {}
+                }
+            }
+        }
+        for &station in senders.iter().chain(&losers) {
+            let own = sent && senders.contains(&station);
+            let controller = &mut self.controllers[station];
+            controller.end(own);
+            match controller.state() {
+                ErrorState::Active => {}
+                ErrorState::Passive => controller.suspended_until = suspended_until,
+                ErrorState::BusOff => {
+                    controller.leave_bus(free_at);
+                    around.trace.record(now, station, || Event::BusOff);
+                }
+            }
+            if own {
+                around.freed.push(station);
+            }
+            around.trace.record(now, station, || match ending {
+                _ if !own && sent => Event::Broken { frame, started_ns },
+                Ending::Good | Ending::Falsified(_) => Event::Carried { frame, started_ns },
+                Ending::Unacknowledged => Event::Unacknowledged { frame, started_ns },
+                Ending::Broken => Event::Broken { frame, started_ns },
+            });
+        }
+        if sent {
+            let mut unit = frame;
+            if let Ending::Falsified(bit) = ending {
+                Self::flip_bit(&mut unit, bit);
+            }
+            self.messages += 1;
+            let message = self.messages;
+            let part = Some(Part { message, index: 0, of: 1, whole: Some(unit) });
+            let sender = senders[0];
+            let mut deaf = senders;
+            deaf.extend(losers);
+            around.arrivals.push(Arrival {
+                sender,
+                deaf,
+                started: started_ns,
+                on: wire,
+                unit,
+                part,
+            });
+        }
+    }
+
+    /// Ends what a station has on its wire, because it is leaving it or is being reset.
+    fn break_off(&mut self, station: usize, around: &mut Surroundings<'_, SimpleFrame>) {
+        let wire = self.controllers[station].wire;
+        let phase = &mut self.wires[place(wire)];
+        if let Phase::Sending { transmission, until } = phase
+            && transmission.senders.contains(&station)
+            && transmission.senders.len() == 1
+        {
+            transmission.ending = Ending::Broken;
+            *until = around.now;
+            self.finish_on(wire, around);
+        } else if let Phase::Sending { transmission, .. } = phase {
+            // Another one sends the very same frame, so the wire sees no change.
+            transmission.senders.retain(|&sender| sender != station);
+            transmission.losers.retain(|&loser| loser != station);
+            self.controllers[station].end(false);
+        }
+    }
+
+    pub(super) fn displace(&mut self, station: usize, by: &SimpleFrame) -> Option<SimpleFrame> {
+        self.controllers[station].displace(by)
+    }
+
+    /// All but what the port knows of received frames.
+    pub(super) fn status(&self, station: usize) -> ControllerStatus {
+        let controller = &self.controllers[station];
+        ControllerStatus {
+            transmit_errors: controller.transmit_errors,
+            receive_errors: controller.receive_errors,
+            state: controller.state(),
+            queued: controller.queued(),
+            received: 0,
+            overflows: 0,
+        }
+    }
+
+    pub(super) fn is_bus_off(&self, station: usize) -> bool {
+        self.controllers[station].is_bus_off()
+    }
+}
+
+impl Medium for CanBus {
+    type Frame = SimpleFrame;
+    type Attachment = ControllerConfig;
+}
+
+impl Bus for CanBus {
+    type Carries = SimpleFrame;
+    type How = ControllerConfig;
+
+    const DELIVERS_CORRUPTED: bool = false;
+
+    fn attach(&mut self, config: ControllerConfig) {
+        self.controllers.push(Controller::new(config));
+        self.wires.push(Phase::Idle { since: 0 });
+    }
+
+    fn next_event(&self) -> Nanos {
+        self.wires().map(|wire| self.next_on(wire)).min().unwrap_or(NEVER)
+    }
+
+    fn finish(&mut self, around: &mut Surroundings<'_, SimpleFrame>) {
+        for wire in self.wires() {
+            self.finish_on(wire, around);
+        }
+    }
+
+    fn start(&mut self, around: &mut Surroundings<'_, SimpleFrame>) {
+        for wire in self.wires() {
+            if let Phase::Idle { .. } = self.wires[place(wire)] {
+                self.start_on(wire, around);
+            }
+        }
+    }
+
+    fn room(&self, station: usize) -> usize {
+        self.controllers[station].room()
+    }
+
+    fn submit(&mut self, station: usize, frame: SimpleFrame, now: Nanos) -> bool {
+        self.controllers[station].push(frame, now)
+    }
+
+    fn hears(&self, station: usize, arrival: &Arrival<SimpleFrame>) -> bool {
+        let controller = &self.controllers[station];
+        controller.wire == arrival.on
+            && controller.joined <= arrival.started
+            && !controller.is_bus_off()
+            && !arrival.deaf.contains(&station)
+    }
+
+    fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<'_, SimpleFrame>) {
+        let wire = if is_cut { Wire::Stub(station) } else { Wire::Common };
+        if self.controllers[station].wire == wire {
+            return;
+        }
+        self.break_off(station, around);
+        self.cut_off = if is_cut { self.cut_off + 1 } else { self.cut_off - 1 };
+        self.controllers[station].wire = wire;
+        self.controllers[station].joined = around.now;
+        if is_cut {
+            self.wires[place(wire)] = Phase::Idle { since: around.now };
+        }
+        if let Some(recovery) = &mut self.controllers[station].recovery {
+            recovery.since = around.now;
+        }
+    }
+
+    fn reset(&mut self, station: usize, around: &mut Surroundings<'_, SimpleFrame>) {
+        self.break_off(station, around);
+        self.controllers[station].clear();
+        self.controllers[station].joined = around.now;
+        around.freed.push(station);
+    }
+
+    fn flip_bit(frame: &mut SimpleFrame, bit: u64) {
+        let mut data = [0; 8];
+        let length = frame.data().len();
+        if length == 0 {
+            return;
+        }
+        data[..length].copy_from_slice(frame.data());
+        let bit = bit as usize % (length * 8);
+        data[bit / 8] ^= 1 << (bit % 8);
+        if let Some(flipped) = SimpleFrame::new(frame.id(), &data[..length]) {
+            *frame = flipped;
+        }
+    }
+
+    fn garbage(random: &mut Random) -> SimpleFrame {
+        let id = StandardId::new(random.below(0x800) as u16).unwrap_or(StandardId::MAX);
+        let length = random.below(9) as usize;
+        let data: [u8; 8] = std::array::from_fn(|_| random.byte());
+        // Eight bytes at most always fit.
+        SimpleFrame::new(id, &data[..length]).unwrap_or_else(|| Self::garbage(random))
+    }
+
+    fn units(frame: &SimpleFrame) -> Vec<SimpleFrame> {
+        vec![*frame]
+    }
+}

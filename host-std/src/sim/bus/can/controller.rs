@@ -1,0 +1,272 @@
+//! A station's CAN controller: its queue and its error counters.
+
+use std::collections::VecDeque;
+
+use myactuator_protocol_core::wire::can::SimpleFrame;
+
+use super::timing::arbitration_key;
+use crate::sim::bus::medium::Wire;
+use crate::sim::bus::nanos::Nanos;
+
+/// From this count on, of either counter, a controller is error-passive.
+const PASSIVE: u16 = 128;
+/// Above this transmit error count a controller leaves the bus.
+const BUS_OFF_ABOVE: u16 = 255;
+/// How many times eleven recessive bits end bus-off.
+const RECOVERY_SEQUENCES: u64 = 128;
+
+/// Which frame of a transmit queue goes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum QueueOrder {
+    /// The oldest, as SocketCAN does it. An important frame waits behind the others.
+    Fifo,
+    /// The one with the highest priority on the bus, the oldest of equals, as mailboxes do it. When
+    /// all are taken, a frame of lower priority gives way to a new one; see
+    /// [`embedded_can::nb::Can::transmit`].
+    Priority,
+}
+
+/// A CAN controller's properties.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ControllerConfig {
+    /// How many frames can wait for the bus, the one on the wire included. 0 counts as 1.
+    pub transmit_queue: usize,
+    /// Which of them goes first.
+    pub order: QueueOrder,
+    /// How many frames can wait to be read. What comes then is lost, and counted. A
+    /// [`Node`](crate::sim::bus::Node) takes its frames at once and needs no such queue.
+    pub receive_queue: usize,
+    /// Whether the controller returns by itself after bus-off, once it has seen eleven recessive
+    /// bits 128 times.
+    pub recovers: bool,
+}
+
+impl ControllerConfig {
+    /// Linux's usual CAN interface: ten frames in order.
+    pub const SOCKETCAN: Self =
+        Self { transmit_queue: 10, order: QueueOrder::Fifo, receive_queue: 1024, recovers: true };
+    /// A microcontroller's: three mailboxes by priority.
+    pub const MAILBOXES: Self =
+        Self { transmit_queue: 3, order: QueueOrder::Priority, receive_queue: 64, recovers: true };
+}
+
+/// How a controller stands towards the bus (fault confinement of ISO 11898-1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ErrorState {
+    /// Takes part fully.
+    Active,
+    /// Has counted 128 errors: it waits eight bits longer before it sends again, and cannot destroy
+    /// others' frames.
+    Passive,
+    /// Has counted more than 255 transmit errors and takes no part.
+    BusOff,
+}
+
+/// What a controller tells of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ControllerStatus {
+    /// Transmit error count: 8 more for a failed frame, 1 less for a good one.
+    pub transmit_errors: u16,
+    /// Receive error count: 1 more for a broken frame, 1 less for a good one.
+    pub receive_errors: u16,
+    /// What follows from them.
+    pub state: ErrorState,
+    /// Frames that wait for the bus, the one on the wire included.
+    pub queued: usize,
+    /// Received frames that wait to be read.
+    pub received: usize,
+    /// Received frames that were lost because nobody had read those before.
+    pub overflows: u64,
+}
+
+#[derive(Debug)]
+struct Pending {
+    frame: SimpleFrame,
+    key: u64,
+    since: Nanos,
+    on_wire: bool,
+}
+
+/// A controller that waits for the end of bus-off.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Recovery {
+    /// Sequences of eleven recessive bits that are still wanted.
+    pub(super) wanted: u64,
+    /// From when on the bus has been idle.
+    pub(super) since: Nanos,
+}
+
+#[derive(Debug)]
+pub(super) struct Controller {
+    config: ControllerConfig,
+    queue: VecDeque<Pending>,
+    /// Where the frame is that goes first.
+    head: Option<usize>,
+    pub(super) transmit_errors: u16,
+    pub(super) receive_errors: u16,
+    /// An error-passive sender waits until then.
+    pub(super) suspended_until: Nanos,
+    pub(super) recovery: Option<Recovery>,
+    is_bus_off: bool,
+    pub(super) wire: Wire,
+    /// From when on it follows what is on its wire.
+    pub(super) joined: Nanos,
+}
+
+impl Controller {
+    pub(super) fn new(config: ControllerConfig) -> Self {
+        Self {
+            config,
+            queue: VecDeque::new(),
+            head: None,
+            transmit_errors: 0,
+            receive_errors: 0,
+            suspended_until: 0,
+            recovery: None,
+            is_bus_off: false,
+            wire: Wire::Common,
+            joined: 0,
+        }
+    }
+
+    pub(super) fn state(&self) -> ErrorState {
+        if self.is_bus_off {
+            ErrorState::BusOff
+        } else if self.transmit_errors.max(self.receive_errors) >= PASSIVE {
+            ErrorState::Passive
+        } else {
+            ErrorState::Active
+        }
+    }
+
+    pub(super) const fn is_bus_off(&self) -> bool {
+        self.is_bus_off
+    }
+
+    pub(super) fn queued(&self) -> usize {
+        self.queue.len()
+    }
+
+    pub(super) fn room(&self) -> usize {
+        self.config.transmit_queue.max(1).saturating_sub(self.queue.len())
+    }
+
+    /// From when on it has a frame to send, and that frame's priority.
+    pub(super) fn wants_bus(&self) -> Option<(Nanos, u64)> {
+        if self.is_bus_off {
+            return None;
+        }
+        let pending = self.queue.get(self.head?)?;
+        Some((pending.since.max(self.suspended_until), pending.key))
+    }
+
+    pub(super) fn push(&mut self, frame: SimpleFrame, now: Nanos) -> bool {
+        if self.room() == 0 {
+            return false;
+        }
+        let key = arbitration_key(&frame);
+        self.queue.push_back(Pending { frame, key, since: now, on_wire: false });
+        self.choose_head();
+        true
+    }
+
+    /// Takes back a frame that waits with a lower priority than this one. Never the one on the wire.
+    pub(super) fn displace(&mut self, by: &SimpleFrame) -> Option<SimpleFrame> {
+        if self.config.order != QueueOrder::Priority {
+            return None;
+        }
+        let key = arbitration_key(by);
+        let waiting = self.queue.iter().enumerate().filter(|(_, pending)| !pending.on_wire);
+        // The youngest of the lowest priority.
+        let (place, _) = waiting
+            .filter(|(_, pending)| pending.key > key)
+            .max_by_key(|(_, pending)| pending.key)?;
+        let displaced = self.queue.remove(place)?;
+        self.choose_head();
+        Some(displaced.frame)
+    }
+
+    /// Puts the first frame on the wire.
+    pub(super) fn begin(&mut self) -> Option<SimpleFrame> {
+        let pending = self.queue.get_mut(self.head?)?;
+        pending.on_wire = true;
+        Some(pending.frame)
+    }
+
+    /// The frame on the wire is done; a failed one stays for the next try.
+    pub(super) fn end(&mut self, sent: bool) {
+        if let Some(place) = self.queue.iter().position(|pending| pending.on_wire) {
+            if sent {
+                self.queue.remove(place);
+            } else {
+                self.queue[place].on_wire = false;
+            }
+        }
+        self.choose_head();
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.queue.clear();
+        self.head = None;
+        self.transmit_errors = 0;
+        self.receive_errors = 0;
+        self.suspended_until = 0;
+        self.recovery = None;
+        self.is_bus_off = false;
+    }
+
+    fn choose_head(&mut self) {
+        self.head = match self.config.order {
+            QueueOrder::Fifo => (!self.queue.is_empty()).then_some(0),
+            QueueOrder::Priority => {
+                let keys = self.queue.iter().enumerate();
+                keys.min_by_key(|(_, pending)| pending.key).map(|(place, _)| place)
+            }
+        };
+    }
+
+    /// Counts a failed transmission. True if that was one too many.
+    pub(super) fn count_transmit_error(&mut self) -> bool {
+        self.transmit_errors = self.transmit_errors.saturating_add(8);
+        if self.transmit_errors > BUS_OFF_ABOVE {
+            self.is_bus_off = true;
+        }
+        self.is_bus_off
+    }
+
+    /// Counts a frame that nobody acknowledged. An error-passive sender does not count those, so
+    /// silence alone leads to error-passive and never to bus-off.
+    pub(super) fn count_unacknowledged(&mut self) {
+        if self.state() != ErrorState::Passive {
+            self.count_transmit_error();
+        }
+    }
+
+    pub(super) fn count_sent(&mut self) {
+        self.transmit_errors = self.transmit_errors.saturating_sub(1);
+    }
+
+    pub(super) fn count_receive_error(&mut self) {
+        // More tells nothing: the state is the same from 128 on.
+        self.receive_errors = (self.receive_errors + 1).min(PASSIVE);
+    }
+
+    pub(super) fn count_received(&mut self) {
+        self.receive_errors = self.receive_errors.min(PASSIVE).saturating_sub(1);
+    }
+
+    pub(super) fn leave_bus(&mut self, idle_from: Nanos) {
+        self.recovery = self
+            .config
+            .recovers
+            .then_some(Recovery { wanted: RECOVERY_SEQUENCES, since: idle_from });
+    }
+
+    pub(super) fn recover(&mut self) {
+        self.transmit_errors = 0;
+        self.receive_errors = 0;
+        self.suspended_until = 0;
+        self.recovery = None;
+        self.is_bus_off = false;
+    }
+}

@@ -1,0 +1,292 @@
+//! What can go wrong, by chance and by hand.
+//!
+//! Chance is seeded: the same world with the same seed fails in the same places. Each direction has
+//! a [`FaultPlan`], and so may each node. By hand, at any time, and all on
+//! [`World`](super::World): cut and mend a wire, reset a station, slow it down, let it babble.
+//!
+//! Faults strike frames on CAN and messages on RS485. A message is what a node gives in one piece
+//! or what a master writes in one call.
+
+use super::nanos::{Nanos, from_duration};
+use super::random::{Random, Stream};
+use myactuator_protocol_core::time::Duration;
+
+/// Which way a frame goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Direction {
+    /// Sent by a master's port.
+    ToNodes,
+    /// Sent by a node.
+    ToPorts,
+}
+
+/// How likely is what. Probabilities are from 0 to 1; less is never, more is always.
+///
+/// All but `corrupt` on CAN are drawn for each receiver by itself, as if its own transceiver,
+/// controller or adapter failed: a broadcast may reach some and not others. On the wire the frame
+/// takes its time in any case, and on CAN it is acknowledged.
+///
+/// ```
+/// use myactuator_host_std::sim::bus::faults::FaultPlan;
+///
+/// let bad_cable = FaultPlan { lose: 0.01, corrupt: 0.05, ..FaultPlan::NONE };
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FaultPlan {
+    /// The frame does not arrive.
+    pub lose: f32,
+    /// A bit is disturbed. On RS485 one bit of the message arrives flipped. On CAN everyone sees the
+    /// disturbance, which takes an error frame and a retransmission and is counted; it is drawn once
+    /// for each attempt, by the plan of the sender's direction (or of the sending node).
+    pub corrupt: f32,
+    /// CAN only: the share of the corrupted frames that pass the CRC and so arrive with a flipped
+    /// data bit. On a real bus that practically never happens, so this is 0 unless a test asks what
+    /// a master makes of wrong data.
+    pub undetected: f32,
+    /// The frame arrives twice.
+    pub duplicate: f32,
+    /// The frame arrives late, as through a slow adapter. Those behind it wait, so that delay alone
+    /// changes no order.
+    pub delay: f32,
+    /// The least that a late frame is late.
+    pub delay_min: Duration,
+    /// The most that a late frame is late.
+    pub delay_max: Duration,
+    /// The frame arrives behind the one that follows it.
+    pub reorder: f32,
+    /// How long a reordered frame waits for one that follows. After that it arrives by itself.
+    pub reorder_hold: Duration,
+}
+
+impl FaultPlan {
+    /// No faults. Late would be 1 to 5 ms, and 10 ms the wait of a reordered frame.
+    pub const NONE: Self = Self {
+        lose: 0.0,
+        corrupt: 0.0,
+        undetected: 0.0,
+        duplicate: 0.0,
+        delay: 0.0,
+        delay_min: Duration::from_millis(1),
+        delay_max: Duration::from_millis(5),
+        reorder: 0.0,
+        reorder_hold: Duration::from_millis(10),
+    };
+
+    fn is_quiet(&self) -> bool {
+        [self.lose, self.corrupt, self.duplicate, self.delay, self.reorder].iter().all(|&p| {
+            // NaN is never, like 0.
+            p.is_nan() || p <= 0.0
+        })
+    }
+}
+
+impl Default for FaultPlan {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
+/// What a babbling station sends.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Babble<F> {
+    /// Random frames: on CAN any standard identifier, length and data, on RS485 1 to 16 bytes.
+    Random {
+        /// Time from one to the next; a microsecond at least.
+        interval: Duration,
+    },
+    /// The same frame again and again.
+    Fixed {
+        /// Time from one to the next; a microsecond at least.
+        interval: Duration,
+        /// The frame.
+        frame: F,
+    },
+}
+
+/// What happens to a message on its way to one receiver.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Fate {
+    pub(crate) lost: bool,
+    /// Which unit of the message, and which bit of it.
+    pub(crate) flipped: Option<(usize, u64)>,
+    pub(crate) duplicated: bool,
+    pub(crate) late_by: Option<Nanos>,
+    /// How long it waits for the one that follows.
+    pub(crate) held_for: Option<Nanos>,
+}
+
+/// What happens to a CAN frame on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Disturbance {
+    /// An error frame begins at this bit.
+    Detected(u32),
+    /// This data bit is flipped, and nobody notices.
+    Undetected(u64),
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Station {
+    is_node: bool,
+    /// Its own plans in place of the directions'.
+    own: [Option<FaultPlan>; 2],
+}
+
+/// Draws the faults.
+#[derive(Debug)]
+pub(crate) struct Injector {
+    plans: [FaultPlan; 2],
+    stations: Vec<Station>,
+    random: [Random; 2],
+    pub(crate) babble: Random,
+    /// Nothing to draw.
+    quiet: bool,
+}
+
+impl Injector {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self {
+            plans: [FaultPlan::NONE; 2],
+            stations: Vec::new(),
+            random: [Random::new(seed, Stream::ToNodes), Random::new(seed, Stream::ToPorts)],
+            babble: Random::new(seed, Stream::Babble),
+            quiet: true,
+        }
+    }
+
+    pub(crate) fn attach(&mut self, is_node: bool) {
+        self.stations.push(Station { is_node, own: [None; 2] });
+    }
+
+    pub(crate) fn set(&mut self, direction: Direction, plan: FaultPlan) {
+        self.plans[direction as usize] = plan;
+        self.note_quiet();
+    }
+
+    pub(crate) fn set_own(
+        &mut self,
+        station: usize,
+        direction: Direction,
+        plan: Option<FaultPlan>,
+    ) {
+        self.stations[station].own[direction as usize] = plan;
+        self.note_quiet();
+    }
+
+    fn note_quiet(&mut self) {
+        let own = self.stations.iter().flat_map(|station| station.own.iter().flatten());
+        self.quiet = self.plans.iter().chain(own).all(FaultPlan::is_quiet);
+    }
+
+    pub(crate) const fn is_quiet(&self) -> bool {
+        self.quiet
+    }
+
+    fn direction(&self, sender: usize) -> Direction {
+        if self.stations[sender].is_node { Direction::ToPorts } else { Direction::ToNodes }
+    }
+
+    /// The plan of the node at either end, else of the direction.
+    fn plan(&self, sender: usize, receiver: usize) -> FaultPlan {
+        let direction = self.direction(sender) as usize;
+        let node = if self.stations[sender].is_node { sender } else { receiver };
+        self.stations[node].own[direction].unwrap_or(self.plans[direction])
+    }
+
+    /// Whether a CAN frame of so many bits, intermission excluded, is disturbed on the wire.
+    pub(crate) fn disturbance(&mut self, sender: usize, bits: u32) -> Option<Disturbance> {
+        if self.quiet {
+            return None;
+        }
+        let plan = self.plan(sender, sender);
+        let random = &mut self.random[self.direction(sender) as usize];
+        if !random.chance(plan.corrupt) {
+            return None;
+        }
+        Some(if random.chance(plan.undetected) {
+            Disturbance::Undetected(random.below(64))
+        } else {
+            Disturbance::Detected(1 + random.below(bits.into()) as u32)
+        })
+    }
+
+    /// What happens to a message of so many units between these two. `corrupts` says whether
+    /// corruption strikes here or did on the wire.
+    pub(crate) fn fate(
+        &mut self,
+        sender: usize,
+        receiver: usize,
+        units: usize,
+        corrupts: bool,
+    ) -> Fate {
+        let plan = self.plan(sender, receiver);
+        let random = &mut self.random[self.direction(sender) as usize];
+        let lost = random.chance(plan.lose);
+        let flipped = (corrupts && random.chance(plan.corrupt))
+            .then(|| (random.below(units as u64) as usize, random.below(8)));
+        let duplicated = random.chance(plan.duplicate);
+        let late_by = random.chance(plan.delay).then(|| {
+            let least = from_duration(plan.delay_min);
+            let spread = from_duration(plan.delay_max).saturating_sub(least);
+            least.saturating_add(random.below(spread.saturating_add(1)))
+        });
+        let held_for = random.chance(plan.reorder).then(|| from_duration(plan.reorder_hold));
+        Fate { lost, flipped, duplicated, late_by, held_for }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NODE: usize = 1;
+
+    fn injector(direction: Direction, plan: FaultPlan) -> Injector {
+        let mut injector = Injector::new(3);
+        injector.attach(false);
+        injector.attach(true);
+        injector.set(direction, plan);
+        injector
+    }
+
+    #[test]
+    fn a_plan_is_for_one_direction() {
+        let mut injector = injector(Direction::ToPorts, FaultPlan { lose: 1.0, ..FaultPlan::NONE });
+        assert!(injector.fate(NODE, 0, 1, true).lost);
+        assert!(!injector.fate(0, NODE, 1, true).lost);
+    }
+
+    #[test]
+    fn a_nodes_own_plan_goes_first() {
+        let mut injector = injector(Direction::ToNodes, FaultPlan { lose: 1.0, ..FaultPlan::NONE });
+        injector.set_own(NODE, Direction::ToNodes, Some(FaultPlan::NONE));
+        assert!(!injector.fate(0, NODE, 1, true).lost);
+        injector.set_own(NODE, Direction::ToNodes, None);
+        assert!(injector.fate(0, NODE, 1, true).lost);
+    }
+
+    #[test]
+    fn delay_stays_within_its_bounds() {
+        let plan = FaultPlan {
+            delay: 1.0,
+            delay_min: Duration::from_micros(10),
+            delay_max: Duration::from_micros(12),
+            ..FaultPlan::NONE
+        };
+        let mut injector = injector(Direction::ToNodes, plan);
+        for _ in 0..1_000 {
+            let late = injector.fate(0, NODE, 1, true).late_by.unwrap();
+            assert!((10_000..=12_000).contains(&late), "{late}");
+        }
+    }
+
+    #[test]
+    fn quiet_until_something_can_happen() {
+        let mut injector = injector(Direction::ToNodes, FaultPlan::NONE);
+        assert!(injector.is_quiet());
+        let lossy = FaultPlan { lose: 0.1, ..FaultPlan::NONE };
+        injector.set_own(NODE, Direction::ToPorts, Some(lossy));
+        assert!(!injector.is_quiet());
+        injector.set_own(NODE, Direction::ToPorts, None);
+        assert!(injector.is_quiet());
+    }
+}

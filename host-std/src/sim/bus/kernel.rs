@@ -1,0 +1,474 @@
+//! The chain of events: what is due when, and who is told.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt;
+use std::task::Waker;
+
+use myactuator_protocol_core::time::Duration;
+
+use super::faults::{Babble, Fate, Injector};
+use super::medium::{Arrival, Medium, Part, Surroundings};
+use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
+use super::node::Node;
+use super::trace::{Event, Fault, Trace};
+
+const MICROSECOND: Nanos = 1_000;
+
+struct Station<F> {
+    /// `None` for a port.
+    node: Option<Box<dyn Node<F>>>,
+    /// When the node wants to be asked again.
+    wake: Nanos,
+    /// The node may have more to send than its controller took.
+    is_blocked: bool,
+    /// How late its frames get to its controller.
+    slowness: Nanos,
+    /// Frames on their slow way, with the time they get there.
+    backlog: VecDeque<(Nanos, F)>,
+    /// The first of them is there and finds no room.
+    is_backlog_stuck: bool,
+    babble: Option<Babble<F>>,
+    babble_at: Nanos,
+    received: VecDeque<F>,
+    receive_queue: usize,
+    overflows: u64,
+    /// Somebody waits to send.
+    wants_room: bool,
+    wakers: Vec<Waker>,
+    /// Nothing may arrive before this: it would overtake what is late.
+    not_before: Nanos,
+    /// What waits for the next message to overtake it.
+    held: VecDeque<F>,
+    /// Which message that was.
+    held_message: u64,
+}
+
+impl<F> Station<F> {
+    fn due(&self) -> Nanos {
+        let backlog = self.backlog.front().filter(|_| !self.is_backlog_stuck);
+        let backlog = backlog.map_or(NEVER, |(at, _)| *at);
+        self.wake.min(backlog).min(self.babble_at)
+    }
+}
+
+enum Late<F> {
+    Deliver(F),
+    /// This message has waited long enough for another to overtake it.
+    Release(u64),
+}
+
+/// By time and then by order of sending: to whom, and what.
+type LateArrivals<F> = BTreeMap<(Nanos, u64), (usize, Late<F>)>;
+
+/// A world without its lock.
+pub(crate) struct Kernel<B: Medium> {
+    pub(crate) now: Nanos,
+    pub(crate) bus: B,
+    stations: Vec<Station<B::Frame>>,
+    pub(crate) injector: Injector,
+    pub(crate) trace: Trace<B::Frame>,
+    /// What is still to arrive.
+    late: LateArrivals<B::Frame>,
+    sequence: u64,
+    timers: Vec<(Nanos, Waker)>,
+    /// What has come to the ports so far: received units, and room where it was missed.
+    pub(crate) arrivals: u64,
+    /// The message whose fates are drawn, and those fates by receiver.
+    message: u64,
+    fates: Vec<Fate>,
+}
+
+impl<B: Medium> fmt::Debug for Kernel<B> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut out = f.debug_struct("Kernel");
+        out.field("now", &self.now).field("bus", &self.bus).finish_non_exhaustive()
+    }
+}
+
+/// Borrows what a bus acts on besides itself.
+macro_rules! surroundings {
+    ($kernel:ident, $arrivals:ident, $freed:ident) => {
+        &mut Surroundings {
+            now: $kernel.now,
+            injector: &mut $kernel.injector,
+            trace: &mut $kernel.trace,
+            arrivals: &mut $arrivals,
+            freed: &mut $freed,
+        }
+    };
+}
+
+impl<B: Medium> Kernel<B> {
+    pub(crate) fn new(bus: B, seed: u64) -> Self {
+        Self {
+            now: 0,
+            bus,
+            stations: Vec::new(),
+            injector: Injector::new(seed),
+            trace: Trace::new(),
+            late: BTreeMap::new(),
+            sequence: 0,
+            timers: Vec::new(),
+            arrivals: 0,
+            message: 0,
+            fates: Vec::new(),
+        }
+    }
+
+    pub(crate) fn attach(
+        &mut self,
+        node: Option<Box<dyn Node<B::Frame>>>,
+        how: B::How,
+        receive_queue: usize,
+    ) -> usize {
+        self.bus.attach(how);
+        self.injector.attach(node.is_some());
+        // A node is asked as soon as time goes on.
+        let wake = if node.is_some() { self.now } else { NEVER };
+        self.stations.push(Station {
+            node,
+            wake,
+            is_blocked: false,
+            slowness: 0,
+            backlog: VecDeque::new(),
+            is_backlog_stuck: false,
+            babble: None,
+            babble_at: NEVER,
+            received: VecDeque::new(),
+            receive_queue,
+            overflows: 0,
+            wants_room: false,
+            wakers: Vec::new(),
+            not_before: 0,
+            held: VecDeque::new(),
+            held_message: 0,
+        });
+        self.fates.push(Fate::default());
+        self.stations.len() - 1
+    }
+
+    /// When something happens next, `NEVER` for not at all.
+    pub(crate) fn next_event(&self) -> Nanos {
+        let stations = self.stations.iter().map(Station::due).min().unwrap_or(NEVER);
+        let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
+        let timers = self.timers.iter().map(|(at, _)| *at).min().unwrap_or(NEVER);
+        let next = stations.min(late).min(timers).min(self.bus.next_event());
+        if next == NEVER { NEVER } else { next.max(self.now) }
+    }
+
+    /// Lets everything up to `at` happen, and sets the clock to it.
+    pub(crate) fn run_until(&mut self, at: Nanos) {
+        loop {
+            let next = self.next_event();
+            if next > at {
+                break;
+            }
+            self.step(next);
+        }
+        self.now = self.now.max(at);
+    }
+
+    /// Does what is due at `at`, which must be the time of the next event.
+    pub(crate) fn step(&mut self, at: Nanos) {
+        self.now = self.now.max(at);
+        let (mut arrivals, mut freed) = (Vec::new(), Vec::new());
+        self.bus.finish(surroundings!(self, arrivals, freed));
+        self.spread(arrivals, freed);
+        while let Some(entry) = self.late.first_entry().filter(|entry| entry.key().0 <= self.now) {
+            let (station, late) = entry.remove();
+            match late {
+                Late::Deliver(unit) => self.deliver(station, &unit),
+                Late::Release(message) if self.stations[station].held_message == message => {
+                    self.release(station);
+                }
+                Late::Release(_) => {}
+            }
+        }
+        for station in 0..self.stations.len() {
+            if self.stations[station].due() <= self.now {
+                self.serve(station);
+            }
+        }
+        let (mut arrivals, mut freed) = (Vec::new(), Vec::new());
+        self.bus.start(surroundings!(self, arrivals, freed));
+        self.spread(arrivals, freed);
+        let now = self.now;
+        for (_, waker) in self.timers.extract_if(.., |(at, _)| *at <= now) {
+            waker.wake();
+        }
+    }
+
+    /// Passes on what the bus has done.
+    fn spread(&mut self, arrivals: Vec<Arrival<B::Frame>>, freed: Vec<usize>) {
+        for arrival in arrivals {
+            self.arrive(arrival);
+        }
+        for station in freed {
+            let now = self.now;
+            let state = &mut self.stations[station];
+            state.is_backlog_stuck = false;
+            if state.is_blocked {
+                state.wake = now;
+            }
+            if std::mem::take(&mut state.wants_room) {
+                self.arrivals += 1;
+            }
+            for waker in self.stations[station].wakers.drain(..) {
+                waker.wake();
+            }
+        }
+    }
+
+    /// Brings what is complete on the wire to everyone who hears it.
+    fn arrive(&mut self, arrival: Arrival<B::Frame>) {
+        let quiet = self.injector.is_quiet();
+        let draws = arrival.part.as_ref().filter(|part| !quiet && part.message != self.message);
+        if let Some(part) = draws {
+            self.message = part.message;
+            for receiver in 0..self.stations.len() {
+                if self.bus.hears(receiver, &arrival) && receiver != arrival.sender {
+                    self.fates[receiver] = self.injector.fate(
+                        arrival.sender,
+                        receiver,
+                        part.of,
+                        B::DELIVERS_CORRUPTED,
+                    );
+                } else {
+                    self.fates[receiver] = Fate::default();
+                }
+            }
+        }
+        for receiver in 0..self.stations.len() {
+            if !self.bus.hears(receiver, &arrival) {
+                continue;
+            }
+            match &arrival.part {
+                Some(part) if !quiet && self.message == part.message => {
+                    self.arrive_by_fate(receiver, &arrival, part);
+                }
+                // A message that had begun before there were faults, or what a collision left.
+                _ => self.deliver_in_order(receiver, &arrival.unit, 0),
+            }
+        }
+    }
+
+    fn arrive_by_fate(&mut self, to: usize, arrival: &Arrival<B::Frame>, part: &Part<B::Frame>) {
+        let fate = self.fates[to];
+        let now = self.now;
+        let from = super::StationId(arrival.sender);
+        let trace = &mut self.trace;
+        let mut note = |fault| trace.record(now, to, || Event::Faulted { from, fault });
+        let is_first = part.index == 0;
+        if fate.lost {
+            if is_first {
+                note(Fault::Lost);
+            }
+            return;
+        }
+        let mut unit = arrival.unit.clone();
+        if let Some((index, bit)) = fate.flipped
+            && index == part.index
+        {
+            note(Fault::Corrupted);
+            B::flip_bit(&mut unit, bit);
+        }
+        if is_first && fate.duplicated {
+            note(Fault::Duplicated);
+        }
+        let copy = part.whole.as_ref().filter(|_| fate.duplicated);
+        let units = std::iter::once(unit).chain(copy.map(B::units).unwrap_or_default());
+        let state = &mut self.stations[to];
+        let is_its_turn_to_wait = state.held.is_empty() || state.held_message == part.message;
+        if let Some(wait) = fate.held_for.filter(|_| is_its_turn_to_wait) {
+            if is_first {
+                note(Fault::Reordered);
+            }
+            let is_new = state.held.is_empty();
+            state.held.extend(units);
+            state.held_message = part.message;
+            if is_new {
+                self.schedule(now.saturating_add(wait), to, Late::Release(part.message));
+            }
+            return;
+        }
+        if let Some(by) = fate.late_by.filter(|_| is_first) {
+            note(Fault::Delayed(by));
+        }
+        for unit in units {
+            self.deliver_in_order(to, &unit, fate.late_by.unwrap_or(0));
+        }
+        if part.whole.is_some() {
+            self.release(to);
+        }
+    }
+
+    /// Delivers now or later, never ahead of what is late itself.
+    fn deliver_in_order(&mut self, to: usize, unit: &B::Frame, late_by: Nanos) {
+        let at = self.now.saturating_add(late_by).max(self.stations[to].not_before);
+        if at <= self.now {
+            self.deliver(to, unit);
+        } else {
+            self.stations[to].not_before = at;
+            self.schedule(at, to, Late::Deliver(unit.clone()));
+        }
+    }
+
+    fn release(&mut self, to: usize) {
+        while let Some(unit) = self.stations[to].held.pop_front() {
+            self.deliver_in_order(to, &unit, 0);
+        }
+    }
+
+    fn schedule(&mut self, at: Nanos, station: usize, late: Late<B::Frame>) {
+        self.sequence += 1;
+        self.late.insert((at, self.sequence), (station, late));
+    }
+
+    fn deliver(&mut self, to: usize, unit: &B::Frame) {
+        let now = self.now;
+        let state = &mut self.stations[to];
+        if let Some(node) = &mut state.node {
+            node.handle_frame(unit, to_instant(now));
+            self.serve_node(to);
+            return;
+        }
+        if state.received.len() >= state.receive_queue {
+            state.overflows += 1;
+            self.trace.record(now, to, || Event::Overflowed { frame: unit.clone() });
+            return;
+        }
+        state.received.push_back(unit.clone());
+        for waker in state.wakers.drain(..) {
+            waker.wake();
+        }
+        self.arrivals += 1;
+    }
+
+    /// What a station does by itself at its time.
+    fn serve(&mut self, station: usize) {
+        let now = self.now;
+        let state = &mut self.stations[station];
+        while self.bus.room(station) > 0
+            && state.backlog.front().is_some_and(|(at, _)| *at <= now)
+            && let Some((_, frame)) = state.backlog.pop_front()
+        {
+            self.bus.submit(station, frame, now);
+        }
+        state.is_backlog_stuck = state.backlog.front().is_some_and(|(at, _)| *at <= now);
+        if state.babble_at <= now
+            && let Some(babble) = &state.babble
+        {
+            let (interval, frame) = match babble {
+                Babble::Random { interval } => (interval, B::garbage(&mut self.injector.babble)),
+                Babble::Fixed { interval, frame } => (interval, frame.clone()),
+            };
+            state.babble_at = now + from_duration(*interval).max(MICROSECOND);
+            // A full queue loses it: there is more where it came from.
+            self.bus.submit(station, frame, now);
+        }
+        if state.wake <= now {
+            self.serve_node(station);
+        }
+    }
+
+    /// Asks a node what it has to send.
+    fn serve_node(&mut self, station: usize) {
+        let at = self.now;
+        let now = to_instant(at);
+        let state = &mut self.stations[station];
+        state.wake = NEVER;
+        let Some(node) = &mut state.node else { return };
+        node.advance(now);
+        state.is_blocked = true;
+        while self.bus.room(station) > state.backlog.len() {
+            let Some(frame) = node.poll_transmit(now) else {
+                state.is_blocked = false;
+                break;
+            };
+            // Behind what is under way, so that a drive that is fast again stays in order.
+            let under_way = state.backlog.back().map_or(0, |(at, _)| *at);
+            let ready = at.saturating_add(state.slowness).max(under_way);
+            if ready > at {
+                state.backlog.push_back((ready, frame));
+            } else {
+                self.bus.submit(station, frame, at);
+            }
+        }
+        state.wake = match node.poll_at().map(from_instant) {
+            Some(wake) if wake > at => wake,
+            // It will be asked when there is room.
+            Some(_) if state.is_blocked => NEVER,
+            Some(_) => (at / MICROSECOND + 1) * MICROSECOND,
+            None => NEVER,
+        };
+    }
+
+    /// Queues what a port sends. False if there is no room.
+    pub(crate) fn submit(&mut self, station: usize, frame: B::Frame) -> bool {
+        let now = self.now;
+        let taken = self.bus.submit(station, frame, now);
+        self.stations[station].wants_room |= !taken;
+        taken
+    }
+
+    /// Takes the oldest unit that a port has received.
+    pub(crate) fn read(&mut self, station: usize) -> Option<B::Frame> {
+        self.stations[station].received.pop_front()
+    }
+
+    /// Units that wait to be read, and how many were lost.
+    pub(crate) fn received(&self, station: usize) -> (usize, u64) {
+        let state = &self.stations[station];
+        (state.received.len(), state.overflows)
+    }
+
+    /// Has `waker` woken when something arrives at a port or leaves it.
+    pub(crate) fn wake_on_change(&mut self, station: usize, waker: &Waker) {
+        let wakers = &mut self.stations[station].wakers;
+        if !wakers.iter().any(|known| known.will_wake(waker)) {
+            wakers.push(waker.clone());
+        }
+    }
+
+    pub(crate) fn wake_at(&mut self, at: Nanos, waker: &Waker) {
+        let known = |(time, known): &(Nanos, Waker)| *time == at && known.will_wake(waker);
+        if !self.timers.iter().any(known) {
+            self.timers.push((at, waker.clone()));
+        }
+    }
+
+    pub(crate) fn cut(&mut self, station: usize, is_cut: bool) {
+        let (mut arrivals, mut freed) = (Vec::new(), Vec::new());
+        self.bus.cut(station, is_cut, surroundings!(self, arrivals, freed));
+        let event = if is_cut { Event::Cut } else { Event::Mended };
+        self.trace.record(self.now, station, || event);
+        self.spread(arrivals, freed);
+    }
+
+    pub(crate) fn reset(&mut self, station: usize) {
+        let (mut arrivals, mut freed) = (Vec::new(), Vec::new());
+        self.bus.reset(station, surroundings!(self, arrivals, freed));
+        let now = self.now;
+        self.trace.record(now, station, || Event::Reset);
+        let state = &mut self.stations[station];
+        state.backlog.clear();
+        state.is_backlog_stuck = false;
+        state.received.clear();
+        if let Some(node) = &mut state.node {
+            node.reset(to_instant(now));
+            state.wake = now;
+        }
+        self.spread(arrivals, freed);
+    }
+
+    pub(crate) fn slow_down(&mut self, station: usize, by: Duration) {
+        self.stations[station].slowness = from_duration(by);
+    }
+
+    pub(crate) fn babble(&mut self, station: usize, babble: Option<Babble<B::Frame>>) {
+        let now = self.now;
+        let state = &mut self.stations[station];
+        state.babble_at = if babble.is_some() { now } else { NEVER };
+        state.babble = babble;
+    }
+}

@@ -1,0 +1,62 @@
+//! Simulated buses: CAN and RS485 as they behave on the wire, with masters' ports and drives on them.
+//!
+//! The lowest part of [`sim`](super): it carries frames for whatever is a [`Node`], and knows neither
+//! drives nor physics.
+//!
+//! A [`World`] owns a clock, one bus and everything that is on it. It is a chain of discrete events:
+//! between two of them nothing happens, so a second of bus traffic is simulated in milliseconds, and
+//! one seed gives the same run bit for bit, every time.
+//!
+//! - [`can`]: arbitration, frame lengths by content, queues, error counters, bus-off.
+//! - [`rs485`]: a half-duplex line with byte times, direction switches, collisions and echo.
+//! - [`faults`]: seeded loss, corruption, duplicates, delay, reordering, babble; wires cut and
+//!   mended, participants reset and slowed down.
+//! - [`trace`]: what was on the wire and what became of it, for tests that know the truth.
+//!
+//! Drives take part as [`Node`]s. Masters get ports, [`can::CanPort`] and [`rs485::SerialPort`],
+//! that implement the traits of embedded-can and embedded-io, and a [`SimClock`]. The same world
+//! runs against the wall clock after [`World::in_real_time`].
+//!
+//! ```
+//! use embedded_can::{Frame, StandardId, blocking::Can};
+//! use myactuator_host_std::sim::bus::{Node, can::{CanConfig, CanWorld}};
+//! use myactuator_host_std::protocol::{time::Instant, wire::can::SimpleFrame};
+//!
+//! /// Sends back whatever it hears.
+//! struct Mirror(Option<SimpleFrame>);
+//!
+//! impl Node<SimpleFrame> for Mirror {
+//!     fn handle_frame(&mut self, frame: &SimpleFrame, _: Instant) {
+//!         self.0 = Some(*frame);
+//!     }
+//!     fn poll_transmit(&mut self, _: Instant) -> Option<SimpleFrame> {
+//!         self.0.take()
+//!     }
+//!     fn poll_at(&self) -> Option<Instant> {
+//!         None
+//!     }
+//! }
+//!
+//! let world = CanWorld::new(CanConfig::default(), 1);
+//! world.attach(Mirror(None));
+//! let mut port = world.port();
+//! let frame = SimpleFrame::new(StandardId::new(0x141).unwrap(), &[0x55; 8]).unwrap();
+//! port.transmit(&frame)?;
+//! assert_eq!(port.receive()?, frame);
+//! # Ok::<(), myactuator_host_std::sim::bus::can::CanError>(())
+//! ```
+
+pub mod can;
+pub mod faults;
+mod kernel;
+mod medium;
+mod nanos;
+mod node;
+mod random;
+pub mod rs485;
+pub mod trace;
+mod world;
+
+pub use medium::Medium;
+pub use node::{Node, StationId};
+pub use world::{SimClock, World};

@@ -1,0 +1,147 @@
+//! What the output shaft carries.
+
+use super::figure::{Figure, ImpossibleFigure};
+use serde::{Deserialize, Serialize};
+
+/// What is fixed to the output shaft: any of its parts may be there, all at once too.
+///
+/// ```
+/// use myactuator_host_std::sim::plant::{Load, SpringStop};
+///
+/// let arm = Load::NONE
+///     .with_torque_nm(-2.0)
+///     .with_inertia_kg_m2(0.05)
+///     .with_upper_stop(SpringStop { at_deg: 90.0, stiffness_nm_per_rad: 500.0 });
+/// assert_eq!(arm.torque_at(0.0), -2.0);
+/// // One degree into the spring: 500 N·m/rad * 1° = 8.73 N·m back.
+/// assert!((arm.torque_at(91_f64.to_radians()) - (-2.0 - 8.727)).abs() < 0.001);
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Load {
+    /// Torque of the load on the shaft, the same at every angle and speed, N·m: a weight on a drum.
+    pub torque_nm: f64,
+    /// Inertia, kg·m².
+    pub inertia_kg_m2: f64,
+    /// A spring that pushes back from its angle upwards.
+    pub upper_stop: Option<SpringStop>,
+    /// A spring that pushes back from its angle downwards. At the same angle as the upper one it
+    /// makes a spring that pulls to that angle from both sides.
+    pub lower_stop: Option<SpringStop>,
+}
+
+/// A stop that gives way like a spring, without losses of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SpringStop {
+    /// Angle of the output shaft where the shaft touches it, degrees.
+    pub at_deg: f64,
+    /// Stiffness, N·m/rad.
+    pub stiffness_nm_per_rad: f64,
+}
+
+const TORQUE: Figure = Figure { name: "load torque", unit: "N·m", min: -1e6, max: 1e6 };
+const INERTIA: Figure = Figure { name: "load inertia", unit: "kg·m²", min: 0.0, max: 1e6 };
+const STOP_ANGLE: Figure = Figure { name: "stop angle", unit: "deg", min: -1e9, max: 1e9 };
+const STIFFNESS: Figure = Figure { name: "stop stiffness", unit: "N·m/rad", min: 0.0, max: 1e9 };
+
+impl Load {
+    /// A bare shaft.
+    pub const NONE: Self =
+        Self { torque_nm: 0.0, inertia_kg_m2: 0.0, upper_stop: None, lower_stop: None };
+
+    /// The load with this constant torque, N·m.
+    #[must_use]
+    pub const fn with_torque_nm(self, torque_nm: f64) -> Self {
+        Self { torque_nm, ..self }
+    }
+
+    /// The load with this inertia, kg·m².
+    #[must_use]
+    pub const fn with_inertia_kg_m2(self, inertia_kg_m2: f64) -> Self {
+        Self { inertia_kg_m2, ..self }
+    }
+
+    /// The load with this stop above.
+    #[must_use]
+    pub const fn with_upper_stop(self, stop: SpringStop) -> Self {
+        Self { upper_stop: Some(stop), ..self }
+    }
+
+    /// The load with this stop below.
+    #[must_use]
+    pub const fn with_lower_stop(self, stop: SpringStop) -> Self {
+        Self { lower_stop: Some(stop), ..self }
+    }
+
+    /// Torque of the load on a shaft at `angle_rad`, N·m.
+    pub fn torque_at(&self, angle_rad: f64) -> f64 {
+        let mut torque_nm = self.torque_nm;
+        if let Some(stop) = self.upper_stop {
+            torque_nm -= stop.stiffness_nm_per_rad * (angle_rad - stop.at_rad()).max(0.0);
+        }
+        if let Some(stop) = self.lower_stop {
+            torque_nm += stop.stiffness_nm_per_rad * (stop.at_rad() - angle_rad).max(0.0);
+        }
+        torque_nm
+    }
+
+    /// Energy in the springs at `angle_rad`, J.
+    pub fn spring_energy_j(&self, angle_rad: f64) -> f64 {
+        let energy = |stop: Option<SpringStop>, side: f64| {
+            stop.map_or(0.0, |stop| {
+                let depth = (side * (angle_rad - stop.at_rad())).max(0.0);
+                0.5 * stop.stiffness_nm_per_rad * depth * depth
+            })
+        };
+        energy(self.upper_stop, 1.0) + energy(self.lower_stop, -1.0)
+    }
+
+    /// Stiffness of the stiffest stop, N·m/rad; 0 without one.
+    pub(super) fn max_stiffness_nm_per_rad(&self) -> f64 {
+        let stiffness = |stop: Option<SpringStop>| stop.map_or(0.0, |s| s.stiffness_nm_per_rad);
+        stiffness(self.upper_stop).max(stiffness(self.lower_stop))
+    }
+
+    pub(super) fn check(&self) -> Result<(), ImpossibleFigure> {
+        TORQUE.check(self.torque_nm)?;
+        INERTIA.check(self.inertia_kg_m2)?;
+        for stop in [self.upper_stop, self.lower_stop].into_iter().flatten() {
+            STOP_ANGLE.check(stop.at_deg)?;
+            STIFFNESS.check(stop.stiffness_nm_per_rad)?;
+        }
+        Ok(())
+    }
+}
+
+impl SpringStop {
+    fn at_rad(self) -> f64 {
+        self.at_deg.to_radians()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stops_push_back_only_when_touched() {
+        let stop = |at_deg| SpringStop { at_deg, stiffness_nm_per_rad: 100.0 };
+        let load = Load::NONE.with_upper_stop(stop(30.0)).with_lower_stop(stop(-30.0));
+        assert_eq!(load.torque_at(0.0), 0.0);
+        assert_eq!(load.spring_energy_j(0.5), 0.0);
+        let deep = 30_f64.to_radians() + 0.1;
+        assert!((load.torque_at(deep) + 10.0).abs() < 1e-9);
+        assert!((load.torque_at(-deep) - 10.0).abs() < 1e-9);
+        assert!((load.spring_energy_j(deep) - 0.5).abs() < 1e-9);
+        assert!((load.spring_energy_j(-deep) - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn impossible_loads_are_refused() {
+        assert!(Load::NONE.with_inertia_kg_m2(-0.1).check().is_err());
+        assert!(Load::NONE.with_torque_nm(f64::NAN).check().is_err());
+        let stop = SpringStop { at_deg: 0.0, stiffness_nm_per_rad: -1.0 };
+        assert!(Load::NONE.with_lower_stop(stop).check().is_err());
+    }
+}

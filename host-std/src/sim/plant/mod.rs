@@ -1,0 +1,46 @@
+//! The physics behind a simulated drive: a motor with its gearbox, load, brake, encoder and supply.
+//! It knows no bus and no frames.
+//!
+//! [`SimulatedMotor`] implements the [`Plant`](myactuator_protocol_core::drive::Plant) that a drive
+//! acts on. What is inside:
+//!
+//! | part | model | where |
+//! |---|---|---|
+//! | mechanics | one inertia (rotor through the gear, gear, load); viscous, Coulomb and static friction; a gear loss in proportion to the torque; a brake that slips | [`SimulatedMotor`] |
+//! | load | a constant torque, an inertia, springs against stops | [`Load`] |
+//! | electrics | torque current limited by voltage and back-EMF, phase currents, electronics' own power | [`SimulatedMotor`] |
+//! | supply | a source with internal resistance and a capacitor; feedback raises the voltage | [`Supply`] |
+//! | heat | the winding and the output stage, each cooling to ambient | [`ThermalNode`] |
+//!
+//! Everything is reckoned at the output shaft, in SI units and f64. The step is fixed,
+//! [`STEP`]; nothing reads a clock or a random number, so the same calls give the same bits.
+//!
+//! ```
+//! use myactuator_host_std::sim::plant::{MotorParameters, SimulatedMotor};
+//! use myactuator_host_std::protocol::drive::{Actuation, Plant};
+//! use myactuator_host_std::protocol::time::Duration;
+//!
+//! let mut motor = SimulatedMotor::new(MotorParameters::named("RMD-X8-PRO")?)?;
+//! let push = Actuation { current_a: 2.0, output_on: true, brake_released: true };
+//! let measured = motor.advance(&push, Duration::from_millis(100));
+//! assert!(measured.speed_dps > 0.0);
+//! # Ok::<(), myactuator_host_std::sim::plant::ParameterError>(())
+//! ```
+
+mod figure;
+mod load;
+mod motor;
+mod parameters;
+mod supply;
+mod thermal;
+
+pub use figure::{Figure, ImpossibleFigure};
+pub use load::{Load, SpringStop};
+pub use motor::{STEP, SimulatedMotor};
+pub use parameters::{
+    BrakeParameters, CurrentScale, EncoderParameters, FrictionParameters, GearParameters,
+    InverterParameters, MODELS, Model, MotorParameters, ParameterError, Rating, ThermalParameters,
+    WindingParameters,
+};
+pub use supply::Supply;
+pub use thermal::ThermalNode;

@@ -1,0 +1,492 @@
+//! The motor as a [`Plant`].
+
+use std::f64::consts::TAU;
+
+use super::figure::Figure;
+use super::figure::ImpossibleFigure;
+use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
+use myactuator_protocol_core::time::Duration;
+
+use super::supply::{Link, check_voltage};
+use super::{Load, MotorParameters, ParameterError, Supply, ThermalNode};
+
+/// The simulation's step. Time that is left over is carried to the next call.
+pub const STEP: Duration = Duration::from_micros(100);
+
+const STEP_S: f64 = STEP.as_micros() as f64 * 1e-6;
+const HALF_STEP_S: f64 = STEP_S / 2.0;
+
+/// Temperature at which the phase resistance is given, °C; also the air's, until set.
+const REFERENCE_C: f64 = 25.0;
+
+/// Fastest electromechanical rate, 1/s: half of the speed error corrected in one step.
+const MAX_ELECTRIC_RATE_PER_S: f64 = 0.5 / STEP_S;
+/// Highest angular frequency of a spring, 1/s: 31 steps a period, at which the period is right to
+/// 0.2 %.
+const MAX_SPRING_RATE_PER_S: f64 = 0.2 / STEP_S;
+
+const HALF_SQRT_3: f64 = 0.866_025_403_784_438_6;
+
+const TORQUE: Figure = Figure { name: "external torque", unit: "N·m", min: -1e6, max: 1e6 };
+const TEMPERATURE: Figure =
+    Figure { name: "temperature", unit: "°C", min: -273.15, max: 10_000.0 };
+const ANGLE: Figure = Figure { name: "output angle", unit: "deg", min: -1e9, max: 1e9 };
+const SPEED: Figure = Figure { name: "output speed", unit: "deg/s", min: -1e6, max: 1e6 };
+
+/// A motor with gearbox, load, brake, encoder and supply, in software.
+///
+/// One step of [`STEP`] is a leapfrog: half a step of movement, the torques there, the new speed,
+/// the other half of the movement. It is symplectic and of second order, so a spring neither gains
+/// nor loses energy over time; viscous friction is solved exactly within the step. Coulomb and
+/// static friction, the gear's loss and the brake take speed away up to their limit and never turn
+/// it round: what is at rest stays exactly at rest until the other torques exceed the limit.
+///
+/// The current follows the command at once as far as the supply's voltage, less the back-EMF,
+/// drives it; inductance is left out, for with the voltage to spare at most speeds a current loop
+/// sets the current within a step or two. With the output off the motor turns freely: the diodes of the
+/// output stage are left out.
+///
+/// Everything a test may want to do to a motor is a `set_*` or `force_*` here.
+#[derive(Clone, Debug)]
+pub struct SimulatedMotor {
+    parameters: MotorParameters,
+    coefficients: Coefficients,
+    load: Load,
+
+    angle_rad: f64,
+    speed_rad_s: f64,
+    current_a: f64,
+    supply_current_a: f64,
+    link: Link,
+    winding: ThermalNode,
+    mos: ThermalNode,
+    ambient_c: f64,
+    carried_us: u64,
+
+    external_torque_nm: f64,
+    forced_motor_c: Option<f64>,
+    forced_mos_c: Option<f64>,
+    /// What the encoder shows since it failed: pulses, and speed in degrees per second.
+    frozen: Option<(i64, f32)>,
+}
+
+/// What one step needs and only a change of load alters.
+#[derive(Clone, Copy, Debug)]
+struct Coefficients {
+    /// Share of the speed that viscous friction leaves after one step.
+    speed_kept: f64,
+    /// Speed that 1 N·m gives in one step, rad/s.
+    speed_per_torque: f64,
+    air_gap_nm_per_a: f64,
+    gear_loss: f64,
+    amplitude_per_a: f64,
+    /// Amplitude of a phase's back-EMF per speed of the output shaft, V·s/rad.
+    emf_v_s_per_rad: f64,
+    pulses_per_rad: f64,
+    electrical_turns_per_rad: f64,
+}
+
+impl Coefficients {
+    fn new(parameters: &MotorParameters, load: &Load) -> Result<Self, ParameterError> {
+        let inertia = parameters.inertia_kg_m2() + load.inertia_kg_m2;
+        let viscous = parameters.friction.viscous_nm_s_per_rad;
+        // -expm1(-x)/x tends to 1 as friction vanishes.
+        let x = viscous * STEP_S / inertia;
+        let mean_kept = if x > 0.0 { -(-x).exp_m1() / x } else { 1.0 };
+
+        let air_gap_nm_per_a = parameters.air_gap_constant_nm_per_a();
+        let amplitude_per_a = parameters.motor.current_scale.amplitude_per_ampere();
+        // Power balance: 3/2 of EMF amplitude times current amplitude is torque times speed.
+        let emf_v_s_per_rad = air_gap_nm_per_a / (1.5 * amplitude_per_a);
+
+        let resistance = parameters.motor.phase_resistance_ohm;
+        let electric_rate_per_s = 1.5 * emf_v_s_per_rad * emf_v_s_per_rad / (resistance * inertia);
+        if electric_rate_per_s > MAX_ELECTRIC_RATE_PER_S {
+            return Err(ParameterError::TooFast {
+                what: "torque constant squared over phase resistance and inertia",
+                rate_per_s: electric_rate_per_s,
+                limit_per_s: MAX_ELECTRIC_RATE_PER_S,
+            });
+        }
+        let spring_rate_per_s = (load.max_stiffness_nm_per_rad() / inertia).sqrt();
+        if spring_rate_per_s > MAX_SPRING_RATE_PER_S {
+            return Err(ParameterError::TooFast {
+                what: "square root of the stop's stiffness over the inertia at the output shaft",
+                rate_per_s: spring_rate_per_s,
+                limit_per_s: MAX_SPRING_RATE_PER_S,
+            });
+        }
+
+        Ok(Self {
+            speed_kept: (-x).exp(),
+            speed_per_torque: mean_kept * STEP_S / inertia,
+            air_gap_nm_per_a,
+            gear_loss: 1.0 - parameters.gear.efficiency,
+            amplitude_per_a,
+            emf_v_s_per_rad,
+            pulses_per_rad: parameters.gear.ratio * f64::from(1_u32 << parameters.encoder.bits)
+                / TAU,
+            electrical_turns_per_rad: parameters.gear.ratio
+                * f64::from(parameters.motor.pole_pairs)
+                / TAU,
+        })
+    }
+}
+
+impl SimulatedMotor {
+    /// A motor at rest at 0°, without load, in air of 25 °C, on a [battery](Supply::battery) of its
+    /// nominal voltage.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for parameters that cannot be.
+    pub fn new(parameters: MotorParameters) -> Result<Self, ParameterError> {
+        parameters.check()?;
+        let coefficients = Coefficients::new(&parameters, &Load::NONE)?;
+        let thermal = &parameters.thermal;
+        Ok(Self {
+            coefficients,
+            load: Load::NONE,
+            angle_rad: 0.0,
+            speed_rad_s: 0.0,
+            current_a: 0.0,
+            supply_current_a: 0.0,
+            link: Link::new(Supply::battery(parameters.rating.voltage_v), STEP_S),
+            winding: ThermalNode::new(
+                REFERENCE_C,
+                thermal.winding_capacity_j_per_k,
+                thermal.winding_resistance_k_per_w,
+                STEP_S,
+            ),
+            mos: ThermalNode::new(
+                REFERENCE_C,
+                thermal.mos_capacity_j_per_k,
+                thermal.mos_resistance_k_per_w,
+                STEP_S,
+            ),
+            ambient_c: REFERENCE_C,
+            carried_us: 0,
+            external_torque_nm: 0.0,
+            forced_motor_c: None,
+            forced_mos_c: None,
+            frozen: None,
+            parameters,
+        })
+    }
+
+    /// What the motor is like.
+    pub const fn parameters(&self) -> &MotorParameters {
+        &self.parameters
+    }
+
+    /// What the output shaft carries.
+    pub const fn load(&self) -> &Load {
+        &self.load
+    }
+
+    /// Angle of the output shaft, degrees, turns included.
+    pub fn output_angle_deg(&self) -> f64 {
+        self.angle_rad.to_degrees()
+    }
+
+    /// True speed of the output shaft, degrees per second, whatever the encoder says.
+    pub fn output_speed_dps(&self) -> f64 {
+        self.speed_rad_s.to_degrees()
+    }
+
+    /// Inertia at the output shaft, load included, kg·m².
+    pub fn inertia_kg_m2(&self) -> f64 {
+        self.parameters.inertia_kg_m2() + self.load.inertia_kg_m2
+    }
+
+    /// Fixes a load to the shaft, or [`Load::NONE`]; the speed stays.
+    ///
+    /// # Errors
+    /// [`ParameterError`] for a load that cannot be or a stop too stiff to simulate.
+    pub fn set_load(&mut self, load: Load) -> Result<(), ParameterError> {
+        load.check()?;
+        self.coefficients = Coefficients::new(&self.parameters, &load)?;
+        self.load = load;
+        Ok(())
+    }
+
+    /// Connects another supply. The capacitor at the drive's input keeps its voltage and follows.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] for a figure that cannot be.
+    pub fn set_supply(&mut self, supply: Supply) -> Result<(), ImpossibleFigure> {
+        supply.check()?;
+        self.link.replace_supply(supply, STEP_S);
+        Ok(())
+    }
+
+    /// Turns the shaft to an angle, degrees, at rest.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] beyond ±10⁹ degrees.
+    pub fn set_output_angle_deg(&mut self, angle_deg: f64) -> Result<(), ImpossibleFigure> {
+        self.angle_rad = ANGLE.check(angle_deg)?.to_radians();
+        self.speed_rad_s = 0.0;
+        Ok(())
+    }
+
+    /// Gives the shaft a speed, degrees per second.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] beyond ±10⁶ degrees per second.
+    pub fn set_output_speed_dps(&mut self, speed_dps: f64) -> Result<(), ImpossibleFigure> {
+        self.speed_rad_s = SPEED.check(speed_dps)?.to_radians();
+        Ok(())
+    }
+
+    /// Turns the shaft by hand: a torque on it besides the load's, N·m, until set anew.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] beyond ±10⁶ N·m.
+    pub fn set_external_torque_nm(&mut self, torque_nm: f64) -> Result<(), ImpossibleFigure> {
+        self.external_torque_nm = TORQUE.check(torque_nm)?;
+        Ok(())
+    }
+
+    /// Sets the air's temperature, °C.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] below absolute zero.
+    pub fn set_ambient_c(&mut self, ambient_c: f64) -> Result<(), ImpossibleFigure> {
+        self.ambient_c = TEMPERATURE.check(ambient_c)?;
+        Ok(())
+    }
+
+    /// Holds the voltage at the drive's input, V, whatever is drawn; `None` lets it go.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] for what no supply has.
+    pub fn force_supply_voltage_v(
+        &mut self,
+        voltage_v: Option<f64>,
+    ) -> Result<(), ImpossibleFigure> {
+        self.link.held_v = voltage_v.map(check_voltage).transpose()?;
+        Ok(())
+    }
+
+    /// Holds the temperature of the winding, °C; `None` lets it go on from there.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] below absolute zero.
+    pub fn force_motor_temperature_c(
+        &mut self,
+        held_c: Option<f64>,
+    ) -> Result<(), ImpossibleFigure> {
+        self.forced_motor_c = force(&mut self.winding, held_c)?;
+        Ok(())
+    }
+
+    /// Holds the temperature of the output stage, °C; `None` lets it go on from there.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] below absolute zero.
+    pub fn force_mos_temperature_c(&mut self, held_c: Option<f64>) -> Result<(), ImpossibleFigure> {
+        self.forced_mos_c = force(&mut self.mos, held_c)?;
+        Ok(())
+    }
+
+    /// Breaks or mends the encoder. Broken, it shows the pulses and the speed of that moment and
+    /// says that they are not to be trusted; mended, it shows the true angle, for it is absolute.
+    pub fn set_encoder_fault(&mut self, broken: bool) {
+        self.frozen = broken.then(|| self.frozen.unwrap_or(self.seen_by_encoder()));
+    }
+
+    fn seen_by_encoder(&self) -> (i64, f32) {
+        let pulses = (self.angle_rad * self.coefficients.pulses_per_rad).floor() as i64;
+        (pulses, self.output_speed_dps() as f32)
+    }
+
+    /// Currents of the phases A, B and C, A. All of the current makes torque (the flux current is
+    /// 0), and their sum is 0.
+    fn phase_currents_a(&self) -> [f64; 3] {
+        let amplitude = self.current_a * self.coefficients.amplitude_per_a;
+        let turns = self.angle_rad * self.coefficients.electrical_turns_per_rad;
+        let (sin, cos) = ((turns - turns.floor()) * TAU).sin_cos();
+        let a = -amplitude * sin;
+        // sin(angle - 120°) without a second sine.
+        let b = amplitude * (0.5 * sin + HALF_SQRT_3 * cos);
+        [a, b, -(a + b)]
+    }
+
+    fn step(&mut self, command_a: f64, actuation: &Actuation) {
+        let Coefficients { air_gap_nm_per_a, amplitude_per_a, emf_v_s_per_rad, .. } =
+            self.coefficients;
+        self.angle_rad += self.speed_rad_s * HALF_STEP_S;
+
+        let winding_ohm = self.winding_resistance_ohm();
+        let mos_ohm = self.parameters.inverter.mos_resistance_ohm;
+        self.current_a = if actuation.output_on {
+            let limit_v = self.parameters.inverter.modulation_limit * self.link.voltage_v();
+            let emf_v = emf_v_s_per_rad * self.speed_rad_s;
+            let ohm = amplitude_per_a * (winding_ohm + mos_ohm);
+            let wanted_v = command_a * ohm + emf_v;
+            if wanted_v.abs() <= limit_v {
+                command_a
+            } else {
+                (limit_v.copysign(wanted_v) - emf_v) / ohm
+            }
+        } else {
+            0.0
+        };
+        let motor_nm = air_gap_nm_per_a * self.current_a;
+
+        let speed_before = self.speed_rad_s;
+        self.speed_rad_s = self.speed_after(motor_nm, actuation.brake_released);
+        self.angle_rad += self.speed_rad_s * HALF_STEP_S;
+
+        let squared = 1.5 * (amplitude_per_a * self.current_a).powi(2);
+        let (winding_w, mos_w) = (squared * winding_ohm, squared * mos_ohm);
+        let mechanical_w = motor_nm * 0.5 * (speed_before + self.speed_rad_s);
+        let idle_w = self.parameters.inverter.idle_power_w;
+        self.supply_current_a = self.link.step(winding_w + mos_w + mechanical_w + idle_w);
+
+        if self.forced_motor_c.is_none() {
+            self.winding.step(winding_w, self.ambient_c);
+        }
+        if self.forced_mos_c.is_none() {
+            self.mos.step(mos_w, self.ambient_c);
+        }
+    }
+
+    /// The speed after a step under `motor_nm` in the air gap.
+    fn speed_after(&self, motor_nm: f64, brake_released: bool) -> f64 {
+        let Coefficients { speed_kept, speed_per_torque, gear_loss, .. } = self.coefficients;
+        let torque_nm = motor_nm + self.external_torque_nm + self.load.torque_at(self.angle_rad);
+        let freely = self.speed_rad_s * speed_kept + torque_nm * speed_per_torque;
+
+        let friction = &self.parameters.friction;
+        let dry_nm = if self.speed_rad_s == 0.0 { friction.static_nm } else { friction.coulomb_nm };
+        let brake_nm = if brake_released { 0.0 } else { self.parameters.brake.holding_torque_nm };
+        let most_taken = (dry_nm + brake_nm + gear_loss * motor_nm.abs()) * speed_per_torque;
+        if freely.abs() <= most_taken { 0.0 } else { freely - most_taken.copysign(freely) }
+    }
+
+    fn winding_resistance_ohm(&self) -> f64 {
+        let warmer_k = self.winding.temperature_c() - REFERENCE_C;
+        let motor = &self.parameters.motor;
+        // No conductor loses its resistance in the cold.
+        motor.phase_resistance_ohm * (1.0 + motor.resistance_coefficient_per_k * warmer_k).max(0.1)
+    }
+
+    fn measure(&self) -> Measurement {
+        let (encoder_pulses, speed_dps) = self.frozen.unwrap_or_else(|| self.seen_by_encoder());
+        Measurement {
+            encoder_pulses,
+            speed_dps,
+            current_a: self.current_a as f32,
+            phase_currents_a: self.phase_currents_a().map(|current_a| current_a as f32),
+            motor_temperature_c: self.winding.temperature_c() as f32,
+            mos_temperature_c: self.mos.temperature_c() as f32,
+            supply_voltage_v: self.link.voltage_v() as f32,
+            supply_current_a: self.supply_current_a as f32,
+            encoder_ok: self.frozen.is_none(),
+        }
+    }
+}
+
+fn force(node: &mut ThermalNode, held_c: Option<f64>) -> Result<Option<f64>, ImpossibleFigure> {
+    if let Some(held_c) = held_c {
+        node.set_temperature_c(TEMPERATURE.check(held_c)?);
+    }
+    Ok(held_c)
+}
+
+impl Plant for SimulatedMotor {
+    /// Whole steps of [`STEP`]; what is left of `span` is carried to the next call, so that the same
+    /// time in other portions gives the same bits. A command that is not a number is 0 A.
+    fn advance(&mut self, actuation: &Actuation, span: Duration) -> Measurement {
+        let command_a =
+            if actuation.current_a.is_nan() { 0.0 } else { f64::from(actuation.current_a) };
+        let due_us = self.carried_us.saturating_add(span.as_micros());
+        self.carried_us = due_us % STEP.as_micros();
+        for _ in 0..due_us / STEP.as_micros() {
+            self.step(command_a, actuation);
+        }
+        self.measure()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FREE: Actuation = Actuation { current_a: 0.0, output_on: false, brake_released: true };
+
+    fn x6() -> SimulatedMotor {
+        SimulatedMotor::new(MotorParameters::named("RMD-X6-P20-60").unwrap()).unwrap()
+    }
+
+    #[test]
+    fn encoder_counts_motor_turns() {
+        let mut motor = x6();
+        motor.set_output_angle_deg(3600.0).unwrap();
+        // 10 turns * 19.612 * 2^17 = 25 705 840.64
+        assert_eq!(motor.advance(&FREE, Duration::ZERO).encoder_pulses, 25_705_840);
+        motor.set_output_angle_deg(-0.000_001).unwrap();
+        assert_eq!(motor.advance(&FREE, Duration::ZERO).encoder_pulses, -1);
+    }
+
+    #[test]
+    fn a_broken_encoder_freezes_and_says_so() {
+        let mut motor = x6();
+        motor.set_output_speed_dps(360.0).unwrap();
+        let before = motor.advance(&FREE, Duration::from_millis(1));
+        motor.set_encoder_fault(true);
+        motor.set_encoder_fault(true);
+        let broken = motor.advance(&FREE, Duration::from_millis(5));
+        assert_eq!(
+            (broken.encoder_ok, broken.encoder_pulses, broken.speed_dps),
+            (false, before.encoder_pulses, before.speed_dps)
+        );
+        motor.set_encoder_fault(false);
+        let mended = motor.advance(&FREE, Duration::ZERO);
+        assert!(mended.encoder_ok && mended.encoder_pulses > before.encoder_pulses);
+    }
+
+    #[test]
+    fn forced_temperatures_hold_and_then_go_on() {
+        let mut motor = x6();
+        motor.force_motor_temperature_c(Some(120.0)).unwrap();
+        motor.force_mos_temperature_c(Some(90.0)).unwrap();
+        let held = motor.advance(&FREE, Duration::from_secs(1));
+        assert_eq!((held.motor_temperature_c, held.mos_temperature_c), (120.0, 90.0));
+        motor.force_motor_temperature_c(None).unwrap();
+        let free = motor.advance(&FREE, Duration::from_secs(1));
+        assert!(free.motor_temperature_c < 120.0 && free.motor_temperature_c > 100.0);
+        assert_eq!(free.mos_temperature_c, 90.0);
+    }
+
+    #[test]
+    fn forced_voltage_holds() {
+        let mut motor = x6();
+        motor.force_supply_voltage_v(Some(12.0)).unwrap();
+        let on = Actuation { current_a: 5.0, output_on: true, brake_released: true };
+        assert_eq!(motor.advance(&on, Duration::from_millis(50)).supply_voltage_v, 12.0);
+        motor.force_supply_voltage_v(None).unwrap();
+        assert!(motor.advance(&on, Duration::from_millis(50)).supply_voltage_v > 40.0);
+        assert!(motor.force_supply_voltage_v(Some(-1.0)).is_err());
+    }
+
+    #[test]
+    fn what_is_not_a_number_moves_nothing() {
+        let mut motor = x6();
+        let nan = Actuation { current_a: f32::NAN, output_on: true, brake_released: true };
+        let measured = motor.advance(&nan, Duration::from_millis(10));
+        assert_eq!((measured.current_a, measured.speed_dps), (0.0, 0.0));
+        assert!(motor.set_external_torque_nm(f64::NAN).is_err());
+        assert!(motor.set_output_angle_deg(f64::INFINITY).is_err());
+    }
+
+    #[test]
+    fn a_stop_too_stiff_for_the_step_is_refused() {
+        let mut motor = x6();
+        let stop = super::super::SpringStop { at_deg: 0.0, stiffness_nm_per_rad: 1e7 };
+        let error = motor.set_load(Load::NONE.with_upper_stop(stop)).unwrap_err();
+        assert!(error.to_string().contains("stiffness"), "{error}");
+        assert_eq!(motor.load(), &Load::NONE);
+    }
+}

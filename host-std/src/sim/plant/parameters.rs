@@ -1,0 +1,515 @@
+//! What a motor is like: the figures of a data sheet, from a TOML file, checked.
+
+use std::fmt;
+
+use super::figure::{Figure, ImpossibleFigure};
+use serde::{Deserialize, Serialize};
+
+/// A motor model that comes with the library.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Model {
+    /// Name for [`MotorParameters::named`].
+    pub name: &'static str,
+    /// The parameter file: where each figure comes from stands in its comments. A good start for a
+    /// file of one's own.
+    pub toml: &'static str,
+}
+
+/// The models that come with the library.
+pub const MODELS: [Model; 3] = [
+    Model { name: "RMD-X6-P20-60", toml: include_str!("../../../models/rmd-x6-p20-60.toml") },
+    Model { name: "RMD-X8-P20-120", toml: include_str!("../../../models/rmd-x8-p20-120.toml") },
+    Model { name: "RMD-X8-PRO", toml: include_str!("../../../models/rmd-x8-pro.toml") },
+];
+
+/// One table of the file: its struct, and the range of each of its figures beside the figure.
+macro_rules! table {
+    (
+        $(#[$attr:meta])*
+        $name:ident [$key:literal] {
+            $($(#[$field_attr:meta])* $field:ident: $type:ident, $what:literal, $unit:literal, $min:literal..=$max:literal;)*
+            $(@plain { $(#[$plain_attr:meta])* $plain:ident: $plain_type:ty })?
+        }
+    ) => {
+        $(#[$attr])*
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct $name {
+            $($(#[$field_attr])* #[doc = concat!("\n\nAllowed: ", stringify!($min), " to ", stringify!($max), ".")] pub $field: $type,)*
+            $($(#[$plain_attr])* pub $plain: $plain_type,)?
+        }
+
+        impl $name {
+            fn check(&self) -> Result<(), ParameterError> {
+                $(
+                    check(
+                        concat!($key, ".", stringify!($field)),
+                        &Figure { name: $what, unit: $unit, min: $min as f64, max: $max as f64 },
+                        Into::<f64>::into(self.$field),
+                    )?;
+                )*
+                Ok(())
+            }
+        }
+    };
+}
+
+table! {
+    /// `[rating]`: what the data sheet promises. Software reads it; the physics does not.
+    Rating ["rating"] {
+        /// Nominal supply voltage, V.
+        voltage_v: f64, "nominal supply voltage", "V", 1.0..=1000.0;
+        /// Lowest supply voltage at which the drive works, V.
+        min_voltage_v: f64, "lowest supply voltage", "V", 1.0..=1000.0;
+        /// Highest supply voltage that the drive withstands, V.
+        max_voltage_v: f64, "highest supply voltage", "V", 1.0..=1000.0;
+        /// Rated torque at the output shaft, N·m.
+        torque_nm: f64, "rated torque", "N·m", 0.001..=100_000.0;
+        /// Torque current at the rated torque, A: 100 % of a force limit.
+        current_a: f64, "rated current", "A", 0.01..=300.0;
+        /// Peak torque at the output shaft, N·m.
+        peak_torque_nm: f64, "peak torque", "N·m", 0.001..=100_000.0;
+        /// Torque current at the peak torque, A.
+        peak_current_a: f64, "peak current", "A", 0.01..=300.0;
+        /// Speed of the output shaft at rated torque, revolutions a minute.
+        speed_rpm: f64, "rated speed", "rpm", 0.1..=100_000.0;
+        /// Speed of the output shaft without load at the nominal voltage, revolutions a minute.
+        no_load_speed_rpm: f64, "no-load speed", "rpm", 0.1..=100_000.0;
+        /// Torque per ampere as printed, N·m/A at the output shaft, friction at the rated point
+        /// already taken off: what software that turns torque into current goes by.
+        torque_constant_nm_per_a: f64, "rated torque constant", "N·m/A", 0.000_1..=10_000.0;
+        /// Mass, kg.
+        mass_kg: f64, "mass", "kg", 0.001..=10_000.0;
+    }
+}
+
+table! {
+    /// `[gear]`: the reducer.
+    GearParameters ["gear"] {
+        /// Turns of the motor shaft to one of the output shaft.
+        ratio: f64, "gear ratio", "", 1.0..=10_000.0;
+        /// Share of the air-gap torque that the teeth hand on. The rest is friction in proportion to
+        /// that torque, whichever way the shaft turns.
+        efficiency: f64, "gear efficiency", "", 0.05..=1.0;
+        /// Inertia of what turns with the output shaft, kg·m².
+        output_inertia_kg_m2: f64, "output inertia", "kg·m²", 0.0..=10_000.0;
+    }
+}
+
+table! {
+    /// `[motor]`: rotor and winding.
+    WindingParameters ["motor"] {
+        /// Pole pairs.
+        pole_pairs: u8, "pole pairs", "", 1.0..=100.0;
+        /// Resistance of one phase, terminal to star point, at 25 °C, Ω.
+        phase_resistance_ohm: f64, "phase resistance", "Ω", 0.000_1..=1_000.0;
+        /// Growth of that resistance with temperature, 1/K; copper: 0.00393.
+        resistance_coefficient_per_k: f64, "temperature coefficient of resistance", "1/K", 0.0..=0.1;
+        /// Torque per ampere of torque current, at the output shaft behind the gear's loss and before
+        /// any other friction, N·m/A. The back-EMF follows from it.
+        torque_constant_nm_per_a: f64, "torque constant", "N·m/A", 0.000_1..=10_000.0;
+        /// Inertia of the rotor at the motor shaft, kg·m².
+        rotor_inertia_kg_m2: f64, "rotor inertia", "kg·m²", 0.000_000_001..=100.0;
+        @plain {
+            /// What an ampere of torque current is.
+            current_scale: CurrentScale
+        }
+    }
+}
+
+table! {
+    /// `[friction]`: at the output shaft, without the gear's loss in proportion to torque.
+    FrictionParameters ["friction"] {
+        /// Torque that breaks the shaft away from rest, N·m; at least the Coulomb friction.
+        static_nm: f64, "static friction", "N·m", 0.0..=10_000.0;
+        /// Friction while it turns, at any speed, N·m.
+        coulomb_nm: f64, "Coulomb friction", "N·m", 0.0..=10_000.0;
+        /// Friction in proportion to speed, N·m·s/rad.
+        viscous_nm_s_per_rad: f64, "viscous friction", "N·m·s/rad", 0.0..=10_000.0;
+    }
+}
+
+table! {
+    /// `[brake]`: the holding brake.
+    BrakeParameters ["brake"] {
+        /// Torque at the output shaft beyond which the closed brake slips, N·m.
+        holding_torque_nm: f64, "brake holding torque", "N·m", 0.0..=100_000.0;
+    }
+}
+
+table! {
+    /// `[encoder]`: the one on the motor shaft.
+    EncoderParameters ["encoder"] {
+        /// Bits: a turn of the motor shaft is 2 to the power of this many pulses.
+        bits: u8, "encoder bits", "", 8.0..=24.0;
+    }
+}
+
+table! {
+    /// `[inverter]`: the output stage.
+    InverterParameters ["inverter"] {
+        /// On-resistance in the path of one phase, Ω.
+        mos_resistance_ohm: f64, "output stage resistance", "Ω", 0.0..=10.0;
+        /// Largest amplitude of a phase's voltage, as a share of the supply voltage: 0.577 with
+        /// sinusoidal currents and no reserve, 0.637 in six steps.
+        modulation_limit: f64, "modulation limit", "", 0.01..=0.637;
+        /// What the electronics draw by themselves, W.
+        idle_power_w: f64, "idle power", "W", 0.0..=1_000.0;
+    }
+}
+
+table! {
+    /// `[thermal]`: two nodes, each cooling to the air by itself.
+    ThermalParameters ["thermal"] {
+        /// Heat that warms the winding by 1 K, J/K.
+        winding_capacity_j_per_k: f64, "winding heat capacity", "J/K", 0.001..=1_000_000.0;
+        /// Steady rise of the winding per watt of copper loss, K/W.
+        winding_resistance_k_per_w: f64, "winding thermal resistance", "K/W", 0.000_1..=10_000.0;
+        /// Heat that warms the output stage by 1 K, J/K.
+        mos_capacity_j_per_k: f64, "output stage heat capacity", "J/K", 0.001..=1_000_000.0;
+        /// Steady rise of the output stage per watt of its loss, K/W.
+        mos_resistance_k_per_w: f64, "output stage thermal resistance", "K/W", 0.000_1..=10_000.0;
+    }
+}
+
+/// What an ampere of torque current is: data sheets print either.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CurrentScale {
+    /// An ampere (rms) in each phase of the turning motor: a phase peaks at √2 A.
+    Rms,
+    /// A phase current whose amplitude is one ampere.
+    Amplitude,
+}
+
+impl CurrentScale {
+    /// Amplitude of a phase current per ampere of torque current.
+    pub const fn amplitude_per_ampere(self) -> f64 {
+        match self {
+            Self::Rms => std::f64::consts::SQRT_2,
+            Self::Amplitude => 1.0,
+        }
+    }
+}
+
+/// A motor with its gearbox, brake, encoder and output stage.
+///
+/// Its fields are the tables of the file. Whoever sets them by hand need not check: making a
+/// [`SimulatedMotor`](super::SimulatedMotor) of them does.
+///
+/// ```
+/// use myactuator_host_std::sim::plant::MotorParameters;
+///
+/// let x8 = MotorParameters::named("rmd-x8-pro")?;
+/// assert_eq!(x8.gear.ratio, 9.0);
+/// let error = MotorParameters::named("RMD-X9").unwrap_err();
+/// assert!(error.to_string().contains("RMD-X8-PRO"));
+/// # Ok::<(), myactuator_host_std::sim::plant::ParameterError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotorParameters {
+    /// The maker's name of the model.
+    pub name: String,
+    /// What the data sheet promises.
+    pub rating: Rating,
+    /// The reducer.
+    pub gear: GearParameters,
+    /// Rotor and winding.
+    pub motor: WindingParameters,
+    /// Friction at the output shaft.
+    pub friction: FrictionParameters,
+    /// The holding brake.
+    pub brake: BrakeParameters,
+    /// The encoder.
+    pub encoder: EncoderParameters,
+    /// The output stage.
+    pub inverter: InverterParameters,
+    /// Heating and cooling.
+    pub thermal: ThermalParameters,
+}
+
+impl MotorParameters {
+    /// A model that comes with the library; capitals do not matter.
+    ///
+    /// # Errors
+    /// [`ParameterError::UnknownModel`], which lists those that there are.
+    pub fn named(name: &str) -> Result<Self, ParameterError> {
+        match MODELS.iter().find(|model| model.name.eq_ignore_ascii_case(name.trim())) {
+            Some(model) => Self::from_toml(model.toml),
+            None => Err(ParameterError::UnknownModel { name: name.to_owned() }),
+        }
+    }
+
+    /// The parameters in a file's text. Every key is required, no other is allowed.
+    ///
+    /// # Errors
+    /// [`ParameterError`]: it names the key, what was expected and what was found.
+    pub fn from_toml(text: &str) -> Result<Self, ParameterError> {
+        let parameters: Self =
+            toml::from_str(text).map_err(|error| ParameterError::Toml(Box::new(error)))?;
+        parameters.check()?;
+        Ok(parameters)
+    }
+
+    /// Whether a motor can be made of these figures.
+    ///
+    /// # Errors
+    /// [`ParameterError::OutOfRange`] for a figure by itself, [`ParameterError::Contradiction`] for
+    /// two that do not go together.
+    pub fn check(&self) -> Result<(), ParameterError> {
+        self.rating.check()?;
+        self.gear.check()?;
+        self.motor.check()?;
+        self.friction.check()?;
+        self.brake.check()?;
+        self.encoder.check()?;
+        self.inverter.check()?;
+        self.thermal.check()?;
+
+        let Rating { voltage_v, min_voltage_v, max_voltage_v, .. } = self.rating;
+        at_most("rating.min_voltage_v", min_voltage_v, "rating.voltage_v", voltage_v)?;
+        at_most("rating.voltage_v", voltage_v, "rating.max_voltage_v", max_voltage_v)?;
+        let Rating { current_a, peak_current_a, torque_nm, peak_torque_nm, .. } = self.rating;
+        at_most("rating.current_a", current_a, "rating.peak_current_a", peak_current_a)?;
+        at_most("rating.torque_nm", torque_nm, "rating.peak_torque_nm", peak_torque_nm)?;
+        let FrictionParameters { coulomb_nm, static_nm, .. } = self.friction;
+        at_most("friction.coulomb_nm", coulomb_nm, "friction.static_nm", static_nm)
+    }
+
+    /// Inertia of rotor, gear and output at the output shaft, kg·m².
+    pub fn inertia_kg_m2(&self) -> f64 {
+        self.motor.rotor_inertia_kg_m2 * self.gear.ratio * self.gear.ratio
+            + self.gear.output_inertia_kg_m2
+    }
+
+    /// Torque in the air gap per ampere of torque current, at the output shaft before any loss,
+    /// N·m/A. It is the back-EMF constant too: the power that becomes mechanical is this times
+    /// current times speed.
+    pub fn air_gap_constant_nm_per_a(&self) -> f64 {
+        self.motor.torque_constant_nm_per_a / self.gear.efficiency
+    }
+}
+
+fn check(key: &'static str, allowed: &'static Figure, given: f64) -> Result<(), ParameterError> {
+    match allowed.check(given) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(ParameterError::OutOfRange { key, error }),
+    }
+}
+
+fn at_most(
+    low_key: &'static str,
+    low: f64,
+    high_key: &'static str,
+    high: f64,
+) -> Result<(), ParameterError> {
+    if low <= high {
+        Ok(())
+    } else {
+        Err(ParameterError::Contradiction { low_key, low, high_key, high })
+    }
+}
+
+/// Why there is no motor.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum ParameterError {
+    /// No model of that name comes with the library.
+    UnknownModel {
+        /// The name that was asked for.
+        name: String,
+    },
+    /// Not TOML, a key missing, unknown or of another type.
+    Toml(Box<toml::de::Error>),
+    /// A figure that cannot be.
+    OutOfRange {
+        /// Table and key of the figure.
+        key: &'static str,
+        /// What is allowed, and what was given.
+        error: ImpossibleFigure,
+    },
+    /// A load, a supply or the like that cannot be.
+    Setting(ImpossibleFigure),
+    /// Two figures that cannot both be.
+    Contradiction {
+        /// Table and key of the figure that must be the smaller one or equal.
+        low_key: &'static str,
+        /// Its value.
+        low: f64,
+        /// Table and key of the figure that must be the larger one or equal.
+        high_key: &'static str,
+        /// Its value.
+        high: f64,
+    },
+    /// Figures that make something happen faster than the simulation's step can follow.
+    TooFast {
+        /// What it is, and which figures to change.
+        what: &'static str,
+        /// How fast it is, 1/s.
+        rate_per_s: f64,
+        /// The fastest that the step can follow, 1/s.
+        limit_per_s: f64,
+    },
+}
+
+impl fmt::Display for ParameterError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownModel { name } => {
+                write!(f, "no motor model is called \"{name}\"; there are")?;
+                for (at, model) in MODELS.iter().enumerate() {
+                    write!(f, "{} {}", if at == 0 { "" } else { "," }, model.name)?;
+                }
+                write!(f, ", or write a parameter file of your own")
+            }
+            Self::Toml(error) => write!(f, "motor parameters: {error}"),
+            Self::OutOfRange { key, error } => write!(f, "{key}: {error}"),
+            Self::Setting(error) => error.fmt(f),
+            Self::Contradiction { low_key, low, high_key, high } => write!(
+                f,
+                "{low_key} must be at most {high_key}, but they are {low} and {high}: change either"
+            ),
+            Self::TooFast { what, rate_per_s, limit_per_s } => write!(
+                f,
+                "{what}: the rate must be at most {limit_per_s:.0} /s for the simulation's step, \
+                 but it is {rate_per_s:.0} /s"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for ParameterError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Toml(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+impl From<ImpossibleFigure> for ParameterError {
+    fn from(error: ImpossibleFigure) -> Self {
+        Self::Setting(error)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn edited(from: &str, to: &str) -> Result<MotorParameters, ParameterError> {
+        let text = MODELS[0].toml;
+        assert_eq!(text.matches(from).count(), 1, "{from} in the model file");
+        MotorParameters::from_toml(&text.replace(from, to))
+    }
+
+    #[test]
+    fn every_model_loads_under_its_name() {
+        for model in MODELS {
+            let parameters = MotorParameters::named(&model.name.to_lowercase()).unwrap();
+            assert!(parameters.name.starts_with(model.name), "{}", parameters.name);
+        }
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused_and_named() {
+        let error = edited("ratio = 19.612", "ratio = 19.612\nteeth = 12").unwrap_err();
+        let text = error.to_string();
+        assert!(text.contains("teeth") && text.contains("ratio"), "{text}");
+    }
+
+    #[test]
+    fn a_missing_key_is_named() {
+        let text = edited("ratio = 19.612", "").unwrap_err().to_string();
+        assert!(text.contains("missing field `ratio`"), "{text}");
+    }
+
+    #[test]
+    fn a_wrong_type_says_what_was_expected_and_found() {
+        let text = edited("ratio = 19.612", "ratio = \"twenty\"").unwrap_err().to_string();
+        assert!(
+            text.contains("ratio") && text.contains("f64") && text.contains("twenty"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn whole_numbers_are_figures_too() {
+        assert_eq!(edited("ratio = 19.612", "ratio = 20").unwrap().gear.ratio, 20.0);
+    }
+
+    #[test]
+    fn figures_out_of_range_are_refused() {
+        for (from, to, key) in [
+            ("ratio = 19.612", "ratio = 0", "gear.ratio"),
+            ("ratio = 19.612", "ratio = nan", "gear.ratio"),
+            ("ratio = 19.612", "ratio = inf", "gear.ratio"),
+            (
+                "rotor_inertia_kg_m2 = 6.6e-5",
+                "rotor_inertia_kg_m2 = 0",
+                "motor.rotor_inertia_kg_m2",
+            ),
+            (
+                "rotor_inertia_kg_m2 = 6.6e-5",
+                "rotor_inertia_kg_m2 = -6.6e-5",
+                "motor.rotor_inertia_kg_m2",
+            ),
+            ("bits = 17", "bits = 40", "encoder.bits"),
+        ] {
+            let error = edited(from, to).unwrap_err();
+            assert!(
+                matches!(error, ParameterError::OutOfRange { key: found, .. } if found == key),
+                "{to}: {error}"
+            );
+            assert!(error.to_string().starts_with(key), "{error}");
+        }
+    }
+
+    /// No figure of the file is taken unchecked.
+    #[test]
+    fn every_figure_has_a_range() {
+        let whole: toml::Table = MODELS[0].toml.parse().unwrap();
+        let mut figures = 0;
+        for (table, keys) in
+            whole.iter().filter_map(|(name, value)| Some((name, value.as_table()?)))
+        {
+            for (key, value) in keys.iter().filter(|(_, value)| !value.is_str()) {
+                let too_low = match value {
+                    toml::Value::Integer(_) if key == "pole_pairs" || key == "bits" => 0.into(),
+                    _ => toml::Value::Float(-1.0),
+                };
+                let mut changed = whole.clone();
+                changed[table][key] = too_low;
+                let error = MotorParameters::from_toml(&changed.to_string()).unwrap_err();
+                let full = format!("{table}.{key}");
+                assert!(
+                    matches!(error, ParameterError::OutOfRange { key: found, .. } if found == full),
+                    "{full}: {error}"
+                );
+                figures += 1;
+            }
+        }
+        assert_eq!(figures, 31);
+    }
+
+    #[test]
+    fn figures_that_contradict_each_other_are_refused() {
+        let text = edited("static_nm = 1.6", "static_nm = 1").unwrap_err().to_string();
+        assert_eq!(
+            text,
+            "friction.coulomb_nm must be at most friction.static_nm, but they are 1.44 and 1: change either"
+        );
+        assert!(edited("min_voltage_v = 24", "min_voltage_v = 50").is_err());
+        assert!(edited("peak_current_a = 29.1", "peak_current_a = 9.4").is_err());
+    }
+
+    #[test]
+    fn what_is_written_reads_back_the_same() {
+        for model in MODELS {
+            let parameters = MotorParameters::named(model.name).unwrap();
+            let text = toml::to_string(&parameters).unwrap();
+            assert_eq!(MotorParameters::from_toml(&text), Ok(parameters));
+        }
+    }
+}

@@ -1,0 +1,304 @@
+//! What is said to an adapter and by it, byte by byte.
+
+use myactuator_protocol_core::wire::can::SimpleFrame;
+
+use super::Rate;
+use super::line::{BELL, END, Gathered, Line, hexadecimal, parse_frame, write_frame};
+
+/// A line to an adapter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AdapterCommand {
+    /// `S`: the bit rate of the bus, while the channel is closed.
+    SetRate(Rate),
+    /// `O`: open the channel.
+    Open,
+    /// `L`: open the channel without sending anything, not even acknowledgements.
+    Listen,
+    /// `C`: close the channel.
+    Close,
+    /// `t`, `T`, `r`, `R`: send a frame.
+    Transmit(SimpleFrame),
+    /// `V`: the version.
+    ReadVersion,
+    /// `N`: the serial number.
+    ReadSerialNumber,
+    /// `F`: the status flags.
+    ReadStatus,
+    /// `Z`: time stamps behind received frames, or none.
+    TimeStamps(bool),
+    /// An empty line, which means nothing: it ends what an interrupted program began.
+    Nothing,
+    /// Any other line.
+    Unknown,
+}
+
+impl AdapterCommand {
+    /// Appends the line, its end included. [`Unknown`](Self::Unknown) is a line that no adapter
+    /// knows.
+    pub fn encode(&self, line: &mut Vec<u8>) {
+        let letter = match self {
+            Self::Transmit(frame) => return write_frame(frame, line),
+            Self::SetRate(rate) => &[b'S', rate.digit()][..],
+            Self::Open => b"O",
+            Self::Listen => b"L",
+            Self::Close => b"C",
+            Self::ReadVersion => b"V",
+            Self::ReadSerialNumber => b"N",
+            Self::ReadStatus => b"F",
+            Self::TimeStamps(false) => b"Z0",
+            Self::TimeStamps(true) => b"Z1",
+            Self::Nothing => b"",
+            Self::Unknown => b"?",
+        };
+        line.extend_from_slice(letter);
+        line.push(END);
+    }
+
+    fn parse(line: &[u8]) -> Self {
+        match line {
+            [] => Self::Nothing,
+            [b'S', digit] => Rate::from_digit(*digit).map_or(Self::Unknown, Self::SetRate),
+            b"O" => Self::Open,
+            b"L" => Self::Listen,
+            b"C" => Self::Close,
+            b"V" => Self::ReadVersion,
+            b"N" => Self::ReadSerialNumber,
+            b"F" => Self::ReadStatus,
+            b"Z0" => Self::TimeStamps(false),
+            b"Z1" => Self::TimeStamps(true),
+            frame => parse_frame(frame).map_or(Self::Unknown, Self::Transmit),
+        }
+    }
+}
+
+/// What an adapter says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// A frame was received from the bus.
+    Frame(SimpleFrame),
+    /// Done: an empty line.
+    Done,
+    /// The frame is accepted for sending: `z` for a standard one, `Z` for an extended one. Other
+    /// adapters answer [`Done`](Self::Done).
+    Accepted {
+        /// Whether the frame has an extended identifier.
+        is_extended: bool,
+    },
+    /// BEL: not done.
+    Refused,
+    /// `V`: hardware and firmware version, two digits each.
+    Version([u8; 4]),
+    /// `N`: the serial number, four characters.
+    SerialNumber([u8; 4]),
+    /// `F`: the status flags, 0x04 warning, 0x20 error-passive, 0x80 bus error.
+    Status(u8),
+    /// A line that means nothing, such as one that lost bytes on the way.
+    Junk,
+}
+
+impl Answer {
+    /// Appends what is said, its end included. [`Junk`](Self::Junk) is a line that means nothing.
+    pub fn encode(&self, line: &mut Vec<u8>) {
+        match self {
+            Self::Frame(frame) => return write_frame(frame, line),
+            Self::Refused => return line.push(BELL),
+            Self::Done => {}
+            Self::Accepted { is_extended: false } => line.push(b'z'),
+            Self::Accepted { is_extended: true } => line.push(b'Z'),
+            Self::Version(digits) => {
+                line.push(b'V');
+                line.extend_from_slice(digits);
+            }
+            Self::SerialNumber(characters) => {
+                line.push(b'N');
+                line.extend_from_slice(characters);
+            }
+            Self::Status(flags) => line.extend_from_slice(format!("F{flags:02X}").as_bytes()),
+            Self::Junk => line.push(b'?'),
+        }
+        line.push(END);
+    }
+
+    fn parse(line: &[u8]) -> Self {
+        match *line {
+            [] => Self::Done,
+            [b'z'] => Self::Accepted { is_extended: false },
+            [b'Z'] => Self::Accepted { is_extended: true },
+            [b'V', a, b, c, d] => Self::Version([a, b, c, d]),
+            [b'N', a, b, c, d] => Self::SerialNumber([a, b, c, d]),
+            [b'F', high, low] => hexadecimal(&[high, low])
+                .and_then(|flags| u8::try_from(flags).ok())
+                .map_or(Self::Junk, Self::Status),
+            // Some adapters put the acknowledgement of a sending right before the next frame.
+            [b'z' | b'Z', ref frame @ ..] => parse_frame(frame).map_or(Self::Junk, Self::Frame),
+            ref frame => parse_frame(frame).map_or(Self::Junk, Self::Frame),
+        }
+    }
+}
+
+/// The computer's end: finds answers in what an adapter sends.
+///
+/// ```
+/// use myactuator_host_std::text::slcan::{Answer, Codec};
+///
+/// let mut codec = Codec::new();
+/// let answers: Vec<Answer> =
+///     b"\rt24189C32640032000A00\r\x07".iter().filter_map(|&byte| codec.feed(byte)).collect();
+/// assert!(matches!(answers[..], [Answer::Done, Answer::Frame(_), Answer::Refused]));
+/// ```
+#[derive(Clone, Debug, Default)]
+pub struct Codec {
+    line: Line,
+}
+
+impl Codec {
+    /// One that has heard nothing.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes the next byte. BEL counts wherever it stands, and ends a line that had begun.
+    pub fn feed(&mut self, byte: u8) -> Option<Answer> {
+        if byte == BELL {
+            self.line.clear();
+            return Some(Answer::Refused);
+        }
+        match self.line.feed(byte) {
+            Gathered::Partly => None,
+            Gathered::Line(line) => Some(Answer::parse(line)),
+            Gathered::TooLong => Some(Answer::Junk),
+        }
+    }
+}
+
+/// The adapter's end: finds commands in what a computer sends.
+#[derive(Clone, Debug, Default)]
+pub struct AdapterCodec {
+    line: Line,
+}
+
+impl AdapterCodec {
+    /// One that has heard nothing.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes the next byte.
+    pub fn feed(&mut self, byte: u8) -> Option<AdapterCommand> {
+        match self.line.feed(byte) {
+            Gathered::Partly => None,
+            Gathered::Line(line) => Some(AdapterCommand::parse(line)),
+            Gathered::TooLong => Some(AdapterCommand::Unknown),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::text::can;
+
+    fn frame(text: &str) -> SimpleFrame {
+        can::parse_line(text).unwrap()
+    }
+
+    fn answers(bytes: &[u8]) -> Vec<Answer> {
+        let mut codec = Codec::new();
+        bytes.iter().filter_map(|&byte| codec.feed(byte)).collect()
+    }
+
+    fn commands(bytes: &[u8]) -> Vec<AdapterCommand> {
+        let mut codec = AdapterCodec::new();
+        bytes.iter().filter_map(|&byte| codec.feed(byte)).collect()
+    }
+
+    /// Lines as the description of Lawicel's adapters gives them, and what they say.
+    #[test]
+    fn every_command_goes_both_ways() {
+        for (line, command) in [
+            (&b"S6\r"[..], AdapterCommand::SetRate(Rate::Kbit500)),
+            (b"S8\r", AdapterCommand::SetRate(Rate::Mbit1)),
+            (b"S0\r", AdapterCommand::SetRate(Rate::Kbit10)),
+            (b"O\r", AdapterCommand::Open),
+            (b"L\r", AdapterCommand::Listen),
+            (b"C\r", AdapterCommand::Close),
+            (b"V\r", AdapterCommand::ReadVersion),
+            (b"N\r", AdapterCommand::ReadSerialNumber),
+            (b"F\r", AdapterCommand::ReadStatus),
+            (b"Z0\r", AdapterCommand::TimeStamps(false)),
+            (b"Z1\r", AdapterCommand::TimeStamps(true)),
+            (b"\r", AdapterCommand::Nothing),
+            (b"t14189C00000000000000\r", AdapterCommand::Transmit(frame("141#9C00000000000000"))),
+            (b"t7FF0\r", AdapterCommand::Transmit(frame("7FF#"))),
+            (b"T1FFFFFFF2A55A\r", AdapterCommand::Transmit(frame("1FFFFFFF#A55A"))),
+            (b"r1418\r", AdapterCommand::Transmit(frame("141#R8"))),
+            (b"R000001410\r", AdapterCommand::Transmit(frame("00000141#R"))),
+        ] {
+            assert_eq!(commands(line), [command]);
+            let mut encoded = Vec::new();
+            command.encode(&mut encoded);
+            assert_eq!(encoded, line);
+        }
+    }
+
+    #[test]
+    fn every_answer_goes_both_ways() {
+        for (line, answer) in [
+            (&b"\r"[..], Answer::Done),
+            (b"z\r", Answer::Accepted { is_extended: false }),
+            (b"Z\r", Answer::Accepted { is_extended: true }),
+            (b"\x07", Answer::Refused),
+            (b"V1013\r", Answer::Version(*b"1013")),
+            (b"NA123\r", Answer::SerialNumber(*b"A123")),
+            (b"FA4\r", Answer::Status(0xA4)),
+            (b"t2412F10A\r", Answer::Frame(frame("241#F10A"))),
+        ] {
+            assert_eq!(answers(line), [answer]);
+            let mut encoded = Vec::new();
+            answer.encode(&mut encoded);
+            assert_eq!(encoded, line);
+        }
+    }
+
+    #[test]
+    fn frames_are_read_as_adapters_write_them() {
+        let feedback = Answer::Frame(frame("241#9C32640032000A00"));
+        assert_eq!(answers(b"t24189c32640032000a00\r"), [feedback]); // small letters
+        assert_eq!(answers(b"t24189C32640032000A00E1F3\r"), [feedback]); // time stamp
+        assert_eq!(answers(b"zt24189C32640032000A00\r"), [feedback]); // acknowledgement before it
+        assert_eq!(answers(b"t24189C32640032000A00\r\n"), [feedback]);
+        assert_eq!(answers(b"r2418BEEF\r"), [Answer::Frame(frame("241#R8"))]);
+    }
+
+    #[test]
+    fn what_is_no_frame_does_no_harm() {
+        for junk in [
+            &b"t24189C\r"[..],            // bytes lost
+            b"t24189C32640032000A0\r",    // one digit lost
+            b"t24189C32640032000A00FF\r", // half a time stamp
+            b"t2419000000000000000000\r", // nine bytes
+            b"t8000\r",                   // identifier beyond 7FF
+            b"T200000000\r",              // identifier beyond 1FFFFFFF
+            b"t24\r",
+            b"t+410\r",
+            b"tG410\r",
+            b"t241:\r",
+            b"T0000241\r",
+            b"FG0\r",
+            b"hello\r",
+            b"\xFF\x00\r",
+            b"t24189C32640t24189C32640032000A00000000\r", // too long
+        ] {
+            assert_eq!(answers(junk), [Answer::Junk], "{}", String::from_utf8_lossy(junk));
+        }
+        for junk in [&b"S9\r"[..], b"S\r", b"t1419\r", b"X\r", &[b'x'; 1000], b"\r"] {
+            assert!(commands(junk).iter().all(|command| *command == AdapterCommand::Unknown
+                || *command == AdapterCommand::Nothing));
+        }
+        assert_eq!(commands(b"t14189C\rO\r"), [AdapterCommand::Unknown, AdapterCommand::Open]);
+        assert_eq!(answers(b"t2418\x07\r"), [Answer::Refused, Answer::Done]);
+        let mut endless = vec![b't'; 100_000];
+        endless.extend_from_slice(b"\rt2410\r");
+        assert_eq!(answers(&endless), [Answer::Junk, Answer::Frame(frame("241#"))]);
+    }
+}

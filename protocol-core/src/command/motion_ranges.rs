@@ -1,0 +1,472 @@
+//! The scales of motion (MIT) mode, and its values in SI units (manual 5.1).
+
+use core::fmt;
+
+use crate::command::motion::{RawMotion, RawMotionFeedback, U12};
+use crate::command::system::VersionDate;
+use crate::firmware::Firmware;
+use crate::id::MotorId;
+use crate::quantity::MotionScale;
+
+/// A motion mode set-point in SI units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct MotionSetPoint {
+    /// Wanted position of the output shaft, rad.
+    pub position_rad: f32,
+    /// Wanted velocity of the output shaft, rad/s.
+    pub velocity_rad_s: f32,
+    /// Gain on the position error, N·m/rad.
+    pub kp: f32,
+    /// Gain on the velocity error, N·m·s/rad.
+    pub kd: f32,
+    /// Torque added to both, N·m.
+    pub torque_nm: f32,
+}
+
+/// What a drive measured in motion mode, in SI units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct MotionFeedback {
+    /// Position of the output shaft, rad.
+    pub position_rad: f32,
+    /// Velocity of the output shaft, rad/s.
+    pub velocity_rad_s: f32,
+    /// Torque, N·m.
+    pub torque_nm: f32,
+}
+
+/// A motion mode value that the ranges do not allow, or that is not a number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct MotionOutOfRange {
+    /// Which value, for people: `"torque"`.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The smallest allowed.
+    pub min: f32,
+    /// The largest allowed.
+    pub max: f32,
+    /// What was given.
+    pub given: f32,
+}
+
+impl fmt::Display for MotionOutOfRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { name, unit, min, max, given } = self;
+        write!(f, "{name} must be {min} to {max} {unit}, but {given} {unit} was given")
+    }
+}
+
+impl core::error::Error for MotionOutOfRange {}
+
+/// The scales of motion mode: where the first and last step of each value lie (5.1).
+///
+/// They differ between firmware versions, and sending steps of one scale to a drive of another
+/// multiplies its torque. Use [`V4_3`](Self::V4_3) for drives of this protocol version only.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(try_from = "MotionLimits", into = "MotionLimits"))]
+pub struct MotionRanges(MotionLimits);
+
+/// The largest value of each scale; position, velocity and torque reach as far to the negative side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct MotionLimits {
+    /// Position, rad.
+    pub position_rad: f32,
+    /// Velocity, rad/s.
+    pub velocity_rad_s: f32,
+    /// Gain on the position error.
+    pub kp: f32,
+    /// Gain on the velocity error.
+    pub kd: f32,
+    /// Torque, N·m.
+    pub torque_nm: f32,
+}
+
+/// The step of `value` on a scale of `last + 1` steps from `-max` to `max`; any step for a value that
+/// is not on the scale. The middle of the scale lies between two steps and goes to the upper one, as
+/// all halves do. The manual's own example (10 rad) is such a half, and multiplying by
+/// a rounded constant still finds it on the scales of V4.3, as the tests show.
+#[inline(always)]
+const fn symmetric_step(value: f32, max: f32, last: f32) -> i32 {
+    let steps_per_unit = last / (max + max); // a constant where the scale is
+    (value * steps_per_unit + (last + 1.0) / 2.0) as i32
+}
+
+/// The same on a scale of 4096 steps from 0 to `max`.
+#[inline(always)]
+const fn gain_step(value: f32, max: f32) -> i32 {
+    // A half less than a step of f32: the sum of what is just below a half and one half itself would
+    // be rounded up to the next whole number.
+    const BELOW_HALF: f32 = 0.5 - f32::EPSILON / 4.0;
+    (value * (LAST_12 / max) + BELOW_HALF) as i32
+}
+
+/// Whether a step lies so far from both ends of its scale that its value is certainly on it.
+#[inline(always)]
+const fn is_inner(step: i32, last: f32) -> bool {
+    // Up to 255/256 of the scale: a number that fits into a compare instruction.
+    let most = last as u32 & !(last as u32 >> 8);
+    (step as u32).wrapping_sub(1) <= most
+}
+
+#[inline(always)]
+const fn value(step: u16, min: f32, max: f32, last: f32) -> f32 {
+    min + step as f32 * (max - min) / last
+}
+
+const LAST_16: f32 = 65_535.0;
+const LAST_12: f32 = 4_095.0;
+
+impl MotionRanges {
+    /// The ranges of protocol V4.3: ±12.5 rad, ±45 rad/s, kp 0 to 500, kd 0 to 5, ±24 N·m.
+    pub const V4_3: Self = Self(MotionLimits {
+        position_rad: 12.5,
+        velocity_rad_s: 45.0,
+        kp: 500.0,
+        kd: 5.0,
+        torque_nm: 24.0,
+    });
+
+    /// Ranges of other firmware.
+    ///
+    /// # Errors
+    /// [`MotionOutOfRange`] unless every limit is positive and at most 1e6.
+    pub const fn new(limits: MotionLimits) -> Result<Self, MotionOutOfRange> {
+        let checks = [
+            (limits.position_rad, "position range", "rad"),
+            (limits.velocity_rad_s, "velocity range", "rad/s"),
+            (limits.kp, "kp range", "N·m/rad"),
+            (limits.kd, "kd range", "N·m·s/rad"),
+            (limits.torque_nm, "torque range", "N·m"),
+        ];
+        let mut row = 0;
+        while row < checks.len() {
+            let ((given, name, unit), min, max) = (checks[row], f32::MIN_POSITIVE, 1e6);
+            if !(min <= given && given <= max) {
+                return Err(MotionOutOfRange { name, unit, min, max, given });
+            }
+            row += 1;
+        }
+        Ok(Self(limits))
+    }
+
+    /// The ends of a scale.
+    pub const fn ends(&self, scale: MotionScale) -> (f32, f32) {
+        let max = &self.0;
+        match scale {
+            MotionScale::Position => (-max.position_rad, max.position_rad),
+            MotionScale::Velocity => (-max.velocity_rad_s, max.velocity_rad_s),
+            MotionScale::Kp => (0.0, max.kp),
+            MotionScale::Kd => (0.0, max.kd),
+            MotionScale::Torque => (-max.torque_nm, max.torque_nm),
+        }
+    }
+
+    /// What a step of a scale means, for those who want more digits than an `f32` has.
+    pub const fn value(&self, scale: MotionScale, step: u16) -> f64 {
+        let (min, max) = self.ends(scale);
+        let last = if matches!(scale, MotionScale::Position) { LAST_16 } else { LAST_12 };
+        min as f64 + step as f64 * (max as f64 - min as f64) / last as f64
+    }
+
+    /// The step of a scale nearest to a value; halves go up.
+    ///
+    /// # Errors
+    /// [`MotionOutOfRange`] for a value beyond the scale, an infinity or NaN.
+    pub fn step(&self, scale: MotionScale, value: f64) -> Result<u16, MotionOutOfRange> {
+        let (min, max) = self.ends(scale);
+        let (name, unit, last) = match scale {
+            MotionScale::Position => ("position", "rad", LAST_16),
+            MotionScale::Velocity => ("velocity", "rad/s", LAST_12),
+            MotionScale::Kp => ("kp", "N·m/rad", LAST_12),
+            MotionScale::Kd => ("kd", "N·m·s/rad", LAST_12),
+            MotionScale::Torque => ("torque", "N·m", LAST_12),
+        };
+        let (low, high) = (f64::from(min), f64::from(max));
+        if low <= value && value <= high {
+            Ok(((value - low) / (high - low) * f64::from(last) + 0.5) as u16)
+        } else {
+            Err(MotionOutOfRange { name, unit, min, max, given: value as f32 })
+        }
+    }
+
+    /// The largest value of each scale.
+    pub const fn limits(&self) -> MotionLimits {
+        self.0
+    }
+
+    /// The set-point on these scales, each value at its nearest step.
+    ///
+    /// No step of the symmetric scales is exactly zero: 0 becomes half a step above it.
+    ///
+    /// # Errors
+    /// [`MotionOutOfRange`] for a value beyond its scale, an infinity or NaN.
+    #[inline]
+    pub const fn quantise(
+        &self,
+        set_point: &MotionSetPoint,
+    ) -> Result<RawMotion, MotionOutOfRange> {
+        let [position, velocity, kp, kd, torque] = self.steps(set_point);
+        // Comparing steps takes half the instructions of comparing floats, and leaves only the ends
+        // of the scales in doubt.
+        let certain = is_inner(position, LAST_16)
+            & is_inner(velocity, LAST_12)
+            & is_inner(kp, LAST_12)
+            & is_inner(kd, LAST_12)
+            & is_inner(torque, LAST_12);
+        if !certain {
+            return self.quantise_near_ends(set_point);
+        }
+        Ok(RawMotion {
+            position: position as u16,
+            velocity: U12::low_bits(velocity),
+            kp: U12::low_bits(kp),
+            kd: U12::low_bits(kd),
+            torque: U12::low_bits(torque),
+        })
+    }
+
+    /// Position, velocity, kp, kd and torque as steps, whether or not they are on their scales.
+    #[inline(always)]
+    const fn steps(&self, set_point: &MotionSetPoint) -> [i32; 5] {
+        let max = &self.0;
+        [
+            symmetric_step(set_point.position_rad, max.position_rad, LAST_16),
+            symmetric_step(set_point.velocity_rad_s, max.velocity_rad_s, LAST_12),
+            gain_step(set_point.kp, max.kp),
+            gain_step(set_point.kd, max.kd),
+            symmetric_step(set_point.torque_nm, max.torque_nm, LAST_12),
+        ]
+    }
+
+    /// As [`quantise`](Self::quantise), for a set-point of which a value is at an end of its scale or
+    /// beyond. It does everything anew, so that the other one keeps nothing for it.
+    #[inline(never)]
+    const fn quantise_near_ends(
+        &self,
+        set_point: &MotionSetPoint,
+    ) -> Result<RawMotion, MotionOutOfRange> {
+        // From which multiple of its end each scale starts.
+        const SCALES: [(&str, &str, f32); 5] = [
+            ("position", "rad", -1.0),
+            ("velocity", "rad/s", -1.0),
+            ("kp", "N·m/rad", 0.0),
+            ("kd", "N·m·s/rad", 0.0),
+            ("torque", "N·m", -1.0),
+        ];
+        let MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm } = self.0;
+        let ends = [position_rad, velocity_rad_s, kp, kd, torque_nm];
+        let MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm } = *set_point;
+        let values = [position_rad, velocity_rad_s, kp, kd, torque_nm];
+        let mut row = 0;
+        while row < SCALES.len() {
+            let ((name, unit, start), max, given) = (SCALES[row], ends[row], values[row]);
+            let min = start * max;
+            // Not a number is not within anything.
+            if !(min <= given && given <= max) {
+                return Err(MotionOutOfRange { name, unit, min, max, given });
+            }
+            row += 1;
+        }
+        let [position, velocity, kp, kd, torque] = self.steps(set_point);
+        Ok(RawMotion {
+            position: position as u16,
+            velocity: U12::low_bits(velocity),
+            kp: U12::low_bits(kp),
+            kd: U12::low_bits(kd),
+            torque: U12::low_bits(torque),
+        })
+    }
+
+    /// As [`quantise`](Self::quantise), with each value beyond its scale at the scale's end.
+    ///
+    /// # Errors
+    /// [`MotionOutOfRange`] for NaN only.
+    pub const fn saturating_quantise(
+        &self,
+        set_point: &MotionSetPoint,
+    ) -> Result<RawMotion, MotionOutOfRange> {
+        let max = &self.0;
+        self.quantise(&MotionSetPoint {
+            position_rad: set_point.position_rad.clamp(-max.position_rad, max.position_rad),
+            velocity_rad_s: set_point.velocity_rad_s.clamp(-max.velocity_rad_s, max.velocity_rad_s),
+            kp: set_point.kp.clamp(0.0, max.kp),
+            kd: set_point.kd.clamp(0.0, max.kd),
+            torque_nm: set_point.torque_nm.clamp(-max.torque_nm, max.torque_nm),
+        })
+    }
+
+    /// The set-point that these steps mean on these scales.
+    #[inline]
+    pub const fn set_point(&self, raw: &RawMotion) -> MotionSetPoint {
+        let max = &self.0;
+        MotionSetPoint {
+            position_rad: value(raw.position, -max.position_rad, max.position_rad, LAST_16),
+            velocity_rad_s: value(
+                raw.velocity.get(),
+                -max.velocity_rad_s,
+                max.velocity_rad_s,
+                LAST_12,
+            ),
+            kp: value(raw.kp.get(), 0.0, max.kp, LAST_12),
+            kd: value(raw.kd.get(), 0.0, max.kd, LAST_12),
+            torque_nm: value(raw.torque.get(), -max.torque_nm, max.torque_nm, LAST_12),
+        }
+    }
+
+    /// The measurement that these steps mean on these scales.
+    #[inline]
+    pub const fn feedback(&self, raw: &RawMotionFeedback) -> MotionFeedback {
+        let max = &self.0;
+        MotionFeedback {
+            position_rad: value(raw.position, -max.position_rad, max.position_rad, LAST_16),
+            velocity_rad_s: value(
+                raw.velocity.get(),
+                -max.velocity_rad_s,
+                max.velocity_rad_s,
+                LAST_12,
+            ),
+            torque_nm: value(raw.torque.get(), -max.torque_nm, max.torque_nm, LAST_12),
+        }
+    }
+
+    /// A measurement of this motor on these scales, as a drive sends it: beyond a scale, the scale's end.
+    ///
+    /// # Errors
+    /// [`MotionOutOfRange`] for NaN only.
+    pub fn quantise_feedback(
+        &self,
+        motor: MotorId,
+        feedback: &MotionFeedback,
+    ) -> Result<RawMotionFeedback, MotionOutOfRange> {
+        let raw = self.saturating_quantise(&MotionSetPoint {
+            position_rad: feedback.position_rad,
+            velocity_rad_s: feedback.velocity_rad_s,
+            torque_nm: feedback.torque_nm,
+            kp: 0.0,
+            kd: 0.0,
+        })?;
+        Ok(RawMotionFeedback {
+            id_byte: motor.get(),
+            position: raw.position,
+            velocity: raw.velocity,
+            torque: raw.torque,
+        })
+    }
+}
+
+impl TryFrom<MotionLimits> for MotionRanges {
+    type Error = MotionOutOfRange;
+    fn try_from(limits: MotionLimits) -> Result<Self, MotionOutOfRange> {
+        Self::new(limits)
+    }
+}
+
+impl From<MotionRanges> for MotionLimits {
+    fn from(ranges: MotionRanges) -> MotionLimits {
+        ranges.0
+    }
+}
+
+impl Firmware {
+    /// The scales of its motion mode, where they are the same for all its motors. Those of V4.4 depend on
+    /// the motor's largest torque: whoever knows it makes them with [`MotionRanges::new`].
+    pub const fn motion_ranges(self) -> Option<MotionRanges> {
+        match self {
+            Self::V4_3 => Some(MotionRanges::V4_3),
+            Self::V4_4 => None,
+        }
+    }
+
+    /// The firmware of a drive that reports this version date (0xB2), where that is known: of
+    /// 2025-05-12, the day of protocol V4.3 (manual 9), which simulated drives report; and of 2026-04-24,
+    /// build 02, a V4.4 that was met on a real motor. No report ties any other date to a protocol; so for
+    /// all others there is none, and nothing is guessed.
+    pub const fn of_version_date(date: VersionDate) -> Option<Self> {
+        match date.raw() {
+            20_250_512 => Some(Self::V4_3),
+            2_026_042_402 => Some(Self::V4_4),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scale_ends_where_it_ends() {
+        let zero = MotionSetPoint::default();
+        let quantise = |set_point| MotionRanges::V4_3.quantise(&set_point);
+        // 13107 steps are 5 rad, from a middle between two steps.
+        for (position_rad, step) in [(-10.0, 6_554), (-5.0, 19_661), (5.0, 45_875), (10.0, 58_982)]
+        {
+            assert_eq!(quantise(MotionSetPoint { position_rad, ..zero }).unwrap().position, step);
+        }
+        let step = |scale, value| MotionRanges::V4_3.step(scale, value);
+        assert_eq!(step(MotionScale::Position, 10.0), Ok(58_982)); // 5.4
+        assert_eq!(step(MotionScale::Kp, 10.0), Ok(82));
+        assert_eq!(step(MotionScale::Torque, -24.0), Ok(0));
+        assert_eq!(step(MotionScale::Torque, 24.0), Ok(4_095));
+        assert_eq!(step(MotionScale::Velocity, 45.1).unwrap_err().name, "velocity");
+        assert!(step(MotionScale::Kd, f64::NAN).is_err());
+        let raw = quantise(zero).unwrap(); // halves go up, and -0.0 is 0
+        assert_eq!((raw.position, raw.velocity.get(), raw.kp.get()), (32_768, 2_048, 0));
+        assert_eq!(quantise(MotionSetPoint { kd: -0.0, ..zero }), Ok(raw));
+        let end = MotionSetPoint {
+            position_rad: 12.5,
+            velocity_rad_s: -45.0,
+            kp: 500.0,
+            kd: 5.0,
+            torque_nm: -24.0,
+        };
+        let raw = quantise(end).unwrap();
+        let steps = [raw.velocity, raw.kp, raw.kd, raw.torque].map(U12::get);
+        assert_eq!((raw.position, steps), (65_535, [0, 4_095, 4_095, 0]));
+        let beyond = [
+            MotionSetPoint { position_rad: 12.5f32.next_up(), ..end },
+            MotionSetPoint { velocity_rad_s: (-45.0f32).next_down(), ..end },
+            MotionSetPoint { kp: 500.0f32.next_up(), ..end },
+            MotionSetPoint { kd: 0.0f32.next_down(), ..end },
+            MotionSetPoint { torque_nm: (-24.0f32).next_down(), ..end },
+        ];
+        let names = ["position", "velocity", "kp", "kd", "torque"];
+        for (set_point, name) in beyond.into_iter().zip(names) {
+            assert_eq!(quantise(set_point).unwrap_err().name, name);
+        }
+    }
+
+    #[test]
+    fn an_unknown_version_date_leads_to_no_firmware() {
+        let of = |date| Firmware::of_version_date(VersionDate::from_raw(date));
+        assert_eq!(of(20_250_512), Some(Firmware::V4_3));
+        assert_eq!(of(2_026_042_402), Some(Firmware::V4_4));
+        for unknown in [0, 20_220_206, 2_025_070_202, 2_025_051_201, 20_250_513, u32::MAX] {
+            assert_eq!(of(unknown), None, "{unknown}");
+        }
+        assert_eq!(Firmware::V4_4.motion_ranges(), None);
+    }
+
+    #[test]
+    fn set_points_are_quantised_at_compile_time_too() {
+        const HOLD: Result<RawMotion, MotionOutOfRange> =
+            MotionRanges::V4_3.quantise(&MotionSetPoint {
+                position_rad: 10.0,
+                velocity_rad_s: 0.0,
+                kp: 10.0,
+                kd: 1.0,
+                torque_nm: 10.0,
+            });
+        assert_eq!(HOLD.unwrap().position, 58_982); // 5.4
+    }
+}

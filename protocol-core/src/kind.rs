@@ -1,0 +1,118 @@
+//! [`Kind`]: a row of the table of opcodes, or what somebody says of a command that is not in it.
+
+use core::fmt;
+
+use crate::data::Data;
+use crate::opcode::{Opcode, Repeat, ReplyRule};
+
+/// What a master has to know of a command to send it and to know its answer: a row of the table, or
+/// what the caller says of a command that the table does not have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum Kind {
+    /// A row of the table.
+    Known(Opcode),
+    /// Any other command: see [`RawCommand`](crate::command::RawCommand).
+    Raw {
+        /// Its command byte.
+        byte: u8,
+        /// How it is answered.
+        reply: ReplyRule,
+        /// Whether it may move the motor.
+        moves: bool,
+    },
+}
+
+impl Kind {
+    /// The row, if it is in the table.
+    pub const fn opcode(self) -> Option<Opcode> {
+        match self {
+            Self::Known(opcode) => Some(opcode),
+            Self::Raw { .. } => None,
+        }
+    }
+
+    /// The command byte; `None` for motion mode.
+    #[inline]
+    pub const fn byte(self) -> Option<u8> {
+        match self {
+            Self::Known(opcode) => opcode.byte(),
+            Self::Raw { byte, .. } => Some(byte),
+        }
+    }
+
+    /// Whether a drive answers it with bytes that can be waited for.
+    pub const fn has_reply(self) -> bool {
+        match self {
+            Self::Known(opcode) => opcode.reply_rule().has_reply(),
+            Self::Raw { reply, .. } => reply.has_reply(),
+        }
+    }
+
+    /// What a second sending does. Of what the table does not know, the worst is assumed.
+    pub const fn repeat(self) -> Repeat {
+        match self {
+            Self::Known(opcode) => opcode.repeat(),
+            Self::Raw { .. } => Repeat::ActsAgain,
+        }
+    }
+
+    /// Whether it may set the motor in motion, or let its load fall: not while the motors are stopped.
+    pub const fn may_move(self) -> bool {
+        match self {
+            Self::Known(Opcode::ReleaseBrake) => true,
+            Self::Known(opcode) => !matches!(opcode.repeat(), Repeat::Harmless),
+            Self::Raw { moves, .. } => moves,
+        }
+    }
+
+    /// Whether it is a motion mode command, which travels on a channel of its own.
+    pub const fn is_motion(self) -> bool {
+        matches!(self, Self::Known(Opcode::Motion))
+    }
+
+    /// Whether `reply` can be the answer to `command`: the same command byte and, where the kind has
+    /// one, the same key byte. Who sent it is the channel's affair.
+    #[inline]
+    pub fn answers(self, command: &Data, reply: &Data) -> bool {
+        let key_byte = match self {
+            Self::Known(opcode) => opcode.key_byte(),
+            Self::Raw { .. } => None,
+        };
+        let key_agrees = key_byte.is_none_or(|at| command.get(at) == reply.get(at));
+        key_agrees && self.byte().is_none_or(|byte| reply[0] == byte)
+    }
+}
+
+impl From<Opcode> for Kind {
+    fn from(opcode: Opcode) -> Self {
+        Self::Known(opcode)
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Known(opcode) => opcode.fmt(f),
+            Self::Raw { byte, .. } => write!(f, "raw 0x{byte:02X}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_has_the_commands_byte_and_key() {
+        let command = [0x30, 4, 0, 0, 0, 0, 0, 0];
+        let kind = Kind::Known(Opcode::ReadPid);
+        assert!(kind.answers(&command, &[0x30, 4, 0, 0, 0, 0, 0x80, 0x3F]));
+        assert!(!kind.answers(&command, &[0x30, 5, 0, 0, 0, 0, 0x80, 0x3F]));
+        assert!(!kind.answers(&command, &[0x31, 4, 0, 0, 0, 0, 0x80, 0x3F]));
+        let raw = Kind::Raw { byte: 0xC0, reply: ReplyRule::Values, moves: false };
+        assert!(raw.answers(&[0xC0, 1, 0, 0, 0, 0, 0, 0], &[0xC0, 2, 0, 0, 0, 0, 0, 0]));
+        assert!(!raw.answers(&[0xC0, 1, 0, 0, 0, 0, 0, 0], &[0xC1, 1, 0, 0, 0, 0, 0, 0]));
+    }
+}
