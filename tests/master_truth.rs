@@ -23,7 +23,7 @@ use myactuator_protocol_core::master::{
 };
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{self, Gain, MaxSpeed, MaxTorque, SpeedTarget};
-use myactuator_protocol_core::{Channel, Data, MotorId, Opcode, Packet};
+use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Opcode, Packet};
 use myactuator_tests::rig::{
     Acceleration, Angle, Dice, Encoder, Pid, Rig, RunTimeOf, STREAM_MARK, Status2, Step, VersionOf,
     Wire, token_of,
@@ -127,7 +127,7 @@ impl Scenario {
 
 struct Open {
     ticket: TicketId,
-    opcode: Opcode,
+    kind: Kind,
     data: Data,
     since: Instant,
 }
@@ -253,7 +253,7 @@ impl<W: Wire> Session<W> {
     fn wait(&mut self) {
         let now = self.rig.runner.now();
         for open in self.open.iter().flatten() {
-            assert!(now - open.since < LONGEST_WAIT, "{:?} hangs. {}", open.opcode, self.told());
+            assert!(now - open.since < LONGEST_WAIT, "{:?} hangs. {}", open.kind, self.told());
         }
         let is_waiting = !self.is_over();
         let until = if is_waiting && self.dice.below(4) == 0 {
@@ -399,10 +399,10 @@ impl<W: Wire> Session<W> {
     }
 
     fn put<C: Command>(&mut self, motor: MotorId, command: C, now: Instant) {
-        let patience = (self.dice.below(4) == 0 && C::OPCODE == Opcode::ReadPid)
+        let patience = (self.dice.below(4) == 0 && command.kind() == Kind::Known(Opcode::ReadPid))
             .then_some(Patience { reply_timeout: Duration::from_millis(2), attempts: 2 });
         let master = self.rig.runner.master();
-        let data = command.encode();
+        let (kind, data) = (command.kind(), command.encode());
         let asked = match patience {
             Some(patience) => master.request_with(motor, command, patience, now),
             None => master.request(motor, command, now),
@@ -410,7 +410,7 @@ impl<W: Wire> Session<W> {
         match asked {
             Ok(ticket) => {
                 self.totals.requests += 1;
-                let open = Open { ticket: ticket.id(), opcode: C::OPCODE, data, since: now };
+                let open = Open { ticket: ticket.id(), kind, data, since: now };
                 self.open[motor.index()] = Some(open);
             }
             // The motor follows a stream of this kind: ask for something else next time.
@@ -454,9 +454,9 @@ impl<W: Wire> Session<W> {
 
     fn take(&mut self, event: &Event) {
         match *event {
-            Event::Reply { ticket, opcode, data } => {
+            Event::Reply { ticket, kind, data } => {
                 let open = self.close(ticket, event);
-                assert_eq!(open.opcode, opcode, "{}", self.told());
+                assert_eq!(open.kind, kind, "{}", self.told());
                 self.totals.replies += 1;
                 if !self.is_same(token_of(&open.data), token_of(&data)) {
                     self.totals.wrong += 1;
@@ -470,7 +470,7 @@ impl<W: Wire> Session<W> {
             }
             Event::Sent { ticket } => {
                 let open = self.close(ticket, event);
-                assert!(!open.opcode.has_reply(), "{:?} has a reply. {}", open.opcode, self.told());
+                assert!(!open.kind.has_reply(), "{:?} has a reply. {}", open.kind, self.told());
                 self.totals.sent += 1;
             }
             Event::Failed { ticket, failure } => {
@@ -530,6 +530,7 @@ impl<W: Wire> Session<W> {
             }
             Event::Stray { .. } => self.totals.stray += 1,
             Event::Report { .. } | Event::LostMaster { .. } => {}
+            ref other => panic!("{other:?}. {}", self.told()),
         }
     }
 

@@ -45,7 +45,7 @@ impl Kind {
     /// Whether a drive answers it with bytes that can be waited for.
     pub const fn has_reply(self) -> bool {
         match self {
-            Self::Known(opcode) => opcode.reply_rule().has_reply(),
+            Self::Known(opcode) => opcode.has_reply(),
             Self::Raw { reply, .. } => reply.has_reply(),
         }
     }

@@ -315,6 +315,11 @@ impl Opcode {
         }
     }
 
+    /// Whether a drive answers it with bytes that can be waited for.
+    pub const fn has_reply(self) -> bool {
+        self.reply_rule().has_reply()
+    }
+
     /// Its place among those whose reply can be reported (0xB6), from 0; `None` for all others.
     pub(crate) fn report_place(self) -> Option<u32> {
         let reports = |opcode: &&Self| opcode.usage() == Usage::Report;

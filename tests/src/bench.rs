@@ -95,7 +95,7 @@ impl Bench {
     /// Sends any command to the drive; the data of its only reply, `None` if there is none.
     pub fn send(&mut self, command: impl Into<AnyCommand>) -> Option<Data> {
         let command = command.into();
-        let target = if command.opcode() == Opcode::BusId { Target::All } else { ID.into() };
+        let target = if command.opcode() == Some(Opcode::BusId) { Target::All } else { ID.into() };
         let packet = command.packet(target).unwrap();
         let replies = self.exchange(packet.channel, packet.data);
         assert!(replies.len() <= 1, "{replies:?}");

@@ -13,8 +13,8 @@ use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort};
 use myactuator_host_std::sim::bus::trace::{Event, Fault};
 use myactuator_host_std::sim::bus::{Medium, Node, SimClock, StationId, World};
 use myactuator_protocol_core::command::{
-    AccelerationReading, Feedback, MultiTurnAngle, MultiTurnEncoder, PidGain, RunTime, Speed,
-    Version,
+    AccelerationReading, Feedback, Fields, MultiTurnAngle, MultiTurnEncoder, PidGain, RunTime,
+    Speed, Version,
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
@@ -24,7 +24,7 @@ use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
 use myactuator_protocol_core::{
-    Channel, Command, Data, DecodeError, MotorId, Opcode, Packet, Target,
+    Channel, Command, Data, DecodeError, Kind, MotorId, Opcode, Packet, Target,
 };
 
 /// Marks a set-point of a stream in byte 1 of a speed command; requests of the same kind have another.
@@ -54,15 +54,18 @@ macro_rules! tokened {
         }
 
         impl Command for $name {
-            const OPCODE: Opcode = Opcode::$opcode;
             type Reply = $reply;
+
+            fn kind(&self) -> Kind {
+                Kind::Known(Opcode::$opcode)
+            }
 
             fn encode(&self) -> Data {
                 with_token([$byte, self.index, 0, 0], self.token)
             }
 
-            fn decode(data: &Data) -> Result<Self, DecodeError> {
-                Ok(Self { index: data[1], token: token_of(data) })
+            fn decode_reply(data: &Data) -> Result<$reply, DecodeError> {
+                Fields::read(data)
             }
         }
     )+};

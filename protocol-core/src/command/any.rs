@@ -107,7 +107,7 @@ macro_rules! any {
             /// # Errors
             /// As [`AnyCommand::decode_as`]; [`DecodeError::NoReply`] for kinds that have none.
             pub fn decode_as(opcode: Opcode, data: &Data) -> Result<Self, DecodeError> {
-                if !opcode.reply_rule().has_reply() {
+                if !opcode.has_reply() {
                     return Err(DecodeError::NoReply(opcode));
                 }
                 expect_opcode(data, opcode)?;

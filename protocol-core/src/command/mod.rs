@@ -78,7 +78,7 @@ use crate::opcode::Opcode;
 /// assert_eq!(reply.value.value(), 1.0);
 /// # Ok::<(), myactuator_protocol_core::DecodeError>(())
 /// ```
-pub trait Command: Fields {
+pub trait Command: Sized {
     /// What a drive answers.
     type Reply: Reply;
 
