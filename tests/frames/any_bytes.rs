@@ -337,6 +337,7 @@ proptest! {
 
 #[test]
 fn every_identifier_takes_every_first_byte() {
+    assert!(SimpleFrame::new(standard(0x141), &[0; 9]).is_none(), "nine bytes are no CAN frame");
     for identifier in 0..=0x7FF {
         for first in 0..=255 {
             for rest in [0x00, 0x01, 0xFF] {

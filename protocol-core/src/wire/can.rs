@@ -199,7 +199,6 @@ impl Frame for SimpleFrame {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use embedded_can::ExtendedId;
 
     #[test]
     fn identifiers_and_channels_are_each_others_inverse() {
@@ -227,24 +226,6 @@ mod tests {
         {
             assert_eq!(channel(foreign), None, "{foreign:03X}");
         }
-    }
-
-    #[test]
-    fn what_is_not_the_protocols_is_told_apart() {
-        let reply = StandardId::new(0x241).unwrap();
-        let short = SimpleFrame::new(reply, &[0xF1]).unwrap();
-        let Received::WrongLength { length: 1, first: Some(0xF1), .. } = decode(&short) else {
-            panic!("{:?}", decode(&short))
-        };
-        assert_eq!(decode(&SimpleFrame::new_remote(reply, 8).unwrap()), Received::Remote);
-        let extended = ExtendedId::new(0x241).unwrap();
-        assert_eq!(
-            decode(&SimpleFrame::new(extended, &[0; 8]).unwrap()),
-            Received::Extended(0x241)
-        );
-        let foreign = StandardId::new(0x7FF).unwrap();
-        assert_eq!(decode(&SimpleFrame::new(foreign, &[0; 8]).unwrap()), Received::Foreign(0x7FF));
-        assert!(SimpleFrame::new(foreign, &[0; 9]).is_none());
     }
 
     #[test]
