@@ -72,6 +72,7 @@ pub mod kind;
 pub mod master;
 pub mod opcode;
 pub mod quantity;
+mod round;
 pub mod time;
 pub mod units;
 pub mod wire;

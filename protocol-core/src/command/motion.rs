@@ -4,6 +4,10 @@
 //! and a wrong one multiplies the torque; so the scale is a value, [`MotionRanges`], that turns a
 //! [`MotionSetPoint`] into a [`RawMotion`] and a [`RawMotionFeedback`] into a [`MotionFeedback`].
 //!
+//! [`MotionRanges`]: super::MotionRanges
+//! [`MotionSetPoint`]: super::MotionSetPoint
+//! [`MotionFeedback`]: super::MotionFeedback
+//!
 //! ```
 //! use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint};
 //!

@@ -12,9 +12,8 @@
 //! as long as the shaft was turned by less than half a turn while the drive was off.
 
 use crate::drive::parameters::Parameters;
-use crate::units::{
-    Angle, CoarseAngle, EncoderPulses, ReportedSingleTurnAngle, SingleTurnPulses, round_f64,
-};
+use crate::round::round_f64;
+use crate::units::{Angle, CoarseAngle, EncoderPulses, ReportedSingleTurnAngle, SingleTurnPulses};
 
 #[derive(Clone, Debug)]
 pub(super) struct Encoder {

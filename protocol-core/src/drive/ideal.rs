@@ -77,7 +77,7 @@ impl Plant for IdealPlant {
         }
         let pulses = self.angle_rad / core::f64::consts::TAU * self.pulses_per_turn;
         Measurement {
-            encoder_pulses: crate::units::round_f64(pulses) as i64,
+            encoder_pulses: crate::round::round_f64(pulses) as i64,
             speed_dps: self.speed_rad_s.to_degrees() as f32,
             current_a,
             phase_currents_a: [current_a, -current_a / 2.0, -current_a / 2.0],
