@@ -61,7 +61,7 @@ pub enum Buses {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Reach {
-    /// To one motor, or to all at once (2, 3, 6).
+    /// To one motor, or to [all](crate::Target::All) at once (2, 3, 6).
     OneOrAll,
     /// To one motor only (5).
     One,

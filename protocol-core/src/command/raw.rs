@@ -54,7 +54,7 @@ impl RawCommand {
         self.data
     }
 
-    /// The command to one motor or to all.
+    /// The command to one motor or to [all](Target::All), on CAN those with their id filter off.
     pub const fn packet_to(&self, target: Target) -> Packet {
         Packet { channel: Channel::Command(target), data: self.data }
     }
