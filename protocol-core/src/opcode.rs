@@ -11,8 +11,8 @@ use crate::firmware::Firmware;
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[non_exhaustive]
 pub enum ReplyRule {
-    /// With the same eight bytes, as an acknowledgement. (What an RS485 adapter hands back of one's
-    /// own bytes is another echo, and says nothing of a drive.)
+    /// With the same eight bytes: an acknowledgement. (An RS485 adapter's echo of one's own bytes is
+    /// something else.)
     Echo,
     /// With values of its own under the same command byte.
     Values,
@@ -407,7 +407,7 @@ impl<'de> serde::Deserialize<'de> for Opcode {
 }
 
 /// The command byte of a frame that drives were seen to send once a second after they lost their
-/// master. The manual does not know it; it never answers a request.
+/// master. The manual does not know it; it is never the reply to a request.
 pub const LOST_MASTER_BYTE: u8 = 0xF1;
 
 #[cfg(test)]

@@ -31,7 +31,7 @@ reply! {
         temperature: Temperature => 1,
         /// MOSFET temperature.
         mosfet_temperature: Temperature => 2,
-        /// What the brake has been told.
+        /// The brake's last command.
         brake: BrakeCommand => 3,
         /// Supply voltage.
         voltage: Voltage => 4,
@@ -41,7 +41,7 @@ reply! {
 }
 
 code! {
-    /// What the brake has been told (2.14.3). It is the command, not the brake's true state, and on
+    /// The brake's last command (2.14.3). It is the command, not the brake's true state, and on
     /// some firmware 1 only while a command runs.
     BrakeCommand "brake" {
         /// Lock.
@@ -152,7 +152,7 @@ impl ErrorFlags {
     }
 
     /// Whether anything is wrong that only a restart ends. Errors whose level the manual does not
-    /// tell count as such, so that nobody waits for a recovery that may not come.
+    /// give count as such, so that nobody waits for a recovery that may not come.
     pub fn needs_restart(self) -> bool {
         self.each().any(|error| error.level() != Some(ErrorLevel::Two))
     }

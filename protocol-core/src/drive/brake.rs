@@ -56,7 +56,7 @@ impl Brake {
         }
     }
 
-    /// What it has been told last (0x9A).
+    /// The last command (0x9A).
     pub(super) const fn command(&self) -> BrakeCommand {
         match self.state {
             State::Locked => BrakeCommand::LOCK,
@@ -69,7 +69,7 @@ impl Brake {
         self.fitted && self.state == State::Locked
     }
 
-    /// What the plant's brake is told at `now`. A motor without a brake turns freely.
+    /// Whether the plant's brake is to be open at `now`. A motor without a brake turns freely.
     pub(super) fn is_open(&self, now: Instant) -> bool {
         !self.fitted || matches!(self.state, State::Released { at, .. } if at <= now)
     }

@@ -23,7 +23,7 @@ pub struct IdealPlant {
     pub angle_rad: f64,
     /// Speed of the output shaft, rad/s.
     pub speed_rad_s: f64,
-    /// What sensors beside the encoder tell. The angle, speed and currents in it are overwritten.
+    /// What sensors beside the encoder measure. The angle, speed and currents in it are overwritten.
     pub sensors: Measurement,
 }
 

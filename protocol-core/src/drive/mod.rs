@@ -9,7 +9,7 @@
 //!   included: the drive knows what is meant for it.
 //! - [`poll_transmit`](Drive::poll_transmit) is called until it returns `None`, whenever
 //!   [`poll_at`](Drive::poll_at) has come or a packet has been handled. What it returns goes on the bus.
-//! - [`poll_event`](Drive::poll_event) tells a watcher what happened. It may be left out.
+//! - [`poll_event`](Drive::poll_event) returns what happened, for a watcher. It may be left out.
 //! - On real hardware [`advance`](Drive::advance) is called once every
 //!   [`control_period`](Parameters::control_period). A simulation need not: every call catches up by
 //!   itself.
@@ -182,8 +182,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
 
     /// Takes a packet from the bus. What is not for this drive changes nothing.
     ///
-    /// A malformed, unknown or out-of-range command is ignored, as a real drive would, and told as
-    /// [`Event::Ignored`]. Does the work of [`advance`](Self::advance) first.
+    /// A malformed, unknown or out-of-range command is ignored, as a real drive would, and reported
+    /// as [`Event::Ignored`]. Does the work of [`advance`](Self::advance) first.
     pub fn handle_packet(&mut self, packet: &Packet, now: Instant) {
         self.advance(now);
         let to_all = match packet.channel {
@@ -233,8 +233,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     /// [`control_period`](Parameters::control_period), with everything that time does to a drive:
     /// errors, loss of communication, the end of a start.
     ///
-    /// One call runs [`MAX_STEPS_PER_CALL`] steps at most. [`clock`](Self::clock) tells how far it came,
-    /// and a caller that let more time pass calls again. A `now` before the last one changes nothing.
+    /// One call runs [`MAX_STEPS_PER_CALL`] steps at most. [`clock`](Self::clock) returns how far it
+    /// came, and a caller that let more time pass calls again. A `now` before the last one changes
+    /// nothing.
     pub fn advance(&mut self, now: Instant) {
         let period = self.parameters.control_period.max(Duration::from_micros(1));
         for _ in 0..MAX_STEPS_PER_CALL {
@@ -266,8 +267,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     }
 
     /// When [`poll_transmit`](Self::poll_transmit) has something to do by itself, if no packet comes
-    /// before: a reply or a report is due, a start ends, communication is lost, or the loops are 10 ms behind (a motor moves
-    /// and errors come at any time). `None` only at the end of time.
+    /// before: a reply or a report is due, a start ends, communication is lost, or the loops are 10 ms
+    /// behind (a motor moves and errors come at any time). `None` only at the end of time.
     pub fn poll_at(&self) -> Option<Instant> {
         let period = self.parameters.control_period;
         let catch_up = self.clock + period.max(CATCH_UP);

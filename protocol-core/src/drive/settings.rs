@@ -36,7 +36,8 @@ impl Gains {
     ///
     /// The position loop is four times slower than the speed loop. The speed loop's bandwidth should
     /// stay well below the control rate: 200 rad/s suits 1 kHz. A load that was not reckoned with makes
-    /// the loops slower by as much as the inertia grows. What is not a positive number gives gains of 0, with which the motor does not move.
+    /// the loops slower by as much as the inertia grows. What is not a positive number gives gains of 0,
+    /// with which the motor does not move.
     pub fn tuned(inertia_kg_m2: f32, torque_constant_nm_per_a: f32, bandwidth_rad_s: f32) -> Self {
         let positive = |x: f32| if x.is_finite() && x > 0.0 { x } else { 0.0 };
         let gain = |x: f32| Gain::new(x).unwrap_or(NO_GAIN);
