@@ -1,14 +1,4 @@
-//! The holding brake (manual 2.27, 2.28, 2.19.1).
-//!
-//! Decided, where the manual is silent:
-//!
-//! - A drive starts with its brake locked, the state that it has without power (2.28.1).
-//! - Speed and position commands and 0x81 with the output on need no 0x77: they open the brake
-//!   themselves. Only the torque command must not (2.19.1), and with it motion mode, which is a torque
-//!   command in all but name.
-//! - 0x80 locks a brake that a command opened by itself, so that a load does not fall; one that 0x77
-//!   opened stays open, so that a person can turn the shaft by hand. Errors and the loss of
-//!   communication lock either.
+//! The holding brake (manual 2.27, 2.28, 2.19.1), as [`decisions`](super::decisions) says.
 
 use crate::command::BrakeCommand;
 use crate::drive::quirks::Quirks;

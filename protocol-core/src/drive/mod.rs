@@ -42,16 +42,13 @@
 //! assert!((drive.state().angle_deg - 360.0).abs() < 0.1);
 //! ```
 //!
-//! # What each file decides
-//!
-//! The manual leaves much open. Each decision is told once, where it is made: what a command does in
-//! `answer.rs`, which of two memories it changes in [`Settings`], turns and zero in `encoder.rs`, errors
-//! in `faults.rs`, the brake in `brake.rs`, the loss of communication in `protection.rs`, what is sent
-//! unasked in `reporting.rs`, the loops in `control/`. What drives do beside the manual is in [`Quirks`].
+//! The manual leaves much open: what this drive does there is in [`decisions`]. What real drives were
+//! seen to do beside the manual is in [`Quirks`].
 
 mod answer;
 mod brake;
 mod control;
+pub mod decisions;
 mod encoder;
 mod event;
 mod faults;
@@ -307,9 +304,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         self.active.id
     }
 
-    /// The bit rate that the drive speaks at. A change (0xB4) acts at once: the manual says both that it
-    /// acts at the next power-on (2.32.1) and that the reply is lost because it has acted (2.32.3);
-    /// whoever believes the second waits for no reply, and is right either way.
+    /// The bit rate that the drive speaks at. A change (0xB4) acts
+    /// [at once](decisions#bit-rate).
     pub const fn baud_rate(&self) -> BaudCode {
         self.active.baud_rate
     }
