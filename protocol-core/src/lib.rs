@@ -28,6 +28,9 @@
 //!   [`AnyReply`].
 //! - To stand in for a motor: [`drive::Drive`].
 //!
+//! The programs in `examples/` are made to be copied: `one_frame` by hand, a `bus_monitor`, and
+//! `both_ends` in memory.
+//!
 //! # One frame from end to end
 //! ```
 //! use myactuator_protocol_core::command::AbsolutePosition;
