@@ -3,6 +3,7 @@
 //! ```text
 //! candump -L can0 | cargo run -p myactuator-protocol-core --example bus_monitor
 //! cargo run -p myactuator-protocol-core --example bus_monitor -- v4.4 < candump.log
+//! stty -F /dev/ttyUSB0 115200 raw
 //! cargo run -p myactuator-protocol-core --example bus_monitor -- rs485 < /dev/ttyUSB0
 //! ```
 

@@ -1,4 +1,4 @@
-//! The map in the crate's documentation is true.
+//! Tables that are written by hand in the documentation are true.
 
 extern crate std;
 
@@ -57,4 +57,13 @@ fn each_layer_imports_from_those_before_it_only() {
         count += check(&path, &[&GROUND, &layers[..=place]].concat());
     }
     assert!(count > 200, "{count} imports found");
+}
+
+#[test]
+fn every_chapter_is_in_the_table_of_chapters() {
+    let text = include_str!("command/mod.rs");
+    for line in text.lines().filter(|line| line.starts_with("pub mod ")) {
+        let chapter = line.trim_start_matches("pub mod ").trim_end_matches(';');
+        assert!(text.contains(&format!("[`{chapter}`]")), "{chapter}");
+    }
 }
