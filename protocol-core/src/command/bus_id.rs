@@ -78,15 +78,15 @@ impl Fields for BusId {
 pub enum BusIdReply {
     /// The new id, as it was sent.
     Written(MotorId),
-    /// The id that was read, as drives on CAN tell it: the reply identifier 0x240 + id in the last
+    /// The id that was read, as drives on CAN return it: the reply identifier 0x240 + id in the last
     /// two bytes (4.4).
     OnCan(MotorId),
-    /// The id that was read, as drives on RS485 tell it: the bare id in the last byte (7.4).
+    /// The id that was read, as drives on RS485 return it: the bare id in the last byte (7.4).
     OnRs485(MotorId),
 }
 
 impl BusIdReply {
-    /// The id, however it was told.
+    /// The id, in whichever form it came.
     pub const fn id(&self) -> MotorId {
         match *self {
             Self::Written(id) | Self::OnCan(id) | Self::OnRs485(id) => id,

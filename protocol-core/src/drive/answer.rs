@@ -1,22 +1,4 @@
-//! What each command does, and what it is answered with.
-//!
-//! Decided, where the manual is silent or says two things:
-//!
-//! - A bus id (0x79, function 5) acts after a restart. Until then 0x79 reads the id that acts.
-//! - A reply to 0x79 looks like its command, and every drive hears it. So that two drives do not answer
-//!   each other for ever, a read that already holds an id, and a write of the id that was taken less than
-//!   20 ms ago, count as another drive's reply.
-//! - 0x62 reads the zero offset that acts: a new one (0x63, 0x64) "is valid only after a restart".
-//! - Functions 6 and 7 clamp the targets of 0xA4, 0xA6, 0xA8 and 0xA9: the motor goes as far as it may.
-//!   They act from the next command on; a motor that is on its way goes on.
-//! - 0xA8 counts from where the shaft is, not from where it was to go.
-//! - 0xA6 runs in single-turn mode only (function 4 off). Within half a degree of its target it goes
-//!   the short way, whatever the direction says: a command sent twice must not add a turn.
-//! - In 0xA9 a torque limit of 0 is none to spend: only 0xA2 calls 0 "no limit".
-//! - 0xB4 is answered with bytes that mean nothing. A code without a meaning on the drive's bus changes
-//!   nothing and has no answer.
-//! - Indices and codes that the manual does not name have no effect and no answer.
-//! - Writing to ROM while the motor moves works: the manual advises against it, but forbids nothing.
+//! What each command does, and what it is answered with, as [`decisions`](super::decisions) says.
 
 use crate::channel::Packet;
 use crate::command::{

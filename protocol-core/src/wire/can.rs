@@ -4,7 +4,7 @@
 //! |---|---|
 //! | 0x140 + id | command to one motor |
 //! | 0x240 + id | its reply |
-//! | 0x280 | command to all motors |
+//! | 0x280 | command to all motors whose id filter is off |
 //! | 0x300 | bus id setting, both ways |
 //! | 0x400 + id | motion mode command |
 //! | 0x500 + id | its reply |
