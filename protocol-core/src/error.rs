@@ -2,8 +2,8 @@
 
 use core::fmt;
 
-use crate::channel::Channel;
 use crate::opcode::Opcode;
+use crate::packet::Channel;
 use crate::quantity::OutOfRange;
 
 /// Why a data field does not mean anything.

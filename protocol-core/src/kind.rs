@@ -3,7 +3,10 @@
 use core::fmt;
 
 use crate::data::Data;
-use crate::opcode::{Opcode, Repeat, ReplyRule};
+use crate::error::RequestError;
+use crate::id::Target;
+use crate::opcode::{Buses, Opcode, Reach, Repeat, ReplyRule};
+use crate::packet::Channel;
 
 /// What a master has to know of a command to send it and to know its answer: a row of the table, or
 /// what the caller says of a command that the table does not have.
@@ -88,6 +91,37 @@ impl Kind {
         };
         let key_agrees = key_byte.is_none_or(|at| command.get(at) == reply.get(at));
         key_agrees && self.byte().is_none_or(|byte| reply[0] == byte)
+    }
+}
+
+impl Kind {
+    /// The channel on which a command of this kind reaches `target`.
+    ///
+    /// # Errors
+    /// [`RequestError::OneMotorOnly`] for motion mode to all, [`RequestError::AllMotorsOnly`] for a bus
+    /// id to one.
+    pub const fn channel_to(self, target: Target) -> Result<Channel, RequestError> {
+        let Self::Known(opcode) = self else { return Ok(Channel::Command(target)) };
+        match (opcode.reach(), target) {
+            (Reach::OneOrAll, target) => Ok(Channel::Command(target)),
+            (Reach::One, Target::Motor(id)) => Ok(Channel::Motion(id)),
+            (Reach::One, Target::All) => Err(RequestError::OneMotorOnly(opcode)),
+            (Reach::Connected, Target::All) => Ok(Channel::BusId),
+            (Reach::Connected, Target::Motor(_)) => Err(RequestError::AllMotorsOnly(opcode)),
+        }
+    }
+
+    /// Refuses kinds that RS485 does not have.
+    ///
+    /// # Errors
+    /// [`RequestError::CanOnly`].
+    pub const fn check_on_rs485(self) -> Result<(), RequestError> {
+        match self {
+            Self::Known(opcode) if matches!(opcode.buses(), Buses::CanOnly) => {
+                Err(RequestError::CanOnly(opcode))
+            }
+            _ => Ok(()),
+        }
     }
 }
 

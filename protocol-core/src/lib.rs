@@ -8,7 +8,7 @@
 //! |---|---|
 //! | [`quantity`] | what a value may be, and the error for what it may not |
 //! | [`time`], [`units`] | time as an argument; quantities with their unit |
-//! | [`id`], [`channel`] | who is meant; who speaks to whom, free of any wire |
+//! | [`id`], [`packet`] | who is meant; who speaks to whom, free of any wire |
 //! | [`firmware`] | which revision of the protocol |
 //! | [`opcode`], [`kind`] | **the** table: one row a kind of frame; and what is not in it |
 //! | [`error`] | what can be wrong with bytes and requests |
@@ -67,7 +67,6 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-pub mod channel;
 pub mod command;
 mod data;
 pub mod drive;
@@ -78,6 +77,7 @@ pub mod io;
 pub mod kind;
 pub mod master;
 pub mod opcode;
+pub mod packet;
 pub mod quantity;
 mod round;
 #[cfg(test)]
@@ -86,7 +86,6 @@ pub mod time;
 pub mod units;
 pub mod wire;
 
-pub use channel::{Channel, Packet};
 pub use command::{AnyCommand, AnyReply, Command, Reply};
 pub use data::Data;
 pub use error::{DecodeError, RequestError};
@@ -94,4 +93,5 @@ pub use firmware::Firmware;
 pub use id::{MotorId, Target};
 pub use kind::Kind;
 pub use opcode::Opcode;
+pub use packet::{Channel, Packet};
 pub use quantity::OutOfRange;

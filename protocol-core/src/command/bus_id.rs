@@ -3,12 +3,12 @@
 //! The command names no motor: **every** motor on the bus obeys. With more than one connected, a
 //! write gives all of them the same id.
 
-use crate::channel::{Channel, Packet};
 use crate::command::{Field, Fields};
 use crate::data::{self, Data};
 use crate::error::DecodeError;
 use crate::id::MotorId;
 use crate::opcode::Opcode;
+use crate::packet::{Channel, Packet};
 use crate::quantity::{Form, OutOfRange, Quantity, Unit};
 
 const READ: u8 = 1;

@@ -52,7 +52,7 @@ pub mod system;
 
 pub use acceleration::*;
 pub use angle::*;
-pub use any::{AnyCommand, AnyReply, channel_of, check_on_rs485};
+pub use any::{AnyCommand, AnyReply};
 pub use brake::*;
 pub use bus_id::*;
 pub use communication::*;

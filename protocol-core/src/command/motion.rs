@@ -20,12 +20,12 @@
 
 use core::fmt;
 
-use crate::channel::{Channel, Packet};
 use crate::command::{Field, Fields, Reply, When};
 use crate::data::Data;
 use crate::error::DecodeError;
 use crate::id::MotorId;
 use crate::opcode::Opcode;
+use crate::packet::{Channel, Packet};
 use crate::quantity::{Form, Given, MotionScale, OutOfRange, Place, Quantity, Unit};
 
 /// A step on a scale of 4096, 0 to 4095.

@@ -2,13 +2,13 @@
 
 use core::fmt;
 
-use crate::channel::{Channel, Packet};
 use crate::command::{Command, Field, Fields, Reply, print};
 use crate::data::Data;
 use crate::error::DecodeError;
 use crate::id::Target;
 use crate::kind::Kind;
 use crate::opcode::{Opcode, ReplyRule};
+use crate::packet::{Channel, Packet};
 
 /// A command of the caller's own: eight bytes, how a drive answers them, and whether they may move the
 /// motor. For commands that this library does not know, or knows with another layout.

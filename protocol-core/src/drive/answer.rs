@@ -1,6 +1,5 @@
 //! What each command does, and what it is answered with, as [`decisions`](super::decisions) says.
 
-use crate::channel::Packet;
 use crate::command::{
     AccelerationReading, AnyCommand, AnyReply, BusId, BusIdReply, Feedback, FunctionControl, Model,
     MotionFeedback, MultiTurnAngle, MultiTurnEncoder, MultiTurnEncoderOffset, MultiTurnEncoderRaw,
@@ -12,6 +11,7 @@ use crate::drive::encoder::saturated;
 use crate::drive::protection::{Heard, STEADY_COMMANDS, STEADY_COMMANDS_SEEN};
 use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings, brake};
 use crate::opcode::Opcode;
+use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 use crate::units::{
     CoarseSpeed, Current, Milliseconds, ReportedAcceleration, Temperature, Voltage,

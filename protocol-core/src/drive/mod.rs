@@ -73,10 +73,10 @@ pub use quirks::Quirks;
 pub use settings::{Accelerations, Gains, Memory, RamMemory, Settings};
 pub use state::State;
 
-use crate::channel::{Channel, Packet};
 use crate::command::{AnyCommand, BaudCode, ErrorFlags};
 use crate::id::{MotorId, Target};
 use crate::opcode::{Buses, LOST_MASTER_BYTE, Opcode};
+use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
 use answer::Answer;

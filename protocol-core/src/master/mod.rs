@@ -46,13 +46,13 @@ pub use event::{Event, Failure, Ticket, TicketId};
 pub use health::{Health, Presence};
 pub use motor_set::MotorSet;
 
-use crate::channel::Packet;
-use crate::command::{self, Command, FunctionIndex, SetPoint, Shutdown, Stop};
+use crate::command::{Command, FunctionIndex, SetPoint, Shutdown, Stop};
 use crate::data::Data;
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::opcode::Opcode;
+use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 use broadcast::Broadcast;
 use compact::{Compact, Wire};
@@ -499,9 +499,9 @@ impl<const N: usize> Master<N> {
     }
 
     fn check(&self, kind: Kind, target: Target) -> Result<(), RequestError> {
-        command::channel_of(kind, target)?;
+        kind.channel_to(target)?;
         if self.config.is_rs485() {
-            command::check_on_rs485(kind)?;
+            kind.check_on_rs485()?;
         }
         if self.stopped && kind.may_move() { Err(RequestError::Stopped) } else { Ok(()) }
     }

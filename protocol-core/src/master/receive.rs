@@ -1,6 +1,5 @@
 //! What a received frame means to the master.
 
-use crate::channel::{Channel, Packet};
 use crate::command::{AnyReply, BusId, Command};
 use crate::data::Data;
 use crate::id::MotorId;
@@ -8,6 +7,7 @@ use crate::master::lane::{Flags, RequestState};
 use crate::master::ticks::MicroTick;
 use crate::master::{Event, Master, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat, Usage};
+use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 use crate::wire::{can, rs485};
 

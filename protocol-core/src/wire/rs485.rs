@@ -2,10 +2,10 @@
 
 use crc::{CRC_16_MODBUS, Crc, Table};
 
-use crate::channel::{Channel, Packet};
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::opcode::{Buses, Opcode};
+use crate::packet::{Channel, Packet};
 
 /// Bytes in a frame.
 pub const FRAME_LENGTH: usize = 13;
