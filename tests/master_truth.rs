@@ -26,9 +26,10 @@ use myactuator_protocol_core::units::{self, Gain, MaxSpeed, MaxTorque, SpeedTarg
 use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Opcode, Packet};
 use myactuator_tests::rig::{
     Acceleration, Angle, Dice, Encoder, Pid, Rig, RunTimeOf, STREAM_MARK, Status2, Step, VersionOf,
-    Wire, token_of,
+    token_of,
 };
 use myactuator_tests::values::id;
+use myactuator_tests::wire::Wire;
 
 /// An outcome takes at the longest: a restart (2 s), and three attempts with their waiting.
 const LONGEST_WAIT: Duration = Duration::from_millis(4_000);

@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::FaultPlan;
-use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, SerialWorld};
+use myactuator_host_std::sim::bus::rs485::{Rs485Line, SerialPort, SerialWorld};
 use myactuator_host_std::sim::bus::trace::{Event, Record};
 use myactuator_host_std::sim::bus::{Node, StationId, World};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::wire::can::SimpleFrame;
+
+use crate::wire::Wire;
 
 /// So many microseconds after the world began.
 pub const fn micros(at: u64) -> Instant {
@@ -99,25 +99,17 @@ pub trait Stage {
     }
 }
 
-impl Stage for World<CanBus> {
-    type Frame = SimpleFrame;
+impl<W: Wire> Stage for World<W> {
+    type Frame = W::Frame;
 
-    fn put(&self, hand: &Hand<SimpleFrame>) -> StationId {
-        self.attach(hand.node())
-    }
-}
-
-impl Stage for World<Rs485Line> {
-    type Frame = Vec<u8>;
-
-    fn put(&self, hand: &Hand<Vec<u8>>) -> StationId {
-        self.attach(hand.node())
+    fn put(&self, hand: &Hand<W::Frame>) -> StationId {
+        W::seat(self, hand.node())
     }
 }
 
 /// A line at 1 Mbit/s, on which a byte lasts 10 µs, with a master's port and somebody who listens.
 pub fn line(seed: u64) -> (SerialWorld, SerialPort, Hand<Vec<u8>>) {
-    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, seed);
+    let world = Rs485Line::world(seed);
     let listener = world.listener();
     (world.clone(), world.port(), listener)
 }
