@@ -24,6 +24,7 @@ pub type Timetable<F> = Vec<(u64, F)>;
 pub struct Script<F> {
     to_send: VecDeque<(u64, F)>,
     heard: Timetable<F>,
+    resets: Vec<u64>,
     /// Whether it sends back what it hears.
     mirrors: bool,
 }
@@ -36,7 +37,7 @@ impl<F: Clone> Hand<F> {
     /// One that sends each frame at its time.
     pub fn sending(timetable: impl IntoIterator<Item = (u64, F)>) -> Self {
         let to_send = timetable.into_iter().collect();
-        let script = Script { to_send, heard: Vec::new(), mirrors: false };
+        let script = Script { to_send, heard: Vec::new(), resets: Vec::new(), mirrors: false };
         Self(Arc::new(Mutex::new(script)))
     }
 
@@ -60,6 +61,11 @@ impl<F: Clone> Hand<F> {
     /// What it heard so far, and when.
     pub fn heard(&self) -> Timetable<F> {
         self.0.lock().unwrap().heard.clone()
+    }
+
+    /// When it was reset, in microseconds.
+    pub fn resets(&self) -> Vec<u64> {
+        self.0.lock().unwrap().resets.clone()
     }
 
     /// What it heard so far.
@@ -141,5 +147,9 @@ impl<F: Clone + Send> Node<F> for Script<F> {
 
     fn poll_at(&self) -> Option<Instant> {
         self.to_send.front().map(|(at, _)| Instant::from_micros(*at))
+    }
+
+    fn reset(&mut self, now: Instant) {
+        self.resets.push(now.as_micros());
     }
 }
