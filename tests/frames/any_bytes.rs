@@ -135,7 +135,7 @@ proptest! {
             }
             Received::Foreign(raw) => {
                 prop_assert_eq!(raw, identifier);
-                prop_assert_eq!(can::channel(identifier), None);
+                prop_assert_eq!(can::channel_at(identifier), None);
             }
             other => prop_assert!(false, "{:?}", other),
         }
@@ -183,7 +183,7 @@ proptest! {
         data in prop::collection::vec(any::<u8>(), 0..8),
     ) {
         let frame = SimpleFrame::new(standard(identifier), &data).expect("less than eight bytes");
-        let expected = match can::channel(identifier) {
+        let expected = match can::channel_at(identifier) {
             Some(channel) => Received::WrongLength {
                 channel,
                 length: data.len(),

@@ -3,7 +3,6 @@
 use core::fmt;
 
 use crate::command::motion::{RawMotion, RawMotionFeedback, U12};
-use crate::command::system::VersionDate;
 use crate::firmware::Firmware;
 use crate::id::MotorId;
 use crate::quantity::MotionScale;
@@ -386,18 +385,6 @@ impl Firmware {
             Self::V4_4 => None,
         }
     }
-
-    /// The firmware of a drive that reports this version date (0xB2), where that is known: of
-    /// 2025-05-12, the day of protocol V4.3 (manual 9), which simulated drives report; and of 2026-04-24,
-    /// build 02, a V4.4 that was met on a real motor. No report ties any other date to a protocol; so for
-    /// all others there is none, and nothing is guessed.
-    pub const fn of_version_date(date: VersionDate) -> Option<Self> {
-        match date.raw() {
-            20_250_512 => Some(Self::V4_3),
-            2_026_042_402 => Some(Self::V4_4),
-            _ => None,
-        }
-    }
 }
 
 #[cfg(test)]
@@ -444,17 +431,6 @@ mod tests {
         for (set_point, name) in beyond.into_iter().zip(names) {
             assert_eq!(quantise(set_point).unwrap_err().name, name);
         }
-    }
-
-    #[test]
-    fn an_unknown_version_date_leads_to_no_firmware() {
-        let of = |date| Firmware::of_version_date(VersionDate::from_raw(date));
-        assert_eq!(of(20_250_512), Some(Firmware::V4_3));
-        assert_eq!(of(2_026_042_402), Some(Firmware::V4_4));
-        for unknown in [0, 20_220_206, 2_025_070_202, 2_025_051_201, 20_250_513, u32::MAX] {
-            assert_eq!(of(unknown), None, "{unknown}");
-        }
-        assert_eq!(Firmware::V4_4.motion_ranges(), None);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use core::fmt;
 
 use crate::command::NoReply;
 use crate::data::{self, Data};
+use crate::firmware::Firmware;
 use crate::quantity::{Form, OutOfRange, Quantity, Unit};
 use crate::units::Milliseconds;
 
@@ -107,6 +108,20 @@ impl VersionDate {
     #[inline(always)]
     pub(crate) const fn read<const AT: usize>(data: &Data) -> Result<Self, OutOfRange> {
         Ok(Self(data::get_u32::<AT>(data)))
+    }
+}
+
+impl Firmware {
+    /// The firmware of a drive that reports this version date (0xB2), where that is known: of
+    /// 2025-05-12, the day of protocol V4.3 (manual 9), which simulated drives report; and of 2026-04-24,
+    /// build 02, a V4.4 that was met on a real motor. No report ties any other date to a protocol; so for
+    /// all others there is none, and nothing is guessed.
+    pub const fn of_version_date(date: VersionDate) -> Option<Self> {
+        match date.raw() {
+            20_250_512 => Some(Self::V4_3),
+            2_026_042_402 => Some(Self::V4_4),
+            _ => None,
+        }
     }
 }
 
@@ -217,6 +232,16 @@ mod tests {
         assert_eq!(VersionDate::from_raw(20_220_206).to_string(), "2022-02-06");
         assert_eq!(VersionDate::from_raw(2_023_020_601).year_month_day(), Some((2023, 2, 6)));
         assert_eq!(VersionDate::from_raw(7).to_string(), "7");
+    }
+
+    #[test]
+    fn an_unknown_version_date_leads_to_no_firmware() {
+        let of = |date| Firmware::of_version_date(VersionDate::from_raw(date));
+        assert_eq!(of(20_250_512), Some(Firmware::V4_3));
+        assert_eq!(of(2_026_042_402), Some(Firmware::V4_4));
+        for unknown in [0, 20_220_206, 2_025_070_202, 2_025_051_201, 20_250_513, u32::MAX] {
+            assert_eq!(of(unknown), None, "{unknown}");
+        }
     }
 
     #[test]

@@ -6,13 +6,13 @@ extern crate std;
 use std::vec::Vec;
 
 use super::*;
-use crate::channel::{Channel, Packet};
 use crate::command::{
     AbsolutePosition, ActiveReply, AnyReply, BaudCode, BusId, FunctionControl, IncrementalPosition,
     PidIndex, RawCommand, RawMotion, RawReply, ReadModel, ReadMultiTurnAngle, ReadPid, ReadStatus1,
     ReportedCommand, Reset, SetBaudRate, Switch, Torque,
 };
 use crate::opcode::ReplyRule;
+use crate::packet::{Channel, Packet};
 use crate::units::{Angle, Current, MaxSpeed, ReportInterval};
 use crate::wire::can::Received;
 use crate::wire::rs485::{Fed, Frame};

@@ -2,10 +2,10 @@
 
 use crc::{CRC_16_MODBUS, Crc, Table};
 
-use crate::channel::{Channel, Packet};
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::opcode::{Buses, Opcode};
+use crate::packet::{Channel, Packet};
 
 /// Bytes in a frame.
 pub const FRAME_LENGTH: usize = 13;
@@ -236,7 +236,7 @@ impl Receiver {
         }
     }
 
-    /// Forgets a frame that has begun, and tells how many bytes were held. For masters that start a
+    /// Forgets a frame that has begun, and returns how many bytes were held. For masters that start a
     /// new exchange after a silence.
     pub fn reset(&mut self) -> usize {
         self.crc = CRC_START;
@@ -248,7 +248,7 @@ impl Receiver {
         self.length > 0
     }
 
-    /// Holds one byte more, and tells if with it this is a frame, or cannot become one.
+    /// Holds one byte more, and returns whether with it this is a frame, or cannot become one.
     #[inline(always)]
     fn push(&mut self, byte: u8) -> Result<bool, Fault> {
         let place = self.length;

@@ -13,9 +13,9 @@ use std::vec::Vec;
 use embedded_can::Frame as _;
 
 use crate::Data;
-use crate::channel::{Channel, Packet};
 use crate::id::Target;
 use crate::io::{AsyncCan, AsyncClock, Clock};
+use crate::packet::{Channel, Packet};
 use crate::time::Instant;
 use crate::wire::can::{self, Received, SimpleFrame};
 use crate::wire::rs485::{Fed, Frame, Receiver};
