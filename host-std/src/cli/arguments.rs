@@ -33,8 +33,8 @@ fn amount(text: &str, quantity: &'static Quantity) -> Parsed<i64> {
     let given = number(text).ok_or_else(|| format!("{quantity}, but \"{text}\" is no number"))?;
     let raw = quantity.nearest(given).map_err(|error| error.to_string())?;
     match quantity.form {
-        // Large steps are not what somebody else meant: rounding could end at 0.
-        Form::Steps(Steps { numerator: 2.., .. }) if quantity.amount(raw) != given => {
+        // Steps of a whole unit or more: whoever gives a part of one means something else.
+        Form::Steps(Steps { denominator: 1, .. }) if quantity.amount(raw) != given => {
             let (step, unit) = (quantity.amount(1), quantity.unit.symbol());
             Err(format!("{quantity} in steps of {step} {unit}, but {given} {unit} was given"))
         }
@@ -61,8 +61,12 @@ pub(super) fn field(text: &str, field: &Field, ranges: Option<&MotionRanges>) ->
             let ranges = ranges.ok_or(
                 "--ranges is missing: the scales of this firmware's motion mode depend on the motor",
             )?;
-            let value: f64 = text.parse().map_err(|_| {
-                format!("{} must be a number, but \"{text}\" was given", quantity.name)
+            let value = number(text).ok_or_else(|| {
+                let ((min, max), unit) = (ranges.ends(scale), quantity.unit.symbol());
+                format!(
+                    "{} must be {min} to {max} {unit}, but \"{text}\" is no number",
+                    quantity.name
+                )
             })?;
             ranges.step(scale, value).map(i64::from).map_err(|error| error.to_string())
         }

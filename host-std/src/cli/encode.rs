@@ -35,7 +35,7 @@ pub(super) struct Arguments {
 }
 
 /// A command of the table, with its fields as they were typed. The subcommands are the table's rows,
-/// their flags the fields; values are rounded to the nearest step of the frame.
+/// their flags the fields; parts of a unit are rounded to the nearest step of the frame.
 #[derive(Clone, Debug)]
 pub(super) struct FromTable {
     opcode: Opcode,
@@ -85,9 +85,9 @@ fn hint(field: &Field) -> String {
         Form::Code(names) => {
             let names: Vec<_> =
                 names.iter().map(|name| format!("{} ({})", name.name, name.raw)).collect();
-            format!("{meaning} One of {}, or another number.", names.join(", "))
+            format!("{meaning} One of {}, or another number up to 255.", names.join(", "))
         }
-        Form::Switch => format!("{meaning} on or off."),
+        Form::Switch => format!("{meaning} Either on or off."),
         Form::Steps(Steps { min, max, zero, .. }) => {
             let (min, max) = (quantity.amount(min), quantity.amount(max));
             let zero = zero.map_or(String::new(), |zero| format!(", 0 for {zero}"));
