@@ -11,6 +11,9 @@ use myactuator_host_std::protocol::{Firmware, MotorId, Target};
 /// A value, or one sentence about what is allowed.
 type Parsed<T> = Result<T, String>;
 
+pub(super) const RANGES_ARE_MISSING: &str =
+    "--ranges is missing: the scales of this firmware's motion mode depend on the motor";
+
 /// A number, decimal or whole with `0x`.
 fn number(text: &str) -> Option<f64> {
     match integer(text) {
@@ -58,9 +61,7 @@ pub(super) fn field(text: &str, field: &Field, ranges: Option<&MotionRanges>) ->
             _ => Err(format!("{} must be on or off, but \"{text}\" was given", quantity.name)),
         },
         Form::Motion(scale) => {
-            let ranges = ranges.ok_or(
-                "--ranges is missing: the scales of this firmware's motion mode depend on the motor",
-            )?;
+            let ranges = ranges.ok_or(RANGES_ARE_MISSING)?;
             let value = number(text).ok_or_else(|| {
                 let ((min, max), unit) = (ranges.ends(scale), quantity.unit.symbol());
                 format!(
