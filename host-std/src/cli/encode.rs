@@ -51,6 +51,9 @@ impl FromTable {
     /// The command, or one sentence about why there is none.
     pub(super) fn command(&self, ranges: Option<&MotionRanges>) -> Result<AnyCommand, String> {
         let mut data = [self.opcode.byte().unwrap_or_default(), 0, 0, 0, 0, 0, 0, 0];
+        if self.opcode == Opcode::Motion && ranges.is_none() {
+            return Err(parse::RANGES_ARE_MISSING.to_owned());
+        }
         let mut unused: Vec<&str> = self.given.iter().map(|(flag, _)| flag.as_str()).collect();
         for field in self.opcode.command_fields() {
             if !field.is_in(&data) {

@@ -282,6 +282,10 @@ bus-id --access 2 => access must be 0 to 1, but 2 was given
 --id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 24.1 => --torque-nm: torque must be -24 to 24 N·m, but 24.1 N·m was given
 --id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm x => --torque-nm: torque must be -24 to 24 N·m, but "x" is no number
 --id all motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --id: motion goes to one motor only: name its id
+--firmware v4.4 bus-id --access read => --firmware: v4.4 has no bus-id (0x79)
+--id 1 read-single-turn-angle-v4.4 => --firmware: v4.3 has no read-single-turn-angle-v4.4 (0x94)
+--id 1 --firmware v4.5 stop => --firmware: firmware must be one of v4.3 v4.4, but "v4.5" was given
+--id 1 --firmware v4.4 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --ranges is missing: the scales of this firmware's motion mode depend on the motor
 --id 1 --bus rs485 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --bus: motion exists on CAN only
 --id 1 --bus rs485 active-reply --command 0x60 --enable on --interval 10 => --bus: active-reply (0xB6) exists on CAN only
 "#;
@@ -306,6 +310,32 @@ fn wrong_values_are_refused_in_one_sentence_with_what_is_allowed() {
         let sentence = refusal(&arguments);
         assert!(sentence.contains(part), "{arguments:?}: {sentence}");
     }
+}
+
+#[test]
+fn a_firmware_has_its_own_layouts_and_commands() {
+    // -9000 hundredths are 0xFFFFDCD8; V4.3's angle is the last two bytes, 65535 hundredths.
+    for (revision, name, degrees) in [
+        ("v4.3", "read-single-turn-angle", 655.35),
+        ("v4.4", "read-single-turn-angle-v4.4", -90.0),
+        ("V4.4", "read-single-turn-angle-v4.4", -90.0),
+    ] {
+        let frame = "241#94000000D8DCFFFF";
+        let told = objects(&run(&["decode", "--json", "--firmware", revision, frame]));
+        assert_eq!((&told[0]["name"], &told[0]["opcode"]), (&name.into(), &"0x94".into()));
+        assert_eq!(told[0]["fields"]["angle_deg"], degrees, "{revision}");
+    }
+    // V4.4 has dropped 0x79, and the scales of its motion mode depend on the motor.
+    let output = run(&["decode", "--firmware", "v4.4", "300#7900010000000000"]);
+    assert!(lines(&output)[0].ends_with("raw: command byte 0x79 is not known"), "{output:?}");
+    let motion = "501#01E66682EB550000";
+    let told = objects(&run(&["decode", "--json", "--firmware", "v4.4", motion]));
+    assert_eq!(told[0]["fields"]["torque_nm"], Value::Null);
+    let of_60 = ["--ranges", "12.566,45,500,5,60"];
+    let told =
+        objects(&run(&[&["decode", "--json", "--firmware", "v4.4", motion], &of_60[..]].concat()));
+    // 2901 of 4095 steps from -60 to 60.
+    assert_eq!(told[0]["fields"]["torque_nm"], 2901.0 * 120.0 / 4095.0 - 60.0);
 }
 
 #[test]
