@@ -10,8 +10,9 @@
 //! | [`time`], [`units`] | time as an argument; quantities with their unit |
 //! | [`id`], [`packet`] | who is meant; who speaks to whom, free of any wire |
 //! | [`firmware`] | which revision of the protocol |
-//! | [`opcode`], [`kind`] | **the** table: one row a kind of frame; and what is not in it |
+//! | [`opcode`] | **the** table: one row a kind of frame |
 //! | [`error`] | what can be wrong with bytes and requests |
+//! | [`kind`] | a row of the table, or what is not in it |
 //! | [`wire`] | how a data field is framed: CAN identifiers, RS485 bytes |
 //! | [`command`] | what a data field means: each command, its reply beside it, both ways |
 //! | [`master`] | the master as a state machine |

@@ -198,13 +198,6 @@ mod tests {
     use std::string::ToString;
 
     #[test]
-    fn the_id_filter_is_function_2() {
-        // The text of 2.35.5 example 2 says index 1, the frame is right.
-        let on = FunctionControl::CanIdFilter(Switch::On);
-        assert_eq!(on.encode(), [0x20, 0x02, 0, 0, 0x01, 0, 0, 0]);
-    }
-
-    #[test]
     fn every_function_decodes_to_itself() {
         for function in [
             FunctionControl::ClearMultiTurn,

@@ -227,18 +227,6 @@ mod tests {
     use std::string::ToString;
 
     #[test]
-    fn reads_the_manuals_examples() {
-        let model =
-            ReadModel::decode_reply(&[0xB5, 0x58, 0x38, 0x53, 0x32, 0x56, 0x31, 0x30]).unwrap();
-        assert_eq!(model.model.as_str(), Some("X8S2V10")); // 2.33.4
-        let version =
-            ReadVersionDate::decode_reply(&[0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 0x01]).unwrap();
-        assert_eq!(version.version_date.raw(), 20_220_206); // 2.30.4
-        let run = ReadRunTime::decode_reply(&[0xB1, 0, 0, 0, 0, 0, 0, 0x10]).unwrap();
-        assert_eq!(run.run_time.raw(), 268_435_456); // 2.29.4
-    }
-
-    #[test]
     fn dates_come_with_and_without_a_build_number() {
         assert_eq!(VersionDate::from_raw(20_220_206).to_string(), "2022-02-06");
         assert_eq!(VersionDate::from_raw(2_023_020_601).year_month_day(), Some((2023, 2, 6)));

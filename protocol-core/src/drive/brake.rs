@@ -65,7 +65,7 @@ impl Brake {
     }
 }
 
-/// When a brake that is told to open now begins to let the shaft go.
+/// When a brake that gets its command to open now begins to let the shaft go.
 pub(super) fn opening_time(now: Instant, quirks: &Quirks, random: &mut Random) -> Instant {
     let takes = if quirks.slow_brake {
         random.between(Quirks::SLOW_BRAKE_MIN, Quirks::SLOW_BRAKE_MAX)
