@@ -2,11 +2,13 @@
 
 use std::str::FromStr;
 
+use myactuator_host_std::BusKind;
 use myactuator_host_std::protocol::command::{Field, MotionLimits, MotionRanges};
+use myactuator_host_std::protocol::opcode::Reach;
 use myactuator_host_std::protocol::quantity::{Form, OutOfRange, Quantity, Steps};
 use myactuator_host_std::protocol::time::Duration;
 use myactuator_host_std::protocol::units::{Angle, Current, MaxSpeed, MaxTorque, SpeedTarget};
-use myactuator_host_std::protocol::{Firmware, MotorId, Target};
+use myactuator_host_std::protocol::{Firmware, Kind, MotorId, Opcode, Target};
 
 /// A value, or one sentence about what is allowed.
 type Parsed<T> = Result<T, String>;
@@ -119,6 +121,32 @@ pub(super) fn target(text: &str) -> Parsed<Target> {
     motor_id(text)
         .map(Target::Motor)
         .map_err(|_| format!("{}, or all, but \"{text}\" was given", MotorId::QUANTITY))
+}
+
+/// Whom a command goes to: one that reaches whatever is connected names no motor anyway.
+pub(super) fn whom(kind: Kind, id: Option<Target>) -> Parsed<Target> {
+    let reaches_all = kind.opcode().is_some_and(|opcode| opcode.reach() == Reach::Connected);
+    let target = id.or(reaches_all.then_some(Target::All));
+    let target = target.ok_or("--id is missing: say which motor, 1 to 32, or all")?;
+    kind.channel_to(target).map_err(|error| format!("--id: {error}"))?;
+    Ok(target)
+}
+
+/// Refuses a command that a bus does not have.
+pub(super) fn check_bus(kind: Kind, bus: BusKind) -> Parsed<()> {
+    match bus {
+        BusKind::Can => Ok(()),
+        BusKind::Rs485 => kind.check_on_rs485().map_err(|error| format!("--bus: {error}")),
+    }
+}
+
+/// Refuses a command that a firmware does not have.
+pub(super) fn check_firmware(opcode: Opcode, firmware: Firmware) -> Parsed<()> {
+    if opcode.is_in(firmware) {
+        Ok(())
+    } else {
+        Err(format!("--firmware: {firmware} has no {opcode}"))
+    }
 }
 
 pub(super) fn firmware(text: &str) -> Parsed<Firmware> {

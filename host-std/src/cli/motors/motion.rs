@@ -1,13 +1,13 @@
 //! `myactuator motion`: one set-point of motion (MIT) mode, for a while.
 
-use myactuator_host_std::BusKind;
+use myactuator_protocol_core::Opcode;
 use myactuator_protocol_core::command::MotionSetPoint;
 use myactuator_protocol_core::master::StopKind;
-use myactuator_protocol_core::{Kind, Opcode};
 
 use super::revision::MotorRevision;
 use super::run_for::{self, Run, Span};
 use super::session::{Outcome, Session, Unfinished};
+use crate::cli::arguments as parse;
 
 /// Run a motor in motion (MIT) mode at one set-point for a while, then stop it (0x81); CAN only
 ///
@@ -38,11 +38,8 @@ pub(in crate::cli) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    if arguments.span.on.bus.kind() == BusKind::Rs485 {
-        Kind::from(Opcode::Motion)
-            .check_on_rs485()
-            .map_err(|error| Unfinished::Usage(format!("--bus: {error}")))?;
-    }
+    let bus = arguments.span.on.bus.kind();
+    parse::check_bus(Opcode::Motion.into(), bus).map_err(Unfinished::Usage)?;
     run_on(&mut arguments.span.open()?, arguments)
 }
 
