@@ -5,6 +5,7 @@ mod dbc;
 mod decode;
 mod demo;
 mod encode;
+mod from_table;
 mod motors;
 mod names;
 mod sim;

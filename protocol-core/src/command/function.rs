@@ -164,7 +164,7 @@ impl Fields for FunctionControl {
         const fn value(meaning: &'static str, quantity: &'static Quantity) -> Field {
             Field::bytes("value", meaning, quantity, 4, 4)
         }
-        const SWITCH: Field = value("Off or on.", &Switch::QUANTITY);
+        const SWITCH: Field = value("Whether it is on.", &Switch::QUANTITY);
         const LIMIT: Field =
             value("The largest angle, in a unit that the manual does not give.", &ANGLE);
         [

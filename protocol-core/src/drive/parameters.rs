@@ -147,7 +147,7 @@ impl Default for Parameters {
             baud_rate: BaudCode::CAN_1M_RS485_500K,
             model: ModelName::from_bytes(*b"X8S2V10"),
             firmware: Firmware::V4_3,
-            version_date: VersionDate::from_raw(20_250_512),
+            version_date: Firmware::V4_3.version_date(),
             encoder_bits: 14,
             gear_ratio: 6.0,
             torque_constant_nm_per_a: 2.0,
