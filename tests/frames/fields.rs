@@ -1,6 +1,6 @@
 //! Proves, field by field, that every command and every reply lies on the bus as the manual's
-//! layout tables say: a value with distinct bytes lands in exactly its bytes, nothing leaks into
-//! its neighbours, NULL bytes are written 0 and not read.
+//! layout tables say: distinct bytes land in exactly their field, nothing leaks into its neighbours,
+//! NULL bytes are written 0 and not read, and what a field may not hold is refused.
 //!
 //! The tables below are the manual's (sections 2.x.2 and 2.x.3, 4, 5, 7), typed by hand with the
 //! corrections that its misprints need: 2.9.2 prints `>>8` three times, 2.11.3 and 2.13.3 number the
@@ -10,952 +10,647 @@
 use std::collections::BTreeSet;
 use std::fmt::Debug;
 
-use myactuator_protocol_core::command::Speed; // the command, not the quantity
 use myactuator_protocol_core::command::*;
-use myactuator_protocol_core::units::{self, *};
-use myactuator_protocol_core::{AnyCommand, AnyReply, Data, DecodeError, MotorId, Opcode};
+use myactuator_protocol_core::quantity::{Form, Place};
+use myactuator_protocol_core::units::*;
+use myactuator_protocol_core::{AnyCommand, AnyReply, Data, DecodeError, Opcode, OutOfRange};
+use myactuator_tests::values::{degrees, gain, id, percent, up_to};
+use myactuator_tests::vectors::sections;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{from_str, to_string};
 
-/// One layout table of the manual.
-struct Layout<T> {
-    opcode: Opcode,
-    section: &'static str,
-    /// Each field: its name, its first byte, how many bytes.
-    places: &'static [(&'static str, usize, usize)],
-    /// Every field 0, or the least that it allows.
-    base: (T, Data),
-    /// A field and a value for it, all others as in `base`; with the name "" several at once.
-    cases: Vec<(&'static str, T, Data)>,
+/// A type of the manual, what it may hold, and what one step of it is in its unit.
+#[derive(Clone, Copy)]
+struct Number {
+    bytes: usize,
+    allowed: &'static [(i64, i64)],
+    step: f64,
 }
 
-fn id(number: u8) -> MotorId {
-    MotorId::new(number).expect("1 to 32")
+const fn number(bytes: usize, allowed: &'static [(i64, i64)]) -> Number {
+    Number { bytes, allowed, step: 1.0 }
 }
 
-fn u12(step: u16) -> U12 {
-    U12::new(step).expect("at most 4095")
+const U8: Number = number(1, &[(0, 0xFF)]);
+const U16: Number = number(2, &[(0, 0xFFFF)]);
+const U32: Number = number(4, &[(0, 0xFFFF_FFFF)]);
+const I8: Number = number(1, &[(-0x80, 0x7F)]);
+const I16: Number = number(2, &[(-0x8000, 0x7FFF)]);
+const I32: Number = number(4, &[(-0x8000_0000, 0x7FFF_FFFF)]);
+/// Any but infinities and what is no number; the number with the bits 1 is the smallest.
+const F32: Number =
+    number(4, &[(0, 0x7F7F_FFFF), (0x8000_0000, 0xFF7F_FFFF)]).by(f32::from_bits(1) as f64);
+/// 2.34.2.
+const SWITCH: Number = number(1, &[(0, 1)]);
+/// 2.5.1, and 0 for no planning (2.20.2, 2.21.1).
+const ACCELERATION: Number = number(4, &[(0, 0), (100, 60_000)]);
+/// 2.22.1 says 35999, and both examples of 2.22.4 send 36000.
+const WITHIN_A_TURN: Number = number(2, &[(0, 36_000)]).by(0.01);
+/// 2.33.3.
+const SEVEN_CHARACTERS: Number = number(7, &[(0, (1 << 56) - 1)]);
+
+impl Number {
+    const fn by(self, step: f64) -> Self {
+        Self { step, ..self }
+    }
+
+    fn allows(&self, raw: i64) -> bool {
+        self.allowed.iter().any(|&(min, max)| (min..=max).contains(&raw))
+    }
+
+    /// The ends of what it may hold, and their neighbours on the other side.
+    fn edges(&self) -> impl DoubleEndedIterator<Item = i64> {
+        self.allowed.iter().flat_map(|&(min, max)| [min - 1, min, max, max + 1])
+    }
+
+    /// The number in the first of these bytes.
+    fn read(&self, bytes: &[u8]) -> i64 {
+        let mut all = [0; 8];
+        all[..self.bytes].copy_from_slice(&bytes[..self.bytes]);
+        let unused = 64 - 8 * self.bytes;
+        let is_signed = self.allowed[0].0 < 0;
+        let raw = i64::from_le_bytes(all);
+        if is_signed { raw << unused >> unused } else { raw }
+    }
 }
 
-fn gain(bits: u32) -> Gain {
-    Gain::new(f32::from_bits(bits)).expect("finite")
-}
+/// A field: its name with the unit behind it, its first byte, its type.
+type Row = (&'static str, usize, Number);
+/// One layout table of the manual: of which kind, its command byte, the section, its fields. All other
+/// bytes are NULL.
+type Table = (Opcode, u8, &'static str, &'static [Row]);
 
-fn acceleration(raw: u32) -> Acceleration {
-    Acceleration::try_from_raw(raw).expect("100 to 60000, or 0")
-}
-
-fn target(raw: u16) -> SingleTurnTarget {
-    SingleTurnTarget::try_from_raw(raw).expect("0 to 36000")
-}
-
-fn circle(raw: u16) -> SingleTurnAngle {
-    SingleTurnAngle::try_from_raw(raw).expect("0 to 35999")
-}
-
-/// All bits of a signed number, so that distinct bytes can be written down as they are.
-const fn i32_of(bits: u32) -> i32 {
-    bits as i32
-}
-
-const fn i16_of(bits: u16) -> i16 {
-    bits as i16
-}
-
-const fn i8_of(bits: u8) -> i8 {
-    bits as i8
-}
-
-/// A command that is nothing but its byte.
-fn bare(
-    opcode: Opcode,
-    section: &'static str,
-    command: impl Into<AnyCommand>,
-    byte: u8,
-) -> Layout<AnyCommand> {
-    let base = (command.into(), [byte, 0, 0, 0, 0, 0, 0, 0]);
-    Layout { opcode, section, places: &[], base, cases: vec![] }
-}
-
-fn commands() -> Vec<Layout<AnyCommand>> {
-    const INDEX: (&str, usize, usize) = ("index", 1, 1);
-    const VALUE: (&str, usize, usize) = ("value", 4, 4);
-    let mut all = vec![
-        bare(Opcode::ReadMultiTurnEncoder, "2.6.2", ReadMultiTurnEncoder, 0x60),
-        bare(Opcode::ReadMultiTurnEncoderRaw, "2.7.2", ReadMultiTurnEncoderRaw, 0x61),
-        bare(Opcode::ReadMultiTurnEncoderOffset, "2.8.2", ReadMultiTurnEncoderOffset, 0x62),
-        bare(Opcode::SetCurrentPositionZero, "2.10.2", SetCurrentPositionZero, 0x64),
-        bare(Opcode::ReadSingleTurnEncoder, "2.11.2", ReadSingleTurnEncoder, 0x90),
-        bare(Opcode::ReadMultiTurnAngle, "2.12.2", ReadMultiTurnAngle, 0x92),
-        bare(Opcode::ReadSingleTurnAngle, "2.13.2", ReadSingleTurnAngle, 0x94),
-        bare(Opcode::ReadStatus1, "2.14.2", ReadStatus1, 0x9A),
-        bare(Opcode::ReadStatus2, "2.15.2", ReadStatus2, 0x9C),
-        bare(Opcode::ReadStatus3, "2.16.2", ReadStatus3, 0x9D),
-        bare(Opcode::Shutdown, "2.17.2", Shutdown, 0x80),
-        bare(Opcode::Stop, "2.18.2", Stop, 0x81),
-        bare(Opcode::ReadRunningMode, "2.25.2", ReadRunningMode, 0x70),
-        bare(Opcode::Reset, "2.26.2", Reset, 0x76),
-        bare(Opcode::ReleaseBrake, "2.27.2", ReleaseBrake, 0x77),
-        bare(Opcode::LockBrake, "2.28.2", LockBrake, 0x78),
-        bare(Opcode::ReadRunTime, "2.29.2", ReadRunTime, 0xB1),
-        bare(Opcode::ReadVersionDate, "2.30.2", ReadVersionDate, 0xB2),
-        bare(Opcode::ReadModel, "2.33.2", ReadModel, 0xB5),
-    ];
-
-    let read = |index| AnyCommand::from(ReadPid { index });
-    all.push(Layout {
-        opcode: Opcode::ReadPid,
-        section: "2.1.2",
-        places: &[INDEX],
-        base: (read(PidIndex::from_raw(0)), [0x30, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("index", read(PidIndex::POSITION_KD), [0x30, 0x09, 0, 0, 0, 0, 0, 0]),
-            ("index", read(PidIndex::from_raw(0xFE)), [0x30, 0xFE, 0, 0, 0, 0, 0, 0]),
-        ],
-    });
-    // 0x44332211 and 0x81828384 are the floats 716.53 and -4.8e-38.
-    let write = |index, bits| AnyCommand::from(WritePidRam { index, value: gain(bits) });
-    all.push(Layout {
-        opcode: Opcode::WritePidRam,
-        section: "2.2.2",
-        places: &[INDEX, VALUE],
-        base: (write(PidIndex::from_raw(0), 0), [0x31, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("index", write(PidIndex::SPEED_KI, 0), [0x31, 0x05, 0, 0, 0, 0, 0, 0]),
-            (
-                "value",
-                write(PidIndex::from_raw(0), 0x4433_2211),
-                [0x31, 0, 0, 0, 0x11, 0x22, 0x33, 0x44],
-            ),
-            (
-                "value",
-                write(PidIndex::from_raw(0), 0x8182_8384),
-                [0x31, 0, 0, 0, 0x84, 0x83, 0x82, 0x81],
-            ),
-            (
-                "",
-                write(PidIndex::CURRENT_KI, 0x4433_2211),
-                [0x31, 0x02, 0, 0, 0x11, 0x22, 0x33, 0x44],
-            ),
-        ],
-    });
-    let write = |index, bits| AnyCommand::from(WritePidRom { index, value: gain(bits) });
-    all.push(Layout {
-        opcode: Opcode::WritePidRom,
-        section: "2.3.2",
-        places: &[INDEX, VALUE],
-        base: (write(PidIndex::from_raw(0), 0), [0x32, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("index", write(PidIndex::POSITION_KP, 0), [0x32, 0x07, 0, 0, 0, 0, 0, 0]),
-            (
-                "value",
-                write(PidIndex::from_raw(0), 0x4433_2211),
-                [0x32, 0, 0, 0, 0x11, 0x22, 0x33, 0x44],
-            ),
-            (
-                "",
-                write(PidIndex::SPEED_KP, 0x8182_8384),
-                [0x32, 0x04, 0, 0, 0x84, 0x83, 0x82, 0x81],
-            ),
-        ],
-    });
-    let read = |index| AnyCommand::from(ReadAcceleration { index });
-    all.push(Layout {
-        opcode: Opcode::ReadAcceleration,
-        section: "2.4.2",
-        places: &[INDEX],
-        base: (read(AccelerationIndex::POSITION_ACCELERATION), [0x42, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("index", read(AccelerationIndex::SPEED_DECELERATION), [0x42, 3, 0, 0, 0, 0, 0, 0]),
-            ("index", read(AccelerationIndex::from_raw(0xA5)), [0x42, 0xA5, 0, 0, 0, 0, 0, 0]),
-        ],
-    });
-    let write =
-        |index, raw| AnyCommand::from(WriteAcceleration { index, acceleration: acceleration(raw) });
-    // 60000 is 0xEA60: the upper two bytes of a valid acceleration are always 0.
-    all.push(Layout {
-        opcode: Opcode::WriteAcceleration,
-        section: "2.5.2",
-        places: &[INDEX, ("acceleration", 4, 4)],
-        base: (write(AccelerationIndex::POSITION_ACCELERATION, 0), [0x43, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("index", write(AccelerationIndex::SPEED_ACCELERATION, 0), [0x43, 2, 0, 0, 0, 0, 0, 0]),
-            (
-                "acceleration",
-                write(AccelerationIndex::POSITION_ACCELERATION, 60_000),
-                [0x43, 0, 0, 0, 0x60, 0xEA, 0, 0],
-            ),
-            (
-                "acceleration",
-                write(AccelerationIndex::POSITION_ACCELERATION, 100),
-                [0x43, 0, 0, 0, 0x64, 0, 0, 0],
-            ),
-            (
-                "",
-                write(AccelerationIndex::POSITION_DECELERATION, 0x1234),
-                [0x43, 1, 0, 0, 0x34, 0x12, 0, 0],
-            ),
-        ],
-    });
-    let set =
-        |bits| AnyCommand::from(SetEncoderZero { offset: EncoderPulses::from_raw(i32_of(bits)) });
-    all.push(Layout {
-        opcode: Opcode::SetEncoderZero,
-        section: "2.9.2",
-        places: &[("offset", 4, 4)],
-        base: (set(0), [0x63, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("offset", set(0x0403_0201), [0x63, 0, 0, 0, 1, 2, 3, 4]),
-            ("offset", set(0x8182_8384), [0x63, 0, 0, 0, 0x84, 0x83, 0x82, 0x81]),
-        ],
-    });
-    all.push(Layout {
-        opcode: Opcode::BusId,
-        section: "4.2",
-        places: &[("flag", 2, 1), ("id", 7, 1)],
-        base: (BusId::Write(id(1)).into(), [0x79, 0, 0, 0, 0, 0, 0, 1]),
-        cases: vec![
-            ("id", BusId::Write(id(0x1E)).into(), [0x79, 0, 0, 0, 0, 0, 0, 0x1E]),
-            ("", BusId::Read.into(), [0x79, 0, 1, 0, 0, 0, 0, 0]),
-        ],
-    });
-    let torque = |bits| AnyCommand::from(Torque { current: Current::from_raw(i16_of(bits)) });
-    all.push(Layout {
-        opcode: Opcode::Torque,
-        section: "2.19.2",
-        places: &[("current", 4, 2)],
-        base: (torque(0), [0xA1, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("current", torque(0x0102), [0xA1, 0, 0, 0, 2, 1, 0, 0]),
-            ("current", torque(0x8182), [0xA1, 0, 0, 0, 0x82, 0x81, 0, 0]),
-        ],
-    });
-    let speed = |max, bits| {
-        AnyCommand::from(Speed {
-            max_torque: MaxTorque::from_raw(max),
-            speed: SpeedTarget::from_raw(i32_of(bits)),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::Speed,
-        section: "2.20.2",
-        places: &[("max_torque", 1, 1), ("speed", 4, 4)],
-        base: (speed(0, 0), [0xA2, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("max_torque", speed(0xFD, 0), [0xA2, 0xFD, 0, 0, 0, 0, 0, 0]),
-            ("speed", speed(0, 0x0403_0201), [0xA2, 0, 0, 0, 1, 2, 3, 4]),
-            ("", speed(5, 0x8182_8384), [0xA2, 5, 0, 0, 0x84, 0x83, 0x82, 0x81]),
-        ],
-    });
-    let go = |max, bits| {
-        AnyCommand::from(AbsolutePosition {
-            max_speed: MaxSpeed::from_raw(max),
-            angle: Angle::from_raw(i32_of(bits)),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::AbsolutePosition,
-        section: "2.21.2",
-        places: &[("max_speed", 2, 2), ("angle", 4, 4)],
-        base: (go(0, 0), [0xA4, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("max_speed", go(0xF1F2, 0), [0xA4, 0, 0xF2, 0xF1, 0, 0, 0, 0]),
-            ("angle", go(0, 0x0403_0201), [0xA4, 0, 0, 0, 1, 2, 3, 4]),
-            ("", go(0x1516, 0x8182_8384), [0xA4, 0, 0x16, 0x15, 0x84, 0x83, 0x82, 0x81]),
-        ],
-    });
-    let go = |direction, max, angle| {
-        AnyCommand::from(SingleTurnPosition {
-            direction,
-            max_speed: MaxSpeed::from_raw(max),
-            angle: target(angle),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::SingleTurnPosition,
-        section: "2.22.2",
-        places: &[("direction", 1, 1), ("max_speed", 2, 2), ("angle", 4, 2)],
-        base: (go(Direction::CLOCKWISE, 0, 0), [0xA6, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("direction", go(Direction::COUNTER_CLOCKWISE, 0, 0), [0xA6, 1, 0, 0, 0, 0, 0, 0]),
-            ("direction", go(Direction::from_raw(0xFE), 0, 0), [0xA6, 0xFE, 0, 0, 0, 0, 0, 0]),
-            ("max_speed", go(Direction::CLOCKWISE, 0xF1F2, 0), [0xA6, 0, 0xF2, 0xF1, 0, 0, 0, 0]),
-            ("angle", go(Direction::CLOCKWISE, 0, 0x8182), [0xA6, 0, 0, 0, 0x82, 0x81, 0, 0]),
-            ("angle", go(Direction::CLOCKWISE, 0, 36_000), [0xA6, 0, 0, 0, 0xA0, 0x8C, 0, 0]),
-            (
-                "",
-                go(Direction::COUNTER_CLOCKWISE, 0x1516, 0x0203),
-                [0xA6, 1, 0x16, 0x15, 3, 2, 0, 0],
-            ),
-        ],
-    });
-    let go = |max, bits| {
-        AnyCommand::from(IncrementalPosition {
-            max_speed: MaxSpeed::from_raw(max),
-            angle: Angle::from_raw(i32_of(bits)),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::IncrementalPosition,
-        section: "2.23.2",
-        places: &[("max_speed", 2, 2), ("angle", 4, 4)],
-        base: (go(0, 0), [0xA8, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("max_speed", go(0xF1F2, 0), [0xA8, 0, 0xF2, 0xF1, 0, 0, 0, 0]),
-            ("angle", go(0, 0x0403_0201), [0xA8, 0, 0, 0, 1, 2, 3, 4]),
-            ("", go(0x1516, 0x8182_8384), [0xA8, 0, 0x16, 0x15, 0x84, 0x83, 0x82, 0x81]),
-        ],
-    });
-    let go = |torque, max, bits| {
-        AnyCommand::from(ForcePosition {
-            max_torque: MaxTorque::from_raw(torque),
-            max_speed: MaxSpeed::from_raw(max),
-            angle: Angle::from_raw(i32_of(bits)),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::ForcePosition,
-        section: "2.24.2",
-        places: &[("max_torque", 1, 1), ("max_speed", 2, 2), ("angle", 4, 4)],
-        base: (go(0, 0, 0), [0xA9, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("max_torque", go(0xFD, 0, 0), [0xA9, 0xFD, 0, 0, 0, 0, 0, 0]),
-            ("max_speed", go(0, 0xF1F2, 0), [0xA9, 0, 0xF2, 0xF1, 0, 0, 0, 0]),
-            ("angle", go(0, 0, 0x0403_0201), [0xA9, 0, 0, 0, 1, 2, 3, 4]),
-            ("", go(0x17, 0x1516, 0x8182_8384), [0xA9, 0x17, 0x16, 0x15, 0x84, 0x83, 0x82, 0x81]),
-        ],
-    });
-    let set = |raw| {
-        AnyCommand::from(CommunicationLossProtection { timeout: Milliseconds::from_raw(raw) })
-    };
-    all.push(Layout {
-        opcode: Opcode::CommunicationLossProtection,
-        section: "2.31.2",
-        places: &[("timeout", 4, 4)],
-        base: (set(0), [0xB3, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("timeout", set(0x0403_0201), [0xB3, 0, 0, 0, 1, 2, 3, 4]),
-            ("timeout", set(0x8182_8384), [0xB3, 0, 0, 0, 0x84, 0x83, 0x82, 0x81]),
-        ],
-    });
-    let set = |baud_rate| AnyCommand::from(SetBaudRate { baud_rate });
-    all.push(Layout {
-        opcode: Opcode::SetBaudRate,
-        section: "2.32.2",
-        places: &[("baud_rate", 7, 1)],
-        base: (set(BaudCode::CAN_500K_RS485_115200), [0xB4, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("baud_rate", set(BaudCode::RS485_1M), [0xB4, 0, 0, 0, 0, 0, 0, 2]),
-            ("baud_rate", set(BaudCode::from_raw(0xFE)), [0xB4, 0, 0, 0, 0, 0, 0, 0xFE]),
-        ],
-    });
-    let report = |command, enable, raw| {
-        AnyCommand::from(ActiveReply { command, enable, interval: ReportInterval::from_raw(raw) })
-    };
-    let nothing = ReportedCommand::from_raw(0);
-    all.push(Layout {
-        opcode: Opcode::ActiveReply,
-        section: "2.34.2",
-        places: &[("command", 1, 1), ("enable", 2, 1), ("interval", 3, 2)],
-        base: (report(nothing, Switch::Off, 0), [0xB6, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            (
-                "command",
-                report(ReportedCommand::of(Opcode::ReadStatus3).unwrap(), Switch::Off, 0),
-                [0xB6, 0x9D, 0, 0, 0, 0, 0, 0],
-            ),
-            ("enable", report(nothing, Switch::On, 0), [0xB6, 0, 1, 0, 0, 0, 0, 0]),
-            ("interval", report(nothing, Switch::Off, 0xF1F2), [0xB6, 0, 0, 0xF2, 0xF1, 0, 0, 0]),
-            (
-                "",
-                report(
-                    ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
-                    Switch::On,
-                    0x0203,
-                ),
-                [0xB6, 0x92, 1, 3, 2, 0, 0, 0],
-            ),
-        ],
-    });
-    all.push(Layout {
-        opcode: Opcode::FunctionControl,
-        section: "2.35.2",
-        places: &[INDEX, VALUE],
-        base: (FunctionControl::Unknown { index: 0, value: 0 }.into(), [0x20, 0, 0, 0, 0, 0, 0, 0]),
-        cases: function_cases().into_iter().map(|(f, case, data)| (f, case.into(), data)).collect(),
-    });
-    let motion = |position, [velocity, kp, kd, torque]: [u16; 4]| {
-        AnyCommand::from(RawMotion {
-            position,
-            velocity: u12(velocity),
-            kp: u12(kp),
-            kd: u12(kd),
-            torque: u12(torque),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::Motion,
-        section: "5.2",
-        places: &[
-            ("position", 0, 2),
-            ("velocity", 2, 2),
-            ("kp", 3, 2),
-            ("kd", 5, 2),
-            ("torque", 6, 2),
-        ],
-        base: (motion(0, [0; 4]), [0; 8]),
-        cases: vec![
-            ("position", motion(0xF1F2, [0; 4]), [0xF1, 0xF2, 0, 0, 0, 0, 0, 0]),
-            ("velocity", motion(0, [0xABC, 0, 0, 0]), [0, 0, 0xAB, 0xC0, 0, 0, 0, 0]),
-            ("kp", motion(0, [0, 0xABC, 0, 0]), [0, 0, 0, 0x0A, 0xBC, 0, 0, 0]),
-            ("kd", motion(0, [0, 0, 0xABC, 0]), [0, 0, 0, 0, 0, 0xAB, 0xC0, 0]),
-            ("torque", motion(0, [0, 0, 0, 0xABC]), [0, 0, 0, 0, 0, 0, 0x0A, 0xBC]),
-            (
-                "",
-                motion(0x1234, [0x567, 0x89A, 0xBCD, 0xEF0]),
-                [0x12, 0x34, 0x56, 0x78, 0x9A, 0xBC, 0xDE, 0xF0],
-            ),
-        ],
-    });
-    all
-}
-
-/// 2.35.4: index and value of each function.
-fn function_cases() -> Vec<(&'static str, FunctionControl, Data)> {
-    use FunctionControl as F;
-    vec![
-        ("index", F::Unknown { index: 0xA5, value: 0 }, [0x20, 0xA5, 0, 0, 0, 0, 0, 0]),
-        ("value", F::Unknown { index: 0, value: 0x0403_0201 }, [0x20, 0, 0, 0, 1, 2, 3, 4]),
-        ("", F::Unknown { index: 8, value: 0x8182_8384 }, [0x20, 8, 0, 0, 0x84, 0x83, 0x82, 0x81]),
-        ("", F::ClearMultiTurn, [0x20, 1, 0, 0, 0, 0, 0, 0]),
-        ("", F::CanIdFilter(Switch::Off), [0x20, 2, 0, 0, 0, 0, 0, 0]),
-        ("", F::CanIdFilter(Switch::On), [0x20, 2, 0, 0, 1, 0, 0, 0]),
-        ("", F::ErrorReporting(Switch::Off), [0x20, 3, 0, 0, 0, 0, 0, 0]),
-        ("", F::ErrorReporting(Switch::On), [0x20, 3, 0, 0, 1, 0, 0, 0]),
-        ("", F::SaveMultiTurn(Switch::Off), [0x20, 4, 0, 0, 0, 0, 0, 0]),
-        ("", F::SaveMultiTurn(Switch::On), [0x20, 4, 0, 0, 1, 0, 0, 0]),
-        ("", F::SetCanId(id(0x1E)), [0x20, 5, 0, 0, 0x1E, 0, 0, 0]),
-        ("", F::MaxPositiveAngle(0x0403_0201), [0x20, 6, 0, 0, 1, 2, 3, 4]),
-        ("", F::MaxNegativeAngle(i32_of(0x8182_8384)), [0x20, 7, 0, 0, 0x84, 0x83, 0x82, 0x81]),
-    ]
-}
-
-/// The replies that the manual calls the same as their command: 2.2.3, 2.3.3, 2.5.3, 2.9.3, 2.17.3,
-/// 2.18.3, 2.27.3, 2.28.3, 2.31.3, 2.35.3.
-fn echo(command: &AnyCommand) -> Option<AnyReply> {
-    Some(match *command {
-        AnyCommand::WritePidRam(same) => AnyReply::WritePidRam(same),
-        AnyCommand::WritePidRom(same) => AnyReply::WritePidRom(same),
-        AnyCommand::WriteAcceleration(same) => AnyReply::WriteAcceleration(same),
-        AnyCommand::SetEncoderZero(same) => AnyReply::SetEncoderZero(same),
-        AnyCommand::Shutdown(same) => AnyReply::Shutdown(same),
-        AnyCommand::Stop(same) => AnyReply::Stop(same),
-        AnyCommand::ReleaseBrake(same) => AnyReply::ReleaseBrake(same),
-        AnyCommand::LockBrake(same) => AnyReply::LockBrake(same),
-        AnyCommand::CommunicationLossProtection(same) => {
-            AnyReply::CommunicationLossProtection(same)
-        }
-        AnyCommand::FunctionControl(same) => AnyReply::FunctionControl(same),
-        _ => return None,
-    })
-}
-
+const INDEX: Row = ("index", 1, U8);
+const GAIN: Row = ("value", 4, F32);
+const ANGLE: Row = ("angle_deg", 4, I32.by(0.01));
+const OFFSET: Row = ("offset_pulses", 4, I32);
+const MAX_SPEED: Row = ("max_speed_dps", 2, U16);
+const MAX_TORQUE: Row = ("max_torque_pct", 1, U8);
+const TEMPERATURE: Row = ("temperature_c", 1, I8);
+const CURRENT: Row = ("current_a", 2, I16.by(0.01));
+const SPEED: Row = ("speed_dps", 4, I16);
 /// 2.15.3, 2.19.3, 2.20.3, 2.21.3, 2.23.3, 2.24.3: the same table six times.
-fn feedback(
-    opcode: Opcode,
-    section: &'static str,
-    byte: u8,
-    wrap: fn(Feedback) -> AnyReply,
-) -> Layout<AnyReply> {
-    let of = |temperature, current, speed, angle| {
-        wrap(Feedback {
-            temperature: Temperature::from_raw(i8_of(temperature)),
-            current: Current::from_raw(i16_of(current)),
-            speed: units::CoarseSpeed::from_raw(i16_of(speed)),
-            angle: CoarseAngle::from_raw(i16_of(angle)),
-        })
-    };
-    Layout {
-        opcode,
-        section,
-        places: &[("temperature", 1, 1), ("current", 2, 2), ("speed", 4, 2), ("angle", 6, 2)],
-        base: (of(0, 0, 0, 0), [byte, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("temperature", of(0xF1, 0, 0, 0), [byte, 0xF1, 0, 0, 0, 0, 0, 0]),
-            ("current", of(0, 0x8182, 0, 0), [byte, 0, 0x82, 0x81, 0, 0, 0, 0]),
-            ("speed", of(0, 0, 0x8384, 0), [byte, 0, 0, 0, 0x84, 0x83, 0, 0]),
-            ("angle", of(0, 0, 0, 0x8586), [byte, 0, 0, 0, 0, 0, 0x86, 0x85]),
-            (
-                "",
-                of(0x11, 0x2223, 0x3334, 0x4445),
-                [byte, 0x11, 0x23, 0x22, 0x34, 0x33, 0x45, 0x44],
-            ),
+const FEEDBACK: &[Row] = &[TEMPERATURE, CURRENT, SPEED, ("angle_deg", 6, I16)];
+
+/// All but those whose fields depend on one another: see `hand_written`.
+const COMMANDS: &[Table] = &[
+    (Opcode::ReadPid, 0x30, "2.1.2", &[INDEX]),
+    (Opcode::WritePidRam, 0x31, "2.2.2", &[INDEX, GAIN]),
+    (Opcode::WritePidRom, 0x32, "2.3.2", &[INDEX, GAIN]),
+    (Opcode::ReadAcceleration, 0x42, "2.4.2", &[INDEX]),
+    (Opcode::WriteAcceleration, 0x43, "2.5.2", &[INDEX, ("acceleration_dps2", 4, ACCELERATION)]),
+    (Opcode::ReadMultiTurnEncoder, 0x60, "2.6.2", &[]),
+    (Opcode::ReadMultiTurnEncoderRaw, 0x61, "2.7.2", &[]),
+    (Opcode::ReadMultiTurnEncoderOffset, 0x62, "2.8.2", &[]),
+    (Opcode::SetEncoderZero, 0x63, "2.9.2", &[OFFSET]),
+    (Opcode::SetCurrentPositionZero, 0x64, "2.10.2", &[]),
+    (Opcode::ReadSingleTurnEncoder, 0x90, "2.11.2", &[]),
+    (Opcode::ReadMultiTurnAngle, 0x92, "2.12.2", &[]),
+    (Opcode::ReadSingleTurnAngle, 0x94, "2.13.2", &[]),
+    (Opcode::ReadSingleTurnAngleV4_4, 0x94, "2.13.2", &[]),
+    (Opcode::ReadStatus1, 0x9A, "2.14.2", &[]),
+    (Opcode::ReadStatus2, 0x9C, "2.15.2", &[]),
+    (Opcode::ReadStatus3, 0x9D, "2.16.2", &[]),
+    (Opcode::Shutdown, 0x80, "2.17.2", &[]),
+    (Opcode::Stop, 0x81, "2.18.2", &[]),
+    (Opcode::Torque, 0xA1, "2.19.2", &[("current_a", 4, I16.by(0.01))]),
+    (Opcode::Speed, 0xA2, "2.20.2", &[MAX_TORQUE, ("speed_dps", 4, I32.by(0.01))]),
+    (Opcode::AbsolutePosition, 0xA4, "2.21.2", &[MAX_SPEED, ANGLE]),
+    (
+        Opcode::SingleTurnPosition,
+        0xA6,
+        "2.22.2",
+        &[("direction", 1, U8), MAX_SPEED, ("angle_deg", 4, WITHIN_A_TURN)],
+    ),
+    (Opcode::IncrementalPosition, 0xA8, "2.23.2", &[MAX_SPEED, ANGLE]),
+    (Opcode::ForcePosition, 0xA9, "2.24.2", &[MAX_TORQUE, MAX_SPEED, ANGLE]),
+    (Opcode::ReadRunningMode, 0x70, "2.25.2", &[]),
+    (Opcode::Reset, 0x76, "2.26.2", &[]),
+    (Opcode::ReleaseBrake, 0x77, "2.27.2", &[]),
+    (Opcode::LockBrake, 0x78, "2.28.2", &[]),
+    (Opcode::ReadRunTime, 0xB1, "2.29.2", &[]),
+    (Opcode::ReadVersionDate, 0xB2, "2.30.2", &[]),
+    (Opcode::CommunicationLossProtection, 0xB3, "2.31.2", &[("timeout_ms", 4, U32)]),
+    (Opcode::SetBaudRate, 0xB4, "2.32.2", &[("baud_rate", 7, U8)]),
+    (Opcode::ReadModel, 0xB5, "2.33.2", &[]),
+    (
+        Opcode::ActiveReply,
+        0xB6,
+        "2.34.2",
+        &[("command", 1, U8), ("enable", 2, SWITCH), ("interval_ms", 3, U16.by(10.0))],
+    ),
+];
+
+const REPLIES: &[Table] = &[
+    (Opcode::ReadPid, 0x30, "2.1.3", &[INDEX, GAIN]),
+    (Opcode::ReadAcceleration, 0x42, "2.4.3", &[INDEX, ("acceleration_dps2", 4, U32)]),
+    (Opcode::ReadMultiTurnEncoder, 0x60, "2.6.3", &[("position_pulses", 4, I32)]),
+    (Opcode::ReadMultiTurnEncoderRaw, 0x61, "2.7.3", &[("raw_pulses", 4, I32)]),
+    (Opcode::ReadMultiTurnEncoderOffset, 0x62, "2.8.3", &[OFFSET]),
+    (Opcode::SetCurrentPositionZero, 0x64, "2.10.3", &[OFFSET]),
+    (
+        Opcode::ReadSingleTurnEncoder,
+        0x90,
+        "2.11.3",
+        &[("position_pulses", 2, U16), ("raw_pulses", 4, U16), ("offset_pulses", 6, U16)],
+    ),
+    (Opcode::ReadMultiTurnAngle, 0x92, "2.12.3", &[ANGLE]),
+    // 0 to 35999, but a drive that reports 36000 is no reason to lose a reading.
+    (Opcode::ReadSingleTurnAngle, 0x94, "2.13.3", &[("angle_deg", 6, U16.by(0.01))]),
+    // As the manual of V4.4 has it.
+    (Opcode::ReadSingleTurnAngleV4_4, 0x94, "2.13.3", &[ANGLE]),
+    (
+        Opcode::ReadStatus1,
+        0x9A,
+        "2.14.3",
+        &[
+            TEMPERATURE,
+            ("mosfet_temperature_c", 2, I8),
+            ("brake", 3, U8),
+            ("voltage_v", 4, U16.by(0.1)),
+            ("errors", 6, U16),
         ],
-    }
+    ),
+    (Opcode::ReadStatus2, 0x9C, "2.15.3", FEEDBACK),
+    (
+        Opcode::ReadStatus3,
+        0x9D,
+        "2.16.3",
+        &[
+            TEMPERATURE,
+            ("phase_a_current_a", 2, I16.by(0.01)),
+            ("phase_b_current_a", 4, I16.by(0.01)),
+            ("phase_c_current_a", 6, I16.by(0.01)),
+        ],
+    ),
+    (Opcode::Torque, 0xA1, "2.19.3", FEEDBACK),
+    (Opcode::Speed, 0xA2, "2.20.3", FEEDBACK),
+    (Opcode::AbsolutePosition, 0xA4, "2.21.3", FEEDBACK),
+    (
+        Opcode::SingleTurnPosition,
+        0xA6,
+        "2.22.3",
+        &[TEMPERATURE, CURRENT, SPEED, ("encoder_pulses", 6, U16)],
+    ),
+    (Opcode::IncrementalPosition, 0xA8, "2.23.3", FEEDBACK),
+    (Opcode::ForcePosition, 0xA9, "2.24.3", FEEDBACK),
+    (Opcode::ReadRunningMode, 0x70, "2.25.3", &[("mode", 7, U8)]),
+    (Opcode::ReadRunTime, 0xB1, "2.29.3", &[("run_time_ms", 4, U32)]),
+    (Opcode::ReadVersionDate, 0xB2, "2.30.3", &[("version_date", 4, U32)]),
+    (Opcode::ReadModel, 0xB5, "2.33.3", &[("model", 1, SEVEN_CHARACTERS)]),
+];
+
+/// The replies that the manual calls the same as their command. (So is that of 2.35.3.)
+const ECHOES: [(Opcode, &str); 9] = [
+    (Opcode::WritePidRam, "2.2.3"),
+    (Opcode::WritePidRom, "2.3.3"),
+    (Opcode::WriteAcceleration, "2.5.3"),
+    (Opcode::SetEncoderZero, "2.9.3"),
+    (Opcode::Shutdown, "2.17.3"),
+    (Opcode::Stop, "2.18.3"),
+    (Opcode::ReleaseBrake, "2.27.3"),
+    (Opcode::LockBrake, "2.28.3"),
+    (Opcode::CommunicationLossProtection, "2.31.3"),
+];
+
+fn replies() -> Vec<Table> {
+    let echo = |(opcode, section)| {
+        let command = COMMANDS.iter().find(|table| table.0 == opcode).expect("a command");
+        (opcode, command.1, section, command.3)
+    };
+    REPLIES.iter().copied().chain(ECHOES.map(echo)).collect()
 }
 
-/// A signed 32-bit number in DATA[4..8].
-fn pulses(
-    opcode: Opcode,
-    section: &'static str,
-    byte: u8,
-    wrap: fn(EncoderPulses) -> AnyReply,
-) -> Layout<AnyReply> {
-    let of = |bits| wrap(EncoderPulses::from_raw(i32_of(bits)));
-    Layout {
-        opcode,
-        section,
-        places: &[("pulses", 4, 4)],
-        base: (of(0), [byte, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("pulses", of(0x0403_0201), [byte, 0, 0, 0, 1, 2, 3, 4]),
-            ("pulses", of(0x8182_8384), [byte, 0, 0, 0, 0x84, 0x83, 0x82, 0x81]),
-        ],
-    }
+/// Commands, or replies.
+struct Side<T> {
+    heading: &'static str,
+    fields: fn(Opcode) -> &'static [Field],
+    decode: fn(Opcode, &Data) -> Result<T, DecodeError>,
+    encode: fn(&T) -> Data,
+    opcode: fn(&T) -> Option<Opcode>,
 }
 
-fn replies() -> Vec<Layout<AnyReply>> {
-    use AnyReply as R;
-    let mut all: Vec<Layout<AnyReply>> = commands()
-        .into_iter()
-        .filter_map(|command| {
-            let (base, data) = command.base;
-            let base = (echo(&base)?, data);
-            let same = |(field, case, data)| (field, echo(&case).expect("an echo"), data);
-            let cases = command.cases.into_iter().map(same).collect();
-            let Layout { opcode, section, places, .. } = command;
-            Some(Layout { opcode, section, places, base, cases })
-        })
-        .collect();
-    assert_eq!(all.len(), 10, "kinds whose reply is the same as the command");
+const COMMAND: Side<AnyCommand> = Side {
+    heading: "Command data",
+    fields: Opcode::command_fields,
+    decode: AnyCommand::decode_as,
+    encode: AnyCommand::encode,
+    opcode: AnyCommand::opcode,
+};
+const REPLY: Side<AnyReply> = Side {
+    heading: "Reply data",
+    fields: Opcode::reply_fields,
+    decode: AnyReply::decode_as,
+    encode: AnyReply::encode,
+    opcode: AnyReply::opcode,
+};
 
-    all.extend([
-        feedback(Opcode::ReadStatus2, "2.15.3", 0x9C, R::ReadStatus2),
-        feedback(Opcode::Torque, "2.19.3", 0xA1, R::Torque),
-        feedback(Opcode::Speed, "2.20.3", 0xA2, R::Speed),
-        feedback(Opcode::AbsolutePosition, "2.21.3", 0xA4, R::AbsolutePosition),
-        feedback(Opcode::IncrementalPosition, "2.23.3", 0xA8, R::IncrementalPosition),
-        feedback(Opcode::ForcePosition, "2.24.3", 0xA9, R::ForcePosition),
-        pulses(Opcode::ReadMultiTurnEncoder, "2.6.3", 0x60, |position| {
-            R::ReadMultiTurnEncoder(MultiTurnEncoder { position })
-        }),
-        pulses(Opcode::ReadMultiTurnEncoderRaw, "2.7.3", 0x61, |raw| {
-            R::ReadMultiTurnEncoderRaw(MultiTurnEncoderRaw { raw })
-        }),
-        pulses(Opcode::ReadMultiTurnEncoderOffset, "2.8.3", 0x62, |offset| {
-            R::ReadMultiTurnEncoderOffset(MultiTurnEncoderOffset { offset })
-        }),
-        pulses(Opcode::SetCurrentPositionZero, "2.10.3", 0x64, |offset| {
-            R::SetCurrentPositionZero(MultiTurnEncoderOffset { offset })
-        }),
-    ]);
-
-    let pid = |index, bits| R::ReadPid(PidGain { index, value: gain(bits) });
-    all.push(Layout {
-        opcode: Opcode::ReadPid,
-        section: "2.1.3",
-        places: &[("index", 1, 1), ("value", 4, 4)],
-        base: (pid(PidIndex::from_raw(0), 0), [0x30, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("index", pid(PidIndex::POSITION_KI, 0), [0x30, 8, 0, 0, 0, 0, 0, 0]),
-            (
-                "value",
-                pid(PidIndex::from_raw(0), 0x4433_2211),
-                [0x30, 0, 0, 0, 0x11, 0x22, 0x33, 0x44],
-            ),
-            ("", pid(PidIndex::CURRENT_KP, 0x8182_8384), [0x30, 1, 0, 0, 0x84, 0x83, 0x82, 0x81]),
-        ],
-    });
-    let reading = |index, raw| {
-        R::ReadAcceleration(AccelerationReading {
-            index,
-            acceleration: ReportedAcceleration::from_raw(raw),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::ReadAcceleration,
-        section: "2.4.3",
-        places: &[("index", 1, 1), ("acceleration", 4, 4)],
-        base: (reading(AccelerationIndex::POSITION_ACCELERATION, 0), [0x42, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            (
-                "index",
-                reading(AccelerationIndex::SPEED_DECELERATION, 0),
-                [0x42, 3, 0, 0, 0, 0, 0, 0],
-            ),
-            (
-                "acceleration",
-                reading(AccelerationIndex::POSITION_ACCELERATION, 0x0403_0201),
-                [0x42, 0, 0, 0, 1, 2, 3, 4],
-            ),
-            (
-                "",
-                reading(AccelerationIndex::SPEED_ACCELERATION, 0x8182_8384),
-                [0x42, 2, 0, 0, 0x84, 0x83, 0x82, 0x81],
-            ),
-        ],
-    });
-    let single = |position, raw, offset| {
-        R::ReadSingleTurnEncoder(SingleTurnEncoder {
-            position: SingleTurnPulses::from_raw(position),
-            raw: SingleTurnPulses::from_raw(raw),
-            offset: SingleTurnPulses::from_raw(offset),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::ReadSingleTurnEncoder,
-        section: "2.11.3",
-        places: &[("position", 2, 2), ("raw", 4, 2), ("offset", 6, 2)],
-        base: (single(0, 0, 0), [0x90, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("position", single(0x8182, 0, 0), [0x90, 0, 0x82, 0x81, 0, 0, 0, 0]),
-            ("raw", single(0, 0x8384, 0), [0x90, 0, 0, 0, 0x84, 0x83, 0, 0]),
-            ("offset", single(0, 0, 0x8586), [0x90, 0, 0, 0, 0, 0, 0x86, 0x85]),
-            ("", single(0x0203, 0x0405, 0x0607), [0x90, 0, 3, 2, 5, 4, 7, 6]),
-        ],
-    });
-    let angle =
-        |bits| R::ReadMultiTurnAngle(MultiTurnAngle { angle: Angle::from_raw(i32_of(bits)) });
-    all.push(Layout {
-        opcode: Opcode::ReadMultiTurnAngle,
-        section: "2.12.3",
-        places: &[("angle", 4, 4)],
-        base: (angle(0), [0x92, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("angle", angle(0x0403_0201), [0x92, 0, 0, 0, 1, 2, 3, 4]),
-            ("angle", angle(0x8182_8384), [0x92, 0, 0, 0, 0x84, 0x83, 0x82, 0x81]),
-        ],
-    });
-    let angle = |raw| R::ReadSingleTurnAngle(SingleTurnAngle { angle: circle(raw) });
-    all.push(Layout {
-        opcode: Opcode::ReadSingleTurnAngle,
-        section: "2.13.3",
-        places: &[("angle", 6, 2)],
-        base: (angle(0), [0x94, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("angle", angle(0x8182), [0x94, 0, 0, 0, 0, 0, 0x82, 0x81]),
-            ("angle", angle(35_999), [0x94, 0, 0, 0, 0, 0, 0x9F, 0x8C]),
-        ],
-    });
-    let status = |temperature, mos, brake, voltage, errors| {
-        R::ReadStatus1(Status1 {
-            temperature: Temperature::from_raw(i8_of(temperature)),
-            mosfet_temperature: Temperature::from_raw(i8_of(mos)),
-            brake,
-            voltage: Voltage::from_raw(voltage),
-            errors: ErrorFlags::from_bits_retain(errors),
-        })
-    };
-    let lock = BrakeCommand::LOCK;
-    all.push(Layout {
-        opcode: Opcode::ReadStatus1,
-        section: "2.14.3",
-        places: &[
-            ("temperature", 1, 1),
-            ("mos_temperature", 2, 1),
-            ("brake", 3, 1),
-            ("voltage", 4, 2),
-            ("errors", 6, 2),
-        ],
-        base: (status(0, 0, lock, 0, 0), [0x9A, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("temperature", status(0xF1, 0, lock, 0, 0), [0x9A, 0xF1, 0, 0, 0, 0, 0, 0]),
-            ("mos_temperature", status(0, 0xF2, lock, 0, 0), [0x9A, 0, 0xF2, 0, 0, 0, 0, 0]),
-            ("brake", status(0, 0, BrakeCommand::RELEASE, 0, 0), [0x9A, 0, 0, 1, 0, 0, 0, 0]),
-            (
-                "brake",
-                status(0, 0, BrakeCommand::from_raw(0xF3), 0, 0),
-                [0x9A, 0, 0, 0xF3, 0, 0, 0, 0],
-            ),
-            ("voltage", status(0, 0, lock, 0x8182, 0), [0x9A, 0, 0, 0, 0x82, 0x81, 0, 0]),
-            ("errors", status(0, 0, lock, 0, 0x8384), [0x9A, 0, 0, 0, 0, 0, 0x84, 0x83]),
-            ("", status(1, 2, BrakeCommand::RELEASE, 0x0405, 0x0607), [0x9A, 1, 2, 1, 5, 4, 7, 6]),
-        ],
-    });
-    let status = |temperature, a, b, c| {
-        R::ReadStatus3(Status3 {
-            temperature: Temperature::from_raw(i8_of(temperature)),
-            phase_a: Current::from_raw(i16_of(a)),
-            phase_b: Current::from_raw(i16_of(b)),
-            phase_c: Current::from_raw(i16_of(c)),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::ReadStatus3,
-        section: "2.16.3",
-        places: &[("temperature", 1, 1), ("phase_a", 2, 2), ("phase_b", 4, 2), ("phase_c", 6, 2)],
-        base: (status(0, 0, 0, 0), [0x9D, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("temperature", status(0xF1, 0, 0, 0), [0x9D, 0xF1, 0, 0, 0, 0, 0, 0]),
-            ("phase_a", status(0, 0x8182, 0, 0), [0x9D, 0, 0x82, 0x81, 0, 0, 0, 0]),
-            ("phase_b", status(0, 0, 0x8384, 0), [0x9D, 0, 0, 0, 0x84, 0x83, 0, 0]),
-            ("phase_c", status(0, 0, 0, 0x8586), [0x9D, 0, 0, 0, 0, 0, 0x86, 0x85]),
-            ("", status(1, 0x0203, 0x0405, 0x0607), [0x9D, 1, 3, 2, 5, 4, 7, 6]),
-        ],
-    });
-    let single = |temperature, current, speed, encoder| {
-        R::SingleTurnPosition(SingleTurnFeedback {
-            temperature: Temperature::from_raw(i8_of(temperature)),
-            current: Current::from_raw(i16_of(current)),
-            speed: units::CoarseSpeed::from_raw(i16_of(speed)),
-            encoder: SingleTurnPulses::from_raw(encoder),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::SingleTurnPosition,
-        section: "2.22.3",
-        places: &[("temperature", 1, 1), ("current", 2, 2), ("speed", 4, 2), ("encoder", 6, 2)],
-        base: (single(0, 0, 0, 0), [0xA6, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("temperature", single(0xF1, 0, 0, 0), [0xA6, 0xF1, 0, 0, 0, 0, 0, 0]),
-            ("current", single(0, 0x8182, 0, 0), [0xA6, 0, 0x82, 0x81, 0, 0, 0, 0]),
-            ("speed", single(0, 0, 0x8384, 0), [0xA6, 0, 0, 0, 0x84, 0x83, 0, 0]),
-            ("encoder", single(0, 0, 0, 0x8586), [0xA6, 0, 0, 0, 0, 0, 0x86, 0x85]),
-            ("", single(1, 0x0203, 0x0405, 0x0607), [0xA6, 1, 3, 2, 5, 4, 7, 6]),
-        ],
-    });
-    let running = |mode| R::ReadRunningMode(RunningMode { mode });
-    all.push(Layout {
-        opcode: Opcode::ReadRunningMode,
-        section: "2.25.3",
-        places: &[("mode", 7, 1)],
-        base: (running(Mode::from_raw(0)), [0x70, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("mode", running(Mode::SPEED), [0x70, 0, 0, 0, 0, 0, 0, 2]),
-            ("mode", running(Mode::from_raw(0xFE)), [0x70, 0, 0, 0, 0, 0, 0, 0xFE]),
-        ],
-    });
-    let time = |raw| R::ReadRunTime(RunTime { run_time: Milliseconds::from_raw(raw) });
-    all.push(Layout {
-        opcode: Opcode::ReadRunTime,
-        section: "2.29.3",
-        places: &[("run_time", 4, 4)],
-        base: (time(0), [0xB1, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![("run_time", time(0x8182_8384), [0xB1, 0, 0, 0, 0x84, 0x83, 0x82, 0x81])],
-    });
-    let date = |raw| R::ReadVersionDate(Version { date: VersionDate::from_raw(raw) });
-    all.push(Layout {
-        opcode: Opcode::ReadVersionDate,
-        section: "2.30.3",
-        places: &[("date", 4, 4)],
-        base: (date(0), [0xB2, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![("date", date(0x8182_8384), [0xB2, 0, 0, 0, 0x84, 0x83, 0x82, 0x81])],
-    });
-    let model = |name| R::ReadModel(Model { name: ModelName::from_bytes(name) });
-    all.push(Layout {
-        opcode: Opcode::ReadModel,
-        section: "2.33.3",
-        places: &[("name", 1, 7)],
-        base: (model([0; 7]), [0xB5, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("name", model(*b"ABCDEFG"), [0xB5, 0x41, 0x42, 0x43, 0x44, 0x45, 0x46, 0x47]),
-            ("name", model([1, 2, 3, 4, 5, 6, 0xFF]), [0xB5, 1, 2, 3, 4, 5, 6, 0xFF]),
-        ],
-    });
-    // 4.3: a write is echoed.
-    all.push(Layout {
-        opcode: Opcode::BusId,
-        section: "4.3",
-        places: &[("flag", 2, 1), ("id", 7, 1)],
-        base: (R::BusId(BusIdReply::Written(id(1))), [0x79, 0, 0, 0, 0, 0, 0, 1]),
-        cases: vec![(
-            "id",
-            R::BusId(BusIdReply::Written(id(0x1E))),
-            [0x79, 0, 0, 0, 0, 0, 0, 0x1E],
-        )],
-    });
-    // 4.4 and 7.4: a read tells the reply identifier in DATA[6..8], or the bare id.
-    all.push(Layout {
-        opcode: Opcode::BusId,
-        section: "4.4",
-        places: &[("flag", 2, 1), ("id", 6, 2)],
-        base: (R::BusId(BusIdReply::OnCan(id(1))), [0x79, 0, 1, 0, 0, 0, 0x41, 2]),
-        cases: vec![
-            ("id", R::BusId(BusIdReply::OnCan(id(32))), [0x79, 0, 1, 0, 0, 0, 0x60, 2]),
-            ("id", R::BusId(BusIdReply::OnRs485(id(0x1E))), [0x79, 0, 1, 0, 0, 0, 0, 0x1E]),
-        ],
-    });
-    let motion = |number, position, velocity, torque| {
-        R::Motion(RawMotionFeedback {
-            id: id(number),
-            position,
-            velocity: u12(velocity),
-            torque: u12(torque),
-        })
-    };
-    all.push(Layout {
-        opcode: Opcode::Motion,
-        section: "5.3",
-        places: &[("id", 0, 1), ("position", 1, 2), ("velocity", 3, 2), ("torque", 4, 2)],
-        base: (motion(1, 0, 0, 0), [1, 0, 0, 0, 0, 0, 0, 0]),
-        cases: vec![
-            ("id", motion(32, 0, 0, 0), [0x20, 0, 0, 0, 0, 0, 0, 0]),
-            ("position", motion(1, 0xF1F2, 0, 0), [1, 0xF1, 0xF2, 0, 0, 0, 0, 0]),
-            ("velocity", motion(1, 0, 0xABC, 0), [1, 0, 0, 0xAB, 0xC0, 0, 0, 0]),
-            ("torque", motion(1, 0, 0, 0xABC), [1, 0, 0, 0, 0x0A, 0xBC, 0, 0]),
-            ("", motion(2, 0x3456, 0x789, 0xABC), [2, 0x34, 0x56, 0x78, 0x9A, 0xBC, 0, 0]),
-        ],
-    });
-    all
-}
-
-impl<T> Layout<T> {
-    fn is_field(&self, byte: usize) -> bool {
-        self.places.iter().any(|&(_, first, length)| (first..first + length).contains(&byte))
+impl<T: PartialEq + Debug> Side<T> {
+    /// These bytes decode to a value that encodes to them, whatever the NULL bytes hold.
+    fn check_bytes(&self, opcode: Opcode, data: Data, nulls: &[usize]) -> T {
+        let what = format!("{opcode}, {}: {data:02X?}", self.heading);
+        let value = (self.decode)(opcode, &data).unwrap_or_else(|error| panic!("{what}: {error}"));
+        assert_eq!((self.encode)(&value), data, "{what}: {value:?}");
+        assert_eq!((self.opcode)(&value), Some(opcode), "{what}");
+        let mut noisy = data;
+        for (place, &null) in nulls.iter().enumerate() {
+            let mut one = data;
+            one[null] = 0xFF;
+            assert_eq!((self.decode)(opcode, &one).as_ref(), Ok(&value), "{what}, NULL {null}");
+            noisy[null] = 0xA0 + place as u8;
+        }
+        assert_eq!((self.decode)(opcode, &noisy).as_ref(), Ok(&value), "{what}, all NULLs");
+        if let Some(byte) = opcode.byte() {
+            let [_, rest @ ..] = data;
+            let [a, b, c, d, e, f, g] = rest;
+            let error = DecodeError::WrongOpcode { expected: opcode, found: !byte };
+            assert_eq!((self.decode)(opcode, &[!byte, a, b, c, d, e, f, g]), Err(error), "{what}");
+        }
+        value
     }
 
-    /// The bytes that the manual calls NULL.
-    fn nulls(&self) -> Vec<usize> {
-        let first = usize::from(self.opcode.byte().is_some());
-        (first..8).filter(|&byte| !self.is_field(byte)).collect()
-    }
+    fn check_table(&self, &(opcode, byte, section, rows): &Table) {
+        assert_eq!((opcode.byte(), sections()[section]), (Some(byte), self.heading), "{opcode}");
+        assert!(section.starts_with(&format!("{}.", opcode.section())), "{opcode}: {section}");
+        let fields = (self.fields)(opcode);
+        let described = fields.iter().map(|f| (f.key().to_string(), f.place, f.when));
+        let expected = rows.iter().map(|&(key, first, number)| {
+            let (first, count) = (first as u8, number.bytes as u8);
+            (key.to_owned(), Place::Bytes { first, count }, When::Always)
+        });
+        assert_eq!(described.collect::<Vec<_>>(), expected.collect::<Vec<_>>(), "{section}");
+        let is_in = |byte: usize, row: &Row| (row.1..row.1 + row.2.bytes).contains(&byte);
+        let nulls: Vec<_> =
+            (1..8).filter(|&byte| !rows.iter().any(|row| is_in(byte, row))).collect();
+        let filled: usize = rows.iter().map(|row| row.2.bytes).sum();
+        assert_eq!(nulls.len() + filled, 7, "{section}: fields of this test overlap");
 
-    /// The tables above hold what they say: each field has a case, which differs from the base in
-    /// bytes of that field only.
-    fn check_table(&self) {
-        let Self { opcode, section, .. } = self;
-        for &(field, first, length) in self.places {
-            let mut of_field = self.cases.iter().filter(|(name, ..)| *name == field).peekable();
-            // The flag of 0x79 says which other bytes there are, so it has no case of its own.
-            assert!(of_field.peek().is_some() || field == "flag", "{section} {opcode}: {field}");
-            for (_, _, data) in of_field {
-                for byte in (0..8).filter(|byte| !(first..first + length).contains(byte)) {
-                    assert_eq!(data[byte], self.base.1[byte], "{section} {opcode}: {field}");
+        let nothing = [byte, 0, 0, 0, 0, 0, 0, 0];
+        let base = self.check_bytes(opcode, nothing, &nulls);
+        let pairs = || fields.iter().zip(rows);
+        // Low bytes and such with the sign's bit, in each field by itself and in all together.
+        for salt in [0x10, 0x80] {
+            let pattern: Data = std::array::from_fn(|place| salt + place as u8);
+            let mut together = (nothing, nothing);
+            for (field, &(_, first, number)) in pairs() {
+                // What is too large for this field is its largest.
+                let raw = Some(number.read(&pattern[first..])).filter(|&raw| number.allows(raw));
+                let raw = raw.unwrap_or_else(|| number.edges().nth_back(1).expect("an end"));
+                let bytes = &raw.to_le_bytes()[..number.bytes];
+                let mut alone = (nothing, nothing);
+                for (made, by_hand) in [&mut alone, &mut together] {
+                    by_hand[first..first + number.bytes].copy_from_slice(bytes);
+                    assert_eq!(field.put(made, raw), Ok(()), "{section}: {field:?}");
+                    assert_eq!(made, by_hand, "{section}: {field:?}");
+                    assert_eq!(field.raw(by_hand), raw, "{section}: {field:?}");
                 }
-                assert_ne!(*data, self.base.1, "{section} {opcode}: {field}");
+                assert_ne!(self.check_bytes(opcode, alone.1, &nulls), base, "{section}: {field:?}");
             }
+            self.check_bytes(opcode, together.1, &nulls);
         }
-        for (name, _, data) in &self.cases {
-            assert!(name.is_empty() || self.places.iter().any(|(field, ..)| field == name));
-            assert!(self.nulls().iter().all(|&byte| data[byte] == 0), "{section} {opcode}: {name}");
+        for (field, &(_, first, number)) in pairs() {
+            self.check_range(opcode, nothing, field, first, number);
         }
-        assert_eq!(self.places.is_empty(), self.cases.is_empty());
     }
 
-    fn all(&self) -> impl Iterator<Item = (&str, &T, Data)> {
-        let cases = self.cases.iter().map(|(field, value, data)| (*field, value, *data));
-        std::iter::once(("base", &self.base.0, self.base.1)).chain(cases)
+    /// Both ends of what a field may hold are allowed, their neighbours refused.
+    fn check_range(
+        &self,
+        opcode: Opcode,
+        nothing: Data,
+        field: &Field,
+        first: usize,
+        number: Number,
+    ) {
+        assert_eq!(field.quantity.amount(1), number.step, "{opcode}: {field:?}");
+        for raw in number.edges() {
+            let what = format!("{opcode}, {}: {raw} as {field:?}", self.heading);
+            let is_error = |error: OutOfRange| {
+                let given = error.given.value();
+                let amount = raw as f64 * number.step;
+                error.quantity == field.quantity
+                    && (!given.is_finite() || (given - amount).abs() <= 1e-9 * amount.abs())
+            };
+            if let Form::Steps(_) | Form::Float | Form::Switch = field.quantity.form {
+                assert_eq!(field.quantity.allows(raw), number.allows(raw), "{what}");
+            }
+            let mut data = nothing;
+            match field.put(&mut data, raw) {
+                Ok(()) => assert!(number.allows(raw), "{what}"),
+                Err(error) => assert!(!number.allows(raw) && is_error(error), "{what}: {error}"),
+            }
+            data[first..first + number.bytes].copy_from_slice(&raw.to_le_bytes()[..number.bytes]);
+            if number.read(&data[first..]) == raw {
+                match (self.decode)(opcode, &data) {
+                    Ok(_) => assert!(number.allows(raw), "{what}"),
+                    Err(DecodeError::OutOfRange(error)) => {
+                        assert!(!number.allows(raw) && is_error(error), "{what}: {error}");
+                    }
+                    Err(error) => panic!("{what}: {error}"),
+                }
+            }
+        }
     }
 
-    fn check(&self, encode: fn(&T) -> Data, decode: fn(Opcode, &Data) -> Result<T, DecodeError>)
-    where
-        T: PartialEq + Debug,
-    {
-        self.check_table();
-        for (field, value, data) in self.all() {
-            let Self { opcode, section, .. } = self;
-            let what = format!("{section} {opcode}, {field}: {data:02X?}");
-            assert_eq!(encode(value), data, "{what}");
-            assert_eq!(decode(*opcode, &data).as_ref(), Ok(value), "{what}");
-
-            // NULL bytes are not read, one by one and all together.
-            let nulls = self.nulls();
-            let mut noisy = data;
-            for (place, &null) in nulls.iter().enumerate() {
-                let mut one = data;
-                one[null] = 0xFF;
-                assert_eq!(decode(*opcode, &one).as_ref(), Ok(value), "{what}, NULL {null}");
-                noisy[null] = 0xA0 + place as u8;
-            }
-            assert_eq!(decode(*opcode, &noisy).as_ref(), Ok(value), "{what}, all NULLs");
-
-            // The command byte is read.
-            if let Some(byte) = opcode.byte() {
-                let mut other = data;
-                other[0] = !byte;
-                let error = DecodeError::WrongOpcode { expected: *opcode, found: !byte };
-                assert_eq!(decode(*opcode, &other), Err(error), "{what}");
-            }
+    /// A value, its bytes, those of them that are NULL, and what the description finds there.
+    fn check_case(&self, value: T, data: Data, nulls: &[usize], found: &[(&str, i64)]) {
+        let opcode = (self.opcode)(&value).expect("a kind of the table");
+        assert_eq!((self.encode)(&value), data, "{value:?}");
+        assert_eq!(self.check_bytes(opcode, data, nulls), value);
+        let there = (self.fields)(opcode).iter().filter(|field| field.is_in(&data));
+        let described = there.clone().map(|field| (field.key().to_string(), field.raw(&data)));
+        let expected = found.iter().map(|&(key, raw)| (key.to_owned(), raw));
+        assert_eq!(described.collect::<Vec<_>>(), expected.collect::<Vec<_>>(), "{value:?}");
+        let mut made = [opcode.byte().unwrap_or(0), 0, 0, 0, 0, 0, 0, 0];
+        for (field, &(_, raw)) in there.zip(found) {
+            assert_eq!(field.put(&mut made, raw), Ok(()), "{value:?}: {field:?}");
+        }
+        // An id that was read has three spellings.
+        if !found.contains(&("access", 1)) {
+            assert_eq!(made, data, "{value:?}");
         }
     }
 }
 
 #[test]
 fn every_field_of_every_command_has_its_bytes() {
-    for layout in commands() {
-        assert!(layout.all().all(|(_, value, _)| value.opcode() == layout.opcode));
-        layout.check(AnyCommand::encode, AnyCommand::decode_as);
-    }
+    COMMANDS.iter().for_each(|table| COMMAND.check_table(table));
 }
 
 #[test]
 fn every_field_of_every_reply_has_its_bytes() {
-    for layout in replies() {
-        assert!(layout.all().all(|(_, value, _)| value.opcode() == layout.opcode));
-        layout.check(AnyReply::encode, AnyReply::decode_as);
-    }
+    replies().iter().for_each(|table| REPLY.check_table(table));
 }
 
 #[test]
 fn every_kind_is_covered() {
-    let all: BTreeSet<Opcode> = Opcode::ALL.iter().copied().collect();
+    // Typed cases below: 2.35, 4 and 5.
+    let by_hand = [Opcode::FunctionControl, Opcode::BusId, Opcode::Motion];
     // 2.26.3 and 2.34.3: no reply; 2.32.3: a reply that means nothing.
     let without_reply = [Opcode::Reset, Opcode::SetBaudRate, Opcode::ActiveReply];
-
-    let covered: BTreeSet<Opcode> = commands().iter().map(|layout| layout.opcode).collect();
-    assert_eq!(covered, all);
-    let covered: BTreeSet<Opcode> = replies().iter().map(|layout| layout.opcode).collect();
-    assert_eq!(covered, all.into_iter().filter(|o| !without_reply.contains(o)).collect());
-
+    let tables = |tables: Vec<Table>, others: &[Opcode]| {
+        let count = tables.len() + others.len();
+        let all: BTreeSet<_> = tables.iter().map(|t| t.0).chain(others.iter().copied()).collect();
+        assert_eq!(all.len(), count, "a kind has two tables");
+        all
+    };
+    let all: BTreeSet<_> = Opcode::ALL.iter().copied().collect();
+    assert_eq!(tables(COMMANDS.to_vec(), &by_hand), all);
+    assert_eq!(tables(replies(), &[by_hand, without_reply].concat()), all);
     for opcode in without_reply {
         let data = [opcode.byte().expect("a command byte"), 0, 0, 0, 0, 0, 0, 0];
         assert_eq!(AnyReply::decode_as(opcode, &data), Err(DecodeError::NoReply(opcode)));
-        assert!(!opcode.has_reply());
+        assert!(!opcode.has_reply() && opcode.reply_fields().is_empty());
     }
 }
 
 #[test]
-fn a_read_of_the_bus_id_does_not_look_at_the_id() {
-    let data = [0x79, 0, 1, 0, 0, 0, 0xA5, 0x5A];
-    assert_eq!(AnyCommand::decode_as(Opcode::BusId, &data), Ok(BusId::Read.into()));
-    // 7.3's table has the bare id in DATA[6], 7.4's example in DATA[7].
+fn a_named_field_is_the_bytes_of_its_name() {
+    // 2.24.2, 2.34.2, 2.2.2 and 2.14.3.
+    let go =
+        ForcePosition { max_torque: percent(60), max_speed: up_to(500), angle: degrees(-360.0) };
+    assert_eq!(go.encode(), [0xA9, 0x3C, 0xF4, 0x01, 0x60, 0x73, 0xFF, 0xFF]);
+    let command = ReportedCommand::of(Opcode::ReadMultiTurnAngle).expect("a report");
+    let interval = ReportInterval::from_raw(0x0203);
+    let report = ActiveReply { command, enable: Switch::On, interval };
+    assert_eq!(report.encode(), [0xB6, 0x92, 1, 3, 2, 0, 0, 0]);
+    let write = WritePidRam { index: PidIndex::SPEED_KI, value: gain(f32::from_bits(0x4433_2211)) };
+    assert_eq!(write.encode(), [0x31, 5, 0, 0, 0x11, 0x22, 0x33, 0x44]);
+    let status = Status1 {
+        temperature: Temperature::from_raw(-15),
+        mosfet_temperature: Temperature::from_raw(2),
+        brake: BrakeCommand::RELEASE,
+        voltage: Voltage::from_raw(0x0405),
+        errors: ErrorFlags::from_bits_retain(0x8384),
+    };
+    assert_eq!(status.encode(Opcode::ReadStatus1), [0x9A, 0xF1, 2, 1, 5, 4, 0x84, 0x83]);
+}
+
+/// 2.35.2, 2.35.3 and 2.35.4: index and value of each function, in the command and in the reply.
+#[test]
+fn every_function_has_its_index_and_value() {
+    use FunctionControl as F;
+    let other = |index, value| F::from_index(index, value).expect("a function without a name");
+    let cases: [(F, Data, i64); 13] = [
+        (other(0xA5, 0), [0x20, 0xA5, 0, 0, 0, 0, 0, 0], 0),
+        (other(0, 0x0403_0201), [0x20, 0, 0, 0, 1, 2, 3, 4], 0x0403_0201),
+        (other(8, 0x8182_8384), [0x20, 8, 0, 0, 0x84, 0x83, 0x82, 0x81], 0x8182_8384),
+        (F::ClearMultiTurn, [0x20, 1, 0, 0, 0, 0, 0, 0], 0),
+        (F::CanIdFilter(Switch::Off), [0x20, 2, 0, 0, 0, 0, 0, 0], 0),
+        (F::CanIdFilter(Switch::On), [0x20, 2, 0, 0, 1, 0, 0, 0], 1),
+        (F::ErrorReporting(Switch::Off), [0x20, 3, 0, 0, 0, 0, 0, 0], 0),
+        (F::ErrorReporting(Switch::On), [0x20, 3, 0, 0, 1, 0, 0, 0], 1),
+        (F::SaveMultiTurn(Switch::Off), [0x20, 4, 0, 0, 0, 0, 0, 0], 0),
+        (F::SaveMultiTurn(Switch::On), [0x20, 4, 0, 0, 1, 0, 0, 0], 1),
+        (F::SetCanId(id(0x1E)), [0x20, 5, 0, 0, 0x1E, 0, 0, 0], 0x1E),
+        (F::MaxPositiveAngle(0x0403_0201), [0x20, 6, 0, 0, 1, 2, 3, 4], 0x0403_0201),
+        (F::MaxNegativeAngle(-2), [0x20, 7, 0, 0, 0xFE, 0xFF, 0xFF, 0xFF], -2),
+    ];
+    for (function, data, value) in cases {
+        let found = [("index", i64::from(data[1])), ("value", value)];
+        // The first function has no value, and does not look at one.
+        let (nulls, found) = match function {
+            F::ClearMultiTurn => (&[2, 3, 4, 5, 6, 7][..], &found[..1]),
+            _ => (&[2, 3][..], &found[..]),
+        };
+        COMMAND.check_case(function.into(), data, nulls, found);
+        REPLY.check_case(AnyReply::FunctionControl(function), data, nulls, found);
+    }
+}
+
+/// 4.2 to 4.4 and 7.2 to 7.4.
+#[test]
+fn the_bus_id_lies_where_it_is_told() {
+    let written = [("access", 0), ("motor_id", 0x1E)];
+    let (write, data) = (BusId::Write(id(0x1E)), [0x79, 0, 0, 0, 0, 0, 0, 0x1E]);
+    COMMAND.check_case(write.into(), data, &[1, 3, 4, 5, 6], &written);
+    let echo = AnyReply::BusId(BusIdReply::Written(id(0x1E)));
+    REPLY.check_case(echo, data, &[1, 3, 4, 5, 6], &written);
+    let (read, data) = (BusId::Read, [0x79, 0, 1, 0, 0, 0, 0, 0]);
+    COMMAND.check_case(read.into(), data, &[1, 3, 4, 5, 6, 7], &[("access", 1)]);
+    // 4.4: the reply identifier; 7.4: the bare id in DATA[7].
+    for (told, [low, high], number) in [
+        (BusIdReply::OnCan(id(1)), [0x41, 2], 1),
+        (BusIdReply::OnCan(id(32)), [0x60, 2], 32),
+        (BusIdReply::OnRs485(id(1)), [0, 1], 1),
+        (BusIdReply::OnRs485(id(0x1E)), [0, 0x1E], 0x1E),
+    ] {
+        let found = [("access", 1), ("motor_id", number)];
+        let data = [0x79, 0, 1, 0, 0, 0, low, high];
+        REPLY.check_case(AnyReply::BusId(told), data, &[1, 3, 4, 5], &found);
+    }
+    // 7.3's table has the bare id in DATA[6].
     let data = [0x79, 0, 1, 0, 0, 0, 0x1E, 0];
     let told = AnyReply::BusId(BusIdReply::OnRs485(id(0x1E)));
     assert_eq!(AnyReply::decode_as(Opcode::BusId, &data), Ok(told));
 }
 
-/// Every code that the manual names, with its number, and no other.
-macro_rules! assert_codes {
-    ($type:ident { $($code:ident = $raw:literal,)+ }) => {
-        let named = [$(($type::$code, $raw)),+];
-        for (code, raw) in named {
-            assert_eq!(code.raw(), raw);
-            assert_eq!($type::from_raw(raw), code);
-        }
-        for raw in 0..=255 {
-            if named.iter().all(|(_, named)| *named != raw) {
-                assert_eq!($type::from_raw(raw), $type::Unknown(raw));
-                assert_eq!($type::Unknown(raw).raw(), raw);
+/// 5.2 and 5.3, the high bits first.
+#[test]
+fn motion_values_have_their_bits() {
+    let keys = ["position_rad", "velocity_rad_s", "kp", "kd", "torque_nm"];
+    for (steps, data) in [
+        ([0; 5], [0; 8]),
+        ([0xF1F2, 0, 0, 0, 0], [0xF1, 0xF2, 0, 0, 0, 0, 0, 0]),
+        ([0, 0xABC, 0, 0, 0], [0, 0, 0xAB, 0xC0, 0, 0, 0, 0]),
+        ([0, 0, 0xABC, 0, 0], [0, 0, 0, 0x0A, 0xBC, 0, 0, 0]),
+        ([0, 0, 0, 0xABC, 0], [0, 0, 0, 0, 0, 0xAB, 0xC0, 0]),
+        ([0, 0, 0, 0, 0xABC], [0, 0, 0, 0, 0, 0, 0x0A, 0xBC]),
+        ([0x1234, 0x567, 0x89A, 0xBCD, 0xEF0], [0x12, 0x34, 0x56, 0x78, 0x9A, 0xBC, 0xDE, 0xF0]),
+    ] {
+        let [position, rest @ ..] = steps;
+        let [velocity, kp, kd, torque] = rest.map(|step| U12::new(step).expect("12 bits"));
+        let raw = RawMotion { position, velocity, kp, kd, torque };
+        let found: Vec<_> = keys.into_iter().zip(steps.map(i64::from)).collect();
+        COMMAND.check_case(raw.into(), data, &[], &found);
+    }
+    let keys = ["id_byte", keys[0], keys[1], keys[4]];
+    for (steps, data) in [
+        ([1, 0, 0, 0], [1, 0, 0, 0, 0, 0, 0, 0]),
+        ([0x20, 0, 0, 0], [0x20, 0, 0, 0, 0, 0, 0, 0]),
+        ([0, 0xF1F2, 0, 0], [0, 0xF1, 0xF2, 0, 0, 0, 0, 0]),
+        ([1, 0, 0xABC, 0], [1, 0, 0, 0xAB, 0xC0, 0, 0, 0]),
+        ([1, 0, 0, 0xABC], [1, 0, 0, 0, 0x0A, 0xBC, 0, 0]),
+        ([2, 0x3456, 0x789, 0xABC], [2, 0x34, 0x56, 0x78, 0x9A, 0xBC, 0, 0]),
+    ] {
+        let [id_byte, position, velocity, torque] = steps;
+        let [velocity, torque] = [velocity, torque].map(|step| U12::new(step).expect("12 bits"));
+        let raw = RawMotionFeedback { id_byte: id_byte as u8, position, velocity, torque };
+        let found: Vec<_> = keys.into_iter().zip(steps.map(i64::from)).collect();
+        REPLY.check_case(AnyReply::Motion(raw), data, &[6, 7], &found);
+    }
+}
+
+#[test]
+fn what_depends_on_another_field_is_refused_too() {
+    let refused = |opcode, data, given: f64| {
+        let error = AnyCommand::decode_as(opcode, &data).expect_err("out of range");
+        let reply = AnyReply::decode_as(opcode, &data).expect_err("out of range");
+        assert_eq!(error, reply, "{data:02X?}");
+        let DecodeError::OutOfRange(error) = error else { panic!("{data:02X?}: {error}") };
+        assert_eq!(error.given.value(), given, "{data:02X?}");
+    };
+    // 2.35.4: 0 or 1.
+    for function in [2, 3, 4] {
+        refused(Opcode::FunctionControl, [0x20, function, 0, 0, 2, 0, 0, 0], 2.0);
+        refused(Opcode::FunctionControl, [0x20, function, 0, 0, 1, 0, 0, 1], 16_777_217.0);
+    }
+    // 4.1, 7.1 and 2.35.4: an id is 1 to 32, the flag 0 or 1.
+    for bad in [0, 33, 0xFF] {
+        refused(Opcode::BusId, [0x79, 0, 0, 0, 0, 0, 0, bad], bad.into());
+        refused(Opcode::FunctionControl, [0x20, 5, 0, 0, bad, 0, 0, 0], bad.into());
+    }
+    refused(Opcode::FunctionControl, [0x20, 5, 0, 0, 1, 1, 0, 0], 257.0);
+    refused(Opcode::FunctionControl, [0x20, 5, 0, 0, 0xE8, 3, 0, 0], 1_000.0);
+    refused(Opcode::BusId, [0x79, 0, 2, 0, 0, 0, 0, 1], 2.0);
+    // 4.3 and 7.3: neither a reply identifier nor a bare id.
+    for (low, high) in [(0, 0), (0x40, 2), (0x61, 2), (0x41, 1), (33, 0), (0, 33), (1, 1)] {
+        let told = AnyReply::decode_as(Opcode::BusId, &[0x79, 0, 1, 0, 0, 0, low, high]);
+        assert_eq!(told, Err(DecodeError::NotABusId(u16::from_le_bytes([low, high]))));
+    }
+}
+
+#[test]
+fn a_function_without_a_name_is_none_with_a_name() {
+    for index in 0..=255 {
+        let is_named = (1..=7).contains(&index);
+        for value in [0, 1, 2, 32, 33, 0x8182_8384] {
+            let allowed = match index {
+                2..=4 => value <= 1,
+                5 => (1..=32).contains(&value),
+                _ => true,
+            };
+            let function = FunctionControl::from_index(index, value);
+            assert_eq!(function.is_ok(), allowed, "{index} {value}");
+            if let Ok(function) = function {
+                let value = if index == 1 { 0 } else { value };
+                assert_eq!((function.index(), function.value()), (index, value));
+                assert_eq!(matches!(function, FunctionControl::Other(_)), !is_named, "{index}");
             }
+            assert_eq!(OtherFunction::try_from((index, value)).is_ok(), !is_named, "{index}");
+            let json = from_str::<FunctionControl>(&format!(r#"{{"other":[{index},{value}]}}"#));
+            assert_eq!(json.ok(), function.ok().filter(|_| !is_named), "{index} {value}");
         }
-        assert_eq!($type::ALL.len(), named.len());
+    }
+}
+
+/// Every code that the manual names, with its number and its name here, and no other.
+fn check_codes<T>(
+    make: fn(u8) -> T,
+    raw: fn(T) -> u8,
+    name: fn(T) -> Option<&'static str>,
+    named: &[(T, u8, &str)],
+) where
+    T: Copy + PartialEq + Debug + ToString + Serialize + DeserializeOwned,
+{
+    for byte in 0..=255 {
+        let code = make(byte);
+        assert_eq!(raw(code), byte, "{code:?}");
+        let with_name = named.iter().find(|(_, number, _)| *number == byte);
+        assert_eq!(name(code), with_name.map(|&(.., name)| name), "{code:?}");
+        for &(other, number, _) in named {
+            assert_eq!(code == other, byte == number, "{code:?} and {other:?}");
+            assert_eq!(code.to_string() == other.to_string(), byte == number, "{code:?}");
+        }
+        let json = to_string(&code).expect("JSON");
+        assert_eq!(json.starts_with('"'), with_name.is_some(), "{json}");
+        for json in [json, byte.to_string()] {
+            assert_eq!(from_str::<T>(&json).ok(), Some(code), "{json}");
+        }
+    }
+    assert!(from_str::<T>("256").is_err() && from_str::<T>(r#""no-such-code""#).is_err());
+}
+
+macro_rules! check_codes {
+    ($type:ident: $($code:ident $raw:literal $name:literal),+) => {
+        check_codes($type::from_raw, $type::raw, $type::name, &[$(($type::$code, $raw, $name)),+]);
+        assert_eq!($type::ALL, [$($type::$code),+]);
     };
 }
 
 #[test]
 fn codes_are_the_manuals() {
     // 2.1.4
-    assert_codes!(PidIndex {
-        CurrentKp = 1, CurrentKi = 2, SpeedKp = 4, SpeedKi = 5,
-        PositionKp = 7, PositionKi = 8, PositionKd = 9,
-    });
+    check_codes!(PidIndex: CURRENT_KP 1 "current-kp", CURRENT_KI 2 "current-ki",
+        SPEED_KP 4 "speed-kp", SPEED_KI 5 "speed-ki", POSITION_KP 7 "position-kp",
+        POSITION_KI 8 "position-ki", POSITION_KD 9 "position-kd");
     // 2.4.4
-    assert_codes!(AccelerationIndex {
-        PositionAcceleration = 0, PositionDeceleration = 1,
-        SpeedAcceleration = 2, SpeedDeceleration = 3,
-    });
+    check_codes!(AccelerationIndex: POSITION_ACCELERATION 0 "position-acceleration",
+        POSITION_DECELERATION 1 "position-deceleration",
+        SPEED_ACCELERATION 2 "speed-acceleration", SPEED_DECELERATION 3 "speed-deceleration");
     // 2.14.3
-    assert_codes!(BrakeCommand { Lock = 0, Release = 1, });
+    check_codes!(BrakeCommand: LOCK 0 "lock", RELEASE 1 "release");
     // 2.22.1
-    assert_codes!(Direction { Clockwise = 0, CounterClockwise = 1, });
+    check_codes!(Direction: CLOCKWISE 0 "clockwise", COUNTER_CLOCKWISE 1 "counter-clockwise");
     // 2.25.3
-    assert_codes!(Mode { Current = 1, Speed = 2, Position = 3, });
+    check_codes!(Mode: CURRENT 1 "current", SPEED 2 "speed", POSITION 3 "position");
     // 2.32.4
-    assert_codes!(BaudCode { Can500kRs485At115200 = 0, Can1MRs485At500k = 1, Rs485At1M = 2, });
-    // 2.34.2
-    assert_codes!(ReportedCommand {
-        MultiTurnEncoder = 0x60, MultiTurnEncoderRaw = 0x61, MultiTurnEncoderOffset = 0x62,
-        MultiTurnAngle = 0x92, Status1 = 0x9A, Status2 = 0x9C, Status3 = 0x9D,
-        Undescribed9E = 0x9E,
-    });
+    check_codes!(BaudCode: CAN_500K_RS485_115200 0 "can-500k-rs485-115200",
+        CAN_1M_RS485_500K 1 "can-1m-rs485-500k", RS485_1M 2 "rs485-1m");
+    // 2.35.4
+    check_codes!(FunctionIndex: CLEAR_MULTI_TURN 1 "clear-multi-turn",
+        CAN_ID_FILTER 2 "can-id-filter", ERROR_REPORTING 3 "error-reporting",
+        SAVE_MULTI_TURN 4 "save-multi-turn", SET_CAN_ID 5 "set-can-id",
+        MAX_POSITIVE_ANGLE 6 "max-positive-angle", MAX_NEGATIVE_ANGLE 7 "max-negative-angle");
+    // 4.1
+    check_codes!(Access: WRITE 0 "write", READ 1 "read");
+    // 2.34.2, which names 0x9E too and describes no such command.
+    let report = |opcode| ReportedCommand::of(opcode).expect("a report");
+    check_codes(
+        ReportedCommand::from_raw,
+        ReportedCommand::raw,
+        ReportedCommand::name,
+        &[
+            (report(Opcode::ReadMultiTurnEncoder), 0x60, "read-multi-turn-encoder"),
+            (report(Opcode::ReadMultiTurnEncoderRaw), 0x61, "read-multi-turn-encoder-raw"),
+            (report(Opcode::ReadMultiTurnEncoderOffset), 0x62, "read-multi-turn-encoder-offset"),
+            (report(Opcode::ReadMultiTurnAngle), 0x92, "read-multi-turn-angle"),
+            (report(Opcode::ReadStatus1), 0x9A, "read-status1"),
+            (report(Opcode::ReadStatus2), 0x9C, "read-status2"),
+            (report(Opcode::ReadStatus3), 0x9D, "read-status3"),
+        ],
+    );
 }
 
 #[test]
@@ -1005,46 +700,15 @@ fn steps_have_the_size_that_the_manual_gives() {
     assert_eq!(Temperature::from_raw(-40).celsius(), -40.0); // 1 °C, 2.14.3
     assert_eq!(Voltage::from_raw(485).volts(), 48.5); // 0.1 V, 2.14.3
     assert_eq!(Current::from_raw(-125).amperes(), -1.25); // 0.01 A, 2.15.3
-    assert_eq!(units::CoarseSpeed::from_raw(-500).dps(), -500.0); // 1 dps, 2.15.3
+    assert_eq!(CoarseSpeed::from_raw(-500).dps(), -500.0); // 1 dps, 2.15.3
     assert_eq!(CoarseAngle::from_raw(-45).degrees(), -45.0); // 1 degree, 2.15.3
     assert_eq!(Angle::from_raw(-36_025).degrees(), -360.25); // 0.01 degree, 2.12.3
-    assert_eq!(circle(35_950).degrees(), 359.5); // 0.01 degree, 2.13.3
-    assert_eq!(target(36_000).degrees(), 360.0); // 0.01 degree, 2.22.1
+    assert_eq!(ReportedSingleTurnAngle::from_raw(35_950).degrees(), 359.5); // 0.01 degree, 2.13.3
+    assert_eq!(SingleTurnTarget::MAX.degrees(), 360.0); // 0.01 degree, 2.22.1
     assert_eq!(SpeedTarget::from_raw(-150).dps(), -1.5); // 0.01 dps, 2.20.1
     assert_eq!(MaxSpeed::from_raw(500).dps(), 500.0); // 1 dps, 2.21.1
     assert_eq!(MaxTorque::from_raw(60).percent(), 60.0); // 1 % of rated current, 2.20.1
-    assert_eq!(acceleration(60_000).dps2(), 60_000.0); // 1 dps/s, 2.5.1
+    assert_eq!(Acceleration::MAX.dps2(), 60_000.0); // 1 dps/s, 2.5.1
     assert_eq!(ReportedAcceleration::from_raw(7).dps2(), 7.0); // 1 dps/s, 2.4.3
     assert_eq!(ReportInterval::from_raw(3).millis(), 30.0); // 10 ms, 2.34.2
-}
-
-#[test]
-fn values_beyond_their_range_are_refused() {
-    let refused = |data: Data| {
-        let opcode = Opcode::from_byte(data[0]).expect("a command byte");
-        matches!(AnyCommand::decode_as(opcode, &data), Err(DecodeError::OutOfRange(_)))
-    };
-    // 2.5.1: 100 to 60000 (and 0, which means no planning).
-    assert!(refused([0x43, 0, 0, 0, 99, 0, 0, 0]));
-    assert!(refused([0x43, 0, 0, 0, 0x61, 0xEA, 0, 0])); // 60001
-    assert!(refused([0x43, 0, 0, 0, 0x64, 0, 1, 0])); // 65636
-    // 2.22: 0 to 36000.
-    assert!(refused([0xA6, 0, 0, 0, 0xA1, 0x8C, 0, 0]));
-    // 2.34.2 and 2.35.4: 0 or 1.
-    assert!(refused([0xB6, 0x60, 2, 1, 0, 0, 0, 0]));
-    for function in [2, 3, 4] {
-        assert!(refused([0x20, function, 0, 0, 2, 0, 0, 0]));
-        assert!(refused([0x20, function, 0, 0, 1, 0, 0, 1]));
-    }
-    // 4.1, 7.1 and 2.35.4: an id is 1 to 32, the flag 0 or 1.
-    for bad in [0, 33, 0xFF] {
-        assert!(refused([0x79, 0, 0, 0, 0, 0, 0, bad]));
-        assert!(refused([0x20, 5, 0, 0, bad, 0, 0, 0]));
-    }
-    assert!(refused([0x20, 5, 0, 0, 1, 1, 0, 0]));
-    assert!(refused([0x79, 0, 2, 0, 0, 0, 0, 1]));
-    // 2.13.3: 0 to 35999.
-    let angle =
-        AnyReply::decode_as(Opcode::ReadSingleTurnAngle, &[0x94, 0, 0, 0, 0, 0, 0xA0, 0x8C]);
-    assert!(matches!(angle, Err(DecodeError::OutOfRange(_))), "{angle:?}");
 }

@@ -2,11 +2,18 @@
 //! each 12-bit field, both directions, against bytes that are put together here as one bit string;
 //! and that quantisation takes the nearest step, refuses what is no number and follows its ranges.
 
+use embedded_can::{Frame as _, StandardId};
+use myactuator_host_std::explain::Explainer;
 use myactuator_protocol_core::command::{
     Command, MotionFeedback, MotionLimits, MotionRanges, MotionSetPoint, RawMotion,
-    RawMotionFeedback, Reply, U12,
+    RawMotionFeedback, U12,
 };
-use myactuator_protocol_core::{AnyCommand, AnyReply, Data, MotorId, Opcode};
+use myactuator_protocol_core::master::{Config, Event, Master};
+use myactuator_protocol_core::quantity::MotionScale;
+use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
+use myactuator_protocol_core::{AnyCommand, AnyReply, Channel, Data, Firmware, MotorId, Opcode};
+use myactuator_tests::values::id;
 
 const LAST_16: u16 = 65_535;
 const LAST_12: u16 = 4_095;
@@ -46,18 +53,17 @@ fn check_command(steps: [u16; 5]) {
     let bytes = command_bits(steps);
     assert_eq!(raw.encode(), bytes, "{raw:?}");
     assert_eq!(RawMotion::decode(&bytes), raw);
-    assert_eq!(RawMotion::decode(&bytes), Ok(raw));
     assert_eq!(AnyCommand::decode_as(Opcode::Motion, &bytes), Ok(raw.into()));
 }
 
 /// Both directions of a reply.
 fn check_reply(fields: [u16; 4]) {
-    let [id, p, v, t] = fields;
-    let id = MotorId::new(id as u8).expect("1 to 32");
-    let raw = RawMotionFeedback { id, position: p, velocity: u12(v), torque: u12(t) };
+    let [id_byte, position, v, t] = fields;
+    let id_byte = id_byte as u8;
+    let raw = RawMotionFeedback { id_byte, position, velocity: u12(v), torque: u12(t) };
     let bytes = reply_bits(fields);
     assert_eq!(raw.encode(), bytes, "{raw:?}");
-    assert_eq!(RawMotionFeedback::from_data(&bytes), Ok(raw));
+    assert_eq!(RawMotionFeedback::decode(&bytes), raw);
     assert_eq!(RawMotion::decode_reply(&bytes), Ok(raw));
     assert_eq!(AnyReply::Motion(raw).encode(), bytes);
 }
@@ -96,13 +102,41 @@ fn every_step_of_each_12_bit_field_packs_and_unpacks() {
 }
 
 #[test]
-fn every_id_packs_and_unpacks_and_no_other_does() {
-    for id in 0..=255 {
-        if (1..=32).contains(&id) {
-            check_reply([id, 0x1234, 0x567, 0x89A]);
-        } else {
-            assert!(RawMotionFeedback::from_data(&reply_bits([id, 0, 0, 0])).is_err(), "{id}");
-        }
+fn every_id_byte_packs_and_unpacks() {
+    (0..=255).for_each(|id| check_reply([id, 0x1234, 0x567, 0x89A]));
+}
+
+/// 5.4 allows the ids 0 to 32 in DATA[0] of the reply on 0x501. Who answers is told by the identifier,
+/// in every layer.
+#[test]
+fn who_answers_is_told_by_the_identifier() {
+    for id_byte in [0, 1, 2, 33, 0xFF] {
+        let data = [id_byte, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0];
+        let frame = SimpleFrame::new(StandardId::new(0x501).expect("11 bits"), &data);
+        let frame = frame.expect("eight bytes");
+        let received = can::decode(&frame);
+        let Received::Packet(packet) = received else { panic!("{received:?}") };
+        assert_eq!(packet.channel, Channel::MotionReply(MotorId::MIN));
+        let Ok(AnyReply::Motion(reply)) = AnyReply::decode(&packet, Firmware::V4_3) else {
+            panic!("{packet}")
+        };
+        assert_eq!((reply.id_byte, reply.position), (id_byte, 58_982));
+        assert!(packet.to_string().starts_with("motion reply of motor 1: "), "{packet}");
+
+        let explanation = Explainer::new(Firmware::V4_3).can_frame(&frame);
+        assert_eq!(explanation.id, Some(MotorId::MIN.into()));
+        assert_eq!(explanation.to_json()["fields"]["id_byte"], id_byte);
+
+        let mut master = Master::<1>::new(Config::CAN);
+        let now = Instant::from_millis(0);
+        master.set_point(MotorId::MIN, RawMotion::decode(&[0; 8]), now).expect("a place");
+        assert!(master.poll_transmit(now).is_some());
+        master.handle_transmitted(now);
+        let event = master.handle_frame(&received, Instant::from_millis(1));
+        assert_eq!(
+            event,
+            Some(Event::Feedback { motor: MotorId::MIN, reply: AnyReply::Motion(reply) })
+        );
     }
 }
 
@@ -132,8 +166,8 @@ fn null_bytes_of_a_reply_are_written_0_and_not_read() {
     let bytes = reply_bits([1, 0x1234, 0x567, 0x89A]);
     let mut noisy = bytes;
     noisy[6..].copy_from_slice(&[0xA5, 0x5A]);
-    let raw = RawMotionFeedback::from_data(&noisy).expect("a reply");
-    assert_eq!(raw, RawMotionFeedback::from_data(&bytes).expect("a reply"));
+    let raw = RawMotionFeedback::decode(&noisy);
+    assert_eq!(raw, RawMotionFeedback::decode(&bytes));
     assert_eq!(raw.encode(), bytes);
 }
 
@@ -146,18 +180,18 @@ fn a_12_bit_step_has_12_bits() {
 
 /// One value of a set-point: its place among the five, and the scale that 5.1 gives it.
 struct Scale {
-    name: &'static str,
+    scale: MotionScale,
     place: usize,
     symmetric: bool,
     last: u16,
 }
 
 const SCALES: [Scale; 5] = [
-    Scale { name: "position", place: 0, symmetric: true, last: LAST_16 },
-    Scale { name: "velocity", place: 1, symmetric: true, last: LAST_12 },
-    Scale { name: "kp", place: 2, symmetric: false, last: LAST_12 },
-    Scale { name: "kd", place: 3, symmetric: false, last: LAST_12 },
-    Scale { name: "torque", place: 4, symmetric: true, last: LAST_12 },
+    Scale { scale: MotionScale::Position, place: 0, symmetric: true, last: LAST_16 },
+    Scale { scale: MotionScale::Velocity, place: 1, symmetric: true, last: LAST_12 },
+    Scale { scale: MotionScale::Kp, place: 2, symmetric: false, last: LAST_12 },
+    Scale { scale: MotionScale::Kd, place: 3, symmetric: false, last: LAST_12 },
+    Scale { scale: MotionScale::Torque, place: 4, symmetric: true, last: LAST_12 },
 ];
 
 fn limits([position_rad, velocity_rad_s, kp, kd, torque_nm]: [f32; 5]) -> MotionLimits {
@@ -181,6 +215,12 @@ fn only<T: Default + Copy>(place: usize, value: T) -> [T; 5] {
     let mut all = [T::default(); 5];
     all[place] = value;
     all
+}
+
+impl std::fmt::Display for Scale {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:?}", self.scale)
+    }
 }
 
 impl Scale {
@@ -233,6 +273,7 @@ fn all_ranges() -> Vec<MotionRanges> {
 #[test]
 fn the_ranges_are_those_of_5_1() {
     assert_eq!(maxima(&MotionRanges::V4_3.limits()), [12.5, 45.0, 500.0, 5.0, 24.0]);
+    assert_eq!(Firmware::V4_3.motion_ranges(), Some(MotionRanges::V4_3));
 }
 
 #[test]
@@ -240,11 +281,11 @@ fn the_ends_of_a_scale_are_its_first_and_last_step() {
     for ranges in all_ranges() {
         for scale in &SCALES {
             let (min, max) = scale.ends(&ranges);
-            assert_eq!(scale.quantise(&ranges, min), Some(0), "{}", scale.name);
-            assert_eq!(scale.quantise(&ranges, max), Some(scale.last), "{}", scale.name);
-            assert_eq!(scale.value(&ranges, 0), min, "{}", scale.name);
+            assert_eq!(scale.quantise(&ranges, min), Some(0), "{scale}");
+            assert_eq!(scale.quantise(&ranges, max), Some(scale.last), "{scale}");
+            assert_eq!(scale.value(&ranges, 0), min, "{scale}");
             let last = scale.value(&ranges, scale.last);
-            assert!((last - max).abs() <= max * 4.0 * f32::EPSILON, "{}: {last}", scale.name);
+            assert!((last - max).abs() <= max * 4.0 * f32::EPSILON, "{scale}: {last}");
         }
     }
 }
@@ -260,12 +301,15 @@ fn every_step_means_its_place_on_the_scale_and_comes_back() {
                 let value = scale.value(&ranges, step);
                 let exact = f64::from(min) + f64::from(step) * span / f64::from(scale.last);
                 let error = (f64::from(value) - exact).abs();
+                // In double precision, as tools show and take it.
+                assert!((ranges.value(scale.scale, step) - exact).abs() <= 1e-15 * span);
+                assert_eq!(ranges.step(scale.scale, exact), Ok(step), "{scale}: {exact}");
                 // Three roundings, none of a number larger than the span.
-                assert!(error <= 3.1 * span / f64::from(1 << 24), "{} {step}: {value}", scale.name);
-                assert!(value > before, "{} {step}: not above the step before", scale.name);
+                assert!(error <= 3.1 * span / f64::from(1 << 24), "{scale} {step}: {value}");
+                assert!(value > before, "{scale} {step}: not above the step before");
                 before = value;
                 let back = scale.quantise(&ranges, value);
-                assert_eq!(back, Some(step), "{}: {value}", scale.name);
+                assert_eq!(back, Some(step), "{scale}: {value}");
             }
         }
     }
@@ -281,8 +325,7 @@ fn a_value_becomes_its_nearest_step() {
                 let error = (f64::from(step) - scale.place(&ranges, value)).abs();
                 assert!(
                     error <= 0.5 + scale.slack(),
-                    "{}: {value} became step {step}, {error} steps away",
-                    scale.name
+                    "{scale}: {value} became step {step}, {error} steps away"
                 );
             };
             // Five places in each step, near both of its edges and in its middle.
@@ -307,7 +350,7 @@ fn steps_never_fall_while_values_rise() {
         for i in 0..=200_000 {
             let value = (f64::from(min) + f64::from(i) * f64::from(max - min) / 200_000.0) as f32;
             let step = scale.saturate(&MotionRanges::V4_3, value).expect("a number");
-            assert!(step >= before, "{}: {value} became {step} after {before}", scale.name);
+            assert!(step >= before, "{scale}: {value} became {step} after {before}");
             before = step;
         }
         assert_eq!(before, scale.last);
@@ -349,13 +392,13 @@ fn what_is_no_number_or_beyond_the_scale_is_refused() {
                 f32::MAX,
                 f32::MIN,
             ] {
-                assert_eq!(scale.quantise(&ranges, bad), None, "{}: {bad}", scale.name);
+                assert_eq!(scale.quantise(&ranges, bad), None, "{scale}: {bad}");
                 let nearest = match bad {
                     _ if bad.is_nan() => None,
                     _ if bad > 0.0 => Some(scale.last),
                     _ => Some(0),
                 };
-                assert_eq!(scale.saturate(&ranges, bad), nearest, "{}: {bad}", scale.name);
+                assert_eq!(scale.saturate(&ranges, bad), nearest, "{scale}: {bad}");
             }
         }
     }
@@ -379,18 +422,16 @@ fn a_refusal_names_the_value_its_range_and_its_unit() {
 
 #[test]
 fn feedback_lies_on_the_same_scales() {
-    let id = MotorId::new(9).expect("1 to 32");
     for ranges in all_ranges() {
         for step in (0..=LAST_16).step_by(13) {
             let twelve = step >> 4;
             let raw = RawMotionFeedback {
-                id,
+                id_byte: 9,
                 position: step,
                 velocity: u12(twelve),
                 torque: u12(LAST_12 - twelve),
             };
             let measured = ranges.feedback(&raw);
-            assert_eq!(measured.id, id);
             let values = [measured.position_rad, measured.velocity_rad_s, measured.torque_nm];
             let expected = [
                 SCALES[0].value(&ranges, step),
@@ -398,23 +439,24 @@ fn feedback_lies_on_the_same_scales() {
                 SCALES[4].value(&ranges, LAST_12 - twelve),
             ];
             assert_eq!(values, expected);
-            assert_eq!(ranges.quantise_feedback(&measured), Ok(raw));
+            assert_eq!(ranges.quantise_feedback(id(9), &measured), Ok(raw));
         }
     }
 }
 
 #[test]
 fn feedback_ends_with_its_scale_and_is_never_a_nan() {
-    let id = MotorId::MIN;
+    let quantise =
+        |feedback: &MotionFeedback| MotionRanges::V4_3.quantise_feedback(id(1), feedback);
     let far =
-        MotionFeedback { id, position_rad: f32::INFINITY, velocity_rad_s: -1e9, torque_nm: 24.001 };
-    let raw = MotionRanges::V4_3.quantise_feedback(&far).expect("numbers");
+        MotionFeedback { position_rad: f32::INFINITY, velocity_rad_s: -1e9, torque_nm: 24.001 };
+    let raw = quantise(&far).expect("numbers");
     assert_eq!(raw.encode(), reply_bits([1, LAST_16, 0, LAST_12]));
     for (position_rad, velocity_rad_s, torque_nm) in
         [(f32::NAN, 0.0, 0.0), (0.0, f32::NAN, 0.0), (0.0, 0.0, f32::NAN)]
     {
-        let lost = MotionFeedback { id, position_rad, velocity_rad_s, torque_nm };
-        assert!(MotionRanges::V4_3.quantise_feedback(&lost).is_err(), "{lost:?}");
+        let lost = MotionFeedback { position_rad, velocity_rad_s, torque_nm };
+        assert!(quantise(&lost).is_err(), "{lost:?}");
     }
 }
 
