@@ -459,32 +459,3 @@ fn motion_values_have_their_bits() {
         REPLY.check_case(AnyReply::Motion(raw), data, &[6, 7], &found);
     }
 }
-
-#[test]
-fn what_depends_on_another_field_is_refused_too() {
-    let refused = |opcode, data, given: f64| {
-        let error = AnyCommand::decode_as(opcode, &data).expect_err("out of range");
-        let reply = AnyReply::decode_as(opcode, &data).expect_err("out of range");
-        assert_eq!(error, reply, "{data:02X?}");
-        let DecodeError::OutOfRange(error) = error else { panic!("{data:02X?}: {error}") };
-        assert_eq!(error.given.value(), given, "{data:02X?}");
-    };
-    // 2.35.4: 0 or 1.
-    for function in [2, 3, 4] {
-        refused(Opcode::FunctionControl, [0x20, function, 0, 0, 2, 0, 0, 0], 2.0);
-        refused(Opcode::FunctionControl, [0x20, function, 0, 0, 1, 0, 0, 1], 16_777_217.0);
-    }
-    // 4.1, 7.1 and 2.35.4: an id is 1 to 32, the flag 0 or 1.
-    for bad in [0, 33, 0xFF] {
-        refused(Opcode::BusId, [0x79, 0, 0, 0, 0, 0, 0, bad], bad.into());
-        refused(Opcode::FunctionControl, [0x20, 5, 0, 0, bad, 0, 0, 0], bad.into());
-    }
-    refused(Opcode::FunctionControl, [0x20, 5, 0, 0, 1, 1, 0, 0], 257.0);
-    refused(Opcode::FunctionControl, [0x20, 5, 0, 0, 0xE8, 3, 0, 0], 1_000.0);
-    refused(Opcode::BusId, [0x79, 0, 2, 0, 0, 0, 0, 1], 2.0);
-    // 4.3 and 7.3: neither a reply identifier nor a bare id.
-    for (low, high) in [(0, 0), (0x40, 2), (0x61, 2), (0x41, 1), (33, 0), (0, 33), (1, 1)] {
-        let told = AnyReply::decode_as(Opcode::BusId, &[0x79, 0, 1, 0, 0, 0, low, high]);
-        assert_eq!(told, Err(DecodeError::NotABusId(u16::from_le_bytes([low, high]))));
-    }
-}

@@ -98,6 +98,23 @@ fn the_kinds_are_those_of_the_manual() {
     assert_eq!(of_0x94, layouts);
 }
 
+#[test]
+fn a_firmware_decides_what_0x94_says() {
+    let angle = |data: Data, firmware: Firmware| {
+        let packet = Packet { channel: Channel::Reply(MotorId::MIN), data };
+        match AnyReply::decode(&packet, firmware) {
+            Ok(AnyReply::ReadSingleTurnAngle(reply)) => (Firmware::V4_3, reply.angle.degrees()),
+            Ok(AnyReply::ReadSingleTurnAngleV4_4(reply)) => (Firmware::V4_4, reply.angle.degrees()),
+            other => panic!("{other:?}"),
+        }
+    };
+    // -9000 of 0.01 degrees in DATA[4..8], and 36000, a whole turn, in DATA[6..8].
+    let (four, two) = ([0x94, 0, 0, 0, 0xD8, 0xDC, 0xFF, 0xFF], [0x94, 0, 0, 0, 0, 0, 0xA0, 0x8C]);
+    assert_eq!(angle(four, Firmware::V4_4), (Firmware::V4_4, -90.0));
+    assert_eq!(angle(two, Firmware::V4_3), (Firmware::V4_3, 360.0));
+    assert_eq!(angle(four, Firmware::V4_3), (Firmware::V4_3, 655.35));
+}
+
 /// In place of motion mode's command byte, which there is none.
 const MOTION: u8 = 0;
 

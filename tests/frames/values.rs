@@ -1,14 +1,47 @@
-//! Proves that codes, error flags and steps of quantities are the manual's, typed by hand, and that a
-//! code or a function without a name can never be one with a name.
+//! Proves that codes, error flags and steps of quantities are the manual's, typed by hand, that a code
+//! or a function without a name can never be one with a name, and that a value which another field does
+//! not allow is refused.
 
 use std::fmt::Debug;
 
-use myactuator_protocol_core::Opcode;
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::units::*;
+use myactuator_protocol_core::{AnyCommand, AnyReply, DecodeError, Opcode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{from_str, to_string};
+
+#[test]
+fn what_depends_on_another_field_is_refused_too() {
+    let refused = |opcode, data, given: f64| {
+        let error = AnyCommand::decode_as(opcode, &data).expect_err("out of range");
+        let reply = AnyReply::decode_as(opcode, &data).expect_err("out of range");
+        assert_eq!(error, reply, "{data:02X?}");
+        let DecodeError::OutOfRange(error) = error else { panic!("{data:02X?}: {error}") };
+        assert_eq!(error.given.value(), given, "{data:02X?}");
+    };
+    // 2.35.4: 0 or 1.
+    for function in [2, 3, 4] {
+        refused(Opcode::FunctionControl, [0x20, function, 0, 0, 2, 0, 0, 0], 2.0);
+        refused(Opcode::FunctionControl, [0x20, function, 0, 0, 1, 0, 0, 1], 16_777_217.0);
+    }
+    // 4.1, 7.1 and 2.35.4: an id is 1 to 32, the flag 0 or 1.
+    for bad in [0, 33, 0xFF] {
+        refused(Opcode::BusId, [0x79, 0, 0, 0, 0, 0, 0, bad], bad.into());
+        refused(Opcode::FunctionControl, [0x20, 5, 0, 0, bad, 0, 0, 0], bad.into());
+    }
+    refused(Opcode::FunctionControl, [0x20, 5, 0, 0, 1, 1, 0, 0], 257.0);
+    let thousand = [0x20, 5, 0, 0, 0xE8, 3, 0, 0];
+    refused(Opcode::FunctionControl, thousand, 1_000.0);
+    let error = AnyCommand::decode_as(Opcode::FunctionControl, &thousand).expect_err("1000");
+    assert_eq!(error.to_string(), "motor id must be 1 to 32, but 1000 was given");
+    refused(Opcode::BusId, [0x79, 0, 2, 0, 0, 0, 0, 1], 2.0);
+    // 4.3 and 7.3: neither a reply identifier nor a bare id.
+    for (low, high) in [(0, 0), (0x40, 2), (0x61, 2), (0x41, 1), (33, 0), (0, 33), (1, 1)] {
+        let told = AnyReply::decode_as(Opcode::BusId, &[0x79, 0, 1, 0, 0, 0, low, high]);
+        assert_eq!(told, Err(DecodeError::NotABusId(u16::from_le_bytes([low, high]))));
+    }
+}
 
 #[test]
 fn a_function_without_a_name_is_none_with_a_name() {
