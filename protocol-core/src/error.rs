@@ -2,8 +2,8 @@
 
 use core::fmt;
 
-use crate::channel::Channel;
 use crate::opcode::Opcode;
+use crate::packet::Channel;
 use crate::quantity::OutOfRange;
 
 /// Why a data field does not mean anything.
@@ -105,7 +105,8 @@ pub enum RequestError {
         /// How many it is made for.
         capacity: usize,
     },
-    /// The motors were stopped; nothing is sent until the stop is lifted.
+    /// The motors were stopped, and the command [may move](crate::Kind::may_move) one: it is refused
+    /// until the stop is lifted.
     Stopped,
 }
 

@@ -131,7 +131,11 @@ impl defmt::Format for MotorId {
 pub enum Target {
     /// One motor.
     Motor(MotorId),
-    /// Every motor on the bus: CAN identifier 0x280, RS485 address 0xCD.
+    /// Every motor on the bus: RS485 address 0xCD, CAN identifier 0x280.
+    ///
+    /// On CAN it reaches only the drives whose id filter is off
+    /// ([function 2](crate::command::FunctionControl::CanIdFilter), 2.35.4, 2.35.5). The others neither
+    /// obey nor answer: where all must hear a command, a stop above all, send it to each.
     All,
 }
 

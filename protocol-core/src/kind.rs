@@ -3,7 +3,10 @@
 use core::fmt;
 
 use crate::data::Data;
-use crate::opcode::{Opcode, Repeat, ReplyRule};
+use crate::error::RequestError;
+use crate::id::Target;
+use crate::opcode::{Buses, Opcode, Reach, Repeat, ReplyRule};
+use crate::packet::Channel;
 
 /// What a master has to know of a command to send it and to know its answer: a row of the table, or
 /// what the caller says of a command that the table does not have.
@@ -58,7 +61,13 @@ impl Kind {
         }
     }
 
-    /// Whether it may set the motor in motion, or let its load fall: not while the motors are stopped.
+    /// Whether it may set the motor in motion, let its load fall, or change the drive for good: while
+    /// the motors are stopped, it is refused
+    /// ([`RequestError::Stopped`](crate::RequestError::Stopped)).
+    ///
+    /// Of the table these are the set-points, 0x77, and whatever [acts again](Repeat::ActsAgain) with
+    /// each sending: 0xA8, the restart, writes to ROM, 0x20, 0x79 (its read too), 0xB3, 0xB4 and
+    /// 0xB6. All others pass: reads, 0x31, 0x78, 0x80 and 0x81. Of a raw one its caller has said it.
     pub const fn may_move(self) -> bool {
         match self {
             Self::Known(Opcode::ReleaseBrake) => true,
@@ -85,6 +94,37 @@ impl Kind {
     }
 }
 
+impl Kind {
+    /// The channel on which a command of this kind reaches `target`.
+    ///
+    /// # Errors
+    /// [`RequestError::OneMotorOnly`] for motion mode to all, [`RequestError::AllMotorsOnly`] for a bus
+    /// id to one.
+    pub const fn channel_to(self, target: Target) -> Result<Channel, RequestError> {
+        let Self::Known(opcode) = self else { return Ok(Channel::Command(target)) };
+        match (opcode.reach(), target) {
+            (Reach::OneOrAll, target) => Ok(Channel::Command(target)),
+            (Reach::One, Target::Motor(id)) => Ok(Channel::Motion(id)),
+            (Reach::One, Target::All) => Err(RequestError::OneMotorOnly(opcode)),
+            (Reach::Connected, Target::All) => Ok(Channel::BusId),
+            (Reach::Connected, Target::Motor(_)) => Err(RequestError::AllMotorsOnly(opcode)),
+        }
+    }
+
+    /// Refuses kinds that RS485 does not have.
+    ///
+    /// # Errors
+    /// [`RequestError::CanOnly`].
+    pub const fn check_on_rs485(self) -> Result<(), RequestError> {
+        match self {
+            Self::Known(opcode) if matches!(opcode.buses(), Buses::CanOnly) => {
+                Err(RequestError::CanOnly(opcode))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
 impl From<Opcode> for Kind {
     fn from(opcode: Opcode) -> Self {
         Self::Known(opcode)
@@ -103,6 +143,16 @@ impl fmt::Display for Kind {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stop_lets_pass_what_its_documentation_says() {
+        let is_read = |opcode: Opcode| opcode.name().starts_with("read-");
+        let passing = || Opcode::ALL.iter().copied().filter(|&o| !Kind::Known(o).may_move());
+        let all = Opcode::ALL.iter().copied();
+        assert!(all.filter(|&o| is_read(o)).eq(passing().filter(|&o| is_read(o))));
+        let rest = passing().filter(|&o| !is_read(o)).filter_map(Opcode::byte);
+        assert!(rest.eq([0x31, 0x78, 0x80, 0x81]));
+    }
 
     #[test]
     fn an_answer_has_the_commands_byte_and_key() {

@@ -2,20 +2,25 @@
 //! the drive. `no_std`, without allocation, without `unsafe`.
 //!
 //! # The map
+//! From the ground up:
+//!
 //! | layer | what it is for |
 //! |---|---|
-//! | [`id`], [`time`], [`units`] | who is meant; time as an argument; quantities with their unit |
 //! | [`quantity`] | what a value may be, and the error for what it may not |
-//! | [`channel`], [`firmware`] | who speaks to whom, free of any wire; which revision of the protocol |
-//! | [`opcode`], [`kind`] | **the** table: one row a kind of frame; and what is not in it |
+//! | [`time`], [`units`] | time as an argument; quantities with their unit |
+//! | [`id`], [`packet`] | who is meant; who speaks to whom, free of any wire |
+//! | [`firmware`] | which revision of the protocol |
+//! | [`opcode`] | **the** table: one row a kind of frame |
 //! | [`error`] | what can be wrong with bytes and requests |
-//! | [`command`] | what a data field means: each request, its reply beside it, both ways |
+//! | [`kind`] | a row of the table, or what is not in it |
 //! | [`wire`] | how a data field is framed: CAN identifiers, RS485 bytes |
+//! | [`command`] | what a data field means: each command, its reply beside it, both ways |
 //! | [`master`] | the master as a state machine |
-//! | [`drive`] | the drive as a state machine |
+//! | [`drive`] | the drive as a state machine, and [what it does where the manual is silent](drive::decisions) |
 //! | [`io`] | thin loops over embedded-can and embedded-io |
 //!
-//! Arrows point down this list only. State machines own no I/O and read no clock.
+//! Each imports from those before it only; `command` knows no frames and `wire` no meanings. State
+//! machines own no I/O and read no clock.
 //!
 //! # Where to start
 //! - To run motors: [`io::CanMaster`] or [`io::SerialMaster`], which are [`io::Runner`]s.
@@ -23,6 +28,9 @@
 //! - To read a bus: [`wire::can::decode`] or [`wire::rs485::Receiver`], then [`AnyCommand`] and
 //!   [`AnyReply`].
 //! - To stand in for a motor: [`drive::Drive`].
+//!
+//! The programs in `examples/` are made to be copied: `one_frame` by hand, a `bus_monitor`, and
+//! `both_ends` in memory.
 //!
 //! # One frame from end to end
 //! ```
@@ -56,11 +64,10 @@
 //! | `fugit` | conversions between [`time`] and `fugit` |
 //!
 //! Sections in parentheses, such as (2.21.1), are those of the vendor's manual V4.3. Where the manual
-//! contradicts itself, the documentation of the field tells how it is read and why.
+//! contradicts itself, the documentation of the field says how it is read and why.
 #![no_std]
 #![forbid(unsafe_code)]
 
-pub mod channel;
 pub mod command;
 mod data;
 pub mod drive;
@@ -71,12 +78,15 @@ pub mod io;
 pub mod kind;
 pub mod master;
 pub mod opcode;
+pub mod packet;
 pub mod quantity;
+mod round;
+#[cfg(test)]
+mod tests;
 pub mod time;
 pub mod units;
 pub mod wire;
 
-pub use channel::{Channel, Packet};
 pub use command::{AnyCommand, AnyReply, Command, Reply};
 pub use data::Data;
 pub use error::{DecodeError, RequestError};
@@ -84,4 +94,5 @@ pub use firmware::Firmware;
 pub use id::{MotorId, Target};
 pub use kind::Kind;
 pub use opcode::Opcode;
+pub use packet::{Channel, Packet};
 pub use quantity::OutOfRange;

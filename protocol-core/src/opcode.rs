@@ -11,12 +11,13 @@ use crate::firmware::Firmware;
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[non_exhaustive]
 pub enum ReplyRule {
-    /// With the same eight bytes.
+    /// With the same eight bytes: an acknowledgement. (An RS485 adapter's echo of one's own bytes is
+    /// something else.)
     Echo,
     /// With values of its own under the same command byte.
     Values,
-    /// As [`Echo`](Self::Echo), but whatever value it carries acknowledges: the manual's own
-    /// example of 0xB3 returns zeros (2.31.4).
+    /// With the same eight bytes by the manual's text, but whatever value the reply carries
+    /// acknowledges: the manual's own example of 0xB3 returns zeros (2.31.4).
     Acknowledge,
     /// Not at all (0x76, 0xB6).
     Silent,
@@ -60,7 +61,7 @@ pub enum Buses {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Reach {
-    /// To one motor, or to all at once (2, 3, 6).
+    /// To one motor, or to [all](crate::Target::All) at once (2, 3, 6).
     OneOrAll,
     /// To one motor only (5).
     One,
@@ -177,7 +178,7 @@ macro_rules! opcodes {
         $name:ident = $byte:tt, $kebab:literal, $section:literal, $reply:ident, $key:tt, $repeat:ident,
         $buses:ident, $reach:ident, $usage:ident, $firmware:ident;
     )+) => {
-        /// A kind of frame.
+        /// A kind of frame: a row of the table.
         ///
         /// | kind | byte | CAN identifier | manual | answered | buses | firmware |
         /// |---|---|---|---|---|---|---|
@@ -187,7 +188,10 @@ macro_rules! opcodes {
             stringify!($buses), " | ", stringify!($firmware), " |"
         )])+
         ///
-        /// How it is answered is a [`ReplyRule`]. On RS485 the address is the id, or 0xCD for all.
+        /// Replies come from 0x240 + id, those to 0x300 from 0x300, those to 0x400 + id from
+        /// 0x500 + id. On RS485 the address is the motor's id both ways, and 0xCD for all and for
+        /// 0x79. How a command is answered is a [`ReplyRule`]. `none`: motion mode has no command byte,
+        /// and its identifier alone says what it is. `any`: every [`Firmware`] that is known here.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         #[non_exhaustive]
@@ -270,6 +274,24 @@ macro_rules! opcodes {
 }
 
 opcode_table!(opcodes);
+
+/// The rows of the table in the documentation of [`command`](crate::command).
+macro_rules! command_rows {
+    ($(
+        $(#[doc = $doc:literal])+
+        $name:ident = $byte:tt, $kebab:literal, $section:literal, $reply:ident, $key:tt, $repeat:ident,
+        $buses:ident, $reach:ident, $usage:ident, $firmware:ident;
+    )+) => {
+        concat!($(
+            "| [`", $crate::opcode::command_rows!(@type $name), "`] | ", stringify!($byte), " | ",
+            $section, " | [`", stringify!($reply), "`](crate::opcode::ReplyRule::",
+            stringify!($reply), ") |", $($doc),+, " |\n"
+        ),+)
+    };
+    (@type Motion) => { "RawMotion" };
+    (@type $name:ident) => { stringify!($name) };
+}
+pub(crate) use command_rows;
 
 const FIRST_BYTE: u8 = 0x20;
 const LAST_BYTE: u8 = 0xB6;
@@ -390,7 +412,7 @@ impl<'de> serde::Deserialize<'de> for Opcode {
 }
 
 /// The command byte of a frame that drives were seen to send once a second after they lost their
-/// master. The manual does not know it; it never answers a request.
+/// master. The manual does not know it; it is never the reply to a request.
 pub const LOST_MASTER_BYTE: u8 = 0xF1;
 
 #[cfg(test)]

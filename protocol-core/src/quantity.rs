@@ -205,7 +205,7 @@ impl Quantity {
         match self.form {
             Form::Steps(Steps { min, max, zero, numerator, denominator }) => {
                 let steps =
-                    crate::units::round_f64(amount * f64::from(denominator) / f64::from(numerator));
+                    crate::round::round_f64(amount * f64::from(denominator) / f64::from(numerator));
                 if amount == 0.0 && zero.is_some() {
                     Ok(0)
                 } else if steps >= min as f64 && steps <= max as f64 {

@@ -135,7 +135,7 @@ proptest! {
             }
             Received::Foreign(raw) => {
                 prop_assert_eq!(raw, identifier);
-                prop_assert_eq!(can::channel(identifier), None);
+                prop_assert_eq!(can::channel_at(identifier), None);
             }
             other => prop_assert!(false, "{:?}", other),
         }
@@ -183,7 +183,7 @@ proptest! {
         data in prop::collection::vec(any::<u8>(), 0..8),
     ) {
         let frame = SimpleFrame::new(standard(identifier), &data).expect("less than eight bytes");
-        let expected = match can::channel(identifier) {
+        let expected = match can::channel_at(identifier) {
             Some(channel) => Received::WrongLength {
                 channel,
                 length: data.len(),
@@ -337,6 +337,7 @@ proptest! {
 
 #[test]
 fn every_identifier_takes_every_first_byte() {
+    assert!(SimpleFrame::new(standard(0x141), &[0; 9]).is_none(), "nine bytes are no CAN frame");
     for identifier in 0..=0x7FF {
         for first in 0..=255 {
             for rest in [0x00, 0x01, 0xFF] {

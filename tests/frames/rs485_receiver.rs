@@ -80,6 +80,7 @@ fn it_tells_what_was_wrong() {
         bytes.iter().map(|&byte| receiver.feed(byte)).last()
     };
     assert_eq!(feed_all(&[0x3F]), Some(Fed::Discarded { bytes: 1, fault: Fault::Header }));
+    assert_eq!(feed_all(&[0x3E, 0x3E]), Some(Fed::Discarded { bytes: 1, fault: Fault::Address }));
     assert_eq!(feed_all(&[0x3E, 33]), Some(Fed::Discarded { bytes: 2, fault: Fault::Address }));
     assert_eq!(feed_all(&[0x3E, 1, 9]), Some(Fed::Discarded { bytes: 3, fault: Fault::Length }));
     // 0x3E at the place of the length is the next start.

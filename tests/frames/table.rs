@@ -4,9 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use myactuator_protocol_core::command::{
-    LockBrake, ReleaseBrake, Stop, channel_of, check_on_rs485,
-};
+use myactuator_protocol_core::command::{LockBrake, ReleaseBrake, Stop};
 use myactuator_protocol_core::opcode::{Buses, ReplyRule};
 use myactuator_protocol_core::wire::can;
 use myactuator_protocol_core::{
@@ -243,7 +241,7 @@ fn buses_are_those_that_the_examples_show() {
             assert_eq!(opcode.buses() == Buses::Both, rs485, "{opcode}");
             assert!(examples.iter().any(|row| row.bus == Bus::Can), "{opcode}");
         }
-        let refused = check_on_rs485(opcode);
+        let refused = Kind::from(opcode).check_on_rs485();
         match opcode.buses() {
             Buses::Both => assert_eq!(refused, Ok(())),
             Buses::CanOnly => assert_eq!(refused, Err(RequestError::CanOnly(opcode))),
@@ -258,14 +256,15 @@ fn buses_are_those_that_the_examples_show() {
 fn channels_are_those_that_the_examples_show() {
     for row in rows().iter().filter(|row| row.direction == Direction::Command) {
         let opcode = Opcode::from_name(&row.name).expect("a kind");
-        assert_eq!(channel_of(opcode, row.target()), Ok(row.channel()), "{row}");
+        assert_eq!(Kind::from(opcode).channel_to(row.target()), Ok(row.channel()), "{row}");
         if row.bus == Bus::Can {
-            assert_eq!(can::channel(row.can().0), Some(row.channel()), "{row}");
+            assert_eq!(can::channel_at(row.can().0), Some(row.channel()), "{row}");
         }
     }
     let one = Target::Motor(MotorId::new(7).expect("1 to 32"));
     for &opcode in Opcode::ALL {
-        let (to_one, to_all) = (channel_of(opcode, one), channel_of(opcode, Target::All));
+        let (to_one, to_all) =
+            (Kind::from(opcode).channel_to(one), Kind::from(opcode).channel_to(Target::All));
         match opcode {
             Opcode::Motion => assert_eq!(to_all, Err(RequestError::OneMotorOnly(opcode))),
             Opcode::BusId => assert_eq!(to_one, Err(RequestError::AllMotorsOnly(opcode))),

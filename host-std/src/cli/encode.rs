@@ -3,10 +3,10 @@
 use std::io;
 
 use clap::{Arg, ArgMatches, Command};
-use myactuator_host_std::protocol::command::{AnyCommand, Field, MotionRanges, check_on_rs485};
+use myactuator_host_std::protocol::command::{AnyCommand, Field, MotionRanges};
 use myactuator_host_std::protocol::opcode::Reach;
 use myactuator_host_std::protocol::quantity::{Form, Steps};
-use myactuator_host_std::protocol::{Opcode, Target};
+use myactuator_host_std::protocol::{Kind, Opcode, Target};
 use myactuator_host_std::{BusKind, text};
 
 use super::arguments::{self as parse, Revision};
@@ -178,7 +178,7 @@ fn frame(arguments: &Arguments) -> Result<String, String> {
         return Err(format!("--firmware: {} has no {opcode}", revision.firmware));
     }
     if *bus == BusKind::Rs485 {
-        check_on_rs485(opcode.into()).map_err(|error| format!("--bus: {error}"))?;
+        Kind::from(opcode).check_on_rs485().map_err(|error| format!("--bus: {error}"))?;
     }
     let target = match id {
         Some(target) => *target,

@@ -3,10 +3,10 @@
 use std::fmt;
 use std::ops::RangeInclusive;
 
-use myactuator_protocol_core::command::{Field, MotionRanges, When, channel_of};
+use myactuator_protocol_core::command::{Field, MotionRanges, When};
 use myactuator_protocol_core::quantity::{Form, Place, Quantity, Steps};
 use myactuator_protocol_core::wire::can::identifier;
-use myactuator_protocol_core::{Channel, Firmware, MotorId, Opcode, Target};
+use myactuator_protocol_core::{Channel, Firmware, Kind, MotorId, Opcode, Target};
 
 /// What is on a CAN bus, as a DBC file: its `Display` is the file, made from the table of commands.
 ///
@@ -156,7 +156,7 @@ fn fields(opcode: Opcode, channel: Channel) -> Option<Vec<&'static Field>> {
         Channel::Motion(id) | Channel::MotionReply(id) => (Channel::Motion(id), id.into()),
         Channel::BusId => (channel, Target::All),
     };
-    if channel_of(opcode.into(), target) != Ok(command) {
+    if Kind::from(opcode).channel_to(target) != Ok(command) {
         return None;
     }
     let both_ways = channel == Channel::BusId;
@@ -624,7 +624,7 @@ mod tests {
             let answered = Opcode::ALL.iter().filter(|opcode| {
                 opcode.is_in(firmware)
                     && opcode.has_reply()
-                    && channel_of((**opcode).into(), MotorId::MIN.into())
+                    && Kind::from(**opcode).channel_to(MotorId::MIN.into())
                         == Ok(Channel::Command(MotorId::MIN.into()))
             });
             let signals = message(&file, "BO_ 577 motor_1_reply: 8 motor_1");

@@ -4,11 +4,13 @@ use std::fmt;
 use std::str::FromStr;
 
 use embedded_can::Frame as _;
-use myactuator_protocol_core::command::{AnyCommand, AnyReply, MotionRanges, check_on_rs485};
+use myactuator_protocol_core::command::{AnyCommand, AnyReply, MotionRanges};
 use myactuator_protocol_core::opcode::LOST_MASTER_BYTE;
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::Frame;
-use myactuator_protocol_core::{Channel, Data, DecodeError, Firmware, Opcode, Packet, Target};
+use myactuator_protocol_core::{
+    Channel, Data, DecodeError, Firmware, Kind, Opcode, Packet, Target,
+};
 
 use super::explanation::{Decoded, Explanation, FrameDirection, FrameKind, LOST_MASTER, Reading};
 use crate::{BusKind, text};
@@ -107,7 +109,7 @@ impl Explainer {
             )),
             Received::Remote => {
                 let channel = match frame.id() {
-                    embedded_can::Id::Standard(id) => can::channel(id.as_raw()),
+                    embedded_can::Id::Standard(id) => can::channel_at(id.as_raw()),
                     embedded_can::Id::Extended(_) => None,
                 };
                 Explanation {
@@ -151,7 +153,7 @@ impl Explainer {
         let outcome = match (outcome, kind) {
             (Err(error), _) => Err(sentence(&error)),
             (Ok(_), FrameKind::Known(opcode))
-                if bus == BusKind::Rs485 && check_on_rs485(opcode.into()).is_err() =>
+                if bus == BusKind::Rs485 && Kind::from(opcode).check_on_rs485().is_err() =>
             {
                 Err(format!("{opcode} exists on CAN only"))
             }

@@ -1,8 +1,8 @@
 //! What may still be sent on a bus that carries nothing.
 
 use embedded_can::Frame;
-use myactuator_protocol_core::channel::Channel;
 use myactuator_protocol_core::opcode::{Opcode, Repeat};
+use myactuator_protocol_core::packet::Channel;
 use myactuator_protocol_core::wire::can::{self, Received};
 
 use crate::port::PortError;

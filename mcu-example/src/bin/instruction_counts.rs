@@ -26,7 +26,7 @@ use myactuator_protocol_core::{
 /// How often each job runs.
 const RUNS: u32 = 1_000;
 /// RAM for a master of 32 motors, in bytes.
-const MASTER_BUDGET: u32 = 1_536;
+const MASTER_BUDGET: u32 = 4_096;
 
 #[derive(Debug)]
 enum Trouble {
@@ -157,7 +157,7 @@ fn run() -> Result<(), Trouble> {
 
     let reply = [0x01, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0]; // 5.4
     let id = MotorId::MIN;
-    let mut motion = MotionFeedback { id, position_rad: 0.0, velocity_rad_s: 0.0, torque_nm: 0.0 };
+    let mut motion = MotionFeedback { position_rad: 0.0, velocity_rad_s: 0.0, torque_nm: 0.0 };
     let job = |reply: &Data, motion: &mut MotionFeedback| {
         black_box(decode_motion(reply, motion));
     };

@@ -10,7 +10,7 @@ use core::hint::black_box;
 
 use cortex_m_rt::entry;
 use myactuator_protocol_core::{
-    AnyCommand, AnyReply, Channel, MotorId, Packet, Target,
+    AnyCommand, AnyReply, Channel, Firmware, MotorId, Packet, Target,
     command::{MotionRanges, MotionSetPoint, ReadMultiTurnAngle, ReadStatus1, Torque},
     master::{Config, Master, MotorSet, StopKind},
     time::Instant,

@@ -2,7 +2,7 @@
 
 use core::any::Any;
 
-use crate::channel::{Channel, Packet};
+use crate::packet::{Channel, Packet};
 // The table names each kind as the type of its command, but for motion mode.
 use crate::command::RawMotion as Motion;
 use crate::command::*;
@@ -11,7 +11,7 @@ use crate::error::{DecodeError, RequestError};
 use crate::firmware::Firmware;
 use crate::id::Target;
 use crate::kind::Kind;
-use crate::opcode::{Buses, Opcode, Reach, opcode_table};
+use crate::opcode::{Opcode, Reach, opcode_table};
 
 macro_rules! any {
     ($(
@@ -179,9 +179,9 @@ impl AnyCommand {
     /// The command as a packet to `target`.
     ///
     /// # Errors
-    /// As [`channel_of`].
+    /// As [`Kind::channel_to`].
     pub fn packet(&self, target: Target) -> Result<Packet, RequestError> {
-        Ok(Packet { channel: channel_of(self.kind(), target)?, data: self.encode() })
+        Ok(Packet { channel: self.kind().channel_to(target)?, data: self.encode() })
     }
 }
 
@@ -215,35 +215,6 @@ fn opcode_on(packet: &Packet, firmware: Firmware) -> Result<Option<Opcode>, Deco
             Err(DecodeError::WrongChannel { opcode, channel })
         }
         known_or_not => Ok(known_or_not),
-    }
-}
-
-/// The channel on which a command of this kind reaches `target`.
-///
-/// # Errors
-/// [`RequestError::OneMotorOnly`] for motion mode to all, [`RequestError::AllMotorsOnly`] for a bus
-/// id to one.
-pub const fn channel_of(kind: Kind, target: Target) -> Result<Channel, RequestError> {
-    let Kind::Known(opcode) = kind else { return Ok(Channel::Command(target)) };
-    match (opcode.reach(), target) {
-        (Reach::OneOrAll, target) => Ok(Channel::Command(target)),
-        (Reach::One, Target::Motor(id)) => Ok(Channel::Motion(id)),
-        (Reach::One, Target::All) => Err(RequestError::OneMotorOnly(opcode)),
-        (Reach::Connected, Target::All) => Ok(Channel::BusId),
-        (Reach::Connected, Target::Motor(_)) => Err(RequestError::AllMotorsOnly(opcode)),
-    }
-}
-
-/// Refuses kinds that RS485 does not have.
-///
-/// # Errors
-/// [`RequestError::CanOnly`].
-pub const fn check_on_rs485(kind: Kind) -> Result<(), RequestError> {
-    match kind {
-        Kind::Known(opcode) if matches!(opcode.buses(), Buses::CanOnly) => {
-            Err(RequestError::CanOnly(opcode))
-        }
-        _ => Ok(()),
     }
 }
 

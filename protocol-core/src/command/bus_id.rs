@@ -3,12 +3,12 @@
 //! The command names no motor: **every** motor on the bus obeys. With more than one connected, a
 //! write gives all of them the same id.
 
-use crate::channel::{Channel, Packet};
 use crate::command::{Field, Fields};
 use crate::data::{self, Data};
 use crate::error::DecodeError;
 use crate::id::MotorId;
 use crate::opcode::Opcode;
+use crate::packet::{Channel, Packet};
 use crate::quantity::{Form, OutOfRange, Quantity, Unit};
 
 const READ: u8 = 1;
@@ -78,15 +78,15 @@ impl Fields for BusId {
 pub enum BusIdReply {
     /// The new id, as it was sent.
     Written(MotorId),
-    /// The id that was read, as drives on CAN tell it: the reply identifier 0x240 + id in the last
+    /// The id that was read, as drives on CAN return it: the reply identifier 0x240 + id in the last
     /// two bytes (4.4).
     OnCan(MotorId),
-    /// The id that was read, as drives on RS485 tell it: the bare id in the last byte (7.4).
+    /// The id that was read, as drives on RS485 return it: the bare id in the last byte (7.4).
     OnRs485(MotorId),
 }
 
 impl BusIdReply {
-    /// The id, however it was told.
+    /// The id, in whichever form it came.
     pub const fn id(&self) -> MotorId {
         match *self {
             Self::Written(id) | Self::OnCan(id) | Self::OnRs485(id) => id,

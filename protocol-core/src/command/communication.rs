@@ -10,6 +10,10 @@ command! {
     /// Set after how long without a command the drive cuts its output and locks the brake: 0xB3
     /// (2.31). It is kept in ROM. Not while the motor starts or moves.
     ///
+    /// To run again, the drive needs steady, continuous communication first (2.31.1): it can run once the
+    /// gaps between commands are within this time again (2.31.4). Without the protection, a motor whose
+    /// master falls silent goes on with its last command (2.31.4).
+    ///
     /// The manual says that the reply is the same frame; its own example returns zeros. So any reply
     /// acknowledges, and its value is handed on for what it is.
     CommunicationLossProtection -> Self {

@@ -1,4 +1,9 @@
 //! Commands that move or stop the motor (manual 2.17 to 2.24).
+//!
+//! The manual says of 0xA1, 0xA2, 0xA4, 0xA8 and 0xA9 that they run only while the motor has no fault
+//! (2.19.1, 2.20.1, 2.21.1, 2.23.1, 2.24.1); of 0xA6 and motion mode it says nothing. Nor does it say
+//! what a drive with a fault answers: that feedback comes back does not show that the command runs. The
+//! errors are in [`Status1`](crate::command::Status1).
 
 use crate::command::status::Feedback;
 use crate::units::{
@@ -18,7 +23,7 @@ command! {
 }
 
 command! {
-    /// Run at a torque current: 0xA1 (2.19). A motor with a brake needs
+    /// Run at a torque current: 0xA1 (2.19). It runs only without a fault. A motor with a brake needs
     /// [`ReleaseBrake`](crate::command::ReleaseBrake) first.
     Torque -> Feedback {
         /// The torque current, positive for positive turning.
@@ -27,7 +32,8 @@ command! {
 }
 
 command! {
-    /// Run at a speed: 0xA2 (2.20). The speed planning accelerations apply.
+    /// Run at a speed: 0xA2 (2.20). It runs only without a fault. The speed planning accelerations
+    /// apply.
     Speed -> Feedback {
         /// The largest torque; 0 for no limit but the stall current.
         max_torque: MaxTorque => 1,
@@ -37,8 +43,9 @@ command! {
 }
 
 command! {
-    /// Go to a multi-turn angle, from wherever the shaft is: 0xA4 (2.21). With a position planning
-    /// acceleration of 0 the drive tracks the angle directly, else along a planned profile.
+    /// Go to a multi-turn angle, from wherever the shaft is: 0xA4 (2.21). It runs only without a fault.
+    /// With a position planning acceleration of 0 the drive tracks the angle directly, else along a
+    /// planned profile.
     AbsolutePosition -> Feedback {
         /// The fastest turning on the way.
         max_speed: MaxSpeed => 2,
@@ -58,7 +65,8 @@ code! {
 }
 
 command! {
-    /// Go to an angle within one turn: 0xA6 (2.22), for direct-drive motors in single-turn mode.
+    /// Go to an angle within one turn: 0xA6 (2.22), for direct-drive motors in single-turn mode, which
+    /// is that with function 4 off.
     SingleTurnPosition -> SingleTurnFeedback {
         /// Which way to turn.
         direction: Direction => 1,
@@ -84,7 +92,8 @@ reply! {
 }
 
 command! {
-    /// Go on by an angle from the current position: 0xA8 (2.23). Sent twice, it moves twice.
+    /// Go on by an angle from the current position: 0xA8 (2.23). It runs only without a fault. Sent
+    /// twice, it moves twice.
     IncrementalPosition -> Feedback {
         /// The fastest turning on the way.
         max_speed: MaxSpeed => 2,
@@ -94,7 +103,7 @@ command! {
 }
 
 command! {
-    /// Go to a multi-turn angle with limited torque: 0xA9 (2.24).
+    /// Go to a multi-turn angle with limited torque: 0xA9 (2.24). It runs only without a fault.
     ForcePosition -> Feedback {
         /// The largest torque; above the stall current it limits nothing.
         max_torque: MaxTorque => 1,
@@ -108,16 +117,6 @@ command! {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn an_absolute_position_is_the_manuals() {
-        let go = AbsolutePosition {
-            max_speed: MaxSpeed::from_raw(500),
-            angle: Angle::from_degrees(-360.0).unwrap(),
-        };
-        assert_eq!(go.encode(), [0xA4, 0x00, 0xF4, 0x01, 0x60, 0x73, 0xFF, 0xFF]); // 2.21.4
-        assert_eq!(AbsolutePosition::decode(&go.encode()), Ok(go));
-    }
 
     #[test]
     fn the_torque_limit_is_byte_1() {

@@ -42,8 +42,9 @@ reply! {
 }
 
 command! {
-    /// Make a given raw position the zero, in ROM: 0x63 (2.9). It takes effect after a restart. Not
-    /// while the motor starts or moves. The reply is the same frame.
+    /// Make a given raw position the zero, in ROM: 0x63 (2.9). It takes effect after a restart; from
+    /// then on targets count from the new zero (2.9.1), so that one which was right before leads
+    /// elsewhere. Not while the motor starts or moves. The reply is the same frame.
     SetEncoderZero -> Self {
         /// The raw position that becomes the zero.
         offset: EncoderPulses => 4,
@@ -52,8 +53,8 @@ command! {
 
 command! {
     /// Make the current position the zero, in ROM: 0x64 (2.10). It takes effect after
-    /// [`Reset`](crate::command::Reset). Not while the motor starts or moves. The reply tells the
-    /// new offset.
+    /// [`Reset`](crate::command::Reset); from then on targets count from the new zero (2.10.1), as with
+    /// [`SetEncoderZero`]. Not while the motor starts or moves. The reply holds the new offset.
     SetCurrentPositionZero -> MultiTurnEncoderOffset
 }
 
@@ -78,21 +79,11 @@ reply! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::command::Command;
 
     #[test]
     fn an_offset_fills_all_four_bytes() {
         // 2.9.2 prints >>8 for the last three; each byte has its own shift.
         let set = SetEncoderZero { offset: EncoderPulses::from_raw(0x0403_0201) };
         assert_eq!(set.encode(), [0x63, 0, 0, 0, 1, 2, 3, 4]);
-    }
-
-    #[test]
-    fn reads_the_manuals_single_turn_example() {
-        let reply = [0x90, 0x00, 0x33, 0x08, 0xBE, 0x2C, 0x8B, 0x24]; // 2.11.4
-        let encoder = ReadSingleTurnEncoder::decode_reply(&reply).unwrap();
-        assert_eq!(encoder.position.raw(), 2099);
-        assert_eq!(encoder.raw.raw(), 11454);
-        assert_eq!(encoder.offset.raw(), 9355);
     }
 }

@@ -187,6 +187,6 @@ struct Rounded(f64);
 
 impl fmt::Display for Rounded {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        (crate::units::round_f64(self.0 * 1e4) / 1e4).fmt(f)
+        (crate::round::round_f64(self.0 * 1e4) / 1e4).fmt(f)
     }
 }

@@ -39,21 +39,22 @@ pub enum FunctionControl {
     /// 1: forget the turns, take the position as the new zero and save it. Takes effect after a
     /// restart.
     ClearMultiTurn,
-    /// 2: listen only to the own CAN identifier, which is faster. The broadcast 0x280 needs it off.
-    /// Kept over power-off.
+    /// 2: listen only to the own CAN identifier, which is faster. A drive with the filter on does not
+    /// hear commands to [all](crate::Target::All) motors at 0x280 (2.35.5). It is saved.
     CanIdFilter(Switch),
-    /// 3: send [`Status1`](crate::command::Status1) every 100 ms while an error lasts.
+    /// 3: send [`Status1`](crate::command::Status1) every 100 ms while an error lasts. The manual does not
+    /// say that this is saved.
     ErrorReporting(Switch),
     /// 4: save the turns at power-off. Off, the drive is in single-turn mode. Takes effect after a
     /// restart.
     SaveMultiTurn(Switch),
-    /// 5: change the CAN id. It is saved, and takes effect after a restart.
+    /// 5: change the CAN id. It is saved in ROM, and takes effect after a restart.
     SetCanId(MotorId),
-    /// 6: the largest positive angle of position commands. It is saved, and takes effect at once. The
-    /// manual gives no unit, so the number is passed as it is.
+    /// 6: the largest positive angle of position commands. It is saved in ROM, and takes effect at once.
+    /// The manual gives no unit, so the number is passed as it is.
     MaxPositiveAngle(i32),
-    /// 7: the largest negative angle of position commands, as
-    /// [`MaxPositiveAngle`](Self::MaxPositiveAngle).
+    /// 7: the largest negative angle of position commands. It too is saved in ROM, takes effect at once
+    /// and has no unit in the manual.
     MaxNegativeAngle(i32),
     /// A function that V4.3 does not name. [`FunctionControl::from_index`] makes it.
     Other(OtherFunction),
@@ -195,13 +196,6 @@ mod tests {
     extern crate std;
     use super::*;
     use std::string::ToString;
-
-    #[test]
-    fn the_id_filter_is_function_2() {
-        // The text of 2.35.5 example 2 says index 1, the frame is right.
-        let on = FunctionControl::CanIdFilter(Switch::On);
-        assert_eq!(on.encode(), [0x20, 0x02, 0, 0, 0x01, 0, 0, 0]);
-    }
 
     #[test]
     fn every_function_decodes_to_itself() {

@@ -84,7 +84,8 @@ macro_rules! targeted {
                 self.packet_to($crate::Target::Motor(motor))
             }
 
-            /// The command to one motor or to all.
+            /// The command to one motor or to [all](crate::Target::All), on CAN those with their id
+            /// filter off.
             #[inline]
             pub const fn packet_to(&self, target: $crate::Target) -> $crate::Packet {
                 $crate::Packet { channel: $crate::Channel::Command(target), data: self.encode() }

@@ -1,24 +1,33 @@
 //! What the data field of every frame means: one file a chapter of the manual, and in it, side by
-//! side, each request, its reply and their tests.
+//! side, each command, its reply and their tests.
 //!
 //! Every type encodes *and* decodes: a master uses one half, a drive the other, a monitor both.
-//! [`Command`] ties a request to its reply; [`AnyCommand`] and [`AnyReply`] hold any of them, for
+//! [`Command`] ties a command to its reply; [`AnyCommand`] and [`AnyReply`] hold any of them, for
 //! those who meet frames that they did not ask for.
 //!
-//! | chapter | requests |
+//! # Commands
+//! What a drive answers, and when, is a [`ReplyRule`](crate::opcode::ReplyRule). Identifiers, buses and
+//! firmware stand in the table of [`Opcode`].
+//!
+//! | command | byte | manual | answered | what it does |
+//! |---|---|---|---|---|
+#![doc = crate::opcode::opcode_table!(command_rows)]
+//! | [`RawCommand`] | any | | as its caller says | Whatever this library does not know; [`RawReply`] is its reply. |
+//!
+//! # Chapters
+//! | chapter | what its commands speak of, beside the quantities of [`units`](crate::units) |
 //! |---|---|
-//! | [`pid`] | [`ReadPid`], [`WritePidRam`], [`WritePidRom`] |
-//! | [`acceleration`] | [`ReadAcceleration`], [`WriteAcceleration`] |
-//! | [`encoder`] | [`ReadMultiTurnEncoder`], [`ReadMultiTurnEncoderRaw`], [`ReadMultiTurnEncoderOffset`], [`SetEncoderZero`], [`SetCurrentPositionZero`], [`ReadSingleTurnEncoder`] |
-//! | [`angle`] | [`ReadMultiTurnAngle`], [`ReadSingleTurnAngle`] |
-//! | [`status`] | [`ReadStatus1`], [`ReadStatus2`], [`ReadStatus3`] |
-//! | [`control`] | [`Shutdown`], [`Stop`], [`Torque`], [`Speed`], [`AbsolutePosition`], [`SingleTurnPosition`], [`IncrementalPosition`], [`ForcePosition`] |
-//! | [`motion`] | [`RawMotion`], from a [`MotionSetPoint`] by [`MotionRanges`] |
-//! | [`system`] | [`ReadRunningMode`], [`Reset`], [`ReadRunTime`], [`ReadVersionDate`], [`ReadModel`] |
-//! | [`brake`] | [`ReleaseBrake`], [`LockBrake`] |
-//! | [`communication`] | [`CommunicationLossProtection`], [`SetBaudRate`], [`ActiveReply`] |
-//! | [`function`] | [`FunctionControl`] |
-//! | [`bus_id`] | [`BusId`] |
+//! | [`pid`] | [`PidIndex`] |
+//! | [`acceleration`] | [`AccelerationIndex`] |
+//! | [`encoder`], [`angle`] | |
+//! | [`status`] | [`Feedback`], which most control commands return; [`BrakeCommand`], [`ErrorFlags`], [`ErrorLevel`] |
+//! | [`control`] | [`Direction`] |
+//! | [`system`] | [`Mode`], [`VersionDate`], [`ModelName`] |
+//! | [`brake`] | |
+//! | [`communication`] | [`BaudCode`], [`ReportedCommand`], [`Switch`] |
+//! | [`function`] | [`FunctionIndex`], [`OtherFunction`] |
+//! | [`bus_id`] | [`Access`] |
+//! | [`motion`], [`motion_ranges`] | [`MotionSetPoint`] and [`MotionFeedback`] in SI units; [`MotionRanges`], which makes them [`RawMotion`] and [`RawMotionFeedback`] |
 
 #[macro_use]
 mod layout;
@@ -43,7 +52,7 @@ pub mod system;
 
 pub use acceleration::*;
 pub use angle::*;
-pub use any::{AnyCommand, AnyReply, channel_of, check_on_rs485};
+pub use any::{AnyCommand, AnyReply};
 pub use brake::*;
 pub use bus_id::*;
 pub use communication::*;
@@ -63,7 +72,7 @@ pub use system::*;
 use crate::data::Data;
 use crate::error::DecodeError;
 use crate::kind::Kind;
-use crate::opcode::Opcode;
+use crate::opcode::{Opcode, command_rows};
 
 /// A command: what a master sends, tied to what the drive answers.
 ///

@@ -4,6 +4,10 @@
 //! and a wrong one multiplies the torque; so the scale is a value, [`MotionRanges`], that turns a
 //! [`MotionSetPoint`] into a [`RawMotion`] and a [`RawMotionFeedback`] into a [`MotionFeedback`].
 //!
+//! [`MotionRanges`]: super::MotionRanges
+//! [`MotionSetPoint`]: super::MotionSetPoint
+//! [`MotionFeedback`]: super::MotionFeedback
+//!
 //! ```
 //! use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint};
 //!
@@ -16,12 +20,12 @@
 
 use core::fmt;
 
-use crate::channel::{Channel, Packet};
 use crate::command::{Field, Fields, Reply, When};
 use crate::data::Data;
 use crate::error::DecodeError;
 use crate::id::MotorId;
 use crate::opcode::Opcode;
+use crate::packet::{Channel, Packet};
 use crate::quantity::{Form, Given, MotionScale, OutOfRange, Place, Quantity, Unit};
 
 /// A step on a scale of 4096, 0 to 4095.
@@ -209,8 +213,8 @@ const fn scaled(
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RawMotionFeedback {
-    /// What the drive says its id is: 0 to 32 by 5.4, and whatever else on the bus. Who answers is told
-    /// by the identifier alone; this byte is handed on and believed by nobody.
+    /// What the drive says its id is: 0 to 32 by 5.4, and whatever else on the bus. The
+    /// identifier alone says who answers; this byte is handed on and decides nothing.
     pub id_byte: u8,
     /// Measured position.
     pub position: u16,

@@ -3,7 +3,6 @@
 use core::fmt;
 
 use crate::command::motion::{RawMotion, RawMotionFeedback, U12};
-use crate::command::system::VersionDate;
 use crate::firmware::Firmware;
 use crate::id::MotorId;
 use crate::quantity::MotionScale;
@@ -386,69 +385,11 @@ impl Firmware {
             Self::V4_4 => None,
         }
     }
-
-    /// The firmware of a drive that reports this version date (0xB2), where that is known: of
-    /// 2025-05-12, the day of protocol V4.3 (manual 9), which simulated drives report; and of 2026-04-24,
-    /// build 02, a V4.4 that was met on a real motor. No report ties any other date to a protocol; so for
-    /// all others there is none, and nothing is guessed.
-    pub const fn of_version_date(date: VersionDate) -> Option<Self> {
-        match date.raw() {
-            20_250_512 => Some(Self::V4_3),
-            2_026_042_402 => Some(Self::V4_4),
-            _ => None,
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn refuses_what_is_beyond_a_scale_and_what_is_no_number() {
-        let ranges = MotionRanges::V4_3;
-        let zero = MotionSetPoint::default();
-        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e9, -1e9] {
-            assert!(ranges.quantise(&MotionSetPoint { position_rad: bad, ..zero }).is_err());
-            assert!(ranges.quantise(&MotionSetPoint { velocity_rad_s: bad, ..zero }).is_err());
-            assert!(ranges.quantise(&MotionSetPoint { kp: bad, ..zero }).is_err());
-            assert!(ranges.quantise(&MotionSetPoint { kd: bad, ..zero }).is_err());
-            assert!(ranges.quantise(&MotionSetPoint { torque_nm: bad, ..zero }).is_err());
-        }
-        assert!(ranges.quantise(&MotionSetPoint { kp: -0.1, ..zero }).is_err());
-        assert!(
-            ranges.saturating_quantise(&MotionSetPoint { position_rad: f32::NAN, ..zero }).is_err()
-        );
-        let far = MotionSetPoint { position_rad: 99.0, torque_nm: -99.0, ..zero };
-        let raw = ranges.saturating_quantise(&far).unwrap();
-        assert_eq!((raw.position, raw.torque.get()), (65535, 0));
-    }
-
-    #[test]
-    fn every_value_goes_to_its_nearest_step() {
-        // 65535 steps in 25 rad, 4095 in 90 rad/s and in kp 500.
-        for step in 0..=4095u16 {
-            for part in [-0.4, 0.0, 0.4] {
-                let place = f64::from(step) + part;
-                if !(0.0..=4095.0).contains(&place) {
-                    continue;
-                }
-                let set_point = MotionSetPoint {
-                    position_rad: (place * 16.0 * 25.0 / 65_535.0 - 12.5) as f32,
-                    velocity_rad_s: (place * 90.0 / 4_095.0 - 45.0) as f32,
-                    kp: (place * 500.0 / 4_095.0) as f32,
-                    kd: (place * 5.0 / 4_095.0) as f32,
-                    torque_nm: (24.0 - place * 48.0 / 4_095.0) as f32,
-                };
-                let raw = MotionRanges::V4_3.quantise(&set_point).unwrap();
-                let steps = [raw.velocity, raw.kp, raw.kd].map(U12::get);
-                assert_eq!(steps, [step; 3], "{place}");
-                assert_eq!(raw.torque.get(), 4_095 - step, "{place}");
-                let sixteenth = f64::from(raw.position) - place * 16.0;
-                assert!(sixteenth.abs() <= 0.51, "{place}: {}", raw.position);
-            }
-        }
-    }
 
     #[test]
     fn a_scale_ends_where_it_ends() {
@@ -490,26 +431,6 @@ mod tests {
         for (set_point, name) in beyond.into_iter().zip(names) {
             assert_eq!(quantise(set_point).unwrap_err().name, name);
         }
-    }
-
-    #[test]
-    fn ranges_must_be_positive_numbers() {
-        let v4_3 = MotionRanges::V4_3.limits();
-        assert!(MotionRanges::new(v4_3).is_ok());
-        for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-            assert!(MotionRanges::new(MotionLimits { torque_nm: bad, ..v4_3 }).is_err());
-        }
-    }
-
-    #[test]
-    fn an_unknown_version_date_leads_to_no_firmware() {
-        let of = |date| Firmware::of_version_date(VersionDate::from_raw(date));
-        assert_eq!(of(20_250_512), Some(Firmware::V4_3));
-        assert_eq!(of(2_026_042_402), Some(Firmware::V4_4));
-        for unknown in [0, 20_220_206, 2_025_070_202, 2_025_051_201, 20_250_513, u32::MAX] {
-            assert_eq!(of(unknown), None, "{unknown}");
-        }
-        assert_eq!(Firmware::V4_4.motion_ranges(), None);
     }
 
     #[test]

@@ -2,10 +2,10 @@
 
 use core::fmt::{self, Display, Formatter};
 
-use crate::channel::{Channel, Packet};
 use crate::command::{AnyCommand, AnyReply, Field, MotionRanges};
 use crate::data::Data;
 use crate::firmware::Firmware;
+use crate::packet::{Channel, Packet};
 
 /// The fields of a data field as text: `max speed 500 dps, angle 360 deg`.
 #[derive(Clone, Copy, Debug)]

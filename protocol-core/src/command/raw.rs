@@ -2,18 +2,19 @@
 
 use core::fmt;
 
-use crate::channel::{Channel, Packet};
 use crate::command::{Command, Field, Fields, Reply, print};
 use crate::data::Data;
 use crate::error::DecodeError;
 use crate::id::Target;
 use crate::kind::Kind;
 use crate::opcode::{Opcode, ReplyRule};
+use crate::packet::{Channel, Packet};
 
 /// A command of the caller's own: eight bytes, how a drive answers them, and whether they may move the
 /// motor. For commands that this library does not know, or knows with another layout.
 ///
-/// It is never sent twice by itself, and while the motors are stopped one that may move is refused.
+/// It is never sent twice by itself, and while the motors are stopped one that
+/// [may move](Kind::may_move) is refused.
 /// Where the table has its command byte, what the table says of it holds.
 ///
 /// ```
@@ -54,7 +55,7 @@ impl RawCommand {
         self.data
     }
 
-    /// The command to one motor or to all.
+    /// The command to one motor or to [all](Target::All), on CAN those with their id filter off.
     pub const fn packet_to(&self, target: Target) -> Packet {
         Packet { channel: Channel::Command(target), data: self.data }
     }

@@ -1,4 +1,14 @@
-//! The three status reads (manual 2.14 to 2.16), and the feedback that motion commands share.
+//! The three status reads (manual 2.14 to 2.16), and the feedback that control commands share.
+//!
+//! # Errors on the indicator light
+//! | light (8.1) | the motor |
+//! |---|---|
+//! | steadily on | runs normally |
+//! | slow blinking | has an error of [level two](ErrorLevel::Two) |
+//! | fast blinking | has an error of [level one](ErrorLevel::One) |
+//!
+//! Hardware over-current, of level one, is in the table of errors and their levels (8.2) and has no bit
+//! among the [`ErrorFlags`] of 0x9A (2.14.3): only the light shows it.
 
 use core::fmt;
 
@@ -21,7 +31,7 @@ reply! {
         temperature: Temperature => 1,
         /// MOSFET temperature.
         mosfet_temperature: Temperature => 2,
-        /// What the brake has been told.
+        /// The brake's last command.
         brake: BrakeCommand => 3,
         /// Supply voltage.
         voltage: Voltage => 4,
@@ -31,7 +41,7 @@ reply! {
 }
 
 code! {
-    /// What the brake has been told (2.14.3). It is the command, not the brake's true state, and on
+    /// The brake's last command (2.14.3). It is the command, not the brake's true state, and on
     /// some firmware 1 only while a command runs.
     BrakeCommand "brake" {
         /// Lock.
@@ -41,14 +51,15 @@ code! {
     }
 }
 
-/// How bad an error is (8.1).
+/// How bad an error is, and what the indicator light shows (8.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum ErrorLevel {
-    /// The motor cannot recover: find the cause, then restart it.
+    /// The motor cannot recover: find the cause, then restart it. The light blinks fast.
     One,
-    /// The motor runs again by itself once the cause is gone.
+    /// The motor runs again by itself once the conditions for that are met. The light blinks slowly,
+    /// then is steadily on again.
     Two,
 }
 
@@ -56,7 +67,7 @@ macro_rules! error_flags {
     ($($(#[doc = $doc:literal])+ $flag:ident = $bit:literal $name:literal $level:expr, $text:literal;)+) => {
         bitflags! {
             /// Everything that is wrong with a motor, one bit each (2.14.3). Bits that the manual
-            /// does not name are kept.
+            /// does not name are kept. Hardware over-current (8.2) has none.
             ///
             /// ```
             /// use myactuator_protocol_core::command::ErrorFlags;
@@ -113,7 +124,8 @@ error_flags! {
     UNDER_VOLTAGE = 0x0004 "under-voltage" Some(ErrorLevel::Two), "supply voltage too low";
     /// Supply voltage above its limit.
     OVER_VOLTAGE = 0x0008 "over-voltage" Some(ErrorLevel::Two), "supply voltage too high";
-    /// Phase current above its limit: a short, a lost phase, loss of control, a broken motor.
+    /// Phase current above its limit, as the drive's software measures it: a short, a lost phase, loss
+    /// of control, a broken motor.
     OVER_CURRENT = 0x0010 "over-current" Some(ErrorLevel::One), "phase current too high";
     /// Supply current above its limit: too much load, or too fast.
     OVER_POWER = 0x0040 "over-power" Some(ErrorLevel::Two), "power too high";
@@ -140,7 +152,7 @@ impl ErrorFlags {
     }
 
     /// Whether anything is wrong that only a restart ends. Errors whose level the manual does not
-    /// tell count as such, so that nobody waits for a recovery that may not come.
+    /// give count as such, so that nobody waits for a recovery that may not come.
     pub fn needs_restart(self) -> bool {
         self.each().any(|error| error.level() != Some(ErrorLevel::Two))
     }
@@ -189,7 +201,7 @@ command! {
 }
 
 reply! {
-    /// How the motor does right now: what 0x9C reads and most motion commands answer with (2.15.3,
+    /// How the motor does right now: what 0x9C reads and most control commands answer with (2.15.3,
     /// 2.19.3, 2.20.3, 2.21.3, 2.23.3, 2.24.3).
     Feedback {
         /// Motor temperature.
@@ -226,25 +238,7 @@ reply! {
 mod tests {
     extern crate std;
     use super::*;
-    use crate::command::Command;
     use std::string::ToString;
-
-    #[test]
-    fn reads_the_manuals_examples() {
-        // 2.14.4
-        let status =
-            ReadStatus1::decode_reply(&[0x9A, 0x32, 0x00, 0x01, 0xE5, 0x01, 0x04, 0x00]).unwrap();
-        assert_eq!(status.temperature.celsius(), 50.0);
-        assert_eq!(status.brake, BrakeCommand::RELEASE);
-        assert_eq!(status.voltage.volts(), 48.5);
-        assert_eq!(status.errors, ErrorFlags::UNDER_VOLTAGE);
-        // 2.16.4
-        let status =
-            ReadStatus3::decode_reply(&[0x9D, 0x32, 0xC2, 0x0B, 0x10, 0xFA, 0xC0, 0xF9]).unwrap();
-        assert_eq!(status.phase_a_current.amperes(), 30.1);
-        assert_eq!(status.phase_b_current.amperes(), -15.2);
-        assert_eq!(status.phase_c_current.amperes(), -16.0);
-    }
 
     #[test]
     fn errors_the_manual_does_not_name_are_kept_and_told() {

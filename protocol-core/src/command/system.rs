@@ -5,6 +5,7 @@ use core::fmt;
 
 use crate::command::NoReply;
 use crate::data::{self, Data};
+use crate::firmware::Firmware;
 use crate::quantity::{Form, OutOfRange, Quantity, Unit};
 use crate::units::Milliseconds;
 
@@ -110,6 +111,20 @@ impl VersionDate {
     }
 }
 
+impl Firmware {
+    /// The firmware of a drive that reports this version date (0xB2), where that is known: of
+    /// 2025-05-12, the day of protocol V4.3 (manual 9), which simulated drives report; and of 2026-04-24,
+    /// build 02, a V4.4 that was met on a real motor. No report ties any other date to a protocol; so for
+    /// all others there is none, and nothing is guessed.
+    pub const fn of_version_date(date: VersionDate) -> Option<Self> {
+        match date.raw() {
+            20_250_512 => Some(Self::V4_3),
+            2_026_042_402 => Some(Self::V4_4),
+            _ => None,
+        }
+    }
+}
+
 impl fmt::Display for VersionDate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.year_month_day() {
@@ -201,22 +216,20 @@ mod tests {
     use std::string::ToString;
 
     #[test]
-    fn reads_the_manuals_examples() {
-        let model =
-            ReadModel::decode_reply(&[0xB5, 0x58, 0x38, 0x53, 0x32, 0x56, 0x31, 0x30]).unwrap();
-        assert_eq!(model.model.as_str(), Some("X8S2V10")); // 2.33.4
-        let version =
-            ReadVersionDate::decode_reply(&[0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 0x01]).unwrap();
-        assert_eq!(version.version_date.raw(), 20_220_206); // 2.30.4
-        let run = ReadRunTime::decode_reply(&[0xB1, 0, 0, 0, 0, 0, 0, 0x10]).unwrap();
-        assert_eq!(run.run_time.raw(), 268_435_456); // 2.29.4
-    }
-
-    #[test]
     fn dates_come_with_and_without_a_build_number() {
         assert_eq!(VersionDate::from_raw(20_220_206).to_string(), "2022-02-06");
         assert_eq!(VersionDate::from_raw(2_023_020_601).year_month_day(), Some((2023, 2, 6)));
         assert_eq!(VersionDate::from_raw(7).to_string(), "7");
+    }
+
+    #[test]
+    fn an_unknown_version_date_leads_to_no_firmware() {
+        let of = |date| Firmware::of_version_date(VersionDate::from_raw(date));
+        assert_eq!(of(20_250_512), Some(Firmware::V4_3));
+        assert_eq!(of(2_026_042_402), Some(Firmware::V4_4));
+        for unknown in [0, 20_220_206, 2_025_070_202, 2_025_051_201, 20_250_513, u32::MAX] {
+            assert_eq!(of(unknown), None, "{unknown}");
+        }
     }
 
     #[test]

@@ -1,24 +1,5 @@
-//! What each command does, and what it is answered with.
-//!
-//! Decided, where the manual is silent or says two things:
-//!
-//! - A bus id (0x79, function 5) acts after a restart. Until then 0x79 reads the id that acts.
-//! - A reply to 0x79 looks like its command, and every drive hears it. So that two drives do not answer
-//!   each other for ever, a read that already holds an id, and a write of the id that was taken less than
-//!   20 ms ago, count as another drive's reply.
-//! - 0x62 reads the zero offset that acts: a new one (0x63, 0x64) "is valid only after a restart".
-//! - Functions 6 and 7 clamp the targets of 0xA4, 0xA6, 0xA8 and 0xA9: the motor goes as far as it may.
-//!   They act from the next command on; a motor that is on its way goes on.
-//! - 0xA8 counts from where the shaft is, not from where it was to go.
-//! - 0xA6 runs in single-turn mode only (function 4 off). Within half a degree of its target it goes
-//!   the short way, whatever the direction says: a command sent twice must not add a turn.
-//! - In 0xA9 a torque limit of 0 is none to spend: only 0xA2 calls 0 "no limit".
-//! - 0xB4 is answered with bytes that mean nothing. A code without a meaning on the drive's bus changes
-//!   nothing and has no answer.
-//! - Indices and codes that the manual does not name have no effect and no answer.
-//! - Writing to ROM while the motor moves works: the manual advises against it, but forbids nothing.
+//! What each command does, and what it is answered with, as [`decisions`](super::decisions) says.
 
-use crate::channel::Packet;
 use crate::command::{
     AccelerationReading, AnyCommand, AnyReply, BusId, BusIdReply, Feedback, FunctionControl, Model,
     MotionFeedback, MultiTurnAngle, MultiTurnEncoder, MultiTurnEncoderOffset, MultiTurnEncoderRaw,
@@ -30,6 +11,7 @@ use crate::drive::encoder::saturated;
 use crate::drive::protection::{Heard, STEADY_COMMANDS, STEADY_COMMANDS_SEEN};
 use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings, brake};
 use crate::opcode::Opcode;
+use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 use crate::units::{
     CoarseSpeed, Current, Milliseconds, ReportedAcceleration, Temperature, Voltage,
@@ -240,30 +222,15 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 self.run_motion(&motion);
                 AnyReply::Motion(self.motion_feedback()).into()
             }
-            AnyCommand::ReadMultiTurnEncoder(_)
-            | AnyCommand::ReadMultiTurnEncoderRaw(_)
-            | AnyCommand::ReadMultiTurnEncoderOffset(_)
-            | AnyCommand::ReadRunningMode(_)
-            | AnyCommand::ReadSingleTurnEncoder(_)
-            | AnyCommand::ReadMultiTurnAngle(_)
-            | AnyCommand::ReadSingleTurnAngle(_)
-            | AnyCommand::ReadSingleTurnAngleV4_4(_)
-            | AnyCommand::ReadStatus1(_)
-            | AnyCommand::ReadStatus2(_)
-            | AnyCommand::ReadStatus3(_)
-            | AnyCommand::ReadRunTime(_)
-            | AnyCommand::ReadVersionDate(_)
-            | AnyCommand::ReadModel(_) => {
-                if self.reporting.reports(opcode) {
-                    return Answer::Ignored(IgnoreReason::ReportedActively(opcode));
-                }
-                self.reading(opcode).map_or(Answer::None, Answer::from)
+            // What only reads.
+            _ if self.reporting.reports(opcode) => {
+                Answer::Ignored(IgnoreReason::ReportedActively(opcode))
             }
-            AnyCommand::Raw(_) => Answer::Ignored(IgnoreReason::UnknownCommand),
+            _ => self.reading(opcode).map_or(Answer::None, Answer::from),
         }
     }
 
-    /// The reply to a read that names nothing; `None` for other kinds.
+    /// The reply to a read that names nothing; `None` for kinds that [`answer`](Self::answer) does.
     pub(super) fn reading(&self, opcode: Opcode) -> Option<AnyReply> {
         let m = &self.measurement;
         Some(match opcode {
@@ -325,7 +292,31 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 AnyReply::ReadVersionDate(Version { version_date: self.parameters.version_date })
             }
             Opcode::ReadModel => AnyReply::ReadModel(Model { model: self.parameters.model }),
-            _ => return None,
+            // Each kind stands here or above, so that the compiler asks for a new one.
+            Opcode::FunctionControl
+            | Opcode::ReadPid
+            | Opcode::WritePidRam
+            | Opcode::WritePidRom
+            | Opcode::ReadAcceleration
+            | Opcode::WriteAcceleration
+            | Opcode::SetEncoderZero
+            | Opcode::SetCurrentPositionZero
+            | Opcode::Reset
+            | Opcode::ReleaseBrake
+            | Opcode::LockBrake
+            | Opcode::BusId
+            | Opcode::Shutdown
+            | Opcode::Stop
+            | Opcode::Torque
+            | Opcode::Speed
+            | Opcode::AbsolutePosition
+            | Opcode::SingleTurnPosition
+            | Opcode::IncrementalPosition
+            | Opcode::ForcePosition
+            | Opcode::CommunicationLossProtection
+            | Opcode::SetBaudRate
+            | Opcode::ActiveReply
+            | Opcode::Motion => return None,
         })
     }
 

@@ -1,14 +1,4 @@
-//! The holding brake (manual 2.27, 2.28, 2.19.1).
-//!
-//! Decided, where the manual is silent:
-//!
-//! - A drive starts with its brake locked, the state that it has without power (2.28.1).
-//! - Speed and position commands and 0x81 with the output on need no 0x77: they open the brake
-//!   themselves. Only the torque command must not (2.19.1), and with it motion mode, which is a torque
-//!   command in all but name.
-//! - 0x80 locks a brake that a command opened by itself, so that a load does not fall; one that 0x77
-//!   opened stays open, so that a person can turn the shaft by hand. Errors and the loss of
-//!   communication lock either.
+//! The holding brake (manual 2.27, 2.28, 2.19.1), as [`decisions`](super::decisions) says.
 
 use crate::command::BrakeCommand;
 use crate::drive::quirks::Quirks;
@@ -56,7 +46,7 @@ impl Brake {
         }
     }
 
-    /// What it has been told last (0x9A).
+    /// The last command (0x9A).
     pub(super) const fn command(&self) -> BrakeCommand {
         match self.state {
             State::Locked => BrakeCommand::LOCK,
@@ -69,13 +59,13 @@ impl Brake {
         self.fitted && self.state == State::Locked
     }
 
-    /// What the plant's brake is told at `now`. A motor without a brake turns freely.
+    /// Whether the plant's brake is to be open at `now`. A motor without a brake turns freely.
     pub(super) fn is_open(&self, now: Instant) -> bool {
         !self.fitted || matches!(self.state, State::Released { at, .. } if at <= now)
     }
 }
 
-/// When a brake that is told to open now begins to let the shaft go.
+/// When a brake that gets its command to open now begins to let the shaft go.
 pub(super) fn opening_time(now: Instant, quirks: &Quirks, random: &mut Random) -> Instant {
     let takes = if quirks.slow_brake {
         random.between(Quirks::SLOW_BRAKE_MIN, Quirks::SLOW_BRAKE_MAX)

@@ -1,20 +1,12 @@
-//! Turns, zero and angles: what the drive makes of its encoder.
+//! Turns, zero and angles: what the drive makes of its encoder, as [`decisions`](super::decisions)
+//! says.
 //!
-//! The encoder counts pulses of the motor shaft from wherever it was when the drive started; what the
-//! drive knows of the turns before that, it has from its memory. Three numbers give every reading:
-//!
-//! - *pulses*, as the plant measures them;
-//! - *raw* position = pulses − `base`. `base` is whole turns of the output shaft, chosen at the start;
-//! - position = raw − zero offset, and angle = position · 360° / pulses in a turn of the output shaft.
-//!
-//! At a start without saved turns, `base` is such that the angle is within ±180°. With saved turns it
-//! is such that the raw position is the closest to the saved one that the shaft's place allows: right
-//! as long as the shaft was turned by less than half a turn while the drive was off.
+//! Raw position = pulses − `base`, which is whole turns of the output shaft; position = raw − zero
+//! offset; angle = position · 360° / pulses in a turn of the output shaft.
 
 use crate::drive::parameters::Parameters;
-use crate::units::{
-    Angle, CoarseAngle, EncoderPulses, ReportedSingleTurnAngle, SingleTurnPulses, round_f64,
-};
+use crate::round::round_f64;
+use crate::units::{Angle, CoarseAngle, EncoderPulses, ReportedSingleTurnAngle, SingleTurnPulses};
 
 #[derive(Clone, Debug)]
 pub(super) struct Encoder {

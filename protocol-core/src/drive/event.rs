@@ -1,9 +1,9 @@
 //! What a watcher of a drive wants to know.
 
-use crate::channel::Packet;
 use crate::command::{BaudCode, ErrorFlags};
 use crate::error::DecodeError;
 use crate::opcode::Opcode;
+use crate::packet::Packet;
 
 /// Something that happened in a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]

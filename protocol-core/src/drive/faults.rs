@@ -1,27 +1,4 @@
-//! Errors: how they come, how they go, and what a faulted drive still does (manual 2.14.3, 8).
-//!
-//! | error | comes when | goes |
-//! |---|---|---|
-//! | stall | the current is at the stall current and the speed low, for the stall time | 0x76 |
-//! | under- and over-voltage | the supply is beyond its limit | when it is back |
-//! | over-current | a phase current is beyond its limit | 0x76 |
-//! | over-power | the supply current is beyond its limit | when it is back |
-//! | calibration parameters | the memory fails | 0x76 |
-//! | over-speed | the speed is beyond its limit | when it is back |
-//! | over-temperatures | motor or output stage is too hot | when it has cooled down |
-//! | encoder calibration | raised by hand only | when taken away |
-//! | encoder data | the encoder's data cannot be trusted | 0x76 |
-//!
-//! The manual gives two errors no level (8.2). Here the over-temperature of components recovers like
-//! that of the motor, as heat goes by itself; wrong encoder data needs 0x76, as a position that was
-//! once wrong stays doubtful. Errors that the manual does not name, raised by hand, need 0x76.
-//!
-//! Decided, where the manual is silent: **any** error cuts the output, leaves every control mode and
-//! locks the brake. While it stands, control commands (0x81, 0xA1 to 0xA9, motion mode) are answered
-//! with what the motor does and change nothing: "in the absence of faults this may run" (2.19.1 and
-//! after). Everything else works, 0x77 included. When the last error has gone, the drive is ready
-//! again ("recovers normal operation by itself", 8.1) but stands still until the next command: a motor
-//! that resumes an old command by itself may hurt someone.
+//! Errors: how they come and how they go (manual 2.14.3, 8), as [`decisions`](super::decisions) says.
 
 use crate::command::{ErrorFlags, ErrorLevel};
 use crate::drive::parameters::{FaultLimits, Parameters};

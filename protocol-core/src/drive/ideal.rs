@@ -23,7 +23,7 @@ pub struct IdealPlant {
     pub angle_rad: f64,
     /// Speed of the output shaft, rad/s.
     pub speed_rad_s: f64,
-    /// What sensors beside the encoder tell. The angle, speed and currents in it are overwritten.
+    /// What sensors beside the encoder measure. The angle, speed and currents in it are overwritten.
     pub sensors: Measurement,
 }
 
@@ -77,7 +77,7 @@ impl Plant for IdealPlant {
         }
         let pulses = self.angle_rad / core::f64::consts::TAU * self.pulses_per_turn;
         Measurement {
-            encoder_pulses: crate::units::round_f64(pulses) as i64,
+            encoder_pulses: crate::round::round_f64(pulses) as i64,
             speed_dps: self.speed_rad_s.to_degrees() as f32,
             current_a,
             phase_currents_a: [current_a, -current_a / 2.0, -current_a / 2.0],

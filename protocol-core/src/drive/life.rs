@@ -1,8 +1,4 @@
-//! Supply, start and restart (manual 2.26).
-//!
-//! A restart drops what was only in RAM: gains of 0x31, active replies, error reporting, the mode, the
-//! turns unless they are saved, errors of level one, and a loss of communication. Replies to commands
-//! that came before 0x76 still go out: a drive does one thing after the other.
+//! Supply, start and restart (manual 2.26), as [`decisions`](super::decisions) says.
 
 use crate::command::ErrorFlags;
 use crate::drive::{Drive, Event, Memory, Plant, Protection, Reporting, Settings};

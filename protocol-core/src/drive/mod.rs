@@ -9,7 +9,7 @@
 //!   included: the drive knows what is meant for it.
 //! - [`poll_transmit`](Drive::poll_transmit) is called until it returns `None`, whenever
 //!   [`poll_at`](Drive::poll_at) has come or a packet has been handled. What it returns goes on the bus.
-//! - [`poll_event`](Drive::poll_event) tells a watcher what happened. It may be left out.
+//! - [`poll_event`](Drive::poll_event) returns what happened, for a watcher. It may be left out.
 //! - On real hardware [`advance`](Drive::advance) is called once every
 //!   [`control_period`](Parameters::control_period). A simulation need not: every call catches up by
 //!   itself.
@@ -42,16 +42,13 @@
 //! assert!((drive.state().angle_deg - 360.0).abs() < 0.1);
 //! ```
 //!
-//! # What each file decides
-//!
-//! The manual leaves much open. Each decision is told once, where it is made: what a command does in
-//! `answer.rs`, which of two memories it changes in [`Settings`], turns and zero in `encoder.rs`, errors
-//! in `faults.rs`, the brake in `brake.rs`, the loss of communication in `protection.rs`, what is sent
-//! unasked in `reporting.rs`, the loops in `control/`. What drives do beside the manual is in [`Quirks`].
+//! The manual leaves much open: what this drive does there is in [`decisions`]. What real drives were
+//! seen to do beside the manual is in [`Quirks`].
 
 mod answer;
 mod brake;
 mod control;
+pub mod decisions;
 mod encoder;
 mod event;
 mod faults;
@@ -76,10 +73,10 @@ pub use quirks::Quirks;
 pub use settings::{Accelerations, Gains, Memory, RamMemory, Settings};
 pub use state::State;
 
-use crate::channel::{Channel, Packet};
 use crate::command::{AnyCommand, BaudCode, ErrorFlags};
 use crate::id::{MotorId, Target};
 use crate::opcode::{Buses, LOST_MASTER_BYTE, Opcode};
+use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
 use answer::Answer;
@@ -182,8 +179,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
 
     /// Takes a packet from the bus. What is not for this drive changes nothing.
     ///
-    /// A malformed, unknown or out-of-range command is ignored, as a real drive would, and told as
-    /// [`Event::Ignored`]. Does the work of [`advance`](Self::advance) first.
+    /// A malformed, unknown or out-of-range command is ignored, as a real drive would, and reported
+    /// as [`Event::Ignored`]. Does the work of [`advance`](Self::advance) first.
     pub fn handle_packet(&mut self, packet: &Packet, now: Instant) {
         self.advance(now);
         let to_all = match packet.channel {
@@ -233,8 +230,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     /// [`control_period`](Parameters::control_period), with everything that time does to a drive:
     /// errors, loss of communication, the end of a start.
     ///
-    /// One call runs [`MAX_STEPS_PER_CALL`] steps at most. [`clock`](Self::clock) tells how far it came,
-    /// and a caller that let more time pass calls again. A `now` before the last one changes nothing.
+    /// One call runs [`MAX_STEPS_PER_CALL`] steps at most. [`clock`](Self::clock) returns how far it
+    /// came, and a caller that let more time pass calls again. A `now` before the last one changes
+    /// nothing.
     pub fn advance(&mut self, now: Instant) {
         let period = self.parameters.control_period.max(Duration::from_micros(1));
         for _ in 0..MAX_STEPS_PER_CALL {
@@ -266,8 +264,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     }
 
     /// When [`poll_transmit`](Self::poll_transmit) has something to do by itself, if no packet comes
-    /// before: a reply or a report is due, a start ends, communication is lost, or the loops are 10 ms behind (a motor moves
-    /// and errors come at any time). `None` only at the end of time.
+    /// before: a reply or a report is due, a start ends, communication is lost, or the loops are 10 ms
+    /// behind (a motor moves and errors come at any time). `None` only at the end of time.
     pub fn poll_at(&self) -> Option<Instant> {
         let period = self.parameters.control_period;
         let catch_up = self.clock + period.max(CATCH_UP);
@@ -306,9 +304,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         self.active.id
     }
 
-    /// The bit rate that the drive speaks at. A change (0xB4) acts at once: the manual says both that it
-    /// acts at the next power-on (2.32.1) and that the reply is lost because it has acted (2.32.3);
-    /// whoever believes the second waits for no reply, and is right either way.
+    /// The bit rate that the drive speaks at. A change (0xB4) acts
+    /// [at once](decisions#bit-rate).
     pub const fn baud_rate(&self) -> BaudCode {
         self.active.baud_rate
     }

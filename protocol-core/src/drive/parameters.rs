@@ -180,7 +180,7 @@ impl Parameters {
     pub fn pulses_per_output_turn(&self) -> i64 {
         let ratio = self.gear_ratio;
         let ratio = if ratio.is_finite() && ratio > 0.0 { f64::from(ratio) } else { 1.0 };
-        let pulses = crate::units::round_f64(self.pulses_per_motor_turn() as f64 * ratio);
+        let pulses = crate::round::round_f64(self.pulses_per_motor_turn() as f64 * ratio);
         (pulses as i64).clamp(1, 1 << 40)
     }
 

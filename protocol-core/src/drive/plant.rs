@@ -11,7 +11,7 @@ pub struct Actuation {
     pub current_a: f32,
     /// Whether the output stage is on. Off, the motor turns freely.
     pub output_on: bool,
-    /// Whether the brake is told to open. A closed brake holds the shaft.
+    /// Whether the brake is being opened. A closed brake holds the shaft.
     pub brake_released: bool,
 }
 

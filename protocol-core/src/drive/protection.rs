@@ -1,14 +1,4 @@
-//! Communication-loss protection (0xB3, manual 2.31).
-//!
-//! "If communication is interrupted for longer than the set time, the output is cut and the brake
-//! locked. To run again, steady communication must be established first." Decided:
-//!
-//! - Every command that the drive understands is communication, reads and broadcasts included.
-//! - The watch begins with the first command after a start: what has not begun cannot be interrupted.
-//! - Communication is steady when [`STEADY_COMMANDS`] commands have come, each within the set time of
-//!   the one before; the last of them runs already. Until then commands that move the motor and 0x77
-//!   are answered and do nothing. All others work.
-//! - Switching the protection off (time 0) ends a trip.
+//! Communication-loss protection (0xB3, manual 2.31), as [`decisions`](super::decisions) says.
 
 use crate::time::{Duration, Instant};
 

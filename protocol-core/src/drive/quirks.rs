@@ -2,7 +2,7 @@
 
 use crate::time::Duration;
 
-/// Field behaviour that the manual does not tell. All off by default.
+/// Field behaviour that the manual does not describe. All off by default.
 ///
 /// Some reports need no option, because the manual itself says so: polls of what is reported actively
 /// stay unanswered (2.34), and the turns are lost at a restart unless function 4 is on (2.35.4). An
@@ -14,10 +14,10 @@ pub struct Quirks {
     /// After 0x76 and at power-on the drive hears nothing for [`SLOW_BOOT`](Self::SLOW_BOOT).
     pub slow_boot: bool,
     /// The brake opens [`SLOW_BRAKE_MIN`](Self::SLOW_BRAKE_MIN) to
-    /// [`SLOW_BRAKE_MAX`](Self::SLOW_BRAKE_MAX) after it was told to. The drive does not wait for it.
+    /// [`SLOW_BRAKE_MAX`](Self::SLOW_BRAKE_MAX) after the command to. The drive does not wait for it.
     pub slow_brake: bool,
-    /// After a communication loss the drive sends a frame 0xF1 once a second; it echoes and ignores
-    /// the first command then, and obeys the second if that comes in time.
+    /// After a communication loss the drive sends a frame 0xF1 once a second; it answers the first
+    /// command then with the same bytes and ignores it, and obeys the second if that comes in time.
     pub lost_master_heartbeat: bool,
     /// Function 5 (id change) has its effect but no reply.
     pub silent_id_change: bool,

@@ -1,15 +1,5 @@
 //! What a drive sends by itself: active replies (0xB6), error reports (function 3) and the heartbeat
-//! of a lost master (a quirk).
-//!
-//! Decided, where the manual is silent:
-//!
-//! - Active replies and error reporting end with a restart: nothing says that they are saved.
-//! - There is one interval, the last one set. Every interval one reply goes out; with several commands
-//!   enabled they take turns ("sent alternately in a cycle at the set time", 2.34.1), in the order in
-//!   which they were first enabled. An interval of 0 counts as one step of 10 ms.
-//! - "The motor no longer replies when it receives a command": a poll of what is reported actively
-//!   stays unanswered, as drives were seen to do. All other commands are answered as ever.
-//! - The first error report goes out as soon as there is an error, or reporting is switched on.
+//! of a lost master (a quirk), as [`decisions`](super::decisions) says.
 
 use heapless::Vec;
 

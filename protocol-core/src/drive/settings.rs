@@ -1,8 +1,4 @@
 //! What a drive keeps over power-off, and where.
-//!
-//! A drive holds its settings twice: as they are stored, and as they act. Most writes change both;
-//! 0x31 changes only what acts, and those that the manual lets take effect after a restart change
-//! only what is stored.
 
 use crate::command::{AccelerationIndex, BaudCode, PidIndex};
 use crate::id::MotorId;
@@ -36,7 +32,8 @@ impl Gains {
     ///
     /// The position loop is four times slower than the speed loop. The speed loop's bandwidth should
     /// stay well below the control rate: 200 rad/s suits 1 kHz. A load that was not reckoned with makes
-    /// the loops slower by as much as the inertia grows. What is not a positive number gives gains of 0, with which the motor does not move.
+    /// the loops slower by as much as the inertia grows. What is not a positive number gives gains of 0,
+    /// with which the motor does not move.
     pub fn tuned(inertia_kg_m2: f32, torque_constant_nm_per_a: f32, bandwidth_rad_s: f32) -> Self {
         let positive = |x: f32| if x.is_finite() && x > 0.0 { x } else { 0.0 };
         let gain = |x: f32| Gain::new(x).unwrap_or(NO_GAIN);
@@ -145,33 +142,28 @@ impl Default for Accelerations {
     }
 }
 
-/// Everything that a drive keeps over power-off.
-///
-/// Not in here, because the manual does not say that it is saved: error reporting (function 3) and
-/// active reply (0xB6). Both end with a restart.
+/// Everything that a drive keeps over power-off, and
+/// [when a change acts](super::decisions#what-is-kept-and-when-it-acts).
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Settings {
-    /// The motor's id, on CAN and RS485 alike. A change acts after a restart: function 5 says so, and
-    /// 0x79 is the same setting.
+    /// The motor's id (0x79, function 5), on CAN and RS485 alike.
     pub id: MotorId,
     /// Gains of the control loops (0x32).
     pub gains: Gains,
     /// Planning accelerations (0x43).
     pub accelerations: Accelerations,
-    /// The raw encoder position that counts as zero (0x63, 0x64, function 1). A change acts after a
-    /// restart.
+    /// The raw encoder position that counts as zero (0x63, 0x64, function 1).
     pub zero_offset: EncoderPulses,
     /// Whether commands to all motors (CAN 0x280) go unheard (function 2).
     pub can_id_filter: bool,
-    /// Whether the turns are saved (function 4). A change acts after a restart.
+    /// Whether the turns are saved (function 4).
     pub save_multi_turn: bool,
     /// The raw encoder position at the last power-off or restart, where turns are saved.
     pub saved_position: Option<i64>,
-    /// The largest angle of position commands (function 6), `None` while there is no limit.
-    ///
-    /// The manual tells no unit; 0.01 degrees, the unit of every commanded angle, is our assumption.
+    /// The largest angle of position commands (function 6), `None` while there is no limit. On the bus
+    /// its unit is [taken to be](super::decisions#motion) 0.01 degrees.
     pub max_positive_angle: Option<Angle>,
     /// The smallest angle of position commands (function 7), as
     /// [`max_positive_angle`](Self::max_positive_angle).

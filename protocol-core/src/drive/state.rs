@@ -13,13 +13,13 @@ pub struct State {
     pub powered: bool,
     /// Whether it hears commands: it has its supply and is not starting.
     pub running: bool,
-    /// Which loop runs, as 0x70 tells it; code 0 in no mode.
+    /// Which loop runs, as 0x70 returns it; code 0 in no mode.
     pub mode: Mode,
     /// Whether the output is on.
     pub output_on: bool,
     /// Angle of the output shaft from its zero, degrees, in full resolution.
     pub angle_deg: f64,
-    /// What the brake has been told.
+    /// The brake's last command.
     pub brake: BrakeCommand,
     /// Everything that is wrong.
     pub errors: ErrorFlags,

@@ -175,7 +175,7 @@ pub struct AsyncCanMaster<C, K, const N: usize> {
     clock: K,
     master: Master<N>,
     stuck: StuckWatch,
-    /// What a frame told, until somebody takes it. Here rather than in a future, which may be
+    /// The event of a frame, until somebody takes it. Here rather than in a future, which may be
     /// dropped.
     told: Option<Event>,
 }

@@ -59,7 +59,7 @@ pub struct DelayClock<K, D> {
 const LONGEST_DELAY: Duration = Duration::from_secs(1);
 
 impl<K: Clock, D: DelayNs> DelayClock<K, D> {
-    /// This clock tells the time, this delay waits.
+    /// This clock gives the time, this delay waits.
     pub const fn new(clock: K, delay: D) -> Self {
         Self { clock, delay }
     }

@@ -40,7 +40,7 @@ pub enum BringUpError<E> {
         /// The angle that it reads now.
         angle: Angle,
     },
-    /// The brake does not say that it was told to release.
+    /// The drive does not return release as its brake's last command.
     BrakeNotReleased(BrakeCommand),
 }
 
@@ -90,7 +90,7 @@ const BRAKE_OPENING: Duration = Duration::from_millis(150);
 const ZERO_TOLERANCE: i32 = 100;
 
 /// Finds out which of `candidates` are on the bus, as many at a time as the master has places free.
-/// `on_answer` is told of each motor that is asked, and whether it is there, as soon as that is
+/// `on_answer` gets each motor that is asked, and whether it is there, as soon as that is
 /// known.
 ///
 /// # Errors

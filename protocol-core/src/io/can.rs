@@ -127,7 +127,7 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
 /// Makes a blocking CAN driver fit [`CanMaster`].
 ///
 /// `receive` of such a driver waits for a frame; one that waits for ever stalls the loop when a
-/// drive is silent. Give it a time-out, and tell by `is_timeout` which of its errors is that.
+/// drive is silent. Give it a time-out, and have `is_timeout` say which of its errors is that.
 #[derive(Debug)]
 pub struct BlockingCan<C, F> {
     can: C,

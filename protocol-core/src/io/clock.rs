@@ -25,7 +25,7 @@ impl<C: Clock + ?Sized> Clock for &C {
     }
 }
 
-/// A clock from a function that tells the time, such as a timer's counter.
+/// A clock from a function that returns the time, such as a timer's counter.
 ///
 /// ```
 /// use myactuator_protocol_core::io::{Clock, FnClock};

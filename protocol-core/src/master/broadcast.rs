@@ -1,12 +1,11 @@
 //! A command to all motors, and who has answered it.
 
-use crate::channel::Packet;
-use crate::command;
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::ticks::{CoarseTick, Earliest, LONGEST_COARSE_GAP, Span, Tick};
 use crate::master::{Master, MotorSet};
+use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -63,7 +62,7 @@ impl Broadcast {
     }
 
     pub(super) fn packet(&self) -> Option<Packet> {
-        let channel = command::channel_of(self.kind?, Target::All).ok()?;
+        let channel = self.kind?.channel_to(Target::All).ok()?;
         Some(Packet { channel, data: self.data })
     }
 

@@ -15,7 +15,9 @@ pub enum Bus {
         /// Pause between the end of a reply and the next command, for the drives to turn around.
         turnaround: Duration,
         /// Whether the adapter hands back what is sent. Then the first frame after a sending is
-        /// taken for the echo if it has the same bytes.
+        /// taken for the echo and dropped, whatever its bytes: an adapter that hands back nothing
+        /// loses every reply so. Where thirteen bytes or more that are no frame come first, they
+        /// were the echo.
         echo: bool,
     },
 }
@@ -42,7 +44,7 @@ pub struct Config {
     /// How long a frame is on the wire at the most.
     pub frame_time: Duration,
     /// Replies that come sooner after their command than this cannot be its answer: a drive needs
-    /// some 0.8 ms. This tells a doubled frame from the answer to the next request of its kind.
+    /// some 0.8 ms. This keeps a doubled frame apart from the answer to the next request of its kind.
     pub shortest_response: Duration,
     /// How long a reply takes at the most when it need not wait for the bus, adapters included.
     ///
@@ -55,7 +57,7 @@ pub struct Config {
     pub late_window: Duration,
     /// A set-point that has waited longer than this is dropped, up to 30 s.
     pub set_point_max_age: Duration,
-    /// How long a motor is left alone after it was told to restart, up to 30 s.
+    /// How long a motor is left alone after its restart (0x76), up to 30 s.
     pub restart_time: Duration,
     /// How long a motor is left alone after another command without reply, 1 to 261 ms.
     pub settle_time: Duration,

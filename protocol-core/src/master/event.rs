@@ -1,4 +1,4 @@
-//! What a master has to tell, and the tickets by which a caller knows its own answers.
+//! What a master reports, and the tickets by which a caller knows its own answers.
 
 use core::fmt;
 use core::marker::PhantomData;
@@ -45,7 +45,7 @@ impl<C> Ticket<C> {
 }
 
 impl<C: Command> Ticket<C> {
-    /// The outcome of this request if that is what the event tells. `Ok(None)` is a command without
+    /// The outcome of this request if the event brings it. `Ok(None)` is a command without
     /// reply that has been sent.
     pub fn outcome(&self, event: &Event) -> Option<Result<Option<C::Reply>, Failure>> {
         match *event {
@@ -93,7 +93,7 @@ pub enum Failure {
     NotExecuted,
     /// A reply came, but its fields hold what is not allowed.
     Unreadable(DecodeError),
-    /// A stop came before it.
+    /// A stop came before it and took its place.
     Stopped,
     /// The bus carried nothing while the command waited.
     BusDown,
@@ -115,7 +115,7 @@ impl fmt::Display for Failure {
 
 impl core::error::Error for Failure {}
 
-/// What a master has to tell.
+/// What a master reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
@@ -142,12 +142,12 @@ pub enum Event {
         /// Why.
         failure: Failure,
     },
-    /// A motor answered its set-point stream. Feedback tells how the motor is, not which set-point
+    /// A motor answered its set-point stream. Feedback says how the motor is, not which set-point
     /// it is about.
     Feedback {
         /// The motor.
         motor: MotorId,
-        /// What it tells.
+        /// Its reply.
         reply: AnyReply,
     },
     /// A set-point was not answered in time. The next one goes out all the same.
@@ -164,12 +164,13 @@ pub enum Event {
     BroadcastReply {
         /// The motor.
         motor: MotorId,
-        /// What it tells.
+        /// Its reply.
         reply: AnyReply,
     },
     /// A broadcast is over: every expected motor has answered, or the time is up.
     BroadcastDone {
-        /// The expected motors that were silent.
+        /// The expected motors that were silent. On CAN, motors whose id filter is on
+        /// ([`Target::All`](crate::Target::All)) always are.
         silent: MotorSet,
     },
     /// A motor has confirmed the stop.
@@ -186,7 +187,7 @@ pub enum Event {
     Report {
         /// The motor.
         motor: MotorId,
-        /// What it tells.
+        /// Its reply.
         reply: AnyReply,
     },
     /// A motor has lost its master and says so (0xF1). Its output is cut; it ignores the first

@@ -2,13 +2,13 @@
 
 use bitflags::bitflags;
 
-use crate::channel::{Channel, Packet};
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::config::Patience;
 use crate::master::health::{Health, Tally};
 use crate::master::ticks::{CoarseTick, Earliest, LONGEST_COARSE_GAP, Span, Tick};
+use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
 /// Where a motor's request stands.

@@ -13,7 +13,7 @@
 //! still be answered late; until [`Config::late_window`] has passed, or the late reply has surely
 //! come, no other request goes to that motor. After a broadcast, requests of its kind wait likewise
 //! for the motors that have not answered it, and the next broadcast waits for all. Feedback of a
-//! stream cannot be told from the reply to a request of the same kind, so there is one or the other.
+//! stream looks like the reply to a request of the same kind, so there is one or the other.
 //!
 //! So an answer can only be wrong if the bus holds a frame back for longer than the late window, or
 //! if a command reaches its drive twice and the second reply comes later than
@@ -23,7 +23,10 @@
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
 //! arbitration against those of low ids and all commands; so no motor gets more than one round ahead
 //! of one that may be waiting for its turn to answer. Whoever was silent before, or had its chance on
-//! a quiet bus, is not waited for: a silent motor costs the others nothing.
+//! a quiet bus, is not waited for: on CAN a silent
+//! motor costs the others the time of its own commands on the bus and no more. On RS485 there is one
+//! exchange at a time, and each command to a silent motor keeps the line for
+//! [`Config::reply_timeout`].
 
 mod broadcast;
 mod compact;
@@ -43,13 +46,13 @@ pub use event::{Event, Failure, Ticket, TicketId};
 pub use health::{Health, Presence};
 pub use motor_set::MotorSet;
 
-use crate::channel::Packet;
-use crate::command::{self, Command, FunctionIndex, SetPoint, Shutdown, Stop};
+use crate::command::{Command, FunctionIndex, SetPoint, Shutdown, Stop};
 use crate::data::Data;
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::opcode::Opcode;
+use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 use broadcast::Broadcast;
 use compact::{Compact, Wire};
@@ -134,7 +137,7 @@ pub struct Master<const N: usize> {
     /// Until when the frames that were sent keep the bus busy, or when one was last received. On
     /// RS485: when the line may be used again.
     busy_until: MicroTick,
-    /// The latest time that was told.
+    /// The latest time that a caller gave.
     now: Instant,
 }
 
@@ -158,7 +161,8 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Asks a motor for something, or tells it to do something, with the configuration's patience.
+    /// Sends one motor a command and waits for its reply, where it has one, with the configuration's
+    /// patience.
     ///
     /// # Errors
     /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
@@ -265,8 +269,9 @@ impl<const N: usize> Master<N> {
     }
 
     /// Stops every motor that this master knows and those of `also`, before anything else is sent
-    /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Nothing that
-    /// may move a motor is accepted until [`lift_stop`](Self::lift_stop).
+    /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Until
+    /// [`lift_stop`](Self::lift_stop) whatever [may move](Kind::may_move) a motor is refused:
+    /// set-points, a restart and writes to ROM, for example, but not reads.
     ///
     /// Each motor's confirmation, or its absence, comes as an event.
     ///
@@ -300,7 +305,7 @@ impl<const N: usize> Master<N> {
         result
     }
 
-    /// Accepts motion again after [`stop_all`](Self::stop_all).
+    /// Accepts again what [`stop_all`](Self::stop_all) made it refuse.
     pub fn lift_stop(&mut self) {
         self.stopped = false;
     }
@@ -431,7 +436,8 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// The next thing to tell, apart from what the handling of frames told.
+    /// The next event, apart from those that [`handle_frame`](Self::handle_frame) and
+    /// [`handle_line`](Self::handle_line) returned.
     pub fn poll_event(&mut self) -> Option<Event> {
         if let Some(silent) = self.broadcast.take_result() {
             return Some(Event::BroadcastDone { silent });
@@ -473,7 +479,8 @@ impl<const N: usize> Master<N> {
     }
 
     /// Gives a motor's place and counters up, so that another motor can have it. `false`, and
-    /// nothing changes, while it has a request or a set-point under way or an event to be told.
+    /// nothing changes, while it has a request or a set-point under way or an event that was not
+    /// polled.
     ///
     /// A late reply that may still come is no longer guarded against: leave the motor alone for
     /// [`Config::late_window`] after a request that was not answered.
@@ -492,9 +499,9 @@ impl<const N: usize> Master<N> {
     }
 
     fn check(&self, kind: Kind, target: Target) -> Result<(), RequestError> {
-        command::channel_of(kind, target)?;
+        kind.channel_to(target)?;
         if self.config.is_rs485() {
-            command::check_on_rs485(kind)?;
+            kind.check_on_rs485()?;
         }
         if self.stopped && kind.may_move() { Err(RequestError::Stopped) } else { Ok(()) }
     }
@@ -566,7 +573,7 @@ fn reported_bit(opcode: Opcode) -> Option<u8> {
 }
 
 /// Whether a command is over only when its reply has come. Function 5 is over when it is sent: drives
-/// were seen to obey it without the echo that 2.35.3 promises. An echo that comes is a stray.
+/// were seen to obey it without the acknowledgement that 2.35.3 promises. One that comes is a stray.
 fn awaits_reply(kind: Kind, data: &Data) -> bool {
     let sets_id =
         kind == Kind::Known(Opcode::FunctionControl) && data[1] == FunctionIndex::SET_CAN_ID.raw();

@@ -1,6 +1,5 @@
 //! What a received frame means to the master.
 
-use crate::channel::{Channel, Packet};
 use crate::command::{AnyReply, BusId, Command};
 use crate::data::Data;
 use crate::id::MotorId;
@@ -8,6 +7,7 @@ use crate::master::lane::{Flags, RequestState};
 use crate::master::ticks::MicroTick;
 use crate::master::{Event, Master, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat, Usage};
+use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 use crate::wire::{can, rs485};
 
@@ -32,8 +32,8 @@ impl<const N: usize> Master<N> {
 
     /// Takes what the RS485 [`Receiver`](rs485::Receiver) made of a byte.
     ///
-    /// With an echoing adapter the first thirteen bytes after a sending are the echo. They are known
-    /// by their place and not by their content, for the reply to 0x80 or 0x81 has the same bytes.
+    /// With an echoing adapter the first frame after a sending, or thirteen bytes that are none, are
+    /// the echo: see [`Bus::Rs485`](crate::master::Bus::Rs485).
     pub fn handle_line(&mut self, fed: &rs485::Fed, now: Instant) -> Option<Event> {
         self.advance(now);
         match *fed {

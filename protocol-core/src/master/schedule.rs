@@ -1,9 +1,9 @@
 //! Whose turn it is on the bus, and when.
 
-use crate::channel::Packet;
 use crate::master::lane::{Flags, Lane, RequestState};
 use crate::master::ticks::{Earliest, MicroTick};
 use crate::master::{Master, MotorSet, Offer};
+use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
 impl<const N: usize> Master<N> {

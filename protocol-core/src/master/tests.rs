@@ -6,13 +6,13 @@ extern crate std;
 use std::vec::Vec;
 
 use super::*;
-use crate::channel::{Channel, Packet};
 use crate::command::{
     AbsolutePosition, ActiveReply, AnyReply, BaudCode, BusId, FunctionControl, IncrementalPosition,
     PidIndex, RawCommand, RawMotion, RawReply, ReadModel, ReadMultiTurnAngle, ReadPid, ReadStatus1,
     ReportedCommand, Reset, SetBaudRate, Switch, Torque,
 };
 use crate::opcode::ReplyRule;
+use crate::packet::{Channel, Packet};
 use crate::units::{Angle, Current, MaxSpeed, ReportInterval};
 use crate::wire::can::Received;
 use crate::wire::rs485::{Fed, Frame};
@@ -58,6 +58,18 @@ fn reply<const N: usize>(
 ) -> Option<Event> {
     let packet = Packet { channel: Channel::Reply(id(motor)), data };
     master.handle_frame(&Received::Packet(packet), now)
+}
+
+/// Makes a request and sends it.
+fn ask<C: Command, const N: usize>(
+    master: &mut Master<N>,
+    motor: u8,
+    command: C,
+    now: Instant,
+) -> Ticket<C> {
+    let ticket = master.request(id(motor), command, now).unwrap();
+    sent(master, now);
+    ticket
 }
 
 #[test]
@@ -125,8 +137,7 @@ fn a_relative_move_is_never_sent_twice_unless_the_caller_says_so() {
 #[test]
 fn a_late_answer_is_not_taken_for_the_next_ones() {
     let mut master = Master::<4>::new(Config::CAN);
-    let _first = master.request(id(1), step(), ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let _ = ask(&mut master, 1, step(), ms(0));
     events(&mut master, ms(21));
     // The next request of the same kind waits ...
     let second = master.request(id(1), step(), ms(22)).unwrap();
@@ -150,8 +161,7 @@ fn a_late_answer_is_not_taken_for_the_next_ones() {
 #[test]
 fn a_doubled_answer_is_not_taken_for_the_next_ones() {
     let mut master = Master::<4>::new(Config::CAN);
-    let _first = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     let at = Instant::from_micros;
     assert!(matches!(reply(&mut master, 1, ANGLE_REPLY, at(900)), Some(Event::Reply { .. })));
     let second = master.request(id(1), ReadMultiTurnAngle, at(900)).unwrap();
@@ -166,8 +176,7 @@ fn a_doubled_answer_is_not_taken_for_the_next_ones() {
 #[test]
 fn both_answers_of_a_request_sent_twice_are_accounted_for() {
     let mut master = Master::<4>::new(Config::CAN);
-    let first = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let first = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     master.handle_timeout(ms(21));
     sent(&mut master, ms(21));
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
@@ -196,8 +205,7 @@ fn one_request_a_motor_at_a_time_and_no_more_motors_than_places() {
 #[test]
 fn commands_without_reply_are_done_when_sent_and_give_the_drive_time() {
     let mut master = Master::<2>::new(Config::CAN);
-    let reset = master.request(id(1), Reset, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let reset = ask(&mut master, 1, Reset, ms(0));
     let told = events(&mut master, ms(0));
     assert_eq!(reset.outcome(&told[0]), Some(Ok(None)));
     // Nothing goes to that motor for two seconds; others are served.
@@ -222,16 +230,14 @@ fn commands_without_reply_are_done_when_sent_and_give_the_drive_time() {
 fn an_id_change_is_done_when_sent_whether_it_is_echoed_or_not() {
     let mut master = Master::<2>::new(Config::CAN);
     let change = FunctionControl::SetCanId(id(9));
-    let ticket = master.request(id(1), change, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let ticket = ask(&mut master, 1, change, ms(0));
     let told = events(&mut master, ms(0));
     assert_eq!(ticket.outcome(&told[0]), Some(Ok(None)));
     let echo = reply(&mut master, 1, change.encode(), ms(1)).unwrap();
     assert!(matches!(echo, Event::Stray { .. }));
     // Other functions wait for theirs.
     let filter = FunctionControl::CanIdFilter(Switch::On);
-    let ticket = master.request(id(2), filter, ms(1)).unwrap();
-    sent(&mut master, ms(1));
+    let ticket = ask(&mut master, 2, filter, ms(1));
     let event = reply(&mut master, 2, filter.encode(), ms(2)).unwrap();
     assert_eq!(ticket.outcome(&event), Some(Ok(Some(filter))));
 }
@@ -375,16 +381,13 @@ fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
         enable: Switch::On,
         interval: ReportInterval::from_raw(1),
     };
-    let _on = master.request(id(1), report, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let _ = ask(&mut master, 1, report, ms(0));
     events(&mut master, ms(7));
     let refused = master.request(id(1), ReadMultiTurnAngle, ms(7)).unwrap_err();
     assert_eq!(refused, RequestError::Reported(Opcode::ReadMultiTurnAngle));
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(10)).unwrap();
     assert!(matches!(event, Event::Report { reply: AnyReply::ReadMultiTurnAngle(_), .. }));
-    let _off =
-        master.request(id(1), ActiveReply { enable: Switch::Off, ..report }, ms(20)).unwrap();
-    sent(&mut master, ms(20));
+    let _off = ask(&mut master, 1, ActiveReply { enable: Switch::Off, ..report }, ms(20));
     events(&mut master, ms(27));
     assert!(master.request(id(1), ReadMultiTurnAngle, ms(27)).is_ok());
 }
@@ -392,8 +395,7 @@ fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
 #[test]
 fn an_error_report_is_told_as_a_report() {
     let mut master = Master::<2>::new(Config::CAN);
-    let _read = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     let event = reply(&mut master, 1, [0x9A, 50, 40, 0, 0xE0, 1, 2, 0], ms(1)).unwrap();
     assert!(matches!(event, Event::Report { reply: AnyReply::ReadStatus1(_), .. }));
 }
@@ -401,8 +403,7 @@ fn an_error_report_is_told_as_a_report() {
 #[test]
 fn the_echo_of_a_drive_that_lost_its_master_is_no_answer() {
     let mut master = Master::<2>::new(Config::CAN);
-    let read = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     let lost = reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(1)).unwrap();
     assert_eq!(lost, Event::LostMaster { motor: id(1) });
     // The drive echoes the command and does nothing: an angle of 0 would be a lie.
@@ -426,8 +427,7 @@ fn the_echo_of_a_drive_that_lost_its_master_is_no_answer() {
 #[test]
 fn a_short_frame_completes_nothing() {
     let mut master = Master::<2>::new(Config::CAN);
-    let _read = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     let short = |first| Received::WrongLength {
         channel: Channel::Reply(id(1)),
         length: 1,
@@ -442,8 +442,7 @@ fn a_short_frame_completes_nothing() {
 fn a_broadcast_collects_answers_and_names_the_silent() {
     let mut master = Master::<4>::new(Config::CAN);
     let expected: MotorSet = [1, 2, 3].into_iter().map(id).collect();
-    let earlier = master.request(id(1), ReadModel, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let earlier = ask(&mut master, 1, ReadModel, ms(0));
     master.broadcast(ReadMultiTurnAngle, expected, ms(0)).unwrap();
     assert!(sent(&mut master, ms(0)).is_empty(), "a request is in flight");
     let _ = reply(&mut master, 1, *b"\xB5X8S2V10", ms(1))
@@ -463,8 +462,7 @@ fn a_broadcast_collects_answers_and_names_the_silent() {
 #[test]
 fn a_stop_goes_before_everything_and_keeps_motion_away() {
     let mut master = Master::<4>::new(Config::CAN);
-    let in_flight = master.request(id(1), ReadMultiTurnAngle, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let in_flight = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     let waiting = master.request(id(2), step(), ms(0)).unwrap();
     master.stop_all(StopKind::Off, id(7).into(), ms(1)).unwrap();
@@ -528,16 +526,14 @@ fn on_rs485_nobody_speaks_while_an_unwanted_answer_may_come() {
 fn an_echo_is_known_by_its_place() {
     let mut master = Master::<4>::new(Config::rs485(115_200, true));
     let line = |data| Fed::Frame(Frame { address: Target::Motor(id(1)), data });
-    let stop = master.request(id(1), Stop, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let stop = ask(&mut master, 1, Stop, ms(0));
     // The echo and the reply of 0x81 are the same bytes.
     assert_eq!(master.handle_line(&line(Stop.encode()), ms(1)), None);
     let event = master.handle_line(&line(Stop.encode()), ms(3)).unwrap();
     assert!(stop.outcome(&event).unwrap().is_ok());
 
     // An echo garbled beyond recognition has its place all the same.
-    let stop = master.request(id(1), Stop, ms(10)).unwrap();
-    sent(&mut master, ms(10));
+    let stop = ask(&mut master, 1, Stop, ms(10));
     let garbled = Fed::Discarded { bytes: 13, fault: crate::wire::rs485::Fault::Crc };
     assert_eq!(master.handle_line(&garbled, ms(11)), None);
     let event = master.handle_line(&line(Stop.encode()), ms(13)).unwrap();
@@ -547,8 +543,7 @@ fn an_echo_is_known_by_its_place() {
 #[test]
 fn a_long_gap_ends_what_was_in_flight() {
     let mut master = Master::<2>::new(Config::CAN);
-    let step = master.request(id(1), step(), ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let step = ask(&mut master, 1, step(), ms(0));
     // 1.05 s later 16-bit ticks look the same; the gap must be noticed.
     let told = events(&mut master, Instant::from_micros(1_048_576));
     assert_eq!(step.outcome(&told[0]), Some(Err(Failure::NoReply)));
@@ -663,8 +658,7 @@ fn a_broadcast_waits_for_the_late_answers_to_the_one_before() {
 fn a_broadcast_lets_further_attempts_go_and_waits_for_no_restart() {
     let mut master = Master::<4>::new(Config::CAN);
     let _reset = master.request(id(2), Reset, ms(0)).unwrap();
-    let read = master.request(id(1), ReadModel, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let read = ask(&mut master, 1, ReadModel, ms(0));
     events(&mut master, ms(0));
     master.broadcast(ReadMultiTurnAngle, id(1).into(), ms(1)).unwrap();
     // The first attempt is lost; the second must not wait for the broadcast, which waits for it.
@@ -727,8 +721,7 @@ fn only_what_is_surely_a_late_answer_ends_the_wait_for_it() {
 #[test]
 fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one() {
     let mut master = Master::<2>::new(Config::CAN);
-    let _stop = master.request(id(1), Stop, ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let _ = ask(&mut master, 1, Stop, ms(0));
     master.stop_all(StopKind::Hold, MotorSet::EMPTY, ms(1)).unwrap();
     assert_eq!(sent(&mut master, ms(1)).len(), 1);
     // Whose answer this is nobody knows, so the motor is told once more.
@@ -755,8 +748,7 @@ fn a_stop_takes_no_request_its_outcome() {
 #[test]
 fn while_the_bus_is_down_late_answers_do_not_grow_old() {
     let mut master = Master::<2>::new(Config::CAN);
-    let _step = master.request(id(1), step(), ms(0)).unwrap();
-    sent(&mut master, ms(0));
+    let _ = ask(&mut master, 1, step(), ms(0));
     events(&mut master, ms(21));
     master.handle_bus_down(ms(55));
     let read = master.request(id(1), ReadModel, ms(70)).unwrap();

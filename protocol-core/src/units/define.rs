@@ -1,28 +1,5 @@
 //! What makes a quantity's type from one line: its range, its scale, and how it is converted.
 
-macro_rules! define_round {
-    ($name:ident $float:ident $int:ident, whole_from $limit:literal) => {
-        /// The nearest whole number, halves away from zero (`core` has no `round` yet).
-        #[inline]
-        pub(crate) const fn $name(x: $float) -> $float {
-            if !(x > -$limit && x < $limit) {
-                return x; // already whole, or not a number
-            }
-            let whole = x as $int as $float;
-            let rest = x - whole;
-            if rest >= 0.5 {
-                whole + 1.0
-            } else if rest <= -0.5 {
-                whole - 1.0
-            } else {
-                whole
-            }
-        }
-    };
-}
-define_round!(round_f32 f32 i32, whole_from 8_388_608.0);
-define_round!(round_f64 f64 i64, whole_from 4_503_599_627_370_496.0);
-
 /// One quantity: its integer on the wire, its name, its unit, and a step in that unit.
 ///
 /// - `in` restricts the numbers on the wire; without it every one is allowed.

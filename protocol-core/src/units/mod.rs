@@ -22,13 +22,12 @@ use core::fmt;
 
 use crate::data::{self, Data};
 use crate::quantity::{Form, Given, OutOfRange, Quantity, Steps, Unit};
+use crate::round::{round_f32, round_f64};
 use crate::time::Duration;
 
 #[macro_use]
 mod define;
 pub(crate) mod decimal;
-
-pub(crate) use define::{round_f32, round_f64};
 
 quantity! {
     /// Motor or MOSFET temperature, 1 °C a step (2.14.3).
@@ -266,17 +265,6 @@ mod tests {
     extern crate std;
     use super::*;
     use std::string::ToString;
-
-    #[test]
-    fn rounds_to_the_nearest_step_and_halves_away_from_zero() {
-        assert_eq!(round_f32(0.499_999_97), 0.0);
-        assert_eq!(round_f32(0.5), 1.0);
-        assert_eq!(round_f32(-0.5), -1.0);
-        assert_eq!(round_f32(-2.4), -2.0);
-        assert_eq!(round_f32(8_388_609.0), 8_388_609.0);
-        assert_eq!(round_f64(4_503_599_627_370_497.0), 4_503_599_627_370_497.0);
-        assert!(round_f32(f32::NAN).is_nan());
-    }
 
     #[test]
     fn ends_of_a_range_are_in_it_and_one_step_more_is_not() {

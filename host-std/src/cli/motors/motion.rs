@@ -1,11 +1,9 @@
 //! `myactuator motion`: one set-point of motion (MIT) mode, for a while.
 
 use myactuator_host_std::BusKind;
-use myactuator_protocol_core::command::{
-    MotionRanges, MotionSetPoint, ReadVersionDate, check_on_rs485,
-};
+use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint, ReadVersionDate};
 use myactuator_protocol_core::master::StopKind;
-use myactuator_protocol_core::{Firmware, Opcode};
+use myactuator_protocol_core::{Firmware, Kind, Opcode};
 
 use super::run_for::{self, Run, Span};
 use super::session::{Outcome, Session, Unfinished};
@@ -75,7 +73,8 @@ fn scales(arguments: &Arguments, session: &mut Session) -> Outcome<MotionRanges>
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     if arguments.span.on.bus.kind() == BusKind::Rs485 {
-        check_on_rs485(Opcode::Motion.into())
+        Kind::from(Opcode::Motion)
+            .check_on_rs485()
             .map_err(|error| Unfinished::Usage(format!("--bus: {error}")))?;
     }
     let set_point = MotionSetPoint {

@@ -1,4 +1,5 @@
-//! The commands that move the motor (manual 2.18 to 2.24, 5).
+//! The commands that move the motor (manual 2.18 to 2.24, 5), as [`decisions`](crate::drive::decisions)
+//! says.
 
 use crate::command::RawMotion;
 use crate::command::{

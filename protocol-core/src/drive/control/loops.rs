@@ -1,13 +1,7 @@
-//! The three cascaded loops: position to speed, speed to current, current to output.
+//! The three cascaded loops of [`decisions`](crate::drive::decisions): position to speed, speed to
+//! current, current to output.
 //!
-//! - **Position**: speed = profile's speed + kp·e + ki·∫e + kd·de/dt, degrees and degrees per second.
-//! - **Speed**: current = kp·e + ki·∫e, A for degrees per second.
-//! - **Current**: the stage below takes a wanted current, so the loop acts on top of it: output =
-//!   kp·set-point + ki·∫(last set-point − measured). With kp 1 a set-point passes at once and the
-//!   integral takes away what the stage leaves; with less it follows with a time constant of 1/ki.
-//!
-//! Every output is limited, no integral grows while its output is, and what is not a number becomes 0:
-//! no gain that a master can write makes the drive put out more than the stall current.
+//! Every output is limited, no integral grows while its output is, and what is not a number becomes 0.
 
 use crate::drive::settings::Gains;
 

@@ -1,4 +1,4 @@
-//! What the motor is to do, and the current that does it.
+//! What the motor is to do, and the current that does it, as [`decisions`](super::decisions) says.
 
 mod loops;
 mod planner;
@@ -73,9 +73,7 @@ impl Controller {
         matches!(self.task, Task::Off)
     }
 
-    /// Which loop runs (0x70). The manual knows three: motion mode sets a current, so it is the
-    /// current loop; a motor that stops is in the speed loop and then holds in the position loop. In
-    /// no mode the byte is 0.
+    /// Which loop runs (0x70).
     pub(super) const fn mode(&self) -> Mode {
         match self.task {
             Task::Off => Mode::from_raw(0),
@@ -219,8 +217,7 @@ fn pace(accelerations: &Accelerations, set_limit: Option<f32>, own_limit: f32) -
     })
 }
 
-/// The manual's expression (5.1), with the torque divided by the torque constant where it is printed
-/// multiplied.
+/// The manual's expression (5.1), with the torque divided by the torque constant.
 fn motion_current(set_point: &MotionSetPoint, input: &Input) -> f32 {
     let position_rad = input.angle_deg.to_radians() as f32;
     let velocity_rad_s = input.speed_dps.to_radians();

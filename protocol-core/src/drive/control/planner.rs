@@ -1,5 +1,5 @@
 //! Set-points on the way to a target: the trapezoid profile of position commands and the ramp of
-//! speed commands (manual 2.4.4, 2.20.2, 2.21.1).
+//! speed commands (manual 2.4.4, 2.20.2, 2.21.1), as [`decisions`](crate::drive::decisions) says.
 
 /// A moving set-point of the position loop.
 #[derive(Clone, Copy, Debug, PartialEq)]

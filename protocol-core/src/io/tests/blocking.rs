@@ -7,17 +7,12 @@ use std::vec::Vec;
 use embedded_can::nb::Can as _;
 
 use super::world::{Broken, TestCan, TestClock, TestSerial};
-use super::{id, step};
-use crate::command::{ReadMultiTurnAngle, Reset, Stop, Torque};
+use super::{id, step, torque};
+use crate::command::{ReadMultiTurnAngle, Reset, Stop};
 use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster};
 use crate::master::{Config, Event, Failure, MotorSet, StopKind};
-use crate::units::Current;
 use crate::wire::can::{self, SimpleFrame};
 use crate::{Channel, Packet};
-
-fn torque() -> Torque {
-    Torque { current: Current::from_raw(-100) }
-}
 
 fn can() -> (TestCan, TestClock, CanMaster<TestCan, TestClock, 4>) {
     let clock = TestClock::default();
@@ -54,7 +49,7 @@ fn run<const N: usize, R: Runner<N, Error = Broken>>(
 #[test]
 fn a_frame_that_the_controller_refuses_is_not_counted_as_sent() {
     let (bus, clock, mut arm) = can();
-    bus.fill_until(5_000);
+    bus.state().full_until = 5_000;
     let now = clock.now();
     let ticket = arm.master().request(id(1), step(), now).unwrap();
     assert_eq!(run(&mut arm, &clock, 4_900), []);
@@ -86,7 +81,7 @@ fn a_silent_motor_is_asked_three_times() {
 #[test]
 fn what_waits_is_dropped_on_a_bus_that_takes_nothing_and_stops_stay() {
     let (bus, clock, mut arm) = can();
-    bus.fill_until(100_000);
+    bus.state().full_until = 100_000;
     arm.set_point(id(1), torque()).unwrap();
     let now = clock.now();
     let _move = arm.master().request(id(2), step(), now).unwrap();
@@ -111,16 +106,16 @@ fn what_waits_is_dropped_on_a_bus_that_takes_nothing_and_stops_stay() {
 #[test]
 fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
     let (bus, clock, mut arm) = can();
-    bus.fail_transmit(true);
+    bus.state().transmit_fails = true;
     assert_eq!(arm.call(id(1), step()), Err(CallError::Bus(Broken)));
-    bus.fail_transmit(false);
+    bus.state().transmit_fails = false;
     let events = run(&mut arm, &clock, 50_000);
     assert!(matches!(events[..], [Event::Failed { failure: Failure::BusDown, .. }]), "{events:?}");
     assert!(bus.sent().is_empty());
 
-    bus.fail_receive(true);
+    bus.state().receive_fails = true;
     assert_eq!(arm.ask(id(1), ReadMultiTurnAngle), Err(CallError::Bus(Broken)));
-    bus.fail_receive(false);
+    bus.state().receive_fails = false;
     run(&mut arm, &clock, 50_000);
     assert_eq!(arm.ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees(), 360.0);
 }
@@ -180,7 +175,7 @@ fn a_time_out_of_a_blocking_controller_is_would_block() {
 #[test]
 fn a_serial_port_may_move_one_byte_at_a_time() {
     let (port, clock, mut arm) = serial();
-    port.move_at_most(1);
+    port.state().at_most = 1;
     port.hear(&[0x00, 0x3E, 0x01]); // what is left of somebody's frame
     assert_eq!(arm.ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees(), 360.0);
     // 3E 01 08 92 00.. with its CRC: the manual's frame (6, example of 0x92).
@@ -194,16 +189,16 @@ fn a_serial_port_may_move_one_byte_at_a_time() {
 #[test]
 fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
     let (port, clock, mut arm) = serial();
-    port.fail_write(true);
+    port.state().write_fails = true;
     assert_eq!(arm.call(id(1), step()), Err(CallError::Bus(Broken)));
-    port.fail_write(false);
+    port.state().write_fails = false;
     assert!(matches!(
         run(&mut arm, &clock, 20_000)[..],
         [Event::Failed { failure: Failure::BusDown, .. }]
     ));
-    port.take_nothing(true);
+    port.state().takes_nothing = true;
     assert_eq!(arm.call(id(1), step()), Err(CallError::Failed(Failure::BusDown)));
-    port.take_nothing(false);
+    port.state().takes_nothing = false;
     run(&mut arm, &clock, 20_000);
     assert!(port.written().is_empty());
 }
@@ -211,7 +206,7 @@ fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
 #[test]
 fn a_closed_port_is_a_silent_one() {
     let (port, _, mut arm) = serial();
-    port.close(true);
+    port.state().closed = true;
     assert_eq!(arm.ask(id(9), ReadMultiTurnAngle), Err(CallError::Failed(Failure::NoReply)));
 }
 

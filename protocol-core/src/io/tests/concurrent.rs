@@ -7,20 +7,15 @@ use std::string::String;
 use std::vec::Vec;
 
 use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, polls};
-use super::{id, step};
-use crate::command::{PidIndex, ReadMultiTurnAngle, ReadPid, Reset, Torque};
+use super::{id, step, torque};
+use crate::command::{PidIndex, ReadMultiTurnAngle, ReadPid, Reset};
 use crate::io::{
     AsyncCan, AsyncCanMaster, AsyncClock, AsyncRunner, AsyncSerialMaster, CallError, CanHalves,
     CanMaster, Clock, DelayClock, Runner, SerialMaster,
 };
 use crate::master::{Config, Event, Failure, MotorSet, StopKind};
 use crate::time::{Duration, Instant};
-use crate::units::Current;
 use crate::wire::can::SimpleFrame;
-
-fn torque() -> Torque {
-    Torque { current: Current::from_raw(-100) }
-}
 
 type AsyncArm = AsyncCanMaster<TestCan, TestClock, 4>;
 
@@ -90,7 +85,7 @@ fn on_rs485_the_async_loop_does_what_the_polling_one_does() {
     let expected = session!(polled);
     for at_most in [0, 1, 5] {
         let (port, _, mut arm) = serial();
-        port.move_at_most(at_most);
+        port.state().at_most = at_most;
         let log = block_on(async { session!(arm.await) });
         check(&log);
         assert_eq!(log, expected, "{at_most}");
@@ -104,7 +99,7 @@ fn nothing_is_lost_or_sent_twice_when_futures_are_dropped() {
         let (bus, clock, mut arm) = can();
         let read = arm.master().request(id(1), ReadMultiTurnAngle, clock.now()).unwrap();
         let _step = arm.master().request(id(2), step(), clock.now()).unwrap();
-        bus.fill_until(300);
+        bus.state().full_until = 300;
         let mut events = Vec::new();
         while clock.micros() < 60_000 {
             // Each future is polled a few times and dropped, done or not.
@@ -123,7 +118,7 @@ fn nothing_is_lost_or_sent_twice_when_futures_are_dropped() {
 fn a_serial_frame_whose_sending_is_dropped_counts_as_sent() {
     for most in 1..40 {
         let (port, clock, mut arm) = serial();
-        port.move_at_most(1);
+        port.state().at_most = 1;
         let ticket = arm.master().request(id(1), step(), clock.now()).unwrap();
         assert!(polls(arm.next_event(), most).is_none_or(|event| event.is_ok()), "{most}");
         let cut_off = port.written().len();
@@ -141,11 +136,11 @@ fn a_serial_frame_whose_sending_is_dropped_counts_as_sent() {
 #[test]
 fn a_serial_port_that_stalls_counts_as_a_bus_that_is_down() {
     let (port, clock, mut arm) = serial();
-    port.stall(true);
+    port.state().stalls = true;
     let failed = block_on(arm.call(id(1), step()));
     assert_eq!(failed, Err(CallError::Failed(Failure::BusDown)));
     assert!((20_000..21_000).contains(&clock.micros()), "{}", clock.micros());
-    port.stall(false);
+    port.state().stalls = false;
     assert!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).is_ok());
     assert_eq!(port.written().len(), 13);
 }
@@ -155,7 +150,7 @@ fn what_waits_is_dropped_on_a_bus_that_takes_nothing() {
     // Polled to the end, or dropped every few polls: the bus is down after the same time.
     for most in [3, usize::MAX] {
         let (bus, clock, mut arm) = can();
-        bus.fill_until(100_000);
+        bus.state().full_until = 100_000;
         arm.set_point(id(1), torque()).unwrap();
         let now = clock.now();
         let read = arm.master().request(id(3), ReadMultiTurnAngle, now).unwrap();
@@ -181,20 +176,20 @@ fn what_waits_is_dropped_on_a_bus_that_takes_nothing() {
 #[test]
 fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
     let (bus, _, mut arm) = can();
-    bus.fail_transmit(true);
+    bus.state().transmit_fails = true;
     assert_eq!(block_on(arm.call(id(1), step())), Err(CallError::Bus(Broken)));
-    bus.fail_transmit(false);
+    bus.state().transmit_fails = false;
     let event = block_on(arm.next_event()).unwrap();
     assert!(matches!(event, Event::Failed { failure: Failure::BusDown, .. }), "{event:?}");
     assert!(bus.sent().is_empty());
 
-    bus.fail_receive(true);
+    bus.state().receive_fails = true;
     assert_eq!(block_on(arm.ask(id(1), ReadMultiTurnAngle)), Err(CallError::Bus(Broken)));
 
     let (port, _, mut arm) = serial();
-    port.fail_write(true);
+    port.state().write_fails = true;
     assert_eq!(block_on(arm.call(id(1), step())), Err(CallError::Bus(Broken)));
-    port.fail_write(false);
+    port.state().write_fails = false;
     let event = block_on(arm.next_event()).unwrap();
     assert!(matches!(event, Event::Failed { failure: Failure::BusDown, .. }), "{event:?}");
     assert!(block_on(arm.ask(id(2), ReadMultiTurnAngle)).is_ok());
@@ -207,7 +202,7 @@ fn a_run_ends_in_time() {
     assert_eq!(block_on(arm.run(Some(Instant::from_micros(1_010)))), Ok(None));
     assert_eq!(clock.micros(), 1_010);
     let (port, clock, mut arm) = serial();
-    port.close(true);
+    port.state().closed = true;
     assert_eq!(block_on(arm.run(Some(Instant::from_micros(1_010)))), Ok(None));
     assert_eq!(clock.micros(), 1_010);
 }

@@ -6,11 +6,15 @@ mod half_duplex;
 mod world;
 
 use crate::MotorId;
-use crate::command::IncrementalPosition;
-use crate::units::{Angle, MaxSpeed};
+use crate::command::{IncrementalPosition, Torque};
+use crate::units::{Angle, Current, MaxSpeed};
 
 fn id(id: u8) -> MotorId {
     MotorId::new(id).unwrap()
+}
+
+fn torque() -> Torque {
+    Torque { current: Current::from_raw(-100) }
 }
 
 /// A command that must never be sent twice.

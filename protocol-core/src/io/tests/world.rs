@@ -2,7 +2,7 @@
 
 extern crate std;
 
-use core::cell::{Cell, RefCell};
+use core::cell::{Cell, RefCell, RefMut};
 use core::future::{Future, poll_fn};
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
@@ -13,9 +13,9 @@ use std::vec::Vec;
 use embedded_can::Frame as _;
 
 use crate::Data;
-use crate::channel::{Channel, Packet};
 use crate::id::Target;
 use crate::io::{AsyncCan, AsyncClock, Clock};
+use crate::packet::{Channel, Packet};
 use crate::time::Instant;
 use crate::wire::can::{self, Received, SimpleFrame};
 use crate::wire::rs485::{Fed, Frame, Receiver};
@@ -103,13 +103,13 @@ pub(super) fn answer(command: &Packet) -> Option<Packet> {
 pub(super) struct Broken;
 
 #[derive(Debug, Default)]
-struct CanState {
+pub(super) struct CanState {
     sent: Vec<SimpleFrame>,
     replies: VecDeque<(u64, SimpleFrame)>,
     /// Up to when the controller takes nothing.
-    full_until: u64,
-    transmit_fails: bool,
-    receive_fails: bool,
+    pub(super) full_until: u64,
+    pub(super) transmit_fails: bool,
+    pub(super) receive_fails: bool,
 }
 
 /// A CAN bus; its clones are the same bus.
@@ -124,16 +124,8 @@ impl TestCan {
         Self { clock: clock.clone(), ..Self::default() }
     }
 
-    pub(super) fn fill_until(&self, micros: u64) {
-        self.state.borrow_mut().full_until = micros;
-    }
-
-    pub(super) fn fail_transmit(&self, fails: bool) {
-        self.state.borrow_mut().transmit_fails = fails;
-    }
-
-    pub(super) fn fail_receive(&self, fails: bool) {
-        self.state.borrow_mut().receive_fails = fails;
+    pub(super) fn state(&self) -> RefMut<'_, CanState> {
+        self.state.borrow_mut()
     }
 
     pub(super) fn sent(&self) -> Vec<Data> {
@@ -213,18 +205,19 @@ impl AsyncCan for TestCan {
 }
 
 #[derive(Debug, Default)]
-struct SerialState {
+pub(super) struct SerialState {
     /// What was written, and how much of it `flush` has seen out.
     written: Vec<u8>,
     flushed: usize,
     to_read: VecDeque<(u64, u8)>,
     receiver: Receiver,
     /// The most bytes that one call of `read` or `write` moves; 0 for no limit.
-    at_most: usize,
-    write_fails: bool,
-    takes_nothing: bool,
-    closed: bool,
-    stalls: bool,
+    pub(super) at_most: usize,
+    pub(super) write_fails: bool,
+    pub(super) takes_nothing: bool,
+    pub(super) closed: bool,
+    /// Whether `write` waits for ever.
+    pub(super) stalls: bool,
 }
 
 /// A serial port; its clones are the same port.
@@ -239,25 +232,8 @@ impl TestSerial {
         Self { clock: clock.clone(), ..Self::default() }
     }
 
-    pub(super) fn move_at_most(&self, bytes: usize) {
-        self.state.borrow_mut().at_most = bytes;
-    }
-
-    pub(super) fn fail_write(&self, fails: bool) {
-        self.state.borrow_mut().write_fails = fails;
-    }
-
-    pub(super) fn take_nothing(&self, nothing: bool) {
-        self.state.borrow_mut().takes_nothing = nothing;
-    }
-
-    pub(super) fn close(&self, closed: bool) {
-        self.state.borrow_mut().closed = closed;
-    }
-
-    /// Lets `write` wait for ever after this.
-    pub(super) fn stall(&self, stalls: bool) {
-        self.state.borrow_mut().stalls = stalls;
+    pub(super) fn state(&self) -> RefMut<'_, SerialState> {
+        self.state.borrow_mut()
     }
 
     pub(super) fn hear(&self, bytes: &[u8]) {

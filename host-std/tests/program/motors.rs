@@ -1,27 +1,14 @@
 //! The subcommands that work on motors, on the simulated buses, as their users run them.
 
-use std::process::{Output, Stdio};
-
-use assert_cmd::cargo::cargo_bin;
 use serde_json::Value;
+
+use crate::run::{rows, run_words, text};
 
 const SIMULATED: &str = "simulated drives: ";
 
-fn run(arguments: &str) -> Output {
-    std::process::Command::new(cargo_bin("myactuator"))
-        .args(arguments.split_whitespace())
-        .stdin(Stdio::null())
-        .output()
-        .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
-}
-
 /// What it printed; it must have done what was asked, and said that the drives are simulated.
 fn done(arguments: &str) -> Vec<String> {
-    let output = run(arguments);
+    let output = run_words(arguments);
     let errors = text(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{arguments}: {errors}");
     assert!(errors.lines().any(|line| line.starts_with(SIMULATED)), "{arguments}: {errors}");
@@ -35,7 +22,7 @@ fn objects(arguments: &str) -> Vec<Value> {
 
 /// The one sentence with which it ended, and the exit status.
 fn refused(arguments: &str) -> (i32, String) {
-    let output = run(arguments);
+    let output = run_words(arguments);
     let errors = text(&output.stderr);
     let mut sentences = errors.lines().filter_map(|line| line.strip_prefix("error: "));
     let sentence = sentences.next().unwrap_or_else(|| panic!("{arguments}: {errors:?}"));
@@ -152,7 +139,7 @@ fn torque_releases_the_brake_and_locks_it_again() {
 fn motion_runs_to_its_position_by_the_ranges_told() {
     let motion = "motion --id 2 --position-rad 1 --kp 40 --kd 2 --for-s 0.5";
     for ranges in ["", "--ranges v4.3", "--ranges 12.5,45,500,5,24"] {
-        let output = run(&format!("{motion} {ranges}"));
+        let output = run_words(&format!("{motion} {ranges}"));
         assert_eq!(text(&output.stderr).contains("motion ranges: "), ranges.is_empty());
     }
     let lines = done(motion);
@@ -227,8 +214,7 @@ scan --all-rates => --all-rates: all simulated motors have the rate of their bus
 
 #[test]
 fn values_out_of_range_are_refused_with_the_range() {
-    for row in REFUSALS.trim().lines() {
-        let (arguments, sentence) = row.split_once(" => ").unwrap();
+    for (arguments, sentence) in rows(REFUSALS) {
         assert_eq!(refused(arguments), (2, sentence.to_owned()), "{arguments}");
     }
 }

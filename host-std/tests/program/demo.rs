@@ -1,13 +1,12 @@
 //! The demonstration runs to its end on both buses and tells what it promises.
 
-use assert_cmd::Command;
+use crate::run::{run, text};
 
 fn demo(bus: &str) -> String {
-    let output =
-        Command::cargo_bin("myactuator").unwrap().args(["demo", "--bus", bus]).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(output.stderr.is_empty());
-    String::from_utf8(output.stdout).unwrap()
+    let output = run(&["demo", "--bus", bus]);
+    assert_eq!(text(&output.stderr), "");
+    assert!(output.status.success());
+    text(&output.stdout).to_owned()
 }
 
 #[test]

@@ -1,13 +1,11 @@
-//! The program `myactuator`, run as its users run it.
+//! `myactuator encode` and `decode`.
 
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 
 use assert_cmd::assert::OutputAssertExt;
-use assert_cmd::cargo::cargo_bin;
 use serde_json::Value;
 
-/// Every example frame of the manual, as data with the fields that the text beside it tells.
-const VECTORS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/vectors/manual-v4.3.jsonl");
+use crate::run::{lines, myactuator, objects, rows, run, run_words, text, vectors};
 
 /// Keys beside those of the vectors: numbers behind names, and names behind numbers.
 const EXTRA_KEYS: &[&str] = &[
@@ -21,38 +19,12 @@ const EXTRA_KEYS: &[&str] = &[
     "torque_raw",
 ];
 
-fn myactuator() -> Command {
-    Command::new(cargo_bin("myactuator"))
-}
-
-fn run(arguments: &[&str]) -> Output {
-    myactuator().args(arguments).stdin(Stdio::null()).output().unwrap()
-}
-
 fn run_on(input: impl AsRef<[u8]>, arguments: &[&str]) -> Output {
     assert_cmd::Command::from(myactuator())
         .args(arguments)
         .write_stdin(input.as_ref())
         .output()
         .unwrap()
-}
-
-fn text(bytes: &[u8]) -> &str {
-    std::str::from_utf8(bytes).unwrap()
-}
-
-fn lines(output: &Output) -> Vec<&str> {
-    text(&output.stdout).lines().collect()
-}
-
-fn objects(output: &Output) -> Vec<Value> {
-    lines(output).into_iter().map(|line| serde_json::from_str(line).unwrap()).collect()
-}
-
-/// Rows of a table that is written as text: what is put in, an arrow, and what is to come out.
-fn rows(table: &str) -> impl Iterator<Item = (&str, &str)> {
-    let rows = table.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
-    rows.map(|row| row.split_once(" => ").unwrap_or_else(|| panic!("no arrow in {row:?}")))
 }
 
 /// The one sentence of a refusal.
@@ -65,13 +37,6 @@ fn refusal(arguments: &[&str]) -> String {
     let sentence = sentence.unwrap_or_else(|| panic!("{arguments:?}: {told:?}"));
     assert!(!sentence.contains('\n'), "{arguments:?}: {told:?}");
     sentence.to_owned()
-}
-
-fn vectors(bus: &str) -> Vec<Value> {
-    let data = std::fs::read_to_string(VECTORS).unwrap();
-    let rows: Vec<Value> = data.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(rows.len(), 199); // 101 CAN, 98 RS485
-    rows.into_iter().filter(|row| row["bus"] == bus).collect()
 }
 
 fn string<'a>(row: &'a Value, key: &str) -> &'a str {
@@ -233,9 +198,7 @@ set-encoder-zero --offset-pulses -2147483648 => 141#6300000000000080
 #[test]
 fn codes_have_names_and_flags_may_be_short() {
     for (arguments, frame) in rows(FRAMES) {
-        let words: Vec<&str> =
-            ["encode", "--id", "1"].into_iter().chain(arguments.split(' ')).collect();
-        let output = run(&words);
+        let output = run_words(&format!("encode --id 1 {arguments}"));
         assert_eq!(text(&output.stderr), "", "{arguments}");
         assert_eq!(lines(&output), [frame], "{arguments}");
     }

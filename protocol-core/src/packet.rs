@@ -13,7 +13,7 @@ use crate::id::{MotorId, Target};
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Channel {
-    /// A command to one motor or to all (manual 2, 3, 6).
+    /// A command to one motor or to [all](Target::All) (manual 2, 3, 6).
     Command(Target),
     /// A motor's reply.
     Reply(MotorId),

@@ -3,10 +3,9 @@
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use assert_cmd::cargo::cargo_bin;
 use myactuator_host_std::open::{AnyMaster, BusAddress};
 use myactuator_protocol_core::command::{AnyReply, ErrorFlags, MultiTurnAngle, ReadVersionDate};
 use myactuator_protocol_core::io::Runner as _;
@@ -19,10 +18,10 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use serial2::SerialPort;
 
+use crate::run::{myactuator, run, text, vectors};
+
 /// Longer than anything takes on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Every example frame of the manual.
-const VECTORS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/vectors/manual-v4.3.jsonl");
 
 /// A simulation in a process of its own.
 struct Simulation {
@@ -34,7 +33,7 @@ struct Simulation {
 impl Simulation {
     /// Starts one that serves in so many ways.
     fn start(ways: usize, arguments: &[&str]) -> Self {
-        let mut process = Command::new(cargo_bin("myactuator"))
+        let mut process = myactuator()
             .args(["sim", "--json"])
             .args(arguments)
             .stdin(Stdio::null())
@@ -112,10 +111,9 @@ fn bytes(text: &str) -> Vec<u8> {
 fn the_manuals_examples_get_their_answers_on_rs485() {
     let simulation = Simulation::start(1, &["--only", "rs485", "--count", "2"]);
     let port = simulation.open("rs485");
-    let vectors = std::fs::read_to_string(VECTORS).unwrap();
-    let rows = vectors.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
-    let rows: Vec<Value> = rows
-        .filter(|row| row["bus"] == "rs485" && row["direction"] == "command" && row["id"] == 1)
+    let rows: Vec<Value> = vectors("rs485")
+        .into_iter()
+        .filter(|row| row["direction"] == "command" && row["id"] == 1)
         // 2.26.3: no reply. 2.32.3: a reply at another bit rate.
         .filter(|row| row["name"] != "reset" && row["name"] != "set-baud-rate")
         .collect();
@@ -310,9 +308,9 @@ fn links_lead_to_the_pseudo_terminals_as_long_as_they_are_there() {
 
 /// Exit status and what is said on standard error.
 fn refused(arguments: &[&str]) -> (Option<i32>, String) {
-    let output = Command::new(cargo_bin("myactuator")).arg("sim").args(arguments).output().unwrap();
+    let output = run(&[&["sim"], arguments].concat());
     assert_eq!(output.stdout, b"");
-    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    (output.status.code(), text(&output.stderr).to_owned())
 }
 
 #[test]
@@ -353,13 +351,8 @@ fn what_cannot_be_served_is_told() {
 }
 
 /// Runs the program on a bus, and gives its exit status and what it printed.
-fn myactuator(bus: &str, arguments: &[&str]) -> (Option<i32>, String) {
-    let output = Command::new(cargo_bin("myactuator"))
-        .args(arguments)
-        .args(["--bus", bus])
-        .stdin(Stdio::null())
-        .output()
-        .unwrap();
+fn run_at(bus: &str, arguments: &[&str]) -> (Option<i32>, String) {
+    let output = run(&[arguments, &["--bus", bus]].concat());
     let told = [output.stdout, output.stderr].concat();
     (output.status.code(), String::from_utf8(told).unwrap())
 }
@@ -369,16 +362,16 @@ fn the_programs_own_subcommands_work_on_both_pseudo_terminals() {
     let simulation = Simulation::start(2, &["--count", "2"]);
     for kind in ["rs485", "slcan"] {
         let bus = simulation.place(kind)["bus"].as_str().unwrap();
-        let (status, told) = myactuator(bus, &["scan"]);
+        let (status, told) = run_at(bus, &["scan"]);
         assert_eq!(status, Some(0), "{told}");
         assert!(told.contains("motor 1:") && told.contains("motor 2:"), "{told}");
 
         // Nobody is there to be asked, so motion needs --yes.
         let to_20 = ["move", "--id", "1", "--angle-deg", "20", "--max-speed-dps", "360"];
-        assert_eq!(myactuator(bus, &to_20).0, Some(2));
-        let (status, told) = myactuator(bus, &[&to_20[..], &["--yes"]].concat());
+        assert_eq!(run_at(bus, &to_20).0, Some(2));
+        let (status, told) = run_at(bus, &[&to_20[..], &["--yes"]].concat());
         assert_eq!(status, Some(0), "{told}");
-        let (_, told) = myactuator(bus, &["status", "--json", "--id", "1"]);
+        let (_, told) = run_at(bus, &["status", "--json", "--id", "1"]);
         let status: Value = serde_json::from_str(told.lines().next().unwrap()).unwrap();
         assert!((status["angle_deg"].as_f64().unwrap() - 20.0).abs() < 0.5, "{told}");
     }
@@ -388,7 +381,7 @@ fn the_programs_own_subcommands_work_on_both_pseudo_terminals() {
 fn ctrl_c_stops_the_motor_that_runs() {
     let simulation = Simulation::start(2, &["--count", "1"]);
     let bus = simulation.place("rs485")["bus"].as_str().unwrap();
-    let mut process = Command::new(cargo_bin("myactuator"))
+    let mut process = myactuator()
         .args(["speed", "--yes", "--id", "1", "--speed-dps", "90", "--for-s", "1000", "--bus", bus])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -404,7 +397,7 @@ fn ctrl_c_stops_the_motor_that_runs() {
     assert_eq!(output.status.code(), Some(130), "{told}");
     // It slows down first.
     let stands = || {
-        let (_, told) = myactuator(bus, &["status", "--json", "--id", "1"]);
+        let (_, told) = run_at(bus, &["status", "--json", "--id", "1"]);
         let status: Value = serde_json::from_str(told.lines().next().unwrap()).unwrap();
         status["speed_dps"].as_f64() == Some(0.0)
     };

@@ -1,0 +1,7 @@
+//! The program `myactuator`, run as its users run it.
+
+mod cli;
+mod demo;
+mod motors;
+mod run;
+mod sim_serve;

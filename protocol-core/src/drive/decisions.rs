@@ -1,0 +1,178 @@
+//! What a [`Drive`](super::Drive) does where the manual is silent or says two things.
+//!
+//! Each decision stands here once, with the section of the manual that leaves it open. What real
+//! drives were seen to do otherwise is in [`Quirks`](super::Quirks), all off by default.
+//!
+//! # Packets
+//! - What cannot be read, an unknown command, a value out of range, and an index or a code that the
+//!   manual does not name have no effect and no answer. Watchers see
+//!   [`Event::Ignored`](super::Event::Ignored).
+//! - The id filter keeps commands to 0x280 out, as 2.35.4 says, and nothing else: bus ids at 0x300
+//!   pass. RS485 has no identifiers to filter by, so that 0xCD always reaches a drive there.
+//! - Replies leave in the order of their commands, each after the drive's response delay: the first
+//!   in the queue holds up those behind it, as a drive does one thing after the other.
+//!
+//! # What is kept, and when it acts
+//! A drive holds its [`Settings`](super::Settings) twice: as they are stored, and as they act.
+//!
+//! | changes | |
+//! |---|---|
+//! | what acts | 0x31 |
+//! | what is stored, which acts after a restart | 0x63, 0x64, 0x79, functions 1, 4 and 5 |
+//! | both | 0x32, 0x43, 0xB3, 0xB4, functions 2, 6 and 7 |
+//!
+//! - Function 3 and 0xB6 end with a restart: nothing says that they are saved (2.34, 2.35.4).
+//! - Writing to ROM while the motor moves works: the manual advises against it, but forbids nothing
+//!   (2.3.1, 2.5.1, 2.9.1, 2.10.1, 2.31.1, 2.35.1).
+//! - A memory that fails raises the error of calibration parameters (0x0080, 2.14.3), and the
+//!   command that wanted to write has no answer.
+//!
+//! # Start, restart and supply
+//! - A restart (0x76, 2.26) drops what is only in RAM: gains of 0x31, active replies, error
+//!   reporting, the mode, the turns unless they are saved, errors of level one, and a loss of
+//!   communication. The output is off and the brake locked.
+//! - Replies to commands that came before 0x76 still go out. Those that wait when the supply goes
+//!   do not.
+//! - A drive hears nothing while it starts.
+//! - The run time (0xB1) counts from the beginning of the start.
+//! - Without its supply, and while it starts, the motor turns freely unless it has a brake.
+//!
+//! # Motor id
+//! - A new id (0x79, function 5) acts after a restart, as 2.35.4 says of function 5; 4 and 7 say
+//!   nothing. Until then 0x79 reads the id that acts. CAN and RS485 share one id.
+//! - A reply to 0x79 looks like its command, and every drive hears it (4, 7). So that two drives do
+//!   not answer each other for ever, a read that already holds an id, and a write of the id that
+//!   was taken less than 20 ms ago, count as another drive's reply.
+//! - On CAN the reply to a read holds the reply identifier (4.4), on RS485 the bare id in the last
+//!   byte, as in the example of 7.4 and against the table of 7.3.
+//!
+//! # Turns and zero
+//! Three numbers give every reading of place: *pulses* of the motor shaft, as the plant measures
+//! them; the *raw* position, which is the pulses less some whole turns of the output shaft that are
+//! chosen at the start; and the position, which is the raw one less the zero offset (2.6.3).
+//!
+//! - At a start without saved turns the angle is within half a turn of the zero: -180° to less than
+//!   180°.
+//! - With saved turns (function 4) the raw position is the closest to the saved one that the
+//!   shaft's place allows: right as long as the shaft was turned by less than half a turn while the
+//!   drive was off. Turns are saved at a restart as well as at power-off. The first start after
+//!   function 4 was switched on has none to restore.
+//! - Function 1 takes the shaft's place within its turn for the new zero. The turns before it are
+//!   gone after the restart; those after it count, if turns are saved (2.35.4).
+//! - 0x62 reads the zero offset that acts: a new one is valid only after a restart (2.9.1, 2.10.1).
+//! - Readings end where their fields do: 0x60 to 0x62 and 0x92 at the ends of 32 bits, feedback at
+//!   ±32767° (2.15.3), 0x90 at 65535, which an encoder of more than 16 bits exceeds.
+//! - 0x90 counts within a turn of the motor shaft, 0x94 within one of the output shaft.
+//! - Clockwise is the direction in which angles grow (2.13.3), for 0xA6 too.
+//!
+//! # Motion
+//! - 0x81 slows the motor down by the deceleration of speed planning, then holds the place where it
+//!   has come to rest, in the position loop (2.18.1). A motor that rests at its target already goes
+//!   on holding that. Behind a locked brake it does nothing: that holds.
+//! - 0xA2 takes a torque limit of 0 for none (2.20.1). In 0xA9 a limit of 0 is none to spend, for
+//!   2.24.1 does not call it "no limit". The stall current limits every command, 0xA1 and motion
+//!   mode included.
+//! - The targets of 0xA4, 0xA6, 0xA8 and 0xA9 are clamped to the angles of functions 6 and 7: the
+//!   motor goes as far as it may. The limits act from the next command on; a motor on its way goes
+//!   on. The manual gives them no unit; 0.01°, the unit of every commanded angle, is assumed
+//!   (2.35.4).
+//! - 0xA8 counts from where the shaft is, not from where it was to go (2.23.1).
+//! - 0xA6 runs in single-turn mode only, with function 4 off (2.22.1); else it is answered and does
+//!   nothing. Within half a degree of its target it goes the short way, whatever the direction
+//!   says: a command sent twice must not add a turn.
+//! - A maximum speed of 0 in planning is [the motor's own](super::Parameters::max_speed_dps); in
+//!   direct tracking it is no limit (2.21.1).
+//! - A deceleration of 0 in position planning is the acceleration's value. In speed planning 0 is
+//!   no ramp, for the deceleration as 2.20.2 says of the acceleration. A reversal goes down to 0 by
+//!   the deceleration and up again by the acceleration (2.4.4).
+//! - A position command that follows another goes on from the planned place and speed, unless the
+//!   shaft was held back by 10° or more: then from where it is.
+//! - Motion mode divides the torque by the motor's torque constant, where 5.1 prints a
+//!   multiplication. Feedback beyond a scale is the scale's end.
+//! - 0x70 knows three modes (2.25.3). Motion mode sets a current, so it is the current loop; a
+//!   motor that stops is in the speed loop, one that holds in the position loop. In no mode the
+//!   byte is 0.
+//!
+//! # Gains
+//! The manual names seven gains and not what they do (2.1.4). Here three loops lie in each other,
+//! in the units of [`Gains`](super::Gains):
+//!
+//! - position: speed = the profile's speed + kp·e + ki·∫e + kd·de/dt;
+//! - speed: current = kp·e + ki·∫e;
+//! - current: the stage below takes a wanted current, so the loop acts on top of it: output =
+//!   kp·set-point + ki·∫(last set-point − measured). With kp 1 a set-point passes at once, and the
+//!   integral takes away what the stage leaves; with less it follows with a time constant of 1/ki.
+//!
+//! No gain that a master can write makes a drive put out more than the stall current.
+//!
+//! # Brake
+//! - A drive starts with its brake locked, the state that it has without power (2.28.1).
+//! - Speed and position commands need no 0x77: they open the brake themselves. The torque command
+//!   must not (2.19.1), and with it motion mode, which is a torque command in all but name: behind
+//!   a locked brake they are answered and do nothing.
+//! - The reply to 0x77 does not wait until the brake is open.
+//! - 0x78 ends what runs and switches the output off: "the motor cannot run then" (2.28.1).
+//! - 0x80 locks a brake that a command opened by itself, so that a load does not fall; one that
+//!   0x77 opened stays open, so that a person can turn the shaft by hand. Errors and the loss of
+//!   communication lock either.
+//! - A motor without a brake answers 0x77 and 0x78, and 0x9A shows the last of them. They do
+//!   nothing else.
+//!
+//! # Errors
+//! | error | comes when | goes |
+//! |---|---|---|
+//! | stall | the current is at the stall current and the speed low, for the stall time | with 0x76 |
+//! | under- and over-voltage | the supply is beyond its limit | when it is back |
+//! | over-current | a phase current is beyond its limit | with 0x76 |
+//! | over-power | the supply current is beyond its limit | when it is back |
+//! | calibration parameters | the memory fails | with 0x76 |
+//! | over-speed | the speed is beyond its limit | when it is back |
+//! | over-temperatures | the motor or the output stage is too hot | when it has cooled down |
+//! | encoder calibration | never by itself | when it is taken away |
+//! | encoder data | the encoder's data cannot be trusted | with 0x76 |
+//!
+//! - The limits are [`FaultLimits`](super::FaultLimits); the manual gives no numbers (8.2). Any
+//!   error can also be [raised by hand](super::Drive::raise_fault).
+//! - The manual gives two errors no level (8.2). The over-temperature of components recovers like
+//!   that of the motor, as heat goes by itself; wrong encoder data needs 0x76, as a position that
+//!   was once wrong stays doubtful. So do errors that the manual does not name.
+//! - Hardware over-current has no bit (2.14.3), so it never comes.
+//! - **Any** error cuts the output, leaves every mode and locks the brake. While it stands,
+//!   commands that move the motor (0xA1 to 0xA9, motion mode) and 0x81 are answered as ever and
+//!   change nothing. 2.19.1 and after say that the control commands run without a fault; for 0x81,
+//!   0xA6 and motion mode it is decided here. Everything else works, 0x77 included.
+//! - When the last error has gone, the drive is ready again ("recovers normal operation by itself",
+//!   8.1) but stands still until the next command: a motor that resumes an old command by itself
+//!   may hurt someone.
+//! - The light (8.1) blinks fast if any error needs 0x76, else slowly if there is one.
+//!
+//! # Loss of communication
+//! "If communication is interrupted for longer than the set time, the output is cut and the brake
+//! locked. To run again, steady communication must be established first" (2.31.1).
+//!
+//! - Every command for this drive that it understands is communication, reads and those to all
+//!   included.
+//! - The watch begins with the first command after a start: what has not begun cannot be
+//!   interrupted.
+//! - Communication is steady when three commands have come, each within the set time of the one
+//!   before; the last of them runs already. Until then commands that move the motor, 0x81 and 0x77
+//!   are answered and do nothing. All others work.
+//! - Switching the protection off (time 0) ends the loss.
+//!
+//! # What is sent unasked
+//! - Active replies (0xB6) have one interval, the last one set. Every interval one reply goes out;
+//!   with several commands enabled they take turns ("in a cycle, alternately, at the set time",
+//!   2.34.1), in the order in which they were first enabled. An interval of 0 counts as one step of
+//!   10 ms.
+//! - "The motor no longer replies when it receives a command" (2.34.1): a poll of what is reported
+//!   actively stays unanswered. All other commands are answered as ever.
+//! - The first error report (function 3) goes out as soon as there is an error, or reporting is
+//!   switched on.
+//!
+//! # Bit rate
+//! - 0xB4 acts at once. The manual says both that it acts at the next power-on (2.32.1) and that
+//!   the reply is lost because it has acted (2.32.3). Whoever believes the second waits for no
+//!   reply, and is right either way.
+//! - The reply's bytes behind the command byte mean nothing (2.32.3).
+//! - A code without a meaning on the drive's bus, such as 2 on CAN (2.32.4), changes nothing and
+//!   has no answer.
