@@ -454,7 +454,6 @@ impl core::error::Error for OutOfRange {}
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use crate::units::{Angle, Gain, MaxSpeed, SingleTurnTarget};
     use std::string::ToString;

@@ -193,7 +193,6 @@ impl Fields for FunctionControl {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use std::string::ToString;
 

@@ -1,7 +1,5 @@
 //! The scales of motion (MIT) mode, and its values in SI units (manual 5.1).
 
-use core::fmt;
-
 use crate::command::motion::{RawMotion, RawMotionFeedback, U12};
 use crate::firmware::Firmware;
 use crate::id::MotorId;
@@ -38,7 +36,8 @@ pub struct MotionFeedback {
 }
 
 /// A motion mode value that the ranges do not allow, or that is not a number.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("{name} must be {min} to {max} {unit}, but {given} {unit} was given")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct MotionOutOfRange {
@@ -53,15 +52,6 @@ pub struct MotionOutOfRange {
     /// What was given.
     pub given: f32,
 }
-
-impl fmt::Display for MotionOutOfRange {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { name, unit, min, max, given } = self;
-        write!(f, "{name} must be {min} to {max} {unit}, but {given} {unit} was given")
-    }
-}
-
-impl core::error::Error for MotionOutOfRange {}
 
 /// The scales of motion mode: where the first and last step of each value lie (5.1).
 ///

@@ -236,7 +236,6 @@ reply! {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use crate::command::Command;
     use std::string::ToString;
