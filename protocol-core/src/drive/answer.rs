@@ -8,6 +8,7 @@ use crate::command::{
     U12, Version, WriteAcceleration, WritePidRam, WritePidRom, with_opcode,
 };
 use crate::data::Data;
+use crate::drive::control::SetPoint;
 use crate::drive::encoder::saturated;
 use crate::drive::protection::{Heard, STEADY_COMMANDS, STEADY_COMMANDS_SEEN};
 use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings, brake};
@@ -19,6 +20,8 @@ use crate::units::{
 };
 
 mod run;
+
+use run::LockedBrake;
 
 /// For so long after it took a bus id, a drive takes the same command for another drive's reply.
 const ANOTHERS_REPLY: Duration = Duration::from_millis(20);
@@ -77,6 +80,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         let echo = Answer::Data(*data);
         let unknown = Answer::Ignored(IgnoreReason::UnknownCode(opcode));
         let (m, encoder) = (&self.measurement, &self.encoder);
+        let stall_a = self.parameters.stall_current_a;
         match command {
             AnyCommand::ReadPid(ReadPid { index }) => match self.active.gains.get(index) {
                 Some(value) => Answer::Data(PidGain { index, value }.encode(opcode)),
@@ -261,19 +265,23 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 echo
             }
             AnyCommand::Stop(_) => {
-                self.run_stop();
+                // A locked brake holds already.
+                if !self.brake.holds() {
+                    self.run(opcode, SetPoint::Stop, LockedBrake::Forbids);
+                }
                 echo
             }
             AnyCommand::Torque(torque) => {
-                self.run_torque(&torque);
+                let set_point = SetPoint::Current { current_a: torque.current.amperes() };
+                self.run(opcode, set_point, LockedBrake::Forbids);
                 self.feedback_to(opcode)
             }
             AnyCommand::Speed(speed) => {
                 self.run_speed(&speed);
                 self.feedback_to(opcode)
             }
-            AnyCommand::AbsolutePosition(position) => {
-                self.run_absolute(&position);
+            AnyCommand::AbsolutePosition(to) => {
+                self.run_position(opcode, to.angle.degrees_f64(), to.max_speed, stall_a);
                 self.feedback_to(opcode)
             }
             AnyCommand::SingleTurnPosition(position) => {
@@ -285,16 +293,19 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 let feedback = SingleTurnFeedback { temperature, current, speed, encoder };
                 Answer::Data(feedback.encode(opcode))
             }
-            AnyCommand::IncrementalPosition(position) => {
-                self.run_incremental(&position);
+            AnyCommand::IncrementalPosition(by) => {
+                let target = encoder.angle_deg() + by.angle.degrees_f64();
+                self.run_position(opcode, target, by.max_speed, stall_a);
                 self.feedback_to(opcode)
             }
-            AnyCommand::ForcePosition(position) => {
-                self.run_force(&position);
+            AnyCommand::ForcePosition(to) => {
+                let limit_a = self.limit_a(to.max_torque);
+                self.run_position(opcode, to.angle.degrees_f64(), to.max_speed, limit_a);
                 self.feedback_to(opcode)
             }
             AnyCommand::Motion(motion) => {
-                self.run_motion(&motion);
+                let set_point = SetPoint::Motion(self.parameters.motion_ranges.set_point(&motion));
+                self.run(opcode, set_point, LockedBrake::Forbids);
                 Answer::Data(self.motion_feedback().encode())
             }
             // Never here: what the firmware does not know has no kind.
