@@ -53,3 +53,15 @@ need_qemu() { # program, package, folder
     mv "$3.part" "$3"
     "$1" --version >/dev/null || die "$1, unpacked in $3, does not run. Install it by hand."
 }
+
+# Sets `python`, the folder of an environment with what .ci/requirements.txt names; makes it if need be.
+need_python_env() { # folder
+    python=$1
+    cmp -s .ci/requirements.txt "$python/requirements.txt" && return
+    python3 -c 'import ensurepip, venv' 2>/dev/null || apt_install python3 python3-venv
+    rm -rf "$python"
+    python3 -m venv "$python"
+    "$python/bin/pip" install -q --disable-pip-version-check -r .ci/requirements.txt ||
+        die "pip could not install what .ci/requirements.txt names."
+    cp .ci/requirements.txt "$python/"
+}

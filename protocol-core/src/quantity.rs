@@ -267,7 +267,7 @@ impl fmt::Display for Quantity {
                     let between = if place == 0 { "" } else { "," };
                     write!(f, "{between} {} ({})", name.name, name.raw)?;
                 }
-                write!(f, " or another number")
+                write!(f, " or another number up to 255")
             }
             Form::Flags(_) => write!(f, "{name} must be bits of a number"),
             Form::Date => write!(f, "{name} must be a date such as 20220206"),

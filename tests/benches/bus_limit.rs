@@ -207,12 +207,13 @@ impl Row {
     }
 }
 
+fn fleet(motors: u8) -> Fleet {
+    Fleet::new(motors).response(RESPONSE_MIN, RESPONSE_MAX)
+}
+
 fn on_can(bit_rate: u32, kind: Kind, motors: u8) -> Row {
     let run = |one_at_a_time| {
-        let fleet = Fleet::new(motors)
-            .response(RESPONSE_MIN, RESPONSE_MAX)
-            .on_can(bit_rate)
-            .expect("a fleet");
+        let fleet = fleet(motors).on_can(bit_rate).expect("a fleet");
         let wire = watch(&fleet.world, 3 * 1_000_000_000 / u64::from(bit_rate));
         measure(&mut fleet.master::<32>(), &wire, kind, motors, one_at_a_time)
     };
@@ -228,10 +229,7 @@ fn on_can(bit_rate: u32, kind: Kind, motors: u8) -> Row {
 
 fn on_rs485(bit_rate: u32, motors: u8) -> Row {
     let run = |one_at_a_time| {
-        let fleet = Fleet::new(motors)
-            .response(RESPONSE_MIN, RESPONSE_MAX)
-            .on_rs485(bit_rate)
-            .expect("a fleet");
+        let fleet = fleet(motors).on_rs485(bit_rate).expect("a fleet");
         let wire = watch(&fleet.world, 0);
         measure(&mut fleet.master::<32>(), &wire, Kind::Feedback, motors, one_at_a_time)
     };
@@ -270,8 +268,7 @@ fn table(title: &str, row: impl Fn(u8) -> Row) -> f64 {
 /// Motion mode rates of seven motors: by themselves, and beside an eighth that is silent.
 fn silent_motor() {
     let rate = |cut: bool| {
-        let fleet =
-            Fleet::new(8).response(RESPONSE_MIN, RESPONSE_MAX).on_can(1_000_000).expect("a fleet");
+        let fleet = fleet(8).on_can(1_000_000).expect("a fleet");
         let silent = fleet.drives[7].station();
         let mut bus = fleet.master::<32>();
         let asked = if cut { 8 } else { 7 };
@@ -306,8 +303,7 @@ fn silent_motor() {
 
 /// Time from a request whose first reply is lost to the answer.
 fn retry() {
-    let fleet =
-        Fleet::new(1).response(RESPONSE_MIN, RESPONSE_MAX).on_can(1_000_000).expect("a fleet");
+    let fleet = fleet(1).on_can(1_000_000).expect("a fleet");
     let mut bus = fleet.master::<32>();
     let motor = MotorId::MIN;
     let drive = fleet.drives[0].station();

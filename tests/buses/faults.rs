@@ -1,10 +1,7 @@
 //! Faults by chance and by hand, on both simulated buses, under the virtual clock.
 
-use std::sync::{Arc, Mutex};
-
 use embedded_can::{Frame, StandardId, nb::Can as _};
 use embedded_io::Write as _;
-use myactuator_host_std::sim::bus::Node;
 use myactuator_host_std::sim::bus::can::{
     CanConfig, CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
 };
@@ -367,30 +364,14 @@ fn who_joins_in_the_middle_of_a_frame_does_not_hear_it() {
     assert_eq!(numbers(&late), [2]);
 }
 
-/// Counts its resets.
-struct Resettable(Arc<Mutex<Vec<u64>>>);
-
-impl<F> Node<F> for Resettable {
-    fn handle_frame(&mut self, _: &F, _: Instant) {}
-    fn poll_transmit(&mut self, _: Instant) -> Option<F> {
-        None
-    }
-    fn poll_at(&self) -> Option<Instant> {
-        None
-    }
-    fn reset(&mut self, now: Instant) {
-        self.0.lock().unwrap().push(now.as_micros());
-    }
-}
-
 #[test]
 fn a_reset_tells_the_node_and_empties_its_controller() {
     let (world, _) = can();
-    let resets = Arc::new(Mutex::new(Vec::new()));
-    let station = world.attach(Resettable(Arc::clone(&resets)));
+    let node = Hand::listening();
+    let station = world.put(&node);
     world.run_until(micros(77));
     world.reset(station);
-    assert_eq!(*resets.lock().unwrap(), [77]);
+    assert_eq!(node.resets(), [77]);
 
     // Nobody acknowledges: all stays in the queue.
     let alone = CanWorld::new(CanConfig::default(), 1);

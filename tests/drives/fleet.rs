@@ -17,7 +17,7 @@ use myactuator_protocol_core::master::{Event, Failure, MotorSet};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Milliseconds, ReportInterval};
 use myactuator_protocol_core::{MotorId, Opcode};
-use myactuator_tests::fleet::{Bus, angle_deg, happened, speed_dps, state, turn_to};
+use myactuator_tests::fleet::{Bus, Master, angle_deg, happened, speed_dps, state, turn_to};
 use myactuator_tests::listen::{listen, listen_until};
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{gain, go_to, id, millis, push, turn};
@@ -79,7 +79,7 @@ fn report_status2(enable: Switch, interval_ms: f32) -> ActiveReply {
 fn a_slow_boot_is_waited_out<B: Bus>() {
     let bus: B = quirky(Quirks { slow_boot: true, ..Quirks::default() });
     let mut hasty = bus.hasty_master();
-    let boots_since = |hasty: &mut B::Master| {
+    let boots_since = |hasty: &mut Master<B>| {
         let from = hasty.now();
         assert!(is_unanswered(&hasty.call(MOTOR, ReadStatus1)));
         bring_up::wait_until_there(hasty, MOTOR, Duration::from_secs(5)).unwrap();
@@ -328,7 +328,7 @@ fn a_broadcast_reaches_those_whose_id_filter_is_off() {
     let fleet = Fleet::new(3).on_can(1_000_000).unwrap();
     let mut master = fleet.hasty_master();
     let all: MotorSet = [1, 2, 3].map(id).into_iter().collect();
-    let ask_all = |master: &mut <CanFleet as Bus>::Master| {
+    let ask_all = |master: &mut Master<CanFleet>| {
         let now = master.now();
         master.master().broadcast(ReadStatus1, all, now).unwrap();
         let (mut answered, mut silent) = (MotorSet::EMPTY, None);

@@ -27,6 +27,17 @@ fn plan(bench: &mut Bench, index: AccelerationIndex, dps2: u32) {
     bench.write(WriteAcceleration { index, acceleration: acceleration(dps2) });
 }
 
+/// 0xA8 by this angle, at 500 dps at the most.
+fn on_by(angle_deg: f32) -> IncrementalPosition {
+    IncrementalPosition { max_speed: up_to(500), angle: degrees(angle_deg) }
+}
+
+/// 0xA9 to this angle, at 500 dps at the most.
+fn force_to(angle_deg: f32, torque_percent: u8) -> ForcePosition {
+    let (max_torque, max_speed) = (percent(torque_percent), up_to(500));
+    ForcePosition { max_torque, max_speed, angle: degrees(angle_deg) }
+}
+
 /// 2 to 7: each kind is answered as its row in the table says.
 #[test]
 fn every_kind_is_answered_by_its_rule() {
@@ -117,12 +128,10 @@ fn gains_act_on_the_loops() {
     let mut bench = Bench::default();
     bench.write(WritePidRam { index: PidIndex::SPEED_KP, value: gain(0.0) });
     bench.write(WritePidRam { index: PidIndex::SPEED_KI, value: gain(0.0) });
-    bench.ask(turn(100.0));
-    bench.run(millis(500));
+    bench.go(turn(100.0), millis(500));
     assert_eq!(bench.speed(), 0.0);
     bench.restart();
-    bench.ask(turn(100.0));
-    bench.run(millis(500));
+    bench.go(turn(100.0), millis(500));
     assert!((bench.speed() - 100.0).abs() < 1.0, "{}", bench.speed());
 }
 
@@ -265,8 +274,7 @@ fn status_tells_what_is_measured() {
     assert_eq!((status.voltage.raw(), status.errors), (485, ErrorFlags::ENCODER_CALIBRATION));
     bench.drive.clear_fault(ErrorFlags::all());
     bench.write(ReleaseBrake);
-    bench.ask(push(2.0));
-    bench.run(millis(20));
+    bench.go(push(2.0), millis(20));
     let status = bench.ask(ReadStatus3);
     let phases =
         [status.phase_a_current, status.phase_b_current, status.phase_c_current].map(Current::raw);
@@ -280,8 +288,7 @@ fn status_tells_what_is_measured() {
 #[test]
 fn shutdown_leaves_the_motor_free() {
     let mut bench = Bench::default();
-    bench.ask(turn(100.0));
-    bench.run(millis(200));
+    bench.go(turn(100.0), millis(200));
     bench.write(Shutdown);
     assert_eq!(bench.ask(ReadRunningMode).mode, Mode::from_raw(0));
     assert_eq!((bench.state().output_on, bench.current()), (false, 0.0));
@@ -295,8 +302,7 @@ fn shutdown_leaves_the_motor_free() {
 #[test]
 fn stop_holds_against_a_force() {
     let mut bench = Bench::default();
-    bench.ask(turn(300.0));
-    bench.run(millis(300));
+    bench.go(turn(300.0), millis(300));
     bench.write(Stop);
     bench.run(millis(1_000));
     let held = bench.angle();
@@ -335,8 +341,7 @@ fn torque_needs_the_brake_released_first() {
     bench.write(ReleaseBrake);
     bench.run(millis(100));
     assert_eq!(bench.current(), 0.0, "the old command must not come alive");
-    bench.ask(push(1.0));
-    bench.run(millis(100));
+    bench.go(push(1.0), millis(100));
     assert!(bench.angle() > 1.0);
 }
 
@@ -359,12 +364,10 @@ fn speed_follows_its_ramps() {
     let mut bench = Bench::default();
     plan(&mut bench, AccelerationIndex::SPEED_ACCELERATION, 1_000);
     plan(&mut bench, AccelerationIndex::SPEED_DECELERATION, 500);
-    bench.ask(turn(200.0));
-    bench.run(millis(95));
+    bench.go(turn(200.0), millis(95));
     assert!((bench.speed() - 95.0).abs() < 10.0, "{}", bench.speed());
     bench.run(millis(400));
-    bench.ask(turn(100.0));
-    bench.run(millis(95));
+    bench.go(turn(100.0), millis(95));
     assert!((bench.speed() - 150.0).abs() < 5.0, "{}", bench.speed());
     bench.run(millis(300));
     plan(&mut bench, AccelerationIndex::SPEED_ACCELERATION, 0);
@@ -420,12 +423,10 @@ fn a_shaft_that_was_held_back_does_not_jump() {
     plan(&mut bench, AccelerationIndex::POSITION_ACCELERATION, 1_000);
     let go = go_to(180.0, 500);
     bench.drive.plant_mut().friction_nm_s = 1e9;
-    bench.ask(go);
-    bench.run(millis(600));
+    bench.go(go, millis(600));
     bench.drive.plant_mut().friction_nm_s = 0.05;
     bench.write(Shutdown);
-    bench.ask(go);
-    bench.run(millis(95));
+    bench.go(go, millis(95));
     assert!((bench.speed() - 100.0).abs() < 15.0, "{}", bench.speed());
     // The same without a shutdown between: a new command is a new motion.
     let mut bench = Bench::default();
@@ -434,8 +435,7 @@ fn a_shaft_that_was_held_back_does_not_jump() {
     bench.drive.plant_mut().friction_nm_s = 1e9;
     bench.run(millis(600));
     bench.drive.plant_mut().friction_nm_s = 0.05;
-    bench.ask(go);
-    bench.run(millis(45));
+    bench.go(go, millis(45));
     assert!(bench.speed() < 150.0, "{}", bench.speed());
 }
 
@@ -460,8 +460,7 @@ fn a_deceleration_of_zero_is_the_accelerations() {
 fn an_absolute_position_is_gone_to_from_anywhere() {
     let mut bench = Bench::default();
     for target in [360.0, -360.0, -359.5, 0.0] {
-        bench.ask(go_to(target, 0));
-        bench.run(millis(2_000));
+        bench.go(go_to(target, 0), millis(2_000));
         assert!((bench.angle() - f64::from(target)).abs() < 0.02, "{target}: {}", bench.angle());
     }
 }
@@ -488,12 +487,10 @@ fn a_single_turn_position_turns_as_told() {
         let mut bench = Bench::default();
         let angle = SingleTurnTarget::from_degrees(270.0).unwrap();
         let go = SingleTurnPosition { direction, max_speed: up_to(500), angle };
-        bench.ask(go);
-        bench.run(millis(1_500));
+        bench.go(go, millis(1_500));
         assert!((bench.angle() - end).abs() < 0.02, "{}", bench.angle());
         // The same command again is a command to stay.
-        bench.ask(go);
-        bench.run(millis(500));
+        bench.go(go, millis(500));
         assert!((bench.angle() - end).abs() < 0.02, "{}", bench.angle());
     }
 }
@@ -530,8 +527,7 @@ fn a_single_turn_position_needs_single_turn_mode() {
 fn an_incremental_position_adds_up() {
     let mut bench = Bench::default();
     for (by, end) in [(90.0, 90.0), (90.0, 180.0), (-270.0, -90.0)] {
-        bench.ask(IncrementalPosition { max_speed: up_to(500), angle: degrees(by) });
-        bench.run(millis(1_500));
+        bench.go(on_by(by), millis(1_500));
         assert!((bench.angle() - end).abs() < 0.05, "{end}: {}", bench.angle());
     }
 }
@@ -543,20 +539,13 @@ fn a_force_position_limits_its_torque() {
     for (limit, largest) in [(10, 0.6), (60, 3.6), (255, 12.0)] {
         let mut bench = Bench::default();
         bench.drive.plant_mut().load_nm = -30.0; // more than any limit lifts
-        let go = ForcePosition {
-            max_torque: percent(limit),
-            max_speed: up_to(500),
-            angle: degrees(360.0),
-        };
         let mut seen = 0.0_f32;
-        bench.ask(go);
+        bench.ask(force_to(360.0, limit));
         bench.watch(millis(300), |state| seen = seen.max(state.measurement.current_a));
         assert!((seen - largest).abs() < 0.01, "{limit} %: {seen} A");
     }
     let mut bench = Bench::default();
-    let max_torque = percent(60);
-    bench.ask(ForcePosition { max_torque, max_speed: up_to(500), angle: degrees(360.0) });
-    bench.run(millis(1_500));
+    bench.go(force_to(360.0, 60), millis(1_500));
     assert!((bench.angle() - 360.0).abs() < 0.05);
 }
 
@@ -611,8 +600,7 @@ fn the_brake_holds_and_lets_go() {
 #[test]
 fn locking_the_brake_ends_the_run() {
     let mut bench = Bench::with_brake();
-    bench.ask(turn(100.0));
-    bench.run(millis(200));
+    bench.go(turn(100.0), millis(200));
     assert!(bench.speed() > 90.0);
     bench.write(LockBrake);
     assert!(!bench.state().output_on);
@@ -692,8 +680,7 @@ fn without_protection_the_motor_goes_on() {
     bench.power_cycle();
     assert_eq!(bench.drive.settings().protection_timeout.raw(), 100);
     bench.write(CommunicationLossProtection { timeout: Milliseconds::from_raw(0) });
-    bench.ask(turn(100.0));
-    bench.run(millis(10_000));
+    bench.go(turn(100.0), millis(10_000));
     assert!(bench.speed() > 99.0);
 }
 
@@ -861,16 +848,12 @@ fn functions_6_and_7_limit_positions() {
             bench.power_cycle();
         }
         for (target, end) in [(360.0, 90.0), (-360.0, -45.0), (10.0, 10.0)] {
-            bench.ask(go_to(target, 500));
-            bench.run(millis(1_500));
+            bench.go(go_to(target, 500), millis(1_500));
             assert!((bench.angle() - end).abs() < 0.02, "{target}: {}", bench.angle());
         }
-        bench.ask(IncrementalPosition { max_speed: up_to(500), angle: degrees(500.0) });
-        bench.run(millis(1_500));
+        bench.go(on_by(500.0), millis(1_500));
         assert!((bench.angle() - 90.0).abs() < 0.02);
-        let max_torque = percent(100);
-        bench.ask(ForcePosition { max_torque, max_speed: up_to(500), angle: degrees(-500.0) });
-        bench.run(millis(1_500));
+        bench.go(force_to(-500.0, 100), millis(1_500));
         assert!((bench.angle() + 45.0).abs() < 0.02);
         bench.write(Stop);
     }
@@ -955,8 +938,7 @@ fn motion_mode_is_a_spring_a_damper_and_a_torque() {
 fn level_two_recovers_by_itself() {
     let mut bench = Bench::with_brake();
     let go = turn(100.0);
-    bench.ask(go);
-    bench.run(millis(200));
+    bench.go(go, millis(200));
     bench.drive.plant_mut().sensors.supply_voltage_v = 10.0;
     bench.run(millis(20));
     let state = bench.state();
@@ -969,8 +951,7 @@ fn level_two_recovers_by_itself() {
     let state = bench.state();
     assert_eq!((state.errors, state.indicator), (ErrorFlags::empty(), Indicator::On));
     assert!(!state.output_on);
-    bench.ask(go);
-    bench.run(millis(200));
+    bench.go(go, millis(200));
     assert!(bench.speed() > 99.0);
 }
 
@@ -981,8 +962,7 @@ fn a_stall_needs_a_restart() {
     let mut bench = Bench::default();
     let against_a_stop = IdealPlant { friction_nm_s: 1e9, ..IdealPlant::default() };
     *bench.drive.plant_mut() = against_a_stop;
-    bench.ask(turn(100.0));
-    bench.run(millis(900));
+    bench.go(turn(100.0), millis(900));
     assert_eq!(bench.state().errors, ErrorFlags::empty());
     bench.run(millis(600));
     let state = bench.state();

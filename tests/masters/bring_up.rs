@@ -79,7 +79,7 @@ fn a_motor_is_waited_for_after_its_power_was_cycled<B: Bus>() {
     let slow = Quirks { slow_boot: true, ..Quirks::default() };
     let bus = B::with(&Fleet::new(1).quirks(slow)).unwrap();
     let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
-    bus.power_cycle(drive.station());
+    bus.world().reset(drive.station());
     let begun = runner.now();
     let half = millis(500);
     let early = bring_up::wait_until_there(runner, id(1), half);
@@ -101,7 +101,7 @@ fn a_zero_is_kept_over_a_power_cycle<B: Bus>() {
     assert!((before - 90.0).abs() < 0.1, "{before}");
     let offset = bring_up::zero_here(runner, id(1)).expect("it keeps its zero");
     assert_ne!(offset.raw(), 0);
-    bus.power_cycle(drive.station());
+    bus.world().reset(drive.station());
     bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
     let kept = runner.ask(id(1), ReadMultiTurnEncoderOffset).expect("it is there").offset;
     assert_eq!(kept, offset);
@@ -139,7 +139,7 @@ fn the_only_motor_gets_its_new_id_for_good<B: Bus>() {
         assert_eq!(empty, Err(BringUpError::NotAlone(ids([1]))), "the only one there is another");
         bring_up::change_id(runner, id(1), id(9)).expect("it is alone");
         assert_eq!(bring_up::scan(runner, MotorSet::ALL, |_, _| {}), Ok(ids([9])));
-        bus.power_cycle(drive.station());
+        bus.world().reset(drive.station());
         let there = bring_up::wait_until_there(runner, id(9), Duration::from_secs(3));
         there.expect("it kept its id");
     }

@@ -8,8 +8,9 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
 use myactuator_protocol_core::time::Duration;
-use myactuator_tests::rig::{Angle, Rig, Wire};
+use myactuator_tests::rig::{Angle, Rig};
 use myactuator_tests::values::id;
+use myactuator_tests::wire::Wire;
 
 #[derive(Clone, Copy, Debug)]
 struct Case {

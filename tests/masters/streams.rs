@@ -7,9 +7,10 @@ use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
-use myactuator_tests::rig::{Angle, Ledger, Rig, Step, Wire};
+use myactuator_tests::rig::{Angle, Ledger, Rig, Step};
 use myactuator_tests::script::late_by;
 use myactuator_tests::values::{go_to, id, millis};
+use myactuator_tests::wire::Wire;
 
 /// Set-points come faster than the bus takes them, for a second.
 fn flood<W: Wire>(plan: FaultPlan, cuts: bool) {

@@ -108,6 +108,12 @@ impl Bench {
         C::decode_reply(&data).expect("not a reply")
     }
 
+    /// Sends a command that is answered and gives the drive time to do it.
+    pub fn go<C: Command + Into<AnyCommand>>(&mut self, command: C, span: Duration) {
+        self.ask(command);
+        self.run(span);
+    }
+
     /// Sends a command that a drive echoes, and checks that it does.
     pub fn write<C: Command + Into<AnyCommand> + Copy>(&mut self, command: C) {
         assert_eq!(self.send(command), Some(command.encode()));

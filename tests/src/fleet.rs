@@ -1,82 +1,73 @@
 //! Simulated drives on either bus, so that a test of both is written once.
 
-use std::fmt::Debug;
-
-use myactuator_host_std::sim::bus::can::{CanBus, CanPort};
-use myactuator_host_std::sim::bus::rs485::{Rs485Line, SerialPort};
-use myactuator_host_std::sim::bus::{SimClock, StationId};
+use myactuator_host_std::sim::bus::World;
+use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet, FleetError, LineFleet};
 use myactuator_protocol_core::drive::{Event, State};
-use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
 
+use crate::wire::Wire;
+
+/// A master on one of the buses.
+pub type Master<B> = <<B as Bus>::Wire as Wire>::Runner<8>;
+
 /// Drives on one of the buses.
 pub trait Bus: Sized {
-    /// The loop that runs a master on it.
-    type Master: Runner<8, Error: Debug + PartialEq>;
+    /// Which bus.
+    type Wire: Wire;
 
-    /// Puts the drives on the bus, at 1 Mbit/s.
+    /// Puts the drives on the bus.
     fn with(fleet: &Fleet) -> Result<Self, FleetError>;
+
+    /// The bus.
+    fn world(&self) -> &World<Self::Wire>;
 
     /// The drives, in the order of their ids.
     fn drives(&self) -> &[DriveHandle];
 
-    /// Takes the power from a drive for a moment.
-    fn power_cycle(&self, drive: StationId);
-
-    /// A master, with the configuration for the bus changed.
-    fn master_with(&self, change: impl FnOnce(Config) -> Config) -> Self::Master;
-
     /// A master.
-    fn master(&self) -> Self::Master {
-        self.master_with(|config| config)
+    fn master(&self) -> Master<Self> {
+        Self::Wire::runner(self.world(), Self::Wire::CONFIG).0
     }
 
     /// A master that does not know that drives take time to restart.
-    fn hasty_master(&self) -> Self::Master {
-        self.master_with(|config| Config { restart_time: Duration::ZERO, ..config })
+    fn hasty_master(&self) -> Master<Self> {
+        let config = Config { restart_time: Duration::ZERO, ..Self::Wire::CONFIG };
+        Self::Wire::runner(self.world(), config).0
     }
 }
 
 impl Bus for CanFleet {
-    type Master = CanMaster<CanPort, SimClock<CanBus>, 8>;
+    type Wire = CanBus;
 
     fn with(fleet: &Fleet) -> Result<Self, FleetError> {
         fleet.on_can(1_000_000)
     }
 
+    fn world(&self) -> &World<CanBus> {
+        &self.world
+    }
+
     fn drives(&self) -> &[DriveHandle] {
         &self.drives
-    }
-
-    fn power_cycle(&self, drive: StationId) {
-        self.world.reset(drive);
-    }
-
-    fn master_with(&self, change: impl FnOnce(Config) -> Config) -> Self::Master {
-        CanMaster::new(self.world.port(), self.world.clock(), change(Config::CAN))
     }
 }
 
 impl Bus for LineFleet {
-    type Master = SerialMaster<SerialPort, SimClock<Rs485Line>, 8>;
+    type Wire = Rs485Line;
 
     fn with(fleet: &Fleet) -> Result<Self, FleetError> {
         fleet.on_rs485(1_000_000)
     }
 
+    fn world(&self) -> &World<Rs485Line> {
+        &self.world
+    }
+
     fn drives(&self) -> &[DriveHandle] {
         &self.drives
-    }
-
-    fn power_cycle(&self, drive: StationId) {
-        self.world.reset(drive);
-    }
-
-    fn master_with(&self, change: impl FnOnce(Config) -> Config) -> Self::Master {
-        let config = change(Config::rs485(self.bit_rate(), false));
-        SerialMaster::new(self.world.port(), self.world.clock(), config)
     }
 }
 

@@ -8,6 +8,7 @@ pub mod rig;
 pub mod script;
 pub mod values;
 pub mod vectors;
+pub mod wire;
 
 /// The code in `README.md` is compiled and run as documentation tests.
 #[cfg(doctest)]

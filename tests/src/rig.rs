@@ -5,27 +5,27 @@
 //! answers in bytes 4 to 7 of its reply. So a reply says by itself which request it was made for.
 
 use std::collections::{HashMap, VecDeque};
+use std::marker::PhantomData;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use myactuator_host_std::sim::bus::can::{CanBus, CanConfig, CanPort};
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
-use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort};
 use myactuator_host_std::sim::bus::trace::{Event, Fault};
-use myactuator_host_std::sim::bus::{Medium, Node, SimClock, StationId, World};
+use myactuator_host_std::sim::bus::{Node, StationId, World};
 use myactuator_protocol_core::command::{
     AccelerationReading, Feedback, Fields, MultiTurnAngle, MultiTurnEncoder, PidGain, RunTime,
     Speed, Version,
 };
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
+use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{self, Config};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
-use myactuator_protocol_core::wire::can::{self, SimpleFrame};
-use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
+use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{
     Channel, Command, Data, DecodeError, Kind, MotorId, Opcode, Packet, Target,
 };
+
+use crate::wire::Wire;
 
 /// Marks a set-point of a stream in byte 1 of a speed command; requests of the same kind have another.
 pub const STREAM_MARK: u8 = 0;
@@ -247,8 +247,8 @@ fn is_stale(newest: &mut Option<u32>, (number, step): (u32, u32)) -> bool {
 }
 
 /// A drive that answers every command after 0.7 to 0.9 ms, in order, with the command's own token.
-#[derive(Debug)]
-pub struct Teller {
+struct Teller<W> {
+    wire: PhantomData<W>,
     motor: MotorId,
     receiver: Receiver,
     replies: VecDeque<(Instant, Packet)>,
@@ -256,18 +256,7 @@ pub struct Teller {
     ledger: Ledger,
 }
 
-impl Teller {
-    /// A drive that answers to this id and writes what it hears into the ledger.
-    pub fn new(motor: MotorId, seed: u64, ledger: &Ledger) -> Self {
-        Self {
-            motor,
-            receiver: Receiver::new(),
-            replies: VecDeque::new(),
-            dice: Dice::new(seed ^ u64::from(motor.get()) << 32),
-            ledger: ledger.clone(),
-        }
-    }
-
+impl<W> Teller<W> {
     fn hear(&mut self, packet: &Packet, now: Instant) {
         let channel = match packet.channel {
             Channel::Command(Target::Motor(motor)) if motor == self.motor => Channel::Reply(motor),
@@ -287,26 +276,17 @@ impl Teller {
         let due = self.replies.back().map_or(due, |(before, _)| due.max(*before));
         self.replies.push_back((due, Packet { channel, data }));
     }
-
-    fn tell(&mut self, now: Instant) -> Option<Packet> {
-        self.replies.pop_front_if(|(due, _)| *due <= now).map(|(_, packet)| packet)
-    }
-
-    fn power_cycle(&mut self) {
-        self.replies.clear();
-        self.receiver.reset();
-    }
 }
 
-impl Node<SimpleFrame> for Teller {
-    fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
-        if let can::Received::Packet(packet) = can::decode(frame) {
+impl<W: Wire> Node<W::Frame> for Teller<W> {
+    fn handle_frame(&mut self, frame: &W::Frame, now: Instant) {
+        if let Some(packet) = W::packet(&mut self.receiver, frame, true) {
             self.hear(&packet, now);
         }
     }
 
-    fn poll_transmit(&mut self, now: Instant) -> Option<SimpleFrame> {
-        can::encode(&self.tell(now)?)
+    fn poll_transmit(&mut self, now: Instant) -> Option<W::Frame> {
+        self.replies.pop_front_if(|(due, _)| *due <= now).map(|(_, packet)| W::frame(&packet))
     }
 
     fn poll_at(&self) -> Option<Instant> {
@@ -314,117 +294,8 @@ impl Node<SimpleFrame> for Teller {
     }
 
     fn reset(&mut self, _: Instant) {
-        self.power_cycle();
-    }
-}
-
-impl Node<Vec<u8>> for Teller {
-    fn handle_frame(&mut self, bytes: &Vec<u8>, now: Instant) {
-        for &byte in bytes {
-            if let Fed::Frame(frame) = self.receiver.feed(byte) {
-                self.hear(&frame.as_command(), now);
-            }
-        }
-    }
-
-    fn poll_transmit(&mut self, now: Instant) -> Option<Vec<u8>> {
-        Some(Frame::from_packet(&self.tell(now)?)?.encode().to_vec())
-    }
-
-    fn poll_at(&self) -> Option<Instant> {
-        self.replies.front().map(|(due, _)| *due)
-    }
-
-    fn reset(&mut self, _: Instant) {
-        self.power_cycle();
-    }
-}
-
-/// One of the two buses, so that each test is written once.
-pub trait Wire: Medium<Frame: Sync> + Sized + 'static {
-    /// The loop that runs a master on it.
-    type Runner: Runner<32>;
-    /// Its name in messages.
-    const NAME: &'static str;
-
-    /// A bus without stations, with this seed for its chance.
-    fn world(seed: u64) -> World<Self>;
-    /// A master on the bus, and its place.
-    fn runner(world: &World<Self>, config: Config) -> (Self::Runner, StationId);
-    /// The library's own configuration for it.
-    const CONFIG: Config;
-    /// Puts a drive on the bus.
-    fn seat(world: &World<Self>, teller: Teller) -> StationId;
-    /// A command as it is on the wire.
-    fn frame(command: &Packet) -> Self::Frame;
-    /// The packet in a frame of the master's, or of a drive's.
-    fn packet(frame: &Self::Frame, of_master: bool) -> Option<Packet>;
-}
-
-impl Wire for CanBus {
-    type Runner = CanMaster<CanPort, SimClock<CanBus>, 32>;
-    const NAME: &'static str = "CAN";
-    const CONFIG: Config = Config::CAN;
-
-    fn world(seed: u64) -> World<Self> {
-        World::<CanBus>::new(CanConfig::default(), seed)
-    }
-
-    fn runner(world: &World<Self>, config: Config) -> (Self::Runner, StationId) {
-        let port = world.port();
-        let station = port.station();
-        (CanMaster::new(port, world.clock(), config), station)
-    }
-
-    fn seat(world: &World<Self>, teller: Teller) -> StationId {
-        world.attach(teller)
-    }
-
-    fn frame(command: &Packet) -> SimpleFrame {
-        can::encode(command).expect("eight bytes fit")
-    }
-
-    fn packet(frame: &SimpleFrame, _: bool) -> Option<Packet> {
-        match can::decode(frame) {
-            can::Received::Packet(packet) => Some(packet),
-            _ => None,
-        }
-    }
-}
-
-/// Bits per second on RS485.
-const LINE_RATE: u32 = 1_000_000;
-
-impl Wire for Rs485Line {
-    type Runner = SerialMaster<SerialPort, SimClock<Rs485Line>, 32>;
-    const NAME: &'static str = "RS485";
-    const CONFIG: Config = Config::rs485(LINE_RATE, false);
-
-    fn world(seed: u64) -> World<Self> {
-        World::<Rs485Line>::new(LineConfig { bit_rate: LINE_RATE }, seed)
-    }
-
-    fn runner(world: &World<Self>, config: Config) -> (Self::Runner, StationId) {
-        let port = world.port();
-        let station = port.station();
-        (SerialMaster::new(port, world.clock(), config), station)
-    }
-
-    fn seat(world: &World<Self>, teller: Teller) -> StationId {
-        world.attach(teller)
-    }
-
-    fn frame(command: &Packet) -> Vec<u8> {
-        Frame::from_packet(command).expect("RS485 has it").encode().to_vec()
-    }
-
-    fn packet(bytes: &Vec<u8>, of_master: bool) -> Option<Packet> {
-        let mut receiver = Receiver::new();
-        bytes.iter().find_map(|&byte| match receiver.feed(byte) {
-            Fed::Frame(frame) if of_master => Some(frame.as_command()),
-            Fed::Frame(frame) => frame.as_reply(),
-            _ => None,
-        })
+        self.replies.clear();
+        self.receiver.reset();
     }
 }
 
@@ -434,7 +305,7 @@ pub struct Rig<W: Wire> {
     /// The bus.
     pub world: World<W>,
     /// The master.
-    pub runner: W::Runner,
+    pub runner: W::Runner<32>,
     /// The master's place on the bus.
     pub port: StationId,
     /// The drives' places, in the order of their ids.
@@ -456,13 +327,24 @@ impl<W: Wire> Rig<W> {
         let (runner, port) = W::runner(&world, config);
         let nodes: Vec<StationId> = MotorId::all()
             .take(motors.into())
-            .map(|motor| W::seat(&world, Teller::new(motor, seed, &ledger)))
+            .map(|motor| {
+                let teller = Teller::<W> {
+                    wire: PhantomData,
+                    motor,
+                    receiver: Receiver::new(),
+                    replies: VecDeque::new(),
+                    dice: Dice::new(seed ^ u64::from(motor.get()) << 32),
+                    ledger: ledger.clone(),
+                };
+                W::seat(&world, teller)
+            })
             .collect();
         let (first, book, count) = (nodes[0].index(), ledger.clone(), nodes.len());
         world.observe(move |record| match &record.event {
             Event::Carried { frame, .. } => {
                 let of_master = record.station == port;
-                let Some(packet) = W::packet(frame, of_master) else { return };
+                let packet = W::packet(&mut Receiver::new(), frame, of_master);
+                let Some(packet) = packet else { return };
                 match packet.channel {
                     Channel::Reply(motor) | Channel::MotionReply(motor) => {
                         book.pages()[motor.index()].replied += 1;

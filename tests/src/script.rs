@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::FaultPlan;
-use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, SerialWorld};
+use myactuator_host_std::sim::bus::rs485::{Rs485Line, SerialPort, SerialWorld};
 use myactuator_host_std::sim::bus::trace::{Event, Record};
 use myactuator_host_std::sim::bus::{Node, StationId, World};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::wire::can::SimpleFrame;
+
+use crate::wire::Wire;
 
 /// So many microseconds after the world began.
 pub const fn micros(at: u64) -> Instant {
@@ -24,6 +24,7 @@ pub type Timetable<F> = Vec<(u64, F)>;
 pub struct Script<F> {
     to_send: VecDeque<(u64, F)>,
     heard: Timetable<F>,
+    resets: Vec<u64>,
     /// Whether it sends back what it hears.
     mirrors: bool,
 }
@@ -36,7 +37,7 @@ impl<F: Clone> Hand<F> {
     /// One that sends each frame at its time.
     pub fn sending(timetable: impl IntoIterator<Item = (u64, F)>) -> Self {
         let to_send = timetable.into_iter().collect();
-        let script = Script { to_send, heard: Vec::new(), mirrors: false };
+        let script = Script { to_send, heard: Vec::new(), resets: Vec::new(), mirrors: false };
         Self(Arc::new(Mutex::new(script)))
     }
 
@@ -60,6 +61,11 @@ impl<F: Clone> Hand<F> {
     /// What it heard so far, and when.
     pub fn heard(&self) -> Timetable<F> {
         self.0.lock().unwrap().heard.clone()
+    }
+
+    /// When it was reset, in microseconds.
+    pub fn resets(&self) -> Vec<u64> {
+        self.0.lock().unwrap().resets.clone()
     }
 
     /// What it heard so far.
@@ -99,25 +105,17 @@ pub trait Stage {
     }
 }
 
-impl Stage for World<CanBus> {
-    type Frame = SimpleFrame;
+impl<W: Wire> Stage for World<W> {
+    type Frame = W::Frame;
 
-    fn put(&self, hand: &Hand<SimpleFrame>) -> StationId {
-        self.attach(hand.node())
-    }
-}
-
-impl Stage for World<Rs485Line> {
-    type Frame = Vec<u8>;
-
-    fn put(&self, hand: &Hand<Vec<u8>>) -> StationId {
-        self.attach(hand.node())
+    fn put(&self, hand: &Hand<W::Frame>) -> StationId {
+        W::seat(self, hand.node())
     }
 }
 
 /// A line at 1 Mbit/s, on which a byte lasts 10 µs, with a master's port and somebody who listens.
 pub fn line(seed: u64) -> (SerialWorld, SerialPort, Hand<Vec<u8>>) {
-    let world = SerialWorld::new(LineConfig { bit_rate: 1_000_000 }, seed);
+    let world = Rs485Line::world(seed);
     let listener = world.listener();
     (world.clone(), world.port(), listener)
 }
@@ -149,5 +147,9 @@ impl<F: Clone + Send> Node<F> for Script<F> {
 
     fn poll_at(&self) -> Option<Instant> {
         self.to_send.front().map(|(at, _)| Instant::from_micros(*at))
+    }
+
+    fn reset(&mut self, now: Instant) {
+        self.resets.push(now.as_micros());
     }
 }

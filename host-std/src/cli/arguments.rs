@@ -2,14 +2,19 @@
 
 use std::str::FromStr;
 
+use myactuator_host_std::BusKind;
 use myactuator_host_std::protocol::command::{Field, MotionLimits, MotionRanges};
+use myactuator_host_std::protocol::opcode::Reach;
 use myactuator_host_std::protocol::quantity::{Form, OutOfRange, Quantity, Steps};
 use myactuator_host_std::protocol::time::Duration;
 use myactuator_host_std::protocol::units::{Angle, Current, MaxSpeed, MaxTorque, SpeedTarget};
-use myactuator_host_std::protocol::{Firmware, MotorId, Target};
+use myactuator_host_std::protocol::{Firmware, Kind, MotorId, Opcode, Target};
 
 /// A value, or one sentence about what is allowed.
 type Parsed<T> = Result<T, String>;
+
+pub(super) const RANGES_ARE_MISSING: &str =
+    "--ranges is missing: the scales of this firmware's motion mode depend on the motor";
 
 /// A number, decimal or whole with `0x`.
 fn number(text: &str) -> Option<f64> {
@@ -33,8 +38,8 @@ fn amount(text: &str, quantity: &'static Quantity) -> Parsed<i64> {
     let given = number(text).ok_or_else(|| format!("{quantity}, but \"{text}\" is no number"))?;
     let raw = quantity.nearest(given).map_err(|error| error.to_string())?;
     match quantity.form {
-        // Large steps are not what somebody else meant: rounding could end at 0.
-        Form::Steps(Steps { numerator: 2.., .. }) if quantity.amount(raw) != given => {
+        // Steps of a whole unit or more: whoever gives a part of one means something else.
+        Form::Steps(Steps { denominator: 1, .. }) if quantity.amount(raw) != given => {
             let (step, unit) = (quantity.amount(1), quantity.unit.symbol());
             Err(format!("{quantity} in steps of {step} {unit}, but {given} {unit} was given"))
         }
@@ -58,11 +63,13 @@ pub(super) fn field(text: &str, field: &Field, ranges: Option<&MotionRanges>) ->
             _ => Err(format!("{} must be on or off, but \"{text}\" was given", quantity.name)),
         },
         Form::Motion(scale) => {
-            let ranges = ranges.ok_or(
-                "--ranges is missing: the scales of this firmware's motion mode depend on the motor",
-            )?;
-            let value: f64 = text.parse().map_err(|_| {
-                format!("{} must be a number, but \"{text}\" was given", quantity.name)
+            let ranges = ranges.ok_or(RANGES_ARE_MISSING)?;
+            let value = number(text).ok_or_else(|| {
+                let ((min, max), unit) = (ranges.ends(scale), quantity.unit.symbol());
+                format!(
+                    "{} must be {min} to {max} {unit}, but \"{text}\" is no number",
+                    quantity.name
+                )
             })?;
             ranges.step(scale, value).map(i64::from).map_err(|error| error.to_string())
         }
@@ -114,6 +121,32 @@ pub(super) fn target(text: &str) -> Parsed<Target> {
     motor_id(text)
         .map(Target::Motor)
         .map_err(|_| format!("{}, or all, but \"{text}\" was given", MotorId::QUANTITY))
+}
+
+/// Whom a command goes to: one that reaches whatever is connected names no motor anyway.
+pub(super) fn whom(kind: Kind, id: Option<Target>) -> Parsed<Target> {
+    let reaches_all = kind.opcode().is_some_and(|opcode| opcode.reach() == Reach::Connected);
+    let target = id.or(reaches_all.then_some(Target::All));
+    let target = target.ok_or("--id is missing: say which motor, 1 to 32, or all")?;
+    kind.channel_to(target).map_err(|error| format!("--id: {error}"))?;
+    Ok(target)
+}
+
+/// Refuses a command that a bus does not have.
+pub(super) fn check_bus(kind: Kind, bus: BusKind) -> Parsed<()> {
+    match bus {
+        BusKind::Can => Ok(()),
+        BusKind::Rs485 => kind.check_on_rs485().map_err(|error| format!("--bus: {error}")),
+    }
+}
+
+/// Refuses a command that a firmware does not have.
+pub(super) fn check_firmware(opcode: Opcode, firmware: Firmware) -> Parsed<()> {
+    if opcode.is_in(firmware) {
+        Ok(())
+    } else {
+        Err(format!("--firmware: {firmware} has no {opcode}"))
+    }
 }
 
 pub(super) fn firmware(text: &str) -> Parsed<Firmware> {

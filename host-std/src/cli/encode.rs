@@ -2,14 +2,11 @@
 
 use std::io;
 
-use clap::{Arg, ArgMatches, Command};
-use myactuator_host_std::protocol::command::{AnyCommand, Field, MotionRanges};
-use myactuator_host_std::protocol::opcode::Reach;
-use myactuator_host_std::protocol::quantity::{Form, Steps};
-use myactuator_host_std::protocol::{Kind, Opcode, Target};
+use myactuator_host_std::protocol::Target;
 use myactuator_host_std::{BusKind, text};
 
 use super::arguments::{self as parse, Revision};
+use super::from_table::FromTable;
 use super::{DONE, names, print_line, wrong_usage};
 
 /// Print the frame of a command: 141#A400F401A08C0000 (as candump and cansend write it), or RS485
@@ -34,131 +31,6 @@ pub(super) struct Arguments {
     command: FromTable,
 }
 
-/// A command of the table, with its fields as they were typed. The subcommands are the table's rows,
-/// their flags the fields; values are rounded to the nearest step of the frame.
-#[derive(Clone, Debug)]
-pub(super) struct FromTable {
-    opcode: Opcode,
-    /// Flags and values.
-    given: Vec<(String, String)>,
-}
-
-impl FromTable {
-    pub(super) const fn opcode(&self) -> Opcode {
-        self.opcode
-    }
-
-    /// The command, or one sentence about why there is none.
-    pub(super) fn command(&self, ranges: Option<&MotionRanges>) -> Result<AnyCommand, String> {
-        let mut data = [self.opcode.byte().unwrap_or_default(), 0, 0, 0, 0, 0, 0, 0];
-        let mut unused: Vec<&str> = self.given.iter().map(|(flag, _)| flag.as_str()).collect();
-        for field in self.opcode.command_fields() {
-            if !field.is_in(&data) {
-                continue;
-            }
-            let flag = flag(field);
-            let typed = self.given.iter().find(|(given, _)| *given == flag);
-            let Some((_, text)) = typed else {
-                return Err(format!("--{flag} is missing: {}", hint(field)));
-            };
-            unused.retain(|given| *given != flag);
-            let named = |sentence| format!("--{flag}: {sentence}");
-            let raw = parse::field(text, field, ranges).map_err(named)?;
-            field.put(&mut data, raw).map_err(|error| named(error.to_string()))?;
-        }
-        match unused.first() {
-            Some(flag) => Err(format!("--{flag}: this form of {} takes none", self.opcode)),
-            None => AnyCommand::decode_as(self.opcode, &data).map_err(|error| error.to_string()),
-        }
-    }
-}
-
-/// A field's flag: its key with hyphens.
-fn flag(field: &Field) -> String {
-    field.key().to_string().replace('_', "-")
-}
-
-/// What a field means, and what it may be.
-fn hint(field: &Field) -> String {
-    let Field { meaning, quantity, .. } = field;
-    match quantity.form {
-        Form::Code(names) => {
-            let names: Vec<_> =
-                names.iter().map(|name| format!("{} ({})", name.name, name.raw)).collect();
-            format!("{meaning} One of {}, or another number.", names.join(", "))
-        }
-        Form::Switch => format!("{meaning} on or off."),
-        Form::Steps(Steps { min, max, zero, .. }) => {
-            let (min, max) = (quantity.amount(min), quantity.amount(max));
-            let zero = zero.map_or(String::new(), |zero| format!(", 0 for {zero}"));
-            format!("{meaning} {min} to {max} {}{zero}.", quantity.unit.symbol()).replace(" .", ".")
-        }
-        _ if quantity.unit.symbol().is_empty() => (*meaning).to_owned(),
-        _ => format!("{meaning} In {}.", quantity.unit.symbol()),
-    }
-}
-
-impl clap::Subcommand for FromTable {
-    fn augment_subcommands(command: Command) -> Command {
-        let row = |opcode: &Opcode| {
-            let about =
-                format!("{} ({})", opcode.meaning().trim_end_matches('.'), opcode.section());
-            let mut row = Command::new(opcode.name()).about(about);
-            let mut flags: Vec<String> = Vec::new();
-            for field in opcode.command_fields() {
-                let name = flag(field);
-                // A function's value means another thing for each function.
-                let same = opcode.command_fields().iter().filter(|other| flag(other) == name);
-                let help = if same.count() > 1 {
-                    "Its value: on or off, an id, or a number; as the rest decides.".to_owned()
-                } else {
-                    hint(field)
-                };
-                if !flags.contains(&name) {
-                    let arg = Arg::new(name.clone()).long(name.clone()).help(help);
-                    row = row.arg(arg.allow_hyphen_values(true).value_name("VALUE"));
-                    flags.push(name);
-                }
-            }
-            row
-        };
-        command.subcommand_required(true).subcommands(Opcode::ALL.iter().map(row))
-    }
-
-    fn augment_subcommands_for_update(command: Command) -> Command {
-        Self::augment_subcommands(command)
-    }
-
-    fn has_subcommand(name: &str) -> bool {
-        name.parse::<Opcode>().is_ok()
-    }
-}
-
-impl clap::FromArgMatches for FromTable {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        let missing = || clap::Error::raw(clap::error::ErrorKind::MissingSubcommand, "no command");
-        let (name, matches) = matches.subcommand().ok_or_else(missing)?;
-        let opcode: Opcode = name.parse().map_err(|_| missing())?;
-        let mut given = Vec::new();
-        for field in opcode.command_fields() {
-            let flag = flag(field);
-            let text = matches.get_one::<String>(&flag);
-            match text {
-                Some(text) if !given.iter().any(|(known, _)| *known == flag) => {
-                    given.push((flag, text.clone()));
-                }
-                _ => {}
-            }
-        }
-        Ok(Self { opcode, given })
-    }
-
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        *self = Self::from_arg_matches(matches)?;
-        Ok(())
-    }
-}
-
 /// Prints the frame, or one sentence about why there is none.
 pub(super) fn run(arguments: &Arguments) -> u8 {
     let line = match frame(arguments) {
@@ -174,18 +46,9 @@ pub(super) fn run(arguments: &Arguments) -> u8 {
 fn frame(arguments: &Arguments) -> Result<String, String> {
     let Arguments { bus, id, revision, command } = arguments;
     let opcode = command.opcode();
-    if !opcode.is_in(revision.firmware) {
-        return Err(format!("--firmware: {} has no {opcode}", revision.firmware));
-    }
-    if *bus == BusKind::Rs485 {
-        Kind::from(opcode).check_on_rs485().map_err(|error| format!("--bus: {error}"))?;
-    }
-    let target = match id {
-        Some(target) => *target,
-        // It names no motor anyway.
-        None if opcode.reach() == Reach::Connected => Target::All,
-        None => return Err("--id is missing: say which motor, 1 to 32, or all".to_owned()),
-    };
+    parse::check_firmware(opcode, revision.firmware)?;
+    parse::check_bus(opcode.into(), *bus)?;
+    let target = parse::whom(opcode.into(), *id)?;
     let command = command.command(revision.motion_ranges().as_ref())?;
     let packet = command.packet(target).map_err(|error| format!("--id: {error}"))?;
     text::packet(*bus, &packet).ok_or_else(|| format!("{opcode} has no frame on RS485"))

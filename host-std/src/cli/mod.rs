@@ -1,9 +1,11 @@
 //! The command line: one module a subcommand.
 
 mod arguments;
+mod dbc;
 mod decode;
 mod demo;
 mod encode;
+mod from_table;
 mod motors;
 mod names;
 mod sim;
@@ -40,6 +42,7 @@ enum Subcommand {
     Demo(demo::Arguments),
     Encode(encode::Arguments),
     Decode(decode::Arguments),
+    Dbc(dbc::Arguments),
     Sim(Box<sim::Arguments>),
     #[command(flatten)]
     Motors(motors::Subcommand),
@@ -52,6 +55,7 @@ pub(crate) fn run() -> ExitCode {
             Subcommand::Demo(arguments) => demo::run(&arguments),
             Subcommand::Encode(arguments) => encode::run(&arguments),
             Subcommand::Decode(arguments) => decode::run(&arguments),
+            Subcommand::Dbc(arguments) => dbc::run(&arguments),
             Subcommand::Sim(arguments) => sim::run(&arguments),
             Subcommand::Motors(subcommand) => motors::run(&subcommand),
         },

@@ -18,9 +18,11 @@ use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
 use myactuator_host_std::sim::plant::MotorParameters;
 use myactuator_host_std::text::slcan::Rate;
-use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::MotionRanges;
+use myactuator_protocol_core::{Firmware, MotorId};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
+use super::arguments as parse;
 use super::{DONE, FAILED, print_line, tell, wrong_usage};
 use folders::{Links, MemoryFolder};
 use options::Quirk;
@@ -78,6 +80,13 @@ pub(super) struct Arguments {
     /// Their model: a name, or a file of your own that ends in .toml [default: RMD-X8-PRO]
     #[arg(long, value_name = "NAME|FILE.toml", value_parser = options::model)]
     model: Option<MotorParameters>,
+    /// The revision of the protocol that they speak: v4.3 or v4.4 [default: the model's]
+    #[arg(long, value_name = "REVISION", value_parser = parse::firmware)]
+    firmware: Option<Firmware>,
+    /// The scales of their motion mode, the largest position, velocity, kp, kd and torque, as in
+    /// 12.566,45,500,5,60 [default: the model's or the firmware's; v4.4 has none of its own]
+    #[arg(long, value_name = "RANGES", value_parser = parse::ranges)]
+    ranges: Option<MotionRanges>,
     /// With brakes, locked at first
     #[arg(long)]
     brakes: bool,
@@ -152,6 +161,10 @@ fn check(arguments: &Arguments) -> Result<(), String> {
         }
         _ => {}
     }
+    let has_ranges = |firmware: Firmware| firmware.motion_ranges().or(arguments.ranges).is_some();
+    if !arguments.firmware.is_none_or(has_ranges) {
+        return Err(parse::RANGES_ARE_MISSING.into());
+    }
     let is_there = |motor: MotorId| motor.get() <= arguments.count;
     match arguments.faults.iter().find_map(|fault| fault.motor.filter(|&motor| !is_there(motor))) {
         Some(motor) => Err(format!(
@@ -174,6 +187,12 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
             .brakes(arguments.brakes);
         if let Some(model) = &arguments.model {
             fleet = fleet.model(model.clone());
+        }
+        if let Some(firmware) = arguments.firmware {
+            fleet = fleet.firmware(firmware);
+        }
+        if let Some(ranges) = arguments.ranges {
+            fleet = fleet.motion_ranges(ranges);
         }
         match &memory {
             Some(memory) => Ok(fleet.memory_folder(memory.of(bus)?)),

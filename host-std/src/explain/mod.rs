@@ -2,7 +2,8 @@
 //!
 //! An [`Explainer`] makes of a frame an [`Explanation`], which is a JSON object
 //! ([`Explanation::to_json`]) or a line of text (`Display`). [`Rs485Stream`] finds the frames in a
-//! stream of bytes and reports what was thrown away.
+//! stream of bytes and reports what was thrown away. [`Dbc`] writes the table of commands as a file that
+//! other makers' tools decode with.
 //!
 //! Stands on [`text`](crate::text) alone: it needs no bus, real or simulated.
 //!
@@ -20,11 +21,13 @@
 //! assert_eq!(explanation.to_json()["fields"]["angle_deg"], 360.0);
 //! ```
 
+mod dbc;
 mod explanation;
 mod reading;
 mod stream;
 mod values;
 
+pub use dbc::Dbc;
 pub use explanation::{Decoded, Explanation, FrameDirection, FrameKind, Reading};
 pub use reading::{Explainer, NotASender, Sender};
 pub use stream::Rs485Stream;

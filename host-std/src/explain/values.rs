@@ -39,7 +39,7 @@ fn value(field: &Field, raw: i64, data: &Data, ranges: Option<&MotionRanges>) ->
             let errors = ErrorFlags::from_bits_retain(raw as u16);
             (errors.each().map(error_name).collect::<Vec<_>>().into(), true)
         }
-        Form::Date => (raw.into(), false),
+        Form::Date | Form::ReplyIdentifier => (raw.into(), false),
         Form::Text => {
             let [_, name @ ..] = *data;
             let name = ModelName::from_bytes(name);

@@ -4,12 +4,12 @@ use std::fmt;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{BaudCode, ModelName};
+use myactuator_protocol_core::command::{BaudCode, ModelName, MotionRanges, VersionDate};
 use myactuator_protocol_core::drive::{Bus, Drive, FaultLimits, Gains, Parameters, Quirks};
 use myactuator_protocol_core::io::{CanMaster, SerialMaster};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::{Firmware, MotorId};
 
 use crate::sim::Seat;
 use crate::sim::bus::can::{CanBus, CanConfig, CanPort};
@@ -71,6 +71,9 @@ impl From<MemoryError> for FleetError {
 pub struct Fleet {
     count: u8,
     model: Option<MotorParameters>,
+    firmware: Option<Firmware>,
+    motion_ranges: Option<MotionRanges>,
+    version_date: Option<VersionDate>,
     quirks: Quirks,
     response: (Duration, Duration),
     seed: u64,
@@ -84,6 +87,9 @@ impl Fleet {
         Self {
             count: count.min(MotorId::COUNT as u8),
             model: None,
+            firmware: None,
+            motion_ranges: None,
+            version_date: None,
             quirks: Quirks::default(),
             response: (Duration::from_micros(700), Duration::from_micros(900)),
             seed: 1,
@@ -96,6 +102,28 @@ impl Fleet {
     #[must_use]
     pub fn model(mut self, model: MotorParameters) -> Self {
         self.model = Some(model);
+        self
+    }
+
+    /// With drives that speak this revision of the protocol; else their model's. One whose motion mode has
+    /// no scales of its own (V4.4) needs [`motion_ranges`](Self::motion_ranges) too.
+    #[must_use]
+    pub fn firmware(mut self, firmware: Firmware) -> Self {
+        self.firmware = Some(firmware);
+        self
+    }
+
+    /// With these scales of motion mode; else those of the model or of the firmware.
+    #[must_use]
+    pub fn motion_ranges(mut self, ranges: MotionRanges) -> Self {
+        self.motion_ranges = Some(ranges);
+        self
+    }
+
+    /// With drives that report this version date (0xB2); else the one that is known of their firmware.
+    #[must_use]
+    pub fn version_date(mut self, date: VersionDate) -> Self {
+        self.version_date = Some(date);
         self
     }
 
@@ -141,13 +169,14 @@ impl Fleet {
     pub fn on_can(&self, bit_rate: u32) -> Result<CanFleet, FleetError> {
         let config = CanConfig { bit_rate };
         let world = World::<CanBus>::new(config, self.seed);
+        let model = self.made_model()?;
         let mut drives = Vec::new();
         for motor in self.motors() {
-            let seat = Arc::new(Mutex::new(self.seat(motor, Bus::Can)?));
+            let seat = Arc::new(Mutex::new(self.seat(&model, motor, Bus::Can)?));
             let station = world.attach(Arc::clone(&seat));
             drives.push(DriveHandle { motor, station, seat });
         }
-        Ok(CanFleet { world, drives, bit_rate })
+        Ok(CanFleet { world, drives, firmware: model.firmware, bit_rate })
     }
 
     /// Puts the drives on an RS485 line in virtual time.
@@ -156,28 +185,40 @@ impl Fleet {
     /// As [`on_can`](Self::on_can).
     pub fn on_rs485(&self, bit_rate: u32) -> Result<LineFleet, FleetError> {
         let world = World::<Rs485Line>::new(LineConfig { bit_rate }, self.seed);
+        let model = self.made_model()?;
         let mut drives = Vec::new();
         for motor in self.motors() {
-            let seat = Arc::new(Mutex::new(self.seat(motor, Bus::Rs485)?));
+            let seat = Arc::new(Mutex::new(self.seat(&model, motor, Bus::Rs485)?));
             let station = world.attach(Arc::clone(&seat));
             drives.push(DriveHandle { motor, station, seat });
         }
-        Ok(LineFleet { world, drives, bit_rate })
+        Ok(LineFleet { world, drives, firmware: model.firmware, bit_rate })
     }
 
     fn motors(&self) -> impl Iterator<Item = MotorId> {
         MotorId::all().take(self.count.into())
     }
 
-    fn seat(
-        &self,
-        motor: MotorId,
-        bus: Bus,
-    ) -> Result<Seat<SimulatedMotor, DriveMemory>, FleetError> {
-        let model = match &self.model {
+    /// The model, with the firmware and the scales that were asked for.
+    fn made_model(&self) -> Result<MotorParameters, ParameterError> {
+        let mut model = match &self.model {
             Some(model) => model.clone(),
             None => MotorParameters::named(DEFAULT_MODEL)?,
         };
+        if let Some(firmware) = self.firmware {
+            // The model's scales are those of its own.
+            (model.firmware, model.motion) = (firmware, None);
+        }
+        model.motion = self.motion_ranges.or(model.motion);
+        Ok(model)
+    }
+
+    fn seat(
+        &self,
+        model: &MotorParameters,
+        motor: MotorId,
+        bus: Bus,
+    ) -> Result<Seat<SimulatedMotor, DriveMemory>, FleetError> {
         let memory = match &self.memory_folder {
             Some(folder) => DriveMemory::in_file(folder.join(format!("motor-{motor}.json"))),
             None => DriveMemory::Process(None),
@@ -185,31 +226,39 @@ impl Fleet {
         // A stream of chance of its own for each drive.
         let seed =
             self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(u64::from(motor.get()));
+        let of_model = parameters_of(model)?;
         let parameters = Parameters {
             id: motor,
             bus,
+            version_date: self.version_date.unwrap_or(of_model.version_date),
             response_delay_min: self.response.0,
             response_delay_max: self.response.1,
             quirks: self.quirks,
             has_brake: self.has_brake,
             seed: (seed ^ (seed >> 32)) as u32,
-            ..parameters_of(&model)
+            ..of_model
         };
-        let plant = SimulatedMotor::new(model)?;
+        let plant = SimulatedMotor::new(model.clone())?;
         Ok(Seat::new(Drive::new(parameters, plant, memory, Instant::ZERO)?))
     }
 }
 
-/// A drive's parameters for a motor of this model: its limits, scales and factory gains.
-pub fn parameters_of(model: &MotorParameters) -> Parameters {
+/// A drive's parameters for a motor of this model: its firmware, limits, scales and factory gains.
+///
+/// # Errors
+/// [`ParameterError::NoMotionRanges`].
+pub fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterError> {
     let rating = &model.rating;
     let peak_a = rating.peak_current_a as f32;
     let no_load_dps = (rating.no_load_speed_rpm * 6.0) as f32;
     let supply_a = (rating.peak_torque_nm * rating.speed_rpm * std::f64::consts::TAU
         / 60.0
         / rating.voltage_v) as f32;
-    Parameters {
+    Ok(Parameters {
         model: model_name(&model.name),
+        firmware: model.firmware,
+        version_date: model.firmware.version_date(),
+        motion_ranges: model.motion_ranges()?,
         baud_rate: BaudCode::CAN_1M_RS485_500K,
         encoder_bits: model.encoder.bits,
         gear_ratio: model.gear.ratio as f32,
@@ -232,7 +281,7 @@ pub fn parameters_of(model: &MotorParameters) -> Parameters {
             BANDWIDTH_RAD_S,
         ),
         ..Parameters::default()
-    }
+    })
 }
 
 /// Up to seven characters of the model's name, without the maker's "RMD-".
@@ -282,13 +331,15 @@ pub struct CanFleet {
     pub world: World<CanBus>,
     /// The drives, in the order of their ids.
     pub drives: Vec<DriveHandle>,
+    firmware: Firmware,
     bit_rate: u32,
 }
 
 impl CanFleet {
     /// A master on this bus.
     pub fn master<const N: usize>(&self) -> CanMaster<CanPort, SimClock<CanBus>, N> {
-        CanMaster::new(self.world.port(), self.world.clock(), Config::can(self.bit_rate))
+        let config = Config { firmware: self.firmware, ..Config::can(self.bit_rate) };
+        CanMaster::new(self.world.port(), self.world.clock(), config)
     }
 
     /// Bits per second.
@@ -304,6 +355,7 @@ pub struct LineFleet {
     pub world: World<Rs485Line>,
     /// The drives, in the order of their ids.
     pub drives: Vec<DriveHandle>,
+    firmware: Firmware,
     bit_rate: u32,
 }
 
@@ -318,12 +370,60 @@ impl LineFleet {
         &self,
         transceiver: TransceiverConfig,
     ) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        let config = Config::rs485(self.bit_rate, transceiver.echo);
+        let firmware = self.firmware;
+        let config = Config { firmware, ..Config::rs485(self.bit_rate, transceiver.echo) };
         SerialMaster::new(self.world.port_with(transceiver), self.world.clock(), config)
     }
 
     /// Bits per second.
     pub const fn bit_rate(&self) -> u32 {
         self.bit_rate
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use myactuator_protocol_core::command::{
+        MotionLimits, ReadSingleTurnAngle, ReadSingleTurnAngleV4_4, ReadVersionDate,
+    };
+    use myactuator_protocol_core::io::Runner;
+
+    /// Turns the first shaft of a fleet by -90 degrees.
+    fn turned(fleet: Fleet) -> CanFleet {
+        let fleet = fleet.on_can(1_000_000).unwrap();
+        fleet.drives[0].with(|drive| drive.plant_mut().set_output_angle_deg(-90.0)).unwrap();
+        // The control loops measure it.
+        fleet.world.run_for(Duration::from_millis(10));
+        fleet
+    }
+
+    #[test]
+    fn a_v4_4_says_that_it_is_one_and_answers_0x94_in_its_own_way() {
+        let limits = MotionLimits { torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
+        let ranges = MotionRanges::new(limits).unwrap();
+        let v4_4 = turned(Fleet::new(1).firmware(Firmware::V4_4).motion_ranges(ranges));
+        let mut master = v4_4.master::<1>();
+        let date = master.ask(MotorId::MIN, ReadVersionDate).unwrap().version_date;
+        assert_eq!(date.raw(), 2_026_042_402);
+        let angle = master.ask(MotorId::MIN, ReadSingleTurnAngleV4_4).unwrap().angle;
+        assert!((angle.degrees() + 90.0).abs() < 0.1, "{angle}");
+        v4_4.drives[0].with(|drive| assert_eq!(drive.parameters().motion_ranges, ranges));
+
+        let mut master = turned(Fleet::new(1)).master::<1>();
+        let angle = master.ask(MotorId::MIN, ReadSingleTurnAngle).unwrap().angle;
+        assert!((angle.degrees() - 270.0).abs() < 0.1, "{angle}");
+    }
+
+    #[test]
+    fn scales_are_never_made_up() {
+        let v4_4 = || Fleet::new(1).firmware(Firmware::V4_4);
+        let error = v4_4().on_can(1_000_000).unwrap_err().to_string();
+        assert!(error.contains("v4.4's motion mode depend on the motor"), "{error}");
+        assert!(v4_4().on_rs485(115_200).is_err());
+        // Those of a model are of its own firmware.
+        let mut model = MotorParameters::named(DEFAULT_MODEL).unwrap();
+        model.motion = Some(MotionRanges::V4_3);
+        assert!(v4_4().model(model).on_can(1_000_000).is_err());
     }
 }

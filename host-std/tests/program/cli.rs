@@ -7,18 +7,6 @@ use serde_json::Value;
 
 use crate::run::{lines, myactuator, objects, rows, run, run_words, text, vectors};
 
-/// Keys beside those of the vectors: numbers behind names, and names behind numbers.
-const EXTRA_KEYS: &[&str] = &[
-    "index_name",
-    "command_name",
-    "mode_raw",
-    "position_raw",
-    "velocity_raw",
-    "kp_raw",
-    "kd_raw",
-    "torque_raw",
-];
-
 fn run_on(input: impl AsRef<[u8]>, arguments: &[&str]) -> Output {
     assert_cmd::Command::from(myactuator())
         .args(arguments)
@@ -56,8 +44,15 @@ fn same_fields(told: &Value, expected: &Value) -> bool {
     let (Some(told), Some(expected)) = (told.as_object(), expected.as_object()) else {
         return false;
     };
+    // Where one of a code's name and number is expected, the other may stand beside it.
+    let has_number = |key: &str| expected.contains_key(&format!("{key}_raw"));
+    let has_value = |key: &str| {
+        let name = key.strip_suffix("_raw");
+        name.is_some_and(|name| expected.keys().any(|key| key.starts_with(name)))
+    };
+    let is_known = |key: &str| expected.contains_key(key) || has_number(key) || has_value(key);
     expected.iter().all(|(key, value)| told.get(key).is_some_and(|told| same(told, value)))
-        && told.keys().all(|key| expected.contains_key(key) || EXTRA_KEYS.contains(&key.as_str()))
+        && told.keys().map(String::as_str).all(is_known)
 }
 
 /// Decodes rows of one direction at once, and compares all but the direction.
@@ -110,6 +105,41 @@ fn can_identifiers_tell_the_direction() {
     assert_eq!(told[0]["direction"], "either");
 }
 
+/// Frames, and the direction, id and fields that they are decoded to.
+const READINGS: &str = r#"
+# An id in either byte (7.3 and 7.4) makes it a reply, on either bus.
+300#7900010000000200 => reply "all" {"access":"read","access_raw":1,"motor_id":2}
+300#7900010000000002 => reply "all" {"access":"read","access_raw":1,"motor_id":2}
+3E CD 08 79 00 01 00 00 00 02 00 F9 F5 => reply "all" {"access":"read","access_raw":1,"motor_id":2}
+3E CD 08 79 00 01 00 00 00 00 02 79 54 => reply "all" {"access":"read","access_raw":1,"motor_id":2}
+# An acceleration of 0 is no planning (2.20.2).
+141#4303000000000000 => command 1 {"index":"speed-deceleration","index_raw":3,"acceleration_dps2":0}
+# What no firmware knows, is raw.
+141#C001020304050607 => command 1 {}
+241#C001020304050607 => reply 1 {}
+241#F100000000000000 => reply 1 {}
+"#;
+
+#[test]
+fn frames_that_are_easily_misread_are_read_right() {
+    for (frame, reading) in rows(READINGS) {
+        let bus = if frame.contains('#') { "can" } else { "rs485" };
+        let output = run(&["decode", "--json", "--bus", bus, frame]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stdout));
+        let told = &objects(&output)[0];
+        let fields = told["fields"].to_string();
+        let read = format!("{} {} {fields}", string(told, "direction"), told["id"]);
+        assert_eq!(read, reading, "{frame}");
+        assert!(told["canonical"].is_string(), "{told}");
+    }
+    // The identifier says who answers, whatever the first byte says (5.4).
+    let told = &objects(&run(&["decode", "--json", "501#02E66682EB550000"]))[0];
+    assert_eq!((&told["id"], &told["fields"]["id_byte"]), (&1.into(), &2.into()));
+    let output = run(&["decode", "141#C001020304050607"]);
+    let raw = "141#C001020304050607  motor 1  command  raw: command byte 0xC0 is not known";
+    assert_eq!(lines(&output), [raw]);
+}
+
 #[test]
 fn every_rs485_example_of_the_manual_is_explained() {
     for direction in ["command", "reply"] {
@@ -134,19 +164,16 @@ fn every_rs485_example_of_the_manual_is_explained() {
     }
 }
 
-/// The flags that encode a command with these fields, which are the JSON keys in kebab-case.
+/// The flags that encode a command with these fields: the JSON keys in kebab-case. A code is given by
+/// its number under the name's flag.
 fn flags(row: &Value) -> Vec<String> {
-    let mut flags = Vec::new();
-    for (key, value) in row["fields"].as_object().unwrap() {
+    let fields = row["fields"].as_object().unwrap().iter();
+    let flag = |(key, value): (&String, &Value)| {
+        let name = key.strip_suffix("_raw").unwrap_or(key).replace('_', "-");
         let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-        match (string(row, "name"), key.as_str()) {
-            ("bus-id", "write") if value == "false" => flags.push("--read".to_owned()),
-            ("bus-id", "write") => {}
-            ("bus-id", "motor_id") => flags.extend(["--write".to_owned(), value]),
-            _ => flags.extend([format!("--{}", key.replace('_', "-")), value]),
-        }
-    }
-    flags
+        [format!("--{name}"), value]
+    };
+    fields.flat_map(flag).collect()
 }
 
 #[test]
@@ -177,10 +204,10 @@ read-acceleration --index position-deceleration => 141#4201000000000000
 function-control --index can-id-filter --value 1 => 141#2002000001000000
 function-control --index clear-multi-turn => 141#2001000000000000
 function-control --index 7 --value -90 => 141#20070000A6FFFFFF
-active-reply --command read-multi-turn-encoder --enabled true --interval 10 => 141#B660010100000000
-active-reply --command 0x60 --enabled false --interval 0 => 141#B660000000000000
-set-baud-rate --baud-code can-1m-rs485-500k => 141#B400000000000001
-speed --speed-dps 100 => 141#A200000010270000
+active-reply --command read-multi-turn-encoder --enable on --interval 10 => 141#B660010100000000
+active-reply --command 0x60 --enable off --interval 0 => 141#B660000000000000
+set-baud-rate --baud-rate can-1m-rs485-500k => 141#B400000000000001
+speed --speed-dps 100 --max-torque-pct 0 => 141#A200000010270000
 single-turn-position --direction counter-clockwise --angle 359.99 --max-speed 1 => 141#A60101009F8C0000
 # The ends of the ranges: 2147483647 and -2147483648 hundredths, 32767 and -32768.
 absolute-position --angle-deg 21474836.47 --max-speed-dps 65535 => 141#A400FFFFFFFFFF7F
@@ -190,8 +217,13 @@ torque --current-a 327.67 => 141#A1000000FF7F0000
 torque --current-a -327.68 => 141#A100000000800000
 write-acceleration --index 0 --acceleration-dps2 100 => 141#4300000064000000
 write-acceleration --index 0 --acceleration-dps2 60000 => 141#4300000060EA0000
+# 0 is no planning (2.20.2, 2.21.1).
+write-acceleration --index 0 --acceleration-dps2 0 => 141#4300000000000000
+# Codes that the manual does not name are sent as they are.
+read-acceleration --index 4 => 141#4204000000000000
+set-baud-rate --baud-rate 255 => 141#B4000000000000FF
 communication-loss-protection --timeout-ms 4294967295 => 141#B3000000FFFFFFFF
-active-reply --command 0x9A --enabled true --interval-ms 655350 => 141#B69A01FFFF000000
+active-reply --command 0x9A --enable true --interval-ms 655350 => 141#B69A01FFFF000000
 set-encoder-zero --offset-pulses -2147483648 => 141#6300000000000080
 ";
 
@@ -204,7 +236,8 @@ fn codes_have_names_and_flags_may_be_short() {
     }
     // Bus and id may stand behind the command; the bus id names no motor anyway.
     assert_eq!(lines(&run(&["encode", "stop", "--id", "32"])), ["160#8100000000000000"]);
-    assert_eq!(lines(&run(&["encode", "bus-id", "--read"])), ["300#7900010000000000"]);
+    let read = run(&["encode", "bus-id", "--access", "read"]);
+    assert_eq!(lines(&read), ["300#7900010000000000"]);
     assert_eq!(lines(&run(&["encode", "--id", "all", "stop"])), ["280#8100000000000000"]);
 }
 
@@ -213,40 +246,48 @@ const REFUSALS: &str = r#"
 --id 33 stop => --id: motor id must be 1 to 32, or all, but "33" was given
 --id 0 stop => --id: motor id must be 1 to 32, or all, but "0" was given
 --id -1 stop => --id: motor id must be 1 to 32, or all, but "-1" was given
-stop => --id is missing: tell which motor, 1 to 32, or all
+stop => --id is missing: say which motor, 1 to 32, or all
 --id 1 absolute-position --max-speed 1 --angle 21474836.48 => --angle-deg: angle must be -21474836.48 to 21474836.47 deg, but 21474836.48 deg was given
 --id 1 absolute-position --max-speed 1 --angle -21474836.49 => --angle-deg: angle must be -21474836.48 to 21474836.47 deg, but -21474836.49 deg was given
 --id 1 absolute-position --max-speed 1 --angle up => --angle-deg: angle must be -21474836.48 to 21474836.47 deg, but "up" is no number
---id 1 absolute-position --max-speed 65536 --angle 1 => --max-speed-dps: maximum speed must be 0 to 65535 dps, but 65536 dps was given
---id 1 absolute-position --max-speed -1 --angle 1 => --max-speed-dps: maximum speed must be 0 to 65535 dps, but -1 dps was given
---id 1 speed --speed 21474836.48 => --speed-dps: speed must be -21474836.48 to 21474836.47 dps, but 21474836.48 dps was given
---id 1 speed --speed 1 --max-torque 256 => --max-torque-pct: maximum torque must be 0 to 255 % of rated current, but 256 % of rated current was given
+--id 1 absolute-position --max-speed 65536 --angle 1 => --max-speed-dps: maximum speed must be 1 to 65535 dps (0: no limit), but 65536 dps was given
+--id 1 absolute-position --max-speed -1 --angle 1 => --max-speed-dps: maximum speed must be 1 to 65535 dps (0: no limit), but -1 dps was given
+--id 1 speed --max-torque 0 --speed 21474836.48 => --speed-dps: speed must be -21474836.48 to 21474836.47 dps, but 21474836.48 dps was given
+--id 1 speed --speed 1 --max-torque 256 => --max-torque-pct: maximum torque must be 1 to 255 % of rated current (0: no limit in a speed command), but 256 % of rated current was given
 --id 1 torque --current 327.68 => --current-a: torque current must be -327.68 to 327.67 A, but 327.68 A was given
 --id 1 torque --current NaN => --current-a: torque current must be -327.68 to 327.67 A, but NaN A was given
 --id 1 torque --current -inf => --current-a: torque current must be -327.68 to 327.67 A, but -inf A was given
 --id 1 single-turn-position --max-speed 1 --direction clockwise --angle 360.01 => --angle-deg: single-turn angle must be 0 to 360 deg, but 360.01 deg was given
---id 1 single-turn-position --max-speed 1 --direction left --angle 1 => --direction: direction must be one of 0 (clockwise), 1 (counter-clockwise), but "left" was given
---id 1 write-acceleration --index 0 --acceleration-dps2 99 => --acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 99 dps/s was given
---id 1 write-acceleration --index 0 --acceleration-dps2 60001 => --acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 60001 dps/s was given
---id 1 write-acceleration --index 0 --acceleration-dps2 0 => --acceleration-dps2: acceleration must be 100 to 60000 dps/s, but 0 dps/s was given
---id 1 communication-loss-protection --timeout-ms 4294967296 => --timeout-ms: time must be 0 to 4294967295 ms, but 4294967296 ms was given
---id 1 communication-loss-protection --timeout-ms 1.5 => --timeout-ms: time must be 0 to 4294967295 ms, but "1.5" is no whole number
---id 1 active-reply --command 0x60 --enabled true --interval 4 => --interval-ms: report interval must be 0 to 655350 ms in steps of 10 ms, but 4 ms was given
---id 1 active-reply --command 0x60 --enabled true --interval 655360 => --interval-ms: report interval must be 0 to 655350 ms, but 655360 ms was given
+--id 1 single-turn-position --max-speed 1 --direction left --angle 1 => --direction: direction must be clockwise (0), counter-clockwise (1) or another number up to 255, but "left" was given
+--id 1 write-acceleration --index 0 --acceleration-dps2 99 => --acceleration-dps2: acceleration must be 100 to 60000 dps/s (0: no planning), but 99 dps/s was given
+--id 1 write-acceleration --index 0 --acceleration-dps2 60001 => --acceleration-dps2: acceleration must be 100 to 60000 dps/s (0: no planning), but 60001 dps/s was given
+--id 1 write-acceleration --index 0 --acceleration-dps2 0.4 => --acceleration-dps2: acceleration must be 100 to 60000 dps/s (0: no planning), but 0.4 dps/s was given
+--id 1 communication-loss-protection --timeout-ms 4294967296 => --timeout-ms: time must be 1 to 4294967295 ms (0: off as a protection time), but 4294967296 ms was given
+--id 1 communication-loss-protection --timeout-ms 1.5 => --timeout-ms: time must be 1 to 4294967295 ms (0: off as a protection time) in steps of 1 ms, but 1.5 ms was given
+--id 1 active-reply --command 0x60 --enable on --interval 4 => --interval-ms: report interval must be 0 to 655350 ms in steps of 10 ms, but 4 ms was given
+--id 1 active-reply --command 0x60 --enable on --interval 655360 => --interval-ms: report interval must be 0 to 655350 ms, but 655360 ms was given
 --id 1 set-encoder-zero --offset-pulses 2147483648 => --offset-pulses: encoder position must be -2147483648 to 2147483647 pulses, but 2147483648 pulses was given
---id 1 set-baud-rate --baud-code 256 => --baud-code: baud code must be 0 to 255, but 256 was given
---id 1 read-acceleration --index 4 => --index: acceleration index must be one of 0 (position-acceleration), 1 (position-deceleration), 2 (speed-acceleration), 3 (speed-deceleration), but "4" was given
---id 1 function-control --index 2 --value 2 => --value: switch must be 0 to 1, but 2 was given
+--id 1 set-baud-rate --baud-rate 256 => --baud-rate: baud code must be can-500k-rs485-115200 (0), can-1m-rs485-500k (1), rs485-1m (2) or another number up to 255, but "256" was given
+--id 1 read-acceleration --index 256 => --index: acceleration index must be position-acceleration (0), position-deceleration (1), speed-acceleration (2), speed-deceleration (3) or another number up to 255, but "256" was given
+--id 1 read-acceleration --index fast => --index: acceleration index must be position-acceleration (0), position-deceleration (1), speed-acceleration (2), speed-deceleration (3) or another number up to 255, but "fast" was given
+--id 1 function-control --index 2 --value 2 => --value: switch must be on or off, but "2" was given
 --id 1 function-control --index 5 --value 300 => --value: motor id must be 1 to 32, but 300 was given
---id 1 function-control --index 1 --value 1 => --value: clear-multi-turn takes no value but 0, but "1" was given
---id 1 function-control --index 3 => --value is missing: function 3 needs one
-bus-id --write 33 => --write: motor id must be 1 to 32, but 33 was given
---id 1 bus-id --read => --id: bus-id (0x79) reaches every motor that is connected and names none: send it to all
+--id 1 function-control --index 1 --value 1 => --value: this form of function-control (0x20) takes none
+--id 1 function-control --index 3 => --value is missing: Whether it is on. Either on or off.
+bus-id --access write --motor-id 33 => --motor-id: motor id must be 1 to 32, but 33 was given
+bus-id --access write => --motor-id is missing: The new id. 1 to 32.
+bus-id --access read --motor-id 2 => --motor-id: this form of bus-id (0x79) takes none
+bus-id --access 2 => access must be 0 to 1, but 2 was given
+--id 1 bus-id --access read => --id: bus-id (0x79) reaches every motor that is connected and names none: send it to all
 --id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 24.1 => --torque-nm: torque must be -24 to 24 N·m, but 24.1 N·m was given
 --id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm x => --torque-nm: torque must be -24 to 24 N·m, but "x" is no number
 --id all motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --id: motion goes to one motor only: name its id
+--firmware v4.4 bus-id --access read => --firmware: v4.4 has no bus-id (0x79)
+--id 1 read-single-turn-angle-v4.4 => --firmware: v4.3 has no read-single-turn-angle-v4.4 (0x94)
+--id 1 --firmware v4.5 stop => --firmware: firmware must be one of v4.3 v4.4, but "v4.5" was given
+--id 1 --firmware v4.4 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --ranges is missing: the scales of this firmware's motion mode depend on the motor
 --id 1 --bus rs485 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --bus: motion exists on CAN only
---id 1 --bus rs485 active-reply --command 0x60 --enabled true --interval 10 => --bus: active-reply (0xB6) exists on CAN only
+--id 1 --bus rs485 active-reply --command 0x60 --enable on --interval 10 => --bus: active-reply (0xB6) exists on CAN only
 "#;
 
 #[test]
@@ -269,6 +310,32 @@ fn wrong_values_are_refused_in_one_sentence_with_what_is_allowed() {
         let sentence = refusal(&arguments);
         assert!(sentence.contains(part), "{arguments:?}: {sentence}");
     }
+}
+
+#[test]
+fn a_firmware_has_its_own_layouts_and_commands() {
+    // -9000 hundredths are 0xFFFFDCD8; V4.3's angle is the last two bytes, 65535 hundredths.
+    for (revision, name, degrees) in [
+        ("v4.3", "read-single-turn-angle", 655.35),
+        ("v4.4", "read-single-turn-angle-v4.4", -90.0),
+        ("V4.4", "read-single-turn-angle-v4.4", -90.0),
+    ] {
+        let frame = "241#94000000D8DCFFFF";
+        let told = objects(&run(&["decode", "--json", "--firmware", revision, frame]));
+        assert_eq!((&told[0]["name"], &told[0]["opcode"]), (&name.into(), &"0x94".into()));
+        assert_eq!(told[0]["fields"]["angle_deg"], degrees, "{revision}");
+    }
+    // V4.4 has dropped 0x79, and the scales of its motion mode depend on the motor.
+    let output = run(&["decode", "--firmware", "v4.4", "300#7900010000000000"]);
+    assert!(lines(&output)[0].ends_with("raw: command byte 0x79 is not known"), "{output:?}");
+    let motion = "501#01E66682EB550000";
+    let told = objects(&run(&["decode", "--json", "--firmware", "v4.4", motion]));
+    assert_eq!(told[0]["fields"]["torque_nm"], Value::Null);
+    let of_60 = ["--ranges", "12.566,45,500,5,60"];
+    let told =
+        objects(&run(&[&["decode", "--json", "--firmware", "v4.4", motion], &of_60[..]].concat()));
+    // 2901 of 4095 steps from -60 to 60.
+    assert_eq!(told[0]["fields"]["torque_nm"], 2901.0 * 120.0 / 4095.0 - 60.0);
 }
 
 #[test]

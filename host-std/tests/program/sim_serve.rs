@@ -7,7 +7,9 @@ use std::process::{Child, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use myactuator_host_std::open::{AnyMaster, BusAddress};
-use myactuator_protocol_core::command::{AnyReply, ErrorFlags, MultiTurnAngle, ReadVersionDate};
+use myactuator_protocol_core::command::{
+    AnyReply, ErrorFlags, MultiTurnAngle, ReadSingleTurnAngle, ReadVersionDate,
+};
 use myactuator_protocol_core::io::Runner as _;
 use myactuator_protocol_core::master::{Config, MotorSet};
 use myactuator_protocol_core::time::Duration as BusTime;
@@ -291,6 +293,33 @@ fn faults_and_quirks_are_those_asked_for() {
 }
 
 #[test]
+fn the_firmware_is_the_one_asked_for() {
+    let v4_4 = ["--firmware", "v4.4", "--ranges", "12.566,45,500,5,60", "--count", "1"];
+    let simulation = Simulation::start(2, &v4_4);
+    let port = simulation.open("rs485");
+    // The command is the same in both; V4.4 answers it with another layout.
+    let read = |command: AnyCommand| {
+        let packet = command.packet(Target::Motor(MotorId::MIN)).unwrap();
+        port.write_all(&Frame::from_packet(&packet).unwrap().encode()).unwrap();
+        let frame = Frame::decode(&read_exactly(&port)).unwrap();
+        AnyReply::decode(&frame.as_reply().unwrap(), Firmware::V4_4).unwrap()
+    };
+    let told = read(ReadSingleTurnAngle.into());
+    assert!(matches!(told, AnyReply::ReadSingleTurnAngleV4_4(_)), "{told:?}");
+    let AnyReply::ReadVersionDate(told) = read(ReadVersionDate.into()) else { panic!("{told:?}") };
+    assert_eq!(Firmware::of_version_date(told.version_date), Some(Firmware::V4_4));
+    drop(port);
+
+    let bus = simulation.place("slcan")["bus"].as_str().unwrap();
+    let motion = ["motion", "--yes", "--id", "1", "--position-rad", "0", "--kp", "1", "--kd", "1"];
+    let (status, told) = run_at(bus, &motion);
+    assert_eq!(status, Some(1), "{told}");
+    assert!(told.contains("motor 1 speaks v4.4: --ranges is missing"), "{told}");
+    let (status, told) = run_at(bus, &[&motion[..], &v4_4[2..4], &["--for-s", "0.1"]].concat());
+    assert_eq!(status, Some(0), "{told}");
+}
+
+#[test]
 fn links_lead_to_the_pseudo_terminals_as_long_as_they_are_there() {
     let folder = tempfile::tempdir().unwrap();
     let links = folder.path().join("buses");
@@ -319,6 +348,11 @@ fn wrong_options_are_told_in_one_sentence() {
         (&["--count", "33"][..], "33 is not in 1..=32"),
         (&["--model", "RMD-Z9"], "--model: no motor model is called \"RMD-Z9\"; there are RMD-"),
         (&["--model", "no/such.toml"], "--model: the model's file \"no/such.toml\" cannot be read"),
+        (&["--firmware", "v4.4"], "--ranges is missing: "),
+        (
+            &["--firmware", "v5"],
+            "--firmware: firmware must be one of v4.3 v4.4, but \"v5\" was given",
+        ),
         (&["--quirk", "slow"], "--quirk: expected one of slow-boot, slow-brake"),
         (&["--fault", "loose"], "--fault: expected lose, corrupt"),
         (&["--fault", "lose=2"], "--fault: expected a chance from 0 to 1"),

@@ -51,16 +51,6 @@ mod tests {
     use crate::command::Command;
 
     #[test]
-    fn writes_10000_as_the_manual_does() {
-        let write = WriteAcceleration {
-            index: AccelerationIndex::SPEED_DECELERATION,
-            acceleration: Acceleration::from_dps2(10_000.0).unwrap(),
-        };
-        assert_eq!(write.encode(), [0x43, 0x03, 0, 0, 0x10, 0x27, 0, 0]); // 2.5.5 example 4
-        assert_eq!(WriteAcceleration::decode(&write.encode()), Ok(write));
-    }
-
-    #[test]
     fn a_write_out_of_range_is_refused_and_a_reading_is_told_as_it_is() {
         assert!(WriteAcceleration::decode(&[0x43, 0, 0, 0, 99, 0, 0, 0]).is_err());
         let reading = ReadAcceleration::decode_reply(&[0x42, 0, 0, 0, 99, 0, 0, 0]).unwrap();

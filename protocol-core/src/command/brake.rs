@@ -12,14 +12,3 @@ command! {
     /// too. The reply is the same frame.
     LockBrake -> Self
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn carry_nothing_but_their_command_byte() {
-        assert_eq!(ReleaseBrake.encode(), [0x77, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(LockBrake.encode(), [0x78, 0, 0, 0, 0, 0, 0, 0]);
-    }
-}

@@ -9,7 +9,7 @@ use crate::error::DecodeError;
 use crate::id::MotorId;
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
-use crate::quantity::{Form, OutOfRange, Quantity, Unit};
+use crate::quantity::{Form, Given, OutOfRange, Quantity, Unit};
 
 const READ: u8 = 1;
 const WRITE: u8 = 0;
@@ -135,7 +135,12 @@ impl Fields for BusIdReply {
 
 /// Anything but read and write is refused: a drive that took it for a write would take a new id.
 fn is_read(data: &Data) -> Result<bool, OutOfRange> {
-    Ok(crate::command::Switch::read::<2>(data)?.is_on())
+    const ALLOWED: Quantity = Quantity::whole("access", WRITE as i64, READ as i64);
+    match data[2] {
+        READ => Ok(true),
+        WRITE => Ok(false),
+        other => Err(OutOfRange { quantity: &ALLOWED, given: Given::steps(other as u32, 1) }),
+    }
 }
 
 #[cfg(test)]

@@ -119,16 +119,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_absolute_position_is_the_manuals() {
-        let go = AbsolutePosition {
-            max_speed: MaxSpeed::from_raw(500),
-            angle: Angle::from_degrees(-360.0).unwrap(),
-        };
-        assert_eq!(go.encode(), [0xA4, 0x00, 0xF4, 0x01, 0x60, 0x73, 0xFF, 0xFF]); // 2.21.4
-        assert_eq!(AbsolutePosition::decode(&go.encode()), Ok(go));
-    }
-
-    #[test]
     fn the_torque_limit_is_byte_1() {
         // 2.20.2 and 2.24.2 print DATA[2] in their formulas; the examples use DATA[1].
         let force = ForcePosition {

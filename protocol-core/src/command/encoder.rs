@@ -79,21 +79,11 @@ reply! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::command::Command;
 
     #[test]
     fn an_offset_fills_all_four_bytes() {
         // 2.9.2 prints >>8 for the last three; each byte has its own shift.
         let set = SetEncoderZero { offset: EncoderPulses::from_raw(0x0403_0201) };
         assert_eq!(set.encode(), [0x63, 0, 0, 0, 1, 2, 3, 4]);
-    }
-
-    #[test]
-    fn reads_the_manuals_single_turn_example() {
-        let reply = [0x90, 0x00, 0x33, 0x08, 0xBE, 0x2C, 0x8B, 0x24]; // 2.11.4
-        let encoder = ReadSingleTurnEncoder::decode_reply(&reply).unwrap();
-        assert_eq!(encoder.position.raw(), 2099);
-        assert_eq!(encoder.raw.raw(), 11454);
-        assert_eq!(encoder.offset.raw(), 9355);
     }
 }

@@ -162,7 +162,7 @@ impl Fields for FunctionControl {
         const fn value(meaning: &'static str, quantity: &'static Quantity) -> Field {
             Field::bytes("value", meaning, quantity, 4, 4)
         }
-        const SWITCH: Field = value("Off or on.", &Switch::QUANTITY);
+        const SWITCH: Field = value("Whether it is on.", &Switch::QUANTITY);
         const LIMIT: Field =
             value("The largest angle, in a unit that the manual does not give.", &ANGLE);
         [
@@ -193,13 +193,6 @@ impl Fields for FunctionControl {
 mod tests {
     use super::*;
     use std::string::ToString;
-
-    #[test]
-    fn the_id_filter_is_function_2() {
-        // The text of 2.35.5 example 2 says index 1, the frame is right.
-        let on = FunctionControl::CanIdFilter(Switch::On);
-        assert_eq!(on.encode(), [0x20, 0x02, 0, 0, 0x01, 0, 0, 0]);
-    }
 
     #[test]
     fn every_function_decodes_to_itself() {

@@ -67,6 +67,7 @@ pub struct MotionRanges(MotionLimits);
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(deny_unknown_fields))]
 pub struct MotionLimits {
     /// Position, rad.
     pub position_rad: f32,

@@ -68,14 +68,6 @@ mod tests {
     use crate::command::Command;
 
     #[test]
-    fn a_gain_is_a_little_endian_float() {
-        // 1.5 is 0x3FC00000 (2.2.5).
-        let write = WritePidRam { index: PidIndex::CURRENT_KP, value: Gain::new(1.5).unwrap() };
-        assert_eq!(write.encode(), [0x31, 0x01, 0, 0, 0, 0, 0xC0, 0x3F]);
-        assert_eq!(WritePidRam::decode(&write.encode()), Ok(write));
-    }
-
-    #[test]
     fn a_gain_that_is_no_number_is_refused() {
         assert!(ReadPid::decode_reply(&[0x30, 1, 0, 0, 0, 0, 0xC0, 0x7F]).is_err());
     }

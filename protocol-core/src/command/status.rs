@@ -237,25 +237,7 @@ reply! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::command::Command;
     use std::string::ToString;
-
-    #[test]
-    fn reads_the_manuals_examples() {
-        // 2.14.4
-        let status =
-            ReadStatus1::decode_reply(&[0x9A, 0x32, 0x00, 0x01, 0xE5, 0x01, 0x04, 0x00]).unwrap();
-        assert_eq!(status.temperature.celsius(), 50.0);
-        assert_eq!(status.brake, BrakeCommand::RELEASE);
-        assert_eq!(status.voltage.volts(), 48.5);
-        assert_eq!(status.errors, ErrorFlags::UNDER_VOLTAGE);
-        // 2.16.4
-        let status =
-            ReadStatus3::decode_reply(&[0x9D, 0x32, 0xC2, 0x0B, 0x10, 0xFA, 0xC0, 0xF9]).unwrap();
-        assert_eq!(status.phase_a_current.amperes(), 30.1);
-        assert_eq!(status.phase_b_current.amperes(), -15.2);
-        assert_eq!(status.phase_c_current.amperes(), -16.0);
-    }
 
     #[test]
     fn errors_the_manual_does_not_name_are_kept_and_told() {

@@ -12,9 +12,12 @@ mod motion;
 mod move_to;
 mod moving;
 mod progress;
+mod revision;
 mod run_for;
 mod scan;
 mod session;
+#[cfg(test)]
+mod simulated;
 mod speed;
 mod status;
 mod torque;

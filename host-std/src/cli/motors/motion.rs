@@ -1,10 +1,10 @@
 //! `myactuator motion`: one set-point of motion (MIT) mode, for a while.
 
-use myactuator_host_std::BusKind;
-use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint, ReadVersionDate};
+use myactuator_protocol_core::Opcode;
+use myactuator_protocol_core::command::MotionSetPoint;
 use myactuator_protocol_core::master::StopKind;
-use myactuator_protocol_core::{Firmware, Kind, Opcode};
 
+use super::revision::MotorRevision;
 use super::run_for::{self, Run, Span};
 use super::session::{Outcome, Session, Unfinished};
 use crate::cli::arguments as parse;
@@ -33,50 +33,17 @@ pub(in crate::cli) struct Arguments {
     /// Torque added to both, N·m.
     #[arg(long, allow_hyphen_values = true, default_value_t = 0.0)]
     torque_nm: f32,
-    /// The revision of the protocol that the motor speaks, such as v4.3, where its version date (0xB2)
-    /// does not lead to it.
-    #[arg(long, value_parser = parse::firmware)]
-    firmware: Option<Firmware>,
-    /// The scales of its motion mode: the largest position, velocity, kp, kd and torque, as in
-    /// 12.5,45,500,5,24. Wrong ones multiply the torque.
-    #[arg(long, value_parser = parse::ranges)]
-    ranges: Option<MotionRanges>,
-}
-
-/// The scales that were given, or those of the firmware, for which the motor is asked. They are never
-/// guessed: V4.3's sent to a V4.4 have given 2.5 times the torque.
-fn scales(arguments: &Arguments, session: &mut Session) -> Outcome<MotionRanges> {
-    let motor = arguments.span.id;
-    if let Some(ranges) = arguments.ranges {
-        return Ok(ranges);
-    }
-    let firmware = match arguments.firmware {
-        Some(firmware) => firmware,
-        None => {
-            let date = session.ask(motor, ReadVersionDate)?.version_date;
-            Firmware::of_version_date(date).ok_or_else(|| {
-                Unfinished::Failed(format!(
-                    "motor {motor} reports version date {}, and which firmware that is, is not known: \
-                     wrong scales multiply its torque, so nothing was sent; give --firmware v4.3 if \
-                     its manual says so, or its own scales by --ranges",
-                    date.raw()
-                ))
-            })?
-        }
-    };
-    firmware.motion_ranges().ok_or_else(|| {
-        Unfinished::Failed(format!(
-            "the scales of motion mode of firmware {firmware} depend on the motor: give them by --ranges"
-        ))
-    })
+    #[command(flatten)]
+    revision: MotorRevision,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    if arguments.span.on.bus.kind() == BusKind::Rs485 {
-        Kind::from(Opcode::Motion)
-            .check_on_rs485()
-            .map_err(|error| Unfinished::Usage(format!("--bus: {error}")))?;
-    }
+    let bus = arguments.span.on.bus.kind();
+    parse::check_bus(Opcode::Motion.into(), bus).map_err(Unfinished::Usage)?;
+    run_on(&mut arguments.span.open()?, arguments)
+}
+
+fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     let set_point = MotionSetPoint {
         position_rad: arguments.position_rad,
         velocity_rad_s: arguments.velocity_rad_s,
@@ -84,8 +51,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         kd: arguments.kd,
         torque_nm: arguments.torque_nm,
     };
-    let mut session = arguments.span.open()?;
-    let ranges = scales(arguments, &mut session)?;
+    let ranges = arguments.revision.scales(session, arguments.span.id)?;
     let command =
         ranges.quantise(&set_point).map_err(|error| Unfinished::Usage(error.to_string()))?;
     let run = Run {
@@ -101,11 +67,83 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         needs_open_brake: true,
         end: StopKind::Hold,
     };
-    run_for::run(&mut session, &arguments.span, &run, |raw| {
+    run_for::run(session, &arguments.span, &run, |raw| {
         let feedback = ranges.feedback(raw);
         format!(
             "{:8.3} rad {:8.3} rad/s {:8.3} N·m",
             feedback.position_rad, feedback.velocity_rad_s, feedback.torque_nm
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::{MotionLimits, MotionRanges, VersionDate};
+    use myactuator_protocol_core::{Channel, Firmware, MotorId};
+
+    use super::super::simulated::{on, sent, span};
+    use super::*;
+
+    /// Scales of a large motor with firmware V4.4.
+    const LARGE: MotionLimits =
+        MotionLimits { position_rad: 12.566, torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
+
+    /// Half a radian on, as this revision of the protocol. Gives how it ended, how far the shaft is
+    /// then, and whether motion frames were sent.
+    fn to_half_a_radian(fleet: &Fleet, revision: MotorRevision) -> (Outcome, f64, bool) {
+        let fleet = fleet.on_can(1_000_000).unwrap();
+        let log = fleet.world.log();
+        let arguments = Arguments {
+            span: span(),
+            position_rad: 0.5,
+            velocity_rad_s: 0.0,
+            kp: 40.0,
+            kd: 2.0,
+            torque_nm: 0.0,
+            revision,
+        };
+        let outcome = run_on(&mut on(&fleet), &arguments);
+        let moved = sent(&log).iter().any(|p| p.channel == Channel::Motion(MotorId::MIN));
+        let degrees = fleet.drives[0].with(|drive| drive.plant().output_angle_deg());
+        (outcome, degrees, moved)
+    }
+
+    fn refused(fleet: &Fleet, revision: MotorRevision) -> String {
+        match to_half_a_radian(fleet, revision) {
+            (Err(Unfinished::Failed(sentence)), 0.0, false) => sentence,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn runs(fleet: &Fleet, revision: MotorRevision) {
+        let (outcome, degrees, _) = to_half_a_radian(fleet, revision);
+        assert_eq!(outcome, Ok(()));
+        assert!((degrees - 28.6).abs() < 1.0, "{degrees}");
+    }
+
+    const UNTOLD: MotorRevision = MotorRevision { firmware: None, ranges: None };
+    const V4_3: MotorRevision = MotorRevision { firmware: Some(Firmware::V4_3), ranges: None };
+
+    #[test]
+    fn scales_that_depend_on_the_motor_must_be_given() {
+        let ranges = MotionRanges::new(LARGE).unwrap();
+        let fleet = Fleet::new(1).firmware(Firmware::V4_4).motion_ranges(ranges);
+        let told = refused(&fleet, UNTOLD);
+        assert!(told.starts_with("motor 1 speaks v4.4: --ranges is missing: "), "{told}");
+        // Whoever takes it for a V4.3 is contradicted.
+        let told = refused(&fleet, V4_3);
+        assert!(told.contains("version date 2026042402, which is v4.4's"), "{told}");
+        runs(&fleet, MotorRevision { ranges: Some(ranges), ..UNTOLD });
+    }
+
+    #[test]
+    fn a_motor_of_unknown_firmware_gets_no_motion_frame() {
+        // A build that was met on real motors; no report says which protocol it speaks.
+        let fleet = Fleet::new(1).version_date(VersionDate::from_raw(2_025_070_202));
+        let told = refused(&fleet, UNTOLD);
+        assert!(told.contains("version date 2025070202, and which firmware that is"), "{told}");
+        runs(&fleet, V4_3);
+        runs(&fleet, MotorRevision { ranges: Some(MotionRanges::V4_3), ..UNTOLD });
+    }
 }

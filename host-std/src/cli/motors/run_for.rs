@@ -158,15 +158,15 @@ fn seconds(span: Duration) -> f64 {
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
-    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::sync::atomic::Ordering;
 
-    use myactuator_host_std::open::AnyMaster;
-    use myactuator_host_std::sim::bus::trace::{Event, Log};
+    use myactuator_host_std::sim::bus::trace::Log;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{ErrorFlags, Speed, Torque};
     use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
+    use super::super::simulated::{on, sent, span};
     use super::*;
 
     const TURN: Speed =
@@ -174,24 +174,6 @@ mod tests {
 
     fn fleet() -> CanFleet {
         Fleet::new(1).on_can(1_000_000).unwrap()
-    }
-
-    fn on(fleet: &CanFleet) -> Session {
-        Session {
-            master: AnyMaster::SimulatedCan(fleet.master()),
-            address: "sim:1".parse().unwrap(),
-            yes: true,
-            interrupted: Arc::new(AtomicBool::new(false)),
-        }
-    }
-
-    fn span() -> Span {
-        Span {
-            on: OnBus { bus: "sim:1".parse().unwrap() },
-            id: MotorId::MIN,
-            for_s: Duration::from_secs(1),
-            consent: Consent { yes: true },
-        }
     }
 
     /// Turns the motor and calls `then` at the first reply. Gives how it ended.
@@ -205,20 +187,9 @@ mod tests {
         outcome.unwrap_err()
     }
 
-    /// The commands to motor 1 that were on the bus, by their first bytes.
+    /// The first bytes of what was sent.
     fn commands(log: &Log<SimpleFrame>) -> Vec<u8> {
-        let records = log.take();
-        let carried = records.iter().filter_map(|record| match &record.event {
-            Event::Carried { frame, .. } => command_byte(frame),
-            _ => None,
-        });
-        carried.collect()
-    }
-
-    fn command_byte(frame: &SimpleFrame) -> Option<u8> {
-        use embedded_can::{Frame, Id, StandardId};
-        let to_motor_1 = Id::Standard(StandardId::new(0x141)?);
-        (frame.id() == to_motor_1).then(|| frame.data().first().copied())?
+        sent(log).iter().map(|packet| packet.data[0]).collect()
     }
 
     #[test]

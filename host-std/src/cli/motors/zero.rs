@@ -46,27 +46,19 @@ fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-    use std::sync::atomic::AtomicBool;
-
-    use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::command::{AbsolutePosition, ReadStatus2};
     use myactuator_protocol_core::io::Runner;
     use myactuator_protocol_core::time::Duration;
     use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
+    use super::super::simulated::on;
     use super::*;
 
     #[test]
     fn where_the_motor_stands_is_its_zero_afterwards() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let mut session = Session {
-            master: AnyMaster::SimulatedCan(fleet.master()),
-            address: "sim:1".parse().unwrap(),
-            yes: true,
-            interrupted: Arc::new(AtomicBool::new(false)),
-        };
+        let mut session = on(&fleet);
         let motor = MotorId::MIN;
         let go = AbsolutePosition {
             max_speed: MaxSpeed::from_raw(360),

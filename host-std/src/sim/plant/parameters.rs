@@ -3,6 +3,8 @@
 use std::fmt;
 
 use super::figure::{Figure, ImpossibleFigure};
+use myactuator_protocol_core::Firmware;
+use myactuator_protocol_core::command::MotionRanges;
 use serde::{Deserialize, Serialize};
 
 /// A motor model that comes with the library.
@@ -211,6 +213,8 @@ impl CurrentScale {
 pub struct MotorParameters {
     /// The maker's name of the model.
     pub name: String,
+    /// The revision of the protocol that its drive speaks: `"v4.3"`, `"v4.4"`.
+    pub firmware: Firmware,
     /// What the data sheet promises.
     pub rating: Rating,
     /// The reducer.
@@ -227,6 +231,10 @@ pub struct MotorParameters {
     pub inverter: InverterParameters,
     /// Heating and cooling.
     pub thermal: ThermalParameters,
+    /// The scales of motion mode, where they are not the firmware's own: the one table that a file may
+    /// leave out, unless they depend on the motor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<MotionRanges>,
 }
 
 impl MotorParameters {
@@ -241,7 +249,8 @@ impl MotorParameters {
         }
     }
 
-    /// The parameters in a file's text. Every key is required, no other is allowed.
+    /// The parameters in a file's text. Every key is required but for [`motion`](Self::motion), no other
+    /// is allowed.
     ///
     /// # Errors
     /// [`ParameterError`]: it names the key, what was expected and what was found.
@@ -256,7 +265,7 @@ impl MotorParameters {
     ///
     /// # Errors
     /// [`ParameterError::OutOfRange`] for a figure by itself, [`ParameterError::Contradiction`] for
-    /// two that do not go together.
+    /// two that do not go together, [`ParameterError::NoMotionRanges`].
     pub fn check(&self) -> Result<(), ParameterError> {
         self.rating.check()?;
         self.gear.check()?;
@@ -266,6 +275,7 @@ impl MotorParameters {
         self.encoder.check()?;
         self.inverter.check()?;
         self.thermal.check()?;
+        self.motion_ranges()?;
 
         let Rating { voltage_v, min_voltage_v, max_voltage_v, .. } = self.rating;
         at_most("rating.min_voltage_v", min_voltage_v, "rating.voltage_v", voltage_v)?;
@@ -275,6 +285,15 @@ impl MotorParameters {
         at_most("rating.torque_nm", torque_nm, "rating.peak_torque_nm", peak_torque_nm)?;
         let FrictionParameters { coulomb_nm, static_nm, .. } = self.friction;
         at_most("friction.coulomb_nm", coulomb_nm, "friction.static_nm", static_nm)
+    }
+
+    /// The scales of motion mode: its own, else its firmware's.
+    ///
+    /// # Errors
+    /// [`ParameterError::NoMotionRanges`].
+    pub fn motion_ranges(&self) -> Result<MotionRanges, ParameterError> {
+        let ranges = self.motion.or(self.firmware.motion_ranges());
+        ranges.ok_or(ParameterError::NoMotionRanges(self.firmware))
     }
 
     /// Inertia of rotor, gear and output at the output shaft, kg·m².
@@ -342,6 +361,8 @@ pub enum ParameterError {
         /// Its value.
         high: f64,
     },
+    /// The scales of this firmware's motion mode depend on the motor, and were not given.
+    NoMotionRanges(Firmware),
     /// Figures that make something happen faster than the simulation's step can follow.
     TooFast {
         /// What it is, and which figures to change.
@@ -369,6 +390,11 @@ impl fmt::Display for ParameterError {
             Self::Contradiction { low_key, low, high_key, high } => write!(
                 f,
                 "{low_key} must be at most {high_key}, but they are {low} and {high}: change either"
+            ),
+            Self::NoMotionRanges(firmware) => write!(
+                f,
+                "firmware: the scales of {firmware}'s motion mode depend on the motor: give the largest \
+                 values in [motion], which are position_rad, velocity_rad_s, kp, kd and torque_nm"
             ),
             Self::TooFast { what, rate_per_s, limit_per_s } => write!(
                 f,
@@ -417,6 +443,34 @@ mod tests {
         let error = edited("ratio = 19.612", "ratio = 19.612\nteeth = 12").unwrap_err();
         let text = error.to_string();
         assert!(text.contains("teeth") && text.contains("ratio"), "{text}");
+    }
+
+    #[test]
+    fn a_file_says_its_firmware_and_the_scales_that_depend_on_the_motor() {
+        let v4_3 = "firmware = \"v4.3\"";
+        assert!(edited(v4_3, "").unwrap_err().to_string().contains("missing field `firmware`"));
+        let text = edited(v4_3, "firmware = \"v9\"").unwrap_err().to_string();
+        assert!(text.contains("`v4.3` or `v4.4`"), "{text}");
+        let v4_4 = "firmware = \"v4.4\"";
+        assert_eq!(edited(v4_3, v4_4), Err(ParameterError::NoMotionRanges(Firmware::V4_4)));
+        let motion = |torque: &str| {
+            let values = "position_rad = 12.566\nvelocity_rad_s = 45\nkp = 500\nkd = 5";
+            let text = MODELS[0].toml.replace(v4_3, v4_4);
+            MotorParameters::from_toml(&format!("{text}\n[motion]\n{values}\n{torque}\n"))
+        };
+        let parameters = motion("torque_nm = 60").unwrap();
+        let limits = parameters.motion_ranges().unwrap().limits();
+        assert_eq!((limits.position_rad, limits.torque_nm), (12.566, 60.0));
+        let text = toml::to_string(&parameters).unwrap();
+        assert_eq!(MotorParameters::from_toml(&text), Ok(parameters));
+        for (wrong, told) in [
+            ("", "missing field `torque_nm`"),
+            ("torque_nm = -60", "torque range must be"),
+            ("torque_nm = 60\nki = 1", "unknown field `ki`"),
+        ] {
+            let text = motion(wrong).unwrap_err().to_string();
+            assert!(text.contains(told), "{text}");
+        }
     }
 
     #[test]

@@ -1,0 +1,35 @@
+//! `myactuator dbc`: the table of commands for other makers' tools.
+
+use std::io::{self, Write};
+
+use myactuator_host_std::explain::Dbc;
+use myactuator_host_std::protocol::MotorId;
+
+use super::arguments::{self as parse, Revision};
+use super::{DONE, wrong_usage};
+
+/// Print a DBC file, with which other tools decode the CAN frames of these motors.
+///
+/// Signals are multiplexed by the command byte and named for command, field and unit:
+/// absolute_position_angle_deg.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// The only motor that the file is for, 1 to 32 [default: all of them].
+    #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
+    id: Option<MotorId>,
+    #[command(flatten)]
+    revision: Revision,
+}
+
+/// Prints the file.
+pub(super) fn run(arguments: &Arguments) -> u8 {
+    let Arguments { id, revision } = arguments;
+    let file = Dbc { firmware: revision.firmware, ranges: revision.motion_ranges(), motor: *id };
+    match io::stdout().lock().write_all(file.to_string().as_bytes()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            wrong_usage(&format!("cannot write: {error}"))
+        }
+        // A reader that has left is no error: … | head.
+        _ => DONE,
+    }
+}

@@ -1,0 +1,60 @@
+//! Which revision of the protocol a motor speaks: what the user says, else what its version date leads
+//! to. It is never guessed: scales of V4.3 sent to a V4.4 have given 2.5 times the torque.
+
+use myactuator_protocol_core::command::{MotionRanges, ReadVersionDate, VersionDate};
+use myactuator_protocol_core::{Firmware, MotorId};
+
+use super::session::{Outcome, Session, Unfinished};
+use crate::cli::arguments as parse;
+
+/// What the user says of a motor.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(super) struct MotorRevision {
+    /// The revision of the protocol that the motor speaks, v4.3 or v4.4 [default: the one that its
+    /// version date (0xB2) leads to, where that is known].
+    #[arg(long, global = true, value_parser = parse::firmware)]
+    pub(super) firmware: Option<Firmware>,
+    /// The scales of its motion mode [default: the firmware's own, where it has them]: the largest
+    /// position, velocity, kp, kd and torque, as in 12.5,45,500,5,24. Wrong ones multiply the torque.
+    #[arg(long, global = true, value_parser = parse::ranges)]
+    pub(super) ranges: Option<MotionRanges>,
+}
+
+/// The firmware of a motor, or the version date that it reports and that leads to none.
+pub(super) type Found = Result<Firmware, VersionDate>;
+
+impl MotorRevision {
+    /// The firmware that was given, else the one that the motor's version date leads to. Where both are
+    /// known they must agree.
+    pub(super) fn find(&self, session: &mut Session, motor: MotorId) -> Outcome<Found> {
+        let date = session.ask(motor, ReadVersionDate)?.version_date;
+        match (self.firmware, Firmware::of_version_date(date)) {
+            (Some(given), Some(known)) if given != known => Err(Unfinished::Failed(format!(
+                "motor {motor} reports version date {}, which is {known}'s, but --firmware {given} \
+                 was given",
+                date.raw()
+            ))),
+            (Some(firmware), _) | (None, Some(firmware)) => Ok(Ok(firmware)),
+            (None, None) => Ok(Err(date)),
+        }
+    }
+
+    /// The scales that were given, else those of the motor's firmware.
+    pub(super) fn scales(&self, session: &mut Session, motor: MotorId) -> Outcome<MotionRanges> {
+        if let Some(ranges) = self.ranges {
+            return Ok(ranges);
+        }
+        let firmware = self.find(session, motor)?.map_err(|date| {
+            Unfinished::Failed(format!(
+                "motor {motor} reports version date {}, and which firmware that is, is not known: \
+                 wrong scales multiply its torque, so nothing was sent; give --firmware v4.3 if \
+                 its manual says so, or its own scales by --ranges",
+                date.raw()
+            ))
+        })?;
+        firmware.motion_ranges().ok_or_else(|| {
+            let missing = parse::RANGES_ARE_MISSING;
+            Unfinished::Failed(format!("motor {motor} speaks {firmware}: {missing}"))
+        })
+    }
+}
