@@ -77,24 +77,15 @@ impl From<MotorId> for u8 {
 }
 
 /// A text that is no motor id.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotAMotorId {
     /// It is no whole number.
+    #[error("{}, but no number was given", MotorId::QUANTITY)]
     NotANumber,
     /// It is another number.
+    #[error("{0}")]
     OutOfRange(OutOfRange),
 }
-
-impl fmt::Display for NotAMotorId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NotANumber => write!(f, "{}, but no number was given", MotorId::QUANTITY),
-            Self::OutOfRange(error) => error.fmt(f),
-        }
-    }
-}
-
-impl core::error::Error for NotAMotorId {}
 
 /// A decimal number, 1 to 32.
 impl FromStr for MotorId {
@@ -156,7 +147,6 @@ impl fmt::Display for Target {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
 
     #[test]

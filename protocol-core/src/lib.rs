@@ -68,6 +68,9 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+#[cfg(test)]
+extern crate std;
+
 pub mod command;
 mod data;
 pub mod drive;

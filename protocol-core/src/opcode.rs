@@ -351,16 +351,9 @@ impl Opcode {
 }
 
 /// A byte that no firmware known here has for a command, or a name that no command has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no command has this byte or name: see the table of opcodes")]
 pub struct UnknownOpcode;
-
-impl fmt::Display for UnknownOpcode {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("no command has this byte or name: see the table of opcodes")
-    }
-}
-
-impl core::error::Error for UnknownOpcode {}
 
 impl TryFrom<u8> for Opcode {
     type Error = UnknownOpcode;

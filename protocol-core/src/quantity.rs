@@ -130,6 +130,26 @@ pub enum MotionScale {
     Torque,
 }
 
+impl MotionScale {
+    /// All five, in the order of a command's bytes.
+    pub const ALL: [Self; 5] = [Self::Position, Self::Velocity, Self::Kp, Self::Kd, Self::Torque];
+
+    /// What its values are.
+    pub const fn quantity(self) -> &'static Quantity {
+        const fn named(name: &'static str, unit: Unit, scale: MotionScale) -> Quantity {
+            Quantity { name, unit, form: Form::Motion(scale) }
+        }
+        const QUANTITIES: &[Quantity; 5] = &[
+            named("position", Unit::Radian, MotionScale::Position),
+            named("velocity", Unit::RadianPerSecond, MotionScale::Velocity),
+            named("kp", Unit::NewtonMetrePerRadian, MotionScale::Kp),
+            named("kd", Unit::NewtonMetreSecondPerRadian, MotionScale::Kd),
+            named("torque", Unit::NewtonMetre, MotionScale::Torque),
+        ];
+        &QUANTITIES[self as usize]
+    }
+}
+
 /// How a value is written in its bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -454,7 +474,6 @@ impl core::error::Error for OutOfRange {}
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use crate::units::{Angle, Gain, MaxSpeed, SingleTurnTarget};
     use std::string::ToString;

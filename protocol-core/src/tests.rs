@@ -1,7 +1,5 @@
 //! Tables that are written by hand in the documentation are true.
 
-extern crate std;
-
 use std::path::Path;
 use std::string::String;
 use std::vec::Vec;

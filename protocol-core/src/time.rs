@@ -162,7 +162,6 @@ impl fmt::Display for Duration {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use std::string::ToString;
 

@@ -45,31 +45,12 @@ macro_rules! any {
         }
 
         impl AnyCommand {
-            /// Its row in the table, `None` for a raw one.
-            #[inline(never)]
-            pub const fn opcode(&self) -> Option<Opcode> {
-                match self {
-                    $(Self::$name(_) => Some(Opcode::$name),)+
-                    Self::Raw(_) => None,
-                }
-            }
-
             /// What a master has to know of it.
             pub fn kind(&self) -> Kind {
                 match self {
                     $(Self::$name(_) => Kind::Known(Opcode::$name),)+
                     Self::Raw(command) => command.kind(),
                 }
-            }
-
-            /// The data field.
-            pub fn encode(&self) -> Data {
-                let mut data = self.opcode().map_or([0; 8], with_opcode);
-                match self {
-                    $(Self::$name(command) => command.put(&mut data),)+
-                    Self::Raw(command) => command.put(&mut data),
-                }
-                data
             }
 
             /// The command of a known kind from its data field.
@@ -83,25 +64,6 @@ macro_rules! any {
         }
 
         impl AnyReply {
-            /// The row in the table of the command that it answers, `None` for a raw one.
-            #[inline(never)]
-            pub const fn opcode(&self) -> Option<Opcode> {
-                match self {
-                    $(Self::$name(_) => Some(Opcode::$name),)+
-                    Self::Raw(_) => None,
-                }
-            }
-
-            /// The data field.
-            pub fn encode(&self) -> Data {
-                let mut data = self.opcode().map_or([0; 8], with_opcode);
-                match self {
-                    $(Self::$name(reply) => reply.put(&mut data),)+
-                    Self::Raw(reply) => reply.put(&mut data),
-                }
-                data
-            }
-
             /// The reply to a command of a known kind from its data field.
             ///
             /// # Errors
@@ -123,6 +85,9 @@ macro_rules! any {
             }
         }
 
+        any!(@both AnyCommand $($name)+);
+        any!(@both AnyReply $($name)+);
+
         impl Opcode {
             /// The fields of the command.
             pub const fn command_fields(self) -> &'static [Field] {
@@ -143,6 +108,28 @@ macro_rules! any {
             }
             any!(@$usage $name);
         )+
+    };
+    (@both $any:ident $($name:ident)+) => {
+        impl $any {
+            /// The row in the table of the command, `None` for a raw one.
+            #[inline(never)]
+            pub const fn opcode(&self) -> Option<Opcode> {
+                match self {
+                    $(Self::$name(_) => Some(Opcode::$name),)+
+                    Self::Raw(_) => None,
+                }
+            }
+
+            /// The data field.
+            pub fn encode(&self) -> Data {
+                let mut data = self.opcode().map_or([0; 8], with_opcode);
+                match self {
+                    $(Self::$name(known) => known.put(&mut data),)+
+                    Self::Raw(raw) => raw.put(&mut data),
+                }
+                data
+            }
+        }
     };
     (@SetPoint $name:ident) => { impl SetPoint for $name {} };
     (@$other:ident $name:ident) => {};

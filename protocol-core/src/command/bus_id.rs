@@ -104,9 +104,7 @@ pub(super) const fn told_id(told: u16) -> u8 {
     }
 }
 
-impl crate::command::Reply for BusIdReply {}
-
-as_any_reply!(BusIdReply);
+reply_type!(BusIdReply);
 
 impl Fields for BusIdReply {
     const FIELDS: &'static [Field] = &{

@@ -5,6 +5,7 @@ use core::fmt;
 use crate::command::{ErrorFlags, ModelName, MotionRanges, VersionDate};
 use crate::data::Data;
 use crate::quantity::{Form, OutOfRange, Place, Quantity, Steps};
+use crate::round::round_f64;
 use crate::units::decimal;
 
 /// One field of a command or reply: its name, meaning and quantity, where it lies, and a way to read
@@ -156,7 +157,8 @@ impl Field {
             Form::Motion(scale) => match ranges {
                 // Beyond a few decimals it is an accident of the scale.
                 Some(ranges) => {
-                    write!(f, "{} {symbol}", Rounded(ranges.value(scale, raw as u16)))
+                    let value = round_f64(ranges.value(scale, raw as u16) * 1e4) / 1e4;
+                    write!(f, "{value} {symbol}")
                 }
                 None => write!(f, "step {raw}"),
             },
@@ -179,14 +181,5 @@ impl fmt::Display for Key {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.0)?;
         if self.1.is_empty() { Ok(()) } else { write!(f, "_{}", self.1) }
-    }
-}
-
-/// A number with as many of four decimals as it needs.
-struct Rounded(f64);
-
-impl fmt::Display for Rounded {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        (crate::round::round_f64(self.0 * 1e4) / 1e4).fmt(f)
     }
 }

@@ -153,9 +153,7 @@ impl FunctionControl {
 table_command!(FunctionControl, Opcode::FunctionControl);
 targeted!(FunctionControl);
 reply_to!(FunctionControl -> FunctionControl);
-as_any_reply!(FunctionControl);
-
-impl crate::command::Reply for FunctionControl {}
+reply_type!(FunctionControl);
 
 impl Fields for FunctionControl {
     const FIELDS: &'static [Field] = &{
@@ -193,7 +191,6 @@ impl Fields for FunctionControl {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use std::string::ToString;
 

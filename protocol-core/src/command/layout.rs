@@ -38,13 +38,7 @@ macro_rules! command {
     ($(#[$attr:meta])* $name:ident -> $reply:ident {
         $($(#[doc = $doc:literal])+ $field:ident: $type:ty => $at:literal,)+
     }) => {
-        $(#[$attr])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-        pub struct $name {
-            $($(#[doc = $doc])+ pub $field: $type,)+
-        }
+        fields!(@struct $(#[$attr])* $name { $($(#[doc = $doc])+ $field: $type => $at,)+ });
         command!(@impl $name { $($(#[doc = $doc])+ $field: $type => $at,)+ });
         command!(@reply $name $reply);
     };
@@ -66,8 +60,7 @@ macro_rules! command {
     };
     (@reply $name:ident Self) => {
         reply_to!($name -> $name);
-        impl $crate::command::Reply for $name {}
-        as_any_reply!($name);
+        reply_type!($name);
     };
     (@reply $name:ident $reply:ident) => {
         reply_to!($name -> $reply);
@@ -149,6 +142,17 @@ macro_rules! reply_to {
 
 /// Fields that each fill fixed bytes.
 macro_rules! fields {
+    (@struct $(#[$attr:meta])* $name:ident {
+        $($(#[doc = $doc:literal])+ $field:ident: $type:ty => $at:literal,)+
+    }) => {
+        $(#[$attr])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+        pub struct $name {
+            $($(#[doc = $doc])+ pub $field: $type,)+
+        }
+    };
     ($name:ident { $($(#[doc = $doc:literal])+ $field:ident: $type:ty => $at:literal,)* }) => {
         impl $crate::command::Fields for $name {
             const FIELDS: &'static [$crate::command::Field] = &[$($crate::command::Field::bytes(
@@ -172,9 +176,11 @@ macro_rules! fields {
     };
 }
 
-/// Takes a reply out of an [`AnyReply`](crate::AnyReply).
-macro_rules! as_any_reply {
+/// A reply, and how it is taken out of an [`AnyReply`](crate::AnyReply).
+macro_rules! reply_type {
     ($name:ident) => {
+        impl $crate::command::Reply for $name {}
+
         /// The reply if it is of this type, else the other one back.
         impl TryFrom<$crate::AnyReply> for $name {
             type Error = $crate::AnyReply;
@@ -190,13 +196,9 @@ macro_rules! reply {
     ($(#[$attr:meta])* $name:ident {
         $($(#[doc = $doc:literal])+ $field:ident: $type:ty => $at:literal,)+
     }) => {
-        $(#[$attr])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-        pub struct $name {
-            $($(#[doc = $doc])+ pub $field: $type,)+
-        }
+        fields!(@struct $(#[$attr])* $name { $($(#[doc = $doc])+ $field: $type => $at,)+ });
+        fields!($name { $($(#[doc = $doc])+ $field: $type => $at,)+ });
+        reply_type!($name);
 
         impl $name {
             /// The data field of this answer to a command of kind `to`.
@@ -207,11 +209,6 @@ macro_rules! reply {
                 data
             }
         }
-
-        impl $crate::command::Reply for $name {}
-
-        fields!($name { $($(#[doc = $doc])+ $field: $type => $at,)+ });
-        as_any_reply!($name);
 
         /// Its fields as a phrase.
         impl core::fmt::Display for $name {

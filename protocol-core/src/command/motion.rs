@@ -20,13 +20,13 @@
 
 use core::fmt;
 
-use crate::command::{Field, Fields, Reply, When};
+use crate::command::{Field, Fields, When};
 use crate::data::Data;
 use crate::error::DecodeError;
 use crate::id::MotorId;
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
-use crate::quantity::{Form, Given, MotionScale, OutOfRange, Place, Quantity, Unit};
+use crate::quantity::{Given, MotionScale, OutOfRange, Place, Quantity};
 
 /// A step on a scale of 4096, 0 to 4095.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -66,26 +66,12 @@ impl U12 {
         self.0
     }
 
-    /// High byte 4..11, and low nibble 0..3 in the upper half of a byte.
+    /// Two steps from three bytes, big-endian.
     #[inline(always)]
-    const fn high_8_low_4(self) -> (u8, u8) {
-        ((self.0 >> 4) as u8, (self.0 << 4) as u8)
-    }
-
-    /// High nibble 8..11 in the lower half of a byte, and low byte 0..7.
-    #[inline(always)]
-    const fn high_4_low_8(self) -> (u8, u8) {
-        ((self.0 >> 8) as u8, self.0 as u8)
-    }
-
-    #[inline(always)]
-    const fn from_high_8_low_4(high: u8, low: u8) -> Self {
-        Self((high as u16) << 4 | (low as u16) >> 4)
-    }
-
-    #[inline(always)]
-    const fn from_high_4_low_8(high: u8, low: u8) -> Self {
-        Self((high as u16 & 0x0F) << 8 | low as u16)
+    const fn pair(high: u8, middle: u8, low: u8) -> (Self, Self) {
+        let first = (high as u16) << 4 | (middle as u16) >> 4;
+        let second = (middle as u16 & 0x0F) << 8 | low as u16;
+        (Self(first), Self(second))
     }
 }
 
@@ -139,13 +125,10 @@ impl RawMotion {
     /// The command from a data field: every one means something.
     #[inline]
     pub const fn decode(data: &Data) -> Self {
-        Self {
-            position: u16::from_be_bytes([data[0], data[1]]),
-            velocity: U12::from_high_8_low_4(data[2], data[3]),
-            kp: U12::from_high_4_low_8(data[3], data[4]),
-            kd: U12::from_high_8_low_4(data[5], data[6]),
-            torque: U12::from_high_4_low_8(data[6], data[7]),
-        }
+        let [a, b, c, d, e, f, g, h] = *data;
+        let (velocity, kp) = U12::pair(c, d, e);
+        let (kd, torque) = U12::pair(f, g, h);
+        Self { position: u16::from_be_bytes([a, b]), velocity, kp, kd, torque }
     }
 
     /// Its row in the table.
@@ -162,11 +145,11 @@ reply_to!(RawMotion -> RawMotionFeedback);
 
 impl Fields for RawMotion {
     const FIELDS: &'static [Field] = &[
-        scaled("position", "Wanted position of the output shaft.", &POSITION, 0, 16),
-        scaled("velocity", "Wanted velocity of the output shaft.", &VELOCITY, 16, 12),
-        scaled("kp", "Gain on the position error.", &KP, 28, 12),
-        scaled("kd", "Gain on the velocity error.", &KD, 40, 12),
-        scaled("torque", "Torque added to both.", &TORQUE, 52, 12),
+        scaled("position", "Wanted position of the output shaft.", MotionScale::Position, 0, 16),
+        scaled("velocity", "Wanted velocity of the output shaft.", MotionScale::Velocity, 16, 12),
+        scaled("kp", "Gain on the position error.", MotionScale::Kp, 28, 12),
+        scaled("kd", "Gain on the velocity error.", MotionScale::Kd, 40, 12),
+        scaled("torque", "Torque added to both.", MotionScale::Torque, 52, 12),
     ];
 
     #[inline]
@@ -186,25 +169,15 @@ impl fmt::Display for RawMotion {
     }
 }
 
-const fn quantity(name: &'static str, unit: Unit, scale: MotionScale) -> Quantity {
-    Quantity { name, unit, form: Form::Motion(scale) }
-}
-
-const POSITION: Quantity = quantity("position", Unit::Radian, MotionScale::Position);
-const VELOCITY: Quantity = quantity("velocity", Unit::RadianPerSecond, MotionScale::Velocity);
-const KP: Quantity = quantity("kp", Unit::NewtonMetrePerRadian, MotionScale::Kp);
-const KD: Quantity = quantity("kd", Unit::NewtonMetreSecondPerRadian, MotionScale::Kd);
-const TORQUE: Quantity = quantity("torque", Unit::NewtonMetre, MotionScale::Torque);
-
 const fn scaled(
     name: &'static str,
     meaning: &'static str,
-    quantity: &'static Quantity,
+    scale: MotionScale,
     first: u8,
     count: u8,
 ) -> Field {
     let place = Place::Bits { first, count };
-    Field { name, meaning, quantity, place, when: When::Always }
+    Field { name, meaning, quantity: scale.quantity(), place, when: When::Always }
 }
 
 /// A drive's answer to a motion mode command as it is on the bus (5.3), at CAN identifier
@@ -228,36 +201,43 @@ impl RawMotionFeedback {
     /// The data field.
     #[inline]
     pub const fn encode(&self) -> Data {
-        let [p_high, p_low] = self.position.to_be_bytes();
-        let (v_high, v_low) = self.velocity.high_8_low_4();
-        let (t_high, t_low) = self.torque.high_4_low_8();
-        [self.id_byte, p_high, p_low, v_high, v_low | t_high, t_low, 0, 0]
+        let [b, c] = self.position.to_be_bytes();
+        let both = (self.velocity.0 as u32) << 12 | self.torque.0 as u32;
+        let [_, d, e, f] = both.to_be_bytes();
+        [self.id_byte, b, c, d, e, f, 0, 0]
     }
 
     /// The answer from a data field: every one means something.
     #[inline]
     pub const fn decode(data: &Data) -> Self {
-        Self {
-            id_byte: data[0],
-            position: u16::from_be_bytes([data[1], data[2]]),
-            velocity: U12::from_high_8_low_4(data[3], data[4]),
-            torque: U12::from_high_4_low_8(data[4], data[5]),
-        }
+        let [id_byte, b, c, d, e, f, ..] = *data;
+        let (velocity, torque) = U12::pair(d, e, f);
+        Self { id_byte, position: u16::from_be_bytes([b, c]), velocity, torque }
     }
 }
 
-impl Reply for RawMotionFeedback {}
-
-as_any_reply!(RawMotionFeedback);
+reply_type!(RawMotionFeedback);
 
 impl Fields for RawMotionFeedback {
     const FIELDS: &'static [Field] = &{
         const ID: Quantity = Quantity::whole("id byte", 0, 255);
         [
             Field::bytes("id_byte", "What the drive says its id is.", &ID, 0, 1),
-            scaled("position", "Measured position of the output shaft.", &POSITION, 8, 16),
-            scaled("velocity", "Measured velocity of the output shaft.", &VELOCITY, 24, 12),
-            scaled("torque", "Measured torque.", &TORQUE, 36, 12),
+            scaled(
+                "position",
+                "Measured position of the output shaft.",
+                MotionScale::Position,
+                8,
+                16,
+            ),
+            scaled(
+                "velocity",
+                "Measured velocity of the output shaft.",
+                MotionScale::Velocity,
+                24,
+                12,
+            ),
+            scaled("torque", "Measured torque.", MotionScale::Torque, 36, 12),
         ]
     };
 

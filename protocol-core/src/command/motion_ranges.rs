@@ -1,7 +1,5 @@
 //! The scales of motion (MIT) mode, and its values in SI units (manual 5.1).
 
-use core::fmt;
-
 use crate::command::motion::{RawMotion, RawMotionFeedback, U12};
 use crate::firmware::Firmware;
 use crate::id::MotorId;
@@ -38,7 +36,8 @@ pub struct MotionFeedback {
 }
 
 /// A motion mode value that the ranges do not allow, or that is not a number.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("{name} must be {min} to {max} {unit}, but {given} {unit} was given")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct MotionOutOfRange {
@@ -53,15 +52,6 @@ pub struct MotionOutOfRange {
     /// What was given.
     pub given: f32,
 }
-
-impl fmt::Display for MotionOutOfRange {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { name, unit, min, max, given } = self;
-        write!(f, "{name} must be {min} to {max} {unit}, but {given} {unit} was given")
-    }
-}
-
-impl core::error::Error for MotionOutOfRange {}
 
 /// The scales of motion mode: where the first and last step of each value lie (5.1).
 ///
@@ -110,6 +100,33 @@ const fn gain_step(value: f32, max: f32) -> i32 {
     (value * (LAST_12 / max) + BELOW_HALF) as i32
 }
 
+#[inline(always)]
+const fn refused(scale: usize, (min, max): (f32, f32), given: f32) -> MotionOutOfRange {
+    const NAMES: [(&str, &str); 5] = {
+        let mut names = [("", ""); 5];
+        let mut row = 0;
+        while row < names.len() {
+            let quantity = MotionScale::ALL[row].quantity();
+            names[row] = (quantity.name, quantity.unit.symbol());
+            row += 1;
+        }
+        names
+    };
+    let (name, unit) = NAMES[scale];
+    MotionOutOfRange { name, unit, min, max, given }
+}
+
+#[inline(always)]
+const fn raw([position, velocity, kp, kd, torque]: [i32; 5]) -> RawMotion {
+    RawMotion {
+        position: position as u16,
+        velocity: U12::low_bits(velocity),
+        kp: U12::low_bits(kp),
+        kd: U12::low_bits(kd),
+        torque: U12::low_bits(torque),
+    }
+}
+
 /// Whether a step lies so far from both ends of its scale that its value is certainly on it.
 #[inline(always)]
 const fn is_inner(step: i32, last: f32) -> bool {
@@ -118,13 +135,12 @@ const fn is_inner(step: i32, last: f32) -> bool {
     (step as u32).wrapping_sub(1) <= most
 }
 
-#[inline(always)]
-const fn value(step: u16, min: f32, max: f32, last: f32) -> f32 {
-    min + step as f32 * (max - min) / last
-}
-
 const LAST_16: f32 = 65_535.0;
 const LAST_12: f32 = 4_095.0;
+
+const fn last_step(scale: MotionScale) -> f32 {
+    if matches!(scale, MotionScale::Position) { LAST_16 } else { LAST_12 }
+}
 
 impl MotionRanges {
     /// The ranges of protocol V4.3: ±12.5 rad, ±45 rad/s, kp 0 to 500, kd 0 to 5, ±24 N·m.
@@ -160,22 +176,33 @@ impl MotionRanges {
     }
 
     /// The ends of a scale.
+    #[inline(always)]
     pub const fn ends(&self, scale: MotionScale) -> (f32, f32) {
-        let max = &self.0;
-        match scale {
-            MotionScale::Position => (-max.position_rad, max.position_rad),
-            MotionScale::Velocity => (-max.velocity_rad_s, max.velocity_rad_s),
-            MotionScale::Kp => (0.0, max.kp),
-            MotionScale::Kd => (0.0, max.kd),
-            MotionScale::Torque => (-max.torque_nm, max.torque_nm),
-        }
+        self.all_ends()[scale as usize]
+    }
+
+    #[inline(always)]
+    const fn all_ends(&self) -> [(f32, f32); 5] {
+        let MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm } = self.0;
+        [
+            (-position_rad, position_rad),
+            (-velocity_rad_s, velocity_rad_s),
+            (0.0, kp),
+            (0.0, kd),
+            (-torque_nm, torque_nm),
+        ]
     }
 
     /// What a step of a scale means, for those who want more digits than an `f32` has.
     pub const fn value(&self, scale: MotionScale, step: u16) -> f64 {
         let (min, max) = self.ends(scale);
-        let last = if matches!(scale, MotionScale::Position) { LAST_16 } else { LAST_12 };
-        min as f64 + step as f64 * (max as f64 - min as f64) / last as f64
+        min as f64 + step as f64 * (max as f64 - min as f64) / last_step(scale) as f64
+    }
+
+    #[inline(always)]
+    const fn value_f32(&self, scale: MotionScale, step: u16) -> f32 {
+        let (min, max) = self.ends(scale);
+        min + step as f32 * (max - min) / last_step(scale)
     }
 
     /// The step of a scale nearest to a value; halves go up.
@@ -184,18 +211,11 @@ impl MotionRanges {
     /// [`MotionOutOfRange`] for a value beyond the scale, an infinity or NaN.
     pub fn step(&self, scale: MotionScale, value: f64) -> Result<u16, MotionOutOfRange> {
         let (min, max) = self.ends(scale);
-        let (name, unit, last) = match scale {
-            MotionScale::Position => ("position", "rad", LAST_16),
-            MotionScale::Velocity => ("velocity", "rad/s", LAST_12),
-            MotionScale::Kp => ("kp", "N·m/rad", LAST_12),
-            MotionScale::Kd => ("kd", "N·m·s/rad", LAST_12),
-            MotionScale::Torque => ("torque", "N·m", LAST_12),
-        };
         let (low, high) = (f64::from(min), f64::from(max));
         if low <= value && value <= high {
-            Ok(((value - low) / (high - low) * f64::from(last) + 0.5) as u16)
+            Ok(((value - low) / (high - low) * f64::from(last_step(scale)) + 0.5) as u16)
         } else {
-            Err(MotionOutOfRange { name, unit, min, max, given: value as f32 })
+            Err(refused(scale as usize, (min, max), value as f32))
         }
     }
 
@@ -215,7 +235,8 @@ impl MotionRanges {
         &self,
         set_point: &MotionSetPoint,
     ) -> Result<RawMotion, MotionOutOfRange> {
-        let [position, velocity, kp, kd, torque] = self.steps(set_point);
+        let steps = self.steps(set_point);
+        let [position, velocity, kp, kd, torque] = steps;
         // Comparing steps takes half the instructions of comparing floats, and leaves only the ends
         // of the scales in doubt.
         let certain = is_inner(position, LAST_16)
@@ -223,16 +244,7 @@ impl MotionRanges {
             & is_inner(kp, LAST_12)
             & is_inner(kd, LAST_12)
             & is_inner(torque, LAST_12);
-        if !certain {
-            return self.quantise_near_ends(set_point);
-        }
-        Ok(RawMotion {
-            position: position as u16,
-            velocity: U12::low_bits(velocity),
-            kp: U12::low_bits(kp),
-            kd: U12::low_bits(kd),
-            torque: U12::low_bits(torque),
-        })
+        if certain { Ok(raw(steps)) } else { self.quantise_near_ends(set_point) }
     }
 
     /// Position, velocity, kp, kd and torque as steps, whether or not they are on their scales.
@@ -255,36 +267,19 @@ impl MotionRanges {
         &self,
         set_point: &MotionSetPoint,
     ) -> Result<RawMotion, MotionOutOfRange> {
-        // From which multiple of its end each scale starts.
-        const SCALES: [(&str, &str, f32); 5] = [
-            ("position", "rad", -1.0),
-            ("velocity", "rad/s", -1.0),
-            ("kp", "N·m/rad", 0.0),
-            ("kd", "N·m·s/rad", 0.0),
-            ("torque", "N·m", -1.0),
-        ];
-        let MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm } = self.0;
-        let ends = [position_rad, velocity_rad_s, kp, kd, torque_nm];
         let MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm } = *set_point;
         let values = [position_rad, velocity_rad_s, kp, kd, torque_nm];
+        let ends = self.all_ends();
         let mut row = 0;
-        while row < SCALES.len() {
-            let ((name, unit, start), max, given) = (SCALES[row], ends[row], values[row]);
-            let min = start * max;
+        while row < values.len() {
+            let (given, (min, max)) = (values[row], ends[row]);
             // Not a number is not within anything.
             if !(min <= given && given <= max) {
-                return Err(MotionOutOfRange { name, unit, min, max, given });
+                return Err(refused(row, ends[row], given));
             }
             row += 1;
         }
-        let [position, velocity, kp, kd, torque] = self.steps(set_point);
-        Ok(RawMotion {
-            position: position as u16,
-            velocity: U12::low_bits(velocity),
-            kp: U12::low_bits(kp),
-            kd: U12::low_bits(kd),
-            torque: U12::low_bits(torque),
-        })
+        Ok(raw(self.steps(set_point)))
     }
 
     /// As [`quantise`](Self::quantise), with each value beyond its scale at the scale's end.
@@ -308,34 +303,22 @@ impl MotionRanges {
     /// The set-point that these steps mean on these scales.
     #[inline]
     pub const fn set_point(&self, raw: &RawMotion) -> MotionSetPoint {
-        let max = &self.0;
         MotionSetPoint {
-            position_rad: value(raw.position, -max.position_rad, max.position_rad, LAST_16),
-            velocity_rad_s: value(
-                raw.velocity.get(),
-                -max.velocity_rad_s,
-                max.velocity_rad_s,
-                LAST_12,
-            ),
-            kp: value(raw.kp.get(), 0.0, max.kp, LAST_12),
-            kd: value(raw.kd.get(), 0.0, max.kd, LAST_12),
-            torque_nm: value(raw.torque.get(), -max.torque_nm, max.torque_nm, LAST_12),
+            position_rad: self.value_f32(MotionScale::Position, raw.position),
+            velocity_rad_s: self.value_f32(MotionScale::Velocity, raw.velocity.get()),
+            kp: self.value_f32(MotionScale::Kp, raw.kp.get()),
+            kd: self.value_f32(MotionScale::Kd, raw.kd.get()),
+            torque_nm: self.value_f32(MotionScale::Torque, raw.torque.get()),
         }
     }
 
     /// The measurement that these steps mean on these scales.
     #[inline]
     pub const fn feedback(&self, raw: &RawMotionFeedback) -> MotionFeedback {
-        let max = &self.0;
         MotionFeedback {
-            position_rad: value(raw.position, -max.position_rad, max.position_rad, LAST_16),
-            velocity_rad_s: value(
-                raw.velocity.get(),
-                -max.velocity_rad_s,
-                max.velocity_rad_s,
-                LAST_12,
-            ),
-            torque_nm: value(raw.torque.get(), -max.torque_nm, max.torque_nm, LAST_12),
+            position_rad: self.value_f32(MotionScale::Position, raw.position),
+            velocity_rad_s: self.value_f32(MotionScale::Velocity, raw.velocity.get()),
+            torque_nm: self.value_f32(MotionScale::Torque, raw.torque.get()),
         }
     }
 

@@ -122,7 +122,6 @@ impl Display for PacketText {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use crate::id::MotorId;
     use std::string::ToString;

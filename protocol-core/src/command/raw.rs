@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::command::{Command, Field, Fields, Reply, print};
+use crate::command::{Command, Field, Fields, print};
 use crate::data::Data;
 use crate::error::DecodeError;
 use crate::id::Target;
@@ -55,6 +55,10 @@ impl RawCommand {
         self.data
     }
 
+    pub(super) const fn put(&self, data: &mut Data) {
+        *data = self.data;
+    }
+
     /// The command to one motor or to [all](Target::All), on CAN those with their id filter off.
     pub const fn packet_to(&self, target: Target) -> Packet {
         Packet { channel: Channel::Command(target), data: self.data }
@@ -81,18 +85,6 @@ impl Command for RawCommand {
     }
 }
 
-impl Fields for RawCommand {
-    const FIELDS: &'static [Field] = &[];
-
-    fn put(&self, data: &mut Data) {
-        *data = self.data;
-    }
-
-    fn read(data: &Data) -> Result<Self, DecodeError> {
-        Ok(Self::heard(*data))
-    }
-}
-
 /// The eight bytes of a reply whose meaning this library does not know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -100,9 +92,7 @@ impl Fields for RawCommand {
 #[cfg_attr(feature = "serde", serde(transparent))]
 pub struct RawReply(pub Data);
 
-impl Reply for RawReply {}
-
-as_any_reply!(RawReply);
+reply_type!(RawReply);
 
 impl Fields for RawReply {
     const FIELDS: &'static [Field] = &[];

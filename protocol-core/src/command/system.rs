@@ -221,7 +221,6 @@ impl fmt::Display for ModelName {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use crate::command::Command;
     use std::string::ToString;

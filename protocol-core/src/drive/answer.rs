@@ -1,12 +1,14 @@
 //! What each command does, and what it is answered with, as [`decisions`](super::decisions) says.
 
 use crate::command::{
-    AccelerationReading, AnyCommand, AnyReply, BusId, BusIdReply, Feedback, FunctionControl, Model,
+    AccelerationReading, AnyCommand, BusId, BusIdReply, Feedback, FunctionControl, Model,
     MotionFeedback, MultiTurnAngle, MultiTurnEncoder, MultiTurnEncoderOffset, MultiTurnEncoderRaw,
-    PidGain, RawMotionFeedback, RunTime, RunningMode, SingleTurnAngle, SingleTurnAngleV4_4,
-    SingleTurnEncoder, SingleTurnFeedback, Status1, Status3, U12, Version,
+    PidGain, RawMotionFeedback, ReadAcceleration, ReadPid, Reply, RunTime, RunningMode,
+    SingleTurnAngle, SingleTurnAngleV4_4, SingleTurnEncoder, SingleTurnFeedback, Status1, Status3,
+    U12, Version, WriteAcceleration, WritePidRam, WritePidRom, with_opcode,
 };
 use crate::data::Data;
+use crate::drive::control::SetPoint;
 use crate::drive::encoder::saturated;
 use crate::drive::protection::{Heard, STEADY_COMMANDS, STEADY_COMMANDS_SEEN};
 use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings, brake};
@@ -19,6 +21,8 @@ use crate::units::{
 
 mod run;
 
+use run::LockedBrake;
+
 /// For so long after it took a bus id, a drive takes the same command for another drive's reply.
 const ANOTHERS_REPLY: Duration = Duration::from_millis(20);
 
@@ -27,12 +31,6 @@ pub(super) enum Answer {
     Data(Data),
     None,
     Ignored(IgnoreReason),
-}
-
-impl From<AnyReply> for Answer {
-    fn from(reply: AnyReply) -> Self {
-        Self::Data(reply.encode())
-    }
 }
 
 impl<P: Plant, M: Memory> Drive<P, M> {
@@ -55,65 +53,142 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             }
             Heard::Steady | Heard::Unsteady { .. } => {}
         }
-        let echo = || Answer::Data(packet.data);
+        if self.reporting.reports(opcode) {
+            return Answer::Ignored(IgnoreReason::ReportedActively(opcode));
+        }
+        self.carry_out(command, opcode, &packet.data, now)
+    }
+
+    /// The reply to a read that names nothing, which the drive reports by itself.
+    pub(super) fn report(&mut self, opcode: Opcode, now: Instant) -> Option<Data> {
+        let data = with_opcode(opcode);
+        let read = AnyCommand::decode_as(opcode, &data).ok()?;
+        match self.carry_out(read, opcode, &data, now) {
+            Answer::Data(reply) => Some(reply),
+            Answer::None | Answer::Ignored(_) => None,
+        }
+    }
+
+    /// Each kind stands here, so that the compiler asks for a new one.
+    fn carry_out(
+        &mut self,
+        command: AnyCommand,
+        opcode: Opcode,
+        data: &Data,
+        now: Instant,
+    ) -> Answer {
+        let echo = Answer::Data(*data);
         let unknown = Answer::Ignored(IgnoreReason::UnknownCode(opcode));
+        let (m, encoder) = (&self.measurement, &self.encoder);
+        let stall_a = self.parameters.stall_current_a;
         match command {
-            AnyCommand::ReadPid(read) => match self.active.gains.get(read.index) {
-                Some(value) => AnyReply::ReadPid(PidGain { index: read.index, value }).into(),
+            AnyCommand::ReadPid(ReadPid { index }) => match self.active.gains.get(index) {
+                Some(value) => Answer::Data(PidGain { index, value }.encode(opcode)),
                 None => unknown,
             },
-            AnyCommand::WritePidRam(write) => {
-                if self.active.gains.get(write.index).is_none() {
-                    return unknown;
-                }
-                self.active.gains.set(write.index, write.value);
-                AnyReply::WritePidRam(write).into()
+            AnyCommand::WritePidRam(WritePidRam { index, value }) => {
+                if self.active.gains.set(index, value) { echo } else { unknown }
             }
-            AnyCommand::WritePidRom(write) => {
-                if self.active.gains.get(write.index).is_none() {
+            AnyCommand::WritePidRom(WritePidRom { index, value }) => {
+                if self.active.gains.get(index).is_none() {
                     return unknown;
                 }
-                self.write_rom(opcode, echo(), |settings| {
-                    settings.gains.set(write.index, write.value);
+                self.write_rom(opcode, echo, |settings| {
+                    settings.gains.set(index, value);
                 })
             }
-            AnyCommand::ReadAcceleration(read) => match self.active.accelerations.get(read.index) {
-                Some(held) => {
-                    let acceleration = ReportedAcceleration::from_raw(held.raw());
-                    let reading = AccelerationReading { index: read.index, acceleration };
-                    AnyReply::ReadAcceleration(reading).into()
-                }
-                None => unknown,
-            },
-            AnyCommand::WriteAcceleration(write) => {
-                if self.active.accelerations.get(write.index).is_none() {
+            AnyCommand::ReadAcceleration(ReadAcceleration { index }) => {
+                let Some(held) = self.active.accelerations.get(index) else { return unknown };
+                let acceleration = ReportedAcceleration::from_raw(held.raw());
+                Answer::Data(AccelerationReading { index, acceleration }.encode(opcode))
+            }
+            AnyCommand::WriteAcceleration(WriteAcceleration { index, acceleration }) => {
+                if self.active.accelerations.get(index).is_none() {
                     return unknown;
                 }
-                self.write_rom(opcode, echo(), |settings| {
-                    settings.accelerations.set(write.index, write.acceleration);
+                self.write_rom(opcode, echo, |settings| {
+                    settings.accelerations.set(index, acceleration);
                 })
+            }
+            AnyCommand::ReadMultiTurnEncoder(_) => {
+                let position = encoder.position_reading();
+                Answer::Data(MultiTurnEncoder { position }.encode(opcode))
+            }
+            AnyCommand::ReadMultiTurnEncoderRaw(_) => {
+                Answer::Data(MultiTurnEncoderRaw { raw: encoder.raw_reading() }.encode(opcode))
+            }
+            AnyCommand::ReadMultiTurnEncoderOffset(_) => {
+                let offset = encoder.offset_reading();
+                Answer::Data(MultiTurnEncoderOffset { offset }.encode(opcode))
             }
             AnyCommand::SetEncoderZero(set) => {
-                let stored = Settings { zero_offset: set.offset, ..self.stored };
-                self.keep(stored, echo())
+                self.keep(Settings { zero_offset: set.offset, ..self.stored }, echo)
             }
             AnyCommand::SetCurrentPositionZero(_) => {
-                let offset = self.encoder.raw_reading();
-                let reply = AnyReply::SetCurrentPositionZero(MultiTurnEncoderOffset { offset });
-                self.keep(Settings { zero_offset: offset, ..self.stored }, reply.into())
+                let offset = encoder.raw_reading();
+                let reply = MultiTurnEncoderOffset { offset }.encode(opcode);
+                self.keep(Settings { zero_offset: offset, ..self.stored }, Answer::Data(reply))
             }
-            AnyCommand::FunctionControl(function) => self.function(function, echo()),
+            AnyCommand::ReadSingleTurnEncoder(_) => {
+                let [position, raw, offset] = encoder.single_turn();
+                Answer::Data(SingleTurnEncoder { position, raw, offset }.encode(opcode))
+            }
+            AnyCommand::ReadMultiTurnAngle(_) => {
+                Answer::Data(MultiTurnAngle { angle: encoder.angle_reading() }.encode(opcode))
+            }
+            AnyCommand::ReadSingleTurnAngle(_) => {
+                Answer::Data(SingleTurnAngle { angle: encoder.single_turn_angle() }.encode(opcode))
+            }
+            AnyCommand::ReadSingleTurnAngleV4_4(_) => {
+                let angle = encoder.half_turn_angle();
+                Answer::Data(SingleTurnAngleV4_4 { angle }.encode(opcode))
+            }
+            AnyCommand::ReadStatus1(_) => {
+                let status = Status1 {
+                    temperature: celsius(m.motor_temperature_c),
+                    mosfet_temperature: celsius(m.mos_temperature_c),
+                    brake: self.brake.command(),
+                    voltage: Voltage::saturating_from_volts(m.supply_voltage_v).unwrap_or_default(),
+                    errors: self.faults.all(),
+                };
+                Answer::Data(status.encode(opcode))
+            }
+            AnyCommand::ReadStatus2(_) => self.feedback_to(opcode),
+            AnyCommand::ReadStatus3(_) => {
+                let [phase_a_current, phase_b_current, phase_c_current] =
+                    m.phase_currents_a.map(amperes);
+                let temperature = celsius(m.motor_temperature_c);
+                let status =
+                    Status3 { temperature, phase_a_current, phase_b_current, phase_c_current };
+                Answer::Data(status.encode(opcode))
+            }
+            AnyCommand::ReadRunningMode(_) => {
+                Answer::Data(RunningMode { mode: self.controller.mode() }.encode(opcode))
+            }
+            AnyCommand::ReadRunTime(_) => {
+                let millis = self.run_time(self.clock).as_millis();
+                let run_time = Milliseconds::from_raw(u32::try_from(millis).unwrap_or(u32::MAX));
+                Answer::Data(RunTime { run_time }.encode(opcode))
+            }
+            AnyCommand::ReadVersionDate(_) => {
+                let version_date = self.parameters.version_date;
+                Answer::Data(Version { version_date }.encode(opcode))
+            }
+            AnyCommand::ReadModel(_) => {
+                Answer::Data(Model { model: self.parameters.model }.encode(opcode))
+            }
+            AnyCommand::FunctionControl(function) => self.function(function, echo),
             AnyCommand::BusId(BusId::Read) => {
-                let [.., low, high] = packet.data;
+                let [.., low, high] = *data;
                 if (low, high) != (0, 0) {
                     return Answer::Ignored(IgnoreReason::AnothersReply);
                 }
                 let id = self.active.id;
-                AnyReply::BusId(match self.parameters.bus {
+                let reply = match self.parameters.bus {
                     Bus::Can => BusIdReply::OnCan(id),
                     Bus::Rs485 => BusIdReply::OnRs485(id),
-                })
-                .into()
+                };
+                Answer::Data(reply.encode(opcode))
             }
             AnyCommand::BusId(BusId::Write(id)) => {
                 let heard = self
@@ -123,10 +198,10 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                     return Answer::Ignored(IgnoreReason::AnothersReply);
                 }
                 self.id_taken = Some((id, now));
-                self.keep(Settings { id, ..self.stored }, echo())
+                self.keep(Settings { id, ..self.stored }, echo)
             }
             AnyCommand::CommunicationLossProtection(set) => {
-                let answer = self.write_rom(opcode, echo(), |settings| {
+                let answer = self.write_rom(opcode, echo, |settings| {
                     settings.protection_timeout = set.timeout;
                 });
                 if set.timeout.raw() == 0 && self.protection.forgive() {
@@ -145,7 +220,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 let [a, b, c, d] = self.random.next().to_le_bytes();
                 let [e, f, g, _] = self.random.next().to_le_bytes();
                 let before = self.active.baud_rate;
-                let garbage = Answer::Data([packet.data[0], a, b, c, d, e, f, g]);
+                let garbage = Answer::Data([data[0], a, b, c, d, e, f, g]);
                 let answer = self.write_rom(opcode, garbage, |settings| {
                     settings.baud_rate = set.baud_rate;
                 });
@@ -171,153 +246,75 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 if self.protection.is_tripped() {
                     self.not_run(opcode, NotRunReason::CommunicationLost);
                 } else {
+                    let quirks = self.parameters.quirks;
                     let at = brake::opening_time(now, &quirks, &mut self.random);
                     self.brake.release(at);
                 }
-                echo()
+                echo
             }
             AnyCommand::LockBrake(_) => {
                 self.brake.lock();
                 if self.brake.holds() {
                     self.controller.shut_down();
                 }
-                echo()
+                echo
             }
             AnyCommand::Shutdown(_) => {
                 self.controller.shut_down();
                 self.brake.lock_unless_requested();
-                echo()
+                echo
             }
             AnyCommand::Stop(_) => {
-                self.run_stop();
-                echo()
+                // A locked brake holds already.
+                if !self.brake.holds() {
+                    self.run(opcode, SetPoint::Stop, LockedBrake::Forbids);
+                }
+                echo
             }
             AnyCommand::Torque(torque) => {
-                self.run_torque(&torque);
-                AnyReply::Torque(self.feedback()).into()
+                let set_point = SetPoint::Current { current_a: torque.current.amperes() };
+                self.run(opcode, set_point, LockedBrake::Forbids);
+                self.feedback_to(opcode)
             }
             AnyCommand::Speed(speed) => {
                 self.run_speed(&speed);
-                AnyReply::Speed(self.feedback()).into()
+                self.feedback_to(opcode)
             }
-            AnyCommand::AbsolutePosition(position) => {
-                self.run_absolute(&position);
-                AnyReply::AbsolutePosition(self.feedback()).into()
+            AnyCommand::AbsolutePosition(to) => {
+                self.run_position(opcode, to.angle.degrees_f64(), to.max_speed, stall_a);
+                self.feedback_to(opcode)
             }
             AnyCommand::SingleTurnPosition(position) => {
                 if !self.run_single_turn(&position) {
                     return unknown;
                 }
-                AnyReply::SingleTurnPosition(self.single_turn_feedback()).into()
+                let Feedback { temperature, current, speed, .. } = self.feedback();
+                let [encoder, _, _] = self.encoder.single_turn();
+                let feedback = SingleTurnFeedback { temperature, current, speed, encoder };
+                Answer::Data(feedback.encode(opcode))
             }
-            AnyCommand::IncrementalPosition(position) => {
-                self.run_incremental(&position);
-                AnyReply::IncrementalPosition(self.feedback()).into()
+            AnyCommand::IncrementalPosition(by) => {
+                let target = encoder.angle_deg() + by.angle.degrees_f64();
+                self.run_position(opcode, target, by.max_speed, stall_a);
+                self.feedback_to(opcode)
             }
-            AnyCommand::ForcePosition(position) => {
-                self.run_force(&position);
-                AnyReply::ForcePosition(self.feedback()).into()
+            AnyCommand::ForcePosition(to) => {
+                let limit_a = self.limit_a(to.max_torque);
+                self.run_position(opcode, to.angle.degrees_f64(), to.max_speed, limit_a);
+                self.feedback_to(opcode)
             }
             AnyCommand::Motion(motion) => {
-                self.run_motion(&motion);
-                AnyReply::Motion(self.motion_feedback()).into()
+                let set_point = SetPoint::Motion(self.parameters.motion_ranges.set_point(&motion));
+                self.run(opcode, set_point, LockedBrake::Forbids);
+                Answer::Data(self.motion_feedback().encode())
             }
-            // What only reads.
-            _ if self.reporting.reports(opcode) => {
-                Answer::Ignored(IgnoreReason::ReportedActively(opcode))
-            }
-            _ => self.reading(opcode).map_or(Answer::None, Answer::from),
+            // Never here: what the firmware does not know has no kind.
+            AnyCommand::Raw(_) => Answer::Ignored(IgnoreReason::UnknownCommand),
         }
     }
 
-    /// The reply to a read that names nothing; `None` for kinds that [`answer`](Self::answer) does.
-    pub(super) fn reading(&self, opcode: Opcode) -> Option<AnyReply> {
-        let m = &self.measurement;
-        Some(match opcode {
-            Opcode::ReadMultiTurnEncoder => AnyReply::ReadMultiTurnEncoder(MultiTurnEncoder {
-                position: self.encoder.position_reading(),
-            }),
-            Opcode::ReadMultiTurnEncoderRaw => {
-                AnyReply::ReadMultiTurnEncoderRaw(MultiTurnEncoderRaw {
-                    raw: self.encoder.raw_reading(),
-                })
-            }
-            Opcode::ReadMultiTurnEncoderOffset => {
-                AnyReply::ReadMultiTurnEncoderOffset(MultiTurnEncoderOffset {
-                    offset: self.encoder.offset_reading(),
-                })
-            }
-            Opcode::ReadRunningMode => {
-                AnyReply::ReadRunningMode(RunningMode { mode: self.controller.mode() })
-            }
-            Opcode::ReadSingleTurnEncoder => {
-                let [position, raw, offset] = self.encoder.single_turn();
-                AnyReply::ReadSingleTurnEncoder(SingleTurnEncoder { position, raw, offset })
-            }
-            Opcode::ReadMultiTurnAngle => {
-                AnyReply::ReadMultiTurnAngle(MultiTurnAngle { angle: self.encoder.angle_reading() })
-            }
-            Opcode::ReadSingleTurnAngle => AnyReply::ReadSingleTurnAngle(SingleTurnAngle {
-                angle: self.encoder.single_turn_angle(),
-            }),
-            Opcode::ReadSingleTurnAngleV4_4 => {
-                let angle = self.encoder.half_turn_angle();
-                AnyReply::ReadSingleTurnAngleV4_4(SingleTurnAngleV4_4 { angle })
-            }
-            Opcode::ReadStatus1 => AnyReply::ReadStatus1(Status1 {
-                temperature: celsius(m.motor_temperature_c),
-                mosfet_temperature: celsius(m.mos_temperature_c),
-                brake: self.brake.command(),
-                voltage: Voltage::saturating_from_volts(m.supply_voltage_v).unwrap_or_default(),
-                errors: self.faults.all(),
-            }),
-            Opcode::ReadStatus2 => AnyReply::ReadStatus2(self.feedback()),
-            Opcode::ReadStatus3 => {
-                let [phase_a_current, phase_b_current, phase_c_current] =
-                    m.phase_currents_a.map(amperes);
-                let temperature = celsius(m.motor_temperature_c);
-                AnyReply::ReadStatus3(Status3 {
-                    temperature,
-                    phase_a_current,
-                    phase_b_current,
-                    phase_c_current,
-                })
-            }
-            Opcode::ReadRunTime => {
-                let millis = self.run_time(self.clock).as_millis();
-                let run_time = Milliseconds::from_raw(u32::try_from(millis).unwrap_or(u32::MAX));
-                AnyReply::ReadRunTime(RunTime { run_time })
-            }
-            Opcode::ReadVersionDate => {
-                AnyReply::ReadVersionDate(Version { version_date: self.parameters.version_date })
-            }
-            Opcode::ReadModel => AnyReply::ReadModel(Model { model: self.parameters.model }),
-            // Each kind stands here or above, so that the compiler asks for a new one.
-            Opcode::FunctionControl
-            | Opcode::ReadPid
-            | Opcode::WritePidRam
-            | Opcode::WritePidRom
-            | Opcode::ReadAcceleration
-            | Opcode::WriteAcceleration
-            | Opcode::SetEncoderZero
-            | Opcode::SetCurrentPositionZero
-            | Opcode::Reset
-            | Opcode::ReleaseBrake
-            | Opcode::LockBrake
-            | Opcode::BusId
-            | Opcode::Shutdown
-            | Opcode::Stop
-            | Opcode::Torque
-            | Opcode::Speed
-            | Opcode::AbsolutePosition
-            | Opcode::SingleTurnPosition
-            | Opcode::IncrementalPosition
-            | Opcode::ForcePosition
-            | Opcode::CommunicationLossProtection
-            | Opcode::SetBaudRate
-            | Opcode::ActiveReply
-            | Opcode::Motion => return None,
-        })
+    fn feedback_to(&self, opcode: Opcode) -> Answer {
+        Answer::Data(self.feedback().encode(opcode))
     }
 
     fn feedback(&self) -> Feedback {
@@ -328,12 +325,6 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             speed: dps(m.speed_dps),
             angle: self.encoder.coarse_reading(),
         }
-    }
-
-    fn single_turn_feedback(&self) -> SingleTurnFeedback {
-        let Feedback { temperature, current, speed, .. } = self.feedback();
-        let [encoder, _, _] = self.encoder.single_turn();
-        SingleTurnFeedback { temperature, current, speed, encoder }
     }
 
     fn motion_feedback(&self) -> RawMotionFeedback {

@@ -46,48 +46,36 @@ const CHECKS: usize = 9;
 
 fn checks(m: &Measurement, parameters: &Parameters) -> [Check; CHECKS] {
     let limits: &FaultLimits = &parameters.limits;
-    let keep = 1.0 - limits.relative_margin;
     let speed = m.speed_dps.abs();
     let [a, b, c] = m.phase_currents_a.map(f32::abs);
     let phase = a.max(b).max(c).max(m.current_a.abs());
-    let confirm = limits.confirm_time;
-    let check = |error, beyond, back| Check { error, beyond, back, confirm };
-    let low = limits.under_voltage_v;
-    let cool = limits.temperature_margin_c;
+    let check = |error, beyond, back| Check { error, beyond, back, confirm: limits.confirm_time };
+    // Beyond a limit, and back by a margin.
+    let above = |error, x, limit, margin| check(error, x > limit, x < limit - margin);
+    let keep = 1.0 - limits.relative_margin;
+    let above_by_part = |error, x, limit| check(error, x > limit, x < limit * keep);
+    let volts = m.supply_voltage_v;
+    let hot_by = limits.temperature_margin_c;
     // The current comes to its cap from below, and never quite: 5 % under it counts.
     let stalls =
         m.current_a.abs() >= 0.95 * parameters.stall_current_a && speed < limits.stall_speed_dps;
     [
-        check(
-            ErrorFlags::UNDER_VOLTAGE,
-            m.supply_voltage_v < low,
-            m.supply_voltage_v > low + limits.voltage_margin_v,
-        ),
-        check(
-            ErrorFlags::OVER_VOLTAGE,
-            m.supply_voltage_v > limits.over_voltage_v,
-            m.supply_voltage_v < limits.over_voltage_v - limits.voltage_margin_v,
-        ),
+        above(ErrorFlags::UNDER_VOLTAGE, -volts, -limits.under_voltage_v, limits.voltage_margin_v),
+        above(ErrorFlags::OVER_VOLTAGE, volts, limits.over_voltage_v, limits.voltage_margin_v),
         check(ErrorFlags::OVER_CURRENT, phase > limits.over_current_a, false),
-        check(
-            ErrorFlags::OVER_POWER,
-            m.supply_current_a > limits.supply_current_a,
-            m.supply_current_a < limits.supply_current_a * keep,
-        ),
-        check(
-            ErrorFlags::OVER_SPEED,
-            speed > limits.over_speed_dps,
-            speed < limits.over_speed_dps * keep,
-        ),
-        check(
+        above_by_part(ErrorFlags::OVER_POWER, m.supply_current_a, limits.supply_current_a),
+        above_by_part(ErrorFlags::OVER_SPEED, speed, limits.over_speed_dps),
+        above(
             ErrorFlags::COMPONENT_OVER_TEMPERATURE,
-            m.mos_temperature_c > limits.mos_temperature_c,
-            m.mos_temperature_c < limits.mos_temperature_c - cool,
+            m.mos_temperature_c,
+            limits.mos_temperature_c,
+            hot_by,
         ),
-        check(
+        above(
             ErrorFlags::MOTOR_OVER_TEMPERATURE,
-            m.motor_temperature_c > limits.motor_temperature_c,
-            m.motor_temperature_c < limits.motor_temperature_c - cool,
+            m.motor_temperature_c,
+            limits.motor_temperature_c,
+            hot_by,
         ),
         check(ErrorFlags::ENCODER_DATA, !m.encoder_ok, false),
         Check { error: ErrorFlags::STALL, beyond: stalls, back: false, confirm: limits.stall_time },

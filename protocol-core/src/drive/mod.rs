@@ -256,9 +256,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
         let channel = Channel::Reply(self.active.id);
         let data = match self.reporting.poll(now)? {
-            Report::Status1 => self.reading(Opcode::ReadStatus1)?.encode(),
+            Report::Status1 => self.report(Opcode::ReadStatus1, now)?,
             Report::Heartbeat => [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0],
-            Report::Active(opcode) => self.reading(opcode)?.encode(),
+            Report::Active(opcode) => self.report(opcode, now)?,
         };
         Some(Packet { channel, data })
     }

@@ -20,151 +20,128 @@ pub enum Bus {
     Rs485,
 }
 
-/// At what measurements errors come (manual 8.2). The manual gives no numbers: the maker sets them for
-/// each model.
-///
-/// A measurement beyond its limit for [`confirm_time`](Self::confirm_time) raises its error; level
-/// two ends once the measurement has been back by the margin for as long.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
-pub struct FaultLimits {
-    /// Lowest supply voltage, V.
-    pub under_voltage_v: f32,
-    /// Highest supply voltage, V.
-    pub over_voltage_v: f32,
-    /// How far the voltage must be back, V.
-    pub voltage_margin_v: f32,
-    /// Largest phase current either way, A.
-    pub over_current_a: f32,
-    /// Largest supply current, A: what the manual calls power.
-    pub supply_current_a: f32,
-    /// Largest speed of the output shaft either way, degrees per second.
-    pub over_speed_dps: f32,
-    /// Highest temperature of the output stage, °C.
-    pub mos_temperature_c: f32,
-    /// Highest motor temperature, °C.
-    pub motor_temperature_c: f32,
-    /// How far a temperature must be back, °C.
-    pub temperature_margin_c: f32,
-    /// How far supply current and speed must be back, as a part of their limits, 0 to 1.
-    pub relative_margin: f32,
-    /// Below this speed of the output shaft, degrees per second, a motor at its stall current stalls.
-    pub stall_speed_dps: f32,
-    /// For how long it must.
-    pub stall_time: Duration,
-    /// For how long any other measurement must be beyond its limit, or back.
-    pub confirm_time: Duration,
+/// A struct whose fields each have their default beside them.
+macro_rules! defaults {
+    ($(#[$attr:meta])* pub struct $name:ident {
+        $($(#[doc = $doc:literal])+ pub $field:ident: $type:ty = $default:expr,)+
+    }) => {
+        $(#[$attr])*
+        pub struct $name {
+            $($(#[doc = $doc])+ pub $field: $type,)+
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $default,)+ }
+            }
+        }
+    };
 }
 
-impl Default for FaultLimits {
-    /// For a supply of 24 to 48 V.
-    fn default() -> Self {
-        Self {
-            under_voltage_v: 12.0,
-            over_voltage_v: 58.0,
-            voltage_margin_v: 1.0,
-            over_current_a: 40.0,
-            supply_current_a: 25.0,
-            over_speed_dps: 2_500.0,
-            mos_temperature_c: 85.0,
-            motor_temperature_c: 90.0,
-            temperature_margin_c: 10.0,
-            relative_margin: 0.1,
-            stall_speed_dps: 3.0,
-            stall_time: Duration::from_millis(1_000),
-            confirm_time: Duration::from_millis(10),
-        }
+defaults! {
+    /// At what measurements errors come (manual 8.2). The manual gives no numbers: the maker sets them
+    /// for each model.
+    ///
+    /// A measurement beyond its limit for [`confirm_time`](Self::confirm_time) raises its error;
+    /// level two ends once the measurement has been back by the margin for as long.
+    ///
+    /// The defaults are for a supply of 24 to 48 V.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+    #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
+    pub struct FaultLimits {
+        /// Lowest supply voltage, V.
+        pub under_voltage_v: f32 = 12.0,
+        /// Highest supply voltage, V.
+        pub over_voltage_v: f32 = 58.0,
+        /// How far the voltage must be back, V.
+        pub voltage_margin_v: f32 = 1.0,
+        /// Largest phase current either way, A.
+        pub over_current_a: f32 = 40.0,
+        /// Largest supply current, A: what the manual calls power.
+        pub supply_current_a: f32 = 25.0,
+        /// Largest speed of the output shaft either way, degrees per second.
+        pub over_speed_dps: f32 = 2_500.0,
+        /// Highest temperature of the output stage, °C.
+        pub mos_temperature_c: f32 = 85.0,
+        /// Highest motor temperature, °C.
+        pub motor_temperature_c: f32 = 90.0,
+        /// How far a temperature must be back, °C.
+        pub temperature_margin_c: f32 = 10.0,
+        /// How far supply current and speed must be back, as a part of their limits, 0 to 1.
+        pub relative_margin: f32 = 0.1,
+        /// Below this speed of the output shaft, degrees per second, a motor at its stall current
+        /// stalls.
+        pub stall_speed_dps: f32 = 3.0,
+        /// For how long it must.
+        pub stall_time: Duration = Duration::from_millis(1_000),
+        /// For how long any other measurement must be beyond its limit, or back.
+        pub confirm_time: Duration = Duration::from_millis(10),
     }
 }
 
-/// Everything about a drive that no command changes.
-///
-/// ```
-/// use myactuator_protocol_core::drive::{Bus, Parameters};
-///
-/// let parameters = Parameters { bus: Bus::Rs485, has_brake: true, ..Parameters::default() };
-/// assert_eq!(parameters.pulses_per_output_turn(), 16_384 * 6);
-/// ```
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
-pub struct Parameters {
-    /// The id that an empty memory starts with.
-    pub id: MotorId,
-    /// The bus.
-    pub bus: Bus,
-    /// The bit rate that an empty memory starts with.
-    pub baud_rate: BaudCode,
-    /// The model's name (0xB5).
-    pub model: ModelName,
-    /// Which revision of the protocol it speaks: its commands and their layouts.
-    pub firmware: Firmware,
-    /// The date of the software (0xB2).
-    pub version_date: VersionDate,
-    /// Bits of the encoder on the motor shaft: 14 for 16384 pulses in a turn. At most 24.
-    pub encoder_bits: u8,
-    /// Turns of the motor shaft in one of the output shaft.
-    pub gear_ratio: f32,
-    /// Torque at the output shaft for a current of 1 A, N·m/A.
-    pub torque_constant_nm_per_a: f32,
-    /// Rated current, A: the 100 % of torque limits.
-    pub rated_current_a: f32,
-    /// Stall current, A: the largest that any command gets.
-    pub stall_current_a: f32,
-    /// The fastest that a planned position profile turns the output shaft, degrees per second, where
-    /// its command sets no limit.
-    pub max_speed_dps: f32,
-    /// When errors come.
-    pub limits: FaultLimits,
-    /// Gains that an empty memory starts with.
-    pub factory_gains: Gains,
-    /// The scales of motion mode.
-    pub motion_ranges: MotionRanges,
-    /// Whether the motor has a brake. Without one the brake commands are answered and do nothing.
-    pub has_brake: bool,
-    /// The shortest time from a command to its reply.
-    pub response_delay_min: Duration,
-    /// The longest time from a command to its reply.
-    pub response_delay_max: Duration,
-    /// Seed of everything that the drive does by chance. The same seed gives the same run.
-    pub seed: u32,
-    /// The step of the control loops; at least 1 µs.
-    pub control_period: Duration,
-    /// How long the drive is deaf after a start.
-    pub boot_time: Duration,
-    /// Behaviour beside the manual.
-    pub quirks: Quirks,
-}
-
-impl Default for Parameters {
-    /// A middling motor with the encoder and gear of the manual's example (2.15.4) and the model name
-    /// of 2.33.4.
-    fn default() -> Self {
-        Self {
-            id: MotorId::MIN,
-            bus: Bus::Can,
-            baud_rate: BaudCode::CAN_1M_RS485_500K,
-            model: ModelName::from_bytes(*b"X8S2V10"),
-            firmware: Firmware::V4_3,
-            version_date: Firmware::V4_3.version_date(),
-            encoder_bits: 14,
-            gear_ratio: 6.0,
-            torque_constant_nm_per_a: 2.0,
-            rated_current_a: 6.0,
-            stall_current_a: 12.0,
-            max_speed_dps: 1_500.0,
-            limits: FaultLimits::default(),
-            factory_gains: Gains::tuned(0.02, 2.0, 200.0),
-            motion_ranges: MotionRanges::V4_3,
-            has_brake: false,
-            response_delay_min: Duration::from_micros(800),
-            response_delay_max: Duration::from_micros(800),
-            seed: 1,
-            control_period: Duration::from_millis(1),
-            boot_time: Duration::ZERO,
-            quirks: Quirks::default(),
-        }
+defaults! {
+    /// Everything about a drive that no command changes.
+    ///
+    /// The defaults are those of a middling motor with the encoder and gear of the manual's example
+    /// (2.15.4) and the model name of 2.33.4.
+    ///
+    /// ```
+    /// use myactuator_protocol_core::drive::{Bus, Parameters};
+    ///
+    /// let parameters = Parameters { bus: Bus::Rs485, has_brake: true, ..Parameters::default() };
+    /// assert_eq!(parameters.pulses_per_output_turn(), 16_384 * 6);
+    /// ```
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+    #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
+    pub struct Parameters {
+        /// The id that an empty memory starts with.
+        pub id: MotorId = MotorId::MIN,
+        /// The bus.
+        pub bus: Bus = Bus::Can,
+        /// The bit rate that an empty memory starts with.
+        pub baud_rate: BaudCode = BaudCode::CAN_1M_RS485_500K,
+        /// The model's name (0xB5).
+        pub model: ModelName = ModelName::from_bytes(*b"X8S2V10"),
+        /// Which revision of the protocol it speaks: its commands and their layouts.
+        pub firmware: Firmware = Firmware::V4_3,
+        /// The date of the software (0xB2).
+        pub version_date: VersionDate = Firmware::V4_3.version_date(),
+        /// Bits of the encoder on the motor shaft: 14 for 16384 pulses in a turn. At most 24.
+        pub encoder_bits: u8 = 14,
+        /// Turns of the motor shaft in one of the output shaft.
+        pub gear_ratio: f32 = 6.0,
+        /// Torque at the output shaft for a current of 1 A, N·m/A.
+        pub torque_constant_nm_per_a: f32 = 2.0,
+        /// Rated current, A: the 100 % of torque limits.
+        pub rated_current_a: f32 = 6.0,
+        /// Stall current, A: the largest that any command gets.
+        pub stall_current_a: f32 = 12.0,
+        /// The fastest that a planned position profile turns the output shaft, degrees per second,
+        /// where its command sets no limit.
+        pub max_speed_dps: f32 = 1_500.0,
+        /// When errors come.
+        pub limits: FaultLimits = FaultLimits::default(),
+        /// Gains that an empty memory starts with.
+        pub factory_gains: Gains = Gains::tuned(0.02, 2.0, 200.0),
+        /// The scales of motion mode.
+        pub motion_ranges: MotionRanges = MotionRanges::V4_3,
+        /// Whether the motor has a brake. Without one the brake commands are answered and do
+        /// nothing.
+        pub has_brake: bool = false,
+        /// The shortest time from a command to its reply.
+        pub response_delay_min: Duration = Duration::from_micros(800),
+        /// The longest time from a command to its reply.
+        pub response_delay_max: Duration = Duration::from_micros(800),
+        /// Seed of everything that the drive does by chance. The same seed gives the same run.
+        pub seed: u32 = 1,
+        /// The step of the control loops; at least 1 µs.
+        pub control_period: Duration = Duration::from_millis(1),
+        /// How long the drive is deaf after a start.
+        pub boot_time: Duration = Duration::ZERO,
+        /// Behaviour beside the manual.
+        pub quirks: Quirks = Quirks::default(),
     }
 }
 

@@ -52,32 +52,35 @@ impl Gains {
     }
 
     /// The gain with this index, `None` for one that the manual does not name.
-    pub const fn get(&self, index: PidIndex) -> Option<Gain> {
-        match index {
-            PidIndex::CURRENT_KP => Some(self.current_kp),
-            PidIndex::CURRENT_KI => Some(self.current_ki),
-            PidIndex::SPEED_KP => Some(self.speed_kp),
-            PidIndex::SPEED_KI => Some(self.speed_ki),
-            PidIndex::POSITION_KP => Some(self.position_kp),
-            PidIndex::POSITION_KI => Some(self.position_ki),
-            PidIndex::POSITION_KD => Some(self.position_kd),
-            _ => None,
-        }
+    pub const fn get(mut self, index: PidIndex) -> Option<Gain> {
+        self.place(index).copied()
     }
 
-    /// Sets the gain with this index. An index that the manual does not name changes nothing.
-    pub const fn set(&mut self, index: PidIndex, value: Gain) {
-        match index {
-            PidIndex::CURRENT_KP => self.current_kp = value,
-            PidIndex::CURRENT_KI => self.current_ki = value,
-            PidIndex::SPEED_KP => self.speed_kp = value,
-            PidIndex::SPEED_KI => self.speed_ki = value,
-            PidIndex::POSITION_KP => self.position_kp = value,
-            PidIndex::POSITION_KI => self.position_ki = value,
-            PidIndex::POSITION_KD => self.position_kd = value,
-            _ => {}
-        }
+    /// Sets the gain with this index, and returns whether the manual names it.
+    pub const fn set(&mut self, index: PidIndex, value: Gain) -> bool {
+        set(self.place(index), value)
     }
+
+    const fn place(&mut self, index: PidIndex) -> Option<&mut Gain> {
+        Some(match index {
+            PidIndex::CURRENT_KP => &mut self.current_kp,
+            PidIndex::CURRENT_KI => &mut self.current_ki,
+            PidIndex::SPEED_KP => &mut self.speed_kp,
+            PidIndex::SPEED_KI => &mut self.speed_ki,
+            PidIndex::POSITION_KP => &mut self.position_kp,
+            PidIndex::POSITION_KI => &mut self.position_ki,
+            PidIndex::POSITION_KD => &mut self.position_kd,
+            _ => return None,
+        })
+    }
+}
+
+const fn set<T: Copy>(place: Option<&mut T>, value: T) -> bool {
+    let is_known = place.is_some();
+    if let Some(place) = place {
+        *place = value;
+    }
+    is_known
 }
 
 /// Decided while compiling: 0 is a gain.
@@ -103,25 +106,23 @@ pub struct Accelerations {
 
 impl Accelerations {
     /// The acceleration with this index, `None` for one that the manual does not name.
-    pub const fn get(&self, index: AccelerationIndex) -> Option<Acceleration> {
-        match index {
-            AccelerationIndex::POSITION_ACCELERATION => Some(self.position_acceleration),
-            AccelerationIndex::POSITION_DECELERATION => Some(self.position_deceleration),
-            AccelerationIndex::SPEED_ACCELERATION => Some(self.speed_acceleration),
-            AccelerationIndex::SPEED_DECELERATION => Some(self.speed_deceleration),
-            _ => None,
-        }
+    pub const fn get(mut self, index: AccelerationIndex) -> Option<Acceleration> {
+        self.place(index).copied()
     }
 
-    /// Sets the acceleration with this index. One that the manual does not name changes nothing.
-    pub const fn set(&mut self, index: AccelerationIndex, value: Acceleration) {
-        match index {
-            AccelerationIndex::POSITION_ACCELERATION => self.position_acceleration = value,
-            AccelerationIndex::POSITION_DECELERATION => self.position_deceleration = value,
-            AccelerationIndex::SPEED_ACCELERATION => self.speed_acceleration = value,
-            AccelerationIndex::SPEED_DECELERATION => self.speed_deceleration = value,
-            _ => {}
-        }
+    /// Sets the acceleration with this index, and returns whether the manual names it.
+    pub const fn set(&mut self, index: AccelerationIndex, value: Acceleration) -> bool {
+        set(self.place(index), value)
+    }
+
+    const fn place(&mut self, index: AccelerationIndex) -> Option<&mut Acceleration> {
+        Some(match index {
+            AccelerationIndex::POSITION_ACCELERATION => &mut self.position_acceleration,
+            AccelerationIndex::POSITION_DECELERATION => &mut self.position_deceleration,
+            AccelerationIndex::SPEED_ACCELERATION => &mut self.speed_acceleration,
+            AccelerationIndex::SPEED_DECELERATION => &mut self.speed_deceleration,
+            _ => return None,
+        })
     }
 }
 

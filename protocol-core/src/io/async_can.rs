@@ -1,13 +1,14 @@
 //! The async loop over CAN.
 
 use core::fmt;
+use core::future::ready;
 use core::marker::PhantomData;
 
+use embassy_futures::select::{Either, select};
 use embedded_can::Frame;
 
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
-use crate::io::race::{First, at_once, race};
 use crate::io::stuck::StuckWatch;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
@@ -208,9 +209,9 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     /// Takes what the controller holds, up to the first event.
     async fn receive(&mut self) -> Result<(), C::Error> {
         while self.told.is_none() {
-            match at_once(self.can.receive()).await {
-                Some(received) => self.take(received)?,
-                None => break,
+            match select(self.can.receive(), ready(())).await {
+                Either::First(received) => self.take(received)?,
+                Either::Second(()) => break,
             }
         }
         Ok(())
@@ -226,17 +227,17 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
             let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(None) };
             let busy_until = self.stuck.offered(now);
             let patience = self.clock.wait_until(busy_until);
-            match race(self.can.transmit(&frame), patience).await {
-                First::Left(Ok(())) => {
+            match select(self.can.transmit(&frame), patience).await {
+                Either::First(Ok(())) => {
                     self.stuck.clear();
                     self.master.handle_transmitted(self.clock.now());
                 }
-                First::Left(Err(error)) => {
+                Either::First(Err(error)) => {
                     self.stuck.clear();
                     self.master.handle_bus_down(self.clock.now());
                     return Err(error);
                 }
-                First::Right(()) => {
+                Either::Second(()) => {
                     let now = self.clock.now();
                     self.master.handle_bus_down(now);
                     return Ok(Some(now + RETRY_AFTER));
@@ -277,7 +278,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMast
             }
             let wake_at = earlier(earlier(self.master.poll_at(), retry_at), until);
             let timer = wait(&mut self.clock, wake_at);
-            if let First::Left(received) = race(self.can.receive(), timer).await {
+            if let Either::First(received) = select(self.can.receive(), timer).await {
                 self.take(received)?;
             }
         }

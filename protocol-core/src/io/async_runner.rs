@@ -2,10 +2,11 @@
 
 use core::fmt;
 
+use embassy_futures::yield_now;
+
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::race::yield_now;
 use crate::io::runner::{CallError, StopWatch, request};
 use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;

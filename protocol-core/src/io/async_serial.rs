@@ -1,12 +1,14 @@
 //! The async loop over RS485.
 
+use core::future::ready;
+
+use embassy_futures::select::{Either, select};
 use embedded_io_async::{Read, Write};
 
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
 use crate::io::clock::Clock;
 use crate::io::line::{self, Line};
-use crate::io::race::{First, at_once, race};
 use crate::io::runner::LONGEST_IDLE;
 use crate::io::stuck::STUCK_AFTER;
 use crate::master::{Config, Event, Master};
@@ -65,9 +67,9 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
             if event.is_some() {
                 return Ok(event);
             }
-            match at_once(self.serial.read(self.line.space())).await {
-                None | Some(Ok(0)) => return Ok(None),
-                Some(bytes) => self.line.filled(bytes?),
+            match select(self.serial.read(self.line.space()), ready(())).await {
+                Either::First(Ok(0)) | Either::Second(()) => return Ok(None),
+                Either::First(bytes) => self.line.filled(bytes?),
             }
         }
     }
@@ -79,21 +81,21 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         let Self { serial, clock, master, .. } = self;
         let mut sending = CountsAsSent { master, clock, is_over: false };
         let patience = sending.clock.wait_until(now + STUCK_AFTER);
-        let outcome = race(write(serial, &frame), patience).await;
+        let outcome = select(write(serial, &frame), patience).await;
         sending.is_over = true;
         drop(sending);
         let now = self.clock.now();
         match outcome {
-            First::Left(Ok(true)) => {
+            Either::First(Ok(true)) => {
                 self.unflushed = false;
                 self.master.handle_transmitted(now);
                 Ok(())
             }
-            First::Left(Ok(false)) | First::Right(()) => {
+            Either::First(Ok(false)) | Either::Second(()) => {
                 self.master.handle_bus_down(now);
                 Ok(())
             }
-            First::Left(Err(error)) => Err(error),
+            Either::First(Err(error)) => Err(error),
         }
     }
 
@@ -101,7 +103,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
     async fn settle(&mut self) -> Result<(), S::Error> {
         if self.unflushed {
             let patience = self.clock.wait_until(self.clock.now() + STUCK_AFTER);
-            if let First::Left(flushed) = race(self.serial.flush(), patience).await {
+            if let Either::First(flushed) = select(self.serial.flush(), patience).await {
                 self.unflushed = false;
                 flushed?;
             }
@@ -162,14 +164,14 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
             }
             let wake_at = earlier(self.master.poll_at(), until);
             let timer = wait(&mut self.clock, wake_at);
-            match race(self.serial.read(self.line.space()), timer).await {
+            match select(self.serial.read(self.line.space()), timer).await {
                 // The port is closed, for now or for good.
-                First::Left(Ok(0)) => {
+                Either::First(Ok(0)) => {
                     let again_at = earlier(wake_at, Some(now + LONGEST_IDLE));
                     wait(&mut self.clock, again_at).await;
                 }
-                First::Left(bytes) => self.line.filled(bytes?),
-                First::Right(()) => {}
+                Either::First(bytes) => self.line.filled(bytes?),
+                Either::Second(()) => {}
             }
         }
     }

@@ -18,20 +18,27 @@ use crate::time::{Duration, Instant};
 use crate::units::{Angle, EncoderPulses, Milliseconds};
 
 /// Why a motor could not be brought up as asked.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum BringUpError<E> {
     /// A call on the way has no answer.
+    #[error("{0}")]
     Call(CallError<E>),
     /// The motor did not answer within the time given.
+    #[error("motor {0} does not answer")]
     NotThere(MotorId),
     /// The id that is to be given is somebody's already.
+    #[error("a motor with id {0} is on the bus already")]
     IdTaken(MotorId),
     /// The id can only be changed with this one motor connected, for every motor obeys the command.
     /// These answered.
+    #[error(fmt = not_alone)]
     NotAlone(MotorSet),
     /// After the restart the zero is not where it was put.
+    #[error(
+        "the zero was not kept: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
+    )]
     ZeroNotKept {
         /// The offset that the motor said it stored.
         stored: EncoderPulses,
@@ -41,6 +48,7 @@ pub enum BringUpError<E> {
         angle: Angle,
     },
     /// The drive does not return release as its brake's last command.
+    #[error("the brake was told to release and says {0}")]
     BrakeNotReleased(BrakeCommand),
 }
 
@@ -56,31 +64,15 @@ impl<E> From<RequestError> for BringUpError<E> {
     }
 }
 
-impl<E: fmt::Debug> fmt::Display for BringUpError<E> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Call(error) => error.fmt(f),
-            Self::NotThere(motor) => write!(f, "motor {motor} does not answer"),
-            Self::IdTaken(motor) => write!(f, "a motor with id {motor} is on the bus already"),
-            Self::NotAlone(motors) if motors.is_empty() => {
-                f.write_str("no motor answers on the bus")
-            }
-            Self::NotAlone(motors) => write!(
-                f,
-                "every connected motor obeys an id change: connect only the one to change (there are: {motors})"
-            ),
-            Self::ZeroNotKept { stored, found, angle } => write!(
-                f,
-                "the zero was not kept: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
-            ),
-            Self::BrakeNotReleased(state) => {
-                write!(f, "the brake was told to release and says {state}")
-            }
-        }
+fn not_alone(motors: &MotorSet, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    if motors.is_empty() {
+        return f.write_str("no motor answers on the bus");
     }
+    write!(
+        f,
+        "every connected motor obeys an id change: connect only the one to change (there are: {motors})"
+    )
 }
-
-impl<E: fmt::Debug> core::error::Error for BringUpError<E> {}
 
 /// Two quick attempts: for asking whether a motor is there at all.
 const QUICK: Patience = Patience { reply_timeout: Duration::from_millis(10), attempts: 2 };

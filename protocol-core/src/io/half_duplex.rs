@@ -25,26 +25,17 @@ pub struct HalfDuplex<S, P, D> {
 }
 
 /// What can go wrong: the port or the pin.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum HalfDuplexError<S, P> {
     /// The serial port.
+    #[error("the serial port reports an error: {0:?}")]
     Serial(S),
     /// The direction pin.
+    #[error("the direction pin reports an error: {0:?}")]
     Pin(P),
 }
-
-impl<S: fmt::Debug, P: fmt::Debug> fmt::Display for HalfDuplexError<S, P> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Serial(error) => write!(f, "the serial port reports an error: {error:?}"),
-            Self::Pin(error) => write!(f, "the direction pin reports an error: {error:?}"),
-        }
-    }
-}
-
-impl<S: fmt::Debug, P: fmt::Debug> core::error::Error for HalfDuplexError<S, P> {}
 
 impl<S: embedded_io::Error, P: fmt::Debug> embedded_io::Error for HalfDuplexError<S, P> {
     fn kind(&self) -> ErrorKind {

@@ -64,7 +64,6 @@ mod can;
 mod clock;
 mod half_duplex;
 mod line;
-mod race;
 mod runner;
 mod serial;
 mod stuck;

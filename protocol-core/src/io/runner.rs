@@ -9,35 +9,20 @@ use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind, Ticket
 use crate::time::{Duration, Instant};
 
 /// Why a call has no answer.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum CallError<E> {
     /// The bus driver reports an error.
+    #[error("the bus reports an error: {0:?}")]
     Bus(E),
     /// The command could not be sent as asked.
-    Request(RequestError),
+    #[error(transparent)]
+    Request(#[from] RequestError),
     /// It was sent, and has no answer.
+    #[error("{0}")]
     Failed(Failure),
 }
-
-impl<E> From<RequestError> for CallError<E> {
-    fn from(error: RequestError) -> Self {
-        Self::Request(error)
-    }
-}
-
-impl<E: fmt::Debug> fmt::Display for CallError<E> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Bus(error) => write!(f, "the bus reports an error: {error:?}"),
-            Self::Request(error) => error.fmt(f),
-            Self::Failed(failure) => failure.fmt(f),
-        }
-    }
-}
-
-impl<E: fmt::Debug> core::error::Error for CallError<E> {}
 
 /// How long a stop of all motors is tried at the most.
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);

@@ -81,39 +81,30 @@ impl<C> defmt::Format for Ticket<C> {
 }
 
 /// Why a request has no answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub enum Failure {
     /// No reply came in time, after all attempts.
+    #[error("no reply: is the motor powered, and is this its id?")]
     NoReply,
     /// The drive had lost its master and answered without doing anything (it does so once after its
     /// 0xF1 frames). What may be sent again has been; this one may not.
+    #[error(
+        "the drive had lost its master and ignored the command: send it again if it is still wanted"
+    )]
     NotExecuted,
     /// A reply came, but its fields hold what is not allowed.
+    #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
     /// A stop came before it and took its place.
+    #[error("the motors were stopped first")]
     Stopped,
     /// The bus carried nothing while the command waited.
+    #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
 }
-
-impl fmt::Display for Failure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NoReply => f.write_str("no reply: is the motor powered, and is this its id?"),
-            Self::NotExecuted => f.write_str(
-                "the drive had lost its master and ignored the command: send it again if it is still wanted",
-            ),
-            Self::Unreadable(error) => write!(f, "the reply cannot be read: {error}"),
-            Self::Stopped => f.write_str("the motors were stopped first"),
-            Self::BusDown => f.write_str("the bus carried nothing, so the command was dropped"),
-        }
-    }
-}
-
-impl core::error::Error for Failure {}
 
 /// What a master reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,8 +1,6 @@
 //! The rules of the master, one test a rule. Times are chosen by hand: the reply time-out of
 //! [`Config::CAN`] is 20 ms and takes at most 21 ms in ticks, its late window 40 ms.
 
-extern crate std;
-
 use std::vec::Vec;
 
 use super::*;

@@ -68,7 +68,6 @@ pub(crate) fn pad(f: &mut fmt::Formatter<'_>, text: &str) -> fmt::Result {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use crate::units::{Angle, Current, ReportInterval, Voltage};
     use std::format;
 

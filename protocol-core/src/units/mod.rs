@@ -262,7 +262,6 @@ impl fmt::Display for Gain {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use std::string::ToString;
 

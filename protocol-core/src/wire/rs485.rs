@@ -157,31 +157,22 @@ pub enum Fed {
     },
 }
 
-impl core::fmt::Display for Fault {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
-            Self::Header => "a frame begins with 3E",
-            Self::Address => "an address is 1 to 32 or 0xCD",
-            Self::Length => "the length of every frame is 08",
-            Self::Crc => "the CRC is wrong",
-        })
-    }
-}
-
-impl core::error::Error for Fault {}
-
 /// Why bytes are no frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Fault {
     /// It does not begin with 0x3E.
+    #[error("a frame begins with 3E")]
     Header,
     /// The address is neither 1 to 32 nor 0xCD.
+    #[error("an address is 1 to 32 or 0xCD")]
     Address,
     /// The length is not 8.
+    #[error("the length of every frame is 08")]
     Length,
     /// The CRC is wrong.
+    #[error("the CRC is wrong")]
     Crc,
 }
 

@@ -97,7 +97,6 @@ pub(crate) fn ramp(
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
     use std::vec::Vec;
 

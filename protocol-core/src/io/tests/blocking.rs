@@ -1,7 +1,5 @@
 //! The loops that poll.
 
-extern crate std;
-
 use std::vec::Vec;
 
 use embedded_can::nb::Can as _;

@@ -1,7 +1,5 @@
 //! The async loops: they do what the polling ones do, and their futures may be dropped anywhere.
 
-extern crate std;
-
 use std::format;
 use std::string::String;
 use std::vec::Vec;

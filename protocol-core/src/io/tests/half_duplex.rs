@@ -1,7 +1,5 @@
 //! The direction pin.
 
-extern crate std;
-
 use core::cell::RefCell;
 use core::convert::Infallible;
 use std::rc::Rc;

@@ -1,7 +1,5 @@
 //! A clock, a CAN controller and a serial port of memory, with drives that answer.
 
-extern crate std;
-
 use core::cell::{Cell, RefCell, RefMut};
 use core::future::{Future, poll_fn};
 use core::pin::pin;
