@@ -13,17 +13,11 @@ use myactuator_protocol_core::wire::rs485;
 use myactuator_protocol_core::{
     AnyCommand, AnyReply, Channel, Data, DecodeError, Firmware, MotorId, Opcode, Packet, Target,
 };
-use myactuator_tests::line::{Line, frame_bytes, frames_by_window};
 use proptest::prelude::*;
 use proptest::test_runner::Config;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{from_str, to_string};
-
-/// Enough cases to meet every kind of frame many times, few enough to stay within seconds.
-fn config(cases: u32) -> Config {
-    Config { cases, failure_persistence: None, ..Config::default() }
-}
 
 /// Eight bytes: of a known kind more often than not, and small numbers as often as large ones.
 fn any_data() -> impl Strategy<Value = Data> {
@@ -165,7 +159,8 @@ fn check_packet(packet: &Packet) -> Result<(), TestCaseError> {
 }
 
 proptest! {
-    #![proptest_config(config(4_000))]
+    // Enough cases to meet every kind of frame many times, few enough to stay within seconds.
+    #![proptest_config(Config { cases: 4_000, failure_persistence: None, ..Config::default() })]
 
     #[test]
     fn any_bytes_on_any_identifier_decode(identifier in any_identifier(), data in any_data()) {
@@ -188,25 +183,6 @@ proptest! {
     fn any_bytes_on_the_bus_id_channel_decode(rest in prop::array::uniform7(prop_oneof![0_u8..=3, any::<u8>()])) {
         let [b, c, d, e, f, g, h] = rest;
         check_packet(&Packet { channel: Channel::BusId, data: [0x79, b, c, d, e, f, g, h] })?;
-    }
-
-    #[test]
-    fn any_bytes_of_any_kind_decode(
-        opcode in prop::sample::select(Opcode::ALL),
-        data in prop::array::uniform8(any::<u8>()),
-    ) {
-        let mut data = data;
-        if let Some(byte) = opcode.byte() {
-            data[0] = byte;
-        }
-        if let Ok(command) = AnyCommand::decode_as(opcode, &data) {
-            prop_assert_eq!(command.opcode(), Some(opcode));
-            prop_assert_eq!(AnyCommand::decode_as(opcode, &command.encode()), Ok(command));
-        }
-        if let Ok(reply) = AnyReply::decode_as(opcode, &data) {
-            prop_assert_eq!(reply.opcode(), Some(opcode));
-            prop_assert_eq!(AnyReply::decode_as(opcode, &reply.encode()), Ok(reply));
-        }
     }
 
     #[test]
@@ -351,50 +327,6 @@ fn check_quantities(value: f32) -> Result<(), TestCaseError> {
     let limit = MaxSpeed::from_radians_per_second(value).map(MaxSpeed::raw);
     prop_assert_eq!(limit.ok() == Some(0), value == 0.0);
     Ok(())
-}
-
-/// A stretch of an RS485 line: noise, or a frame.
-#[derive(Clone, Debug)]
-enum Stretch {
-    Noise(Vec<u8>),
-    Frame(u8, Data),
-}
-
-fn any_stretch() -> impl Strategy<Value = Stretch> {
-    let byte = prop_oneof![
-        3 => Just(0x3E_u8),
-        1 => 1_u8..=32,
-        1 => Just(0xCD_u8),
-        2 => Just(0x08_u8),
-        2 => any::<u8>(),
-    ];
-    let address = prop_oneof![4 => 1_u8..=32, 1 => Just(0xCD_u8)];
-    prop_oneof![
-        prop::collection::vec(byte.clone(), 0..40).prop_map(Stretch::Noise),
-        (address, prop::array::uniform8(byte)).prop_map(|(to, data)| Stretch::Frame(to, data)),
-    ]
-}
-
-proptest! {
-    #![proptest_config(config(500))]
-
-    #[test]
-    fn any_rs485_stream_is_received(stretches in prop::collection::vec(any_stretch(), 0..20)) {
-        let mut bytes = Vec::new();
-        for stretch in &stretches {
-            match stretch {
-                Stretch::Noise(noise) => bytes.extend(noise),
-                Stretch::Frame(address, data) => bytes.extend(frame_bytes(*address, *data)),
-            }
-        }
-        // The same as a look at the whole recording; the line checks its count after every byte.
-        prop_assert_eq!(Line::after(&bytes).frames(), frames_by_window(&bytes));
-    }
-
-    #[test]
-    fn uniform_noise_is_received(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
-        prop_assert_eq!(Line::after(&bytes).frames(), frames_by_window(&bytes));
-    }
 }
 
 #[test]

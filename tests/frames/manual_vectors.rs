@@ -3,6 +3,8 @@
 //!
 //! No example of the manual prints a NULL byte other than 0, so no row is excepted.
 
+use std::collections::BTreeMap;
+
 use embedded_can::{Frame as _, Id, StandardId};
 use myactuator_host_std::explain::values;
 use myactuator_protocol_core::command::MotionRanges;
@@ -12,36 +14,6 @@ use myactuator_protocol_core::{AnyCommand, AnyReply, Firmware, Opcode, Packet};
 use myactuator_tests::line::Line;
 use myactuator_tests::vectors::{Bus, Direction, Row, rows};
 use serde_json::Value;
-
-/// Every row about which the manual contradicts itself: section, example, bus, direction, id.
-/// `vectors/README.md` tells how each is read.
-const MISPRINTS: [(&str, u32, Bus, Direction, &str); 21] = {
-    use Bus::{Can, Rs485};
-    use Direction::{Command, Reply};
-    [
-        ("2.15.4", 1, Can, Command, "1"),
-        ("2.15.4", 1, Rs485, Command, "1"),
-        ("2.22.4", 1, Can, Command, "1"),
-        ("2.22.4", 1, Rs485, Command, "1"),
-        ("2.22.4", 2, Can, Command, "1"),
-        ("2.22.4", 2, Rs485, Command, "1"),
-        ("2.31.4", 2, Can, Reply, "1"),
-        ("2.31.4", 2, Rs485, Reply, "1"),
-        ("2.35.5", 2, Can, Command, "1"),
-        ("2.35.5", 2, Rs485, Command, "1"),
-        ("3.2", 1, Can, Command, "all"),
-        ("3.2", 2, Can, Command, "all"),
-        ("4.4", 1, Can, Command, "all"),
-        ("4.4", 2, Can, Reply, "all"),
-        ("5.4", 1, Can, Command, "1"),
-        ("5.4", 1, Can, Reply, "1"),
-        ("6.2", 1, Rs485, Command, "all"),
-        ("6.2", 2, Rs485, Command, "all"),
-        ("6.2", 2, Rs485, Reply, "4"),
-        ("7.4", 1, Rs485, Command, "all"),
-        ("7.4", 2, Rs485, Reply, "all"),
-    ]
-};
 
 /// Compares numbers by value: whole ones exactly, others to 1e-5, as an `f32` keeps of a motion
 /// scale 90 rad/s wide.
@@ -189,20 +161,16 @@ fn the_two_buses_have_the_same_examples() {
     assert_eq!(alone, ["2.34.4", "5.4", "5.4"], "CAN rows without an RS485 row");
 }
 
+/// How many rows of a section the manual contradicts itself about; `vectors/README.md` says how each
+/// is read.
 #[test]
 fn the_misprints_are_the_listed_ones() {
     let rows = rows();
-    let found: Vec<_> = rows
-        .iter()
-        .filter(|row| row.misprint.is_some())
-        .map(|row| {
-            let id = row.id.as_str().map_or_else(|| row.id.to_string(), str::to_owned);
-            (row.section.as_str(), row.example, row.bus, row.direction, id)
-        })
-        .collect();
-    let listed: Vec<_> = MISPRINTS
-        .iter()
-        .map(|&(s, example, bus, d, id)| (s, example, bus, d, id.to_owned()))
-        .collect();
-    assert_eq!(found, listed);
+    let mut found = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.misprint.is_some()) {
+        *found.entry(row.section.as_str()).or_insert(0) += 1;
+    }
+    let on_both = [("2.15.4", 2), ("2.22.4", 4), ("2.31.4", 2), ("2.35.5", 2)];
+    let on_one = [("3.2", 2), ("4.4", 2), ("5.4", 2), ("6.2", 3), ("7.4", 2)];
+    assert_eq!(found, on_both.into_iter().chain(on_one).collect());
 }

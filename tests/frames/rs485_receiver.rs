@@ -143,20 +143,6 @@ fn a_reset_costs_the_frame_that_it_cuts_and_no_other() {
 }
 
 #[test]
-fn back_to_back_frames_all_come_out() {
-    let mut noise = Noise::new(0xFEED);
-    let sent: Vec<[u8; 13]> = (0..2000)
-        .map(|_| {
-            let data = [(); 8].map(|()| noise.nasty_byte());
-            frame_bytes(1 + noise.below(32) as u8, data)
-        })
-        .collect();
-    let line = Line::after(&sent.concat());
-    assert_eq!(line.frames(), sent);
-    assert_eq!(line.discarded(), 0);
-}
-
-#[test]
 fn one_flipped_bit_makes_no_frame_and_hides_none() {
     for good in good_frames() {
         for bit in 0..104 {
