@@ -779,31 +779,6 @@ fn function_2_filters_commands_to_all() {
     assert_eq!(bench.exchange(all, ReadStatus2.encode()).len(), 1);
 }
 
-/// 2.35.4, function 3: 0x9A every 100 ms while an error lasts, no longer.
-#[test]
-fn function_3_reports_errors() {
-    let mut bench = Bench::default();
-    bench.write(FunctionControl::ErrorReporting(Switch::On));
-    bench.run(millis(500));
-    bench.sent.clear();
-    bench.raise(ErrorFlags::UNDER_VOLTAGE);
-    bench.run(millis(350));
-    bench.drive.clear_fault(ErrorFlags::UNDER_VOLTAGE);
-    bench.run(millis(500));
-    assert_eq!(bench.sent.len(), 4);
-    for ((at, packet), late) in bench.sent.iter().zip(0..) {
-        let first = bench.sent[0].0;
-        assert_eq!(*at - first, millis(100 * late));
-        let status = ReadStatus1::decode_reply(&packet.data).unwrap();
-        assert_eq!(status.errors, ErrorFlags::UNDER_VOLTAGE);
-    }
-    bench.write(FunctionControl::ErrorReporting(Switch::Off));
-    bench.sent.clear();
-    bench.raise(ErrorFlags::UNDER_VOLTAGE);
-    bench.run(millis(500));
-    assert!(bench.sent.is_empty());
-}
-
 /// 2.35.4, function 4: on, the turns are saved at power-off; off, they are lost. After a restart.
 #[test]
 fn function_4_saves_the_turns() {

@@ -43,6 +43,13 @@ fn motor(parameters: MotorParameters) -> SimulatedMotor {
     SimulatedMotor::new(parameters).unwrap()
 }
 
+/// A motor with a load that no torque moves.
+fn held(parameters: MotorParameters) -> SimulatedMotor {
+    let mut m = motor(parameters);
+    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m
+}
+
 fn with_friction(static_nm: f64, coulomb_nm: f64, viscous: f64) -> MotorParameters {
     let mut p = ideal();
     p.friction.static_nm = static_nm;
@@ -298,8 +305,7 @@ fn a_stalled_motor_draws_copper_loss() {
     let mut p = ideal();
     p.inverter.idle_power_w = 6.0;
     p.inverter.mos_resistance_ohm = 0.1;
-    let mut m = motor(p);
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    let mut m = held(p);
     m.force_supply_voltage_v(Some(48.0)).unwrap();
     let measured = m.advance(&amps(4.0), MS.times(10));
     // (1.5 * 0.6 Ω * 16 A² + 6 W) / 48 V = 20.4 W / 48 V
@@ -311,8 +317,7 @@ fn a_stalled_motor_draws_copper_loss() {
 fn rms_amperes_peak_at_root_two() {
     let mut p = ideal();
     p.motor.current_scale = CurrentScale::Rms;
-    let mut m = motor(p);
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    let mut m = held(p);
     m.force_supply_voltage_v(Some(48.0)).unwrap();
     let measured = m.advance(&amps(4.0), MS.times(10));
     close(f64::from(measured.supply_current_a), 3.0 * 0.5 * 16.0 / 48.0, 1e-6);
@@ -331,11 +336,10 @@ fn amplitude(measured: &Measurement) -> f64 {
 fn phase_currents_are_three_sines_that_sum_to_zero() {
     let p = ideal();
     let electrical_turn_deg = 360.0 / (p.gear.ratio * f64::from(p.motor.pole_pairs));
-    let mut m = motor(p);
+    let mut m = held(p);
     let (mut highest, mut lowest) = ([f32::MIN; 3], [f32::MAX; 3]);
     for step in 0..360 {
         m.set_output_angle_deg(electrical_turn_deg * f64::from(step) / 360.0).unwrap();
-        m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
         let measured = m.advance(&amps(3.0), Duration::from_micros(100));
         let phases = measured.phase_currents_a;
         assert!(phases.iter().sum::<f32>().abs() < 1e-5, "{phases:?}");
@@ -362,8 +366,7 @@ fn phase_currents_are_three_sines_that_sum_to_zero() {
 /// Constant power P through resistance R: V = (V0 + √(V0² - 4 R P)) / 2.
 #[test]
 fn the_supply_sags_under_load() {
-    let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    let mut m = held(ideal());
     m.set_supply(Supply { resistance_ohm: 1.0, ..Supply::battery(48.0) }).unwrap();
     let measured = m.advance(&amps(16.0), MS.times(100));
     let power = 1.5 * 0.5 * 16.0 * 16.0; // 192 W
@@ -376,8 +379,7 @@ fn the_supply_sags_under_load() {
 /// the supply, whose voltage rises by the same law with the feedback resistance.
 #[test]
 fn feedback_raises_the_voltage() {
-    let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    let mut m = held(ideal());
     m.set_supply(Supply::bench(48.0)).unwrap();
     m.set_output_speed_dps(10_f64.to_degrees()).unwrap();
     let measured = m.advance(&amps(-2.0), MS.times(500));
@@ -455,8 +457,7 @@ fn winding_and_output_stage_heat_exponentially_and_cool_again() {
     p.thermal.winding_resistance_k_per_w = 1.5; // 30 s
     p.thermal.mos_capacity_j_per_k = 4.0;
     p.thermal.mos_resistance_k_per_w = 5.0; // 20 s
-    let mut m = motor(p);
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    let mut m = held(p);
     m.set_ambient_c(20.0).unwrap();
     // From 25 °C, the start, towards 20 °C + rise; 4 A: 12 W in the winding, 2.4 W in the stage.
     let at = |rise: f64, start: f64, tau: f64, t: f64| {
@@ -476,8 +477,7 @@ fn winding_and_output_stage_heat_exponentially_and_cool_again() {
 fn a_hot_winding_has_more_resistance() {
     let mut p = ideal();
     p.motor.resistance_coefficient_per_k = 0.00393;
-    let mut m = motor(p);
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    let mut m = held(p);
     m.force_supply_voltage_v(Some(48.0)).unwrap();
     m.force_motor_temperature_c(Some(125.0)).unwrap();
     let measured = m.advance(&amps(4.0), MS);
@@ -526,23 +526,11 @@ fn any_split_of_the_time_gives_the_same_bits() {
     }
 }
 
-/// Time shorter than a step is kept, not lost.
-#[test]
-fn short_portions_add_up() {
-    let mut m = motor(ideal());
-    m.set_output_speed_dps(10.0).unwrap();
-    m.advance(&OFF, Duration::from_micros(60));
-    assert_eq!(m.output_angle_deg(), 0.0);
-    m.advance(&OFF, Duration::from_micros(60));
-    close(m.output_angle_deg(), 10.0 * 100e-6, 1e-9);
-}
-
 // The models
 
 fn at_speed(parameters: &MotorParameters, rpm: f64) -> SimulatedMotor {
-    let mut m = motor(parameters.clone());
+    let mut m = held(parameters.clone());
     m.force_supply_voltage_v(Some(parameters.rating.voltage_v)).unwrap();
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
     m.set_output_speed_dps(rpm * 6.0).unwrap();
     m
 }

@@ -1,13 +1,13 @@
-//! Field behaviour beside the manual, each option on and off, and what no drive may ever do.
+//! Field behaviour beside the manual, each option on and off (a lost master's heartbeat is in `fleet`),
+//! and what no drive may ever do.
 
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{
     Drive, Event, IdealPlant, IgnoreReason, NotRunReason, Parameters, Quirks, RamMemory,
 };
-use myactuator_protocol_core::opcode::LOST_MASTER_BYTE;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::*;
-use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
+use myactuator_protocol_core::{Channel, MotorId, Target};
 use myactuator_tests::bench::*;
 use myactuator_tests::values::*;
 use proptest::prelude::*;
@@ -59,32 +59,6 @@ fn slow_brake() {
     }
     assert!(opened.iter().all(|millis| (50..=155).contains(millis)), "{opened:?}");
     assert!(opened.iter().max().unwrap() - opened.iter().min().unwrap() > 50, "{opened:?}");
-}
-
-/// A drive that lost its master sends 0xF1 once a second, echoes and ignores the next command, and obeys
-/// the second if it comes in time.
-#[test]
-fn lost_master_heartbeat() {
-    let mut bench = with(Quirks { lost_master_heartbeat: true, ..Quirks::default() });
-    bench.write(CommunicationLossProtection { timeout: Milliseconds::from_raw(100) });
-    bench.sent.clear();
-    bench.run(millis(3_000));
-    let beat =
-        Packet { channel: Channel::Reply(ID), data: [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0] };
-    assert_eq!(bench.sent.iter().map(|&(_, packet)| packet).collect::<Vec<_>>(), [beat; 3]);
-    assert_eq!(bench.sent[1].0 - bench.sent[0].0, millis(1_000));
-
-    let go = turn(100.0);
-    assert_eq!(bench.send(go), Some(go.encode()));
-    assert_eq!(bench.not_run(), Some(NotRunReason::CommunicationLost));
-    bench.run(millis(200)); // too late
-    assert_eq!(bench.send(go), Some(go.encode()));
-    let reply = bench.send(go);
-    assert_ne!(reply, Some(go.encode()));
-    assert!(bench.state().output_on);
-    bench.sent.clear();
-    bench.run(millis(90));
-    assert!(bench.sent.is_empty());
 }
 
 /// Function 5 changes the id, but is not answered.

@@ -192,25 +192,8 @@ fn communication_loss() {
         if speaks {
             master.set_point(MOTOR, turn(90.0)).unwrap();
         }
-        for step in 1..=TICK.as_millis() {
-            let now = start + TICK.times(tick) + millis(step);
-            let answers = listen_until(&mut master, now);
-            assert!(answers.iter().all(|event| matches!(event, Event::Feedback { .. })));
-            let state = state_at(drive, now);
-            // The commands arrive within the first millisecond of their tick, and the drive looks
-            // at the time once a millisecond.
-            let silent_ms = match tick {
-                0..20 => (now - start).as_millis().saturating_sub(180),
-                _ => continue,
-            };
-            if silent_ms <= 100 {
-                let runs = state.output_on && state.brake == BrakeCommand::RELEASE;
-                assert!(runs || tick == 0, "cut after {silent_ms} ms");
-            } else if silent_ms >= 102 {
-                assert!(!state.output_on, "on after {silent_ms} ms");
-                assert_eq!(state.brake, BrakeCommand::LOCK, "after {silent_ms} ms");
-            }
-        }
+        let answers = listen_until(&mut master, start + TICK.times(tick + 1));
+        assert!(answers.iter().all(|event| matches!(event, Event::Feedback { .. })));
         let state = state_at(drive, master.now());
         let speed_dps = state.measurement.speed_dps;
         match tick {

@@ -5,8 +5,6 @@ use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet, FleetError, LineFleet};
 use myactuator_protocol_core::drive::{Event, State};
-use myactuator_protocol_core::master::Config;
-use myactuator_protocol_core::time::Duration;
 
 use crate::wire::Wire;
 
@@ -30,12 +28,6 @@ pub trait Bus: Sized {
     /// A master.
     fn master(&self) -> Master<Self> {
         Self::Wire::runner(self.world(), Self::Wire::CONFIG).0
-    }
-
-    /// A master that does not know that drives take time to restart.
-    fn hasty_master(&self) -> Master<Self> {
-        let config = Config { restart_time: Duration::ZERO, ..Self::Wire::CONFIG };
-        Self::Wire::runner(self.world(), config).0
     }
 }
 
