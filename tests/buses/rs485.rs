@@ -258,20 +258,6 @@ fn a_receive_buffer_overflows_and_counts() {
 }
 
 #[test]
-fn a_clock_idles_until_a_byte_arrives() {
-    let (world, mut port, _) = line(1);
-    world.sender([(100, vec![1, 2])]);
-    let clock = world.clock();
-    clock.idle(micros(1_000));
-    assert_eq!(clock.now(), micros(110));
-    clock.idle(micros(1_000));
-    assert_eq!(clock.now(), micros(120));
-    assert_eq!(received(&mut port), [1, 2]);
-    clock.idle(micros(1_000));
-    assert_eq!(clock.now(), micros(1_000));
-}
-
-#[test]
 fn asynchronous_masters_let_time_go_on() {
     let (world, mut port, _) = line(1);
     world.mirror();
