@@ -30,7 +30,6 @@ use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
 
 use myactuator_host_std::sim::Fleet;
-use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::{Medium, World, trace};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint, ReadStatus2};
@@ -265,78 +264,6 @@ fn table(title: &str, row: impl Fn(u8) -> Row) -> f64 {
     worst
 }
 
-/// Motion mode rates of seven motors: by themselves, and beside an eighth that is silent.
-fn silent_motor() {
-    let rate = |cut: bool| {
-        let fleet = fleet(8).on_can(1_000_000).expect("a fleet");
-        let silent = fleet.drives[7].station();
-        let mut bus = fleet.master::<32>();
-        let asked = if cut { 8 } else { 7 };
-        fleet.world.cut(silent);
-        for motor in MotorId::all().take(asked) {
-            command(&mut bus, motor, Kind::Motion);
-        }
-        let start = bus.now();
-        let mut answers = 0_u32;
-        while bus.now() < start + SPAN {
-            match bus.poll().expect("a bus that works") {
-                Some(Event::Feedback { motor, .. }) => {
-                    answers += 1;
-                    command(&mut bus, motor, Kind::Motion);
-                }
-                Some(Event::SetPointUnanswered { motor }) => command(&mut bus, motor, Kind::Motion),
-                Some(_) => {}
-                None => bus.idle(start + SPAN),
-            }
-        }
-        f64::from(answers) / 7.0 / (SPAN.as_micros() as f64 / 1e6)
-    };
-    let (alone, beside) = (rate(false), rate(true));
-    println!(
-        "\nOne silent motor among eight, CAN at 1 Mbit/s: the other seven get {beside:.0} set-points a second, \
-         {alone:.0} without it ({:.1} % less; the silent one's frames take {:.1} % of the wire).",
-        100.0 * (1.0 - beside / alone),
-        // One frame of about 120 µs in each time-out.
-        100.0 * 120e-6 / (Config::CAN.reply_timeout.as_micros() as f64 / 1e6),
-    );
-}
-
-/// Time from a request whose first reply is lost to the answer.
-fn retry() {
-    let fleet = fleet(1).on_can(1_000_000).expect("a fleet");
-    let mut bus = fleet.master::<32>();
-    let motor = MotorId::MIN;
-    let drive = fleet.drives[0].station();
-    bus.ask(motor, ReadStatus2).expect("an answer");
-    let start = bus.now();
-    let now = bus.now();
-    let ticket = bus.master().request(motor, ReadStatus2, now).expect("the motor is free");
-    fleet.world.set_node_faults(
-        drive,
-        Direction::ToPorts,
-        Some(FaultPlan { lose: 1.0, ..FaultPlan::default() }),
-    );
-    let mended = start + Duration::from_millis(5);
-    let answered = loop {
-        if bus.now() >= mended {
-            fleet.world.set_node_faults(drive, Direction::ToPorts, None);
-        }
-        match bus.poll().expect("a bus that works") {
-            Some(event) if ticket.outcome(&event).is_some() => break bus.now(),
-            Some(_) => {}
-            None => {
-                let until = bus.now() + Duration::from_millis(1);
-                bus.idle(until);
-            }
-        }
-    };
-    println!(
-        "A request whose first reply is lost is answered after {} (time-out {}).",
-        answered - start,
-        Config::CAN.reply_timeout
-    );
-}
-
 fn main() -> ExitCode {
     let mut worst = 0.0_f64;
     for bit_rate in [1_000_000, 500_000] {
@@ -349,8 +276,6 @@ fn main() -> ExitCode {
         let title = format!("RS485 at {bit_rate} bit/s, feedback cycles");
         worst = worst.max(table(&title, |motors| on_rs485(bit_rate, motors)));
     }
-    silent_motor();
-    retry();
     println!("worst ratio {worst:.2}");
     if worst <= LIMIT { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

@@ -12,7 +12,6 @@
 
 use std::time::{Duration as WallDuration, Instant as WallInstant};
 
-use criterion::{BenchmarkId, Criterion};
 use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{AbsolutePosition, MotionRanges, MotionSetPoint};
@@ -109,13 +108,6 @@ fn report(bus: &str, (took, answers): (WallDuration, u32)) {
 }
 
 fn main() {
-    let mut criterion = Criterion::default().sample_size(10).configure_from_args();
-    let mut group = criterion.benchmark_group("simulated second of 32 drives");
-    group.bench_function(BenchmarkId::from_parameter("CAN"), |b| b.iter(second_on_can));
-    group.bench_function(BenchmarkId::from_parameter("RS485"), |b| b.iter(second_on_rs485));
-    group.finish();
-    criterion.final_summary();
-
     // Only as a benchmark: a build for debugging may take its time.
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
