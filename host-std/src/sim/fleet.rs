@@ -1,6 +1,5 @@
 //! Several simulated drives on one bus.
 
-use std::fmt;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -15,7 +14,7 @@ use crate::sim::Seat;
 use crate::sim::bus::can::{CanBus, CanConfig, CanPort};
 use crate::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
 use crate::sim::bus::{SimClock, StationId, World};
-use crate::sim::memory::{DriveMemory, MemoryError};
+use crate::sim::memory::{DriveMemory, StoreError};
 use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
 
 /// A drive with its physics and its memory.
@@ -28,42 +27,14 @@ const DEFAULT_MODEL: &str = "RMD-X8-PRO";
 const BANDWIDTH_RAD_S: f32 = 200.0;
 
 /// Why drives cannot be simulated as asked.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub enum FleetError {
     /// The model's figures make no motor.
-    Model(ParameterError),
+    #[error("{0}")]
+    Model(#[from] ParameterError),
     /// The file of a drive's memory cannot be read.
-    Memory(MemoryError),
-}
-
-impl fmt::Display for FleetError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Model(error) => error.fmt(f),
-            Self::Memory(error) => error.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for FleetError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            Self::Model(error) => Some(error),
-            Self::Memory(error) => Some(error),
-        }
-    }
-}
-
-impl From<ParameterError> for FleetError {
-    fn from(error: ParameterError) -> Self {
-        Self::Model(error)
-    }
-}
-
-impl From<MemoryError> for FleetError {
-    fn from(error: MemoryError) -> Self {
-        Self::Memory(error)
-    }
+    #[error("{0}")]
+    Memory(#[from] StoreError),
 }
 
 /// What is to be simulated. Build it up, then put it on a bus.
