@@ -11,9 +11,9 @@ use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use crate::sim::Seat;
-use crate::sim::bus::can::{CanBus, CanConfig, CanPort};
+use crate::sim::bus::can::{CanBus, CanConfig, CanPort, ControllerConfig};
 use crate::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
-use crate::sim::bus::{SimClock, StationId, World};
+use crate::sim::bus::{Medium, Node, SimClock, StationId, World};
 use crate::sim::memory::{DriveMemory, StoreError};
 use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
 
@@ -110,15 +110,8 @@ impl Fleet {
     /// # Errors
     /// [`FleetError`]: the model's figures make no motor, or a memory file cannot be read.
     pub fn on_can(&self, bit_rate: u32) -> Result<CanFleet, FleetError> {
-        let config = CanConfig { bit_rate };
-        let world = World::<CanBus>::new(config, self.seed);
-        let mut drives = Vec::new();
-        for motor in self.motors() {
-            let seat = Arc::new(Mutex::new(self.seat(motor, Bus::Can)?));
-            let station = world.attach(Arc::clone(&seat));
-            drives.push(DriveHandle { motor, station, seat });
-        }
-        Ok(CanFleet { world, drives, bit_rate })
+        let world = World::<CanBus>::new(CanConfig { bit_rate }, self.seed);
+        self.put_on(world, ControllerConfig::MAILBOXES, Bus::Can, bit_rate)
     }
 
     /// Puts the drives on an RS485 line in virtual time.
@@ -127,17 +120,26 @@ impl Fleet {
     /// As [`on_can`](Self::on_can).
     pub fn on_rs485(&self, bit_rate: u32) -> Result<LineFleet, FleetError> {
         let world = World::<Rs485Line>::new(LineConfig { bit_rate }, self.seed);
-        let mut drives = Vec::new();
-        for motor in self.motors() {
-            let seat = Arc::new(Mutex::new(self.seat(motor, Bus::Rs485)?));
-            let station = world.attach(Arc::clone(&seat));
-            drives.push(DriveHandle { motor, station, seat });
-        }
-        Ok(LineFleet { world, drives, bit_rate })
+        self.put_on(world, TransceiverConfig::default(), Bus::Rs485, bit_rate)
     }
 
-    fn motors(&self) -> impl Iterator<Item = MotorId> {
-        MotorId::all().take(self.count.into())
+    fn put_on<B: Medium<Attachment: Copy>>(
+        &self,
+        world: World<B>,
+        attachment: B::Attachment,
+        bus: Bus,
+        bit_rate: u32,
+    ) -> Result<BusFleet<B>, FleetError>
+    where
+        Seat<SimulatedMotor, DriveMemory>: Node<B::Frame>,
+    {
+        let mut drives = Vec::new();
+        for motor in MotorId::all().take(self.count.into()) {
+            let seat = Arc::new(Mutex::new(self.seat(motor, bus)?));
+            let station = world.attach_with(Arc::clone(&seat), attachment);
+            drives.push(DriveHandle { motor, station, seat });
+        }
+        Ok(BusFleet { world, drives, bit_rate })
     }
 
     fn seat(
@@ -246,14 +248,27 @@ impl DriveHandle {
     }
 }
 
-/// Drives on a CAN bus.
-#[derive(Clone, Debug)]
-pub struct CanFleet {
+/// Drives on a bus.
+#[derive(Debug)]
+pub struct BusFleet<B: Medium> {
     /// The bus and its clock.
-    pub world: World<CanBus>,
+    pub world: World<B>,
     /// The drives, in the order of their ids.
     pub drives: Vec<DriveHandle>,
     bit_rate: u32,
+}
+
+/// Drives on a CAN bus.
+pub type CanFleet = BusFleet<CanBus>;
+
+/// Drives on an RS485 line.
+pub type LineFleet = BusFleet<Rs485Line>;
+
+impl<B: Medium> BusFleet<B> {
+    /// Bits per second.
+    pub const fn bit_rate(&self) -> u32 {
+        self.bit_rate
+    }
 }
 
 impl CanFleet {
@@ -261,21 +276,6 @@ impl CanFleet {
     pub fn master<const N: usize>(&self) -> CanMaster<CanPort, SimClock<CanBus>, N> {
         CanMaster::new(self.world.port(), self.world.clock(), Config::can(self.bit_rate))
     }
-
-    /// Bits per second.
-    pub const fn bit_rate(&self) -> u32 {
-        self.bit_rate
-    }
-}
-
-/// Drives on an RS485 line.
-#[derive(Clone, Debug)]
-pub struct LineFleet {
-    /// The line and its clock.
-    pub world: World<Rs485Line>,
-    /// The drives, in the order of their ids.
-    pub drives: Vec<DriveHandle>,
-    bit_rate: u32,
 }
 
 impl LineFleet {
@@ -291,10 +291,5 @@ impl LineFleet {
     ) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
         let config = Config::rs485(self.bit_rate, transceiver.echo);
         SerialMaster::new(self.world.port_with(transceiver), self.world.clock(), config)
-    }
-
-    /// Bits per second.
-    pub const fn bit_rate(&self) -> u32 {
-        self.bit_rate
     }
 }

@@ -158,7 +158,7 @@ impl CanBus {
         }
     }
 
-    fn start_on(&mut self, wire: Wire, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn start_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
         let now = around.now;
         let waiting = |(station, controller): (usize, &Controller)| {
             let (from, key) = controller.wants_bus()?;
@@ -227,7 +227,7 @@ impl CanBus {
         self.wires[place(wire)] = Phase::Sending { transmission, until };
     }
 
-    fn finish_on(&mut self, wire: Wire, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn finish_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
         let now = around.now;
         let phase = &mut self.wires[place(wire)];
         match phase {
@@ -246,7 +246,7 @@ impl CanBus {
         }
     }
 
-    fn recover_on(&mut self, wire: Wire, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn recover_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
         for station in 0..self.controllers.len() {
             let controller = &self.controllers[station];
             let due = controller.recovery.is_some_and(|recovery| {
@@ -264,7 +264,7 @@ impl CanBus {
         &mut self,
         wire: Wire,
         transmission: Transmission,
-        around: &mut Surroundings<'_, SimpleFrame>,
+        around: &mut Surroundings<SimpleFrame>,
     ) {
         let Transmission { senders, losers, frame, started: started_ns, ending } = transmission;
         let now = around.now;
@@ -340,7 +340,7 @@ impl CanBus {
     }
 
     /// Ends what a station has on its wire, because it is leaving it or is being reset.
-    fn break_off(&mut self, station: usize, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn break_off(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {
         let wire = self.controllers[station].wire;
         let phase = &mut self.wires[place(wire)];
         if let Phase::Sending { transmission, until } = phase
@@ -400,13 +400,13 @@ impl Bus for CanBus {
         self.wires().map(|wire| self.next_on(wire)).min().unwrap_or(NEVER)
     }
 
-    fn finish(&mut self, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn finish(&mut self, around: &mut Surroundings<SimpleFrame>) {
         for wire in self.wires() {
             self.finish_on(wire, around);
         }
     }
 
-    fn start(&mut self, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn start(&mut self, around: &mut Surroundings<SimpleFrame>) {
         for wire in self.wires() {
             if let Phase::Idle { .. } = self.wires[place(wire)] {
                 self.start_on(wire, around);
@@ -430,7 +430,7 @@ impl Bus for CanBus {
             && !arrival.deaf.contains(&station)
     }
 
-    fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<SimpleFrame>) {
         let wire = if is_cut { Wire::Stub(station) } else { Wire::Common };
         if self.controllers[station].wire == wire {
             return;
@@ -447,7 +447,7 @@ impl Bus for CanBus {
         }
     }
 
-    fn reset(&mut self, station: usize, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn reset(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {
         self.break_off(station, around);
         self.controllers[station].clear();
         self.controllers[station].joined = around.now;
