@@ -48,7 +48,7 @@ pub(in crate::cli) struct Arguments {
 /// The scales that were given, or those of the firmware, for which the motor is asked. They are never
 /// guessed: V4.3's sent to a V4.4 have given 2.5 times the torque.
 fn scales(arguments: &Arguments, session: &mut Session) -> Outcome<MotionRanges> {
-    let motor = arguments.span.id;
+    let motor = arguments.span.motor.id;
     if let Some(ranges) = arguments.ranges {
         return Ok(ranges);
     }
@@ -74,7 +74,7 @@ fn scales(arguments: &Arguments, session: &mut Session) -> Outcome<MotionRanges>
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    if arguments.span.on.bus.kind() == BusKind::Rs485 {
+    if arguments.span.motor.on.bus.kind() == BusKind::Rs485 {
         check_on_rs485(Opcode::Motion.into())
             .map_err(|error| Unfinished::Usage(format!("--bus: {error}")))?;
     }
@@ -85,7 +85,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         kd: arguments.kd,
         torque_nm: arguments.torque_nm,
     };
-    let mut session = arguments.span.open()?;
+    let mut session = arguments.span.motor.open_to_change()?;
     let ranges = scales(arguments, &mut session)?;
     let command =
         ranges.quantise(&set_point).map_err(|error| Unfinished::Usage(error.to_string()))?;
