@@ -16,7 +16,7 @@
 //!
 //! | feature | what it adds | which crates it pulls |
 //! |---|---|---|
-//! | (none) | [`text`], [`BusKind`] and [`protocol`] | embedded-can |
+//! | (none) | [`text`], [`BusKind`] and [`protocol`] | embedded-can, thiserror |
 //! | `explain` | [`explain`] | serde_json |
 //! | `port` | [`port`] | socketcan, serial2, rustix, embedded-io, nb |
 //! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io, nb |

@@ -29,7 +29,9 @@ use super::DONE;
 #[derive(Debug, clap::Subcommand)]
 pub(super) enum Subcommand {
     Scan(scan::Arguments),
-    Info(info::Arguments),
+    /// Tell what motors are: model, software, run time, mode, state and zero
+    Info(status::Arguments),
+    /// Tell how motors do: angle, speed, currents, temperatures, voltage, brake and errors
     Status(status::Arguments),
     Move(move_to::Arguments),
     Speed(speed::Arguments),

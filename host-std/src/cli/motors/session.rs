@@ -6,12 +6,15 @@ use std::sync::atomic::AtomicBool;
 
 use myactuator_host_std::BusKind;
 use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+#[cfg(test)]
+use myactuator_host_std::sim::CanFleet;
 use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::{MotorId, Target};
 
+use crate::cli::arguments as parse;
 use crate::cli::{DONE, FAILED, INTERRUPTED, WRONG_USAGE, print_line, printable, tell};
 
 /// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
@@ -32,6 +35,35 @@ pub(super) struct Consent {
     /// Do not ask before a motor moves or its memory is written: for scripts.
     #[arg(long, short)]
     pub(super) yes: bool,
+}
+
+/// Which motor, and whether it may be moved or written to.
+#[derive(Debug, clap::Args)]
+pub(super) struct OneMotor {
+    #[command(flatten)]
+    pub(super) on: OnBus,
+    /// The motor, 1 to 32.
+    #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
+    pub(super) id: MotorId,
+    #[command(flatten)]
+    pub(super) consent: Consent,
+}
+
+impl OneMotor {
+    /// Opens its bus to move it or write its memory.
+    pub(super) fn open_to_change(&self) -> Outcome<Session> {
+        Session::open_to_change(&self.on, self.consent)
+    }
+}
+
+/// Which motors.
+#[derive(Debug, clap::Args)]
+pub(super) struct Motors {
+    #[command(flatten)]
+    pub(super) on: OnBus,
+    /// The motor, 1 to 32, or all.
+    #[arg(long, value_parser = parse::target, allow_hyphen_values = true, default_value = "all")]
+    pub(super) id: Target,
 }
 
 /// Why a command did not come to its end.
@@ -144,6 +176,17 @@ impl Session {
             ));
         }
         Ok(Self { yes: consent.yes, ..Self::open(on)? })
+    }
+
+    /// A session on simulated drives that a test has a hand on.
+    #[cfg(test)]
+    pub(super) fn on(fleet: &CanFleet) -> Self {
+        Self {
+            master: AnyMaster::SimulatedCan(fleet.master()),
+            address: BusAddress::Simulated { motors: 1, kind: BusKind::Can },
+            yes: true,
+            interrupted: Arc::default(),
+        }
     }
 
     /// Asks the user, unless there is consent or nothing real would happen.

@@ -1,35 +1,22 @@
 //! Simulated drives under a subcommand, for its tests.
 
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-
-use myactuator_host_std::open::AnyMaster;
-use myactuator_host_std::sim::CanFleet;
 use myactuator_host_std::sim::bus::trace::{Event, Log};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::{Channel, MotorId, Packet};
 
 use super::run_for::Span;
-use super::session::{Consent, OnBus, Session};
-
-/// A session on these drives, with the user's consent.
-pub(super) fn on(fleet: &CanFleet) -> Session {
-    Session {
-        master: AnyMaster::SimulatedCan(fleet.master()),
-        address: "sim:1".parse().unwrap(),
-        yes: true,
-        interrupted: Arc::new(AtomicBool::new(false)),
-    }
-}
+use super::session::{Consent, OnBus, OneMotor};
 
 /// Motor 1, for a second.
 pub(super) fn span() -> Span {
     Span {
-        on: OnBus { bus: "sim:1".parse().unwrap() },
-        id: MotorId::MIN,
+        motor: OneMotor {
+            on: OnBus { bus: "sim:1".parse().unwrap() },
+            id: MotorId::MIN,
+            consent: Consent { yes: true },
+        },
         for_s: Duration::from_secs(1),
-        consent: Consent { yes: true },
     }
 }
 
