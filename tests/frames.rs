@@ -7,4 +7,5 @@ mod frames {
     mod motion_packing;
     mod rs485_receiver;
     mod table;
+    mod values;
 }

@@ -3,7 +3,7 @@
 //! | layer | for | stands on | feature |
 //! |---|---|---|---|
 //! | [`text`] | frames as people and tools write them: `ID#DATA`, candump lines, RS485 bytes, SLCAN | | |
-//! | [`explain`] | what a frame says: name, fields with their units, and a sentence | `text` | `explain` |
+//! | [`explain`] | what a frame says: name, fields with their units, and a sentence; DBC files | `text` | `explain` |
 //! | [`port`] | real buses on Linux: SocketCAN, SLCAN adapters, RS485 | `text` | `port` |
 //! | [`sim`] | simulated drives on simulated buses, under a virtual clock or in real time | | `sim` |
 //! | [`open`] | a master on whatever bus one string names, real or simulated | `port`, `sim` | both |

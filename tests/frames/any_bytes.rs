@@ -2,21 +2,22 @@
 //! encodes to a frame that decodes to the same value - commands and replies, CAN, RS485 and JSON -
 //! and that no NaN or infinity gets in.
 
+use std::fmt::{Debug, Display};
+
 use embedded_can::{ExtendedId, Frame as _, StandardId};
 use myactuator_protocol_core::command::Switch;
-use myactuator_protocol_core::units::{
-    Acceleration, Angle, CoarseAngle, Current, Gain, MaxSpeed, MaxTorque, ReportInterval,
-    ReportedAcceleration, SingleTurnAngle, SingleTurnTarget, Speed, SpeedTarget, Temperature,
-    Voltage,
-};
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::units::*;
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::wire::rs485;
 use myactuator_protocol_core::{
-    AnyCommand, AnyReply, Channel, Data, DecodeError, MotorId, Opcode, Packet, Target,
+    AnyCommand, AnyReply, Channel, Data, DecodeError, Firmware, MotorId, Opcode, Packet, Target,
 };
 use myactuator_tests::line::{Line, frame_bytes, frames_by_window};
 use proptest::prelude::*;
 use proptest::test_runner::Config;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::{from_str, to_string};
 
 /// Enough cases to meet every kind of frame many times, few enough to stay within seconds.
@@ -54,69 +55,111 @@ fn standard(identifier: u16) -> StandardId {
     StandardId::new(identifier).expect("11 bits")
 }
 
-/// A value that went over CAN, and over RS485 where it exists there.
-fn over_the_wires(packet: &Packet, opcode: Opcode) -> Result<Vec<Packet>, TestCaseError> {
+/// A packet that went over CAN, and over RS485 where it exists there.
+fn over_the_wires(packet: &Packet) -> Result<Vec<Packet>, TestCaseError> {
     let frame: SimpleFrame = can::encode(packet).expect("SimpleFrame takes eight bytes");
+    prop_assert_eq!(SimpleFrame::from_packet(packet), frame);
     let Received::Packet(over_can) = can::decode(&frame) else {
         return Err(TestCaseError::fail(format!("{frame:?} is no packet")));
     };
     let mut over = vec![over_can];
-    let is_motion = opcode == Opcode::Motion;
+    // The title of 5, and 2.34.1.
+    let is_motion = matches!(packet.channel, Channel::Motion(_) | Channel::MotionReply(_));
     let on_rs485 = rs485::Frame::from_packet(packet);
-    prop_assert_eq!(on_rs485.is_none(), is_motion);
+    prop_assert_eq!(on_rs485.is_none(), is_motion || packet.data[0] == 0xB6);
     if let Some(frame) = on_rs485 {
         let mut receiver = rs485::Receiver::new();
         let fed = frame.encode().map(|byte| receiver.feed(byte));
         prop_assert_eq!(fed[12], rs485::Fed::Frame(frame));
-        match packet.channel {
-            Channel::Command(_) => over.push(frame.as_command()),
-            Channel::Reply(_) => over.extend(frame.as_reply()),
-            _ => {
-                over.push(frame.as_command());
-                over.extend(frame.as_reply());
-            }
+        prop_assert_eq!(rs485::Frame::decode(&frame.encode()), Ok(frame));
+        if !matches!(packet.channel, Channel::Reply(_)) {
+            over.push(frame.as_command());
+        }
+        if !matches!(packet.channel, Channel::Command(_)) {
+            over.extend(frame.as_reply());
         }
     }
     Ok(over)
 }
 
+/// Commands, or replies.
+struct Side<T> {
+    decode: fn(&Packet, Firmware) -> Result<T, DecodeError>,
+    encode: fn(&T) -> Data,
+    opcode: fn(&T) -> Option<Opcode>,
+}
+
+const COMMAND: Side<AnyCommand> =
+    Side { decode: AnyCommand::decode, encode: AnyCommand::encode, opcode: AnyCommand::opcode };
+const REPLY: Side<AnyReply> =
+    Side { decode: AnyReply::decode, encode: AnyReply::encode, opcode: AnyReply::opcode };
+
+impl<T> Side<T>
+where
+    T: PartialEq + Copy + Debug + Display + Serialize + DeserializeOwned,
+{
+    /// What a packet means to a firmware, which is the same when it was encoded again.
+    fn decode_twice(&self, packet: &Packet, firmware: Firmware) -> Result<T, DecodeError> {
+        let value = (self.decode)(packet, firmware)?;
+        let again = Packet { data: (self.encode)(&value), ..*packet };
+        assert_eq!((self.decode)(&again, firmware), Ok(value));
+        Ok(value)
+    }
+
+    /// What a packet means goes over every wire and comes back, and through JSON and text. Returns why
+    /// it means nothing.
+    fn check(
+        &self,
+        packet: &Packet,
+        firmware: Firmware,
+    ) -> Result<Option<DecodeError>, TestCaseError> {
+        let value = match self.decode_twice(packet, firmware) {
+            Ok(value) => value,
+            Err(error) => {
+                let text = error.to_string();
+                prop_assert!(!text.is_empty() && !text.contains(['{', '[']), "{}", text);
+                return Ok(Some(error));
+            }
+        };
+        let kind = (self.opcode)(&value);
+        prop_assert!(kind.is_none_or(|opcode| opcode.is_in(firmware)), "{}", value);
+        let again = Packet { data: (self.encode)(&value), ..*packet };
+        for again in over_the_wires(&again)? {
+            // On RS485 the command byte says what is about the bus id, not the channel.
+            let is_on_channel = again.channel == packet.channel;
+            prop_assert!(is_on_channel || kind.is_none(), "{} {}", again, packet);
+            prop_assert!(
+                !is_on_channel || (self.decode)(&again, firmware) == Ok(value),
+                "{}",
+                again
+            );
+        }
+        let json = to_string(&value).expect("JSON");
+        prop_assert_eq!(from_str::<T>(&json).ok(), Some(value), "{}", json);
+        let text = format!("{value:?}");
+        prop_assert!(!text.contains("NaN") && !text.contains("inf"), "{}", text);
+        let name = kind.map_or("raw".to_owned(), |opcode| opcode.to_string());
+        prop_assert!(value.to_string().starts_with(&name), "{}", value);
+        Ok(None)
+    }
+}
+
 fn check_packet(packet: &Packet) -> Result<(), TestCaseError> {
-    let command = AnyCommand::decode(packet, Firmware::V4_3);
-    if let Ok(command) = command {
-        let again = Packet { channel: packet.channel, data: command.encode() };
-        for again in over_the_wires(&again, command.opcode())? {
-            prop_assert_eq!(again.channel, packet.channel);
-            prop_assert_eq!(AnyCommand::decode(&again, Firmware::V4_3), Ok(command));
+    for &firmware in Firmware::ALL {
+        let text = packet.as_of(firmware).to_string();
+        prop_assert!(text.len() > format!("{}: ", packet.channel).len(), "{}", text);
+        let command = COMMAND.check(packet, firmware)?;
+        let reply = REPLY.check(packet, firmware)?;
+        // Each end refuses the other's frames.
+        match packet.channel {
+            Channel::Command(_) | Channel::Motion(_) => {
+                prop_assert_eq!(reply, Some(DecodeError::NotAReply(packet.channel)));
+            }
+            Channel::Reply(_) | Channel::MotionReply(_) => {
+                prop_assert_eq!(command, Some(DecodeError::NotACommand(packet.channel)));
+            }
+            Channel::BusId => {}
         }
-        let json = to_string(&command).expect("JSON");
-        prop_assert_eq!(from_str::<AnyCommand>(&json).ok(), Some(command), "{}", json);
-        let text = format!("{command:?}");
-        prop_assert!(!text.contains("NaN") && !text.contains("inf"), "{}", text);
-    }
-    let reply = AnyReply::decode(packet, Firmware::V4_3);
-    if let Ok(reply) = reply {
-        let again = Packet { channel: packet.channel, data: reply.encode() };
-        for again in over_the_wires(&again, reply.opcode())? {
-            prop_assert_eq!(again.channel, packet.channel);
-            prop_assert_eq!(AnyReply::decode(&again, Firmware::V4_3), Ok(reply));
-        }
-        let json = to_string(&reply).expect("JSON");
-        prop_assert_eq!(from_str::<AnyReply>(&json).ok(), Some(reply), "{}", json);
-        let text = format!("{reply:?}");
-        prop_assert!(!text.contains("NaN") && !text.contains("inf"), "{}", text);
-    }
-    // Errors can be told, and each end refuses the other's frames.
-    for error in [command.err(), reply.err()].into_iter().flatten() {
-        prop_assert!(!error.to_string().is_empty());
-    }
-    match packet.channel {
-        Channel::Command(_) | Channel::Motion(_) => {
-            prop_assert_eq!(reply, Err(DecodeError::NotAReply(packet.channel)));
-        }
-        Channel::Reply(_) | Channel::MotionReply(_) => {
-            prop_assert_eq!(command, Err(DecodeError::NotACommand(packet.channel)));
-        }
-        Channel::BusId => {}
     }
     Ok(())
 }
@@ -157,11 +200,11 @@ proptest! {
             data[0] = byte;
         }
         if let Ok(command) = AnyCommand::decode_as(opcode, &data) {
-            prop_assert_eq!(command.opcode(), opcode);
+            prop_assert_eq!(command.opcode(), Some(opcode));
             prop_assert_eq!(AnyCommand::decode_as(opcode, &command.encode()), Ok(command));
         }
         if let Ok(reply) = AnyReply::decode_as(opcode, &data) {
-            prop_assert_eq!(reply.opcode(), opcode);
+            prop_assert_eq!(reply.opcode(), Some(opcode));
             prop_assert_eq!(AnyReply::decode_as(opcode, &reply.encode()), Ok(reply));
         }
     }
@@ -235,59 +278,78 @@ proptest! {
 
     #[test]
     fn a_quantity_takes_no_number_that_it_cannot_hold(bits in any::<u32>(), small in -1e6_f32..1e6) {
-        for value in [f32::from_bits(bits), small] {
+        // A fraction of a step too, of either sign.
+        for value in [f32::from_bits(bits), small, small / 1e6, 0.0, -0.0] {
             check_quantities(value)?;
         }
+        let span = Duration::from_micros(bits.into());
+        let protection = Milliseconds::try_from(span).map(Milliseconds::raw);
+        prop_assert_eq!(protection.ok() == Some(0), span == Duration::ZERO);
     }
 }
 
+/// Conversions from and to the unit of a quantity.
 macro_rules! check_quantity {
     ($value:ident, $type:ident, $from:ident, $saturating:ident, $to:ident) => {
         let (made, near) = ($type::$from($value), $type::$saturating($value));
-        let quantity = $type::QUANTITY;
-        prop_assert_eq!(near.is_ok(), !$value.is_nan(), "{:?}", near);
+        let (min, max) = (f64::from($type::MIN.$to()), f64::from($type::MAX.$to()));
+        let quantity = const { &$type::QUANTITY };
+        let (value, step) = (f64::from($value), quantity.amount(1));
+        // Their 0 means no limit (2.20.1, 2.21.1) or no planning (2.20.2, 2.21.1).
+        let is_limit = ["MaxSpeed", "MaxTorque", "Acceleration"].contains(&stringify!($type));
+        prop_assert_eq!(near.is_ok(), !value.is_nan(), "{:?}", near);
         if let Ok(near) = near {
-            let near = f64::from(near.$to());
-            prop_assert!(near >= quantity.min - 1e-3 * quantity.min.abs(), "{} {}", $value, near);
-            prop_assert!(near <= quantity.max + 1e-3 * quantity.max.abs(), "{} {}", $value, near);
+            let amount = f64::from(near.$to());
+            let is_off = is_limit && amount == 0.0;
+            prop_assert!(is_off || (min <= amount && amount <= max), "{} {}", value, near);
         }
         match made {
-            // The nearest step and the saturating way agree, and it lies within half a step (the
-            // coarsest, 10 ms, is 5) and what an f32 keeps of the value.
+            // The nearest step and the saturating way agree, and it lies within half a step and what
+            // an f32 keeps of the value.
             Ok(made) => {
                 prop_assert_eq!(near, Ok(made));
-                let slack = if stringify!($type) == "ReportInterval" { 5.0 } else { 0.5 };
-                let error = (f64::from(made.$to()) - f64::from($value)).abs();
-                prop_assert!(error <= slack + 1e-6 * f64::from($value).abs(), "{}", $value);
+                let error = (f64::from(made.$to()) - value).abs();
+                prop_assert!(error <= step / 2.0 + 1e-6 * value.abs(), "{}", value);
             }
             // Refused is only what lies outside, give or take half a step.
             Err(error) => {
-                let value = f64::from($value);
-                let half = if stringify!($type) == "ReportInterval" { 5.0 } else { 0.5 };
-                let inside = value > quantity.min + half && value < quantity.max - half;
+                let inside = value > min + step / 2.0 && value < max - step / 2.0;
                 let at_end = value.abs() >= 2e7; // where an f32 no longer holds every step
                 prop_assert!(!inside || at_end, "{} refused: {}", value, error);
-                prop_assert!(error.given.value().is_nan() == $value.is_nan());
+                prop_assert!(error.given.value().is_nan() == value.is_nan());
             }
         }
+        // As tools take it.
+        let nearest = quantity.nearest(value).ok();
+        if let Some(steps) = nearest {
+            let error = (steps as f64 * step - value).abs();
+            prop_assert!(error <= step / 2.0 + 1e-9 * value.abs(), "{} {}", value, steps);
+        }
+        // Nothing else than 0 becomes a 0 that means something of its own.
+        for raw in [made.ok().map($type::raw), near.ok().map($type::raw)] {
+            prop_assert!(!is_limit || (raw == Some(0)) == (value == 0.0), "{} {:?}", value, raw);
+        }
+        prop_assert!(!is_limit || (nearest == Some(0)) == (value == 0.0), "{}", value);
     };
 }
 
 fn check_quantities(value: f32) -> Result<(), TestCaseError> {
     check_quantity!(value, Temperature, from_celsius, saturating_from_celsius, celsius);
     check_quantity!(value, Current, from_amperes, saturating_from_amperes, amperes);
-    check_quantity!(value, Speed, from_dps, saturating_from_dps, dps);
+    check_quantity!(value, CoarseSpeed, from_dps, saturating_from_dps, dps);
     check_quantity!(value, SpeedTarget, from_dps, saturating_from_dps, dps);
     check_quantity!(value, MaxSpeed, from_dps, saturating_from_dps, dps);
     check_quantity!(value, MaxTorque, from_percent, saturating_from_percent, percent);
     check_quantity!(value, Angle, from_degrees, saturating_from_degrees, degrees);
     check_quantity!(value, CoarseAngle, from_degrees, saturating_from_degrees, degrees);
-    check_quantity!(value, SingleTurnAngle, from_degrees, saturating_from_degrees, degrees);
+    check_quantity!(value, ReportedSingleTurnAngle, from_degrees, saturating_from_degrees, degrees);
     check_quantity!(value, SingleTurnTarget, from_degrees, saturating_from_degrees, degrees);
     check_quantity!(value, Voltage, from_volts, saturating_from_volts, volts);
     check_quantity!(value, Acceleration, from_dps2, saturating_from_dps2, dps2);
     check_quantity!(value, ReportedAcceleration, from_dps2, saturating_from_dps2, dps2);
     check_quantity!(value, ReportInterval, from_millis, saturating_from_millis, millis);
+    let limit = MaxSpeed::from_radians_per_second(value).map(MaxSpeed::raw);
+    prop_assert_eq!(limit.ok() == Some(0), value == 0.0);
     Ok(())
 }
 
@@ -344,13 +406,11 @@ fn every_identifier_takes_every_first_byte() {
                 let data = [first, rest, rest, rest, rest, rest, rest, rest];
                 let frame = SimpleFrame::new(standard(identifier), &data).expect("eight bytes");
                 if let Received::Packet(packet) = can::decode(&frame) {
-                    if let Ok(command) = AnyCommand::decode(&packet, Firmware::V4_3) {
-                        let again = Packet { channel: packet.channel, data: command.encode() };
-                        assert_eq!(AnyCommand::decode(&again, Firmware::V4_3), Ok(command));
-                    }
-                    if let Ok(reply) = AnyReply::decode(&packet, Firmware::V4_3) {
-                        let again = Packet { channel: packet.channel, data: reply.encode() };
-                        assert_eq!(AnyReply::decode(&again, Firmware::V4_3), Ok(reply));
+                    for &firmware in Firmware::ALL {
+                        let command = COMMAND.decode_twice(&packet, firmware);
+                        let reply = REPLY.decode_twice(&packet, firmware);
+                        let may_be_either = packet.channel == Channel::BusId;
+                        assert!(may_be_either || command.is_err() || reply.is_err(), "{packet}");
                     }
                 }
             }
@@ -360,16 +420,15 @@ fn every_identifier_takes_every_first_byte() {
 
 #[test]
 fn json_is_checked_like_a_constructor() {
-    assert!(from_str::<MotorId>("32").is_ok());
-    assert!(from_str::<MotorId>("0").is_err());
-    assert!(from_str::<MotorId>("33").is_err());
-    assert!(from_str::<Acceleration>("60000").is_ok());
-    assert!(from_str::<Acceleration>("99").is_err());
-    assert!(from_str::<SingleTurnTarget>("36001").is_err());
-    assert!(from_str::<SingleTurnAngle>("36000").is_err());
-    assert!(from_str::<Gain>("1.5").is_ok());
+    fn takes<T: DeserializeOwned>(good: &[&str], bad: &[&str]) {
+        assert!(good.iter().all(|json| from_str::<T>(json).is_ok()), "{good:?}");
+        assert!(bad.iter().all(|json| from_str::<T>(json).is_err()), "{bad:?}");
+    }
+    takes::<MotorId>(&["1", "32"], &["0", "33"]);
+    takes::<Acceleration>(&["0", "100", "60000"], &["0.4", "99", "60001"]);
+    takes::<MaxSpeed>(&["0", "1"], &["0.4", "-1", "65536"]);
+    takes::<SingleTurnTarget>(&["360"], &["360.01", "-0.01"]);
     // JSON has no NaN and no infinity: null, and numbers that no f32 holds.
-    assert!(from_str::<Gain>("null").is_err());
-    assert!(from_str::<Gain>("1e39").is_err());
-    assert!(from_str::<Switch>("2").is_err());
+    takes::<Gain>(&["1.5"], &["null", "1e39"]);
+    takes::<Switch>(&[r#""on""#], &["2", r#""2""#]);
 }

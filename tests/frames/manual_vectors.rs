@@ -4,12 +4,14 @@
 //! No example of the manual prints a NULL byte other than 0, so no row is excepted.
 
 use embedded_can::{Frame as _, Id, StandardId};
-use myactuator_protocol_core::command::{BusId, BusIdReply, Feedback, MotionRanges};
+use myactuator_host_std::explain::values;
+use myactuator_protocol_core::command::MotionRanges;
+use myactuator_protocol_core::quantity::Form;
 use myactuator_protocol_core::wire::{can, rs485};
-use myactuator_protocol_core::{AnyCommand, AnyReply, Data, Packet};
+use myactuator_protocol_core::{AnyCommand, AnyReply, Firmware, Opcode, Packet};
 use myactuator_tests::line::Line;
 use myactuator_tests::vectors::{Bus, Direction, Row, rows};
-use serde_json::{Map, Value, json};
+use serde_json::Value;
 
 /// Every row about which the manual contradicts itself: section, example, bus, direction, id.
 /// `vectors/README.md` tells how each is read.
@@ -41,217 +43,6 @@ const MISPRINTS: [(&str, u32, Bus, Direction, &str); 21] = {
     ]
 };
 
-enum Any {
-    Command(AnyCommand),
-    Reply(AnyReply),
-}
-
-impl Any {
-    fn decode(direction: Direction, packet: &Packet, row: &Row) -> Self {
-        match direction {
-            Direction::Command => AnyCommand::decode(packet, Firmware::V4_3).map(Self::Command),
-            Direction::Reply => AnyReply::decode(packet, Firmware::V4_3).map(Self::Reply),
-        }
-        .unwrap_or_else(|error| panic!("{row}: {error}"))
-    }
-
-    fn name(&self) -> &'static str {
-        match self {
-            Self::Command(command) => command.opcode().name(),
-            Self::Reply(reply) => reply.opcode().name(),
-        }
-    }
-
-    fn encode(&self) -> Data {
-        match self {
-            Self::Command(command) => command.encode(),
-            Self::Reply(reply) => reply.encode(),
-        }
-    }
-
-    fn fields(&self) -> Map<String, Value> {
-        let fields = match self {
-            Self::Command(command) => command_fields(command),
-            Self::Reply(reply) => reply_fields(reply),
-        };
-        match fields {
-            Value::Object(fields) => fields,
-            other => panic!("{other} is no object"),
-        }
-    }
-}
-
-/// What a command says, in the keys of the vectors.
-fn command_fields(command: &AnyCommand) -> Value {
-    use AnyCommand as C;
-    match command {
-        C::ReadMultiTurnEncoder(_)
-        | C::ReadMultiTurnEncoderRaw(_)
-        | C::ReadMultiTurnEncoderOffset(_)
-        | C::SetCurrentPositionZero(_)
-        | C::ReadRunningMode(_)
-        | C::Reset(_)
-        | C::ReleaseBrake(_)
-        | C::LockBrake(_)
-        | C::Shutdown(_)
-        | C::Stop(_)
-        | C::ReadSingleTurnEncoder(_)
-        | C::ReadMultiTurnAngle(_)
-        | C::ReadSingleTurnAngle(_)
-        | C::ReadStatus1(_)
-        | C::ReadStatus2(_)
-        | C::ReadStatus3(_)
-        | C::ReadRunTime(_)
-        | C::ReadVersionDate(_)
-        | C::ReadModel(_) => json!({}),
-        C::FunctionControl(function) => {
-            json!({"index": function.index(), "value": function.value()})
-        }
-        C::ReadPid(read) => json!({"index": read.index.raw()}),
-        C::WritePidRam(write) => {
-            json!({"index": write.index.raw(), "value": write.value.value()})
-        }
-        C::WritePidRom(write) => {
-            json!({"index": write.index.raw(), "value": write.value.value()})
-        }
-        C::ReadAcceleration(read) => json!({"index": read.index.raw()}),
-        C::WriteAcceleration(write) => json!({
-            "index": write.index.raw(),
-            "acceleration_dps2": write.acceleration.dps2(),
-        }),
-        C::SetEncoderZero(set) => json!({"offset_pulses": set.offset.raw()}),
-        C::BusId(BusId::Read) => json!({"write": false}),
-        C::BusId(BusId::Write(id)) => json!({"write": true, "motor_id": id.get()}),
-        C::Torque(torque) => json!({"current_a": torque.current.amperes()}),
-        C::Speed(speed) => json!({
-            "max_torque_pct": speed.max_torque.percent(),
-            "speed_dps": speed.speed.dps(),
-        }),
-        C::AbsolutePosition(go) => json!({
-            "max_speed_dps": go.max_speed.dps(),
-            "angle_deg": go.angle.degrees(),
-        }),
-        C::SingleTurnPosition(go) => json!({
-            "direction": go.direction.name(),
-            "max_speed_dps": go.max_speed.dps(),
-            "angle_deg": go.angle.degrees(),
-        }),
-        C::IncrementalPosition(go) => json!({
-            "max_speed_dps": go.max_speed.dps(),
-            "angle_deg": go.angle.degrees(),
-        }),
-        C::ForcePosition(go) => json!({
-            "max_torque_pct": go.max_torque.percent(),
-            "max_speed_dps": go.max_speed.dps(),
-            "angle_deg": go.angle.degrees(),
-        }),
-        C::CommunicationLossProtection(set) => json!({"timeout_ms": set.timeout.raw()}),
-        C::SetBaudRate(set) => json!({"baud_code": set.baud_rate.raw()}),
-        C::ActiveReply(report) => json!({
-            "command": report.command.raw(),
-            "enabled": report.enable.is_on(),
-            "interval_ms": report.interval.millis(),
-        }),
-        C::Motion(raw) => {
-            let wanted = MotionRanges::V4_3.set_point(raw);
-            json!({
-                "position_rad": wanted.position_rad,
-                "velocity_rad_s": wanted.velocity_rad_s,
-                "kp": wanted.kp,
-                "kd": wanted.kd,
-                "torque_nm": wanted.torque_nm,
-            })
-        }
-    }
-}
-
-/// What a reply says, in the keys of the vectors.
-fn reply_fields(reply: &AnyReply) -> Value {
-    use AnyReply as R;
-    match reply {
-        R::FunctionControl(function) => command_fields(&(*function).into()),
-        R::WritePidRam(write) => command_fields(&(*write).into()),
-        R::WritePidRom(write) => command_fields(&(*write).into()),
-        R::WriteAcceleration(write) => command_fields(&(*write).into()),
-        R::SetEncoderZero(set) => command_fields(&(*set).into()),
-        R::CommunicationLossProtection(set) => command_fields(&(*set).into()),
-        R::ReleaseBrake(_) | R::LockBrake(_) | R::Shutdown(_) | R::Stop(_) => json!({}),
-        R::ReadPid(gain) => json!({"index": gain.index.raw(), "value": gain.value.value()}),
-        R::ReadAcceleration(reading) => json!({
-            "index": reading.index.raw(),
-            "acceleration_dps2": reading.acceleration.dps2(),
-        }),
-        R::ReadMultiTurnEncoder(encoder) => json!({"encoder_pulses": encoder.position.raw()}),
-        R::ReadMultiTurnEncoderRaw(encoder) => json!({"raw_pulses": encoder.raw.raw()}),
-        R::ReadMultiTurnEncoderOffset(zero) | R::SetCurrentPositionZero(zero) => {
-            json!({"offset_pulses": zero.offset.raw()})
-        }
-        R::ReadRunningMode(running) => json!({"mode": running.mode.name()}),
-        R::BusId(BusIdReply::Written(id)) => json!({"write": true, "motor_id": id.get()}),
-        R::BusId(BusIdReply::OnCan(id) | BusIdReply::OnRs485(id)) => {
-            json!({"write": false, "motor_id": id.get()})
-        }
-        R::ReadSingleTurnEncoder(encoder) => json!({
-            "encoder_pulses": encoder.position.raw(),
-            "raw_pulses": encoder.raw.raw(),
-            "offset_pulses": encoder.offset.raw(),
-        }),
-        R::ReadMultiTurnAngle(reading) => json!({"angle_deg": reading.angle.degrees()}),
-        R::ReadSingleTurnAngle(reading) => json!({"angle_deg": reading.angle.degrees()}),
-        R::ReadStatus1(status) => {
-            let errors: Vec<_> =
-                status.errors.each().map(|e| e.name().unwrap_or("unknown")).collect();
-            json!({
-                "temperature_c": status.temperature.celsius(),
-                "mos_temperature_c": status.mosfet_temperature.celsius(),
-                "brake_released": status.brake.raw() == 1,
-                "voltage_v": status.voltage.volts(),
-                "errors": errors,
-                "errors_raw": status.errors.bits(),
-            })
-        }
-        R::ReadStatus2(feedback)
-        | R::Torque(feedback)
-        | R::Speed(feedback)
-        | R::AbsolutePosition(feedback)
-        | R::IncrementalPosition(feedback)
-        | R::ForcePosition(feedback) => feedback_fields(feedback),
-        R::ReadStatus3(status) => json!({
-            "temperature_c": status.temperature.celsius(),
-            "phase_a_current_a": status.phase_a.amperes(),
-            "phase_b_current_a": status.phase_b.amperes(),
-            "phase_c_current_a": status.phase_c.amperes(),
-        }),
-        R::SingleTurnPosition(feedback) => json!({
-            "temperature_c": feedback.temperature.celsius(),
-            "current_a": feedback.current.amperes(),
-            "speed_dps": feedback.speed.dps(),
-            "encoder_pulses": feedback.encoder.raw(),
-        }),
-        R::ReadRunTime(reading) => json!({"run_time_ms": reading.run_time.raw()}),
-        R::ReadVersionDate(version) => json!({"version_date": version.date.raw()}),
-        R::ReadModel(model) => json!({"model": model.name.as_str()}),
-        R::Motion(raw) => {
-            let measured = MotionRanges::V4_3.feedback(raw);
-            json!({
-                "motor_id": measured.id.get(),
-                "position_rad": measured.position_rad,
-                "velocity_rad_s": measured.velocity_rad_s,
-                "torque_nm": measured.torque_nm,
-            })
-        }
-    }
-}
-
-fn feedback_fields(feedback: &Feedback) -> Value {
-    json!({
-        "temperature_c": feedback.temperature.celsius(),
-        "current_a": feedback.current.amperes(),
-        "speed_dps": feedback.speed.dps(),
-        "angle_deg": feedback.angle.degrees(),
-    })
-}
-
 /// Compares numbers by value: whole ones exactly, others to 1e-5, as an `f32` keeps of a motion
 /// scale 90 rad/s wide.
 fn agree(expected: &Value, found: &Value) -> bool {
@@ -264,18 +55,46 @@ fn agree(expected: &Value, found: &Value) -> bool {
     }
 }
 
-fn assert_means(row: &Row, any: &Any) {
-    assert_eq!(any.name(), row.name, "{row}");
-    let found = any.fields();
-    let keys = |fields: &Map<String, Value>| {
-        let mut keys: Vec<_> = fields.keys().cloned().collect();
-        keys.sort();
-        keys
+/// Checks that a row's packet means what the manual says, and that its meaning is encoded as these
+/// bytes and printed.
+fn check(row: &Row, packet: &Packet) {
+    assert_eq!(*packet, Packet { channel: row.channel(), data: row.data() }, "{row}");
+    let opcode: Opcode = row.name.parse().expect("a kind");
+    let (found, again, fields, text) = match row.direction {
+        Direction::Command => {
+            let command = AnyCommand::decode(packet, Firmware::V4_3);
+            let command = command.unwrap_or_else(|error| panic!("{row}: {error}"));
+            assert_eq!(command.packet(row.target()), Ok(*packet), "{row}");
+            let text = command.to_string();
+            (command.opcode(), command.encode(), opcode.command_fields(), text)
+        }
+        Direction::Reply => {
+            let reply = AnyReply::decode(packet, Firmware::V4_3);
+            let reply = reply.unwrap_or_else(|error| panic!("{row}: {error}"));
+            (reply.opcode(), reply.encode(), opcode.reply_fields(), reply.to_string())
+        }
     };
-    assert_eq!(keys(&found), keys(&row.fields), "{row}");
+    assert_eq!((found, again), (Some(opcode), packet.data), "{row}");
+
+    let found = values(fields, &packet.data, Some(&MotionRanges::V4_3));
     for (key, expected) in &row.fields {
-        let found = &found[key];
-        assert!(agree(expected, found), "{row}: {key} is {expected}, found {found}");
+        let value = found.get(key).unwrap_or_else(|| panic!("{row}: no {key} in {found:?}"));
+        assert!(agree(expected, value), "{row}: {key} is {expected}, found {value}");
+    }
+    // A code, a flag set and a motion value come in two forms, of which the row has one at least.
+    let there: Vec<_> = fields.iter().filter(|field| field.is_in(&packet.data)).collect();
+    for key in found.keys() {
+        let told = |key: &String| row.fields.contains_key(key);
+        let forms =
+            there.iter().map(|field| [field.key().to_string(), format!("{}_raw", field.name)]);
+        let mut forms = forms.filter(|forms| forms.contains(key));
+        assert!(told(key) || forms.any(|forms| forms.iter().any(told)), "{row}: {key} is not told");
+    }
+
+    assert!(text.starts_with(&opcode.to_string()), "{row}: {text}");
+    assert!(packet.to_string().ends_with(&text), "{row}: {packet}");
+    for field in there.iter().filter(|field| !matches!(field.quantity.form, Form::Flags(_))) {
+        assert!(text.contains(&field.name.replace('_', " ")), "{row}: no {} in {text}", field.name);
     }
 }
 
@@ -300,17 +119,12 @@ fn can_rows_decode_to_their_meaning_and_encode_to_their_bytes() {
         let can::Received::Packet(packet) = can::decode(&frame) else {
             panic!("{row}: {:?}", can::decode(&frame))
         };
-        assert_eq!(packet, Packet { channel: row.channel(), data }, "{row}");
-        let any = Any::decode(row.direction, &packet, row);
-        assert_means(row, &any);
-
-        let packet = match &any {
-            Any::Command(command) => command.packet(row.target()).expect("a packet"),
-            Any::Reply(_) => Packet { channel: row.channel(), data: any.encode() },
-        };
-        let again: can::SimpleFrame = can::encode(&packet).expect("a frame");
-        assert_eq!((again.id(), again.data()), (Id::Standard(id), &data[..]), "{row}");
-        assert!(!again.is_remote_frame());
+        check(row, &packet);
+        for again in [can::encode(&packet), Some(can::SimpleFrame::from_packet(&packet))] {
+            let again: can::SimpleFrame = again.expect("a frame");
+            assert_eq!((again.id(), again.data()), (Id::Standard(id), &data[..]), "{row}");
+            assert!(!again.is_remote_frame());
+        }
     }
 }
 
@@ -322,20 +136,14 @@ fn rs485_rows_decode_to_their_meaning_and_encode_to_their_bytes() {
         let fed = bytes.map(|byte| receiver.feed(byte));
         assert!(fed[..12].iter().all(|fed| *fed == rs485::Fed::Wanting), "{row}: {fed:?}");
         let rs485::Fed::Frame(frame) = fed[12] else { panic!("{row}: {:?}", fed[12]) };
+        assert_eq!(rs485::Frame::decode(&bytes), Ok(frame), "{row}");
         let packet = match row.direction {
             Direction::Command => frame.as_command(),
             Direction::Reply => frame.as_reply().expect("a reply"),
         };
-        assert_eq!(packet, Packet { channel: row.channel(), data: row.data() }, "{row}");
-        let any = Any::decode(row.direction, &packet, row);
-        assert_means(row, &any);
-
-        let packet = Packet { channel: row.channel(), data: any.encode() };
+        check(row, &packet);
         let again = rs485::Frame::from_packet(&packet).expect("a frame");
         assert_eq!(again.encode(), bytes, "{row}");
-        if let Any::Command(command) = &any {
-            assert_eq!(command.packet(row.target()), Ok(packet), "{row}");
-        }
     }
 }
 
@@ -371,7 +179,7 @@ fn the_two_buses_have_the_same_examples() {
         // 4.4 tells the id as a reply identifier, 7.4 as the bare number.
         let told_apart = can.section == "4.4"
             && can.direction == Direction::Reply
-            && can.fields["write"] == json!(false);
+            && can.fields["access_raw"] == 1;
         assert_eq!(can.data() == twin.data(), !told_apart, "{can} and {twin}");
         if can.section == twin.section {
             assert_eq!(can.text, twin.text, "{can}");

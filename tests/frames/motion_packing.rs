@@ -2,11 +2,18 @@
 //! each 12-bit field, both directions, against bytes that are put together here as one bit string;
 //! and that quantisation takes the nearest step, refuses what is no number and follows its ranges.
 
+use embedded_can::{Frame as _, StandardId};
+use myactuator_host_std::explain::Explainer;
 use myactuator_protocol_core::command::{
     Command, MotionFeedback, MotionLimits, MotionRanges, MotionSetPoint, RawMotion,
-    RawMotionFeedback, Reply, U12,
+    RawMotionFeedback, U12,
 };
-use myactuator_protocol_core::{AnyCommand, AnyReply, Data, MotorId, Opcode};
+use myactuator_protocol_core::master::{Config, Event, Master};
+use myactuator_protocol_core::quantity::MotionScale;
+use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
+use myactuator_protocol_core::{AnyCommand, AnyReply, Channel, Data, Firmware, MotorId, Opcode};
+use myactuator_tests::values::id;
 
 const LAST_16: u16 = 65_535;
 const LAST_12: u16 = 4_095;
@@ -46,18 +53,19 @@ fn check_command(steps: [u16; 5]) {
     let bytes = command_bits(steps);
     assert_eq!(raw.encode(), bytes, "{raw:?}");
     assert_eq!(RawMotion::decode(&bytes), raw);
-    assert_eq!(RawMotion::decode(&bytes), Ok(raw));
     assert_eq!(AnyCommand::decode_as(Opcode::Motion, &bytes), Ok(raw.into()));
+}
+
+fn feedback([id, position, v, t]: [u16; 4]) -> RawMotionFeedback {
+    RawMotionFeedback { id_byte: id as u8, position, velocity: u12(v), torque: u12(t) }
 }
 
 /// Both directions of a reply.
 fn check_reply(fields: [u16; 4]) {
-    let [id, p, v, t] = fields;
-    let id = MotorId::new(id as u8).expect("1 to 32");
-    let raw = RawMotionFeedback { id, position: p, velocity: u12(v), torque: u12(t) };
+    let raw = feedback(fields);
     let bytes = reply_bits(fields);
     assert_eq!(raw.encode(), bytes, "{raw:?}");
-    assert_eq!(RawMotionFeedback::from_data(&bytes), Ok(raw));
+    assert_eq!(RawMotionFeedback::decode(&bytes), raw);
     assert_eq!(RawMotion::decode_reply(&bytes), Ok(raw));
     assert_eq!(AnyReply::Motion(raw).encode(), bytes);
 }
@@ -96,13 +104,39 @@ fn every_step_of_each_12_bit_field_packs_and_unpacks() {
 }
 
 #[test]
-fn every_id_packs_and_unpacks_and_no_other_does() {
-    for id in 0..=255 {
-        if (1..=32).contains(&id) {
-            check_reply([id, 0x1234, 0x567, 0x89A]);
-        } else {
-            assert!(RawMotionFeedback::from_data(&reply_bits([id, 0, 0, 0])).is_err(), "{id}");
-        }
+fn every_id_byte_packs_and_unpacks() {
+    (0..=255).for_each(|id| check_reply([id, 0x1234, 0x567, 0x89A]));
+}
+
+/// 5.4 allows the ids 0 to 32 in DATA[0] of the reply on 0x501. Who answers is told by the identifier,
+/// in every layer.
+#[test]
+fn who_answers_is_told_by_the_identifier() {
+    for id_byte in [0, 1, 2, 33, 0xFF] {
+        let data = [id_byte, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0];
+        let frame = SimpleFrame::new(StandardId::new(0x501).expect("11 bits"), &data);
+        let frame = frame.expect("eight bytes");
+        let received = can::decode(&frame);
+        let Received::Packet(packet) = received else { panic!("{received:?}") };
+        assert_eq!(packet.channel, Channel::MotionReply(MotorId::MIN));
+        let Ok(AnyReply::Motion(reply)) = AnyReply::decode(&packet, Firmware::V4_3) else {
+            panic!("{packet}")
+        };
+        assert_eq!((reply.id_byte, reply.position), (id_byte, 58_982));
+        assert!(packet.to_string().starts_with("motion reply of motor 1: "), "{packet}");
+
+        let explanation = Explainer::new(Firmware::V4_3).can_frame(&frame);
+        assert_eq!(explanation.id, Some(MotorId::MIN.into()));
+        assert_eq!(explanation.to_json()["fields"]["id_byte"], id_byte);
+
+        let mut master = Master::<1>::new(Config::CAN);
+        let now = Instant::from_millis(0);
+        master.set_point(MotorId::MIN, RawMotion::decode(&[0; 8]), now).expect("a place");
+        assert!(master.poll_transmit(now).is_some());
+        master.handle_transmitted(now);
+        let event = master.handle_frame(&received, Instant::from_millis(1));
+        let reply = AnyReply::Motion(reply);
+        assert_eq!(event, Some(Event::Feedback { motor: MotorId::MIN, reply }));
     }
 }
 
@@ -128,52 +162,18 @@ fn a_walking_bit_belongs_to_one_field() {
 }
 
 #[test]
-fn null_bytes_of_a_reply_are_written_0_and_not_read() {
-    let bytes = reply_bits([1, 0x1234, 0x567, 0x89A]);
-    let mut noisy = bytes;
-    noisy[6..].copy_from_slice(&[0xA5, 0x5A]);
-    let raw = RawMotionFeedback::from_data(&noisy).expect("a reply");
-    assert_eq!(raw, RawMotionFeedback::from_data(&bytes).expect("a reply"));
-    assert_eq!(raw.encode(), bytes);
-}
-
-#[test]
 fn a_12_bit_step_has_12_bits() {
     for step in 0..=u16::MAX {
         assert_eq!(U12::new(step).ok().map(U12::get), (step <= LAST_12).then_some(step));
     }
 }
 
-/// One value of a set-point: its place among the five, and the scale that 5.1 gives it.
-struct Scale {
-    name: &'static str,
-    place: usize,
-    symmetric: bool,
-    last: u16,
-}
-
-const SCALES: [Scale; 5] = [
-    Scale { name: "position", place: 0, symmetric: true, last: LAST_16 },
-    Scale { name: "velocity", place: 1, symmetric: true, last: LAST_12 },
-    Scale { name: "kp", place: 2, symmetric: false, last: LAST_12 },
-    Scale { name: "kd", place: 3, symmetric: false, last: LAST_12 },
-    Scale { name: "torque", place: 4, symmetric: true, last: LAST_12 },
-];
-
 fn limits([position_rad, velocity_rad_s, kp, kd, torque_nm]: [f32; 5]) -> MotionLimits {
     MotionLimits { position_rad, velocity_rad_s, kp, kd, torque_nm }
 }
 
-fn maxima(limits: &MotionLimits) -> [f32; 5] {
-    [limits.position_rad, limits.velocity_rad_s, limits.kp, limits.kd, limits.torque_nm]
-}
-
 fn set_point([position_rad, velocity_rad_s, kp, kd, torque_nm]: [f32; 5]) -> MotionSetPoint {
     MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm }
-}
-
-fn values(of: &MotionSetPoint) -> [f32; 5] {
-    [of.position_rad, of.velocity_rad_s, of.kp, of.kd, of.torque_nm]
 }
 
 /// All 0 but one.
@@ -183,117 +183,137 @@ fn only<T: Default + Copy>(place: usize, value: T) -> [T; 5] {
     all
 }
 
+/// One value of a set-point: its place among the five, and its scale.
+struct Scale {
+    ranges: MotionRanges,
+    scale: MotionScale,
+    place: usize,
+    min: f32,
+    max: f32,
+    last: u16,
+}
+
+/// The five scales with these ends, from zero or as far to the negative side (5.1).
+fn scales(maxima: [f32; 5]) -> impl Iterator<Item = Scale> {
+    let ranges = MotionRanges::new(limits(maxima)).expect("positive limits");
+    let starts = [
+        (MotionScale::Position, -1.0, LAST_16),
+        (MotionScale::Velocity, -1.0, LAST_12),
+        (MotionScale::Kp, 0.0, LAST_12),
+        (MotionScale::Kd, 0.0, LAST_12),
+        (MotionScale::Torque, -1.0, LAST_12),
+    ];
+    starts.into_iter().zip(maxima).enumerate().map(move |(place, ((scale, start, last), max))| {
+        Scale { ranges, scale, place, min: start * max, max, last }
+    })
+}
+
+/// 5.1.
+const V4_3: [f32; 5] = [12.5, 45.0, 500.0, 5.0, 24.0];
+
+fn all_ranges() -> [[f32; 5]; 6] {
+    [
+        V4_3,
+        // Scales of other firmware, then odd ones, then a very small and a very large one.
+        [12.5, 65.0, 500.0, 5.0, 50.0],
+        [95.5, 45.0, 500.0, 5.0, 18.0],
+        [std::f32::consts::PI, 0.1, 7.0, 0.3, 123.456],
+        [1e-3; 5],
+        [1e6; 5],
+    ]
+}
+
+fn all_scales() -> impl Iterator<Item = Scale> {
+    all_ranges().into_iter().flat_map(scales)
+}
+
+impl std::fmt::Display for Scale {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:?} {} to {}", self.scale, self.min, self.max)
+    }
+}
+
 impl Scale {
-    fn ends(&self, ranges: &MotionRanges) -> (f32, f32) {
-        let max = maxima(&ranges.limits())[self.place];
-        (if self.symmetric { -max } else { 0.0 }, max)
-    }
-
-    fn quantise(&self, ranges: &MotionRanges, value: f32) -> Option<u16> {
-        let raw = ranges.quantise(&set_point(only(self.place, value))).ok()?;
+    fn quantise(&self, value: f32) -> Option<u16> {
+        let raw = self.ranges.quantise(&set_point(only(self.place, value))).ok()?;
         Some(steps(&raw)[self.place])
     }
 
-    fn saturate(&self, ranges: &MotionRanges, value: f32) -> Option<u16> {
-        let raw = ranges.saturating_quantise(&set_point(only(self.place, value))).ok()?;
+    fn saturate(&self, value: f32) -> Option<u16> {
+        let raw = self.ranges.saturating_quantise(&set_point(only(self.place, value))).ok()?;
         Some(steps(&raw)[self.place])
     }
 
-    fn value(&self, ranges: &MotionRanges, step: u16) -> f32 {
-        values(&ranges.set_point(&raw(only(self.place, step))))[self.place]
+    fn value(&self, step: u16) -> f32 {
+        let MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm } =
+            self.ranges.set_point(&raw(only(self.place, step)));
+        [position_rad, velocity_rad_s, kp, kd, torque_nm][self.place]
     }
 
-    /// Where `value` lies on this scale, in steps, in double precision.
-    fn place(&self, ranges: &MotionRanges, value: f32) -> f64 {
-        let (min, max) = self.ends(ranges);
-        let (min, max) = (f64::from(min), f64::from(max));
-        (f64::from(value) - min) * f64::from(self.last) / (max - min)
+    /// The width of a step, in double precision.
+    fn step(&self) -> f64 {
+        (f64::from(self.max) - f64::from(self.min)) / f64::from(self.last)
     }
 
-    /// What three roundings to an `f32` (difference, product, quotient), each of at most 2^-24 of
-    /// the result, can move a step on this scale: 0.012 of a step of 65536, 0.0008 of one of 4096.
+    /// The value at a place between the steps, in double precision.
+    fn exact(&self, place: f64) -> f64 {
+        f64::from(self.min) + place * self.step()
+    }
+
+    /// What three roundings to an `f32` (difference, product, quotient), each of at most 2^-24 of the
+    /// result, can move a step on this scale: 0.012 of a step of 65536, 0.0008 of one of 4096.
     fn slack(&self) -> f64 {
         3.1 * f64::from(self.last) / f64::from(1 << 24)
     }
 }
 
-fn all_ranges() -> Vec<MotionRanges> {
-    let other = [
-        // Scales of other firmware, then odd ones, then a very small and a very large one.
-        [12.5, 65.0, 500.0, 5.0, 50.0],
-        [95.5, 45.0, 500.0, 5.0, 18.0],
-        [std::f32::consts::PI, 0.1, 7.0, 0.3, 123.456],
-        [1e-3, 1e-3, 1e-3, 1e-3, 1e-3],
-        [1e6, 1e6, 1e6, 1e6, 1e6],
-    ]
-    .map(|maxima| MotionRanges::new(limits(maxima)).expect("positive limits"));
-    [MotionRanges::V4_3].into_iter().chain(other).collect()
-}
-
 #[test]
 fn the_ranges_are_those_of_5_1() {
-    assert_eq!(maxima(&MotionRanges::V4_3.limits()), [12.5, 45.0, 500.0, 5.0, 24.0]);
-}
-
-#[test]
-fn the_ends_of_a_scale_are_its_first_and_last_step() {
-    for ranges in all_ranges() {
-        for scale in &SCALES {
-            let (min, max) = scale.ends(&ranges);
-            assert_eq!(scale.quantise(&ranges, min), Some(0), "{}", scale.name);
-            assert_eq!(scale.quantise(&ranges, max), Some(scale.last), "{}", scale.name);
-            assert_eq!(scale.value(&ranges, 0), min, "{}", scale.name);
-            let last = scale.value(&ranges, scale.last);
-            assert!((last - max).abs() <= max * 4.0 * f32::EPSILON, "{}: {last}", scale.name);
-        }
-    }
+    assert_eq!(MotionRanges::new(limits(V4_3)), Ok(MotionRanges::V4_3));
+    assert_eq!(MotionRanges::V4_3.limits(), limits(V4_3));
+    assert_eq!(Firmware::V4_3.motion_ranges(), Some(MotionRanges::V4_3));
 }
 
 #[test]
 fn every_step_means_its_place_on_the_scale_and_comes_back() {
-    for ranges in all_ranges() {
-        for scale in &SCALES {
-            let (min, max) = scale.ends(&ranges);
-            let span = f64::from(max) - f64::from(min);
-            let mut before = f32::NEG_INFINITY;
-            for step in 0..=scale.last {
-                let value = scale.value(&ranges, step);
-                let exact = f64::from(min) + f64::from(step) * span / f64::from(scale.last);
-                let error = (f64::from(value) - exact).abs();
-                // Three roundings, none of a number larger than the span.
-                assert!(error <= 3.1 * span / f64::from(1 << 24), "{} {step}: {value}", scale.name);
-                assert!(value > before, "{} {step}: not above the step before", scale.name);
-                before = value;
-                let back = scale.quantise(&ranges, value);
-                assert_eq!(back, Some(step), "{}: {value}", scale.name);
-            }
+    for scale in all_scales() {
+        assert_eq!((scale.value(0), scale.quantise(scale.min)), (scale.min, Some(0)), "{scale}");
+        assert_eq!(scale.quantise(scale.max), Some(scale.last), "{scale}");
+        let last = scale.value(scale.last);
+        assert!((last - scale.max).abs() <= scale.max * 4.0 * f32::EPSILON, "{scale}: {last}");
+        let mut before = f32::NEG_INFINITY;
+        for step in 0..=scale.last {
+            let (value, exact) = (scale.value(step), scale.exact(step.into()));
+            // Three roundings, none of a number larger than the span.
+            let error = (f64::from(value) - exact).abs() / scale.step();
+            assert!(error <= scale.slack(), "{scale}, step {step}: {value}");
+            assert!(value > before, "{scale}, step {step}: not above the step before");
+            before = value;
+            assert_eq!(scale.quantise(value), Some(step), "{scale}: {value}");
+            // In double precision, as tools show and take it.
+            let shown = scale.ranges.value(scale.scale, step);
+            assert!((shown - exact).abs() <= 1e-9 * scale.step(), "{scale}, step {step}: {shown}");
+            assert_eq!(scale.ranges.step(scale.scale, shown), Ok(step), "{scale}: {shown}");
         }
     }
 }
 
 #[test]
 fn a_value_becomes_its_nearest_step() {
-    for ranges in all_ranges() {
-        for scale in &SCALES {
-            let (min, max) = scale.ends(&ranges);
-            let check = |value: f32| {
-                let step = scale.quantise(&ranges, value).expect("within the scale");
-                let error = (f64::from(step) - scale.place(&ranges, value)).abs();
+    for scale in all_scales() {
+        for step in 0..=scale.last {
+            // Five places in each step, near both of its edges and in its middle.
+            for part in [-0.499, -0.26, 0.0, 0.251, 0.499] {
+                let value = scale.exact(f64::from(step) + part) as f32;
+                if value < scale.min || value > scale.max {
+                    continue;
+                }
+                let found = scale.quantise(value).expect("within the scale");
+                let error = (scale.exact(found.into()) - f64::from(value)).abs() / scale.step();
                 assert!(
                     error <= 0.5 + scale.slack(),
-                    "{}: {value} became step {step}, {error} steps away",
-                    scale.name
+                    "{scale}: {value} became step {found}, {error} steps away"
                 );
-            };
-            // Five places in each step, near both of its edges and in its middle.
-            let width = (f64::from(max) - f64::from(min)) / f64::from(scale.last);
-            for step in 0..=scale.last {
-                for part in [-0.499, -0.26, 0.0, 0.251, 0.499] {
-                    let value = (f64::from(min) + (f64::from(step) + part) * width) as f32;
-                    if value >= min && value <= max {
-                        check(value);
-                    }
-                }
             }
         }
     }
@@ -301,13 +321,12 @@ fn a_value_becomes_its_nearest_step() {
 
 #[test]
 fn steps_never_fall_while_values_rise() {
-    for scale in &SCALES {
-        let (min, max) = scale.ends(&MotionRanges::V4_3);
+    for scale in scales(V4_3) {
         let mut before = 0;
         for i in 0..=200_000 {
-            let value = (f64::from(min) + f64::from(i) * f64::from(max - min) / 200_000.0) as f32;
-            let step = scale.saturate(&MotionRanges::V4_3, value).expect("a number");
-            assert!(step >= before, "{}: {value} became {step} after {before}", scale.name);
+            let value = scale.exact(f64::from(scale.last) * f64::from(i) / 200_000.0) as f32;
+            let step = scale.saturate(value).expect("a number");
+            assert!(step >= before, "{scale}: {value} became {step} after {before}");
             before = step;
         }
         assert_eq!(before, scale.last);
@@ -334,96 +353,71 @@ fn a_symmetric_scale_has_no_step_at_zero() {
 
 #[test]
 fn what_is_no_number_or_beyond_the_scale_is_refused() {
-    for ranges in all_ranges() {
-        for scale in &SCALES {
-            let (min, max) = scale.ends(&ranges);
-            let below = if min == 0.0 { -f32::MIN_POSITIVE } else { min.next_down() };
-            for bad in [
-                f32::NAN,
-                -f32::NAN,
-                f32::from_bits(0x7F80_0001),
-                f32::INFINITY,
-                f32::NEG_INFINITY,
-                max.next_up(),
-                below,
-                f32::MAX,
-                f32::MIN,
-            ] {
-                assert_eq!(scale.quantise(&ranges, bad), None, "{}: {bad}", scale.name);
-                let nearest = match bad {
-                    _ if bad.is_nan() => None,
-                    _ if bad > 0.0 => Some(scale.last),
-                    _ => Some(0),
-                };
-                assert_eq!(scale.saturate(&ranges, bad), nearest, "{}: {bad}", scale.name);
-            }
+    for scale in all_scales() {
+        let below = if scale.min == 0.0 { -f32::MIN_POSITIVE } else { scale.min.next_down() };
+        let beyond = [scale.max.next_up(), below, f32::MAX, f32::MIN];
+        let no_numbers = [f32::NAN, -f32::NAN, f32::from_bits(0x7F80_0001)];
+        for bad in beyond.into_iter().chain(no_numbers).chain([f32::INFINITY, f32::NEG_INFINITY]) {
+            assert_eq!(scale.quantise(bad), None, "{scale}: {bad}");
+            assert!(scale.ranges.step(scale.scale, bad.into()).is_err(), "{scale}: {bad}");
+            let nearest = match bad {
+                _ if bad.is_nan() => None,
+                _ if bad > 0.0 => Some(scale.last),
+                _ => Some(0),
+            };
+            assert_eq!(scale.saturate(bad), nearest, "{scale}: {bad}");
         }
     }
 }
 
 #[test]
 fn a_refusal_names_the_value_its_range_and_its_unit() {
-    let zero = MotionSetPoint::default();
-    let refused = |wanted: MotionSetPoint| {
-        MotionRanges::V4_3.quantise(&wanted).expect_err("beyond the range").to_string()
+    let refused = |maxima| {
+        let refused = MotionRanges::V4_3.quantise(&set_point(maxima));
+        refused.expect_err("beyond the range").to_string()
     };
+    assert_eq!(refused(only(4, 30.0)), "torque must be -24 to 24 N·m, but 30 N·m was given");
     assert_eq!(
-        refused(MotionSetPoint { torque_nm: 30.0, ..zero }),
-        "torque must be -24 to 24 N·m, but 30 N·m was given"
-    );
-    assert_eq!(
-        refused(MotionSetPoint { position_rad: f32::NAN, ..zero }),
+        refused(only(0, f32::NAN)),
         "position must be -12.5 to 12.5 rad, but NaN rad was given"
     );
 }
 
 #[test]
 fn feedback_lies_on_the_same_scales() {
-    let id = MotorId::new(9).expect("1 to 32");
-    for ranges in all_ranges() {
+    for maxima in all_ranges() {
+        let [position, velocity, .., torque] = &scales(maxima).collect::<Vec<_>>()[..] else {
+            panic!("five scales")
+        };
         for step in (0..=LAST_16).step_by(13) {
-            let twelve = step >> 4;
-            let raw = RawMotionFeedback {
-                id,
-                position: step,
-                velocity: u12(twelve),
-                torque: u12(LAST_12 - twelve),
-            };
-            let measured = ranges.feedback(&raw);
-            assert_eq!(measured.id, id);
+            let (v, t) = (step >> 4, LAST_12 - (step >> 4));
+            let raw = feedback([9, step, v, t]);
+            let measured = position.ranges.feedback(&raw);
             let values = [measured.position_rad, measured.velocity_rad_s, measured.torque_nm];
-            let expected = [
-                SCALES[0].value(&ranges, step),
-                SCALES[1].value(&ranges, twelve),
-                SCALES[4].value(&ranges, LAST_12 - twelve),
-            ];
-            assert_eq!(values, expected);
-            assert_eq!(ranges.quantise_feedback(&measured), Ok(raw));
+            assert_eq!(values, [position.value(step), velocity.value(v), torque.value(t)]);
+            assert_eq!(position.ranges.quantise_feedback(id(9), &measured), Ok(raw));
         }
     }
 }
 
 #[test]
 fn feedback_ends_with_its_scale_and_is_never_a_nan() {
-    let id = MotorId::MIN;
-    let far =
-        MotionFeedback { id, position_rad: f32::INFINITY, velocity_rad_s: -1e9, torque_nm: 24.001 };
-    let raw = MotionRanges::V4_3.quantise_feedback(&far).expect("numbers");
-    assert_eq!(raw.encode(), reply_bits([1, LAST_16, 0, LAST_12]));
-    for (position_rad, velocity_rad_s, torque_nm) in
-        [(f32::NAN, 0.0, 0.0), (0.0, f32::NAN, 0.0), (0.0, 0.0, f32::NAN)]
-    {
-        let lost = MotionFeedback { id, position_rad, velocity_rad_s, torque_nm };
-        assert!(MotionRanges::V4_3.quantise_feedback(&lost).is_err(), "{lost:?}");
+    let quantise = |[position_rad, velocity_rad_s, torque_nm]: [f32; 3]| {
+        let feedback = MotionFeedback { position_rad, velocity_rad_s, torque_nm };
+        MotionRanges::V4_3.quantise_feedback(id(1), &feedback)
+    };
+    let ends = quantise([f32::INFINITY, -1e9, 24.001]).map(|raw| raw.encode());
+    assert_eq!(ends, Ok(reply_bits([1, LAST_16, 0, LAST_12])));
+    for lost in [[f32::NAN, 0.0, 0.0], [0.0, f32::NAN, 0.0], [0.0, 0.0, f32::NAN]] {
+        assert!(quantise(lost).is_err(), "{lost:?}");
     }
 }
 
 #[test]
 fn ranges_that_are_no_ranges_are_refused() {
-    let good = MotionRanges::V4_3.limits();
     for bad in [0.0, -0.0, -1.0, f32::NAN, f32::INFINITY, 1.1e6, f32::MIN_POSITIVE / 2.0] {
         for place in 0..5 {
-            let mut maxima = maxima(&good);
+            let mut maxima = V4_3;
             maxima[place] = bad;
             assert!(MotionRanges::new(limits(maxima)).is_err(), "{place}: {bad}");
         }

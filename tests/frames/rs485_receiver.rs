@@ -30,6 +30,15 @@ fn received(bytes: &[u8]) -> Vec<[u8; 13]> {
     Line::after(bytes).frames()
 }
 
+/// These bytes are no frame, and every frame behind them comes out.
+fn assert_hides_none(bad: &[u8], behind: &[[u8; 13]]) {
+    for good in behind {
+        let line = Line::after(&[bad, good, bad, good, good].concat());
+        assert_eq!(line.frames(), [*good; 3], "behind {bad:02X?}");
+        assert_eq!((line.discarded(), line.held()), (2 * bad.len(), 0), "{bad:02X?}");
+    }
+}
+
 #[test]
 fn the_crc_is_modbuss() {
     // The check value that catalogues of CRCs give.
@@ -49,27 +58,32 @@ fn the_librarys_frames_are_the_bitwise_ones() {
             let data = [(); 8].map(|()| noise.byte());
             let bytes = frame_bytes(address, data);
             assert!(is_frame(&bytes));
-            assert_eq!(Frame { address: target, data }.encode(), bytes);
+            let frame = Frame { address: target, data };
+            assert_eq!(frame.encode(), bytes);
             let mut receiver = Receiver::new();
             let fed = bytes.map(|byte| receiver.feed(byte));
-            assert_eq!(fed[12], Fed::Frame(Frame { address: target, data }));
+            assert_eq!(fed[12], Fed::Frame(frame));
+            assert_eq!(Frame::decode(&bytes), Ok(frame));
         }
     }
 }
 
 #[test]
 fn only_the_protocols_addresses_and_length_make_a_frame() {
-    for address in 0..=255 {
-        let bytes = frame_bytes(address, [0x9C, 0, 0, 0, 0, 0, 0, 0]);
-        let exists = (1..=32).contains(&address) || address == 0xCD;
-        assert_eq!(received(&bytes).len(), usize::from(exists), "address {address:#04X}");
-    }
-    for length in 0..=255 {
-        let mut bytes = good_frames()[0];
-        bytes[2] = length;
-        let crc = crc16_modbus(&bytes[..11]).to_le_bytes();
-        bytes[11..].copy_from_slice(&crc);
-        assert_eq!(received(&bytes).len(), usize::from(length == 8), "length {length}");
+    let check = |bytes: [u8; 13], is_frame: bool| {
+        assert_eq!(received(&bytes).len(), usize::from(is_frame), "{bytes:02X?}");
+        assert_eq!(Frame::decode(&bytes).is_ok(), is_frame, "{bytes:02X?}");
+    };
+    for byte in 0..=255 {
+        let is_address = (1..=32).contains(&byte) || byte == 0xCD;
+        check(frame_bytes(byte, [0x9C, 0, 0, 0, 0, 0, 0, 0]), is_address);
+        for (place, right) in [(0, 0x3E), (2, 8)] {
+            let mut bytes = good_frames()[0];
+            bytes[place] = byte;
+            let crc = crc16_modbus(&bytes[..11]).to_le_bytes();
+            bytes[11..].copy_from_slice(&crc);
+            check(bytes, byte == right);
+        }
     }
 }
 
@@ -79,15 +93,22 @@ fn it_tells_what_was_wrong() {
         let mut receiver = Receiver::new();
         bytes.iter().map(|&byte| receiver.feed(byte)).last()
     };
-    assert_eq!(feed_all(&[0x3F]), Some(Fed::Discarded { bytes: 1, fault: Fault::Header }));
-    assert_eq!(feed_all(&[0x3E, 0x3E]), Some(Fed::Discarded { bytes: 1, fault: Fault::Address }));
-    assert_eq!(feed_all(&[0x3E, 33]), Some(Fed::Discarded { bytes: 2, fault: Fault::Address }));
-    assert_eq!(feed_all(&[0x3E, 1, 9]), Some(Fed::Discarded { bytes: 3, fault: Fault::Length }));
-    // 0x3E at the place of the length is the next start.
-    assert_eq!(feed_all(&[0x3E, 1, 0x3E]), Some(Fed::Discarded { bytes: 2, fault: Fault::Length }));
     let mut bad = good_frames()[0];
     bad[12] ^= 0x80;
-    assert_eq!(feed_all(&bad), Some(Fed::Discarded { bytes: 13, fault: Fault::Crc }));
+    for (start, bytes, fault) in [
+        (&[0x3F][..], 1, Fault::Header),
+        (&[0x3E, 0x3E], 1, Fault::Address),
+        (&[0x3E, 33], 2, Fault::Address),
+        (&[0x3E, 1, 9], 3, Fault::Length),
+        // 0x3E at the place of the length is the next start.
+        (&[0x3E, 1, 0x3E], 2, Fault::Length),
+        (&bad, 13, Fault::Crc),
+    ] {
+        assert_eq!(feed_all(start), Some(Fed::Discarded { bytes, fault }), "{start:02X?}");
+        let mut line = good_frames()[0];
+        line[..start.len()].copy_from_slice(start);
+        assert_eq!(Frame::decode(&line), Err(fault), "{start:02X?}");
+    }
 }
 
 #[test]
@@ -141,18 +162,8 @@ fn one_flipped_bit_makes_no_frame_and_hides_none() {
         for bit in 0..104 {
             let mut bad = good;
             bad[bit / 8] ^= 1 << (bit % 8);
-            let mut line = Line::after(&bad);
-            assert!(line.frames().is_empty(), "bit {bit} of {good:02X?}");
-            for next in good_frames() {
-                let mut line = line.clone();
-                line.feed(&next);
-                assert_eq!(line.frames(), [next], "after bit {bit} of {good:02X?}");
-                assert_eq!(line.held(), 0);
-            }
-            // A bad frame between good ones.
-            line = Line::after(&[good, bad, good].concat());
-            assert_eq!(line.frames(), [good, good], "bit {bit}");
-            assert_eq!(line.discarded(), 13);
+            assert!(received(&bad).is_empty() && Frame::decode(&bad).is_err(), "{bad:02X?}");
+            assert_hides_none(&bad, &good_frames());
         }
     }
 }
@@ -166,47 +177,26 @@ fn two_flipped_bits_make_no_frame_and_hide_none() {
                 let mut bad = frame;
                 bad[first / 8] ^= 1 << (first % 8);
                 bad[second / 8] ^= 1 << (second % 8);
-                let line = Line::after(&[bad, next].concat());
-                assert_eq!(line.frames(), [next], "bits {first} and {second}");
+                assert!(Frame::decode(&bad).is_err(), "{bad:02X?}");
+                assert_hides_none(&bad, &[next]);
             }
         }
     }
 }
 
 #[test]
-fn a_bad_start_of_any_length_hides_no_frame() {
+fn a_bad_start_hides_no_frame() {
     // Beginnings that a receiver has to hold on to: it cannot tell yet that they are none.
     for start in [START, [0x3E, 0x20, 0x08], [0x3E, 0xCD, 0x08], [0x3E; 3]] {
         for length in 0..=3 {
             for repeated in 1..=20 {
-                for good in good_frames() {
-                    let mut bytes = start[..length].repeat(repeated);
-                    bytes.extend(good);
-                    let line = Line::after(&bytes);
-                    assert_eq!(
-                        line.frames(),
-                        [good],
-                        "behind {repeated} × {:02X?}",
-                        &start[..length]
-                    );
-                    assert_eq!(line.discarded(), length * repeated);
-                    assert_eq!(line.held(), 0);
-                }
+                assert_hides_none(&start[..length].repeat(repeated), &good_frames());
             }
         }
     }
-}
-
-#[test]
-fn a_start_and_any_fill_hide_no_frame() {
     for fill in [0x00, 0x08, 0x3E, 0x01, 0xFF] {
         for filled in 0..30 {
-            for good in good_frames() {
-                let mut bytes = START.to_vec();
-                bytes.extend(std::iter::repeat_n(fill, filled));
-                bytes.extend(good);
-                assert_eq!(received(&bytes), [good], "start and {filled} × {fill:02X}");
-            }
+            assert_hides_none(&[&START[..], &vec![fill; filled]].concat(), &good_frames());
         }
     }
 }
@@ -215,24 +205,8 @@ fn a_start_and_any_fill_hide_no_frame() {
 fn a_cut_off_frame_hides_none_behind_it() {
     for cut in good_frames() {
         for length in 0..13 {
-            for good in good_frames() {
-                let bytes = [&cut[..length], &good, &cut[..length], &good, &good].concat();
-                let line = Line::after(&bytes);
-                assert_eq!(line.frames(), [good; 3], "{length} bytes of {cut:02X?}");
-                assert_eq!(line.discarded(), 2 * length);
-            }
-        }
-    }
-}
-
-#[test]
-fn a_frame_without_its_first_bytes_hides_none_behind_it() {
-    for cut in good_frames() {
-        for missing in 1..13 {
-            for good in good_frames() {
-                let bytes = [&cut[missing..], &good].concat();
-                assert_eq!(received(&bytes), [good], "{cut:02X?} without {missing} bytes");
-            }
+            assert_hides_none(&cut[..length], &good_frames());
+            assert_hides_none(&cut[13 - length..], &good_frames());
         }
     }
 }

@@ -545,3 +545,24 @@ fn a_reader_that_leaves_is_no_error() {
     let output = child.wait_with_output().unwrap();
     output.assert().code(0).stderr("");
 }
+
+#[test]
+fn a_dbc_file_is_for_one_motor_or_all_and_for_a_firmware() {
+    let messages = |arguments: &[&str]| {
+        let output = run(arguments);
+        let heads = lines(&output).iter().filter(|line| line.starts_with("BO_ ")).count();
+        let motion = lines(&output).into_iter().find(|line| line.starts_with(" SG_ motion_torque"));
+        let motion = motion.unwrap().to_owned();
+        output.assert().code(0).stderr("");
+        (heads, motion)
+    };
+    let (all, scaled) = messages(&["dbc"]);
+    assert_eq!(all, 130);
+    assert!(scaled.ends_with(r#"[-24|24] "N.m" motor_1"#), "{scaled}");
+    let (one, stronger) = messages(&["dbc", "--id", "3", "--ranges", "12.5,45,500,5,60"]);
+    assert_eq!(one, 6);
+    assert!(stronger.ends_with(r#"[-60|60] "N.m" motor_3"#), "{stronger}");
+    let (_, steps) = messages(&["dbc", "--firmware", "v4.4"]);
+    assert!(steps.ends_with(r#"[0|4095] "" motor_1"#), "{steps}");
+    assert_eq!(refusal(&["dbc", "--id", "33"]), "--id: motor id must be 1 to 32, but 33 was given");
+}

@@ -138,21 +138,6 @@ mod tests {
     }
 
     #[test]
-    fn examples_with_extended_identifiers() {
-        assert_eq!(frame_bits(&extended(0x1FFF_FFFF, &[0xFF; 8])), 149);
-        assert_eq!(frame_bits(&extended(0, &[0; 8])), 150);
-        assert_eq!(frame_bits(&extended(0x1234_5678, &[1, 2, 3, 4, 5, 6, 7, 8])), 140);
-    }
-
-    #[test]
-    fn remote_frames_have_no_data() {
-        let id = StandardId::new(0x141).unwrap();
-        assert_eq!(frame_bits(&SimpleFrame::new_remote(id, 8).unwrap()), 48);
-        let id = ExtendedId::new(0x1234_5678).unwrap();
-        assert_eq!(frame_bits(&SimpleFrame::new_remote(id, 8).unwrap()), 67);
-    }
-
-    #[test]
     fn arbitration_goes_bit_by_bit() {
         let key = |frame: SimpleFrame| arbitration_key(&frame);
         let base = 0x141;
