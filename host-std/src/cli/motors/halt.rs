@@ -9,6 +9,7 @@ use myactuator_protocol_core::master::{MotorSet, Patience, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
+use super::moving::hold_still;
 use super::session::{Motors, Outcome, Session, say};
 
 /// How often ids are tried that do not confirm.
@@ -26,10 +27,7 @@ pub(in crate::cli) struct Arguments {
 
 pub(super) fn stop(arguments: &Arguments) -> Outcome {
     let motors = halt(arguments, StopKind::Hold)?;
-    say(&match motors.len() {
-        1 => format!("motor {motors} is stopped and holds still (0x81)"),
-        _ => format!("motors {motors} are stopped and hold still (0x81)"),
-    })
+    say(&hold_still(motors))
 }
 
 pub(super) fn shut_down(arguments: &Arguments) -> Outcome {

@@ -15,6 +15,7 @@ mod progress;
 mod revision;
 mod run_for;
 mod scan;
+mod send;
 mod session;
 #[cfg(test)]
 mod simulated;
@@ -44,6 +45,7 @@ pub(super) enum Subcommand {
     Brake(brake::Arguments),
     Zero(zero::Arguments),
     Id(change_id::Arguments),
+    Send(send::Arguments),
 }
 
 /// Does it, and gives the exit status.
@@ -61,6 +63,7 @@ pub(super) fn run(subcommand: &Subcommand) -> u8 {
         Subcommand::Brake(arguments) => brake::run(arguments),
         Subcommand::Zero(arguments) => zero::run(arguments),
         Subcommand::Id(arguments) => change_id::run(arguments),
+        Subcommand::Send(arguments) => send::run(arguments),
     };
     match outcome {
         Ok(()) => DONE,
