@@ -221,7 +221,7 @@ fn each_kind_has_an_example() {
 fn kinds_without_an_example_are_as_their_table_says() {
     let id = MotorId::new(1).expect("1 to 32");
     for (opcode, command, reply, data) in without_example() {
-        assert_eq!(opcode.reply_rule(), ReplyRule::Echo, "{opcode}");
+        assert_eq!(opcode.reply_rule(), ReplyRule::Same, "{opcode}");
         assert_eq!((command.opcode(), reply.opcode()), (Some(opcode), Some(opcode)));
         assert_eq!((command.encode(), reply.encode()), (data, data), "{opcode}");
         assert_eq!(AnyCommand::decode_as(opcode, &data), Ok(command));
@@ -246,7 +246,7 @@ fn the_reply_rules_are_those_that_the_examples_show() {
             exchanges.iter().filter(|(command, _)| command.name == opcode.name()).collect();
         let same = of_kind.iter().filter(|(command, reply)| command.data() == reply.data()).count();
         match opcode.reply_rule() {
-            ReplyRule::Echo => {
+            ReplyRule::Same => {
                 assert!(!of_kind.is_empty(), "{opcode}: no reply in the manual");
                 assert_eq!(same, of_kind.len(), "{opcode}: a reply differs from its command");
             }

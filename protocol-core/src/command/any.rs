@@ -245,7 +245,7 @@ mod tests {
         let packet = Packet { channel: Channel::Command(M1.into()), data };
         let raw = command(&packet).unwrap();
         assert_eq!((raw.opcode(), raw.encode()), (None, data));
-        assert!(raw.kind().may_move());
+        assert!(raw.kind().is_refused_while_stopped());
         let reply = Packet { channel: Channel::Reply(M1), data };
         assert_eq!(AnyReply::decode(&reply, Firmware::V4_3), Ok(AnyReply::Raw(RawReply(data))));
         // V4.4 has dropped 0x90.

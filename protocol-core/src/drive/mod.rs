@@ -218,7 +218,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             Channel::Motion(_) => Channel::MotionReply(self.active.id),
             _ => Channel::Reply(self.active.id),
         };
-        match self.answer(command, opcode, packet, now) {
+        match self.answer(opcode, packet, now) {
             Answer::Data(data) => self.reply(Packet { channel, data }, now),
             Answer::None => {}
             Answer::Ignored(reason) => self.ignore(packet, reason),

@@ -270,8 +270,7 @@ impl<const N: usize> Master<N> {
 
     /// Stops every motor that this master knows and those of `also`, before anything else is sent
     /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Until
-    /// [`lift_stop`](Self::lift_stop) whatever [may move](Kind::may_move) a motor is refused:
-    /// set-points, a restart and writes to ROM, for example, but not reads.
+    /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a restart and writes to ROM, for example, but not reads.
     ///
     /// Each motor's confirmation, or its absence, comes as an event.
     ///
@@ -503,7 +502,11 @@ impl<const N: usize> Master<N> {
         if self.config.is_rs485() {
             kind.check_on_rs485()?;
         }
-        if self.stopped && kind.may_move() { Err(RequestError::Stopped) } else { Ok(()) }
+        if self.stopped && kind.is_refused_while_stopped() {
+            Err(RequestError::Stopped)
+        } else {
+            Ok(())
+        }
     }
 
     #[inline(never)]

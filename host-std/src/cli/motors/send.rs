@@ -95,7 +95,7 @@ impl Raw {
             .map_err(|bytes| format!("expected eight bytes, found {}", bytes.len()))?;
         let reply = match self.reply {
             Answer::Values => ReplyRule::Values,
-            Answer::Echo => ReplyRule::Echo,
+            Answer::Echo => ReplyRule::Same,
             Answer::None => ReplyRule::Silent,
         };
         Ok(RawCommand::new(data, reply, self.moves))
@@ -173,7 +173,7 @@ fn read_as(arguments: &Arguments) -> Firmware {
 
 /// Whether the user is asked first.
 fn needs_consent(kind: Kind) -> bool {
-    kind.may_move() || kind.repeat() == Repeat::ActsAgain
+    kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain
 }
 
 /// Whether it sets a motor in motion, so that the motor is stopped if something goes wrong.
