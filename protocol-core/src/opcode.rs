@@ -405,21 +405,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_byte_leads_back_to_its_row() {
-        for &opcode in Opcode::ALL {
-            for &firmware in Firmware::ALL {
-                if let Some(byte) = opcode.byte() {
-                    let found = Opcode::of_firmware(firmware, byte);
-                    assert_eq!(found == Some(opcode), opcode.is_in(firmware), "{opcode:?}");
-                }
-            }
-            assert_eq!(opcode.name().parse(), Ok(opcode));
-        }
-        assert_eq!(Opcode::from_byte(LOST_MASTER_BYTE), None);
-        assert_eq!(Opcode::try_from(0x94), Ok(Opcode::ReadSingleTurnAngle));
-    }
-
-    #[test]
     fn what_follows_from_a_byte_is_the_same_in_every_firmware() {
         for &opcode in Opcode::ALL {
             let Some(first) = opcode.byte().and_then(Opcode::from_byte) else { continue };

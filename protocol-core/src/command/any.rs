@@ -230,16 +230,6 @@ mod tests {
     }
 
     #[test]
-    fn some_kinds_go_to_one_motor_only_or_to_all_only() {
-        let read = AnyCommand::from(BusId::Read);
-        assert_eq!(read.packet(M1.into()), Err(RequestError::AllMotorsOnly(Opcode::BusId)));
-        assert_eq!(read.packet(Target::All).unwrap(), BusId::Read.packet());
-        let motion = AnyCommand::from(RawMotion::decode(&[0; 8]));
-        assert_eq!(motion.packet(Target::All), Err(RequestError::OneMotorOnly(Opcode::Motion)));
-        assert_eq!(motion.packet(M1.into()).unwrap().channel, Channel::Motion(M1));
-    }
-
-    #[test]
     fn what_a_firmware_does_not_know_is_raw_and_kept() {
         let data = [0xC0, 1, 2, 3, 4, 5, 6, 7];
         let packet = Packet { channel: Channel::Command(M1.into()), data };
