@@ -46,7 +46,7 @@ class Frame:
             for candidates in ([signal], characters):
                 if all(candidate in self.named for candidate in candidates):
                     return candidates
-        raise KeyError(f"no signal for {key} of {name} among {', '.join(self.named)}")
+        raise LookupError(f"no signal for {key} of {name} among {', '.join(self.named)}")
 
     def agrees(self, signals, value):
         """Whether the signals say this value, as JSON has it."""
@@ -119,7 +119,7 @@ def main(program, vectors):
                 message = database.get_message_by_frame_id(int(identifier, 16))
                 frame = Frame(message, bytes.fromhex(data))
                 found = list(differences(frame, json.loads(line), example))
-            except (KeyError, cantools.database.DecodeError) as error:
+            except (LookupError, cantools.database.DecodeError) as error:
                 found = [str(error)]
             for sentence in found:
                 wrong += 1

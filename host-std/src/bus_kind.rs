@@ -33,17 +33,9 @@ impl fmt::Display for BusKind {
 }
 
 /// Text that is the name of neither bus.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected can or rs485, found {0:?}")]
 pub struct NotABus(String);
-
-impl fmt::Display for NotABus {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [can, rs485] = BusKind::ALL;
-        write!(f, "expected {can} or {rs485}, found {:?}", self.0)
-    }
-}
-
-impl std::error::Error for NotABus {}
 
 impl FromStr for BusKind {
     type Err = NotABus;

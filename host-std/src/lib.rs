@@ -3,7 +3,7 @@
 //! | layer | for | stands on | feature |
 //! |---|---|---|---|
 //! | [`text`] | frames as people and tools write them: `ID#DATA`, candump lines, RS485 bytes, SLCAN | | |
-//! | [`explain`] | what a frame says: name, fields with their units, and a sentence | `text` | `explain` |
+//! | [`explain`] | what a frame says: name, fields with their units, and a sentence; DBC files | `text` | `explain` |
 //! | [`port`] | real buses on Linux: SocketCAN, SLCAN adapters, RS485 | `text` | `port` |
 //! | [`sim`] | simulated drives on simulated buses, under a virtual clock or in real time | | `sim` |
 //! | [`open`] | a master on whatever bus one string names, real or simulated | `port`, `sim` | both |
@@ -16,7 +16,7 @@
 //!
 //! | feature | what it adds | which crates it pulls |
 //! |---|---|---|
-//! | (none) | [`text`], [`BusKind`] and [`protocol`] | embedded-can |
+//! | (none) | [`text`], [`BusKind`] and [`protocol`] | embedded-can, thiserror |
 //! | `explain` | [`explain`] | serde_json |
 //! | `port` | [`port`] | socketcan, serial2, rustix, embedded-io, nb |
 //! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io, nb |

@@ -139,19 +139,32 @@ impl fmt::Display for BusAddress {
 }
 
 const SIMULATED: &str = "sim";
+const EXAMPLES: &str = "sim:4, can0, slcan:/dev/ttyACM0@1000000 or rs485:/dev/ttyUSB0@115200";
 
 /// Text that names no bus.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotAnAddress {
     /// Nothing at all.
+    #[error("expected a bus such as {EXAMPLES}, found nothing")]
     Empty,
     /// A word before the colon that is no kind of bus.
+    #[error("expected a bus such as {EXAMPLES}, found \"{0}\"")]
     Kind(String),
     /// No number of motors, or not 1 to 32.
+    #[error(
+        "expected a number of simulated motors from 1 to {MOST_MOTORS} behind \"sim:\", found \"{0}\""
+    )]
     Motors(String),
     /// No name that a network interface can have.
+    #[error(
+        "expected the name of a CAN interface such as can0, up to {LONGEST_INTERFACE} characters without '/', ':' and spaces, found \"{0}\""
+    )]
     Interface(String),
     /// The path of the serial port, or the `@` and the bit rate behind it, is missing.
+    #[error(
+        "expected a serial port and a bit rate such as {kind}:/dev/ttyUSB0@{}, found \"{kind}:{found}\"",
+        if *kind == "slcan" { "1000000" } else { "115200" }
+    )]
     Port {
         /// `"slcan"` or `"rs485"`.
         kind: &'static str,
@@ -159,10 +172,17 @@ pub enum NotAnAddress {
         found: String,
     },
     /// A bit rate that SLCAN adapters do not know.
+    #[error(transparent)]
     CanRate(NotARate),
     /// A bit rate that no serial line has.
+    #[error(
+        "expected a bit rate from {slowest} to {fastest} bit/s such as 115200, found \"{0}\"",
+        slowest = LINE_RATES.start(),
+        fastest = LINE_RATES.end()
+    )]
     LineRate(String),
     /// A word behind the comma that is no option.
+    #[error("expected \"{expected}\" or no comma, found \",{found}\"")]
     Option {
         /// The option that there is, `"echo"` or `"rs485"`.
         expected: &'static str,
@@ -170,44 +190,6 @@ pub enum NotAnAddress {
         found: String,
     },
 }
-
-impl fmt::Display for NotAnAddress {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const EXAMPLES: &str =
-            "sim:4, can0, slcan:/dev/ttyACM0@1000000 or rs485:/dev/ttyUSB0@115200";
-        match self {
-            Self::Empty => write!(f, "expected a bus such as {EXAMPLES}, found nothing"),
-            Self::Kind(found) => write!(f, "expected a bus such as {EXAMPLES}, found \"{found}\""),
-            Self::Motors(found) => write!(
-                f,
-                "expected a number of simulated motors from 1 to {MOST_MOTORS} behind \"sim:\", found \"{found}\""
-            ),
-            Self::Interface(found) => write!(
-                f,
-                "expected the name of a CAN interface such as can0, up to {LONGEST_INTERFACE} characters without '/', ':' and spaces, found \"{found}\""
-            ),
-            Self::Port { kind, found } => {
-                let rate = if *kind == "slcan" { "1000000" } else { "115200" };
-                write!(
-                    f,
-                    "expected a serial port and a bit rate such as {kind}:/dev/ttyUSB0@{rate}, found \"{kind}:{found}\""
-                )
-            }
-            Self::CanRate(error) => error.fmt(f),
-            Self::LineRate(found) => write!(
-                f,
-                "expected a bit rate from {} to {} bit/s such as 115200, found \"{found}\"",
-                LINE_RATES.start(),
-                LINE_RATES.end()
-            ),
-            Self::Option { expected, found } => {
-                write!(f, "expected \"{expected}\" or no comma, found \",{found}\"")
-            }
-        }
-    }
-}
-
-impl std::error::Error for NotAnAddress {}
 
 impl FromStr for BusAddress {
     type Err = NotAnAddress;

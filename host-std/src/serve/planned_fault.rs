@@ -1,6 +1,5 @@
 //! A fault in one word, as people type it, and what it does to a bus and its drives.
 
-use std::fmt;
 use std::str::FromStr;
 
 use myactuator_protocol_core::MotorId;
@@ -121,15 +120,23 @@ impl Chance {
 }
 
 /// Text that is no fault.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotAFault {
     /// A word that names none.
+    #[error(
+        "expected lose, corrupt, undetected, duplicate, delay, reorder, babble, slow, cut, mend, \
+         reset, clear or an error ({errors}), found \"{0}\"",
+        errors = error_names()
+    )]
     Kind(String),
     /// No number from 0 to 1.
+    #[error("expected a chance from 0 to 1 such as 0.01, found \"{0}\"")]
     Chance(String),
     /// No time with its unit.
+    #[error("expected a time with its unit such as 500us, 2ms or 1.5s, found \"{0}\"")]
     Time(String),
     /// A kind without a value has one.
+    #[error("{kind} takes no value, found \"{found}\"")]
     NoValue {
         /// The kind.
         kind: String,
@@ -137,52 +144,21 @@ pub enum NotAFault {
         found: String,
     },
     /// Neither a motor nor a direction, or one of them twice.
+    #[error(
+        "expected a motor from 1 to {last}, to-drives, from-drives, or both with a comma behind \"@\", \
+         found \"{0}\"",
+        last = MotorId::COUNT
+    )]
     Where(String),
     /// A direction for what has none.
+    #[error("{0} has no direction: leave to-drives and from-drives to faults by chance")]
     NoDirection(String),
 }
 
-impl fmt::Display for NotAFault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Kind(found) => {
-                f.write_str(
-                    "expected lose, corrupt, undetected, duplicate, delay, reorder, babble, slow, cut, \
-                     mend, reset, clear or an error (",
-                )?;
-                for (place, error) in ErrorFlags::NAMED.iter().enumerate() {
-                    let comma = if place == 0 { "" } else { ", " };
-                    write!(f, "{comma}{}", error.name().unwrap_or_default())?;
-                }
-                write!(f, "), found \"{found}\"")
-            }
-            Self::Chance(found) => {
-                write!(f, "expected a chance from 0 to 1 such as 0.01, found \"{found}\"")
-            }
-            Self::Time(found) => {
-                write!(
-                    f,
-                    "expected a time with its unit such as 500us, 2ms or 1.5s, found \"{found}\""
-                )
-            }
-            Self::NoValue { kind, found } => {
-                write!(f, "{kind} takes no value, found \"{found}\"")
-            }
-            Self::Where(found) => write!(
-                f,
-                "expected a motor from 1 to {}, to-drives, from-drives, or both with a comma behind \
-                 \"@\", found \"{found}\"",
-                MotorId::COUNT
-            ),
-            Self::NoDirection(kind) => write!(
-                f,
-                "{kind} has no direction: leave to-drives and from-drives to faults by chance"
-            ),
-        }
-    }
+fn error_names() -> String {
+    let names: Vec<&str> = ErrorFlags::NAMED.iter().filter_map(|error| error.name()).collect();
+    names.join(", ")
 }
-
-impl std::error::Error for NotAFault {}
 
 impl FromStr for PlannedFault {
     type Err = NotAFault;

@@ -1,28 +1,20 @@
 //! RS485 bytes as text.
 
-use std::fmt;
-
 /// Bytes as upper-case hexadecimal with spaces between: `3E 01 08`.
 pub fn bytes(bytes: &[u8]) -> String {
     super::joined_hex(bytes, " ")
 }
 
 /// Text that is no list of bytes.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "expected {} separated by spaces or commas, found \"{token}\"",
+    if *hexadecimal { "hexadecimal bytes 00 to FF" } else { "decimal bytes 0 to 255" }
+)]
 pub struct NotBytes {
     token: String,
     hexadecimal: bool,
 }
-
-impl fmt::Display for NotBytes {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let expected =
-            if self.hexadecimal { "hexadecimal bytes 00 to FF" } else { "decimal bytes 0 to 255" };
-        write!(f, "expected {expected} separated by spaces or commas, found \"{}\"", self.token)
-    }
-}
-
-impl std::error::Error for NotBytes {}
 
 /// The bytes on a line of text, separated by commas or spaces, or as one string of digits.
 ///

@@ -283,7 +283,7 @@ bus-id --access 2 => access must be 0 to 1, but 2 was given
 --id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm x => --torque-nm: torque must be -24 to 24 N·m, but "x" is no number
 --id all motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --id: motion goes to one motor only: name its id
 --firmware v4.4 bus-id --access read => --firmware: v4.4 has no bus-id (0x79)
---id 1 read-single-turn-angle-v4.4 => --firmware: v4.3 has no read-single-turn-angle-v4.4 (0x94)
+--id 1 read-single-turn-angle-v4.4 => --firmware: v4.3 has no read-single-turn-angle-v4.4 (0x94): take read-single-turn-angle
 --id 1 --firmware v4.5 stop => --firmware: firmware must be one of v4.3 v4.4, but "v4.5" was given
 --id 1 --firmware v4.4 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --ranges is missing: the scales of this firmware's motion mode depend on the motor
 --id 1 --bus rs485 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --bus: motion exists on CAN only
@@ -544,4 +544,25 @@ fn a_reader_that_leaves_is_no_error() {
     let _ = std::io::Write::write_all(&mut child.stdin.take().unwrap(), frames.as_bytes());
     let output = child.wait_with_output().unwrap();
     output.assert().code(0).stderr("");
+}
+
+#[test]
+fn a_dbc_file_is_for_one_motor_or_all_and_for_a_firmware() {
+    let messages = |arguments: &[&str]| {
+        let output = run(arguments);
+        let heads = lines(&output).iter().filter(|line| line.starts_with("BO_ ")).count();
+        let motion = lines(&output).into_iter().find(|line| line.starts_with(" SG_ motion_torque"));
+        let motion = motion.unwrap().to_owned();
+        output.assert().code(0).stderr("");
+        (heads, motion)
+    };
+    let (all, scaled) = messages(&["dbc"]);
+    assert_eq!(all, 130);
+    assert!(scaled.ends_with(r#"[-24|24] "N.m" motor_1"#), "{scaled}");
+    let (one, stronger) = messages(&["dbc", "--id", "3", "--ranges", "12.5,45,500,5,60"]);
+    assert_eq!(one, 6);
+    assert!(stronger.ends_with(r#"[-60|60] "N.m" motor_3"#), "{stronger}");
+    let (_, steps) = messages(&["dbc", "--firmware", "v4.4"]);
+    assert!(steps.ends_with(r#"[0|4095] "" motor_1"#), "{steps}");
+    assert_eq!(refusal(&["dbc", "--id", "33"]), "--id: motor id must be 1 to 32, but 33 was given");
 }

@@ -193,6 +193,11 @@ impl Controller {
         Some(pending.frame)
     }
 
+    /// Whether this is the frame that it has on the wire.
+    pub(super) fn sends(&self, frame: &SimpleFrame) -> bool {
+        self.queue.iter().any(|pending| pending.on_wire && pending.frame == *frame)
+    }
+
     /// The frame on the wire is done; a failed one stays for the next try.
     pub(super) fn end(&mut self, sent: bool) {
         if let Some(place) = self.queue.iter().position(|pending| pending.on_wire) {
@@ -208,11 +213,7 @@ impl Controller {
     pub(super) fn clear(&mut self) {
         self.queue.clear();
         self.head = None;
-        self.transmit_errors = 0;
-        self.receive_errors = 0;
-        self.suspended_until = 0;
-        self.recovery = None;
-        self.is_bus_off = false;
+        self.recover();
     }
 
     fn choose_head(&mut self) {
@@ -225,13 +226,12 @@ impl Controller {
         };
     }
 
-    /// Counts a failed transmission. True if that was one too many.
-    pub(super) fn count_transmit_error(&mut self) -> bool {
+    /// Counts a failed transmission, which may be one too many.
+    pub(super) fn count_transmit_error(&mut self) {
         self.transmit_errors = self.transmit_errors.saturating_add(8);
         if self.transmit_errors > BUS_OFF_ABOVE {
             self.is_bus_off = true;
         }
-        self.is_bus_off
     }
 
     /// Counts a frame that nobody acknowledged. An error-passive sender does not count those, so

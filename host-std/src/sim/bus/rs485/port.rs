@@ -13,27 +13,18 @@ use crate::sim::bus::{StationId, World};
 const GIVE_UP: Duration = Duration::from_secs(1);
 
 /// What a port's calls can fail with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SerialError {
     /// A blocking call waited as long as it may.
+    #[error(
+        "expected bytes on the line, found none within {after}: check that somebody answers, or wait \
+         longer"
+    )]
     TimedOut {
         /// How long that was.
         after: Duration,
     },
 }
-
-impl std::fmt::Display for SerialError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self::TimedOut { after } = self;
-        write!(
-            f,
-            "expected bytes on the line, found none within {after}: check that somebody answers, \
-             or wait longer"
-        )
-    }
-}
-
-impl std::error::Error for SerialError {}
 
 impl embedded_io::Error for SerialError {
     fn kind(&self) -> ErrorKind {
