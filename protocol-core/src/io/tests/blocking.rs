@@ -61,22 +61,6 @@ fn a_frame_that_the_controller_refuses_is_not_counted_as_sent() {
 }
 
 #[test]
-fn a_command_that_acts_again_is_sent_once_whatever_happens() {
-    let (bus, clock, mut arm) = can();
-    assert_eq!(arm.call(id(9), step()), Err(CallError::Failed(Failure::NoReply)));
-    run(&mut arm, &clock, 200_000);
-    assert_eq!(bus.sent(), [[0xA8, 0, 100, 0, 0x28, 0x23, 0, 0]]);
-}
-
-#[test]
-fn a_silent_motor_is_asked_three_times() {
-    let (bus, _, mut arm) = can();
-    let silence = Err(CallError::Failed(Failure::NoReply));
-    assert_eq!(arm.ask(id(9), ReadMultiTurnAngle), silence);
-    assert_eq!(bus.sent().len(), 3);
-}
-
-#[test]
 fn what_waits_is_dropped_on_a_bus_that_takes_nothing_and_stops_stay() {
     let (bus, clock, mut arm) = can();
     bus.state().full_until = 100_000;
