@@ -1,12 +1,9 @@
 //! Motion (MIT) mode: position, speed, both gains and torque in one frame (manual 5). CAN only.
 //!
 //! On the bus every value is a step on a linear scale. Which scale, depends on the drive's firmware,
-//! and a wrong one multiplies the torque; so the scale is a value, [`MotionRanges`], that turns a
-//! [`MotionSetPoint`] into a [`RawMotion`] and a [`RawMotionFeedback`] into a [`MotionFeedback`].
-//!
-//! [`MotionRanges`]: super::MotionRanges
-//! [`MotionSetPoint`]: super::MotionSetPoint
-//! [`MotionFeedback`]: super::MotionFeedback
+//! and a wrong one multiplies the torque; so the scale is a value,
+//! [`MotionRanges`](super::MotionRanges), that turns a [`MotionSetPoint`](super::MotionSetPoint) into a
+//! [`RawMotion`] and a [`RawMotionFeedback`] into a [`MotionFeedback`](super::MotionFeedback).
 //!
 //! ```
 //! use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint};

@@ -4,25 +4,20 @@ use std::vec::Vec;
 
 use embedded_can::nb::Can as _;
 
-use super::world::{Broken, TestCan, TestClock, TestSerial};
+use super::world::{Broken, TestCan, TestClock, TestSerial, on_can, on_rs485};
 use super::{id, step, torque};
 use crate::command::{ReadMultiTurnAngle, Reset, Stop};
 use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster};
-use crate::master::{Config, Event, Failure, MotorSet, StopKind};
+use crate::master::{Event, Failure, MotorSet, StopKind};
 use crate::wire::can::{self, SimpleFrame};
 use crate::{Channel, Packet};
 
 fn can() -> (TestCan, TestClock, CanMaster<TestCan, TestClock, 4>) {
-    let clock = TestClock::default();
-    let bus = TestCan::new(&clock);
-    (bus.clone(), clock.clone(), CanMaster::new(bus, clock, Config::CAN))
+    on_can(CanMaster::new)
 }
 
 fn serial() -> (TestSerial, TestClock, SerialMaster<TestSerial, TestClock, 4>) {
-    let clock = TestClock::default();
-    let port = TestSerial::new(&clock);
-    let config = Config::rs485(115_200, false);
-    (port.clone(), clock.clone(), SerialMaster::new(port, clock, config))
+    on_rs485(SerialMaster::new)
 }
 
 /// Runs for so long and gives what happened.
