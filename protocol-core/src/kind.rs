@@ -154,16 +154,4 @@ mod tests {
         let rest = passing().filter(|&o| !is_read(o)).filter_map(Opcode::byte);
         assert!(rest.eq([0x31, 0x78, 0x80, 0x81]));
     }
-
-    #[test]
-    fn an_answer_has_the_commands_byte_and_key() {
-        let command = [0x30, 4, 0, 0, 0, 0, 0, 0];
-        let kind = Kind::Known(Opcode::ReadPid);
-        assert!(kind.answers(&command, &[0x30, 4, 0, 0, 0, 0, 0x80, 0x3F]));
-        assert!(!kind.answers(&command, &[0x30, 5, 0, 0, 0, 0, 0x80, 0x3F]));
-        assert!(!kind.answers(&command, &[0x31, 4, 0, 0, 0, 0, 0x80, 0x3F]));
-        let raw = Kind::Raw { byte: 0xC0, reply: ReplyRule::Values, moves: false };
-        assert!(raw.answers(&[0xC0, 1, 0, 0, 0, 0, 0, 0], &[0xC0, 2, 0, 0, 0, 0, 0, 0]));
-        assert!(!raw.answers(&[0xC0, 1, 0, 0, 0, 0, 0, 0], &[0xC1, 1, 0, 0, 0, 0, 0, 0]));
-    }
 }

@@ -34,8 +34,6 @@ impl ReplyRule {
 
 /// What a second sending of the same command does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Repeat {
     /// Nothing more than the first: reads, stop and shutdown, brake, RAM writes.
     Harmless,
@@ -47,8 +45,6 @@ pub enum Repeat {
 
 /// On which buses a command exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Buses {
     /// CAN and RS485.
     Both,
@@ -58,8 +54,6 @@ pub enum Buses {
 
 /// Whom a command can be sent to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Reach {
     /// To one motor, or to [all](crate::Target::All) at once (2, 3, 6).
     OneOrAll,
@@ -71,8 +65,6 @@ pub enum Reach {
 
 /// What else a command can be used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Usage {
     /// For nothing else.
     Plain,
@@ -411,21 +403,6 @@ pub const LOST_MASTER_BYTE: u8 = 0xF1;
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_byte_leads_back_to_its_row() {
-        for &opcode in Opcode::ALL {
-            for &firmware in Firmware::ALL {
-                if let Some(byte) = opcode.byte() {
-                    let found = Opcode::of_firmware(firmware, byte);
-                    assert_eq!(found == Some(opcode), opcode.is_in(firmware), "{opcode:?}");
-                }
-            }
-            assert_eq!(opcode.name().parse(), Ok(opcode));
-        }
-        assert_eq!(Opcode::from_byte(LOST_MASTER_BYTE), None);
-        assert_eq!(Opcode::try_from(0x94), Ok(Opcode::ReadSingleTurnAngle));
-    }
 
     #[test]
     fn what_follows_from_a_byte_is_the_same_in_every_firmware() {
