@@ -470,7 +470,7 @@ mod tests {
     fn a_stop_too_stiff_for_the_step_is_refused() {
         let mut motor = x6();
         let stop = super::super::SpringStop { at_deg: 0.0, stiffness_nm_per_rad: 1e7 };
-        let error = motor.set_load(Load::NONE.with_upper_stop(stop)).unwrap_err();
+        let error = motor.set_load(Load { upper_stop: Some(stop), ..Load::NONE }).unwrap_err();
         assert!(error.to_string().contains("stiffness"), "{error}");
         assert_eq!(motor.load(), &Load::NONE);
     }
