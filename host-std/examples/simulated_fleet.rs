@@ -20,7 +20,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     // A bad cable loses every tenth reply; a weight of 2 N·m hangs on the shaft of motor 2.
     let bad_cable = FaultPlan { lose: 0.1, ..FaultPlan::NONE };
     fleet.world.set_faults(Direction::ToPorts, bad_cable);
-    let weight = Load::NONE.with_torque_nm(-2.0);
+    let weight = Load { torque_nm: -2.0, ..Load::NONE };
     fleet.drives[1].with(|drive| drive.plant_mut().set_load(weight))?;
 
     let quarter = AbsolutePosition {

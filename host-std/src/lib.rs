@@ -39,9 +39,11 @@ pub mod serve;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod text;
+mod unexpected;
 
-pub use bus_kind::{BusKind, NotABus};
+pub use bus_kind::BusKind;
 /// The protocol itself, [`myactuator_protocol_core`]: who depends on this crate needs no dependency
 /// on that, and cannot get another version of it.
 #[doc(no_inline)]
 pub use myactuator_protocol_core as protocol;
+pub use unexpected::Unexpected;

@@ -93,7 +93,7 @@ fn a_free_shaft_keeps_its_speed() {
 #[test]
 fn the_load_adds_its_inertia() {
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_inertia_kg_m2(0.3)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 0.3, ..Load::NONE }).unwrap();
     close(m.inertia_kg_m2(), 0.4, 1e-12);
     m.advance(&amps(2.0), MS.times(200));
     close(speed(&m), 4.0 * 0.2 / 0.4, 1e-9);
@@ -174,7 +174,7 @@ fn the_gear_loses_torque_in_proportion() {
 #[test]
 fn a_constant_load_pulls() {
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_torque_nm(-3.0)).unwrap();
+    m.set_load(Load { torque_nm: -3.0, ..Load::NONE }).unwrap();
     m.advance(&OFF, MS.times(100));
     close(speed(&m), -3.0, 1e-9);
 }
@@ -184,7 +184,7 @@ fn a_constant_load_pulls() {
 fn a_spring_oscillates_at_its_frequency_and_keeps_its_energy() {
     let spring = SpringStop { at_deg: 0.0, stiffness_nm_per_rad: 40.0 };
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_upper_stop(spring).with_lower_stop(spring)).unwrap();
+    m.set_load(Load { upper_stop: Some(spring), lower_stop: Some(spring), ..Load::NONE }).unwrap();
     m.set_output_angle_deg(30.0).unwrap();
     let start = angle(&m);
     let energy = 0.5 * 40.0 * start * start;
@@ -215,7 +215,7 @@ fn a_spring_oscillates_at_its_frequency_and_keeps_its_energy() {
 fn a_stop_throws_back() {
     let stop = SpringStop { at_deg: 45.0, stiffness_nm_per_rad: 1000.0 };
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_upper_stop(stop)).unwrap();
+    m.set_load(Load { upper_stop: Some(stop), ..Load::NONE }).unwrap();
     m.set_output_speed_dps(180.0).unwrap();
     let mut deepest: f64 = 0.0;
     let mut touching = 0;
@@ -235,7 +235,7 @@ fn a_stop_throws_back() {
 fn a_motor_leaning_on_a_stop_comes_to_rest() {
     let stop = SpringStop { at_deg: 10.0, stiffness_nm_per_rad: 200.0 };
     let mut m = motor(with_friction(0.0, 0.0, 2.0));
-    m.set_load(Load::NONE.with_upper_stop(stop)).unwrap();
+    m.set_load(Load { upper_stop: Some(stop), ..Load::NONE }).unwrap();
     m.advance(&amps(2.0), Duration::from_secs(5));
     close(angle(&m), 10_f64.to_radians() + 4.0 / 200.0, 1e-6);
 }
@@ -299,7 +299,7 @@ fn a_stalled_motor_draws_copper_loss() {
     p.inverter.idle_power_w = 6.0;
     p.inverter.mos_resistance_ohm = 0.1;
     let mut m = motor(p);
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 1e6, ..Load::NONE }).unwrap();
     m.force_supply_voltage_v(Some(48.0)).unwrap();
     let measured = m.advance(&amps(4.0), MS.times(10));
     // (1.5 * 0.6 Ω * 16 A² + 6 W) / 48 V = 20.4 W / 48 V
@@ -312,7 +312,7 @@ fn rms_amperes_peak_at_root_two() {
     let mut p = ideal();
     p.motor.current_scale = CurrentScale::Rms;
     let mut m = motor(p);
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 1e6, ..Load::NONE }).unwrap();
     m.force_supply_voltage_v(Some(48.0)).unwrap();
     let measured = m.advance(&amps(4.0), MS.times(10));
     close(f64::from(measured.supply_current_a), 3.0 * 0.5 * 16.0 / 48.0, 1e-6);
@@ -335,7 +335,7 @@ fn phase_currents_are_three_sines_that_sum_to_zero() {
     let (mut highest, mut lowest) = ([f32::MIN; 3], [f32::MAX; 3]);
     for step in 0..360 {
         m.set_output_angle_deg(electrical_turn_deg * f64::from(step) / 360.0).unwrap();
-        m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+        m.set_load(Load { inertia_kg_m2: 1e6, ..Load::NONE }).unwrap();
         let measured = m.advance(&amps(3.0), Duration::from_micros(100));
         let phases = measured.phase_currents_a;
         assert!(phases.iter().sum::<f32>().abs() < 1e-5, "{phases:?}");
@@ -363,7 +363,7 @@ fn phase_currents_are_three_sines_that_sum_to_zero() {
 #[test]
 fn the_supply_sags_under_load() {
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 1e6, ..Load::NONE }).unwrap();
     m.set_supply(Supply { resistance_ohm: 1.0, ..Supply::battery(48.0) }).unwrap();
     let measured = m.advance(&amps(16.0), MS.times(100));
     let power = 1.5 * 0.5 * 16.0 * 16.0; // 192 W
@@ -377,7 +377,7 @@ fn the_supply_sags_under_load() {
 #[test]
 fn feedback_raises_the_voltage() {
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 1e6, ..Load::NONE }).unwrap();
     m.set_supply(Supply::bench(48.0)).unwrap();
     m.set_output_speed_dps(10_f64.to_degrees()).unwrap();
     let measured = m.advance(&amps(-2.0), MS.times(500));
@@ -414,9 +414,12 @@ fn energy_balances() {
     let stop = SpringStop { at_deg: 60.0, stiffness_nm_per_rad: 300.0 };
     let weight_nm = -1.0;
     let inertia = 0.05;
-    m.set_load(
-        Load::NONE.with_torque_nm(weight_nm).with_inertia_kg_m2(inertia).with_upper_stop(stop),
-    )
+    m.set_load(Load {
+        torque_nm: weight_nm,
+        inertia_kg_m2: inertia,
+        upper_stop: Some(stop),
+        ..Load::NONE
+    })
     .unwrap();
 
     let dt = 1e-4;
@@ -456,7 +459,7 @@ fn winding_and_output_stage_heat_exponentially_and_cool_again() {
     p.thermal.mos_capacity_j_per_k = 4.0;
     p.thermal.mos_resistance_k_per_w = 5.0; // 20 s
     let mut m = motor(p);
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 1e6, ..Load::NONE }).unwrap();
     m.set_ambient_c(20.0).unwrap();
     // From 25 °C, the start, towards 20 °C + rise; 4 A: 12 W in the winding, 2.4 W in the stage.
     let at = |rise: f64, start: f64, tau: f64, t: f64| {
@@ -477,7 +480,7 @@ fn a_hot_winding_has_more_resistance() {
     let mut p = ideal();
     p.motor.resistance_coefficient_per_k = 0.00393;
     let mut m = motor(p);
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 1e6, ..Load::NONE }).unwrap();
     m.force_supply_voltage_v(Some(48.0)).unwrap();
     m.force_motor_temperature_c(Some(125.0)).unwrap();
     let measured = m.advance(&amps(4.0), MS);
@@ -510,7 +513,7 @@ fn any_split_of_the_time_gives_the_same_bits() {
     let run = |portion_us: u64| {
         let mut m = motor(MotorParameters::named("RMD-X6-P20-60").unwrap());
         let stop = SpringStop { at_deg: 200.0, stiffness_nm_per_rad: 400.0 };
-        m.set_load(Load::NONE.with_torque_nm(-1.0).with_upper_stop(stop)).unwrap();
+        m.set_load(Load { torque_nm: -1.0, upper_stop: Some(stop), ..Load::NONE }).unwrap();
         let mut left_us = 1_000_000;
         let mut last = Measurement::default();
         while left_us > 0 {
@@ -542,7 +545,7 @@ fn short_portions_add_up() {
 fn at_speed(parameters: &MotorParameters, rpm: f64) -> SimulatedMotor {
     let mut m = motor(parameters.clone());
     m.force_supply_voltage_v(Some(parameters.rating.voltage_v)).unwrap();
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 1e6, ..Load::NONE }).unwrap();
     m.set_output_speed_dps(rpm * 6.0).unwrap();
     m
 }

@@ -3,7 +3,7 @@
 use std::error::Error;
 use std::f32::consts::TAU;
 use std::io::{self, StdoutLock, Write};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use clap::Args;
 use myactuator_host_std::BusKind;
@@ -193,10 +193,10 @@ impl Tour {
         let span = f64::from((self.master.now() - start).as_secs_f32());
         let count = motors.len();
         let rate = f64::from(answers) / count as f64 / span;
-        let mean = self.traffic.mean();
+        let means = self.traffic.means();
         let (title, bound) = match self.bus {
-            BusKind::Can => ("Motion mode", bound_on_can(motors, &mean)),
-            BusKind::Rs485 => ("Position", bound_on_rs485(motors, &mean)),
+            BusKind::Can => ("Motion mode", bound_on_can(motors, means)),
+            BusKind::Rs485 => ("Position", bound_on_rs485(motors, means)),
         };
         let share = 100.0 * rate / bound;
         writeln!(
@@ -270,74 +270,55 @@ fn measured_deg(reply: &AnyReply) -> f32 {
     }
 }
 
-/// Mean times on the wire, in seconds.
-struct Mean {
-    command: f64,
-    reply: f64,
-}
-
-/// Sums up how long commands and replies are on the wire.
+/// How long commands, and replies, have been on the wire: nanoseconds in all, and how many they were.
 #[derive(Clone, Default)]
-struct Traffic(Arc<Mutex<Sums>>);
-
-#[derive(Default)]
-struct Sums {
-    command_ns: u64,
-    commands: u64,
-    reply_ns: u64,
-    replies: u64,
-}
+struct Traffic(Arc<Mutex<[(u64, u64); 2]>>);
 
 impl Traffic {
     fn watch<B: Medium>(world: &World<B>) -> Self {
         let traffic = Self::default();
-        let sums = Arc::clone(&traffic.0);
+        let notes = traffic.clone();
         world.observe(move |record| {
             if let trace::Event::Carried { started_ns, .. } = record.event {
-                let mut sums = sums.lock().unwrap_or_else(PoisonError::into_inner);
-                let span = record.at_ns - started_ns;
                 // The drives are attached first, the master last.
-                if record.station.index() < usize::from(MOTORS) {
-                    sums.reply_ns += span;
-                    sums.replies += 1;
-                } else {
-                    sums.command_ns += span;
-                    sums.commands += 1;
-                }
+                let is_reply = record.station.index() < usize::from(MOTORS);
+                let (ns, count) = &mut notes.lock()[usize::from(is_reply)];
+                *ns += record.at_ns - started_ns;
+                *count += 1;
             }
         });
         traffic
     }
 
-    fn restart(&self) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Sums::default();
+    fn lock(&self) -> MutexGuard<'_, [(u64, u64); 2]> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn mean(&self) -> Mean {
-        let sums = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let mean = |ns: u64, count: u64| ns as f64 / 1e9 / count.max(1) as f64;
-        Mean {
-            command: mean(sums.command_ns, sums.commands),
-            reply: mean(sums.reply_ns, sums.replies),
-        }
+    fn restart(&self) {
+        *self.lock() = Default::default();
+    }
+
+    /// The means in seconds.
+    fn means(&self) -> [f64; 2] {
+        self.lock().map(|(ns, count)| ns as f64 / 1e9 / count.max(1) as f64)
     }
 }
 
 /// A motor's next command follows its reply, and the wire carries one frame at a time with a pause of
 /// three bits after each.
-fn bound_on_can(motors: MotorSet, mean: &Mean) -> f64 {
+fn bound_on_can(motors: MotorSet, [command, reply]: [f64; 2]) -> f64 {
     let pause = 3.0 / f64::from(BIT_RATE);
-    let wire = mean.command + mean.reply + 2.0 * pause;
+    let wire = command + reply + 2.0 * pause;
     let response = RESPONSE.as_micros() as f64 / 1e6;
     1.0 / (wire * motors.len() as f64).max(wire + response)
 }
 
 /// One exchange at a time on the whole line, the drives' response and turning around included.
-fn bound_on_rs485(motors: MotorSet, mean: &Mean) -> f64 {
+fn bound_on_rs485(motors: MotorSet, [command, reply]: [f64; 2]) -> f64 {
     let turnaround = match Config::rs485(BIT_RATE, false).bus {
         Bus::Rs485 { turnaround, .. } => turnaround,
         Bus::Can => Duration::ZERO,
     };
     let waiting = (RESPONSE + turnaround).as_micros() as f64 / 1e6;
-    1.0 / ((mean.command + waiting + mean.reply) * motors.len() as f64)
+    1.0 / ((command + waiting + reply) * motors.len() as f64)
 }

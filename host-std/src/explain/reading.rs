@@ -1,6 +1,5 @@
 //! Reads a frame as a command, as a reply, or as whichever it must be.
 
-use std::fmt;
 use std::str::FromStr;
 
 use embedded_can::Frame as _;
@@ -13,7 +12,7 @@ use myactuator_protocol_core::{
 };
 
 use super::explanation::{Decoded, Explanation, FrameDirection, FrameKind, LOST_MASTER, Reading};
-use crate::{BusKind, text};
+use crate::{BusKind, Unexpected, text};
 
 /// Who sent a frame, for those who know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -37,25 +36,12 @@ impl Sender {
     }
 }
 
-/// Text that names neither a command nor a reply.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NotASender(String);
-
-impl fmt::Display for NotASender {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [master, motor] = Sender::ALL.map(Sender::name);
-        write!(f, "expected {master} or {motor}, found {:?}", self.0)
-    }
-}
-
-impl std::error::Error for NotASender {}
-
 impl FromStr for Sender {
-    type Err = NotASender;
+    type Err = Unexpected;
 
-    fn from_str(text: &str) -> Result<Self, NotASender> {
+    fn from_str(text: &str) -> Result<Self, Unexpected> {
         let known = Self::ALL.into_iter().find(|sender| sender.name() == text);
-        known.ok_or_else(|| NotASender(text.to_owned()))
+        known.ok_or_else(|| Unexpected::new("command or reply", text))
     }
 }
 

@@ -51,7 +51,7 @@ use interface_end::InterfaceEnd;
 use line_end::LineEnd;
 use pty::Pty;
 
-pub use planned_fault::{Chance, FaultKind, NotAFault, PlannedFault};
+pub use planned_fault::{Chance, FaultKind, PlannedFault};
 
 /// The longest wait: drives move, and simulated time must not fall behind.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);

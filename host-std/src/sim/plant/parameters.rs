@@ -469,28 +469,23 @@ mod tests {
 
     #[test]
     fn figures_out_of_range_are_refused() {
-        for (from, to, key) in [
-            ("ratio = 19.612", "ratio = 0", "gear.ratio"),
-            ("ratio = 19.612", "ratio = nan", "gear.ratio"),
-            ("ratio = 19.612", "ratio = inf", "gear.ratio"),
-            (
-                "rotor_inertia_kg_m2 = 6.6e-5",
-                "rotor_inertia_kg_m2 = 0",
-                "motor.rotor_inertia_kg_m2",
-            ),
-            (
-                "rotor_inertia_kg_m2 = 6.6e-5",
-                "rotor_inertia_kg_m2 = -6.6e-5",
-                "motor.rotor_inertia_kg_m2",
-            ),
-            ("bits = 17", "bits = 40", "encoder.bits"),
+        let (ratio, inertia) = ("ratio = 19.612", "rotor_inertia_kg_m2 = 6.6e-5");
+        for (figure, value, table) in [
+            (ratio, "0", "gear"),
+            (ratio, "nan", "gear"),
+            (ratio, "inf", "gear"),
+            (inertia, "0", "motor"),
+            (inertia, "-6.6e-5", "motor"),
+            ("bits = 17", "40", "encoder"),
         ] {
-            let error = edited(from, to).unwrap_err();
+            let name = figure.split(' ').next().unwrap();
+            let (wrong, full) = (format!("{name} = {value}"), format!("{table}.{name}"));
+            let error = edited(figure, &wrong).unwrap_err();
             assert!(
-                matches!(error, ParameterError::OutOfRange { key: found, .. } if found == key),
-                "{to}: {error}"
+                matches!(error, ParameterError::OutOfRange { key, .. } if key == full),
+                "{wrong}: {error}"
             );
-            assert!(error.to_string().starts_with(key), "{error}");
+            assert!(error.to_string().starts_with(&full), "{error}");
         }
     }
 

@@ -2,6 +2,8 @@
 
 use std::str::FromStr;
 
+use crate::Unexpected;
+
 /// The bit rates that adapters know, from the slowest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Rate {
@@ -54,21 +56,16 @@ impl Rate {
     }
 }
 
-/// Text that is no bit rate of [`Rate`].
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "expected a bit rate that SLCAN adapters know ({known}), found \"{0}\"",
-    known = Rate::ALL.map(|rate| rate.bits_per_second().to_string()).join(", ")
-)]
-pub struct NotARate(String);
-
 /// From its number of bit/s in decimal digits.
 impl FromStr for Rate {
-    type Err = NotARate;
+    type Err = Unexpected;
 
-    fn from_str(text: &str) -> Result<Self, NotARate> {
+    fn from_str(text: &str) -> Result<Self, Unexpected> {
         let known = Self::ALL.into_iter().find(|rate| rate.bits_per_second().to_string() == text);
-        known.ok_or_else(|| NotARate(text.to_owned()))
+        known.ok_or_else(|| {
+            let rates = Self::ALL.map(|rate| rate.bits_per_second().to_string()).join(", ");
+            Unexpected::new(format!("a bit rate that SLCAN adapters know ({rates})"), text)
+        })
     }
 }
 
@@ -82,7 +79,7 @@ mod tests {
             assert_eq!(rate.bits_per_second().to_string().parse(), Ok(rate));
         }
         for text in ["", "1000", "+500000", "0500000", "500 000", "fast"] {
-            assert_eq!(text.parse::<Rate>(), Err(NotARate(text.to_owned())));
+            assert_eq!(text.parse::<Rate>().unwrap_err().found, text);
         }
     }
 }

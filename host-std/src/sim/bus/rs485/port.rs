@@ -60,12 +60,12 @@ fn read(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &mut [u8]) -> Optio
         }
         count += 1;
     }
-    (count > 0).then_some(count)
+    (count > 0 || buf.is_empty()).then_some(count)
 }
 
 fn write(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &[u8]) -> Option<usize> {
     let count = buf.len().min(kernel.bus.room(station));
-    // Without room this notes that somebody waits for some.
+    // Without room this notes that somebody waits for some. Nothing finds room always.
     let message = if count == 0 { buf } else { &buf[..count] };
     kernel.submit(station, message.to_vec()).then_some(count)
 }
@@ -122,18 +122,12 @@ impl WriteReady for SerialPort {
 
 impl Read for SerialPort {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, SerialError> {
-        if buf.is_empty() {
-            return Ok(0);
-        }
         self.wait(|kernel| read(kernel, self.station.0, buf))
     }
 }
 
 impl Write for SerialPort {
     fn write(&mut self, buf: &[u8]) -> Result<usize, SerialError> {
-        if buf.is_empty() {
-            return Ok(0);
-        }
         self.wait(|kernel| write(kernel, self.station.0, buf))
     }
 
@@ -145,9 +139,6 @@ impl Write for SerialPort {
 
 impl embedded_io_async::Read for SerialPort {
     async fn read(&mut self, buf: &mut [u8]) -> Result<usize, SerialError> {
-        if buf.is_empty() {
-            return Ok(0);
-        }
         let station = self.station;
         Ok(self.world.until_change(station, |kernel| read(kernel, station.0, buf)).await)
     }
@@ -155,9 +146,6 @@ impl embedded_io_async::Read for SerialPort {
 
 impl embedded_io_async::Write for SerialPort {
     async fn write(&mut self, buf: &[u8]) -> Result<usize, SerialError> {
-        if buf.is_empty() {
-            return Ok(0);
-        }
         let station = self.station;
         Ok(self.world.until_change(station, |kernel| write(kernel, station.0, buf)).await)
     }
