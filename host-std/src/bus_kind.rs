@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::Unexpected;
+
 /// The two buses that the protocol runs on (manual 1.1, 1.2).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum BusKind {
@@ -32,24 +34,11 @@ impl fmt::Display for BusKind {
     }
 }
 
-/// Text that is the name of neither bus.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NotABus(String);
-
-impl fmt::Display for NotABus {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [can, rs485] = BusKind::ALL;
-        write!(f, "expected {can} or {rs485}, found {:?}", self.0)
-    }
-}
-
-impl std::error::Error for NotABus {}
-
 impl FromStr for BusKind {
-    type Err = NotABus;
+    type Err = Unexpected;
 
-    fn from_str(text: &str) -> Result<Self, NotABus> {
+    fn from_str(text: &str) -> Result<Self, Unexpected> {
         let known = Self::ALL.into_iter().find(|bus| bus.name() == text);
-        known.ok_or_else(|| NotABus(text.to_owned()))
+        known.ok_or_else(|| Unexpected::new("can or rs485", text))
     }
 }

@@ -16,7 +16,7 @@
 //!
 //! | feature | what it adds | which crates it pulls |
 //! |---|---|---|
-//! | (none) | [`text`], [`BusKind`] and [`protocol`] | embedded-can |
+//! | (none) | [`text`], [`BusKind`] and [`protocol`] | embedded-can, thiserror |
 //! | `explain` | [`explain`] | serde_json |
 //! | `port` | [`port`] | socketcan, serial2, rustix, embedded-io, nb |
 //! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io, nb |
@@ -39,9 +39,11 @@ pub mod serve;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod text;
+mod unexpected;
 
-pub use bus_kind::{BusKind, NotABus};
+pub use bus_kind::BusKind;
 /// The protocol itself, [`myactuator_protocol_core`]: who depends on this crate needs no dependency
 /// on that, and cannot get another version of it.
 #[doc(no_inline)]
 pub use myactuator_protocol_core as protocol;
+pub use unexpected::Unexpected;

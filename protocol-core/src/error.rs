@@ -77,8 +77,8 @@ pub enum RequestError {
         /// How many it is made for.
         capacity: usize,
     },
-    /// The motors were stopped, and the command [may move](crate::Kind::may_move) one: it is refused
-    /// until the stop is lifted.
+    /// The motors were stopped, and the command
+    /// [is refused](crate::Kind::is_refused_while_stopped) until the stop is lifted.
     #[error("the motors were stopped: lift the stop first")]
     Stopped,
 }

@@ -13,7 +13,7 @@ use crate::firmware::Firmware;
 pub enum ReplyRule {
     /// With the same eight bytes: an acknowledgement. (An RS485 adapter's echo of one's own bytes is
     /// something else.)
-    Echo,
+    Same,
     /// With values of its own under the same command byte.
     Values,
     /// With the same eight bytes by the manual's text, but whatever value the reply carries
@@ -34,8 +34,6 @@ impl ReplyRule {
 
 /// What a second sending of the same command does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Repeat {
     /// Nothing more than the first: reads, stop and shutdown, brake, RAM writes.
     Harmless,
@@ -47,8 +45,6 @@ pub enum Repeat {
 
 /// On which buses a command exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Buses {
     /// CAN and RS485.
     Both,
@@ -58,8 +54,6 @@ pub enum Buses {
 
 /// Whom a command can be sent to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Reach {
     /// To one motor, or to [all](crate::Target::All) at once (2, 3, 6).
     OneOrAll,
@@ -71,8 +65,6 @@ pub enum Reach {
 
 /// What else a command can be used for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Usage {
     /// For nothing else.
     Plain,
@@ -92,17 +84,17 @@ macro_rules! opcode_table {
     // whom it reaches, what else it is used for, which firmware has it
 
     /// One of seven special functions.
-    FunctionControl = 0x20, "function-control", "2.35", Echo, 1, ActsAgain, Both, OneOrAll, Plain, any;
+    FunctionControl = 0x20, "function-control", "2.35", Same, 1, ActsAgain, Both, OneOrAll, Plain, any;
     /// Read one gain of a control loop.
     ReadPid = 0x30, "read-pid", "2.1", Values, 1, Harmless, Both, OneOrAll, Plain, any;
     /// Write one gain, until power-off or reset.
-    WritePidRam = 0x31, "write-pid-ram", "2.2", Echo, 1, Harmless, Both, OneOrAll, Plain, any;
+    WritePidRam = 0x31, "write-pid-ram", "2.2", Same, 1, Harmless, Both, OneOrAll, Plain, any;
     /// Write one gain for good.
-    WritePidRom = 0x32, "write-pid-rom", "2.3", Echo, 1, ActsAgain, Both, OneOrAll, Plain, any;
+    WritePidRom = 0x32, "write-pid-rom", "2.3", Same, 1, ActsAgain, Both, OneOrAll, Plain, any;
     /// Read one of the four planning accelerations.
     ReadAcceleration = 0x42, "read-acceleration", "2.4", Values, 1, Harmless, Both, OneOrAll, Plain, any;
     /// Write one of the four planning accelerations for good.
-    WriteAcceleration = 0x43, "write-acceleration", "2.5", Echo, 1, ActsAgain, Both, OneOrAll, Plain, any;
+    WriteAcceleration = 0x43, "write-acceleration", "2.5", Same, 1, ActsAgain, Both, OneOrAll, Plain, any;
     /// Read the multi-turn encoder position, less its zero offset.
     ReadMultiTurnEncoder = 0x60, "read-multi-turn-encoder", "2.6", Values, none, Harmless, Both, OneOrAll, Report, any;
     /// Read the multi-turn encoder position without its zero offset.
@@ -110,7 +102,7 @@ macro_rules! opcode_table {
     /// Read the zero offset of the multi-turn encoder.
     ReadMultiTurnEncoderOffset = 0x62, "read-multi-turn-encoder-offset", "2.8", Values, none, Harmless, Both, OneOrAll, Report, any;
     /// Make a given encoder position the zero, after a restart.
-    SetEncoderZero = 0x63, "set-encoder-zero", "2.9", Echo, none, ActsAgain, Both, OneOrAll, Plain, any;
+    SetEncoderZero = 0x63, "set-encoder-zero", "2.9", Same, none, ActsAgain, Both, OneOrAll, Plain, any;
     /// Make the current position the zero, after a restart.
     SetCurrentPositionZero = 0x64, "set-current-position-zero", "2.10", Values, none, ActsAgain, Both, OneOrAll, Plain, any;
     /// Read which control loop runs.
@@ -118,15 +110,15 @@ macro_rules! opcode_table {
     /// Restart the drive.
     Reset = 0x76, "reset", "2.26", Silent, none, ActsAgain, Both, OneOrAll, Plain, any;
     /// Open the brake.
-    ReleaseBrake = 0x77, "release-brake", "2.27", Echo, none, Harmless, Both, OneOrAll, Plain, any;
+    ReleaseBrake = 0x77, "release-brake", "2.27", Same, none, Harmless, Both, OneOrAll, Plain, any;
     /// Close the brake.
-    LockBrake = 0x78, "lock-brake", "2.28", Echo, none, Harmless, Both, OneOrAll, Plain, any;
+    LockBrake = 0x78, "lock-brake", "2.28", Same, none, Harmless, Both, OneOrAll, Plain, any;
     /// Read or set the motor id of whatever is connected.
     BusId = 0x79, "bus-id", "4", Values, 2, ActsAgain, Both, Connected, Plain, V4_3;
     /// Switch the output off and leave every control mode.
-    Shutdown = 0x80, "shutdown", "2.17", Echo, none, Harmless, Both, OneOrAll, Plain, any;
+    Shutdown = 0x80, "shutdown", "2.17", Same, none, Harmless, Both, OneOrAll, Plain, any;
     /// Stop and hold still.
-    Stop = 0x81, "stop", "2.18", Echo, none, Harmless, Both, OneOrAll, Plain, any;
+    Stop = 0x81, "stop", "2.18", Same, none, Harmless, Both, OneOrAll, Plain, any;
     /// Read the single-turn encoder (direct-drive motors).
     ReadSingleTurnEncoder = 0x90, "read-single-turn-encoder", "2.11", Values, none, Harmless, Both, OneOrAll, Plain, V4_3;
     /// Read the multi-turn angle of the output shaft.
@@ -411,21 +403,6 @@ pub const LOST_MASTER_BYTE: u8 = 0xF1;
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_byte_leads_back_to_its_row() {
-        for &opcode in Opcode::ALL {
-            for &firmware in Firmware::ALL {
-                if let Some(byte) = opcode.byte() {
-                    let found = Opcode::of_firmware(firmware, byte);
-                    assert_eq!(found == Some(opcode), opcode.is_in(firmware), "{opcode:?}");
-                }
-            }
-            assert_eq!(opcode.name().parse(), Ok(opcode));
-        }
-        assert_eq!(Opcode::from_byte(LOST_MASTER_BYTE), None);
-        assert_eq!(Opcode::try_from(0x94), Ok(Opcode::ReadSingleTurnAngle));
-    }
 
     #[test]
     fn what_follows_from_a_byte_is_the_same_in_every_firmware() {

@@ -45,7 +45,7 @@ fn every_kind_is_answered_by_its_rule() {
         let opcode = command.opcode().unwrap();
         let reply = Bench::default().send(command);
         match opcode.reply_rule() {
-            ReplyRule::Echo | ReplyRule::Acknowledge => {
+            ReplyRule::Same | ReplyRule::Acknowledge => {
                 assert_eq!(reply, Some(command.encode()), "{opcode}");
             }
             ReplyRule::Values => {

@@ -46,7 +46,7 @@ fn motor(parameters: MotorParameters) -> SimulatedMotor {
 /// A motor with a load that no torque moves.
 fn held(parameters: MotorParameters) -> SimulatedMotor {
     let mut m = motor(parameters);
-    m.set_load(Load::NONE.with_inertia_kg_m2(1e6)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 1e6, ..Load::NONE }).unwrap();
     m
 }
 
@@ -100,7 +100,7 @@ fn a_free_shaft_keeps_its_speed() {
 #[test]
 fn the_load_adds_its_inertia() {
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_inertia_kg_m2(0.3)).unwrap();
+    m.set_load(Load { inertia_kg_m2: 0.3, ..Load::NONE }).unwrap();
     close(m.inertia_kg_m2(), 0.4, 1e-12);
     m.advance(&amps(2.0), MS.times(200));
     close(speed(&m), 4.0 * 0.2 / 0.4, 1e-9);
@@ -181,7 +181,7 @@ fn the_gear_loses_torque_in_proportion() {
 #[test]
 fn a_constant_load_pulls() {
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_torque_nm(-3.0)).unwrap();
+    m.set_load(Load { torque_nm: -3.0, ..Load::NONE }).unwrap();
     m.advance(&OFF, MS.times(100));
     close(speed(&m), -3.0, 1e-9);
 }
@@ -191,7 +191,7 @@ fn a_constant_load_pulls() {
 fn a_spring_oscillates_at_its_frequency_and_keeps_its_energy() {
     let spring = SpringStop { at_deg: 0.0, stiffness_nm_per_rad: 40.0 };
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_upper_stop(spring).with_lower_stop(spring)).unwrap();
+    m.set_load(Load { upper_stop: Some(spring), lower_stop: Some(spring), ..Load::NONE }).unwrap();
     m.set_output_angle_deg(30.0).unwrap();
     let start = angle(&m);
     let energy = 0.5 * 40.0 * start * start;
@@ -222,7 +222,7 @@ fn a_spring_oscillates_at_its_frequency_and_keeps_its_energy() {
 fn a_stop_throws_back() {
     let stop = SpringStop { at_deg: 45.0, stiffness_nm_per_rad: 1000.0 };
     let mut m = motor(ideal());
-    m.set_load(Load::NONE.with_upper_stop(stop)).unwrap();
+    m.set_load(Load { upper_stop: Some(stop), ..Load::NONE }).unwrap();
     m.set_output_speed_dps(180.0).unwrap();
     let mut deepest: f64 = 0.0;
     let mut touching = 0;
@@ -242,7 +242,7 @@ fn a_stop_throws_back() {
 fn a_motor_leaning_on_a_stop_comes_to_rest() {
     let stop = SpringStop { at_deg: 10.0, stiffness_nm_per_rad: 200.0 };
     let mut m = motor(with_friction(0.0, 0.0, 2.0));
-    m.set_load(Load::NONE.with_upper_stop(stop)).unwrap();
+    m.set_load(Load { upper_stop: Some(stop), ..Load::NONE }).unwrap();
     m.advance(&amps(2.0), Duration::from_secs(5));
     close(angle(&m), 10_f64.to_radians() + 4.0 / 200.0, 1e-6);
 }
@@ -416,9 +416,12 @@ fn energy_balances() {
     let stop = SpringStop { at_deg: 60.0, stiffness_nm_per_rad: 300.0 };
     let weight_nm = -1.0;
     let inertia = 0.05;
-    m.set_load(
-        Load::NONE.with_torque_nm(weight_nm).with_inertia_kg_m2(inertia).with_upper_stop(stop),
-    )
+    m.set_load(Load {
+        torque_nm: weight_nm,
+        inertia_kg_m2: inertia,
+        upper_stop: Some(stop),
+        ..Load::NONE
+    })
     .unwrap();
 
     let dt = 1e-4;
@@ -510,7 +513,7 @@ fn any_split_of_the_time_gives_the_same_bits() {
     let run = |portion_us: u64| {
         let mut m = motor(MotorParameters::named("RMD-X6-P20-60").unwrap());
         let stop = SpringStop { at_deg: 200.0, stiffness_nm_per_rad: 400.0 };
-        m.set_load(Load::NONE.with_torque_nm(-1.0).with_upper_stop(stop)).unwrap();
+        m.set_load(Load { torque_nm: -1.0, upper_stop: Some(stop), ..Load::NONE }).unwrap();
         let mut left_us = 1_000_000;
         let mut last = Measurement::default();
         while left_us > 0 {

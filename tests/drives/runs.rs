@@ -252,7 +252,7 @@ fn stall() {
     let fleet = one_drive(true);
     let drive = &fleet.drives[0];
     drive.with(|drive| {
-        drive.plant_mut().set_load(Load::NONE.with_upper_stop(STOP)).unwrap();
+        drive.plant_mut().set_load(Load { upper_stop: Some(STOP), ..Load::NONE }).unwrap();
     });
     let model = drive.with(|drive| drive.plant().parameters().clone());
     let motor_nm = model.air_gap_constant_nm_per_a() * f64::from(RATED_A);

@@ -213,14 +213,14 @@ fn the_reply_rules_are_those_that_the_examples_show() {
     for opcode in of_firmware(Firmware::V4_3) {
         if WITHOUT_EXAMPLE.contains(&opcode) {
             // The reply is the same as the command (2.18.3, 2.27.3, 2.28.3).
-            assert_eq!(opcode.reply_rule(), ReplyRule::Echo, "{opcode}");
+            assert_eq!(opcode.reply_rule(), ReplyRule::Same, "{opcode}");
             continue;
         }
         let of_kind: Vec<_> =
             exchanges.iter().filter(|(command, _)| command.name == opcode.name()).collect();
         let same = of_kind.iter().filter(|(command, reply)| command.data() == reply.data()).count();
         match opcode.reply_rule() {
-            ReplyRule::Echo => {
+            ReplyRule::Same => {
                 assert!(!of_kind.is_empty(), "{opcode}: no reply in the manual");
                 assert_eq!(same, of_kind.len(), "{opcode}: a reply differs from its command");
             }

@@ -6,9 +6,10 @@ use myactuator_host_std::sim::bus::faults::FaultPlan;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience};
+use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
 use myactuator_protocol_core::time::Duration;
 use myactuator_tests::rig::{Angle, Rig};
+use myactuator_tests::values::id;
 use myactuator_tests::wire::Wire;
 
 #[derive(Clone, Copy, Debug)]
@@ -159,4 +160,21 @@ fn every_frame_that_a_cut_wire_swallows_is_a_loss() {
         // At 0 % each wire is cut and never mended.
         assert!(run_on_both(case) > 0, "{case:?}");
     }
+}
+
+#[test]
+fn a_motor_that_is_not_there_is_late_and_then_silent() {
+    let mut rig = Rig::<CanBus>::new(2, 1);
+    rig.world.cut(rig.nodes[0]);
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let mut presence = Vec::new();
+    for token in 0..4 {
+        let read = Angle { index: 0, token };
+        assert!(rig.runner.call_with(id(1), read, Some(once), |_| {}).is_err());
+        presence.push(rig.runner.master().health(id(1)).presence);
+    }
+    assert_eq!(presence, [Presence::Late, Presence::Late, Presence::Silent, Presence::Silent]);
+    rig.world.mend(rig.nodes[0]);
+    assert!(rig.runner.ask(id(1), Angle { index: 0, token: 9 }).is_ok());
+    assert_eq!(rig.runner.master().health(id(1)).presence, Presence::Present);
 }

@@ -143,10 +143,16 @@ pub(super) fn check_bus(kind: Kind, bus: BusKind) -> Parsed<()> {
 /// Refuses a command that a firmware does not have.
 pub(super) fn check_firmware(opcode: Opcode, firmware: Firmware) -> Parsed<()> {
     if opcode.is_in(firmware) {
-        Ok(())
-    } else {
-        Err(format!("--firmware: {firmware} has no {opcode}"))
+        return Ok(());
     }
+    Err(format!("--firmware: {}", lacks(opcode, firmware)))
+}
+
+/// That a firmware does not have a command, and which it has instead.
+pub(super) fn lacks(opcode: Opcode, firmware: Firmware) -> String {
+    let instead = opcode.byte().and_then(|byte| Opcode::of_firmware(firmware, byte));
+    let instead = instead.map_or(String::new(), |other| format!(": take {}", other.name()));
+    format!("{firmware} has no {opcode}{instead}")
 }
 
 pub(super) fn firmware(text: &str) -> Parsed<Firmware> {

@@ -1,6 +1,5 @@
 //! Reads a frame as a command, as a reply, or as whichever it must be.
 
-use std::fmt;
 use std::str::FromStr;
 
 use embedded_can::Frame as _;
@@ -13,7 +12,7 @@ use myactuator_protocol_core::{
 };
 
 use super::explanation::{Decoded, Explanation, FrameDirection, FrameKind, LOST_MASTER, Reading};
-use crate::{BusKind, text};
+use crate::{BusKind, Unexpected, text};
 
 /// Who sent a frame, for those who know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -37,25 +36,12 @@ impl Sender {
     }
 }
 
-/// Text that names neither a command nor a reply.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NotASender(String);
-
-impl fmt::Display for NotASender {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [master, motor] = Sender::ALL.map(Sender::name);
-        write!(f, "expected {master} or {motor}, found {:?}", self.0)
-    }
-}
-
-impl std::error::Error for NotASender {}
-
 impl FromStr for Sender {
-    type Err = NotASender;
+    type Err = Unexpected;
 
-    fn from_str(text: &str) -> Result<Self, NotASender> {
+    fn from_str(text: &str) -> Result<Self, Unexpected> {
         let known = Self::ALL.into_iter().find(|sender| sender.name() == text);
-        known.ok_or_else(|| NotASender(text.to_owned()))
+        known.ok_or_else(|| Unexpected::new("command or reply", text))
     }
 }
 
@@ -81,14 +67,7 @@ impl Explainer {
         let raw = text::can::frame(frame);
         let none = |sentence| Explanation::no_frame(BusKind::Can, raw.clone(), sentence);
         match can::decode(frame) {
-            Received::Packet(packet) => {
-                let possible = match packet.channel {
-                    Channel::Command(_) | Channel::Motion(_) => Possible::Command(packet),
-                    Channel::Reply(_) | Channel::MotionReply(_) => Possible::Reply(packet),
-                    Channel::BusId => Possible::by(self.sender, packet, packet),
-                };
-                self.packet(raw, BusKind::Can, possible)
-            }
+            Received::Packet(packet) => self.possible(raw, BusKind::Can, self.by_channel(packet)),
             Received::WrongLength { channel, length, first } => {
                 let lost_master = if first == Some(LOST_MASTER_BYTE) { LOST_MASTER } else { "" };
                 let bytes = if length == 1 { "byte" } else { "bytes" };
@@ -129,11 +108,24 @@ impl Explainer {
             Some(reply) => Possible::by(self.sender, frame.as_command(), reply),
             None => Possible::Command(frame.as_command()),
         };
-        self.packet(raw, BusKind::Rs485, possible)
+        self.possible(raw, BusKind::Rs485, possible)
+    }
+
+    /// What a packet says, as the frame that carries it on this bus; `None` where that has none for it.
+    pub fn packet(&self, bus: BusKind, packet: &Packet) -> Option<Explanation> {
+        Some(self.possible(text::packet(bus, packet)?, bus, self.by_channel(*packet)))
+    }
+
+    fn by_channel(&self, packet: Packet) -> Possible {
+        match packet.channel {
+            Channel::Command(_) | Channel::Motion(_) => Possible::Command(packet),
+            Channel::Reply(_) | Channel::MotionReply(_) => Possible::Reply(packet),
+            Channel::BusId => Possible::by(self.sender, packet, packet),
+        }
     }
 
     /// Explains a packet by its possible readings.
-    fn packet(&self, raw: String, bus: BusKind, possible: Possible) -> Explanation {
+    fn possible(&self, raw: String, bus: BusKind, possible: Possible) -> Explanation {
         let packet = *possible.packet();
         let (id, _) = addressed(packet.channel);
         let kind = match packet.channel {

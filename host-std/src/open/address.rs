@@ -6,8 +6,8 @@ use std::str::FromStr;
 
 use myactuator_protocol_core::master::Config;
 
-use crate::BusKind;
-use crate::text::slcan::{NotARate, Rate};
+use crate::text::slcan::Rate;
+use crate::{BusKind, Unexpected};
 
 /// The longest name that Linux gives to a network interface.
 const LONGEST_INTERFACE: usize = 15;
@@ -37,7 +37,7 @@ const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 ///
 /// let bus: BusAddress = "rs485:/dev/ttyUSB0@115200,echo".parse()?;
 /// assert_eq!(bus.to_string(), "rs485:/dev/ttyUSB0@115200,echo");
-/// # Ok::<(), myactuator_host_std::open::NotAnAddress>(())
+/// # Ok::<(), myactuator_host_std::Unexpected>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum BusAddress {
@@ -75,10 +75,14 @@ impl BusAddress {
     /// The bit rate of an RS485 line as it stands in an address, in bit/s.
     ///
     /// # Errors
-    /// [`NotAnAddress::LineRate`].
-    pub fn line_rate(text: &str) -> Result<u32, NotAnAddress> {
+    /// [`Unexpected`]: no rate that a serial line has.
+    pub fn line_rate(text: &str) -> Result<u32, Unexpected> {
         let rate = decimal(text).filter(|rate| LINE_RATES.contains(rate));
-        rate.ok_or_else(|| NotAnAddress::LineRate(text.to_owned()))
+        rate.ok_or_else(|| {
+            let (slowest, fastest) = LINE_RATES.into_inner();
+            let rates = format!("a bit rate from {slowest} to {fastest} bit/s such as 115200");
+            Unexpected::new(rates, text)
+        })
     }
 
     /// Whether the motors on it are simulated.
@@ -139,105 +143,41 @@ impl fmt::Display for BusAddress {
 }
 
 const SIMULATED: &str = "sim";
-
-/// Text that names no bus.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum NotAnAddress {
-    /// Nothing at all.
-    Empty,
-    /// A word before the colon that is no kind of bus.
-    Kind(String),
-    /// No number of motors, or not 1 to 32.
-    Motors(String),
-    /// No name that a network interface can have.
-    Interface(String),
-    /// The path of the serial port, or the `@` and the bit rate behind it, is missing.
-    Port {
-        /// `"slcan"` or `"rs485"`.
-        kind: &'static str,
-        /// What stands behind the colon.
-        found: String,
-    },
-    /// A bit rate that SLCAN adapters do not know.
-    CanRate(NotARate),
-    /// A bit rate that no serial line has.
-    LineRate(String),
-    /// A word behind the comma that is no option.
-    Option {
-        /// The option that there is, `"echo"` or `"rs485"`.
-        expected: &'static str,
-        /// What stands behind the comma.
-        found: String,
-    },
-}
-
-impl fmt::Display for NotAnAddress {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const EXAMPLES: &str =
-            "sim:4, can0, slcan:/dev/ttyACM0@1000000 or rs485:/dev/ttyUSB0@115200";
-        match self {
-            Self::Empty => write!(f, "expected a bus such as {EXAMPLES}, found nothing"),
-            Self::Kind(found) => write!(f, "expected a bus such as {EXAMPLES}, found \"{found}\""),
-            Self::Motors(found) => write!(
-                f,
-                "expected a number of simulated motors from 1 to {MOST_MOTORS} behind \"sim:\", found \"{found}\""
-            ),
-            Self::Interface(found) => write!(
-                f,
-                "expected the name of a CAN interface such as can0, up to {LONGEST_INTERFACE} characters without '/', ':' and spaces, found \"{found}\""
-            ),
-            Self::Port { kind, found } => {
-                let rate = if *kind == "slcan" { "1000000" } else { "115200" };
-                write!(
-                    f,
-                    "expected a serial port and a bit rate such as {kind}:/dev/ttyUSB0@{rate}, found \"{kind}:{found}\""
-                )
-            }
-            Self::CanRate(error) => error.fmt(f),
-            Self::LineRate(found) => write!(
-                f,
-                "expected a bit rate from {} to {} bit/s such as 115200, found \"{found}\"",
-                LINE_RATES.start(),
-                LINE_RATES.end()
-            ),
-            Self::Option { expected, found } => {
-                write!(f, "expected \"{expected}\" or no comma, found \",{found}\"")
-            }
-        }
-    }
-}
-
-impl std::error::Error for NotAnAddress {}
+const EXAMPLES: &str = "sim:4, can0, slcan:/dev/ttyACM0@1000000 or rs485:/dev/ttyUSB0@115200";
 
 impl FromStr for BusAddress {
-    type Err = NotAnAddress;
+    type Err = Unexpected;
 
-    fn from_str(text: &str) -> Result<Self, NotAnAddress> {
+    fn from_str(text: &str) -> Result<Self, Unexpected> {
+        let not_a_bus = || Unexpected::new(format!("a bus such as {EXAMPLES}"), text);
         match text.split_once(':') {
-            None if text.is_empty() => Err(NotAnAddress::Empty),
+            None if text.is_empty() => Err(not_a_bus()),
             None if text == SIMULATED => {
                 Ok(Self::Simulated { motors: USUAL_MOTORS, kind: BusKind::Can })
             }
-            None if text.contains('/') => Err(NotAnAddress::Kind(text.to_owned())),
+            None if text.contains('/') => Err(not_a_bus()),
             None => socket_can(text),
             Some((SIMULATED, motors)) => simulated(motors),
             Some(("can", interface)) => socket_can(interface),
             Some(("slcan", port)) => slcan(port),
             Some(("rs485", port)) => rs485(port),
-            Some(_) => Err(NotAnAddress::Kind(text.to_owned())),
+            Some(_) => Err(not_a_bus()),
         }
     }
 }
 
-fn simulated(motors: &str) -> Result<BusAddress, NotAnAddress> {
+fn simulated(motors: &str) -> Result<BusAddress, Unexpected> {
     let (motors, kind) = match motors.split_once(',') {
         None => (motors, BusKind::Can),
         Some((motors, "rs485")) => (motors, BusKind::Rs485),
         Some((_, found)) => {
-            return Err(NotAnAddress::Option { expected: "rs485", found: found.to_owned() });
+            return Err(not_an_option("rs485", found));
         }
     };
-    let wrong = || NotAnAddress::Motors(motors.to_owned());
+    let wrong = || {
+        let count = format!("a number of simulated motors from 1 to {MOST_MOTORS} behind \"sim:\"");
+        Unexpected::new(count, motors)
+    };
     let motors = decimal(motors).and_then(|motors| u8::try_from(motors).ok()).ok_or_else(wrong)?;
     if (1..=MOST_MOTORS).contains(&motors) {
         Ok(BusAddress::Simulated { motors, kind })
@@ -247,7 +187,7 @@ fn simulated(motors: &str) -> Result<BusAddress, NotAnAddress> {
 }
 
 /// As the kernel judges names.
-fn socket_can(interface: &str) -> Result<BusAddress, NotAnAddress> {
+fn socket_can(interface: &str) -> Result<BusAddress, Unexpected> {
     let forbidden = |c: char| c == '/' || c == ':' || c.is_whitespace() || c.is_control();
     let known = !interface.is_empty()
         && interface.len() <= LONGEST_INTERFACE
@@ -256,23 +196,25 @@ fn socket_can(interface: &str) -> Result<BusAddress, NotAnAddress> {
     if known {
         Ok(BusAddress::SocketCan { interface: interface.to_owned() })
     } else {
-        Err(NotAnAddress::Interface(interface.to_owned()))
+        let name = format!(
+            "the name of a CAN interface such as can0, up to {LONGEST_INTERFACE} characters without '/', ':' and spaces"
+        );
+        Err(Unexpected::new(name, interface))
     }
 }
 
-fn slcan(port: &str) -> Result<BusAddress, NotAnAddress> {
-    let (path, rate) = path_and_rate("slcan", port)?;
-    let rate = rate.parse().map_err(NotAnAddress::CanRate)?;
-    Ok(BusAddress::Slcan { path: path.into(), rate })
+fn slcan(port: &str) -> Result<BusAddress, Unexpected> {
+    let (path, rate) = path_and_rate("slcan", "1000000", port)?;
+    Ok(BusAddress::Slcan { path: path.into(), rate: rate.parse()? })
 }
 
-fn rs485(port: &str) -> Result<BusAddress, NotAnAddress> {
-    let (path, rate) = path_and_rate("rs485", port)?;
+fn rs485(port: &str) -> Result<BusAddress, Unexpected> {
+    let (path, rate) = path_and_rate("rs485", "115200", port)?;
     let (rate, echo) = match rate.split_once(',') {
         None => (rate, false),
         Some((rate, "echo")) => (rate, true),
         Some((_, found)) => {
-            return Err(NotAnAddress::Option { expected: "echo", found: found.to_owned() });
+            return Err(not_an_option("echo", found));
         }
     };
     let bit_rate = BusAddress::line_rate(rate)?;
@@ -281,13 +223,21 @@ fn rs485(port: &str) -> Result<BusAddress, NotAnAddress> {
 
 /// The last `@` divides, for paths may hold one.
 fn path_and_rate<'a>(
-    kind: &'static str,
+    kind: &str,
+    example: &str,
     port: &'a str,
-) -> Result<(&'a str, &'a str), NotAnAddress> {
+) -> Result<(&'a str, &'a str), Unexpected> {
     match port.rsplit_once('@') {
         Some((path, rate)) if !path.is_empty() => Ok((path, rate)),
-        _ => Err(NotAnAddress::Port { kind, found: port.to_owned() }),
+        _ => Err(Unexpected::new(
+            format!("a serial port and a bit rate such as {kind}:/dev/ttyUSB0@{example}"),
+            format!("{kind}:{port}"),
+        )),
     }
+}
+
+fn not_an_option(known: &str, found: &str) -> Unexpected {
+    Unexpected::new(format!("\"{known}\" or no comma"), format!(",{found}"))
 }
 
 /// Digits only: `u32`'s own parser takes a plus sign as well.
@@ -299,7 +249,7 @@ fn decimal(text: &str) -> Option<u32> {
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<BusAddress, NotAnAddress> {
+    fn parse(text: &str) -> Result<BusAddress, Unexpected> {
         text.parse()
     }
 
@@ -348,37 +298,42 @@ mod tests {
 
     #[test]
     fn what_names_no_bus_is_refused() {
-        use NotAnAddress as Not;
-        let can_rate = |text: &str| Not::CanRate(text.parse::<Rate>().unwrap_err());
-        for (text, why) in [
-            ("", Not::Empty),
-            ("/dev/ttyUSB0", Not::Kind("/dev/ttyUSB0".into())),
-            ("usb:can0", Not::Kind("usb:can0".into())),
-            ("sim:", Not::Motors(String::new())),
-            ("sim:0", Not::Motors("0".into())),
-            ("sim:33", Not::Motors("33".into())),
-            ("sim:+4", Not::Motors("+4".into())),
-            ("sim:260", Not::Motors("260".into())),
-            ("sim:,rs485", Not::Motors(String::new())),
-            ("sim:4,echo", Not::Option { expected: "rs485", found: "echo".into() }),
-            ("can:", Not::Interface(String::new())),
-            ("can 0", Not::Interface("can 0".into())),
-            ("..", Not::Interface("..".into())),
-            ("sixteen-letters0", Not::Interface("sixteen-letters0".into())),
-            ("slcan:/dev/ttyACM0", Not::Port { kind: "slcan", found: "/dev/ttyACM0".into() }),
-            ("rs485:@115200", Not::Port { kind: "rs485", found: "@115200".into() }),
-            ("slcan:/dev/ttyACM0@1500000", can_rate("1500000")),
-            ("slcan:/dev/ttyACM0@500000,echo", can_rate("500000,echo")),
-            ("rs485:/dev/ttyUSB0@", Not::LineRate(String::new())),
-            ("rs485:/dev/ttyUSB0@0", Not::LineRate("0".into())),
-            ("rs485:/dev/ttyUSB0@115200 ", Not::LineRate("115200 ".into())),
-            ("rs485:/dev/ttyUSB0@115200,", Not::Option { expected: "echo", found: String::new() }),
-            (
-                "rs485:/dev/ttyUSB0@115200,8n1",
-                Not::Option { expected: "echo", found: "8n1".into() },
-            ),
+        const BUS: &str = "a bus such as sim:4, can0, slcan";
+        const MOTORS: &str = "a number of simulated motors from 1 to 32 ";
+        const INTERFACE: &str = "the name of a CAN interface such as can0, up to 15 characters ";
+        const SLCAN: &str = "a serial port and a bit rate such as slcan:/dev/ttyUSB0@1000000";
+        const RS485: &str = "a serial port and a bit rate such as rs485:/dev/ttyUSB0@115200";
+        const CAN_RATE: &str = "a bit rate that SLCAN adapters know (10000, 20000, 50000, 100000, \
+                                125000, 250000, 500000, 800000, 1000000)";
+        const LINE_RATE: &str = "a bit rate from 1200 to 12000000 bit/s";
+        for (text, expected, found) in [
+            ("", BUS, ""),
+            ("/dev/ttyUSB0", BUS, "/dev/ttyUSB0"),
+            ("usb:can0", BUS, "usb:can0"),
+            ("sim:", MOTORS, ""),
+            ("sim:0", MOTORS, "0"),
+            ("sim:33", MOTORS, "33"),
+            ("sim:+4", MOTORS, "+4"),
+            ("sim:260", MOTORS, "260"),
+            ("sim:,rs485", MOTORS, ""),
+            ("sim:4,echo", "\"rs485\" or no comma", ",echo"),
+            ("can:", INTERFACE, ""),
+            ("can 0", INTERFACE, "can 0"),
+            ("..", INTERFACE, ".."),
+            ("sixteen-letters0", INTERFACE, "sixteen-letters0"),
+            ("slcan:/dev/ttyACM0", SLCAN, "slcan:/dev/ttyACM0"),
+            ("rs485:@115200", RS485, "rs485:@115200"),
+            ("slcan:/dev/ttyACM0@1500000", CAN_RATE, "1500000"),
+            ("slcan:/dev/ttyACM0@500000,echo", CAN_RATE, "500000,echo"),
+            ("rs485:/dev/ttyUSB0@", LINE_RATE, ""),
+            ("rs485:/dev/ttyUSB0@0", LINE_RATE, "0"),
+            ("rs485:/dev/ttyUSB0@115200 ", LINE_RATE, "115200 "),
+            ("rs485:/dev/ttyUSB0@115200,", "\"echo\" or no comma", ","),
+            ("rs485:/dev/ttyUSB0@115200,8n1", "\"echo\" or no comma", ",8n1"),
         ] {
-            assert_eq!(parse(text), Err(why), "{text:?}");
+            let error = parse(text).unwrap_err();
+            assert!(error.expected.starts_with(expected), "{text:?}: {error}");
+            assert_eq!(error.found, found, "{text:?}");
         }
     }
 
@@ -386,8 +341,7 @@ mod tests {
     fn the_rate_of_a_line_is_read_alone_as_in_an_address() {
         assert_eq!(BusAddress::line_rate("115200"), Ok(115_200));
         for text in ["115200,echo", "fast", "1199", "12000001", ""] {
-            let refused = Err(NotAnAddress::LineRate(text.to_owned()));
-            assert_eq!(BusAddress::line_rate(text), refused);
+            assert_eq!(BusAddress::line_rate(text).unwrap_err().found, text);
         }
     }
 
@@ -404,20 +358,5 @@ mod tests {
             assert_eq!((bus.kind(), bus.bit_rate()), (kind, rate), "{text}");
             assert_eq!(bus.is_simulated(), text.starts_with("sim"));
         }
-    }
-
-    #[test]
-    fn errors_tell_what_was_expected_and_found() {
-        let sentence = |text: &str| parse(text).unwrap_err().to_string();
-        assert_eq!(
-            sentence("slcan:/dev/ttyACM0@115200"),
-            "expected a bit rate that SLCAN adapters know (10000, 20000, 50000, 100000, 125000, \
-             250000, 500000, 800000, 1000000), found \"115200\""
-        );
-        assert_eq!(
-            sentence("rs485:/dev/ttyUSB0"),
-            "expected a serial port and a bit rate such as rs485:/dev/ttyUSB0@115200, found \
-             \"rs485:/dev/ttyUSB0\""
-        );
     }
 }

@@ -105,13 +105,7 @@ impl<const N: usize> Runner<N> for AnyMaster<N> {
     }
 
     fn poll(&mut self) -> Result<Option<Event>, BusError> {
-        match self {
-            Self::SimulatedCan(runner) => runner.poll().map_err(BusError::SimulatedCan),
-            Self::SimulatedRs485(runner) => runner.poll().map_err(BusError::SimulatedRs485),
-            Self::SocketCan(runner) => runner.poll().map_err(BusError::Port),
-            Self::Slcan(runner) => runner.poll().map_err(BusError::Port),
-            Self::Rs485(runner) => runner.poll().map_err(BusError::Port),
-        }
+        on_each!(self, runner => runner.poll().map_err(BusError::from))
     }
 
     fn idle(&mut self, until: Instant) {

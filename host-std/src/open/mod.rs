@@ -21,6 +21,6 @@ mod address;
 mod any_master;
 mod error;
 
-pub use address::{BusAddress, NotAnAddress};
+pub use address::BusAddress;
 pub use any_master::AnyMaster;
 pub use error::BusError;

@@ -8,35 +8,71 @@ use std::sync::Arc;
 ///
 /// `Debug` prints the same sentence as `Display`, so that an `unwrap` and the errors that wrap this
 /// one are readable.
-#[derive(Clone)]
+#[derive(Clone, thiserror::Error)]
 pub enum PortError {
     /// The kernel has no CAN sockets.
+    #[error(
+        "this machine's Linux has no CAN sockets: load its module with 'sudo modprobe can-raw', or use a kernel that has it"
+    )]
     NoCanSupport,
     /// There is no network interface of this name.
+    #[error(
+        "there is no network interface \"{0}\": plug the CAN adapter in, and see 'ip -br link' for the names there are"
+    )]
     NoSuchInterface(String),
     /// The network interface is not a CAN interface.
+    #[error(
+        "the network interface \"{0}\" is no CAN interface: see 'ip -br link show type can' for those there are"
+    )]
     NotCan(String),
     /// The CAN interface is down.
+    #[error(
+        "the CAN interface \"{0}\" is down: bring it up with 'sudo ip link set {0} up type can bitrate 1000000', a virtual one with 'sudo ip link set {0} up'"
+    )]
     InterfaceDown(String),
     /// The CAN interface has gone, such as an adapter that was pulled out.
+    #[error("the CAN interface \"{0}\" has gone: plug the adapter in again and restart")]
     InterfaceGone(String),
     /// The controller has left the bus after too many errors.
+    #[error(
+        "the controller of \"{0}\" has left the bus after too many errors: check wiring, termination and bit rate, then restart it with 'sudo ip link set {0} type can restart'"
+    )]
     BusOff(String),
     /// Nobody on the bus acknowledges frames.
+    #[error(
+        "nobody acknowledges frames on \"{0}\": check the motors' power, the wiring and the bit rate; until an answer comes nothing is sent that could move a motor"
+    )]
     NotAcknowledged(String),
     /// The SLCAN adapter refuses what it was told.
+    #[error(
+        "the SLCAN adapter at \"{0}\" reports an error: check the CAN wiring, the motors' power and the bit rate; until an answer comes nothing is sent that could move a motor"
+    )]
     Refused(String),
     /// The serial port takes no more bytes.
+    #[error(
+        "the adapter at \"{0}\" takes no more bytes, and what it had not sent was thrown away: check the bus, or plug the adapter in again"
+    )]
     Stalled(String),
     /// There is no serial port at this path.
+    #[error(
+        "there is no serial port \"{0}\": plug the adapter in, and see /dev/serial/by-id for those there are"
+    )]
     NoSuchPort(String),
     /// The file at this path is no serial port.
+    #[error("\"{0}\" is no serial port: expected one such as /dev/ttyUSB0")]
     NotASerialPort(String),
     /// Another program has the serial port open.
+    #[error("another program uses \"{0}\": find it with 'fuser {0}' and end it")]
     InUse(String),
     /// The user may not open this.
+    #[error(
+        "you may not open \"{0}\": for a serial port join its group with 'sudo usermod -aG dialout $USER' and log in anew, in a container give it the device"
+    )]
     NotPermitted(String),
     /// The serial port cannot run at this bit rate.
+    #[error(
+        "the serial port \"{port}\" cannot run at {bit_rate} bit/s: use an adapter that can, or set motors and address to another rate"
+    )]
     LineRate {
         /// The serial port.
         port: String,
@@ -44,12 +80,15 @@ pub enum PortError {
         bit_rate: u32,
     },
     /// The serial port has gone, such as an adapter that was pulled out.
+    #[error("the serial port \"{0}\" has gone: plug the adapter in again and restart")]
     PortGone(String),
     /// Anything else that the operating system reports.
+    #[error("\"{bus}\" fails: the operating system reports: {error}")]
     Os {
         /// The bus.
         bus: String,
         /// What it reports.
+        #[source]
         error: Arc<io::Error>,
     },
 }
@@ -68,85 +107,9 @@ impl PortError {
     }
 }
 
-impl fmt::Display for PortError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NoCanSupport => f.write_str(
-                "this machine's Linux has no CAN sockets: load its module with 'sudo modprobe can-raw', or use a kernel that has it",
-            ),
-            Self::NoSuchInterface(name) => write!(
-                f,
-                "there is no network interface \"{name}\": plug the CAN adapter in, and see 'ip -br link' for the names there are"
-            ),
-            Self::NotCan(name) => write!(
-                f,
-                "the network interface \"{name}\" is no CAN interface: see 'ip -br link show type can' for those there are"
-            ),
-            Self::InterfaceDown(name) => write!(
-                f,
-                "the CAN interface \"{name}\" is down: bring it up with 'sudo ip link set {name} up type can bitrate 1000000', a virtual one with 'sudo ip link set {name} up'"
-            ),
-            Self::InterfaceGone(name) => write!(
-                f,
-                "the CAN interface \"{name}\" has gone: plug the adapter in again and restart"
-            ),
-            Self::BusOff(name) => write!(
-                f,
-                "the controller of \"{name}\" has left the bus after too many errors: check wiring, termination and bit rate, then restart it with 'sudo ip link set {name} type can restart'"
-            ),
-            Self::NotAcknowledged(name) => write!(
-                f,
-                "nobody acknowledges frames on \"{name}\": check the motors' power, the wiring and the bit rate; until an answer comes nothing is sent that could move a motor"
-            ),
-            Self::Refused(port) => write!(
-                f,
-                "the SLCAN adapter at \"{port}\" reports an error: check the CAN wiring, the motors' power and the bit rate; until an answer comes nothing is sent that could move a motor"
-            ),
-            Self::Stalled(port) => write!(
-                f,
-                "the adapter at \"{port}\" takes no more bytes, and what it had not sent was thrown away: check the bus, or plug the adapter in again"
-            ),
-            Self::NoSuchPort(port) => write!(
-                f,
-                "there is no serial port \"{port}\": plug the adapter in, and see /dev/serial/by-id for those there are"
-            ),
-            Self::NotASerialPort(port) => {
-                write!(f, "\"{port}\" is no serial port: expected one such as /dev/ttyUSB0")
-            }
-            Self::InUse(port) => {
-                write!(f, "another program uses \"{port}\": find it with 'fuser {port}' and end it")
-            }
-            Self::NotPermitted(what) => write!(
-                f,
-                "you may not open \"{what}\": for a serial port join its group with 'sudo usermod -aG dialout $USER' and log in anew, in a container give it the device"
-            ),
-            Self::LineRate { port, bit_rate } => write!(
-                f,
-                "the serial port \"{port}\" cannot run at {bit_rate} bit/s: use an adapter that can, or set motors and address to another rate"
-            ),
-            Self::PortGone(port) => write!(
-                f,
-                "the serial port \"{port}\" has gone: plug the adapter in again and restart"
-            ),
-            Self::Os { bus, error } => {
-                write!(f, "\"{bus}\" fails: the operating system reports: {error}")
-            }
-        }
-    }
-}
-
 impl fmt::Debug for PortError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(self, f)
-    }
-}
-
-impl std::error::Error for PortError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            Self::Os { error, .. } => Some(error.as_ref()),
-            _ => None,
-        }
     }
 }
 

@@ -51,7 +51,7 @@ use interface_end::InterfaceEnd;
 use line_end::LineEnd;
 use pty::Pty;
 
-pub use planned_fault::{Chance, FaultKind, NotAFault, PlannedFault};
+pub use planned_fault::{Chance, FaultKind, PlannedFault};
 
 /// The longest wait: drives move, and simulated time must not fall behind.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
@@ -117,57 +117,24 @@ impl fmt::Display for Notice {
 }
 
 /// Why drives cannot be served, or not any more.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// The operating system refuses a pseudo-terminal, or fails it.
-    Terminal(io::Error),
+    #[error("no pseudo-terminal to serve: the operating system reports: {0}")]
+    Terminal(#[from] io::Error),
     /// The CAN interface cannot be opened or has failed.
-    Interface(PortError),
+    #[error("{0}")]
+    Interface(#[from] PortError),
     /// These drives could not store what they keep over power-off.
+    #[error(
+        "motors {0} could not store their settings and turns: check the folder's permissions and room"
+    )]
     NotStored(MotorSet),
-}
-
-impl fmt::Display for ServeError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Terminal(error) => {
-                write!(f, "no pseudo-terminal to serve: the operating system reports: {error}")
-            }
-            Self::Interface(error) => error.fmt(f),
-            Self::NotStored(motors) => write!(
-                f,
-                "motors {motors} could not store their settings and turns: check the folder's \
-                 permissions and room"
-            ),
-        }
-    }
-}
-
-impl std::error::Error for ServeError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            Self::Terminal(error) => Some(error),
-            Self::Interface(error) => Some(error),
-            Self::NotStored(_) => None,
-        }
-    }
-}
-
-impl From<io::Error> for ServeError {
-    fn from(error: io::Error) -> Self {
-        Self::Terminal(error)
-    }
 }
 
 impl From<SerialError> for ServeError {
     fn from(error: SerialError) -> Self {
         Self::Terminal(io::Error::new(io::ErrorKind::TimedOut, error))
-    }
-}
-
-impl From<PortError> for ServeError {
-    fn from(error: PortError) -> Self {
-        Self::Interface(error)
     }
 }
 

@@ -1,14 +1,16 @@
 //! A fault in one word, as people type it, and what it does to a bus and its drives.
 
-use std::fmt;
 use std::str::FromStr;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::time::Duration;
 
+use crate::Unexpected;
 use crate::sim::bus::faults::{Direction, FaultPlan};
 
+/// What a time looks like.
+const TIME: &str = "a time with its unit such as 500us, 2ms or 1.5s";
 /// How likely a fault is where nothing is said.
 const USUAL_CHANCE: f32 = 0.01;
 /// The pause between two frames of a babbling drive where nothing is said.
@@ -43,7 +45,7 @@ const USUAL_BABBLE: Duration = Duration::from_millis(10);
 /// assert_eq!(fault.motor, None);
 /// let fault: PlannedFault = "stall@2+1.5s".parse()?;
 /// assert_eq!(fault.after.as_millis(), 1_500);
-/// # Ok::<(), myactuator_host_std::serve::NotAFault>(())
+/// # Ok::<(), myactuator_host_std::Unexpected>(())
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlannedFault {
@@ -120,74 +122,10 @@ impl Chance {
     }
 }
 
-/// Text that is no fault.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum NotAFault {
-    /// A word that names none.
-    Kind(String),
-    /// No number from 0 to 1.
-    Chance(String),
-    /// No time with its unit.
-    Time(String),
-    /// A kind without a value has one.
-    NoValue {
-        /// The kind.
-        kind: String,
-        /// The value.
-        found: String,
-    },
-    /// Neither a motor nor a direction, or one of them twice.
-    Where(String),
-    /// A direction for what has none.
-    NoDirection(String),
-}
-
-impl fmt::Display for NotAFault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Kind(found) => {
-                f.write_str(
-                    "expected lose, corrupt, undetected, duplicate, delay, reorder, babble, slow, cut, \
-                     mend, reset, clear or an error (",
-                )?;
-                for (place, error) in ErrorFlags::NAMED.iter().enumerate() {
-                    let comma = if place == 0 { "" } else { ", " };
-                    write!(f, "{comma}{}", error.name().unwrap_or_default())?;
-                }
-                write!(f, "), found \"{found}\"")
-            }
-            Self::Chance(found) => {
-                write!(f, "expected a chance from 0 to 1 such as 0.01, found \"{found}\"")
-            }
-            Self::Time(found) => {
-                write!(
-                    f,
-                    "expected a time with its unit such as 500us, 2ms or 1.5s, found \"{found}\""
-                )
-            }
-            Self::NoValue { kind, found } => {
-                write!(f, "{kind} takes no value, found \"{found}\"")
-            }
-            Self::Where(found) => write!(
-                f,
-                "expected a motor from 1 to {}, to-drives, from-drives, or both with a comma behind \
-                 \"@\", found \"{found}\"",
-                MotorId::COUNT
-            ),
-            Self::NoDirection(kind) => write!(
-                f,
-                "{kind} has no direction: leave to-drives and from-drives to faults by chance"
-            ),
-        }
-    }
-}
-
-impl std::error::Error for NotAFault {}
-
 impl FromStr for PlannedFault {
-    type Err = NotAFault;
+    type Err = Unexpected;
 
-    fn from_str(text: &str) -> Result<Self, NotAFault> {
+    fn from_str(text: &str) -> Result<Self, Unexpected> {
         let (text, after) = match text.rsplit_once('+') {
             Some((text, after)) => (text, time(after)?),
             None => (text, Duration::ZERO),
@@ -203,13 +141,25 @@ impl FromStr for PlannedFault {
         let kind = kind(name, value)?;
         let (motor, direction) = place.map_or(Ok((None, None)), whom)?;
         if direction.is_some() && !matches!(kind, FaultKind::Chance(_)) {
-            return Err(NotAFault::NoDirection(name.to_owned()));
+            let expected =
+                format!("{name} without to-drives and from-drives: it is no fault by chance");
+            return Err(Unexpected::new(expected, place.unwrap_or_default()));
         }
         Ok(Self { kind, motor, direction, after })
     }
 }
 
-fn kind(name: &str, value: Option<&str>) -> Result<FaultKind, NotAFault> {
+/// What a fault can be.
+fn kinds() -> String {
+    let errors: Vec<&str> = ErrorFlags::NAMED.iter().filter_map(|error| error.name()).collect();
+    format!(
+        "lose, corrupt, undetected, duplicate, delay, reorder, babble, slow, cut, mend, reset, clear \
+         or an error ({})",
+        errors.join(", ")
+    )
+}
+
+fn kind(name: &str, value: Option<&str>) -> Result<FaultKind, Unexpected> {
     let usual = || value.map_or(Ok(USUAL_CHANCE), chance);
     let kind = match name {
         "lose" => FaultKind::Chance(Chance::Lose(usual()?)),
@@ -230,10 +180,10 @@ fn kind(name: &str, value: Option<&str>) -> Result<FaultKind, NotAFault> {
                     .iter()
                     .find(|error| error.name() == Some(name))
                     .map(|&error| FaultKind::Error(error))
-                    .ok_or_else(|| NotAFault::Kind(name.to_owned()))?,
+                    .ok_or_else(|| Unexpected::new(kinds(), name))?,
             };
             if let Some(found) = value {
-                return Err(NotAFault::NoValue { kind: name.into(), found: found.into() });
+                return Err(Unexpected::new(format!("{name} without a value"), found));
             }
             kind
         }
@@ -241,7 +191,7 @@ fn kind(name: &str, value: Option<&str>) -> Result<FaultKind, NotAFault> {
     Ok(kind)
 }
 
-fn delay(value: Option<&str>) -> Result<Chance, NotAFault> {
+fn delay(value: Option<&str>) -> Result<Chance, Unexpected> {
     let FaultPlan { delay_min: min, delay_max: max, .. } = FaultPlan::NONE;
     let Some(value) = value else {
         return Ok(Chance::Delay { chance: USUAL_CHANCE, min, max });
@@ -252,20 +202,20 @@ fn delay(value: Option<&str>) -> Result<Chance, NotAFault> {
     let (least, most) = late.split_once("..").unwrap_or((late, late));
     let (min, max) = (time(least)?, time(most)?);
     if min > max {
-        return Err(NotAFault::Time(late.to_owned()));
+        return Err(Unexpected::new(TIME, late));
     }
     Ok(Chance::Delay { chance: chance(likely)?, min, max })
 }
 
-fn chance(text: &str) -> Result<f32, NotAFault> {
+fn chance(text: &str) -> Result<f32, Unexpected> {
     let chance = text.parse().ok().filter(|chance| (0.0..=1.0).contains(chance));
-    chance.ok_or_else(|| NotAFault::Chance(text.to_owned()))
+    chance.ok_or_else(|| Unexpected::new("a chance from 0 to 1 such as 0.01", text))
 }
 
-fn time(text: &str) -> Result<Duration, NotAFault> {
+fn time(text: &str) -> Result<Duration, Unexpected> {
     /// The longest that makes sense, in microseconds: a year.
     const LONGEST_US: f64 = 365.0 * 86_400.0 * 1e6;
-    let wrong = || NotAFault::Time(text.to_owned());
+    let wrong = || Unexpected::new(TIME, text);
     let unit_at = text.find(|c: char| c.is_ascii_alphabetic()).ok_or_else(wrong)?;
     let (number, unit) = text.split_at(unit_at);
     let micros = match unit {
@@ -280,8 +230,14 @@ fn time(text: &str) -> Result<Duration, NotAFault> {
     Ok(Duration::from_micros(micros.round() as u64))
 }
 
-fn whom(text: &str) -> Result<(Option<MotorId>, Option<Direction>), NotAFault> {
-    let wrong = || NotAFault::Where(text.to_owned());
+fn whom(text: &str) -> Result<(Option<MotorId>, Option<Direction>), Unexpected> {
+    let wrong = || {
+        let last = MotorId::COUNT;
+        let place = format!(
+            "a motor from 1 to {last}, to-drives, from-drives, or both with a comma behind \"@\""
+        );
+        Unexpected::new(place, text)
+    };
     let (mut motor, mut direction) = (None, None);
     for word in text.split(',') {
         let was_told = match word {
@@ -373,8 +329,8 @@ mod tests {
         for wrong in ["cut@0", "cut@33", "cut@", "lose@1,2", "lose@sideways"] {
             assert!(refused(wrong).starts_with("expected a motor"), "{wrong}");
         }
-        assert_eq!(refused("cut=2"), "cut takes no value, found \"2\"");
-        assert!(refused("stall@to-drives").starts_with("stall has no direction"));
+        assert_eq!(refused("cut=2"), "expected cut without a value, found \"2\"");
+        assert!(refused("stall@to-drives").starts_with("expected stall without to-drives"));
     }
 
     #[test]

@@ -1,6 +1,5 @@
 //! Several simulated drives on one bus.
 
-use std::fmt;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -12,10 +11,10 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Firmware, MotorId};
 
 use crate::sim::Seat;
-use crate::sim::bus::can::{CanBus, CanConfig, CanPort};
+use crate::sim::bus::can::{CanBus, CanConfig, CanPort, ControllerConfig};
 use crate::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
-use crate::sim::bus::{SimClock, StationId, World};
-use crate::sim::memory::{DriveMemory, MemoryError};
+use crate::sim::bus::{Medium, Node, SimClock, StationId, World};
+use crate::sim::memory::{DriveMemory, StoreError};
 use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
 
 /// A drive with its physics and its memory.
@@ -28,42 +27,14 @@ const DEFAULT_MODEL: &str = "RMD-X8-PRO";
 const BANDWIDTH_RAD_S: f32 = 200.0;
 
 /// Why drives cannot be simulated as asked.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub enum FleetError {
     /// The model's figures make no motor.
-    Model(ParameterError),
+    #[error("{0}")]
+    Model(#[from] ParameterError),
     /// The file of a drive's memory cannot be read.
-    Memory(MemoryError),
-}
-
-impl fmt::Display for FleetError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Model(error) => error.fmt(f),
-            Self::Memory(error) => error.fmt(f),
-        }
-    }
-}
-
-impl std::error::Error for FleetError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            Self::Model(error) => Some(error),
-            Self::Memory(error) => Some(error),
-        }
-    }
-}
-
-impl From<ParameterError> for FleetError {
-    fn from(error: ParameterError) -> Self {
-        Self::Model(error)
-    }
-}
-
-impl From<MemoryError> for FleetError {
-    fn from(error: MemoryError) -> Self {
-        Self::Memory(error)
-    }
+    #[error("{0}")]
+    Memory(#[from] StoreError),
 }
 
 /// What is to be simulated. Build it up, then put it on a bus.
@@ -167,16 +138,8 @@ impl Fleet {
     /// # Errors
     /// [`FleetError`]: the model's figures make no motor, or a memory file cannot be read.
     pub fn on_can(&self, bit_rate: u32) -> Result<CanFleet, FleetError> {
-        let config = CanConfig { bit_rate };
-        let world = World::<CanBus>::new(config, self.seed);
-        let model = self.made_model()?;
-        let mut drives = Vec::new();
-        for motor in self.motors() {
-            let seat = Arc::new(Mutex::new(self.seat(&model, motor, Bus::Can)?));
-            let station = world.attach(Arc::clone(&seat));
-            drives.push(DriveHandle { motor, station, seat });
-        }
-        Ok(CanFleet { world, drives, firmware: model.firmware, bit_rate })
+        let world = World::<CanBus>::new(CanConfig { bit_rate }, self.seed);
+        self.put_on(world, ControllerConfig::MAILBOXES, Bus::Can, bit_rate)
     }
 
     /// Puts the drives on an RS485 line in virtual time.
@@ -185,18 +148,27 @@ impl Fleet {
     /// As [`on_can`](Self::on_can).
     pub fn on_rs485(&self, bit_rate: u32) -> Result<LineFleet, FleetError> {
         let world = World::<Rs485Line>::new(LineConfig { bit_rate }, self.seed);
-        let model = self.made_model()?;
-        let mut drives = Vec::new();
-        for motor in self.motors() {
-            let seat = Arc::new(Mutex::new(self.seat(&model, motor, Bus::Rs485)?));
-            let station = world.attach(Arc::clone(&seat));
-            drives.push(DriveHandle { motor, station, seat });
-        }
-        Ok(LineFleet { world, drives, firmware: model.firmware, bit_rate })
+        self.put_on(world, TransceiverConfig::default(), Bus::Rs485, bit_rate)
     }
 
-    fn motors(&self) -> impl Iterator<Item = MotorId> {
-        MotorId::all().take(self.count.into())
+    fn put_on<B: Medium<Attachment: Copy>>(
+        &self,
+        world: World<B>,
+        attachment: B::Attachment,
+        bus: Bus,
+        bit_rate: u32,
+    ) -> Result<BusFleet<B>, FleetError>
+    where
+        Seat<SimulatedMotor, DriveMemory>: Node<B::Frame>,
+    {
+        let model = self.made_model()?;
+        let mut drives = Vec::new();
+        for motor in MotorId::all().take(self.count.into()) {
+            let seat = Arc::new(Mutex::new(self.seat(&model, motor, bus)?));
+            let station = world.attach_with(Arc::clone(&seat), attachment);
+            drives.push(DriveHandle { motor, station, seat });
+        }
+        Ok(BusFleet { world, drives, firmware: model.firmware, bit_rate })
     }
 
     /// The model, with the firmware and the scales that were asked for.
@@ -324,15 +296,28 @@ impl DriveHandle {
     }
 }
 
-/// Drives on a CAN bus.
-#[derive(Clone, Debug)]
-pub struct CanFleet {
+/// Drives on a bus.
+#[derive(Debug)]
+pub struct BusFleet<B: Medium> {
     /// The bus and its clock.
-    pub world: World<CanBus>,
+    pub world: World<B>,
     /// The drives, in the order of their ids.
     pub drives: Vec<DriveHandle>,
     firmware: Firmware,
     bit_rate: u32,
+}
+
+/// Drives on a CAN bus.
+pub type CanFleet = BusFleet<CanBus>;
+
+/// Drives on an RS485 line.
+pub type LineFleet = BusFleet<Rs485Line>;
+
+impl<B: Medium> BusFleet<B> {
+    /// Bits per second.
+    pub const fn bit_rate(&self) -> u32 {
+        self.bit_rate
+    }
 }
 
 impl CanFleet {
@@ -341,22 +326,6 @@ impl CanFleet {
         let config = Config { firmware: self.firmware, ..Config::can(self.bit_rate) };
         CanMaster::new(self.world.port(), self.world.clock(), config)
     }
-
-    /// Bits per second.
-    pub const fn bit_rate(&self) -> u32 {
-        self.bit_rate
-    }
-}
-
-/// Drives on an RS485 line.
-#[derive(Clone, Debug)]
-pub struct LineFleet {
-    /// The line and its clock.
-    pub world: World<Rs485Line>,
-    /// The drives, in the order of their ids.
-    pub drives: Vec<DriveHandle>,
-    firmware: Firmware,
-    bit_rate: u32,
 }
 
 impl LineFleet {
@@ -374,11 +343,6 @@ impl LineFleet {
         let config = Config { firmware, ..Config::rs485(self.bit_rate, transceiver.echo) };
         SerialMaster::new(self.world.port_with(transceiver), self.world.clock(), config)
     }
-
-    /// Bits per second.
-    pub const fn bit_rate(&self) -> u32 {
-        self.bit_rate
-    }
 }
 
 #[cfg(test)]
@@ -390,7 +354,7 @@ mod tests {
     use myactuator_protocol_core::io::Runner;
 
     /// Turns the first shaft of a fleet by -90 degrees.
-    fn turned(fleet: Fleet) -> CanFleet {
+    fn turned(fleet: Fleet) -> BusFleet<CanBus> {
         let fleet = fleet.on_can(1_000_000).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().set_output_angle_deg(-90.0)).unwrap();
         // The control loops measure it.

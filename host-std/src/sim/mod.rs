@@ -33,6 +33,6 @@ pub mod plant;
 mod seat;
 
 pub use fleet::{
-    CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive, parameters_of,
+    BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive, parameters_of,
 };
 pub use seat::Seat;

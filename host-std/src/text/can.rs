@@ -9,15 +9,21 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 const ERROR_FRAME: u32 = 0x2000_0000;
 
 /// Text that is no classic CAN data or remote frame.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotAFrame {
     /// Neither `ID#DATA` nor a line of candump.
+    #[error("expected a CAN frame such as 141#A400F401A08C0000, or a line of candump")]
     Notation,
     /// The identifier is neither 3 nor 8 hexadecimal digits, or too large.
+    #[error(
+        "expected an identifier of 3 hexadecimal digits up to 7FF, or of 8 up to 1FFFFFFF, found \"{0}\""
+    )]
     Identifier(String),
     /// The data are not whole bytes in hexadecimal, at most eight.
+    #[error("expected up to 8 data bytes of two hexadecimal digits each, found \"{0}\"")]
     Data(String),
     /// candump's length and its bytes disagree.
+    #[error("the length says {told} data bytes, but the line has {found}")]
     Length {
         /// The length told.
         told: usize,
@@ -25,41 +31,12 @@ pub enum NotAFrame {
         found: usize,
     },
     /// A CAN FD frame, which the protocol does not use.
+    #[error("this is a CAN FD frame, and the protocol uses classic CAN frames only")]
     Fd,
     /// A report of the CAN interface about the bus, no frame.
+    #[error("this is an error report of the CAN interface, no frame from a motor")]
     ErrorReport,
 }
-
-impl fmt::Display for NotAFrame {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Notation => f.write_str(
-                "expected a CAN frame such as 141#A400F401A08C0000, or a line of candump",
-            ),
-            Self::Identifier(found) => write!(
-                f,
-                "expected an identifier of 3 hexadecimal digits up to 7FF, or of 8 up to 1FFFFFFF, found \"{found}\""
-            ),
-            Self::Data(found) => {
-                write!(
-                    f,
-                    "expected up to 8 data bytes of two hexadecimal digits each, found \"{found}\""
-                )
-            }
-            Self::Length { told, found } => {
-                write!(f, "the length says {told} data bytes, but the line has {found}")
-            }
-            Self::Fd => {
-                f.write_str("this is a CAN FD frame, and the protocol uses classic CAN frames only")
-            }
-            Self::ErrorReport => {
-                f.write_str("this is an error report of the CAN interface, no frame from a motor")
-            }
-        }
-    }
-}
-
-impl std::error::Error for NotAFrame {}
 
 /// A frame in candump's notation: `141#A400F401A08C0000`, `141#R` for a remote frame.
 pub fn frame(frame: &SimpleFrame) -> String {

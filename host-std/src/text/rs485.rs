@@ -1,28 +1,11 @@
 //! RS485 bytes as text.
 
-use std::fmt;
+use crate::Unexpected;
 
 /// Bytes as upper-case hexadecimal with spaces between: `3E 01 08`.
 pub fn bytes(bytes: &[u8]) -> String {
     super::joined_hex(bytes, " ")
 }
-
-/// Text that is no list of bytes.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NotBytes {
-    token: String,
-    hexadecimal: bool,
-}
-
-impl fmt::Display for NotBytes {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let expected =
-            if self.hexadecimal { "hexadecimal bytes 00 to FF" } else { "decimal bytes 0 to 255" };
-        write!(f, "expected {expected} separated by spaces or commas, found \"{}\"", self.token)
-    }
-}
-
-impl std::error::Error for NotBytes {}
 
 /// The bytes on a line of text, separated by commas or spaces, or as one string of digits.
 ///
@@ -40,16 +23,18 @@ impl std::error::Error for NotBytes {}
 /// ```
 ///
 /// # Errors
-/// [`NotBytes`] names the first piece that is no byte.
-pub fn parse_line(line: &str) -> Result<Vec<u8>, NotBytes> {
+/// [`Unexpected`] names the first piece that is no byte.
+pub fn parse_line(line: &str) -> Result<Vec<u8>, Unexpected> {
     let tokens: Vec<&str> = line
         .split(|c: char| c == ',' || c.is_whitespace())
         .filter(|token| !token.is_empty())
         .collect();
     let hexadecimal = is_hexadecimal(&tokens);
+    let expected =
+        if hexadecimal { "hexadecimal bytes 00 to FF" } else { "decimal bytes 0 to 255" };
     let mut bytes = Vec::new();
     for token in tokens {
-        let wrong = || NotBytes { token: token.to_owned(), hexadecimal };
+        let wrong = || Unexpected::new(format!("{expected} separated by spaces or commas"), token);
         if hexadecimal {
             parse_hex(token, &mut bytes).ok_or_else(wrong)?;
         } else {

@@ -9,14 +9,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::JoinHandle;
 
-use drive::{answer, degrees, motor};
+use drive::{answer, ask_and_stop, motor};
 use embedded_can::nb::Can as _;
 use embedded_can::{Frame as _, StandardId};
 use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
 use myactuator_host_std::port::{HostClock, PortError, SocketCan};
 use myactuator_protocol_core::command::{self, ReadMultiTurnAngle};
 use myactuator_protocol_core::io::{Clock as _, Runner};
-use myactuator_protocol_core::master::{Config, MotorSet, StopKind};
+use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Current;
 use myactuator_protocol_core::wire::can::{self, Received};
@@ -150,13 +150,7 @@ fn what_cannot_be_opened_is_told() {
 fn a_master_asks(here: &str, there: &str) {
     let drives = Drives::on(there);
     let mut master = master(here);
-    for _ in 0..100 {
-        for id in [motor(1), motor(2)] {
-            let reading = master.ask(id, ReadMultiTurnAngle).unwrap();
-            assert_eq!(reading.angle.degrees(), degrees(id));
-        }
-    }
-    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+    ask_and_stop(&mut master, 100);
     drives.end();
 }
 

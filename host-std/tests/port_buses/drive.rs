@@ -1,6 +1,9 @@
 //! What the motors that are played here answer.
 
-use myactuator_protocol_core::command::{Feedback, MultiTurnAngle, Version};
+use myactuator_host_std::open::AnyMaster;
+use myactuator_protocol_core::command::{Feedback, MultiTurnAngle, ReadMultiTurnAngle, Version};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::units::Angle;
 use myactuator_protocol_core::{
     AnyCommand, AnyReply, Channel, Data, Firmware, MotorId, Packet, Reply, Target,
@@ -11,8 +14,17 @@ pub(crate) fn motor(id: u8) -> MotorId {
 }
 
 /// The angle at which this motor stands: 10 degrees times its id.
-pub(crate) fn degrees(id: MotorId) -> f32 {
+fn degrees(id: MotorId) -> f32 {
     f32::from(id.get()) * 10.0
+}
+
+/// Asks both motors for their angles so many times, and stops them.
+pub(crate) fn ask_and_stop(master: &mut AnyMaster<2>, times: usize) {
+    for id in [motor(1), motor(2)].repeat(times) {
+        let reading = master.ask(id, ReadMultiTurnAngle).unwrap();
+        assert_eq!(reading.angle.degrees(), degrees(id));
+    }
+    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
 }
 
 /// Motors 1 and 2 answer reads of angle and version, stops and torque; there are no others.

@@ -10,10 +10,9 @@ use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
 use myactuator_host_std::port::{PortError, Rs485};
 use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadVersionDate};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
 
-use crate::drive::{answer, degrees, motor};
+use crate::drive::{answer, ask_and_stop, motor};
 use crate::pty;
 
 /// How the line behaves.
@@ -57,14 +56,10 @@ fn asks_and_gets_answers(how: Line) {
     let drives = play(line, how);
     let mut master = open(&path, if how.echo { ",echo" } else { "" }).unwrap();
     for _ in 0..20 {
-        for id in [motor(1), motor(2)] {
-            let reading = master.ask(id, ReadMultiTurnAngle).unwrap();
-            assert_eq!(reading.angle.degrees(), degrees(id));
-        }
         let version = master.ask(motor(1), ReadVersionDate).unwrap();
         assert_eq!(version.version_date.year_month_day(), Some((2022, 2, 6)));
     }
-    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+    ask_and_stop(&mut master, 20);
     drop(master);
     assert!(drives.join().unwrap() >= 62);
 }

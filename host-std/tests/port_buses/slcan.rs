@@ -10,13 +10,11 @@ use embedded_can::{Frame as _, StandardId};
 use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
 use myactuator_host_std::port::{HostClock, PortError, Slcan};
 use myactuator_host_std::text::slcan::{AdapterCodec, AdapterCommand, Answer, Rate};
-use myactuator_protocol_core::command::ReadMultiTurnAngle;
-use myactuator_protocol_core::io::{Clock as _, Runner};
-use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::io::Clock as _;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 
-use crate::drive::{answer, degrees, motor};
+use crate::drive::{answer, ask_and_stop};
 use crate::pty;
 
 /// What kind of adapter is played.
@@ -98,13 +96,7 @@ fn asks_and_gets_answers(adapter: Adapter) {
     let (line, path) = pty::open();
     let device = play(line, adapter);
     let mut master = open(&path).unwrap();
-    for _ in 0..20 {
-        for id in [motor(1), motor(2)] {
-            let reading = master.ask(id, ReadMultiTurnAngle).unwrap();
-            assert_eq!(reading.angle.degrees(), degrees(id));
-        }
-    }
-    assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+    ask_and_stop(&mut master, 20);
     drop(master);
     let heard = device.join().unwrap();
     let setup = [

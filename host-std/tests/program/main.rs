@@ -3,5 +3,6 @@
 mod cli;
 mod demo;
 mod motors;
+mod readme;
 mod run;
 mod sim_serve;

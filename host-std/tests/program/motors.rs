@@ -149,6 +149,48 @@ fn motion_runs_to_its_position_by_the_ranges_told() {
     assert_eq!((status, told.as_str()), (2, "--bus: motion exists on CAN only"));
 }
 
+/// Commands, and what is answered.
+const ANSWERS: &str = "
+--id 2 read-multi-turn-angle => 242#9200000000000000  motor 2  reply  read-multi-turn-angle (0x92): angle 0 deg
+--id 2 raw 92 00 00 00 00 00 00 00 => 242#9200000000000000  motor 2  reply  read-multi-turn-angle (0x92): angle 0 deg
+--bus sim:1,rs485 --id 1 read-model => 3E 01 08 B5 58 38 2D 50 52 4F 00 C5 D8  motor 1  reply  read-model (0xB5): model X8-PRO
+--bus sim:1 bus-id --access read => 300#7900010000004102  all motors  reply  bus-id (0x79): access read (1), motor id 1
+write-pid-rom --index speed-kp --value 0.5 --id 1 => 241#320400000000003F  motor 1  reply  write-pid-rom (0x32): index speed-kp (4), value 0.5
+--id 1 reset => motor 1: sent reset (0x76); no reply is awaited
+--id 1 function-control --index set-can-id --value 7 => motor 1: sent function-control (0x20): index set-can-id (5), value 7; no reply is awaited
+";
+
+#[test]
+fn any_command_is_sent_and_its_reply_explained() {
+    for (arguments, answer) in rows(ANSWERS) {
+        assert_eq!(done(&format!("send {arguments}")), [answer], "{arguments}");
+    }
+    let motion = "motion --position-rad 0 --velocity-rad-s 0 --kp 1 --kd 1 --torque-nm 0";
+    let told = objects(&format!("send --json --id 1 {motion}"));
+    assert_eq!(told[0]["fields"]["id_byte"], 1);
+    assert_eq!(told[0]["fields"]["position_raw"], 32_768);
+    assert_eq!(objects("send --json --id 1 reset"), [Value::Null; 0]);
+}
+
+#[test]
+fn a_command_to_all_is_answered_by_each() {
+    let mut voltages = objects("send --id all read-status1 --json --bus sim:5");
+    voltages.sort_by_key(|told| told["id"].as_u64());
+    let ids: Vec<u64> = voltages.iter().map(|told| told["id"].as_u64().unwrap()).collect();
+    assert_eq!(ids, [1, 2, 3, 4, 5]);
+    assert!(voltages.iter().all(|told| told["fields"]["voltage_v"] == 48.0));
+}
+
+#[test]
+fn a_command_that_no_drive_knows_times_out() {
+    let (status, told) = refused("send --id 1 raw C0 01 00 00 00 00 00 00");
+    assert_eq!(status, 1);
+    assert_eq!(
+        told,
+        "motor 1: no reply to command byte 0xC0: its firmware may not know it, or not answer it (--reply none); or is the motor not powered, or this not its id?"
+    );
+}
+
 #[test]
 fn stop_and_shutdown_reach_one_or_all() {
     assert_eq!(done("stop"), ["motors 1 2 3 4 are stopped and hold still (0x81)"]);
@@ -208,6 +250,13 @@ move --id 1 --angle-deg 1 --max-torque-pct 0 => --max-torque-pct: 0 leaves no to
 speed --id 1 --speed-dps 1 --for-s 0 => --for-s: time must be 0.01 to 3600 s, but 0 s was given
 torque --id 1 --current-a 400 => --current-a: torque current must be -327.68 to 327.67 A, but 400 A was given
 motion --id 1 --position-rad 13 --kp 1 --kd 1 => position must be -12.5 to 12.5 rad, but 13 rad was given
+send stop => --id is missing: say which motor, 1 to 32, or all
+send --id 1 bus-id --access read => --id: bus-id (0x79) reaches every motor that is connected and names none: send it to all
+send --id 1 --firmware v4.4 read-model => --firmware: v4.4 has no read-model (0xB5)
+send --id 1 --firmware v4.4 read-single-turn-angle => --firmware: v4.4 has no read-single-turn-angle (0x94): take read-single-turn-angle-v4.4
+send --id 1 --bus sim:1,rs485 active-reply --command 0x60 --enable on --interval-ms 10 => --bus: active-reply (0xB6) exists on CAN only
+send --id 1 speed --speed-dps 1 => --max-torque-pct is missing: The largest torque; 0 for no limit but the stall current. 1 to 255 % of rated current, 0 for no limit in a speed command.
+send --id 1 raw C0 01 => expected eight bytes, found 2
 id --new-id 33 => --new-id: motor id must be 1 to 32, but 33 was given
 scan --all-rates => --all-rates: all simulated motors have the rate of their bus
 "#;
@@ -230,7 +279,14 @@ fn a_string_that_names_no_bus_is_refused() {
 
 #[test]
 fn a_bus_that_is_not_there_is_told_in_one_sentence() {
-    for command in ["scan", "status", "stop", "move --yes --id 1 --angle-deg 1"] {
+    for command in [
+        "scan",
+        "status",
+        "stop",
+        "move --yes --id 1 --angle-deg 1",
+        "send --id 1 read-model",
+        "send --yes --id 1 reset",
+    ] {
         let (status, told) = refused(&format!("{command} --bus no-such-can"));
         assert_eq!(status, 1);
         // A machine may have no CAN at all.
@@ -253,6 +309,11 @@ fn without_a_terminal_a_real_motor_moves_only_with_consent() {
         "brake release --id 1",
         "zero --id 1",
         "id --new-id 2",
+        "send --id 1 torque --current-a 1",
+        "send --id 1 release-brake",
+        "send --id 1 reset",
+        "send --id 1 write-pid-rom --index current-kp --value 1",
+        "send --id 1 raw C0 0 0 0 0 0 0 0",
     ] {
         let (status, told) = refused(&format!("{command} --bus can0"));
         assert_eq!(status, 2, "{command}");

@@ -44,16 +44,3 @@ command! {
         acceleration: Acceleration => 4,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::command::Command;
-
-    #[test]
-    fn a_write_out_of_range_is_refused_and_a_reading_is_told_as_it_is() {
-        assert!(WriteAcceleration::decode(&[0x43, 0, 0, 0, 99, 0, 0, 0]).is_err());
-        let reading = ReadAcceleration::decode_reply(&[0x42, 0, 0, 0, 99, 0, 0, 0]).unwrap();
-        assert_eq!(reading.acceleration.raw(), 99);
-    }
-}

@@ -44,25 +44,3 @@ reply! {
         angle: Angle => 4,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::command::Command;
-
-    #[test]
-    fn a_whole_turn_is_no_reason_to_lose_a_reading() {
-        let reply = [0x94, 0, 0, 0, 0, 0, 0xA0, 0x8C]; // 36000
-        assert_eq!(ReadSingleTurnAngle::decode_reply(&reply).unwrap().angle.degrees(), 360.0);
-    }
-
-    #[test]
-    fn a_layout_differs_by_firmware() {
-        // -90 degrees are -9000, 0xFFFFDCD8, which V4.3 would read as 655.35 degrees.
-        let reply = [0x94, 0, 0, 0, 0xD8, 0xDC, 0xFF, 0xFF];
-        let angle = ReadSingleTurnAngleV4_4::decode_reply(&reply).unwrap().angle;
-        assert_eq!(angle.degrees(), -90.0);
-        assert_eq!(ReadSingleTurnAngle::decode_reply(&reply).unwrap().angle.raw(), 0xFFFF);
-        assert_eq!(ReadSingleTurnAngleV4_4.encode(), ReadSingleTurnAngle.encode());
-    }
-}

@@ -217,35 +217,12 @@ mod tests {
     }
 
     #[test]
-    fn a_kind_travels_on_its_own_channel_only() {
-        let bus_id = [0x79, 0, 1, 0, 0, 0, 0, 0];
-        let on_one = Packet { channel: Channel::Command(Target::Motor(M1)), data: bus_id };
-        assert!(matches!(command(&on_one), Err(DecodeError::WrongChannel { .. })));
-        let stop = [0x81, 0, 0, 0, 0, 0, 0, 0];
-        let on_bus_id = Packet { channel: Channel::BusId, data: stop };
-        assert!(matches!(command(&on_bus_id), Err(DecodeError::WrongChannel { .. })));
-        let reply = Packet { channel: Channel::Reply(M1), data: stop };
-        assert!(matches!(command(&reply), Err(DecodeError::NotACommand(_))));
-        assert_eq!(AnyReply::decode(&reply, Firmware::V4_3), Ok(AnyReply::Stop(Stop)));
-    }
-
-    #[test]
-    fn some_kinds_go_to_one_motor_only_or_to_all_only() {
-        let read = AnyCommand::from(BusId::Read);
-        assert_eq!(read.packet(M1.into()), Err(RequestError::AllMotorsOnly(Opcode::BusId)));
-        assert_eq!(read.packet(Target::All).unwrap(), BusId::Read.packet());
-        let motion = AnyCommand::from(RawMotion::decode(&[0; 8]));
-        assert_eq!(motion.packet(Target::All), Err(RequestError::OneMotorOnly(Opcode::Motion)));
-        assert_eq!(motion.packet(M1.into()).unwrap().channel, Channel::Motion(M1));
-    }
-
-    #[test]
     fn what_a_firmware_does_not_know_is_raw_and_kept() {
         let data = [0xC0, 1, 2, 3, 4, 5, 6, 7];
         let packet = Packet { channel: Channel::Command(M1.into()), data };
         let raw = command(&packet).unwrap();
         assert_eq!((raw.opcode(), raw.encode()), (None, data));
-        assert!(raw.kind().may_move());
+        assert!(raw.kind().is_refused_while_stopped());
         let reply = Packet { channel: Channel::Reply(M1), data };
         assert_eq!(AnyReply::decode(&reply, Firmware::V4_3), Ok(AnyReply::Raw(RawReply(data))));
         // V4.4 has dropped 0x90.

@@ -177,37 +177,3 @@ command! {
         interval: ReportInterval => 3,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::command::Command;
-
-    #[test]
-    fn active_reply_is_the_manuals() {
-        let report = ActiveReply {
-            command: ReportedCommand::of(Opcode::ReadMultiTurnEncoder).unwrap(),
-            enable: Switch::On,
-            interval: ReportInterval::from_millis(10.0).unwrap(),
-        };
-        assert_eq!(report.encode(), [0xB6, 0x60, 0x01, 0x01, 0, 0, 0, 0]); // 2.34.4
-        assert_eq!(ActiveReply::decode(&report.encode()), Ok(report));
-        assert!(ActiveReply::decode(&[0xB6, 0x60, 2, 1, 0, 0, 0, 0]).is_err());
-    }
-
-    #[test]
-    fn a_baud_rate_without_a_name_can_be_sent() {
-        let set = SetBaudRate { baud_rate: BaudCode::from_raw(4) };
-        assert_eq!(set.encode(), [0xB4, 0, 0, 0, 0, 0, 0, 4]);
-        assert_eq!(SetBaudRate::decode(&set.encode()), Ok(set));
-        assert!(SetBaudRate::decode_reply(&set.encode()).is_err());
-    }
-
-    #[test]
-    fn any_reply_acknowledges_the_protection() {
-        // 2.31.4 example 2 sets 1000 ms and is answered with 0.
-        let reply =
-            CommunicationLossProtection::decode_reply(&[0xB3, 0, 0, 0, 0, 0, 0, 0]).unwrap();
-        assert_eq!(reply.timeout.raw(), 0);
-    }
-}

@@ -35,6 +35,7 @@ command! {
     /// Run at a speed: 0xA2 (2.20). It runs only without a fault. The speed planning accelerations
     /// apply.
     Speed -> Feedback {
+        // 2.20.2 and 2.24.2 print DATA[2] in their formulas; the examples use DATA[1].
         /// The largest torque; 0 for no limit but the stall current.
         max_torque: MaxTorque => 1,
         /// The speed of the output shaft, positive for positive turning.
@@ -111,40 +112,5 @@ command! {
         max_speed: MaxSpeed => 2,
         /// Where to go.
         angle: Angle => 4,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_torque_limit_is_byte_1() {
-        // 2.20.2 and 2.24.2 print DATA[2] in their formulas; the examples use DATA[1].
-        let force = ForcePosition {
-            max_torque: MaxTorque::from_raw(60),
-            max_speed: MaxSpeed::from_raw(500),
-            angle: Angle::from_raw(36_000),
-        };
-        assert_eq!(force.encode(), [0xA9, 0x3C, 0xF4, 0x01, 0xA0, 0x8C, 0x00, 0x00]);
-        let speed =
-            Speed { max_torque: MaxTorque::from_raw(60), speed: SpeedTarget::from_raw(-10_000) };
-        assert_eq!(speed.encode(), [0xA2, 0x3C, 0, 0, 0xF0, 0xD8, 0xFF, 0xFF]);
-    }
-
-    #[test]
-    fn single_turn_targets_end_at_360_degrees() {
-        let go = [0xA6, 0x01, 0xF4, 0x01, 0xA0, 0x8C, 0, 0]; // 2.22.4 example 2
-        let decoded = SingleTurnPosition::decode(&go).unwrap();
-        assert_eq!(decoded.direction, Direction::COUNTER_CLOCKWISE);
-        assert_eq!(decoded.angle.degrees(), 360.0);
-        assert!(SingleTurnPosition::decode(&[0xA6, 0, 0, 0, 0xA1, 0x8C, 0, 0]).is_err());
-    }
-
-    #[test]
-    fn null_bytes_are_not_read() {
-        let torque = Torque::decode(&[0xA1, 9, 9, 9, 0x9C, 0xFF, 9, 9]).unwrap();
-        assert_eq!(torque.current.amperes(), -1.0);
-        assert_eq!(torque.encode(), [0xA1, 0, 0, 0, 0x9C, 0xFF, 0, 0]);
     }
 }

@@ -75,15 +75,3 @@ reply! {
         offset: SingleTurnPulses => 6,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_offset_fills_all_four_bytes() {
-        // 2.9.2 prints >>8 for the last three; each byte has its own shift.
-        let set = SetEncoderZero { offset: EncoderPulses::from_raw(0x0403_0201) };
-        assert_eq!(set.encode(), [0x63, 0, 0, 0, 1, 2, 3, 4]);
-    }
-}

@@ -1,12 +1,9 @@
 //! Motion (MIT) mode: position, speed, both gains and torque in one frame (manual 5). CAN only.
 //!
 //! On the bus every value is a step on a linear scale. Which scale, depends on the drive's firmware,
-//! and a wrong one multiplies the torque; so the scale is a value, [`MotionRanges`], that turns a
-//! [`MotionSetPoint`] into a [`RawMotion`] and a [`RawMotionFeedback`] into a [`MotionFeedback`].
-//!
-//! [`MotionRanges`]: super::MotionRanges
-//! [`MotionSetPoint`]: super::MotionSetPoint
-//! [`MotionFeedback`]: super::MotionFeedback
+//! and a wrong one multiplies the torque; so the scale is a value,
+//! [`MotionRanges`](super::MotionRanges), that turns a [`MotionSetPoint`](super::MotionSetPoint) into a
+//! [`RawMotion`] and a [`RawMotionFeedback`] into a [`MotionFeedback`](super::MotionFeedback).
 //!
 //! ```
 //! use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint};
@@ -255,47 +252,5 @@ impl Fields for RawMotionFeedback {
 impl fmt::Display for RawMotionFeedback {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         crate::command::Phrase { fields: Self::FIELDS, data: &self.encode(), ranges: None }.fmt(f)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::command::Command;
-
-    const EXAMPLE: Data = [0xE6, 0x66, 0x82, 0xE0, 0x52, 0x33, 0x3B, 0x55]; // 5.4
-
-    #[test]
-    fn unpacks_and_packs_the_manuals_command() {
-        let raw = RawMotion::decode(&EXAMPLE);
-        assert_eq!(raw.position, 58982);
-        let steps = [raw.velocity, raw.kp, raw.kd, raw.torque].map(U12::get);
-        assert_eq!(steps, [2094, 82, 819, 2901]);
-        assert_eq!(raw.encode(), EXAMPLE);
-    }
-
-    #[test]
-    fn unpacks_and_packs_the_manuals_reply() {
-        // 5.4 prints 0x65 for the third byte; its nibbles and its value say 0x66.
-        let reply = [0x01, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0];
-        let feedback = RawMotion::decode_reply(&reply).unwrap();
-        assert_eq!(feedback.id_byte, 1);
-        assert_eq!(
-            (feedback.position, feedback.velocity.get(), feedback.torque.get()),
-            (58982, 2094, 2901)
-        );
-        assert_eq!(feedback.encode(), reply);
-        // 5.4 allows 0 too; whatever the byte says, who answers is told by the identifier.
-        assert_eq!(RawMotion::decode_reply(&[0; 8]).unwrap().id_byte, 0);
-    }
-
-    #[test]
-    fn the_description_lies_where_the_packing_does() {
-        let places = |fields: &[Field], data: &Data| -> [i64; 5] {
-            core::array::from_fn(|place| fields.get(place).map_or(0, |field| field.raw(data)))
-        };
-        assert_eq!(places(RawMotion::FIELDS, &EXAMPLE), [58_982, 2_094, 82, 819, 2_901]);
-        let reply = [0x01, 0xE6, 0x66, 0x82, 0xEB, 0x55, 0, 0];
-        assert_eq!(places(RawMotionFeedback::FIELDS, &reply), [1, 58_982, 2_094, 2_901, 0]);
     }
 }

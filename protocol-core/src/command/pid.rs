@@ -61,21 +61,3 @@ command! {
         value: Gain => 4,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::command::Command;
-
-    #[test]
-    fn a_gain_that_is_no_number_is_refused() {
-        assert!(ReadPid::decode_reply(&[0x30, 1, 0, 0, 0, 0, 0xC0, 0x7F]).is_err());
-    }
-
-    #[test]
-    fn an_index_that_the_manual_does_not_name_is_kept() {
-        let read = ReadPid::decode(&[0x30, 3, 0, 0, 0, 0, 0, 0]).unwrap();
-        assert_eq!(read.index, PidIndex::from_raw(3));
-        assert_eq!(read.encode()[1], 3);
-    }
-}

@@ -123,82 +123,53 @@ impl Display for PacketText {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::id::MotorId;
+    use crate::wire::can;
     use std::string::ToString;
+    use std::vec::Vec;
 
-    const M1: MotorId = MotorId::MIN;
+    /// A frame and the section it is from, if any, then its text.
+    const CASES: &str = "
+141#A400F401A08C0000 2.21.4
+command to motor 1: absolute-position (0xA4): max speed 500 dps, angle 360 deg
+241#9A320001E5010600
+reply of motor 1: read-status1 (0x9A): temperature 50 °C, mosfet temperature 0 °C, brake release (1), voltage 48.5 V, errors: motor stalled, supply voltage too low (a restart is needed)
+241#B20000002E893401 2.30.4
+reply of motor 1: read-version-date (0xB2): version date 20220206 (2022-02-06)
+141#B400000000000002
+command to motor 1: set-baud-rate (0xB4): baud rate rs485-1m (2)
+141#B660010100000000 2.34.4
+command to motor 1: active-reply (0xB6): command read-multi-turn-encoder (96), enable on, interval 10 ms
+141#A609010000000000
+command to motor 1: single-turn-position (0xA6): direction unknown code 9, max speed 1 dps, angle 0 deg
+141#2002000001000000
+command to motor 1: function-control (0x20): index can-id-filter (2), value on
+401#E66682E052333B55 5.4
+motion command to motor 1: motion: position step 58982, velocity step 2094, kp step 82, kd step 819, torque step 2901
+300#7900010000004202 4.4
+bus id: bus-id (0x79): access read (1), motor id 2
+141#8100000000000000
+command to motor 1: stop (0x81)
+241#F100000000000001
+reply of motor 1: raw F1 00 00 00 00 00 00 01
+280#4300000063000000
+command to all motors: raw 43 00 00 00 63 00 00 00 (acceleration must be 100 to 60000 dps/s (0: no planning), but 99 dps/s was given)
+";
+
+    fn packet(frame: &str) -> Packet {
+        let identifier = u16::from_str_radix(&frame[..3], 16).unwrap();
+        let data = u64::from_str_radix(&frame[4..20], 16).unwrap().to_be_bytes();
+        Packet { channel: can::channel_at(identifier).unwrap(), data }
+    }
 
     #[test]
     fn packets_print_what_they_say() {
-        let cases: [(Channel, Data, &str); 12] = [
-            (
-                Channel::Command(M1.into()),
-                [0xA4, 0, 0xF4, 1, 0xA0, 0x8C, 0, 0], // 2.21.4
-                "command to motor 1: absolute-position (0xA4): max speed 500 dps, angle 360 deg",
-            ),
-            (
-                Channel::Reply(M1),
-                [0x9A, 0x32, 0, 1, 0xE5, 1, 6, 0],
-                "reply of motor 1: read-status1 (0x9A): temperature 50 °C, mosfet temperature 0 °C, brake release (1), voltage 48.5 V, errors: motor stalled, supply voltage too low (a restart is needed)",
-            ),
-            (
-                Channel::Reply(M1),
-                [0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 1], // 2.30.4
-                "reply of motor 1: read-version-date (0xB2): version date 20220206 (2022-02-06)",
-            ),
-            (
-                Channel::Command(M1.into()),
-                [0xB4, 0, 0, 0, 0, 0, 0, 2],
-                "command to motor 1: set-baud-rate (0xB4): baud rate rs485-1m (2)",
-            ),
-            (
-                Channel::Command(M1.into()),
-                [0xB6, 0x60, 1, 1, 0, 0, 0, 0], // 2.34.4
-                "command to motor 1: active-reply (0xB6): command read-multi-turn-encoder (96), enable on, interval 10 ms",
-            ),
-            (
-                Channel::Command(M1.into()),
-                [0xA6, 9, 1, 0, 0, 0, 0, 0],
-                "command to motor 1: single-turn-position (0xA6): direction unknown code 9, max speed 1 dps, angle 0 deg",
-            ),
-            (
-                Channel::Command(M1.into()),
-                [0x20, 2, 0, 0, 1, 0, 0, 0],
-                "command to motor 1: function-control (0x20): index can-id-filter (2), value on",
-            ),
-            (
-                Channel::Motion(M1),
-                [0xE6, 0x66, 0x82, 0xE0, 0x52, 0x33, 0x3B, 0x55], // 5.4
-                "motion command to motor 1: motion: position step 58982, velocity step 2094, kp step 82, kd step 819, torque step 2901",
-            ),
-            (
-                Channel::BusId,
-                [0x79, 0, 1, 0, 0, 0, 0x42, 2], // 4.4
-                "bus id: bus-id (0x79): access read (1), motor id 2",
-            ),
-            (
-                Channel::Command(M1.into()),
-                [0x81, 0, 0, 0, 0, 0, 0, 0],
-                "command to motor 1: stop (0x81)",
-            ),
-            (
-                Channel::Reply(M1),
-                [0xF1, 0, 0, 0, 0, 0, 0, 1],
-                "reply of motor 1: raw F1 00 00 00 00 00 00 01",
-            ),
-            (
-                Channel::Command(crate::Target::All),
-                [0x43, 0, 0, 0, 99, 0, 0, 0],
-                "command to all motors: raw 43 00 00 00 63 00 00 00 (acceleration must be 100 to 60000 dps/s (0: no planning), but 99 dps/s was given)",
-            ),
-        ];
-        for (channel, data, text) in cases {
-            assert_eq!(Packet { channel, data }.to_string(), text);
+        let lines: Vec<_> = CASES.lines().skip(1).collect();
+        assert_eq!(lines.len(), 2 * 12);
+        for case in lines.chunks(2) {
+            assert_eq!(packet(case[0]).to_string(), case[1]);
         }
-        let angle =
-            Packet { channel: Channel::Reply(M1), data: [0x94, 0, 0, 0, 0xD8, 0xDC, 0xFF, 0xFF] };
         assert_eq!(
-            angle.as_of(Firmware::V4_4).to_string(),
+            packet("241#94000000D8DCFFFF").as_of(Firmware::V4_4).to_string(),
             "reply of motor 1: read-single-turn-angle-v4.4 (0x94): angle -90 deg"
         );
     }

@@ -13,8 +13,8 @@ use crate::packet::{Channel, Packet};
 /// A command of the caller's own: eight bytes, how a drive answers them, and whether they may move the
 /// motor. For commands that this library does not know, or knows with another layout.
 ///
-/// It is never sent twice by itself, and while the motors are stopped one that
-/// [may move](Kind::may_move) is refused.
+/// It is never sent twice by itself, and one that may move is
+/// [refused while the motors are stopped](Kind::is_refused_while_stopped).
 /// Where the table has its command byte, what the table says of it holds.
 ///
 /// ```

@@ -246,16 +246,4 @@ mod tests {
         assert_eq!(errors.to_string(), "motor stalled, unknown error 0x0020");
         assert_eq!(ErrorFlags::empty().to_string(), "no error");
     }
-
-    #[test]
-    fn levels_are_those_of_8_2() {
-        assert_eq!(ErrorFlags::STALL.level(), Some(ErrorLevel::One));
-        assert_eq!(ErrorFlags::OVER_SPEED.level(), Some(ErrorLevel::Two));
-        assert_eq!(ErrorFlags::ENCODER_DATA.level(), None);
-        assert!(!(ErrorFlags::UNDER_VOLTAGE | ErrorFlags::OVER_POWER).needs_restart());
-        assert!((ErrorFlags::UNDER_VOLTAGE | ErrorFlags::STALL).needs_restart());
-        for &error in ErrorFlags::NAMED {
-            assert!(error.name().is_some() && error.description().is_some());
-        }
-    }
 }

@@ -1,17 +1,12 @@
 //! What each command does, and what it is answered with, as [`decisions`](super::decisions) says.
 
-use crate::command::{
-    AccelerationReading, AnyCommand, BusId, BusIdReply, Feedback, FunctionControl, Model,
-    MotionFeedback, MultiTurnAngle, MultiTurnEncoder, MultiTurnEncoderOffset, MultiTurnEncoderRaw,
-    PidGain, RawMotionFeedback, ReadAcceleration, ReadPid, Reply, RunTime, RunningMode,
-    SingleTurnAngle, SingleTurnAngleV4_4, SingleTurnEncoder, SingleTurnFeedback, Status1, Status3,
-    U12, Version, WriteAcceleration, WritePidRam, WritePidRom, with_opcode,
-};
+use crate::command::*;
 use crate::data::Data;
 use crate::drive::control::SetPoint;
 use crate::drive::encoder::saturated;
 use crate::drive::protection::{Heard, STEADY_COMMANDS, STEADY_COMMANDS_SEEN};
 use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings, brake};
+use crate::error::DecodeError;
 use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
@@ -35,13 +30,7 @@ pub(super) enum Answer {
 
 impl<P: Plant, M: Memory> Drive<P, M> {
     /// Does what the command says.
-    pub(super) fn answer(
-        &mut self,
-        command: AnyCommand,
-        opcode: Opcode,
-        packet: &Packet,
-        now: Instant,
-    ) -> Answer {
+    pub(super) fn answer(&mut self, opcode: Opcode, packet: &Packet, now: Instant) -> Answer {
         let quirks = self.parameters.quirks;
         let needed =
             if quirks.lost_master_heartbeat { STEADY_COMMANDS_SEEN } else { STEADY_COMMANDS };
@@ -56,94 +45,101 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         if self.reporting.reports(opcode) {
             return Answer::Ignored(IgnoreReason::ReportedActively(opcode));
         }
-        self.carry_out(command, opcode, &packet.data, now)
+        let answer = self.carry_out(opcode, &packet.data, now);
+        answer.unwrap_or_else(|error| Answer::Ignored(IgnoreReason::Malformed(error)))
     }
 
     /// The reply to a read that names nothing, which the drive reports by itself.
     pub(super) fn report(&mut self, opcode: Opcode, now: Instant) -> Option<Data> {
-        let data = with_opcode(opcode);
-        let read = AnyCommand::decode_as(opcode, &data).ok()?;
-        match self.carry_out(read, opcode, &data, now) {
-            Answer::Data(reply) => Some(reply),
-            Answer::None | Answer::Ignored(_) => None,
+        match self.carry_out(opcode, &with_opcode(opcode), now) {
+            Ok(Answer::Data(reply)) => Some(reply),
+            _ => None,
         }
     }
 
-    /// Each kind stands here, so that the compiler asks for a new one.
+    /// Each kind stands here, so that the compiler asks for a new one. (It asks for a row's command in
+    /// the same round, as this is a match of kinds and not of commands.)
     fn carry_out(
         &mut self,
-        command: AnyCommand,
         opcode: Opcode,
         data: &Data,
         now: Instant,
-    ) -> Answer {
+    ) -> Result<Answer, DecodeError> {
         let echo = Answer::Data(*data);
         let unknown = Answer::Ignored(IgnoreReason::UnknownCode(opcode));
         let (m, encoder) = (&self.measurement, &self.encoder);
         let stall_a = self.parameters.stall_current_a;
-        match command {
-            AnyCommand::ReadPid(ReadPid { index }) => match self.active.gains.get(index) {
-                Some(value) => Answer::Data(PidGain { index, value }.encode(opcode)),
-                None => unknown,
-            },
-            AnyCommand::WritePidRam(WritePidRam { index, value }) => {
+        Ok(match opcode {
+            Opcode::ReadPid => {
+                let ReadPid { index } = ReadPid::decode(data)?;
+                match self.active.gains.get(index) {
+                    Some(value) => Answer::Data(PidGain { index, value }.encode(opcode)),
+                    None => unknown,
+                }
+            }
+            Opcode::WritePidRam => {
+                let WritePidRam { index, value } = WritePidRam::decode(data)?;
                 if self.active.gains.set(index, value) { echo } else { unknown }
             }
-            AnyCommand::WritePidRom(WritePidRom { index, value }) => {
+            Opcode::WritePidRom => {
+                let WritePidRom { index, value } = WritePidRom::decode(data)?;
                 if self.active.gains.get(index).is_none() {
-                    return unknown;
+                    return Ok(unknown);
                 }
                 self.write_rom(opcode, echo, |settings| {
                     settings.gains.set(index, value);
                 })
             }
-            AnyCommand::ReadAcceleration(ReadAcceleration { index }) => {
-                let Some(held) = self.active.accelerations.get(index) else { return unknown };
+            Opcode::ReadAcceleration => {
+                let ReadAcceleration { index } = ReadAcceleration::decode(data)?;
+                let Some(held) = self.active.accelerations.get(index) else { return Ok(unknown) };
                 let acceleration = ReportedAcceleration::from_raw(held.raw());
                 Answer::Data(AccelerationReading { index, acceleration }.encode(opcode))
             }
-            AnyCommand::WriteAcceleration(WriteAcceleration { index, acceleration }) => {
+            Opcode::WriteAcceleration => {
+                let WriteAcceleration { index, acceleration } = WriteAcceleration::decode(data)?;
                 if self.active.accelerations.get(index).is_none() {
-                    return unknown;
+                    return Ok(unknown);
                 }
                 self.write_rom(opcode, echo, |settings| {
                     settings.accelerations.set(index, acceleration);
                 })
             }
-            AnyCommand::ReadMultiTurnEncoder(_) => {
+            Opcode::ReadMultiTurnEncoder => {
                 let position = encoder.position_reading();
                 Answer::Data(MultiTurnEncoder { position }.encode(opcode))
             }
-            AnyCommand::ReadMultiTurnEncoderRaw(_) => {
+            Opcode::ReadMultiTurnEncoderRaw => {
                 Answer::Data(MultiTurnEncoderRaw { raw: encoder.raw_reading() }.encode(opcode))
             }
-            AnyCommand::ReadMultiTurnEncoderOffset(_) => {
+            Opcode::ReadMultiTurnEncoderOffset => {
                 let offset = encoder.offset_reading();
                 Answer::Data(MultiTurnEncoderOffset { offset }.encode(opcode))
             }
-            AnyCommand::SetEncoderZero(set) => {
+            Opcode::SetEncoderZero => {
+                let set = SetEncoderZero::decode(data)?;
                 self.keep(Settings { zero_offset: set.offset, ..self.stored }, echo)
             }
-            AnyCommand::SetCurrentPositionZero(_) => {
+            Opcode::SetCurrentPositionZero => {
                 let offset = encoder.raw_reading();
                 let reply = MultiTurnEncoderOffset { offset }.encode(opcode);
                 self.keep(Settings { zero_offset: offset, ..self.stored }, Answer::Data(reply))
             }
-            AnyCommand::ReadSingleTurnEncoder(_) => {
+            Opcode::ReadSingleTurnEncoder => {
                 let [position, raw, offset] = encoder.single_turn();
                 Answer::Data(SingleTurnEncoder { position, raw, offset }.encode(opcode))
             }
-            AnyCommand::ReadMultiTurnAngle(_) => {
+            Opcode::ReadMultiTurnAngle => {
                 Answer::Data(MultiTurnAngle { angle: encoder.angle_reading() }.encode(opcode))
             }
-            AnyCommand::ReadSingleTurnAngle(_) => {
+            Opcode::ReadSingleTurnAngle => {
                 Answer::Data(SingleTurnAngle { angle: encoder.single_turn_angle() }.encode(opcode))
             }
-            AnyCommand::ReadSingleTurnAngleV4_4(_) => {
+            Opcode::ReadSingleTurnAngleV4_4 => {
                 let angle = encoder.half_turn_angle();
                 Answer::Data(SingleTurnAngleV4_4 { angle }.encode(opcode))
             }
-            AnyCommand::ReadStatus1(_) => {
+            Opcode::ReadStatus1 => {
                 let status = Status1 {
                     temperature: celsius(m.motor_temperature_c),
                     mosfet_temperature: celsius(m.mos_temperature_c),
@@ -153,8 +149,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 };
                 Answer::Data(status.encode(opcode))
             }
-            AnyCommand::ReadStatus2(_) => self.feedback_to(opcode),
-            AnyCommand::ReadStatus3(_) => {
+            Opcode::ReadStatus2 => self.feedback_to(opcode),
+            Opcode::ReadStatus3 => {
                 let [phase_a_current, phase_b_current, phase_c_current] =
                     m.phase_currents_a.map(amperes);
                 let temperature = celsius(m.motor_temperature_c);
@@ -162,45 +158,48 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                     Status3 { temperature, phase_a_current, phase_b_current, phase_c_current };
                 Answer::Data(status.encode(opcode))
             }
-            AnyCommand::ReadRunningMode(_) => {
+            Opcode::ReadRunningMode => {
                 Answer::Data(RunningMode { mode: self.controller.mode() }.encode(opcode))
             }
-            AnyCommand::ReadRunTime(_) => {
+            Opcode::ReadRunTime => {
                 let millis = self.run_time(self.clock).as_millis();
                 let run_time = Milliseconds::from_raw(u32::try_from(millis).unwrap_or(u32::MAX));
                 Answer::Data(RunTime { run_time }.encode(opcode))
             }
-            AnyCommand::ReadVersionDate(_) => {
+            Opcode::ReadVersionDate => {
                 let version_date = self.parameters.version_date;
                 Answer::Data(Version { version_date }.encode(opcode))
             }
-            AnyCommand::ReadModel(_) => {
+            Opcode::ReadModel => {
                 Answer::Data(Model { model: self.parameters.model }.encode(opcode))
             }
-            AnyCommand::FunctionControl(function) => self.function(function, echo),
-            AnyCommand::BusId(BusId::Read) => {
-                let [.., low, high] = *data;
-                if (low, high) != (0, 0) {
-                    return Answer::Ignored(IgnoreReason::AnothersReply);
+            Opcode::FunctionControl => self.function(FunctionControl::decode(data)?, echo),
+            Opcode::BusId => match BusId::decode(data)? {
+                BusId::Read => {
+                    let [.., low, high] = *data;
+                    if (low, high) != (0, 0) {
+                        return Ok(Answer::Ignored(IgnoreReason::AnothersReply));
+                    }
+                    let id = self.active.id;
+                    let reply = match self.parameters.bus {
+                        Bus::Can => BusIdReply::OnCan(id),
+                        Bus::Rs485 => BusIdReply::OnRs485(id),
+                    };
+                    Answer::Data(reply.encode(opcode))
                 }
-                let id = self.active.id;
-                let reply = match self.parameters.bus {
-                    Bus::Can => BusIdReply::OnCan(id),
-                    Bus::Rs485 => BusIdReply::OnRs485(id),
-                };
-                Answer::Data(reply.encode(opcode))
-            }
-            AnyCommand::BusId(BusId::Write(id)) => {
-                let heard = self
-                    .id_taken
-                    .is_some_and(|(taken, at)| taken == id && now - at < ANOTHERS_REPLY);
-                if heard {
-                    return Answer::Ignored(IgnoreReason::AnothersReply);
+                BusId::Write(id) => {
+                    let heard = self
+                        .id_taken
+                        .is_some_and(|(taken, at)| taken == id && now - at < ANOTHERS_REPLY);
+                    if heard {
+                        return Ok(Answer::Ignored(IgnoreReason::AnothersReply));
+                    }
+                    self.id_taken = Some((id, now));
+                    self.keep(Settings { id, ..self.stored }, echo)
                 }
-                self.id_taken = Some((id, now));
-                self.keep(Settings { id, ..self.stored }, echo)
-            }
-            AnyCommand::CommunicationLossProtection(set) => {
+            },
+            Opcode::CommunicationLossProtection => {
+                let set = CommunicationLossProtection::decode(data)?;
                 let answer = self.write_rom(opcode, echo, |settings| {
                     settings.protection_timeout = set.timeout;
                 });
@@ -209,13 +208,14 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 }
                 answer
             }
-            AnyCommand::SetBaudRate(set) => {
+            Opcode::SetBaudRate => {
+                let set = SetBaudRate::decode(data)?;
                 let rate = match self.parameters.bus {
                     Bus::Can => set.baud_rate.can_bits_per_second(),
                     Bus::Rs485 => set.baud_rate.rs485_bits_per_second(),
                 };
                 if rate.is_none() {
-                    return unknown;
+                    return Ok(unknown);
                 }
                 let [a, b, c, d] = self.random.next().to_le_bytes();
                 let [e, f, g, _] = self.random.next().to_le_bytes();
@@ -229,8 +229,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 }
                 answer
             }
-            AnyCommand::ActiveReply(set) => {
-                let Some(reported) = set.command.opcode() else { return unknown };
+            Opcode::ActiveReply => {
+                let set = ActiveReply::decode(data)?;
+                let Some(reported) = set.command.opcode() else { return Ok(unknown) };
                 if set.enable.is_on() {
                     self.reporting.enable(reported, set.interval, now);
                 } else {
@@ -238,11 +239,11 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 }
                 Answer::None
             }
-            AnyCommand::Reset(_) => {
+            Opcode::Reset => {
                 self.restart(now);
                 Answer::None
             }
-            AnyCommand::ReleaseBrake(_) => {
+            Opcode::ReleaseBrake => {
                 if self.protection.is_tripped() {
                     self.not_run(opcode, NotRunReason::CommunicationLost);
                 } else {
@@ -252,65 +253,70 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 }
                 echo
             }
-            AnyCommand::LockBrake(_) => {
+            Opcode::LockBrake => {
                 self.brake.lock();
                 if self.brake.holds() {
                     self.controller.shut_down();
                 }
                 echo
             }
-            AnyCommand::Shutdown(_) => {
+            Opcode::Shutdown => {
                 self.controller.shut_down();
                 self.brake.lock_unless_requested();
                 echo
             }
-            AnyCommand::Stop(_) => {
+            Opcode::Stop => {
                 // A locked brake holds already.
                 if !self.brake.holds() {
                     self.run(opcode, SetPoint::Stop, LockedBrake::Forbids);
                 }
                 echo
             }
-            AnyCommand::Torque(torque) => {
+            Opcode::Torque => {
+                let torque = Torque::decode(data)?;
                 let set_point = SetPoint::Current { current_a: torque.current.amperes() };
                 self.run(opcode, set_point, LockedBrake::Forbids);
                 self.feedback_to(opcode)
             }
-            AnyCommand::Speed(speed) => {
+            Opcode::Speed => {
+                let speed = Speed::decode(data)?;
                 self.run_speed(&speed);
                 self.feedback_to(opcode)
             }
-            AnyCommand::AbsolutePosition(to) => {
+            Opcode::AbsolutePosition => {
+                let to = AbsolutePosition::decode(data)?;
                 self.run_position(opcode, to.angle.degrees_f64(), to.max_speed, stall_a);
                 self.feedback_to(opcode)
             }
-            AnyCommand::SingleTurnPosition(position) => {
+            Opcode::SingleTurnPosition => {
+                let position = SingleTurnPosition::decode(data)?;
                 if !self.run_single_turn(&position) {
-                    return unknown;
+                    return Ok(unknown);
                 }
                 let Feedback { temperature, current, speed, .. } = self.feedback();
                 let [encoder, _, _] = self.encoder.single_turn();
                 let feedback = SingleTurnFeedback { temperature, current, speed, encoder };
                 Answer::Data(feedback.encode(opcode))
             }
-            AnyCommand::IncrementalPosition(by) => {
+            Opcode::IncrementalPosition => {
+                let by = IncrementalPosition::decode(data)?;
                 let target = encoder.angle_deg() + by.angle.degrees_f64();
                 self.run_position(opcode, target, by.max_speed, stall_a);
                 self.feedback_to(opcode)
             }
-            AnyCommand::ForcePosition(to) => {
+            Opcode::ForcePosition => {
+                let to = ForcePosition::decode(data)?;
                 let limit_a = self.limit_a(to.max_torque);
                 self.run_position(opcode, to.angle.degrees_f64(), to.max_speed, limit_a);
                 self.feedback_to(opcode)
             }
-            AnyCommand::Motion(motion) => {
+            Opcode::Motion => {
+                let motion = RawMotion::decode(data);
                 let set_point = SetPoint::Motion(self.parameters.motion_ranges.set_point(&motion));
                 self.run(opcode, set_point, LockedBrake::Forbids);
                 Answer::Data(self.motion_feedback().encode())
             }
-            // Never here: what the firmware does not know has no kind.
-            AnyCommand::Raw(_) => Answer::Ignored(IgnoreReason::UnknownCommand),
-        }
+        })
     }
 
     fn feedback_to(&self, opcode: Opcode) -> Answer {

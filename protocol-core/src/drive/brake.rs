@@ -82,19 +82,6 @@ mod tests {
     const LATER: Instant = Instant::from_millis(100);
 
     #[test]
-    fn a_brake_holds_until_it_is_released() {
-        let mut brake = Brake::new(true);
-        assert!(brake.holds() && !brake.is_open(LATER));
-        brake.release(Instant::from_millis(50));
-        assert_eq!(brake.command(), BrakeCommand::RELEASE);
-        assert!(
-            !brake.is_open(Instant::from_millis(49)) && brake.is_open(Instant::from_millis(50))
-        );
-        brake.lock();
-        assert!(brake.holds());
-    }
-
-    #[test]
     fn a_second_release_does_not_delay_the_first() {
         let mut brake = Brake::new(true);
         brake.release(Instant::from_millis(50));
@@ -112,11 +99,5 @@ mod tests {
         brake.release_for_motion(Instant::ZERO);
         brake.lock_unless_requested();
         assert!(!brake.holds());
-    }
-
-    #[test]
-    fn without_a_brake_nothing_holds() {
-        let brake = Brake::new(false);
-        assert!(!brake.holds() && brake.is_open(Instant::ZERO));
     }
 }

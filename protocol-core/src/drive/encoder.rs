@@ -153,14 +153,6 @@ mod tests {
     }
 
     #[test]
-    fn saved_turns_come_back_if_the_shaft_stayed_within_half_a_turn() {
-        let saved = Some(7 * TURN + 100);
-        assert_eq!(started(100, 0, saved).raw(), 7 * TURN + 100);
-        assert_eq!(started(TURN / 2 - 1, 0, saved).raw(), 7 * TURN + TURN / 2 - 1);
-        assert_eq!(started(TURN / 2 + 200, 0, saved).raw(), 6 * TURN + TURN / 2 + 200);
-    }
-
-    #[test]
     fn readings_end_where_their_fields_do() {
         let mut encoder = started(0, 0, None);
         encoder.measure(TURN * 100); // 36000 degrees

@@ -91,18 +91,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn torque_gives_the_angle_of_a_uniform_acceleration() {
-        let mut plant = IdealPlant { friction_nm_s: 0.0, ..IdealPlant::default() };
-        let push = Actuation { current_a: 0.5, output_on: true, brake_released: true };
-        for _ in 0..100 {
-            plant.advance(&push, Duration::from_millis(1));
-        }
-        // 0.5 A * 2 N·m/A / 0.02 kg·m² = 50 rad/s²; after 0.1 s: 5 rad/s and 0.25 rad.
-        assert!((plant.speed_rad_s - 5.0).abs() < 1e-9);
-        assert!((plant.angle_rad - 0.25).abs() < 1e-9);
-    }
-
-    #[test]
     fn off_it_turns_freely_and_a_locked_brake_stops_it() {
         let mut plant =
             IdealPlant { speed_rad_s: 1.0, friction_nm_s: 0.0, ..IdealPlant::default() };

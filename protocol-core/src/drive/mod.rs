@@ -184,11 +184,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     pub fn handle_packet(&mut self, packet: &Packet, now: Instant) {
         self.advance(now);
         let to_all = match packet.channel {
-            Channel::Command(Target::Motor(id)) | Channel::Motion(id) if id == self.active.id => {
-                false
-            }
             Channel::Command(Target::All) => true,
             Channel::BusId => false,
+            Channel::Command(Target::Motor(id)) | Channel::Motion(id) if id == self.id() => false,
             Channel::Command(Target::Motor(_))
             | Channel::Motion(_)
             | Channel::Reply(_)
@@ -218,7 +216,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             Channel::Motion(_) => Channel::MotionReply(self.active.id),
             _ => Channel::Reply(self.active.id),
         };
-        match self.answer(command, opcode, packet, now) {
+        match self.answer(opcode, packet, now) {
             Answer::Data(data) => self.reply(Packet { channel, data }, now),
             Answer::None => {}
             Answer::Ignored(reason) => self.ignore(packet, reason),
@@ -325,18 +323,6 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         &self.parameters
     }
 
-    /// Switches behaviour beside the manual on or off.
-    pub fn set_quirks(&mut self, quirks: Quirks) {
-        self.parameters.quirks = quirks;
-        self.follow_reports(self.clock);
-    }
-
-    /// Sets the time from a command to its reply.
-    pub const fn set_response_delay(&mut self, min: Duration, max: Duration) {
-        self.parameters.response_delay_min = min;
-        self.parameters.response_delay_max = max;
-    }
-
     /// What the drive turns.
     pub const fn plant(&self) -> &P {
         &self.plant
@@ -355,11 +341,6 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     /// How many packets and events were dropped because nobody polled them in time.
     pub const fn dropped(&self) -> (u32, u32) {
         (self.outgoing.dropped(), self.events.dropped())
-    }
-
-    /// Takes the drive apart.
-    pub fn into_parts(self) -> (Parameters, P, M) {
-        (self.parameters, self.plant, self.memory)
     }
 
     /// One control step, up to `end`.

@@ -75,46 +75,9 @@ impl Protection {
 mod tests {
     use super::*;
 
-    const TIMEOUT: Duration = Duration::from_millis(100);
-
-    fn at(millis: u64) -> Instant {
-        Instant::from_millis(millis)
-    }
-
-    fn tripped() -> Protection {
-        let mut protection = Protection::default();
-        protection.hear(at(0), TIMEOUT, STEADY_COMMANDS);
-        assert!(!protection.check(at(100), TIMEOUT));
-        assert!(protection.check(at(101), TIMEOUT));
-        protection
-    }
-
     #[test]
     fn silence_from_the_start_is_no_loss() {
-        assert!(!Protection::default().check(at(1_000_000), TIMEOUT));
-    }
-
-    #[test]
-    fn it_trips_once() {
-        assert!(!tripped().check(at(1_000), TIMEOUT));
-    }
-
-    #[test]
-    fn the_third_of_steady_commands_recovers() {
-        let mut protection = tripped();
-        assert_eq!(protection.hear(at(1_000), TIMEOUT, 3), Heard::Unsteady { first: true });
-        assert_eq!(protection.hear(at(1_100), TIMEOUT, 3), Heard::Unsteady { first: false });
-        assert_eq!(protection.hear(at(1_200), TIMEOUT, 3), Heard::Recovered);
-        assert_eq!(protection.hear(at(1_201), TIMEOUT, 3), Heard::Steady);
-    }
-
-    #[test]
-    fn a_gap_starts_the_count_again() {
-        let mut protection = tripped();
-        protection.hear(at(1_000), TIMEOUT, 3);
-        protection.hear(at(1_100), TIMEOUT, 3);
-        assert_eq!(protection.hear(at(1_201), TIMEOUT, 3), Heard::Unsteady { first: true });
-        assert_eq!(protection.hear(at(1_202), TIMEOUT, 3), Heard::Unsteady { first: false });
-        assert_eq!(protection.hear(at(1_203), TIMEOUT, 3), Heard::Recovered);
+        let timeout = Duration::from_millis(100);
+        assert!(!Protection::default().check(Instant::from_millis(1_000_000), timeout));
     }
 }

@@ -236,7 +236,7 @@ pub fn change_id<R: Runner<N>, const N: usize>(
     let now = runner.now();
     runner.master().broadcast(BusId::Write(to), to.into(), now)?;
     // The reply is not needed: what counts is who answers after the restart.
-    drain_until(runner, |event| matches!(event, Event::BroadcastDone { .. }))?;
+    run_until(runner, None, |event| matches!(event, Event::BroadcastDone { .. }))?;
     restart(runner, from, to)?;
     runner.master().forget(from);
     Ok(())
@@ -253,7 +253,7 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 ) -> Result<(), BringUpError<R::Error>> {
     runner.ask(motor, ReleaseBrake)?;
     let open = runner.now() + BRAKE_OPENING;
-    wait_until(runner, open)?;
+    run_until(runner, Some(open), |_| false)?;
     match runner.ask(motor, ReadStatus1)?.brake {
         BrakeCommand::RELEASE => Ok(()),
         other => Err(BringUpError::BrakeNotReleased(other)),
@@ -296,30 +296,18 @@ fn restart<R: Runner<N>, const N: usize>(
     wait_until_there(runner, then, LONGEST_RESTART)
 }
 
-fn wait_until<R: Runner<N>, const N: usize>(
+/// Runs the bus until then, or until the event has come.
+fn run_until<R: Runner<N>, const N: usize>(
     runner: &mut R,
-    until: Instant,
+    until: Option<Instant>,
+    is_it: impl Fn(&Event) -> bool,
 ) -> Result<(), CallError<R::Error>> {
-    while runner.now() < until {
-        if runner.poll().map_err(CallError::Bus)?.is_none() {
-            runner.idle(until);
+    while until.is_none_or(|until| runner.now() < until) {
+        match runner.poll().map_err(CallError::Bus)? {
+            Some(event) if is_it(&event) => break,
+            Some(_) => {}
+            None => runner.idle(until.unwrap_or(runner.now() + LONGEST_IDLE)),
         }
     }
     Ok(())
-}
-
-fn drain_until<R: Runner<N>, const N: usize>(
-    runner: &mut R,
-    mut is_it: impl FnMut(&Event) -> bool,
-) -> Result<(), CallError<R::Error>> {
-    loop {
-        match runner.poll().map_err(CallError::Bus)? {
-            Some(event) if is_it(&event) => return Ok(()),
-            Some(_) => {}
-            None => {
-                let until = runner.now() + LONGEST_IDLE;
-                runner.idle(until);
-            }
-        }
-    }
 }

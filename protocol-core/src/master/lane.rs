@@ -73,52 +73,20 @@ const STOP_ATTEMPTS: u8 = 15;
 /// A doubled frame comes so soon after the first.
 const DOUBLED_WITHIN: Duration = Duration::from_millis(1);
 
-/// Four small counters in two bytes, for the sake of RAM: bits 0..4 owed, 4..8 attempts, 8..10 misses,
-/// 10..16 doubts.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Counts(u16);
-
-macro_rules! count {
-    ($(#[doc = $doc:literal])+ $get:ident $set:ident, $shift:literal, at_most $most:literal) => {
-        $(#[doc = $doc])+
-        pub(super) const fn $get(self) -> u8 {
-            (self.0 >> $shift) as u8 & $most
-        }
-
-        fn $set(&mut self, count: u8) {
-            let kept = self.0 & !(($most as u16) << $shift);
-            self.0 = kept | u16::from(count.min($most)) << $shift;
-        }
-    };
-}
-
-impl Counts {
-    count! {
-        /// Replies to requests that may still come, in flight or late.
-        owed set_owed, 0, at_most 15
-    }
-    count! {
-        /// How often the request may still be sent.
-        attempts_left set_attempts_left, 4, at_most 15
-    }
-    count! {
-        /// Commands in a row that were not answered in time.
-        misses set_misses, 8, at_most 3
-    }
-    count! {
-        /// Replies that may still come, look like a stop's confirmation, and belong to an earlier
-        /// command.
-        doubts set_doubts, 10, at_most 63
-    }
-}
-
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Lane {
     pub(super) motor: Option<MotorId>,
     pub(super) generation: u8,
     pub(super) request: RequestState,
     pub(super) flags: Flags,
-    pub(super) counts: Counts,
+    /// Replies to requests that may still come, in flight or late.
+    owed: u8,
+    /// How often the request may still be sent.
+    pub(super) attempts_left: u8,
+    /// Commands in a row that were not answered in time.
+    misses: u8,
+    /// Replies that may still come, look like a stop's confirmation, and belong to an earlier command.
+    doubts: u8,
     pub(super) timeout: Span,
     /// Which reports (0xB6) are on, a bit each.
     pub(super) reported: u8,
@@ -154,7 +122,7 @@ impl Lane {
         self.request_kind = Some(kind);
         self.request_data = data;
         self.timeout = Span::from_duration(patience.reply_timeout);
-        self.counts.set_attempts_left(patience.attempts.clamp(1, 15));
+        self.attempts_left = patience.attempts.clamp(1, 15);
     }
 
     /// Puts a stop in the place of whatever waits. What is in flight stays owed.
@@ -172,7 +140,7 @@ impl Lane {
         }
         let answers_something_else =
             self.request == RequestState::InFlight && self.request_kind != Some(kind);
-        self.counts.set_doubts(self.counts.owed().saturating_sub(u8::from(answers_something_else)));
+        self.doubts = self.owed.saturating_sub(u8::from(answers_something_else));
         self.drop_set_point(tally);
         self.flags.insert(Flags::STOP);
         self.put_request(kind, data, Patience { reply_timeout: timeout, attempts: STOP_ATTEMPTS });
@@ -267,12 +235,12 @@ impl Lane {
         self.flags.remove(Flags::SET_POINT_LAST | Flags::OVERDUE);
         self.sent = Tick::not_before(now);
         self.round = self.round.wrapping_add(1);
-        self.counts.set_attempts_left(self.counts.attempts_left().saturating_sub(1));
+        self.attempts_left = self.attempts_left.saturating_sub(1);
         if awaits_reply {
             // Only a stop is sent on top of a set-point in flight; its feedback is not awaited then.
             self.flags.remove(Flags::SET_POINT_IN_FLIGHT);
             self.request = RequestState::InFlight;
-            self.counts.set_owed(self.counts.owed() + 1);
+            self.owed = self.owed.saturating_add(1);
         } else {
             self.request = RequestState::Sent;
             self.flags.insert(Flags::SETTLING);
@@ -296,7 +264,7 @@ impl Lane {
     /// Whether a reply of this motor may be waiting for the bus. Not one that did not answer last
     /// time, nor one that the quiet bus has shown to be silent.
     pub(super) fn may_be_answering(&self) -> bool {
-        self.is_in_flight() && self.counts.misses() == 0 && !self.flags.contains(Flags::OVERDUE)
+        self.is_in_flight() && self.misses == 0 && !self.flags.contains(Flags::OVERDUE)
     }
 
     /// Lets no request out until `span` has passed.
@@ -316,25 +284,25 @@ impl Lane {
 
     /// The reply to the request in flight has come.
     pub(super) fn reply_has_come(&mut self) {
-        self.counts.set_owed(self.counts.owed().saturating_sub(1));
+        self.owed = self.owed.saturating_sub(1);
     }
 
     /// A reply has come that was given up. After the last of those nothing can be mistaken any more.
     pub(super) fn late_reply_has_come(&mut self) {
         let in_flight = self.request == RequestState::InFlight;
-        if self.counts.owed() <= u8::from(in_flight) {
+        if self.owed <= u8::from(in_flight) {
             return;
         }
-        self.counts.set_owed(self.counts.owed() - 1);
-        self.counts.set_doubts(self.counts.doubts().saturating_sub(1));
-        if self.counts.owed() == 0 && !self.flags.contains(Flags::SETTLING) {
+        self.owed -= 1;
+        self.doubts = self.doubts.saturating_sub(1);
+        if self.owed == 0 && !self.flags.contains(Flags::SETTLING) {
             self.flags.remove(Flags::HELD);
         }
     }
 
     /// Whether replies to requests that were given up may still come.
     pub(super) fn is_late_reply_due(&self) -> bool {
-        self.counts.owed() > u8::from(self.request == RequestState::InFlight)
+        self.owed > u8::from(self.request == RequestState::InFlight)
     }
 
     /// Whether something was heard of the motor just before `now`, so that what comes now may be the
@@ -346,8 +314,8 @@ impl Lane {
 
     /// Whether this reply to a stop may be one to an earlier command. Then the next one counts.
     pub(super) fn is_doubtful(&mut self) -> bool {
-        let doubts = self.counts.doubts();
-        self.counts.set_doubts(doubts.saturating_sub(1));
+        let doubts = self.doubts;
+        self.doubts = doubts.saturating_sub(1);
         self.flags.contains(Flags::STOP) && doubts > 0
     }
 
@@ -361,18 +329,18 @@ impl Lane {
     ) {
         self.request = outcome;
         self.flags.remove(Flags::STOP);
-        if self.counts.owed() > 0 {
+        if self.owed > 0 {
             self.hold(now, late_window);
         }
     }
 
     pub(super) fn missed(&mut self, tally: &mut Tally) {
         tally.lost = tally.lost.saturating_add(1);
-        self.counts.set_misses(self.counts.misses() + 1);
+        self.misses = self.misses.saturating_add(1);
     }
 
     pub(super) fn answered(&mut self, tally: &mut Tally, round_trip: Option<Duration>) {
-        self.counts.set_misses(0);
+        self.misses = 0;
         tally.answered(round_trip);
     }
 
@@ -388,7 +356,7 @@ impl Lane {
             // What was given up meanwhile has its own time from here on.
             self.held_until = CoarseTick::after(now, late_window);
             if self.request != RequestState::InFlight {
-                self.counts.set_owed(0);
+                self.owed = 0;
             }
         } else if self.flags.contains(Flags::SET_POINT_LATE) && self.held_until.is_reached(now) {
             self.flags.remove(Flags::SET_POINT_LATE);
@@ -420,7 +388,7 @@ impl Lane {
     }
 
     pub(super) fn is_owed(&self) -> bool {
-        self.counts.owed() > 0
+        self.owed > 0
     }
 
     /// Whether a broadcast has to wait for this motor, because its answer to a request may still come.
@@ -451,7 +419,7 @@ impl Lane {
 
     pub(super) fn health(&self, tally: &Tally, now: Instant) -> Health {
         let seen = self.flags.contains(Flags::SEEN).then(|| self.last_seen.instant(now));
-        tally.health(self.counts.misses(), seen)
+        tally.health(self.misses, seen)
     }
 }
 

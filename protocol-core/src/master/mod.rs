@@ -58,7 +58,7 @@ use broadcast::Broadcast;
 use compact::{Compact, Wire};
 use health::Tally;
 use lane::{Flags, Lane, RequestState};
-use ticks::{CoarseTick, Earliest, LONGEST_GAP, MicroTick};
+use ticks::{CoarseTick, Earliest, LONGEST_GAP};
 
 /// How motors are to be stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -136,7 +136,7 @@ pub struct Master<const N: usize> {
     pace: u8,
     /// Until when the frames that were sent keep the bus busy, or when one was last received. On
     /// RS485: when the line may be used again.
-    busy_until: MicroTick,
+    busy_until: Instant,
     /// The latest time that a caller gave.
     now: Instant,
 }
@@ -156,7 +156,7 @@ impl<const N: usize> Master<N> {
             stopped: false,
             echo_left: 0,
             pace: 0,
-            busy_until: MicroTick::default(),
+            busy_until: Instant::ZERO,
             now: Instant::ZERO,
         }
     }
@@ -270,8 +270,7 @@ impl<const N: usize> Master<N> {
 
     /// Stops every motor that this master knows and those of `also`, before anything else is sent
     /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Until
-    /// [`lift_stop`](Self::lift_stop) whatever [may move](Kind::may_move) a motor is refused:
-    /// set-points, a restart and writes to ROM, for example, but not reads.
+    /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a restart and writes to ROM, for example, but not reads.
     ///
     /// Each motor's confirmation, or its absence, comes as an event.
     ///
@@ -320,9 +319,7 @@ impl<const N: usize> Master<N> {
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Packet> {
         self.advance(now);
         self.offer = None;
-        if self.config.is_rs485()
-            && (self.is_anything_in_flight() || self.busy_until.instant(now) > now)
-        {
+        if self.config.is_rs485() && (self.is_anything_in_flight() || self.busy_until > now) {
             return None;
         }
         let (offer, packet) = self.choose()?;
@@ -400,7 +397,7 @@ impl<const N: usize> Master<N> {
             lane.missed(tally);
             if lane.request != RequestState::InFlight {
                 lane.give_set_point_up(now, late_window);
-            } else if lane.counts.attempts_left() > 0 {
+            } else if lane.attempts_left > 0 {
                 lane.request = RequestState::Waiting;
             } else {
                 let is_stop = lane.flags.contains(Flags::STOP);
@@ -455,7 +452,7 @@ impl<const N: usize> Master<N> {
         }
         if self.config.is_rs485() {
             if !self.is_anything_in_flight() && self.choose().is_some() {
-                earliest.take(self.busy_until.instant(now));
+                earliest.take(self.busy_until);
             }
         } else if let Some(end) = self.courtesy_ends() {
             earliest.take(end);
@@ -503,7 +500,11 @@ impl<const N: usize> Master<N> {
         if self.config.is_rs485() {
             kind.check_on_rs485()?;
         }
-        if self.stopped && kind.may_move() { Err(RequestError::Stopped) } else { Ok(()) }
+        if self.stopped && kind.is_refused_while_stopped() {
+            Err(RequestError::Stopped)
+        } else {
+            Ok(())
+        }
     }
 
     #[inline(never)]
@@ -535,7 +536,7 @@ impl<const N: usize> Master<N> {
         if now - self.now > LONGEST_GAP {
             self.lanes.iter_mut().for_each(|lane| lane.bridge_gap(self.now, now));
             self.broadcast.bridge_gap(self.now, now);
-            self.busy_until = MicroTick::at(now);
+            self.busy_until = now;
         }
         self.now = self.now.max(now);
     }

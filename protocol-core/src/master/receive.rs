@@ -4,7 +4,6 @@ use crate::command::{AnyReply, BusId, Command};
 use crate::data::Data;
 use crate::id::MotorId;
 use crate::master::lane::{Flags, RequestState};
-use crate::master::ticks::MicroTick;
 use crate::master::{Event, Master, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat, Usage};
 use crate::packet::{Channel, Packet};
@@ -56,10 +55,10 @@ impl<const N: usize> Master<N> {
 
     /// A frame on its way to us held up those that are queued.
     fn frame_has_come(&mut self, now: Instant) {
-        if self.busy_until.instant(now) > now {
+        if self.busy_until > now {
             self.bus_is_busy(now);
         } else {
-            self.busy_until = MicroTick::at(now);
+            self.busy_until = now;
         }
     }
 
@@ -127,12 +126,12 @@ impl<const N: usize> Master<N> {
         }
         lane.reply_has_come();
         let command = lane.request_data;
-        if lane.is_doubtful() && lane.counts.attempts_left() > 0 {
+        if lane.is_doubtful() && lane.attempts_left > 0 {
             lane.request = RequestState::Waiting;
             return Some(None);
         }
         if lane.is_ignored(&command, data) {
-            if lane.counts.attempts_left() > 0 && kind.repeat() == Repeat::Harmless {
+            if lane.attempts_left > 0 && kind.repeat() == Repeat::Harmless {
                 lane.request = RequestState::Waiting;
             } else {
                 lane.finish_request(RequestState::NotExecuted, now, config.late_window());

@@ -1,7 +1,7 @@
 //! Whose turn it is on the bus, and when.
 
 use crate::master::lane::{Flags, Lane, RequestState};
-use crate::master::ticks::{Earliest, MicroTick};
+use crate::master::ticks::Earliest;
 use crate::master::{Master, MotorSet, Offer};
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
@@ -22,20 +22,18 @@ impl<const N: usize> Master<N> {
     /// Notes one more frame on the bus: behind what is queued already, or right now.
     #[inline(never)]
     pub(super) fn bus_is_busy(&mut self, now: Instant) {
-        let queued = self.busy_until.instant(now).max(now);
-        self.busy_until = MicroTick::at(queued + self.frame_time());
+        self.busy_until = self.busy_until.max(now) + self.frame_time();
     }
 
     /// RS485: the drives turn around before the next command.
     pub(super) fn line_is_free_after_turnaround(&mut self, now: Instant) {
-        self.busy_until =
-            MicroTick::at(now + Duration::from_micros(self.config.turnaround_us.into()));
+        self.busy_until = now + Duration::from_micros(self.config.turnaround_us.into());
     }
 
     /// When the bus has been quiet for so long that a reply which only waited for it must have come.
     #[inline(never)]
     pub(super) fn quiet_at(&self) -> Instant {
-        self.busy_until.instant(self.now) + self.frame_time().times(2)
+        self.busy_until + self.frame_time().times(2)
     }
 
     pub(super) fn frame_time(&self) -> Duration {

@@ -21,22 +21,6 @@ pub(super) struct Tick(u16);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct CoarseTick(u16);
 
-/// A point in time, in microseconds; wraps after 71 minutes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct MicroTick(u32);
-
-impl MicroTick {
-    pub(super) fn at(now: Instant) -> Self {
-        Self(now.as_micros() as u32)
-    }
-
-    #[inline(never)]
-    pub(super) fn instant(self, near: Instant) -> Instant {
-        let delta = self.0.wrapping_sub(near.as_micros() as u32) as i32;
-        Instant::from_micros(near.as_micros().saturating_add_signed(delta.into()))
-    }
-}
-
 /// A span of at most 261 ms, in steps of 1.024 ms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Span(u8);

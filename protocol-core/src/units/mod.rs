@@ -287,13 +287,6 @@ mod tests {
     }
 
     #[test]
-    fn raw_values_are_checked_too() {
-        assert_eq!(Acceleration::try_from_raw(0).unwrap(), Acceleration::NONE);
-        assert!(Acceleration::try_from_raw(1).is_err());
-        assert!(SingleTurnTarget::try_from_raw(36_001).is_err());
-    }
-
-    #[test]
     fn saturating_takes_the_end_and_never_a_nan() {
         assert_eq!(SpeedTarget::saturating_from_dps(f32::INFINITY).unwrap().raw(), i32::MAX);
         assert_eq!(SpeedTarget::saturating_from_dps(f32::NEG_INFINITY).unwrap().raw(), i32::MIN);

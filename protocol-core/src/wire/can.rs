@@ -201,34 +201,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn identifiers_and_channels_are_each_others_inverse() {
-        let mut known = 0;
-        for raw in 0..=0x7FF {
-            if let Some(found) = channel_at(raw) {
-                assert_eq!(identifier(found), raw);
-                known += 1;
-            }
-        }
-        assert_eq!(known, 4 * 32 + 2);
-    }
-
-    #[test]
-    fn identifiers_are_the_manuals() {
-        let id = |n| MotorId::new(n).unwrap();
-        assert_eq!(channel_at(0x141), Some(Channel::Command(Target::Motor(id(1)))));
-        assert_eq!(channel_at(0x160), Some(Channel::Command(Target::Motor(id(32)))));
-        assert_eq!(channel_at(0x260), Some(Channel::Reply(id(32))));
-        assert_eq!(channel_at(0x280), Some(Channel::Command(Target::All)));
-        assert_eq!(channel_at(0x300), Some(Channel::BusId));
-        assert_eq!(channel_at(0x401), Some(Channel::Motion(id(1))));
-        assert_eq!(channel_at(0x520), Some(Channel::MotionReply(id(32))));
-        for foreign in [0x000, 0x140, 0x161, 0x240, 0x261, 0x281, 0x301, 0x400, 0x421, 0x500, 0x521]
-        {
-            assert_eq!(channel_at(foreign), None, "{foreign:03X}");
-        }
-    }
-
-    #[test]
     fn frames_are_made_at_compile_time() {
         const STOP: SimpleFrame =
             SimpleFrame::from_packet(&crate::command::Stop.packet(MotorId::MIN));

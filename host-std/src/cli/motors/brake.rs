@@ -1,12 +1,10 @@
 //! `myactuator brake`: the holding brake, by hand.
 
 use clap::ValueEnum;
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, LockBrake, ReadStatus1};
 use myactuator_protocol_core::io::bring_up;
 
-use super::session::{Consent, OnBus, Outcome, Session, Unfinished, say};
-use crate::cli::arguments as parse;
+use super::session::{OneMotor, Outcome, Session, Unfinished, say};
 
 /// Release or lock a motor's brake
 ///
@@ -18,12 +16,7 @@ pub(in crate::cli) struct Arguments {
     #[arg(value_enum)]
     action: Action,
     #[command(flatten)]
-    on: OnBus,
-    /// The motor, 1 to 32.
-    #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
-    id: MotorId,
-    #[command(flatten)]
-    consent: Consent,
+    motor: OneMotor,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -35,10 +28,10 @@ enum Action {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let motor = arguments.id;
+    let motor = arguments.motor.id;
     match arguments.action {
         Action::Release => {
-            let mut session = Session::open_to_change(&arguments.on, arguments.consent)?;
+            let mut session = arguments.motor.open_to_change()?;
             session.ask(motor, ReadStatus1)?;
             session.confirm(&format!(
                 "Motor {motor}'s brake will let the shaft go: a load can turn it then."
@@ -47,7 +40,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             say(&format!("motor {motor}: brake released"))
         }
         Action::Lock => {
-            let mut session = Session::open(&arguments.on)?;
+            let mut session = Session::open(&arguments.motor.on)?;
             session.standing(motor)?;
             session.ask(motor, LockBrake)?;
             match session.ask(motor, ReadStatus1)?.brake {

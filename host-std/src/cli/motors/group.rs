@@ -4,8 +4,11 @@ use std::fmt;
 use std::slice;
 
 use myactuator_host_std::explain::{Values, values};
-use myactuator_protocol_core::Data;
 use myactuator_protocol_core::command::{Field, Fields, Phrase};
+use myactuator_protocol_core::{Data, MotorId};
+use serde_json::{Value, json};
+
+use super::session::Session;
 
 /// Fields of replies, one line for people.
 #[derive(Clone, Debug, Default)]
@@ -26,10 +29,20 @@ impl Group {
         self
     }
 
-    /// For JSON.
-    pub(super) fn values(&self) -> Values {
+    fn values(&self) -> Values {
         let each = self.0.iter();
         each.flat_map(|(field, data)| values(slice::from_ref(field), data, None)).collect()
+    }
+}
+
+impl Session {
+    /// A motor's fields as one JSON object.
+    pub(super) fn json(&self, motor: MotorId, groups: &[Group]) -> String {
+        let mut object = json!({ "bus": self.address.to_string(), "id": motor.get() });
+        if let Value::Object(object) = &mut object {
+            object.extend(groups.iter().flat_map(Group::values));
+        }
+        object.to_string()
     }
 }
 

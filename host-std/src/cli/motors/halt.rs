@@ -9,8 +9,8 @@ use myactuator_protocol_core::master::{MotorSet, Patience, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
-use super::session::{OnBus, Outcome, Session, say};
-use crate::cli::arguments as parse;
+use super::moving::hold_still;
+use super::session::{Motors, Outcome, Session, say};
 
 /// How often ids are tried that do not confirm.
 const ROUNDS: usize = 3;
@@ -22,18 +22,12 @@ const LONGEST_IDLE: Duration = Duration::from_millis(10);
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
-    on: OnBus,
-    /// The motor, 1 to 32, or all on the bus.
-    #[arg(long, value_parser = parse::target, allow_hyphen_values = true, default_value = "all")]
-    id: Target,
+    motors: Motors,
 }
 
 pub(super) fn stop(arguments: &Arguments) -> Outcome {
     let motors = halt(arguments, StopKind::Hold)?;
-    say(&match motors.len() {
-        1 => format!("motor {motors} is stopped and holds still (0x81)"),
-        _ => format!("motors {motors} are stopped and hold still (0x81)"),
-    })
+    say(&hold_still(motors))
 }
 
 pub(super) fn shut_down(arguments: &Arguments) -> Outcome {
@@ -48,8 +42,8 @@ pub(super) fn shut_down(arguments: &Arguments) -> Outcome {
 
 /// Gives the motors that have confirmed.
 fn halt(arguments: &Arguments, kind: StopKind) -> Outcome<MotorSet> {
-    let mut session = Session::open(&arguments.on)?;
-    match (arguments.id, kind) {
+    let mut session = Session::open(&arguments.motors.on)?;
+    match (arguments.motors.id, kind) {
         (Target::Motor(motor), _) => {
             session.stop(kind, motor.into())?;
             Ok(motor.into())

@@ -1,34 +1,17 @@
 //! `myactuator info`: what motors are.
 
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
     Model, ReadMultiTurnEncoderOffset, RunTime, RunningMode, Version,
 };
 use myactuator_protocol_core::io::bring_up;
-use myactuator_protocol_core::{MotorId, Target};
 
 use super::group::Group;
-use super::session::{OnBus, Outcome, Session, Unfinished};
-use super::status::tell_each;
-use crate::cli::arguments as parse;
-
-/// Tell what motors are: model, software, run time, mode, state and zero
-///
-/// Exit status: 0 if every motor was read, else 1.
-#[derive(Debug, clap::Args)]
-pub(in crate::cli) struct Arguments {
-    #[command(flatten)]
-    on: OnBus,
-    /// The motor, 1 to 32, or all that answer.
-    #[arg(long, value_parser = parse::target, allow_hyphen_values = true, default_value = "all")]
-    id: Target,
-    /// Print one JSON object a motor.
-    #[arg(long)]
-    json: bool,
-}
+use super::session::{Outcome, Session, Unfinished};
+use super::status::{Arguments, tell_each};
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let mut session = Session::open(&arguments.on)?;
-    tell_each(&mut session, arguments.id, arguments.json, read)
+    tell_each(arguments, read)
 }
 
 fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {

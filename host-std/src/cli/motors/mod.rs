@@ -15,6 +15,7 @@ mod progress;
 mod revision;
 mod run_for;
 mod scan;
+mod send;
 mod session;
 #[cfg(test)]
 mod simulated;
@@ -29,7 +30,9 @@ use super::DONE;
 #[derive(Debug, clap::Subcommand)]
 pub(super) enum Subcommand {
     Scan(scan::Arguments),
-    Info(info::Arguments),
+    /// Tell what motors are: model, software, run time, mode, state and zero
+    Info(status::Arguments),
+    /// Tell how motors do: angle, speed, currents, temperatures, voltage, brake and errors
     Status(status::Arguments),
     Move(move_to::Arguments),
     Speed(speed::Arguments),
@@ -42,6 +45,7 @@ pub(super) enum Subcommand {
     Brake(brake::Arguments),
     Zero(zero::Arguments),
     Id(change_id::Arguments),
+    Send(send::Arguments),
 }
 
 /// Does it, and gives the exit status.
@@ -59,6 +63,7 @@ pub(super) fn run(subcommand: &Subcommand) -> u8 {
         Subcommand::Brake(arguments) => brake::run(arguments),
         Subcommand::Zero(arguments) => zero::run(arguments),
         Subcommand::Id(arguments) => change_id::run(arguments),
+        Subcommand::Send(arguments) => send::run(arguments),
     };
     match outcome {
         Ok(()) => DONE,

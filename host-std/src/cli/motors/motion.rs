@@ -38,9 +38,9 @@ pub(in crate::cli) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let bus = arguments.span.on.bus.kind();
+    let bus = arguments.span.motor.on.bus.kind();
     parse::check_bus(Opcode::Motion.into(), bus).map_err(Unfinished::Usage)?;
-    run_on(&mut arguments.span.open()?, arguments)
+    run_on(&mut arguments.span.motor.open_to_change()?, arguments)
 }
 
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
@@ -51,7 +51,7 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
         kd: arguments.kd,
         torque_nm: arguments.torque_nm,
     };
-    let ranges = arguments.revision.scales(session, arguments.span.id)?;
+    let ranges = arguments.revision.scales(session, arguments.span.motor.id)?;
     let command =
         ranges.quantise(&set_point).map_err(|error| Unfinished::Usage(error.to_string()))?;
     let run = Run {
@@ -82,7 +82,7 @@ mod tests {
     use myactuator_protocol_core::command::{MotionLimits, MotionRanges, VersionDate};
     use myactuator_protocol_core::{Channel, Firmware, MotorId};
 
-    use super::super::simulated::{on, sent, span};
+    use super::super::simulated::{sent, span};
     use super::*;
 
     /// Scales of a large motor with firmware V4.4.
@@ -103,7 +103,7 @@ mod tests {
             torque_nm: 0.0,
             revision,
         };
-        let outcome = run_on(&mut on(&fleet), &arguments);
+        let outcome = run_on(&mut Session::on(&fleet), &arguments);
         let moved = sent(&log).iter().any(|p| p.channel == Channel::Motion(MotorId::MIN));
         let degrees = fleet.drives[0].with(|drive| drive.plant().output_angle_deg());
         (outcome, degrees, moved)

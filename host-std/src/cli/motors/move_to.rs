@@ -11,7 +11,7 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
 
 use super::progress::Progress;
-use super::session::{Consent, OnBus, Outcome, Session, Unfinished, healthy, say};
+use super::session::{OneMotor, Outcome, Session, Unfinished, healthy, say};
 use crate::cli::arguments as parse;
 
 /// So near counts as arrived, degrees.
@@ -36,10 +36,7 @@ const ATTEMPTS: u8 = 3;
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
-    on: OnBus,
-    /// The motor, 1 to 32.
-    #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
-    id: MotorId,
+    motor: OneMotor,
     /// Where to go, or with --relative how far, degrees of the output shaft over many turns.
     #[arg(long, value_parser = parse::angle, allow_hyphen_values = true)]
     angle_deg: Angle,
@@ -55,8 +52,6 @@ pub(in crate::cli) struct Arguments {
     /// How long it may take, s [default: 5 s and three times what the way takes at full speed].
     #[arg(long, value_parser = parse::seconds, allow_hyphen_values = true)]
     timeout_s: Option<Duration>,
-    #[command(flatten)]
-    consent: Consent,
 }
 
 /// A way to go, in degrees.
@@ -75,8 +70,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 .to_owned(),
         ));
     }
-    let mut session = Session::open_to_change(&arguments.on, arguments.consent)?;
-    let motor = arguments.id;
+    let mut session = arguments.motor.open_to_change()?;
+    let motor = arguments.motor.id;
     session.ready(motor)?;
     let here = session.ask(motor, ReadMultiTurnAngle)?.angle;
     let target = target(arguments, here)?;

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -15,11 +14,11 @@ use super::session::{Outcome, Session, Unfinished};
 const LONGEST_WAIT: Duration = Duration::from_millis(10);
 
 impl Session {
-    /// Does `work`, which moves this motor. If it fails, or Ctrl-C, a hang-up or a request to end
-    /// comes, the motor is stopped (0x81) before anything else.
+    /// Does `work`, which moves these motors. If it fails, or Ctrl-C, a hang-up or a request to end
+    /// comes, they are stopped (0x81) before anything else.
     pub(super) fn moving<T>(
         &mut self,
-        motor: MotorId,
+        motors: impl Into<MotorSet>,
         work: impl FnOnce(&mut Self) -> Outcome<T>,
     ) -> Outcome<T> {
         for signal in [SIGINT, SIGTERM, SIGHUP] {
@@ -27,8 +26,9 @@ impl Session {
                 .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))?;
         }
         work(self).map_err(|why| {
-            let stopped = self.stop(StopKind::Hold, motor.into());
-            told_with_stop(motor, why, stopped)
+            let motors = motors.into();
+            let stopped = self.stop(StopKind::Hold, motors);
+            told_with_stop(motors, why, stopped)
         })
     }
 
@@ -67,8 +67,16 @@ impl Session {
     }
 }
 
-/// Why the work ended, and that the motor has stopped, or not.
-fn told_with_stop(motor: MotorId, why: Unfinished, stopped: Outcome) -> Unfinished {
+/// That these motors have confirmed the stop.
+pub(super) fn hold_still(motors: MotorSet) -> String {
+    match motors.len() {
+        1 => format!("motor {motors} is stopped and holds still (0x81)"),
+        _ => format!("motors {motors} are stopped and hold still (0x81)"),
+    }
+}
+
+/// Why the work ended, and that the motors have stopped, or not.
+fn told_with_stop(motors: MotorSet, why: Unfinished, stopped: Outcome) -> Unfinished {
     let sentence = match &why {
         Unfinished::Usage(sentence)
         | Unfinished::Failed(sentence)
@@ -80,11 +88,9 @@ fn told_with_stop(motor: MotorId, why: Unfinished, stopped: Outcome) -> Unfinish
         (Err(Unfinished::Failed(not_stopped)), _) => {
             Unfinished::Failed(format!("{sentence}; {not_stopped}"))
         }
-        (_, Unfinished::Interrupted(_)) => Unfinished::Interrupted(format!(
-            "{sentence}; motor {motor} is stopped and holds still (0x81)"
-        )),
-        _ => Unfinished::Failed(format!(
-            "{sentence}; motor {motor} is stopped and holds still (0x81)"
-        )),
+        (_, Unfinished::Interrupted(_)) => {
+            Unfinished::Interrupted(format!("{sentence}; {}", hold_still(motors)))
+        }
+        _ => Unfinished::Failed(format!("{sentence}; {}", hold_still(motors))),
     }
 }

@@ -2,10 +2,10 @@
 //! to. It is never guessed: scales of V4.3 sent to a V4.4 have given 2.5 times the torque.
 
 use myactuator_protocol_core::command::{MotionRanges, ReadVersionDate, VersionDate};
-use myactuator_protocol_core::{Firmware, MotorId};
+use myactuator_protocol_core::{Firmware, MotorId, Opcode};
 
 use super::session::{Outcome, Session, Unfinished};
-use crate::cli::arguments as parse;
+use crate::cli::{arguments as parse, tell};
 
 /// What the user says of a motor.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -37,6 +37,36 @@ impl MotorRevision {
             (Some(firmware), _) | (None, Some(firmware)) => Ok(Ok(firmware)),
             (None, None) => Ok(Err(date)),
         }
+    }
+
+    /// Refuses a command that a motor's firmware does not have. Where that is not known, the user is told as
+    /// whose command it is taken.
+    pub(super) fn check_has(
+        &self,
+        session: &mut Session,
+        motor: MotorId,
+        opcode: Opcode,
+    ) -> Outcome {
+        let in_all = Firmware::ALL.iter().all(|firmware| opcode.is_in(*firmware));
+        if self.firmware.is_some() || in_all {
+            return Ok(());
+        }
+        match self.find(session, motor)? {
+            Ok(firmware) if opcode.is_in(firmware) => {}
+            Ok(firmware) => {
+                let why = parse::lacks(opcode, firmware);
+                return Err(Unfinished::Failed(format!("motor {motor} speaks {firmware}: {why}")));
+            }
+            Err(date) => tell(
+                "note",
+                format!(
+                    "motor {motor} reports version date {}, and which firmware that is, is not known: it \
+                     may know {opcode} with another layout, or not at all",
+                    date.raw()
+                ),
+            ),
+        }
+        Ok(())
     }
 
     /// The scales that were given, else those of the motor's firmware.

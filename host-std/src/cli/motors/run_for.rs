@@ -10,7 +10,7 @@ use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
 
 use super::progress::Progress;
-use super::session::{Consent, OnBus, Outcome, Session, Unfinished, healthy, say};
+use super::session::{OneMotor, Outcome, Session, Unfinished, healthy, say};
 use crate::cli::arguments as parse;
 
 /// How often the command is sent.
@@ -26,21 +26,10 @@ const MOST_MISSED: u32 = 5;
 #[derive(Debug, clap::Args)]
 pub(super) struct Span {
     #[command(flatten)]
-    pub(super) on: OnBus,
-    /// The motor, 1 to 32.
-    #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
-    pub(super) id: MotorId,
+    pub(super) motor: OneMotor,
     /// For how long, s.
     #[arg(long, value_parser = parse::seconds, allow_hyphen_values = true, default_value = "1")]
     pub(super) for_s: Duration,
-    #[command(flatten)]
-    pub(super) consent: Consent,
-}
-
-impl Span {
-    pub(super) fn open(&self) -> Outcome<Session> {
-        Session::open_to_change(&self.on, self.consent)
-    }
 }
 
 /// What runs, and how it begins and ends.
@@ -62,7 +51,7 @@ pub(super) fn run<C: Command + Copy>(
     run: &Run<C>,
     reading: impl Fn(&C::Reply) -> String,
 ) -> Outcome {
-    let motor = span.id;
+    let motor = span.motor.id;
     let seconds = seconds(span.for_s);
     let locked = session.ready(motor)?.brake == BrakeCommand::LOCK;
     let opens = run.needs_open_brake && locked;
@@ -116,7 +105,7 @@ fn repeat<C: Command + Copy>(
     command: C,
     reading: impl Fn(&C::Reply) -> String,
 ) -> Outcome {
-    let (motor, length) = (span.id, span.for_s);
+    let (motor, length) = (span.motor.id, span.for_s);
     let start = session.master.now();
     let mut progress = Progress::new(start);
     let mut missed = 0;
@@ -166,7 +155,7 @@ mod tests {
     use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
-    use super::super::simulated::{on, sent, span};
+    use super::super::simulated::{sent, span};
     use super::*;
 
     const TURN: Speed =
@@ -195,7 +184,7 @@ mod tests {
     #[test]
     fn an_interrupted_run_stops_the_motor() {
         let fleet = fleet();
-        let mut session = on(&fleet);
+        let mut session = Session::on(&fleet);
         let log = fleet.world.log();
         let flag = Arc::clone(&session.interrupted);
         let why = turn(&mut session, || flag.store(true, Ordering::Relaxed));
@@ -207,7 +196,7 @@ mod tests {
     #[test]
     fn a_brake_is_locked_on_a_shaft_that_stands_and_before_the_output_goes_off() {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
-        let mut session = on(&fleet);
+        let mut session = Session::on(&fleet);
         bring_up::release_brake(&mut session.master, MotorId::MIN).unwrap();
         let torque = Torque { current: Current::from_raw(50) };
         repeat(&mut session, &span(), torque, |_| String::new()).unwrap();
@@ -222,7 +211,7 @@ mod tests {
     #[test]
     fn an_error_on_the_way_stops_the_motor_and_is_told() {
         let fleet = fleet();
-        let mut session = on(&fleet);
+        let mut session = Session::on(&fleet);
         let log = fleet.world.log();
         let drive = fleet.drives[0].clone();
         let why = turn(&mut session, || drive.with(|drive| drive.raise_fault(ErrorFlags::STALL)));
@@ -236,7 +225,7 @@ mod tests {
     fn a_motor_that_falls_silent_is_told_with_what_to_do() {
         // The other one goes on acknowledging frames.
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
-        let mut session = on(&fleet);
+        let mut session = Session::on(&fleet);
         let (world, station) = (fleet.world.clone(), fleet.drives[0].station());
         let why = turn(&mut session, || world.cut(station));
         let Unfinished::Failed(told) = why else { panic!("{why:?}") };

@@ -7,7 +7,6 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadModel, ReadStatus1};
 use myactuator_protocol_core::io::{CallError, bring_up};
 use myactuator_protocol_core::master::MotorSet;
-use serde_json::{Value, json};
 
 use super::group::Group;
 use super::session::{OnBus, Outcome, Session, Unfinished, say};
@@ -105,19 +104,10 @@ fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome {
     let read = session
         .ask(motor, ReadModel)
         .and_then(|model| Ok(Group::default().and(&model).and(&session.ask(motor, ReadStatus1)?)));
-    let bus = session.address.to_string();
     match read {
-        Ok(group) if as_json => {
-            let mut object = json!({ "bus": bus, "id": motor.get() });
-            if let Value::Object(object) = &mut object {
-                object.extend(group.values());
-            }
-            say(&object.to_string())
-        }
+        Ok(group) if as_json => say(&session.json(motor, &[group])),
         Ok(group) => say(&format!("motor {motor}: {group}")),
-        Err(Unfinished::Failed(_)) if as_json => {
-            say(&json!({ "bus": bus, "id": motor.get() }).to_string())
-        }
+        Err(Unfinished::Failed(_)) if as_json => say(&session.json(motor, &[])),
         Err(Unfinished::Failed(sentence)) => say(&format!(
             "motor {motor}: answers, but not always ({sentence}); do two motors have this id?"
         )),

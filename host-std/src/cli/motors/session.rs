@@ -6,12 +6,15 @@ use std::sync::atomic::AtomicBool;
 
 use myactuator_host_std::BusKind;
 use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+#[cfg(test)]
+use myactuator_host_std::sim::CanFleet;
 use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::master::{Config, MotorSet};
 use myactuator_protocol_core::{MotorId, Target};
 
+use crate::cli::arguments as parse;
 use crate::cli::{DONE, FAILED, INTERRUPTED, WRONG_USAGE, print_line, printable, tell};
 
 /// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
@@ -22,7 +25,7 @@ const STILL_DPS: f32 = 2.0;
 pub(super) struct OnBus {
     /// The bus: sim, sim:N or sim:N,rs485 (N simulated motors), can0,
     /// slcan:/dev/ttyACM0@1000000, rs485:/dev/ttyUSB0@115200 or rs485:/dev/ttyUSB0@115200,echo.
-    #[arg(long, value_name = "ADDRESS", default_value = "sim")]
+    #[arg(long, global = true, value_name = "ADDRESS", default_value = "sim")]
     pub(super) bus: BusAddress,
 }
 
@@ -30,8 +33,50 @@ pub(super) struct OnBus {
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(super) struct Consent {
     /// Do not ask before a motor moves or its memory is written: for scripts.
-    #[arg(long, short)]
+    #[arg(long, short, global = true)]
     pub(super) yes: bool,
+}
+
+/// Which motor, and whether it may be moved or written to.
+#[derive(Debug, clap::Args)]
+pub(super) struct OneMotor {
+    #[command(flatten)]
+    pub(super) on: OnBus,
+    /// The motor, 1 to 32.
+    #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
+    pub(super) id: MotorId,
+    #[command(flatten)]
+    pub(super) consent: Consent,
+}
+
+impl OneMotor {
+    /// Opens its bus to move it or write its memory.
+    pub(super) fn open_to_change(&self) -> Outcome<Session> {
+        Session::open_to_change(&self.on, self.consent)
+    }
+}
+
+/// Which motors.
+#[derive(Debug, clap::Args)]
+pub(super) struct Motors {
+    #[command(flatten)]
+    pub(super) on: OnBus,
+    /// The motor, 1 to 32, or all.
+    #[arg(long, value_parser = parse::target, allow_hyphen_values = true, default_value = "all")]
+    pub(super) id: Target,
+}
+
+impl Consent {
+    /// Refuses where the user can neither be asked nor has consented.
+    pub(super) fn check(self, on: &OnBus) -> Outcome {
+        if self.yes || on.bus.is_simulated() || io::stdin().is_terminal() {
+            return Ok(());
+        }
+        Err(Unfinished::Usage(
+            "--yes is missing: this moves a motor or writes its memory, and there is no terminal to ask on"
+                .to_owned(),
+        ))
+    }
 }
 
 /// Why a command did not come to its end.
@@ -119,7 +164,12 @@ pub(super) struct Session {
 impl Session {
     /// Opens a bus to look at, or to stop its motors.
     pub(super) fn open(on: &OnBus) -> Outcome<Self> {
-        let master = AnyMaster::open(&on.bus)?;
+        Self::open_with(on, on.bus.config())
+    }
+
+    /// The same, with a configuration of the caller's.
+    pub(super) fn open_with(on: &OnBus, config: Config) -> Outcome<Self> {
+        let master = AnyMaster::open_with(&on.bus, config)?;
         if let BusAddress::Simulated { motors, kind } = &on.bus {
             let kind = match kind {
                 BusKind::Can => "a CAN bus",
@@ -137,13 +187,19 @@ impl Session {
     /// Opens a bus to move motors on it or write their memory, if the user can be asked or has
     /// consented.
     pub(super) fn open_to_change(on: &OnBus, consent: Consent) -> Outcome<Self> {
-        if !(consent.yes || on.bus.is_simulated() || io::stdin().is_terminal()) {
-            return Err(Unfinished::Usage(
-                "--yes is missing: this moves a motor or writes its memory, and there is no terminal to ask on"
-                    .to_owned(),
-            ));
-        }
+        consent.check(on)?;
         Ok(Self { yes: consent.yes, ..Self::open(on)? })
+    }
+
+    /// A session on simulated drives that a test has a hand on.
+    #[cfg(test)]
+    pub(super) fn on(fleet: &CanFleet) -> Self {
+        Self {
+            master: AnyMaster::SimulatedCan(fleet.master()),
+            address: BusAddress::Simulated { motors: 1, kind: BusKind::Can },
+            yes: true,
+            interrupted: Arc::default(),
+        }
     }
 
     /// Asks the user, unless there is consent or nothing real would happen.

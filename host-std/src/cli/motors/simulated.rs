@@ -1,39 +1,36 @@
 //! Simulated drives under a subcommand, for its tests.
 
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-
 use myactuator_host_std::open::AnyMaster;
 use myactuator_host_std::sim::CanFleet;
 use myactuator_host_std::sim::bus::trace::{Event, Log};
+use myactuator_protocol_core::io::CanMaster;
+use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::{Channel, MotorId, Packet};
 
 use super::run_for::Span;
-use super::session::{Consent, OnBus, Session};
+use super::session::{Consent, OnBus, OneMotor, Session};
 
-/// A session on these drives, with the user's consent.
-pub(super) fn on(fleet: &CanFleet) -> Session {
-    Session {
-        master: AnyMaster::SimulatedCan(fleet.master()),
-        address: "sim:1".parse().unwrap(),
-        yes: true,
-        interrupted: Arc::new(AtomicBool::new(false)),
-    }
+/// A session on these drives by a master of this configuration, with the user's consent.
+pub(super) fn with(fleet: &CanFleet, config: Config) -> Session {
+    let master = CanMaster::new(fleet.world.port(), fleet.world.clock(), config);
+    Session { master: AnyMaster::SimulatedCan(master), ..Session::on(fleet) }
 }
 
 /// Motor 1, for a second.
 pub(super) fn span() -> Span {
     Span {
-        on: OnBus { bus: "sim:1".parse().unwrap() },
-        id: MotorId::MIN,
+        motor: OneMotor {
+            on: OnBus { bus: "sim:1".parse().unwrap() },
+            id: MotorId::MIN,
+            consent: Consent { yes: true },
+        },
         for_s: Duration::from_secs(1),
-        consent: Consent { yes: true },
     }
 }
 
-/// What masters have sent.
+/// What masters have sent, and what is on the channel of bus ids.
 pub(super) fn sent(log: &Log<SimpleFrame>) -> Vec<Packet> {
     let records = log.take();
     let packets = records.iter().filter_map(|record| match &record.event {
@@ -43,7 +40,7 @@ pub(super) fn sent(log: &Log<SimpleFrame>) -> Vec<Packet> {
         },
         _ => None,
     });
-    let is_command =
-        |packet: &Packet| matches!(packet.channel, Channel::Command(_) | Channel::Motion(_));
-    packets.filter(is_command).collect()
+    let is_reply =
+        |packet: &Packet| matches!(packet.channel, Channel::Reply(_) | Channel::MotionReply(_));
+    packets.filter(|packet| !is_reply(packet)).collect()
 }

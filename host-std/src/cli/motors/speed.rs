@@ -36,7 +36,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         needs_open_brake: false,
         end: StopKind::Hold,
     };
-    run_for::run(&mut arguments.span.open()?, &arguments.span, &run, told)
+    run_for::run(&mut arguments.span.motor.open_to_change()?, &arguments.span, &run, told)
 }
 
 /// Angle, speed and current in columns.

@@ -1,33 +1,26 @@
 //! `myactuator status`: how motors do.
 
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
     ReadMultiTurnAngle, ReadRunningMode, ReadStatus1, ReadStatus2, ReadStatus3,
 };
-use myactuator_protocol_core::{MotorId, Target};
-use serde_json::{Value, json};
 
 use super::group::Group;
-use super::session::{OnBus, Outcome, Session, Unfinished, say};
-use crate::cli::{arguments as parse, tell};
+use super::session::{Motors, Outcome, Session, Unfinished, say};
+use crate::cli::tell;
 
-/// Tell how motors do: angle, speed, currents, temperatures, voltage, brake and errors
-///
 /// Exit status: 0 if every motor was read, else 1.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
-    on: OnBus,
-    /// The motor, 1 to 32, or all that answer.
-    #[arg(long, value_parser = parse::target, allow_hyphen_values = true, default_value = "all")]
-    id: Target,
+    motors: Motors,
     /// Print one JSON object a motor.
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let mut session = Session::open(&arguments.on)?;
-    tell_each(&mut session, arguments.id, arguments.json, read)
+    tell_each(arguments, read)
 }
 
 fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
@@ -45,21 +38,14 @@ fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
 
 /// Reads each motor that is meant, and tells it in groups of fields: a line each, or one object.
 pub(super) fn tell_each(
-    session: &mut Session,
-    target: Target,
-    as_json: bool,
+    arguments: &Arguments,
     read: impl Fn(&mut Session, MotorId) -> Outcome<Vec<Group>>,
 ) -> Outcome {
+    let mut session = Session::open(&arguments.motors.on)?;
     let mut outcome = Ok(());
-    for motor in session.meant(target)?.iter() {
-        match read(session, motor) {
-            Ok(groups) if as_json => {
-                let mut object = json!({ "bus": session.address.to_string(), "id": motor.get() });
-                if let Value::Object(object) = &mut object {
-                    object.extend(groups.iter().flat_map(Group::values));
-                }
-                say(&object.to_string())?;
-            }
+    for motor in session.meant(arguments.motors.id)?.iter() {
+        match read(&mut session, motor) {
+            Ok(groups) if arguments.json => say(&session.json(motor, &groups))?,
             Ok(groups) => {
                 say(&format!("motor {motor}"))?;
                 for group in groups {

@@ -32,5 +32,5 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         needs_open_brake: true,
         end: StopKind::Off,
     };
-    run_for::run(&mut arguments.span.open()?, &arguments.span, &run, told)
+    run_for::run(&mut arguments.span.motor.open_to_change()?, &arguments.span, &run, told)
 }

@@ -4,8 +4,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::bring_up;
 
-use super::session::{Consent, OnBus, Outcome, Session, say};
-use crate::cli::arguments as parse;
+use super::session::{OneMotor, Outcome, Session, say};
 
 /// Make a motor's present position its zero, and check that it is kept
 ///
@@ -15,17 +14,12 @@ use crate::cli::arguments as parse;
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
-    on: OnBus,
-    /// The motor, 1 to 32.
-    #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
-    id: MotorId,
-    #[command(flatten)]
-    consent: Consent,
+    motor: OneMotor,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let motor = arguments.id;
-    let mut session = Session::open_to_change(&arguments.on, arguments.consent)?;
+    let motor = arguments.motor.id;
+    let mut session = arguments.motor.open_to_change()?;
     session.standing(motor)?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
     session.confirm(&format!(
@@ -52,13 +46,12 @@ mod tests {
     use myactuator_protocol_core::time::Duration;
     use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
-    use super::super::simulated::on;
     use super::*;
 
     #[test]
     fn where_the_motor_stands_is_its_zero_afterwards() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let mut session = on(&fleet);
+        let mut session = Session::on(&fleet);
         let motor = MotorId::MIN;
         let go = AbsolutePosition {
             max_speed: MaxSpeed::from_raw(360),

@@ -62,11 +62,10 @@ type LateArrivals<F> = BTreeMap<(Nanos, u64), (usize, Late<F>)>;
 
 /// A world without its lock.
 pub(crate) struct Kernel<B: Medium> {
-    pub(crate) now: Nanos,
     pub(crate) bus: B,
+    /// The clock, and what else the bus acts on.
+    pub(crate) around: Surroundings<B::Frame>,
     stations: Vec<Station<B::Frame>>,
-    pub(crate) injector: Injector,
-    pub(crate) trace: Trace<B::Frame>,
     /// What is still to arrive.
     late: LateArrivals<B::Frame>,
     sequence: u64,
@@ -81,31 +80,22 @@ pub(crate) struct Kernel<B: Medium> {
 impl<B: Medium> fmt::Debug for Kernel<B> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut out = f.debug_struct("Kernel");
-        out.field("now", &self.now).field("bus", &self.bus).finish_non_exhaustive()
+        out.field("now", &self.around.now).field("bus", &self.bus).finish_non_exhaustive()
     }
-}
-
-/// Borrows what a bus acts on besides itself.
-macro_rules! surroundings {
-    ($kernel:ident, $arrivals:ident, $freed:ident) => {
-        &mut Surroundings {
-            now: $kernel.now,
-            injector: &mut $kernel.injector,
-            trace: &mut $kernel.trace,
-            arrivals: &mut $arrivals,
-            freed: &mut $freed,
-        }
-    };
 }
 
 impl<B: Medium> Kernel<B> {
     pub(crate) fn new(bus: B, seed: u64) -> Self {
         Self {
-            now: 0,
             bus,
+            around: Surroundings {
+                now: 0,
+                injector: Injector::new(seed),
+                trace: Trace::new(),
+                arrivals: Vec::new(),
+                freed: Vec::new(),
+            },
             stations: Vec::new(),
-            injector: Injector::new(seed),
-            trace: Trace::new(),
             late: BTreeMap::new(),
             sequence: 0,
             timers: Vec::new(),
@@ -122,9 +112,9 @@ impl<B: Medium> Kernel<B> {
         receive_queue: usize,
     ) -> usize {
         self.bus.attach(how);
-        self.injector.attach(node.is_some());
+        self.around.injector.attach(node.is_some());
         // A node is asked as soon as time goes on.
-        let wake = if node.is_some() { self.now } else { NEVER };
+        let wake = if node.is_some() { self.around.now } else { NEVER };
         self.stations.push(Station {
             node,
             wake,
@@ -153,7 +143,7 @@ impl<B: Medium> Kernel<B> {
         let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
         let timers = self.timers.iter().map(|(at, _)| *at).min().unwrap_or(NEVER);
         let next = stations.min(late).min(timers).min(self.bus.next_event());
-        if next == NEVER { NEVER } else { next.max(self.now) }
+        if next == NEVER { NEVER } else { next.max(self.around.now) }
     }
 
     /// Lets everything up to `at` happen, and sets the clock to it.
@@ -165,16 +155,17 @@ impl<B: Medium> Kernel<B> {
             }
             self.step(next);
         }
-        self.now = self.now.max(at);
+        self.around.now = self.around.now.max(at);
     }
 
     /// Does what is due at `at`, which must be the time of the next event.
     pub(crate) fn step(&mut self, at: Nanos) {
-        self.now = self.now.max(at);
-        let (mut arrivals, mut freed) = (Vec::new(), Vec::new());
-        self.bus.finish(surroundings!(self, arrivals, freed));
-        self.spread(arrivals, freed);
-        while let Some(entry) = self.late.first_entry().filter(|entry| entry.key().0 <= self.now) {
+        self.around.now = self.around.now.max(at);
+        self.bus.finish(&mut self.around);
+        self.spread();
+        while let Some(entry) =
+            self.late.first_entry().filter(|entry| entry.key().0 <= self.around.now)
+        {
             let (station, late) = entry.remove();
             match late {
                 Late::Deliver(unit) => self.deliver(station, &unit),
@@ -185,26 +176,25 @@ impl<B: Medium> Kernel<B> {
             }
         }
         for station in 0..self.stations.len() {
-            if self.stations[station].due() <= self.now {
+            if self.stations[station].due() <= self.around.now {
                 self.serve(station);
             }
         }
-        let (mut arrivals, mut freed) = (Vec::new(), Vec::new());
-        self.bus.start(surroundings!(self, arrivals, freed));
-        self.spread(arrivals, freed);
-        let now = self.now;
+        self.bus.start(&mut self.around);
+        self.spread();
+        let now = self.around.now;
         for (_, waker) in self.timers.extract_if(.., |(at, _)| *at <= now) {
             waker.wake();
         }
     }
 
     /// Passes on what the bus has done.
-    fn spread(&mut self, arrivals: Vec<Arrival<B::Frame>>, freed: Vec<usize>) {
-        for arrival in arrivals {
+    fn spread(&mut self) {
+        for arrival in std::mem::take(&mut self.around.arrivals) {
             self.arrive(arrival);
         }
-        for station in freed {
-            let now = self.now;
+        for station in std::mem::take(&mut self.around.freed) {
+            let now = self.around.now;
             let state = &mut self.stations[station];
             state.is_backlog_stuck = false;
             if state.is_blocked {
@@ -221,13 +211,13 @@ impl<B: Medium> Kernel<B> {
 
     /// Brings what is complete on the wire to everyone who hears it.
     fn arrive(&mut self, arrival: Arrival<B::Frame>) {
-        let quiet = self.injector.is_quiet();
+        let quiet = self.around.injector.is_quiet();
         let draws = arrival.part.as_ref().filter(|part| !quiet && part.message != self.message);
         if let Some(part) = draws {
             self.message = part.message;
             for receiver in 0..self.stations.len() {
                 if self.bus.hears(receiver, &arrival) && receiver != arrival.sender {
-                    self.fates[receiver] = self.injector.fate(
+                    self.fates[receiver] = self.around.injector.fate(
                         arrival.sender,
                         receiver,
                         part.of,
@@ -254,9 +244,9 @@ impl<B: Medium> Kernel<B> {
 
     fn arrive_by_fate(&mut self, to: usize, arrival: &Arrival<B::Frame>, part: &Part<B::Frame>) {
         let fate = self.fates[to];
-        let now = self.now;
+        let now = self.around.now;
         let from = super::StationId(arrival.sender);
-        let trace = &mut self.trace;
+        let trace = &mut self.around.trace;
         let mut note = |fault| trace.record(now, to, || Event::Faulted { from, fault });
         let is_first = part.index == 0;
         if fate.lost {
@@ -304,8 +294,8 @@ impl<B: Medium> Kernel<B> {
 
     /// Delivers now or later, never ahead of what is late itself.
     fn deliver_in_order(&mut self, to: usize, unit: &B::Frame, late_by: Nanos) {
-        let at = self.now.saturating_add(late_by).max(self.stations[to].not_before);
-        if at <= self.now {
+        let at = self.around.now.saturating_add(late_by).max(self.stations[to].not_before);
+        if at <= self.around.now {
             self.deliver(to, unit);
         } else {
             self.stations[to].not_before = at;
@@ -325,7 +315,7 @@ impl<B: Medium> Kernel<B> {
     }
 
     fn deliver(&mut self, to: usize, unit: &B::Frame) {
-        let now = self.now;
+        let now = self.around.now;
         let state = &mut self.stations[to];
         if let Some(node) = &mut state.node {
             node.handle_frame(unit, to_instant(now));
@@ -334,7 +324,7 @@ impl<B: Medium> Kernel<B> {
         }
         if state.received.len() >= state.receive_queue {
             state.overflows += 1;
-            self.trace.record(now, to, || Event::Overflowed { frame: unit.clone() });
+            self.around.trace.record(now, to, || Event::Overflowed { frame: unit.clone() });
             return;
         }
         state.received.push_back(unit.clone());
@@ -346,7 +336,7 @@ impl<B: Medium> Kernel<B> {
 
     /// What a station does by itself at its time.
     fn serve(&mut self, station: usize) {
-        let now = self.now;
+        let now = self.around.now;
         let state = &mut self.stations[station];
         while self.bus.room(station) > 0
             && state.backlog.front().is_some_and(|(at, _)| *at <= now)
@@ -359,7 +349,9 @@ impl<B: Medium> Kernel<B> {
             && let Some(babble) = &state.babble
         {
             let (interval, frame) = match babble {
-                Babble::Random { interval } => (interval, B::garbage(&mut self.injector.babble)),
+                Babble::Random { interval } => {
+                    (interval, B::garbage(&mut self.around.injector.babble))
+                }
                 Babble::Fixed { interval, frame } => (interval, frame.clone()),
             };
             state.babble_at = now + from_duration(*interval).max(MICROSECOND);
@@ -373,7 +365,7 @@ impl<B: Medium> Kernel<B> {
 
     /// Asks a node what it has to send.
     fn serve_node(&mut self, station: usize) {
-        let at = self.now;
+        let at = self.around.now;
         let now = to_instant(at);
         let state = &mut self.stations[station];
         state.wake = NEVER;
@@ -405,7 +397,7 @@ impl<B: Medium> Kernel<B> {
 
     /// Queues what a port sends. False if there is no room.
     pub(crate) fn submit(&mut self, station: usize, frame: B::Frame) -> bool {
-        let now = self.now;
+        let now = self.around.now;
         let taken = self.bus.submit(station, frame, now);
         self.stations[station].wants_room |= !taken;
         taken
@@ -438,18 +430,16 @@ impl<B: Medium> Kernel<B> {
     }
 
     pub(crate) fn cut(&mut self, station: usize, is_cut: bool) {
-        let (mut arrivals, mut freed) = (Vec::new(), Vec::new());
-        self.bus.cut(station, is_cut, surroundings!(self, arrivals, freed));
+        self.bus.cut(station, is_cut, &mut self.around);
         let event = if is_cut { Event::Cut } else { Event::Mended };
-        self.trace.record(self.now, station, || event);
-        self.spread(arrivals, freed);
+        self.around.trace.record(self.around.now, station, || event);
+        self.spread();
     }
 
     pub(crate) fn reset(&mut self, station: usize) {
-        let (mut arrivals, mut freed) = (Vec::new(), Vec::new());
-        self.bus.reset(station, surroundings!(self, arrivals, freed));
-        let now = self.now;
-        self.trace.record(now, station, || Event::Reset);
+        self.bus.reset(station, &mut self.around);
+        let now = self.around.now;
+        self.around.trace.record(now, station, || Event::Reset);
         let state = &mut self.stations[station];
         state.backlog.clear();
         state.is_backlog_stuck = false;
@@ -458,7 +448,7 @@ impl<B: Medium> Kernel<B> {
             node.reset(to_instant(now));
             state.wake = now;
         }
-        self.spread(arrivals, freed);
+        self.spread();
     }
 
     pub(crate) fn slow_down(&mut self, station: usize, by: Duration) {
@@ -466,7 +456,7 @@ impl<B: Medium> Kernel<B> {
     }
 
     pub(crate) fn babble(&mut self, station: usize, babble: Option<Babble<B::Frame>>) {
-        let now = self.now;
+        let now = self.around.now;
         let state = &mut self.stations[station];
         state.babble_at = if babble.is_some() { now } else { NEVER };
         state.babble = babble;

@@ -55,14 +55,14 @@ pub(crate) enum Wire {
 
 /// What a bus acts on besides itself.
 #[derive(Debug)]
-pub struct Surroundings<'a, F> {
+pub struct Surroundings<F> {
     pub(crate) now: Nanos,
-    pub(crate) injector: &'a mut Injector,
-    pub(crate) trace: &'a mut Trace<F>,
+    pub(crate) injector: Injector,
+    pub(crate) trace: Trace<F>,
     /// What has become complete, for the receivers.
-    pub(crate) arrivals: &'a mut Vec<Arrival<F>>,
+    pub(crate) arrivals: Vec<Arrival<F>>,
     /// Whose queue has got room.
-    pub(crate) freed: &'a mut Vec<usize>,
+    pub(crate) freed: Vec<usize>,
 }
 
 pub(crate) mod sealed {
@@ -82,23 +82,18 @@ pub(crate) mod sealed {
         /// When something happens next by itself, `NEVER` for not at all.
         fn next_event(&self) -> Nanos;
         /// Does what ends now.
-        fn finish(&mut self, around: &mut Surroundings<'_, Self::Carries>);
+        fn finish(&mut self, around: &mut Surroundings<Self::Carries>);
         /// Does what begins now, after everyone has had their say.
-        fn start(&mut self, around: &mut Surroundings<'_, Self::Carries>);
+        fn start(&mut self, around: &mut Surroundings<Self::Carries>);
         /// How many more frames a station can queue.
         fn room(&self, station: usize) -> usize;
         /// Takes a frame if there is room.
         fn submit(&mut self, station: usize, frame: Self::Carries, now: Nanos) -> bool;
         fn hears(&self, station: usize, arrival: &Arrival<Self::Carries>) -> bool;
         /// Cuts or mends a wire.
-        fn cut(
-            &mut self,
-            station: usize,
-            is_cut: bool,
-            around: &mut Surroundings<'_, Self::Carries>,
-        );
+        fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<Self::Carries>);
         /// Empties a station's controller.
-        fn reset(&mut self, station: usize, around: &mut Surroundings<'_, Self::Carries>);
+        fn reset(&mut self, station: usize, around: &mut Surroundings<Self::Carries>);
 
         fn flip_bit(frame: &mut Self::Carries, bit: u64);
         fn garbage(random: &mut Random) -> Self::Carries;

@@ -66,28 +66,6 @@ impl<F, N: Node<F>> Node<F> for Arc<Mutex<N>> {
     }
 }
 
-impl<F, N: Node<F> + ?Sized> Node<F> for Box<N> {
-    fn handle_frame(&mut self, frame: &F, now: Instant) {
-        (**self).handle_frame(frame, now);
-    }
-
-    fn poll_transmit(&mut self, now: Instant) -> Option<F> {
-        (**self).poll_transmit(now)
-    }
-
-    fn poll_at(&self) -> Option<Instant> {
-        (**self).poll_at()
-    }
-
-    fn advance(&mut self, now: Instant) {
-        (**self).advance(now);
-    }
-
-    fn reset(&mut self, now: Instant) {
-        (**self).reset(now);
-    }
-}
-
 /// A participant's place on the bus of its world, counted from 0 in the order of attaching.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct StationId(pub(crate) usize);

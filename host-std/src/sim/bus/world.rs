@@ -122,7 +122,7 @@ impl<B: Medium> World<B> {
                 }
                 TimeBase::Virtual => state.kernel.step(next),
                 TimeBase::Wall(zero) => {
-                    if state.kernel.now >= until {
+                    if state.kernel.around.now >= until {
                         return None;
                     }
                     let wake = next.min(until);
@@ -138,7 +138,7 @@ impl<B: Medium> World<B> {
     /// Has the world follow the wall clock from now on.
     pub fn in_real_time(self) -> Self {
         let mut state = self.lock();
-        let passed = std::time::Duration::from_nanos(state.kernel.now);
+        let passed = std::time::Duration::from_nanos(state.kernel.around.now);
         let now = std::time::Instant::now();
         state.base = TimeBase::Wall(now.checked_sub(passed).unwrap_or(now));
         drop(state);
@@ -147,12 +147,12 @@ impl<B: Medium> World<B> {
 
     /// The time now, rounded up to microseconds.
     pub fn now(&self) -> Instant {
-        self.with(|kernel| to_instant(kernel.now))
+        self.with(|kernel| to_instant(kernel.around.now))
     }
 
     /// The time now in nanoseconds.
     pub fn now_ns(&self) -> u64 {
-        self.with(|kernel| kernel.now)
+        self.with(|kernel| kernel.around.now)
     }
 
     /// When something happens next if nobody does anything, rounded up to microseconds; `None` for
@@ -176,7 +176,7 @@ impl<B: Medium> World<B> {
     pub(super) fn pass(&self, span: Duration) {
         let mut state = self.lock();
         if let TimeBase::Virtual = state.base {
-            let until = state.kernel.now.saturating_add(from_duration(span));
+            let until = state.kernel.around.now.saturating_add(from_duration(span));
             state.kernel.run_until(until);
         }
     }
@@ -217,13 +217,13 @@ impl<B: Medium> World<B> {
 
     /// What chance does to the frames of one direction from now on.
     pub fn set_faults(&self, direction: Direction, plan: FaultPlan) {
-        self.with(|kernel| kernel.injector.set(direction, plan));
+        self.with(|kernel| kernel.around.injector.set(direction, plan));
     }
 
     /// What chance does to the frames to or from one node from now on, in place of the direction's
     /// plan; `None` for the direction's plan again.
     pub fn set_node_faults(&self, node: StationId, direction: Direction, plan: Option<FaultPlan>) {
-        self.with(|kernel| kernel.injector.set_own(node.0, direction, plan));
+        self.with(|kernel| kernel.around.injector.set_own(node.0, direction, plan));
     }
 
     /// Cuts a station's wire: it is alone on its stub. A CAN frame that it is sending ends in an
@@ -257,7 +257,7 @@ impl<B: Medium> World<B> {
     /// Calls `observer` for everything that happens from now on. It must not touch the world, which
     /// is in the middle of something.
     pub fn observe(&self, observer: impl FnMut(&Record<B::Frame>) + Send + 'static) {
-        self.with(|kernel| kernel.trace.observe(Box::new(observer)));
+        self.with(|kernel| kernel.around.trace.observe(Box::new(observer)));
     }
 
     /// Notes everything that happens from now on.
@@ -344,7 +344,7 @@ impl<B: Medium> SimClock<B> {
         let at = from_instant(at);
         std::future::poll_fn(move |context| {
             self.world.with(|kernel| {
-                if kernel.now >= at {
+                if kernel.around.now >= at {
                     return Poll::Ready(());
                 }
                 kernel.wake_at(at, context.waker());

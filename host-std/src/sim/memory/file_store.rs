@@ -145,28 +145,22 @@ fn unframe(bytes: &[u8]) -> Result<&[u8], Damage> {
 }
 
 /// What is wrong with a damaged file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Damage {
     /// It does not begin like a store's file: empty, cut off early, or another file.
+    #[error("it does not begin with \"myactuator-store 1\" and a checksum")]
     NoHeader,
     /// Length or checksum do not fit the content: cut off, or changed.
+    #[error("its content does not have the length and checksum of its first line")]
     Checksum,
 }
 
-impl fmt::Display for Damage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::NoHeader => "it does not begin with \"myactuator-store 1\" and a checksum",
-            Self::Checksum => "its content does not have the length and checksum of its first line",
-        })
-    }
-}
-
 /// Why a value was not loaded or stored.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StoreError {
     /// The file system refused.
+    #[error("cannot {action} {}: {source}", path.display())]
     Io {
         /// What was tried, as a verb.
         action: &'static str,
@@ -176,6 +170,10 @@ pub enum StoreError {
         source: io::Error,
     },
     /// The file is not as it was written.
+    #[error(
+        "{} is damaged: {damage}. Restore it from a copy, or delete it to begin anew",
+        path.display()
+    )]
     Damaged {
         /// The store's file.
         path: PathBuf,
@@ -183,42 +181,16 @@ pub enum StoreError {
         damage: Damage,
     },
     /// The file is as it was written but holds another type, or the value cannot be kept as JSON.
+    #[error(
+        "the content for {} does not fit: {source}. It may stem from another version",
+        path.display()
+    )]
     Content {
         /// The store's file.
         path: PathBuf,
         /// What was expected and found.
         source: serde_json::Error,
     },
-}
-
-impl fmt::Display for StoreError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Io { action, path, source } => {
-                write!(f, "cannot {action} {}: {source}", path.display())
-            }
-            Self::Damaged { path, damage } => write!(
-                f,
-                "{} is damaged: {damage}. Restore it from a copy, or delete it to begin anew",
-                path.display()
-            ),
-            Self::Content { path, source } => write!(
-                f,
-                "the content for {} does not fit: {source}. It may stem from another version",
-                path.display()
-            ),
-        }
-    }
-}
-
-impl std::error::Error for StoreError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            Self::Io { source, .. } => Some(source),
-            Self::Content { source, .. } => Some(source),
-            Self::Damaged { .. } => None,
-        }
-    }
 }
 
 #[cfg(test)]
@@ -257,6 +229,9 @@ mod tests {
     fn a_crash_while_writing_leaves_the_value_before() {
         let folder = tempfile::tempdir().unwrap();
         let store = store_in(&folder);
+        // Before anything was ever stored.
+        fs::write(store.temporary_path(), b"myactuator-store 1 len").unwrap();
+        assert_eq!(store.load().unwrap(), None);
         store.store(&settings(1)).unwrap();
         let new = frame(&serde_json::to_vec(&settings(2)).unwrap());
         for written in 0..=new.len() {
@@ -266,15 +241,6 @@ mod tests {
         store.store(&settings(3)).unwrap();
         assert_eq!(store.load().unwrap(), Some(settings(3)));
         assert!(!store.temporary_path().exists());
-    }
-
-    /// A crash before anything was ever stored.
-    #[test]
-    fn a_crash_in_the_first_write_leaves_nothing() {
-        let folder = tempfile::tempdir().unwrap();
-        let store = store_in(&folder);
-        fs::write(store.temporary_path(), b"myactuator-store 1 len").unwrap();
-        assert_eq!(store.load().unwrap(), None);
     }
 
     #[test]

@@ -3,7 +3,6 @@
 
 mod file_store;
 
-use std::fmt;
 use std::path::PathBuf;
 
 use myactuator_protocol_core::drive::{Memory, Settings};
@@ -26,39 +25,23 @@ impl DriveMemory {
     }
 }
 
-/// The file of a drive's memory cannot be read or written.
-#[derive(Debug)]
-pub struct MemoryError(StoreError);
-
-impl fmt::Display for MemoryError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
-    }
-}
-
-impl std::error::Error for MemoryError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        Some(&self.0)
-    }
-}
-
 impl Memory for DriveMemory {
-    type Error = MemoryError;
+    type Error = StoreError;
 
-    fn load(&mut self) -> Result<Option<Settings>, MemoryError> {
+    fn load(&mut self) -> Result<Option<Settings>, StoreError> {
         match self {
             Self::Process(settings) => Ok(*settings),
-            Self::File(store) => store.load().map_err(MemoryError),
+            Self::File(store) => store.load(),
         }
     }
 
-    fn store(&mut self, settings: &Settings) -> Result<(), MemoryError> {
+    fn store(&mut self, settings: &Settings) -> Result<(), StoreError> {
         match self {
             Self::Process(kept) => {
                 *kept = Some(*settings);
                 Ok(())
             }
-            Self::File(store) => store.store(settings).map_err(MemoryError),
+            Self::File(store) => store.store(settings),
         }
     }
 }

@@ -1,7 +1,5 @@
 //! What a figure of the physics may be.
 
-use std::fmt;
-
 /// Name, unit and allowed range of a figure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Figure {
@@ -26,20 +24,15 @@ impl Figure {
 }
 
 /// A figure that cannot be, or that is not a number.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "{} must be {} to {}{space}{}, but {given}{space}{} was given",
+    figure.name, figure.min, figure.max, figure.unit, figure.unit,
+    space = if figure.unit.is_empty() { "" } else { " " }
+)]
 pub struct ImpossibleFigure {
     /// What is allowed.
     pub figure: &'static Figure,
     /// What was given, in the figure's unit.
     pub given: f64,
 }
-
-impl fmt::Display for ImpossibleFigure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Figure { name, unit, min, max } = self.figure;
-        let (given, space) = (self.given, if unit.is_empty() { "" } else { " " });
-        write!(f, "{name} must be {min} to {max}{space}{unit}, but {given}{space}{unit} was given")
-    }
-}
-
-impl std::error::Error for ImpossibleFigure {}

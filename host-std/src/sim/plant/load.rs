@@ -8,10 +8,8 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// use myactuator_host_std::sim::plant::{Load, SpringStop};
 ///
-/// let arm = Load::NONE
-///     .with_torque_nm(-2.0)
-///     .with_inertia_kg_m2(0.05)
-///     .with_upper_stop(SpringStop { at_deg: 90.0, stiffness_nm_per_rad: 500.0 });
+/// let stop = SpringStop { at_deg: 90.0, stiffness_nm_per_rad: 500.0 };
+/// let arm = Load { torque_nm: -2.0, inertia_kg_m2: 0.05, upper_stop: Some(stop), ..Load::NONE };
 /// assert_eq!(arm.torque_at(0.0), -2.0);
 /// // One degree into the spring: 500 N·m/rad * 1° = 8.73 N·m back.
 /// assert!((arm.torque_at(91_f64.to_radians()) - (-2.0 - 8.727)).abs() < 0.001);
@@ -49,30 +47,6 @@ impl Load {
     /// A bare shaft.
     pub const NONE: Self =
         Self { torque_nm: 0.0, inertia_kg_m2: 0.0, upper_stop: None, lower_stop: None };
-
-    /// The load with this constant torque, N·m.
-    #[must_use]
-    pub const fn with_torque_nm(self, torque_nm: f64) -> Self {
-        Self { torque_nm, ..self }
-    }
-
-    /// The load with this inertia, kg·m².
-    #[must_use]
-    pub const fn with_inertia_kg_m2(self, inertia_kg_m2: f64) -> Self {
-        Self { inertia_kg_m2, ..self }
-    }
-
-    /// The load with this stop above.
-    #[must_use]
-    pub const fn with_upper_stop(self, stop: SpringStop) -> Self {
-        Self { upper_stop: Some(stop), ..self }
-    }
-
-    /// The load with this stop below.
-    #[must_use]
-    pub const fn with_lower_stop(self, stop: SpringStop) -> Self {
-        Self { lower_stop: Some(stop), ..self }
-    }
 
     /// Torque of the load on a shaft at `angle_rad`, N·m.
     pub fn torque_at(&self, angle_rad: f64) -> f64 {
@@ -127,7 +101,8 @@ mod tests {
     #[test]
     fn stops_push_back_only_when_touched() {
         let stop = |at_deg| SpringStop { at_deg, stiffness_nm_per_rad: 100.0 };
-        let load = Load::NONE.with_upper_stop(stop(30.0)).with_lower_stop(stop(-30.0));
+        let load =
+            Load { upper_stop: Some(stop(30.0)), lower_stop: Some(stop(-30.0)), ..Load::NONE };
         assert_eq!(load.torque_at(0.0), 0.0);
         assert_eq!(load.spring_energy_j(0.5), 0.0);
         let deep = 30_f64.to_radians() + 0.1;
@@ -139,9 +114,9 @@ mod tests {
 
     #[test]
     fn impossible_loads_are_refused() {
-        assert!(Load::NONE.with_inertia_kg_m2(-0.1).check().is_err());
-        assert!(Load::NONE.with_torque_nm(f64::NAN).check().is_err());
+        assert!(Load { inertia_kg_m2: -0.1, ..Load::NONE }.check().is_err());
+        assert!(Load { torque_nm: f64::NAN, ..Load::NONE }.check().is_err());
         let stop = SpringStop { at_deg: 0.0, stiffness_nm_per_rad: -1.0 };
-        assert!(Load::NONE.with_lower_stop(stop).check().is_err());
+        assert!(Load { lower_stop: Some(stop), ..Load::NONE }.check().is_err());
     }
 }

@@ -64,8 +64,6 @@ pub struct SimulatedMotor {
     carried_us: u64,
 
     external_torque_nm: f64,
-    forced_motor_c: Option<f64>,
-    forced_mos_c: Option<f64>,
     /// What the encoder shows since it failed: pulses, and speed in degrees per second.
     frozen: Option<(i64, f32)>,
 }
@@ -166,8 +164,6 @@ impl SimulatedMotor {
             ambient_c: REFERENCE_C,
             carried_us: 0,
             external_torque_nm: 0.0,
-            forced_motor_c: None,
-            forced_mos_c: None,
             frozen: None,
             parameters,
         })
@@ -276,7 +272,7 @@ impl SimulatedMotor {
         &mut self,
         held_c: Option<f64>,
     ) -> Result<(), ImpossibleFigure> {
-        self.forced_motor_c = force(&mut self.winding, held_c)?;
+        self.winding.hold_c(held_c.map(|held_c| TEMPERATURE.check(held_c)).transpose()?);
         Ok(())
     }
 
@@ -285,7 +281,7 @@ impl SimulatedMotor {
     /// # Errors
     /// [`ImpossibleFigure`] below absolute zero.
     pub fn force_mos_temperature_c(&mut self, held_c: Option<f64>) -> Result<(), ImpossibleFigure> {
-        self.forced_mos_c = force(&mut self.mos, held_c)?;
+        self.mos.hold_c(held_c.map(|held_c| TEMPERATURE.check(held_c)).transpose()?);
         Ok(())
     }
 
@@ -344,12 +340,8 @@ impl SimulatedMotor {
         let idle_w = self.parameters.inverter.idle_power_w;
         self.supply_current_a = self.link.step(winding_w + mos_w + mechanical_w + idle_w);
 
-        if self.forced_motor_c.is_none() {
-            self.winding.step(winding_w, self.ambient_c);
-        }
-        if self.forced_mos_c.is_none() {
-            self.mos.step(mos_w, self.ambient_c);
-        }
+        self.winding.step(winding_w, self.ambient_c);
+        self.mos.step(mos_w, self.ambient_c);
     }
 
     /// The speed after a step under `motor_nm` in the air gap.
@@ -386,13 +378,6 @@ impl SimulatedMotor {
             encoder_ok: self.frozen.is_none(),
         }
     }
-}
-
-fn force(node: &mut ThermalNode, held_c: Option<f64>) -> Result<Option<f64>, ImpossibleFigure> {
-    if let Some(held_c) = held_c {
-        node.set_temperature_c(TEMPERATURE.check(held_c)?);
-    }
-    Ok(held_c)
 }
 
 impl Plant for SimulatedMotor {
@@ -485,7 +470,7 @@ mod tests {
     fn a_stop_too_stiff_for_the_step_is_refused() {
         let mut motor = x6();
         let stop = super::super::SpringStop { at_deg: 0.0, stiffness_nm_per_rad: 1e7 };
-        let error = motor.set_load(Load::NONE.with_upper_stop(stop)).unwrap_err();
+        let error = motor.set_load(Load { upper_stop: Some(stop), ..Load::NONE }).unwrap_err();
         assert!(error.to_string().contains("stiffness"), "{error}");
         assert_eq!(motor.load(), &Load::NONE);
     }

@@ -1,7 +1,5 @@
 //! What a motor is like: the figures of a data sheet, from a TOML file, checked.
 
-use std::fmt;
-
 use super::figure::{Figure, ImpossibleFigure};
 use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::command::MotionRanges;
@@ -331,17 +329,23 @@ fn at_most(
 }
 
 /// Why there is no motor.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ParameterError {
     /// No model of that name comes with the library.
+    #[error(
+        "no motor model is called \"{name}\"; there are {}, or write a parameter file of your own",
+        MODELS.map(|model| model.name).join(", ")
+    )]
     UnknownModel {
         /// The name that was asked for.
         name: String,
     },
     /// Not TOML, a key missing, unknown or of another type.
-    Toml(Box<toml::de::Error>),
+    #[error("motor parameters: {0}")]
+    Toml(#[source] Box<toml::de::Error>),
     /// A figure that cannot be.
+    #[error("{key}: {error}")]
     OutOfRange {
         /// Table and key of the figure.
         key: &'static str,
@@ -349,8 +353,10 @@ pub enum ParameterError {
         error: ImpossibleFigure,
     },
     /// A load, a supply or the like that cannot be.
+    #[error("{0}")]
     Setting(ImpossibleFigure),
     /// Two figures that cannot both be.
+    #[error("{low_key} must be at most {high_key}, but they are {low} and {high}: change either")]
     Contradiction {
         /// Table and key of the figure that must be the smaller one or equal.
         low_key: &'static str,
@@ -362,8 +368,16 @@ pub enum ParameterError {
         high: f64,
     },
     /// The scales of this firmware's motion mode depend on the motor, and were not given.
+    #[error(
+        "firmware: the scales of {0}'s motion mode depend on the motor: give the largest values in \
+         [motion], which are position_rad, velocity_rad_s, kp, kd and torque_nm"
+    )]
     NoMotionRanges(Firmware),
     /// Figures that make something happen faster than the simulation's step can follow.
+    #[error(
+        "{what}: the rate must be at most {limit_per_s:.0} /s for the simulation's step, but it is \
+         {rate_per_s:.0} /s"
+    )]
     TooFast {
         /// What it is, and which figures to change.
         what: &'static str,
@@ -372,46 +386,6 @@ pub enum ParameterError {
         /// The fastest that the step can follow, 1/s.
         limit_per_s: f64,
     },
-}
-
-impl fmt::Display for ParameterError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::UnknownModel { name } => {
-                write!(f, "no motor model is called \"{name}\"; there are")?;
-                for (at, model) in MODELS.iter().enumerate() {
-                    write!(f, "{} {}", if at == 0 { "" } else { "," }, model.name)?;
-                }
-                write!(f, ", or write a parameter file of your own")
-            }
-            Self::Toml(error) => write!(f, "motor parameters: {error}"),
-            Self::OutOfRange { key, error } => write!(f, "{key}: {error}"),
-            Self::Setting(error) => error.fmt(f),
-            Self::Contradiction { low_key, low, high_key, high } => write!(
-                f,
-                "{low_key} must be at most {high_key}, but they are {low} and {high}: change either"
-            ),
-            Self::NoMotionRanges(firmware) => write!(
-                f,
-                "firmware: the scales of {firmware}'s motion mode depend on the motor: give the largest \
-                 values in [motion], which are position_rad, velocity_rad_s, kp, kd and torque_nm"
-            ),
-            Self::TooFast { what, rate_per_s, limit_per_s } => write!(
-                f,
-                "{what}: the rate must be at most {limit_per_s:.0} /s for the simulation's step, \
-                 but it is {rate_per_s:.0} /s"
-            ),
-        }
-    }
-}
-
-impl std::error::Error for ParameterError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        match self {
-            Self::Toml(error) => Some(error),
-            _ => None,
-        }
-    }
 }
 
 impl From<ImpossibleFigure> for ParameterError {
@@ -495,28 +469,23 @@ mod tests {
 
     #[test]
     fn figures_out_of_range_are_refused() {
-        for (from, to, key) in [
-            ("ratio = 19.612", "ratio = 0", "gear.ratio"),
-            ("ratio = 19.612", "ratio = nan", "gear.ratio"),
-            ("ratio = 19.612", "ratio = inf", "gear.ratio"),
-            (
-                "rotor_inertia_kg_m2 = 6.6e-5",
-                "rotor_inertia_kg_m2 = 0",
-                "motor.rotor_inertia_kg_m2",
-            ),
-            (
-                "rotor_inertia_kg_m2 = 6.6e-5",
-                "rotor_inertia_kg_m2 = -6.6e-5",
-                "motor.rotor_inertia_kg_m2",
-            ),
-            ("bits = 17", "bits = 40", "encoder.bits"),
+        let (ratio, inertia) = ("ratio = 19.612", "rotor_inertia_kg_m2 = 6.6e-5");
+        for (figure, value, table) in [
+            (ratio, "0", "gear"),
+            (ratio, "nan", "gear"),
+            (ratio, "inf", "gear"),
+            (inertia, "0", "motor"),
+            (inertia, "-6.6e-5", "motor"),
+            ("bits = 17", "40", "encoder"),
         ] {
-            let error = edited(from, to).unwrap_err();
+            let name = figure.split(' ').next().unwrap();
+            let (wrong, full) = (format!("{name} = {value}"), format!("{table}.{name}"));
+            let error = edited(figure, &wrong).unwrap_err();
             assert!(
-                matches!(error, ParameterError::OutOfRange { key: found, .. } if found == key),
-                "{to}: {error}"
+                matches!(error, ParameterError::OutOfRange { key, .. } if key == full),
+                "{wrong}: {error}"
             );
-            assert!(error.to_string().starts_with(key), "{error}");
+            assert!(error.to_string().starts_with(&full), "{error}");
         }
     }
 

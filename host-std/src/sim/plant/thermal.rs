@@ -7,6 +7,7 @@
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThermalNode {
     temperature_c: f64,
+    is_held: bool,
     resistance_k_per_w: f64,
     /// Share of the distance to the steady temperature that is left after one step.
     remaining: f64,
@@ -22,11 +23,14 @@ impl ThermalNode {
         step_s: f64,
     ) -> Self {
         let remaining = (-step_s / (capacity_j_per_k * resistance_k_per_w)).exp();
-        Self { temperature_c, resistance_k_per_w, remaining }
+        Self { temperature_c, is_held: false, resistance_k_per_w, remaining }
     }
 
-    /// One step with `loss_w` watts of heating in air of `ambient_c`.
+    /// One step with `loss_w` watts of heating in air of `ambient_c`, unless it is held.
     pub fn step(&mut self, loss_w: f64, ambient_c: f64) {
+        if self.is_held {
+            return;
+        }
         let steady_c = ambient_c + loss_w * self.resistance_k_per_w;
         self.temperature_c = steady_c + (self.temperature_c - steady_c) * self.remaining;
     }
@@ -36,9 +40,12 @@ impl ThermalNode {
         self.temperature_c
     }
 
-    /// Puts the body at a temperature, °C; it goes on from there.
-    pub const fn set_temperature_c(&mut self, temperature_c: f64) {
-        self.temperature_c = temperature_c;
+    /// Holds the body at a temperature, °C; `None` lets it go on from there.
+    pub const fn hold_c(&mut self, held_c: Option<f64>) {
+        self.is_held = held_c.is_some();
+        if let Some(held_c) = held_c {
+            self.temperature_c = held_c;
+        }
     }
 }
 

@@ -32,42 +32,44 @@ pub enum AdapterCommand {
     Unknown,
 }
 
+/// The lines that are always the same.
+const FIXED: [(&[u8], AdapterCommand); 10] = [
+    (b"", AdapterCommand::Nothing),
+    (b"O", AdapterCommand::Open),
+    (b"L", AdapterCommand::Listen),
+    (b"C", AdapterCommand::Close),
+    (b"V", AdapterCommand::ReadVersion),
+    (b"N", AdapterCommand::ReadSerialNumber),
+    (b"F", AdapterCommand::ReadStatus),
+    (b"Z0", AdapterCommand::TimeStamps(false)),
+    (b"Z1", AdapterCommand::TimeStamps(true)),
+    (b"?", AdapterCommand::Unknown),
+];
+
 impl AdapterCommand {
     /// Appends the line, its end included. [`Unknown`](Self::Unknown) is a line that no adapter
     /// knows.
     pub fn encode(&self, line: &mut Vec<u8>) {
-        let letter = match self {
+        match self {
             Self::Transmit(frame) => return write_frame(frame, line),
-            Self::SetRate(rate) => &[b'S', rate.digit()][..],
-            Self::Open => b"O",
-            Self::Listen => b"L",
-            Self::Close => b"C",
-            Self::ReadVersion => b"V",
-            Self::ReadSerialNumber => b"N",
-            Self::ReadStatus => b"F",
-            Self::TimeStamps(false) => b"Z0",
-            Self::TimeStamps(true) => b"Z1",
-            Self::Nothing => b"",
-            Self::Unknown => b"?",
-        };
-        line.extend_from_slice(letter);
+            Self::SetRate(rate) => line.extend_from_slice(&[b'S', rate.digit()]),
+            fixed => {
+                let known = FIXED.iter().find(|(_, command)| command == fixed);
+                line.extend(known.into_iter().flat_map(|(text, _)| *text));
+            }
+        }
         line.push(END);
     }
 
     fn parse(line: &[u8]) -> Self {
-        match line {
-            [] => Self::Nothing,
-            [b'S', digit] => Rate::from_digit(*digit).map_or(Self::Unknown, Self::SetRate),
-            b"O" => Self::Open,
-            b"L" => Self::Listen,
-            b"C" => Self::Close,
-            b"V" => Self::ReadVersion,
-            b"N" => Self::ReadSerialNumber,
-            b"F" => Self::ReadStatus,
-            b"Z0" => Self::TimeStamps(false),
-            b"Z1" => Self::TimeStamps(true),
-            frame => parse_frame(frame).map_or(Self::Unknown, Self::Transmit),
+        if let Some((_, command)) = FIXED.iter().find(|(text, _)| *text == line) {
+            return *command;
         }
+        match line {
+            [b'S', digit] => Rate::from_digit(*digit).map(Self::SetRate),
+            frame => parse_frame(frame).map(Self::Transmit),
+        }
+        .unwrap_or(Self::Unknown)
     }
 }
 

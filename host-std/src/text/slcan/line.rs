@@ -3,6 +3,9 @@
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
+use crate::text::can::hex_bytes;
+use crate::text::joined_hex;
+
 pub(super) const END: u8 = b'\r';
 pub(super) const BELL: u8 = 0x07;
 /// The longest line there is: `T`, identifier, length, eight bytes and a time stamp.
@@ -83,11 +86,7 @@ pub(super) fn parse_frame(line: &[u8]) -> Option<SimpleFrame> {
     if is_remote {
         return SimpleFrame::new_remote(id, length);
     }
-    let mut bytes = [0; 8];
-    for (byte, digits) in bytes.iter_mut().zip(data.chunks_exact(2)) {
-        *byte = u8::try_from(hexadecimal(digits)?).ok()?;
-    }
-    SimpleFrame::new(id, bytes.get(..length)?)
+    SimpleFrame::new(id, &hex_bytes(str::from_utf8(data).ok()?)?)
 }
 
 /// The line that carries a frame, its end included.
@@ -99,12 +98,9 @@ pub(super) fn write_frame(frame: &SimpleFrame, line: &mut Vec<u8>) {
         (Id::Extended(id), false) => format!("T{:08X}", id.as_raw()),
         (Id::Extended(id), true) => format!("R{:08X}", id.as_raw()),
     };
+    let tail = format!("{}{}\r", frame.dlc(), joined_hex(frame.data(), ""));
     line.extend_from_slice(head.as_bytes());
-    line.extend_from_slice(frame.dlc().to_string().as_bytes());
-    for byte in frame.data() {
-        line.extend_from_slice(format!("{byte:02X}").as_bytes());
-    }
-    line.push(END);
+    line.extend_from_slice(tail.as_bytes());
 }
 
 /// Up to eight hexadecimal digits.

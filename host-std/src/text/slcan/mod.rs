@@ -20,4 +20,4 @@ mod line;
 mod rate;
 
 pub use codec::{AdapterCodec, AdapterCommand, Answer, Codec};
-pub use rate::{NotARate, Rate};
+pub use rate::Rate;

@@ -1,29 +1,30 @@
 //! The bit rates of the CAN bus behind an adapter.
 
-use std::fmt;
 use std::str::FromStr;
+
+use crate::Unexpected;
 
 /// The bit rates that adapters know, from the slowest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Rate {
     /// 10 kbit/s, `S0`.
-    Kbit10,
+    Kbit10 = 10_000,
     /// 20 kbit/s, `S1`.
-    Kbit20,
+    Kbit20 = 20_000,
     /// 50 kbit/s, `S2`.
-    Kbit50,
+    Kbit50 = 50_000,
     /// 100 kbit/s, `S3`.
-    Kbit100,
+    Kbit100 = 100_000,
     /// 125 kbit/s, `S4`.
-    Kbit125,
+    Kbit125 = 125_000,
     /// 250 kbit/s, `S5`.
-    Kbit250,
+    Kbit250 = 250_000,
     /// 500 kbit/s, `S6`.
-    Kbit500,
+    Kbit500 = 500_000,
     /// 800 kbit/s, `S7`.
-    Kbit800,
+    Kbit800 = 800_000,
     /// 1 Mbit/s, `S8`: the rate of motors as delivered.
-    Mbit1,
+    Mbit1 = 1_000_000,
 }
 
 impl Rate {
@@ -42,21 +43,12 @@ impl Rate {
 
     /// The rate in bit/s.
     pub const fn bits_per_second(self) -> u32 {
-        match self {
-            Self::Kbit10 => 10_000,
-            Self::Kbit20 => 20_000,
-            Self::Kbit50 => 50_000,
-            Self::Kbit100 => 100_000,
-            Self::Kbit125 => 125_000,
-            Self::Kbit250 => 250_000,
-            Self::Kbit500 => 500_000,
-            Self::Kbit800 => 800_000,
-            Self::Mbit1 => 1_000_000,
-        }
+        self as u32
     }
 
-    pub(super) const fn digit(self) -> u8 {
-        b'0' + self as u8
+    pub(super) fn digit(self) -> u8 {
+        let slower = Self::ALL.iter().filter(|rate| **rate < self).count();
+        b'0' + slower as u8
     }
 
     pub(super) fn from_digit(digit: u8) -> Option<Self> {
@@ -64,30 +56,16 @@ impl Rate {
     }
 }
 
-/// Text that is no bit rate of [`Rate`].
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NotARate(String);
-
-impl fmt::Display for NotARate {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("expected a bit rate that SLCAN adapters know (")?;
-        for (place, rate) in Rate::ALL.iter().enumerate() {
-            let comma = if place == 0 { "" } else { ", " };
-            write!(f, "{comma}{}", rate.bits_per_second())?;
-        }
-        write!(f, "), found \"{}\"", self.0)
-    }
-}
-
-impl std::error::Error for NotARate {}
-
 /// From its number of bit/s in decimal digits.
 impl FromStr for Rate {
-    type Err = NotARate;
+    type Err = Unexpected;
 
-    fn from_str(text: &str) -> Result<Self, NotARate> {
+    fn from_str(text: &str) -> Result<Self, Unexpected> {
         let known = Self::ALL.into_iter().find(|rate| rate.bits_per_second().to_string() == text);
-        known.ok_or_else(|| NotARate(text.to_owned()))
+        known.ok_or_else(|| {
+            let rates = Self::ALL.map(|rate| rate.bits_per_second().to_string()).join(", ");
+            Unexpected::new(format!("a bit rate that SLCAN adapters know ({rates})"), text)
+        })
     }
 }
 
@@ -101,7 +79,7 @@ mod tests {
             assert_eq!(rate.bits_per_second().to_string().parse(), Ok(rate));
         }
         for text in ["", "1000", "+500000", "0500000", "500 000", "fast"] {
-            assert_eq!(text.parse::<Rate>(), Err(NotARate(text.to_owned())));
+            assert_eq!(text.parse::<Rate>().unwrap_err().found, text);
         }
     }
 }

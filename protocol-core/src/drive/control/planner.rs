@@ -116,24 +116,6 @@ mod tests {
     const REST: Profile = Profile { position_deg: 0.0, speed_dps: 0.0 };
 
     #[test]
-    fn a_long_way_is_a_trapezoid_that_ends_exactly() {
-        let run = run(REST, 360.0, PACE, 1_000);
-        let fastest = run.iter().map(|p| p.speed_dps).fold(0.0, f32::max);
-        assert_eq!(fastest, 500.0);
-        // 50 ms up over 12.5 deg, 100 ms down over 25 deg, the rest at 500 dps: 795 ms in all.
-        let arrived = run.iter().position(|p| p.position_deg == 360.0).unwrap();
-        assert!((793..=799).contains(&arrived), "{arrived}");
-        assert_eq!(run.last(), Some(&Profile { position_deg: 360.0, speed_dps: 0.0 }));
-        let mut before = REST;
-        for p in run {
-            let change = (p.speed_dps - before.speed_dps) / DT;
-            assert!((-5_010.0..=10_010.0).contains(&change), "{change}");
-            assert!(p.position_deg <= 360.0);
-            before = p;
-        }
-    }
-
-    #[test]
     fn a_short_way_is_a_triangle_either_way_round() {
         for target in [1.0, -1.0] {
             let run = run(REST, target, PACE, 200);

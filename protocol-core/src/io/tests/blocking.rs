@@ -4,25 +4,20 @@ use std::vec::Vec;
 
 use embedded_can::nb::Can as _;
 
-use super::world::{Broken, TestCan, TestClock, TestSerial};
+use super::world::{Broken, TestCan, TestClock, TestSerial, on_can, on_rs485};
 use super::{id, step, torque};
 use crate::command::{ReadMultiTurnAngle, Reset, Stop};
 use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster};
-use crate::master::{Config, Event, Failure, MotorSet, StopKind};
+use crate::master::{Event, Failure, MotorSet, StopKind};
 use crate::wire::can::{self, SimpleFrame};
 use crate::{Channel, Packet};
 
 fn can() -> (TestCan, TestClock, CanMaster<TestCan, TestClock, 4>) {
-    let clock = TestClock::default();
-    let bus = TestCan::new(&clock);
-    (bus.clone(), clock.clone(), CanMaster::new(bus, clock, Config::CAN))
+    on_can(CanMaster::new)
 }
 
 fn serial() -> (TestSerial, TestClock, SerialMaster<TestSerial, TestClock, 4>) {
-    let clock = TestClock::default();
-    let port = TestSerial::new(&clock);
-    let config = Config::rs485(115_200, false);
-    (port.clone(), clock.clone(), SerialMaster::new(port, clock, config))
+    on_rs485(SerialMaster::new)
 }
 
 /// Runs for so long and gives what happened.
@@ -58,22 +53,6 @@ fn a_frame_that_the_controller_refuses_is_not_counted_as_sent() {
     assert_eq!(bus.sent().len(), 1);
     assert!(ticket.outcome(&events[0]).unwrap().is_ok());
     assert_eq!(events.len(), 1);
-}
-
-#[test]
-fn a_command_that_acts_again_is_sent_once_whatever_happens() {
-    let (bus, clock, mut arm) = can();
-    assert_eq!(arm.call(id(9), step()), Err(CallError::Failed(Failure::NoReply)));
-    run(&mut arm, &clock, 200_000);
-    assert_eq!(bus.sent(), [[0xA8, 0, 100, 0, 0x28, 0x23, 0, 0]]);
-}
-
-#[test]
-fn a_silent_motor_is_asked_three_times() {
-    let (bus, _, mut arm) = can();
-    let silence = Err(CallError::Failed(Failure::NoReply));
-    assert_eq!(arm.ask(id(9), ReadMultiTurnAngle), silence);
-    assert_eq!(bus.sent().len(), 3);
 }
 
 #[test]

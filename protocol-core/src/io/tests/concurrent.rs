@@ -4,7 +4,7 @@ use std::format;
 use std::string::String;
 use std::vec::Vec;
 
-use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, polls};
+use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_can, on_rs485, polls};
 use super::{id, step, torque};
 use crate::command::{PidIndex, ReadMultiTurnAngle, ReadPid, Reset};
 use crate::io::{
@@ -15,20 +15,12 @@ use crate::master::{Config, Event, Failure, MotorSet, StopKind};
 use crate::time::{Duration, Instant};
 use crate::wire::can::SimpleFrame;
 
-type AsyncArm = AsyncCanMaster<TestCan, TestClock, 4>;
-
-fn can() -> (TestCan, TestClock, AsyncArm) {
-    let clock = TestClock::default();
-    let bus = TestCan::new(&clock);
-    (bus.clone(), clock.clone(), AsyncCanMaster::new(bus, clock, Config::CAN))
+fn can() -> (TestCan, TestClock, AsyncCanMaster<TestCan, TestClock, 4>) {
+    on_can(AsyncCanMaster::new)
 }
 
-const RS485: Config = Config::rs485(115_200, false);
-
 fn serial() -> (TestSerial, TestClock, AsyncSerialMaster<TestSerial, TestClock, 4>) {
-    let clock = TestClock::default();
-    let port = TestSerial::new(&clock);
-    (port.clone(), clock.clone(), AsyncSerialMaster::new(port, clock, RS485))
+    on_rs485(AsyncSerialMaster::new)
 }
 
 /// The same calls on any loop, and what each of them gave.
@@ -64,9 +56,7 @@ fn check(log: &[String]) {
 
 #[test]
 fn on_can_the_async_loop_does_what_the_polling_one_does() {
-    let clock = TestClock::default();
-    let polled_bus = TestCan::new(&clock);
-    let mut polled = CanMaster::<_, _, 4>::new(polled_bus.clone(), clock, Config::CAN);
+    let (polled_bus, _, mut polled) = on_can(CanMaster::<_, _, 4>::new);
     let expected = session!(polled);
     let (bus, _, mut arm) = can();
     let log = block_on(async { session!(arm.await) });
@@ -77,9 +67,7 @@ fn on_can_the_async_loop_does_what_the_polling_one_does() {
 
 #[test]
 fn on_rs485_the_async_loop_does_what_the_polling_one_does() {
-    let clock = TestClock::default();
-    let polled_port = TestSerial::new(&clock);
-    let mut polled = SerialMaster::<_, _, 4>::new(polled_port.clone(), clock, RS485);
+    let (polled_port, _, mut polled) = on_rs485(SerialMaster::<_, _, 4>::new);
     let expected = session!(polled);
     for at_most in [0, 1, 5] {
         let (port, _, mut arm) = serial();

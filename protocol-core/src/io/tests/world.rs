@@ -13,6 +13,7 @@ use embedded_can::Frame as _;
 use crate::Data;
 use crate::id::Target;
 use crate::io::{AsyncCan, AsyncClock, Clock};
+use crate::master::Config;
 use crate::packet::{Channel, Packet};
 use crate::time::Instant;
 use crate::wire::can::{self, Received, SimpleFrame};
@@ -61,6 +62,24 @@ impl AsyncClock for TestClock {
         })
         .await;
     }
+}
+
+/// A CAN bus, its clock and a loop on it.
+pub(super) fn on_can<L>(
+    new: impl FnOnce(TestCan, TestClock, Config) -> L,
+) -> (TestCan, TestClock, L) {
+    let clock = TestClock::default();
+    let bus = TestCan::new(&clock);
+    (bus.clone(), clock.clone(), new(bus, clock, Config::CAN))
+}
+
+/// A serial port, its clock and a loop on it.
+pub(super) fn on_rs485<L>(
+    new: impl FnOnce(TestSerial, TestClock, Config) -> L,
+) -> (TestSerial, TestClock, L) {
+    let clock = TestClock::default();
+    let port = TestSerial::new(&clock);
+    (port.clone(), clock.clone(), new(port, clock, Config::rs485(115_200, false)))
 }
 
 /// Polls a future until it is done.

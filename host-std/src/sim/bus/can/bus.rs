@@ -34,10 +34,9 @@ enum Ending {
 
 #[derive(Debug)]
 struct Transmission {
-    /// All that send this very frame; more than one only if the frames are equal.
+    /// All that send with its identifier, those of this very frame first.
     senders: Vec<usize>,
-    /// Error-passive stations that lost behind the arbitration field.
-    losers: Vec<usize>,
+    /// What is on the wire: the frame that goes through against the others.
     frame: SimpleFrame,
     started: Nanos,
     ending: Ending,
@@ -158,7 +157,7 @@ impl CanBus {
         }
     }
 
-    fn start_on(&mut self, wire: Wire, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn start_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
         let now = around.now;
         let waiting = |(station, controller): (usize, &Controller)| {
             let (from, key) = controller.wants_bus()?;
@@ -179,40 +178,33 @@ impl CanBus {
             }
         }
         let Some(&(_, mut frame)) = frames.first() else { return };
-        let mut senders = winners;
-        let mut losers = Vec::new();
         let mut clash = None;
         if frames.iter().any(|(_, other)| *other != frame) {
             let lines: Vec<_> = frames.iter().map(|(_, frame)| line_bits(frame)).collect();
             // Dominant, false, goes through.
             let best = (0..lines.len()).min_by(|&a, &b| lines[a].cmp(&lines[b])).unwrap_or(0);
             frame = frames[best].1;
-            let (same, others): (Vec<_>, Vec<_>) =
-                frames.iter().partition(|(_, other)| *other == frame);
-            let is_passive =
-                |&station: &usize| self.controllers[station].state() == ErrorState::Passive;
-            let losing: Vec<usize> = others.iter().map(|(station, _)| *station).collect();
-            if losing.iter().all(is_passive) {
-                senders = same.iter().map(|(station, _)| *station).collect();
-                losers = losing;
-            } else {
-                // The first error-active station that sees its recessive bit overruled speaks up.
-                let differs = |line: &Vec<bool>| {
-                    lines[best].iter().zip(line).position(|(a, b)| a != b).unwrap_or(0) + 1
-                };
-                clash = frames
-                    .iter()
-                    .zip(&lines)
-                    .filter(|((station, other), _)| *other != frame && !is_passive(station))
-                    .map(|(_, line)| differs(line) as u32)
-                    .min();
-            }
+            let differs = |line: &Vec<bool>| {
+                lines[best].iter().zip(line).position(|(a, b)| a != b).unwrap_or(0) + 1
+            };
+            // The first error-active station that sees its recessive bit overruled speaks up; those
+            // that are error-passive give in.
+            let is_active =
+                |station: usize| self.controllers[station].state() == ErrorState::Active;
+            clash = frames
+                .iter()
+                .zip(&lines)
+                .filter(|((station, other), _)| *other != frame && is_active(*station))
+                .map(|(_, line)| differs(line) as u32)
+                .min();
+            frames.sort_by_key(|(_, other)| *other != frame);
         }
+        let senders: Vec<usize> = frames.iter().map(|(station, _)| *station).collect();
         let length = frame_bits(&frame);
         let disturbance = around.injector.disturbance(first, length - INTERMISSION);
-        let alone = !self.on(wire).any(|(station, controller)| {
-            !controller.is_bus_off() && !senders.contains(&station) && !losers.contains(&station)
-        });
+        let alone = !self
+            .on(wire)
+            .any(|(station, controller)| !controller.is_bus_off() && !senders.contains(&station));
         let (ending, taken) = match (clash, disturbance) {
             (Some(bit), _) => (Ending::Broken, bit),
             (None, Some(Disturbance::Detected(bit))) => (Ending::Broken, bit),
@@ -222,12 +214,12 @@ impl CanBus {
             }
             (None, None) => (Ending::Good, length - INTERMISSION),
         };
-        let transmission = Transmission { senders, losers, frame, started: now, ending };
+        let transmission = Transmission { senders, frame, started: now, ending };
         let until = now + self.bits(taken);
         self.wires[place(wire)] = Phase::Sending { transmission, until };
     }
 
-    fn finish_on(&mut self, wire: Wire, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn finish_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
         let now = around.now;
         let phase = &mut self.wires[place(wire)];
         match phase {
@@ -246,7 +238,7 @@ impl CanBus {
         }
     }
 
-    fn recover_on(&mut self, wire: Wire, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn recover_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
         for station in 0..self.controllers.len() {
             let controller = &self.controllers[station];
             let due = controller.recovery.is_some_and(|recovery| {
@@ -264,9 +256,9 @@ impl CanBus {
         &mut self,
         wire: Wire,
         transmission: Transmission,
-        around: &mut Surroundings<'_, SimpleFrame>,
+        around: &mut Surroundings<SimpleFrame>,
     ) {
-        let Transmission { senders, losers, frame, started: started_ns, ending } = transmission;
+        let Transmission { senders, frame, started: started_ns, ending } = transmission;
         let now = around.now;
         let sent = matches!(ending, Ending::Good | Ending::Falsified(_));
         let gap = match ending {
@@ -281,12 +273,11 @@ impl CanBus {
         for (station, controller) in self.on_mut(wire) {
             if senders.contains(&station) {
                 match ending {
+                    _ if !controller.sends(&frame) => controller.count_transmit_error(),
                     Ending::Good | Ending::Falsified(_) => controller.count_sent(),
                     Ending::Unacknowledged => controller.count_unacknowledged(),
-                    Ending::Broken => drop(controller.count_transmit_error()),
+                    Ending::Broken => controller.count_transmit_error(),
                 }
-            } else if losers.contains(&station) {
-                controller.count_transmit_error();
             } else if !controller.is_bus_off() {
                 match ending {
                     Ending::Good | Ending::Falsified(_) => controller.count_received(),
@@ -295,9 +286,9 @@ impl CanBus {
                 }
             }
         }
-        for &station in senders.iter().chain(&losers) {
-            let own = sent && senders.contains(&station);
+        for &station in &senders {
             let controller = &mut self.controllers[station];
+            let own = sent && controller.sends(&frame);
             controller.end(own);
             match controller.state() {
                 ErrorState::Active => {}
@@ -325,12 +316,9 @@ impl CanBus {
             self.messages += 1;
             let message = self.messages;
             let part = Some(Part { message, index: 0, of: 1, whole: Some(unit) });
-            let sender = senders[0];
-            let mut deaf = senders;
-            deaf.extend(losers);
             around.arrivals.push(Arrival {
-                sender,
-                deaf,
+                sender: senders[0],
+                deaf: senders,
                 started: started_ns,
                 on: wire,
                 unit,
@@ -340,21 +328,21 @@ impl CanBus {
     }
 
     /// Ends what a station has on its wire, because it is leaving it or is being reset.
-    fn break_off(&mut self, station: usize, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn break_off(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {
         let wire = self.controllers[station].wire;
-        let phase = &mut self.wires[place(wire)];
-        if let Phase::Sending { transmission, until } = phase
-            && transmission.senders.contains(&station)
-            && transmission.senders.len() == 1
-        {
-            transmission.ending = Ending::Broken;
+        let Phase::Sending { transmission, until } = &mut self.wires[place(wire)] else { return };
+        let Transmission { senders, frame, ending, .. } = transmission;
+        let goes_on = |&other: &usize| {
+            other != station && (*ending == Ending::Broken || self.controllers[other].sends(frame))
+        };
+        if !senders.contains(&station) || senders.iter().any(goes_on) {
+            // The wire sees no change.
+            senders.retain(|&sender| sender != station);
+            self.controllers[station].end(false);
+        } else {
+            *ending = Ending::Broken;
             *until = around.now;
             self.finish_on(wire, around);
-        } else if let Phase::Sending { transmission, .. } = phase {
-            // Another one sends the very same frame, so the wire sees no change.
-            transmission.senders.retain(|&sender| sender != station);
-            transmission.losers.retain(|&loser| loser != station);
-            self.controllers[station].end(false);
         }
     }
 
@@ -400,13 +388,13 @@ impl Bus for CanBus {
         self.wires().map(|wire| self.next_on(wire)).min().unwrap_or(NEVER)
     }
 
-    fn finish(&mut self, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn finish(&mut self, around: &mut Surroundings<SimpleFrame>) {
         for wire in self.wires() {
             self.finish_on(wire, around);
         }
     }
 
-    fn start(&mut self, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn start(&mut self, around: &mut Surroundings<SimpleFrame>) {
         for wire in self.wires() {
             if let Phase::Idle { .. } = self.wires[place(wire)] {
                 self.start_on(wire, around);
@@ -430,7 +418,7 @@ impl Bus for CanBus {
             && !arrival.deaf.contains(&station)
     }
 
-    fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<SimpleFrame>) {
         let wire = if is_cut { Wire::Stub(station) } else { Wire::Common };
         if self.controllers[station].wire == wire {
             return;
@@ -447,7 +435,7 @@ impl Bus for CanBus {
         }
     }
 
-    fn reset(&mut self, station: usize, around: &mut Surroundings<'_, SimpleFrame>) {
+    fn reset(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {
         self.break_off(station, around);
         self.controllers[station].clear();
         self.controllers[station].joined = around.now;

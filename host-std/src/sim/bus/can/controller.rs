@@ -107,7 +107,6 @@ pub(super) struct Controller {
     /// An error-passive sender waits until then.
     pub(super) suspended_until: Nanos,
     pub(super) recovery: Option<Recovery>,
-    is_bus_off: bool,
     pub(super) wire: Wire,
     /// From when on it follows what is on its wire.
     pub(super) joined: Nanos,
@@ -123,14 +122,13 @@ impl Controller {
             receive_errors: 0,
             suspended_until: 0,
             recovery: None,
-            is_bus_off: false,
             wire: Wire::Common,
             joined: 0,
         }
     }
 
     pub(super) fn state(&self) -> ErrorState {
-        if self.is_bus_off {
+        if self.is_bus_off() {
             ErrorState::BusOff
         } else if self.transmit_errors.max(self.receive_errors) >= PASSIVE {
             ErrorState::Passive
@@ -140,7 +138,7 @@ impl Controller {
     }
 
     pub(super) const fn is_bus_off(&self) -> bool {
-        self.is_bus_off
+        self.transmit_errors > BUS_OFF_ABOVE
     }
 
     pub(super) fn queued(&self) -> usize {
@@ -153,7 +151,7 @@ impl Controller {
 
     /// From when on it has a frame to send, and that frame's priority.
     pub(super) fn wants_bus(&self) -> Option<(Nanos, u64)> {
-        if self.is_bus_off {
+        if self.is_bus_off() {
             return None;
         }
         let pending = self.queue.get(self.head?)?;
@@ -193,6 +191,11 @@ impl Controller {
         Some(pending.frame)
     }
 
+    /// Whether this is the frame that it has on the wire.
+    pub(super) fn sends(&self, frame: &SimpleFrame) -> bool {
+        self.queue.iter().any(|pending| pending.on_wire && pending.frame == *frame)
+    }
+
     /// The frame on the wire is done; a failed one stays for the next try.
     pub(super) fn end(&mut self, sent: bool) {
         if let Some(place) = self.queue.iter().position(|pending| pending.on_wire) {
@@ -208,11 +211,7 @@ impl Controller {
     pub(super) fn clear(&mut self) {
         self.queue.clear();
         self.head = None;
-        self.transmit_errors = 0;
-        self.receive_errors = 0;
-        self.suspended_until = 0;
-        self.recovery = None;
-        self.is_bus_off = false;
+        self.recover();
     }
 
     fn choose_head(&mut self) {
@@ -225,13 +224,9 @@ impl Controller {
         };
     }
 
-    /// Counts a failed transmission. True if that was one too many.
-    pub(super) fn count_transmit_error(&mut self) -> bool {
+    /// Counts a failed transmission, which may be one too many.
+    pub(super) fn count_transmit_error(&mut self) {
         self.transmit_errors = self.transmit_errors.saturating_add(8);
-        if self.transmit_errors > BUS_OFF_ABOVE {
-            self.is_bus_off = true;
-        }
-        self.is_bus_off
     }
 
     /// Counts a frame that nobody acknowledged. An error-passive sender does not count those, so
@@ -267,6 +262,5 @@ impl Controller {
         self.receive_errors = 0;
         self.suspended_until = 0;
         self.recovery = None;
-        self.is_bus_off = false;
     }
 }

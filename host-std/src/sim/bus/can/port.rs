@@ -13,34 +13,23 @@ use crate::sim::bus::{StationId, World};
 const GIVE_UP: Duration = Duration::from_secs(1);
 
 /// What a port's calls can fail with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CanError {
     /// The controller counted too many errors and takes no frames until it has recovered.
+    #[error(
+        "the CAN controller is bus-off: expected a working bus, found more than 255 transmit errors; \
+         mend the bus and wait for the controller to recover, or reset it"
+    )]
     BusOff,
     /// A blocking call waited as long as it may.
+    #[error(
+        "no frame went through within {after}: check that somebody on the bus answers, or wait longer"
+    )]
     TimedOut {
         /// How long that was.
         after: Duration,
     },
 }
-
-impl std::fmt::Display for CanError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::BusOff => f.write_str(
-                "the CAN controller is bus-off: expected a working bus, found more than 255 \
-                 transmit errors; mend the bus and wait for the controller to recover, or reset it",
-            ),
-            Self::TimedOut { after } => write!(
-                f,
-                "no frame went through within {after}: check that somebody on the bus answers, or \
-                 wait longer"
-            ),
-        }
-    }
-}
-
-impl std::error::Error for CanError {}
 
 impl embedded_can::Error for CanError {
     fn kind(&self) -> ErrorKind {

@@ -97,7 +97,7 @@ impl Rs485Line {
     }
 
     /// Puts the next byte of a station on the line. It must have one.
-    fn begin_byte(&mut self, station: usize, around: &mut Surroundings<'_, Vec<u8>>) {
+    fn begin_byte(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
         let now = around.now;
         let disturbed = self.others_drive(station);
         let bit_rate = self.bit_rate;
@@ -152,7 +152,7 @@ impl Rs485Line {
         }
     }
 
-    fn end_heard(&mut self, around: &mut Surroundings<'_, Vec<u8>>) {
+    fn end_heard(&mut self, around: &mut Surroundings<Vec<u8>>) {
         let Some(mut heard) = self.heard.take_if(|heard| heard.until <= around.now) else { return };
         if heard.is_garbled {
             heard.byte = self.random.byte();
@@ -196,7 +196,7 @@ impl Rs485Line {
     }
 
     /// A station's byte is over. If it has more to send, its driver stays as it is.
-    fn end_byte(&mut self, station: usize, around: &mut Surroundings<'_, Vec<u8>>) {
+    fn end_byte(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
         let now = around.now;
         let state = &mut self.stations[station];
         state.queued_bytes -= 1;
@@ -233,7 +233,7 @@ impl Rs485Line {
     }
 
     /// A direction switch may be heard.
-    fn switch(&mut self, station: usize, around: &mut Surroundings<'_, Vec<u8>>) {
+    fn switch(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
         if self.random.chance(self.stations[station].config.switch_noise) {
             around.arrivals.push(Arrival {
                 sender: station,
@@ -246,7 +246,7 @@ impl Rs485Line {
         }
     }
 
-    fn start_sending(&mut self, station: usize, around: &mut Surroundings<'_, Vec<u8>>) {
+    fn start_sending(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
         let state = &mut self.stations[station];
         state.run_started = around.now;
         state.run_bytes = 0;
@@ -297,7 +297,7 @@ impl Bus for Rs485Line {
         stations.chain(heard).min().unwrap_or(NEVER)
     }
 
-    fn finish(&mut self, around: &mut Surroundings<'_, Vec<u8>>) {
+    fn finish(&mut self, around: &mut Surroundings<Vec<u8>>) {
         let now = around.now;
         // First what is heard, while the drivers are as they were.
         self.end_heard(around);
@@ -326,7 +326,7 @@ impl Bus for Rs485Line {
         self.hear_the_rest(now);
     }
 
-    fn start(&mut self, around: &mut Surroundings<'_, Vec<u8>>) {
+    fn start(&mut self, around: &mut Surroundings<Vec<u8>>) {
         let now = around.now;
         for station in 0..self.stations.len() {
             let state = &mut self.stations[station];
@@ -387,7 +387,7 @@ impl Bus for Rs485Line {
         }
     }
 
-    fn cut(&mut self, station: usize, is_cut: bool, _: &mut Surroundings<'_, Vec<u8>>) {
+    fn cut(&mut self, station: usize, is_cut: bool, _: &mut Surroundings<Vec<u8>>) {
         if self.stations[station].is_cut == is_cut {
             return;
         }
@@ -403,7 +403,7 @@ impl Bus for Rs485Line {
         self.stations[station].is_cut = is_cut;
     }
 
-    fn reset(&mut self, station: usize, around: &mut Surroundings<'_, Vec<u8>>) {
+    fn reset(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
         let state = &mut self.stations[station];
         if let Driver::Sending { .. } = state.driver
             && !state.is_cut

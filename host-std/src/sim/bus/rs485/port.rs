@@ -13,27 +13,18 @@ use crate::sim::bus::{StationId, World};
 const GIVE_UP: Duration = Duration::from_secs(1);
 
 /// What a port's calls can fail with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SerialError {
     /// A blocking call waited as long as it may.
+    #[error(
+        "expected bytes on the line, found none within {after}: check that somebody answers, or wait \
+         longer"
+    )]
     TimedOut {
         /// How long that was.
         after: Duration,
     },
 }
-
-impl std::fmt::Display for SerialError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self::TimedOut { after } = self;
-        write!(
-            f,
-            "expected bytes on the line, found none within {after}: check that somebody answers, \
-             or wait longer"
-        )
-    }
-}
-
-impl std::error::Error for SerialError {}
 
 impl embedded_io::Error for SerialError {
     fn kind(&self) -> ErrorKind {
@@ -69,12 +60,12 @@ fn read(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &mut [u8]) -> Optio
         }
         count += 1;
     }
-    (count > 0).then_some(count)
+    (count > 0 || buf.is_empty()).then_some(count)
 }
 
 fn write(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &[u8]) -> Option<usize> {
     let count = buf.len().min(kernel.bus.room(station));
-    // Without room this notes that somebody waits for some.
+    // Without room this notes that somebody waits for some. Nothing finds room always.
     let message = if count == 0 { buf } else { &buf[..count] };
     kernel.submit(station, message.to_vec()).then_some(count)
 }
@@ -131,18 +122,12 @@ impl WriteReady for SerialPort {
 
 impl Read for SerialPort {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, SerialError> {
-        if buf.is_empty() {
-            return Ok(0);
-        }
         self.wait(|kernel| read(kernel, self.station.0, buf))
     }
 }
 
 impl Write for SerialPort {
     fn write(&mut self, buf: &[u8]) -> Result<usize, SerialError> {
-        if buf.is_empty() {
-            return Ok(0);
-        }
         self.wait(|kernel| write(kernel, self.station.0, buf))
     }
 
@@ -154,9 +139,6 @@ impl Write for SerialPort {
 
 impl embedded_io_async::Read for SerialPort {
     async fn read(&mut self, buf: &mut [u8]) -> Result<usize, SerialError> {
-        if buf.is_empty() {
-            return Ok(0);
-        }
         let station = self.station;
         Ok(self.world.until_change(station, |kernel| read(kernel, station.0, buf)).await)
     }
@@ -164,9 +146,6 @@ impl embedded_io_async::Read for SerialPort {
 
 impl embedded_io_async::Write for SerialPort {
     async fn write(&mut self, buf: &[u8]) -> Result<usize, SerialError> {
-        if buf.is_empty() {
-            return Ok(0);
-        }
         let station = self.station;
         Ok(self.world.until_change(station, |kernel| write(kernel, station.0, buf)).await)
     }

@@ -1,0 +1,515 @@
+//! `myactuator send`: one command, known or not, and what is answered.
+
+use clap::ValueEnum;
+use myactuator_host_std::explain::{Explainer, Sender};
+use myactuator_host_std::open::BusError;
+use myactuator_host_std::text;
+use myactuator_protocol_core::command::{AnyCommand, BusId, MotionRanges, Phrase, RawCommand};
+use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
+use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule, Usage};
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
+
+use super::revision::MotorRevision;
+use super::session::{Consent, OnBus, Outcome, Session, Unfinished, say};
+use crate::cli::arguments as parse;
+use crate::cli::from_table::FromTable;
+
+/// How long to sleep at most between two looks at the bus.
+const LONGEST_IDLE: Duration = Duration::from_millis(10);
+
+/// Send one command to a motor or to all, and explain what is answered
+///
+/// Any command by its name, or eight bytes of your own. One that sets a motor in motion leaves it so:
+/// 'myactuator stop' ends that. If such a one is not answered, or Ctrl-C is pressed, the motor is stopped
+/// (0x81). To all goes one frame that all hear. Exit status: 0 if it was sent and answered by each motor that had
+/// to, 1 if not, 2 for wrong usage, 130 if interrupted.
+#[derive(Debug, clap::Args)]
+#[command(
+    subcommand_value_name = "COMMAND",
+    subcommand_help_heading = "Commands",
+    disable_help_subcommand = true,
+    arg_required_else_help = false
+)]
+pub(in crate::cli) struct Arguments {
+    #[command(flatten)]
+    on: OnBus,
+    /// The motor, 1 to 32, or all on the bus.
+    #[arg(long, global = true, value_parser = parse::target, allow_hyphen_values = true)]
+    id: Option<Target>,
+    /// Print one JSON object a reply, as decode does.
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(flatten)]
+    revision: MotorRevision,
+    #[command(flatten)]
+    consent: Consent,
+    #[command(subcommand)]
+    command: Wanted,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Wanted {
+    Raw(Raw),
+    #[command(flatten)]
+    Table(FromTable),
+}
+
+/// Eight bytes of your own, the command byte first, for what this program does not know
+///
+/// They are sent once, whatever comes. Where the table has the command byte, what it says of answers
+/// and of motion holds. A reply is explained by --firmware, else as one of v4.3.
+#[derive(Debug, clap::Args)]
+struct Raw {
+    /// The bytes, hexadecimal, with spaces or commas or without: C0 01 00 00 00 00 00 00.
+    #[arg(value_name = "BYTES", required = true)]
+    bytes: Vec<String>,
+    /// How a motor answers.
+    #[arg(long, value_enum, default_value_t = Answer::Values)]
+    reply: Answer,
+    /// It may set the motor in motion, or let its load fall.
+    #[arg(long)]
+    moves: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Answer {
+    /// With values under the same command byte
+    Values,
+    /// With the same bytes
+    Echo,
+    /// Not at all
+    None,
+}
+
+impl Raw {
+    fn command(&self) -> Result<RawCommand, String> {
+        // Said to be hexadecimal, no byte is taken for a decimal one.
+        let pieces = self.bytes.iter().flat_map(|piece| piece.split([' ', ',']));
+        let digits = pieces.map(|piece| piece.strip_prefix("0x").unwrap_or(piece));
+        let digits = digits.filter(|digits| !digits.is_empty());
+        let line: String = digits.map(|digits| format!("0x{digits} ")).collect();
+        let bytes = text::rs485::parse_line(&line).map_err(|error| error.to_string())?;
+        let data = Data::try_from(bytes)
+            .map_err(|bytes| format!("expected eight bytes, found {}", bytes.len()))?;
+        let reply = match self.reply {
+            Answer::Values => ReplyRule::Values,
+            Answer::Echo => ReplyRule::Same,
+            Answer::None => ReplyRule::Silent,
+        };
+        Ok(RawCommand::new(data, reply, self.moves))
+    }
+}
+
+/// What is to be sent.
+enum Planned<'a> {
+    Whole(AnyCommand),
+    /// A motion mode command, for which the scales must be known.
+    Motion(&'a FromTable),
+}
+
+impl Planned<'_> {
+    fn kind(&self) -> Kind {
+        match self {
+            Self::Whole(command) => command.kind(),
+            Self::Motion(_) => Opcode::Motion.into(),
+        }
+    }
+
+    fn command(&self, ranges: Option<&MotionRanges>) -> Outcome<AnyCommand> {
+        match self {
+            Self::Whole(command) => Ok(*command),
+            Self::Motion(table) => table.command(ranges).map_err(Unfinished::Usage),
+        }
+    }
+}
+
+impl Wanted {
+    fn plan(&self) -> Result<Planned<'_>, String> {
+        match self {
+            Self::Raw(raw) => Ok(Planned::Whole(raw.command()?.into())),
+            Self::Table(table) if table.opcode() == Opcode::Motion => Ok(Planned::Motion(table)),
+            Self::Table(table) => table.command(None).map(Planned::Whole),
+        }
+    }
+
+    /// The row of the table, unless it is raw.
+    const fn opcode(&self) -> Option<Opcode> {
+        match self {
+            Self::Raw(_) => None,
+            Self::Table(table) => Some(table.opcode()),
+        }
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let kind = arguments.command.plan().map_err(Unfinished::Usage)?.kind();
+    parse::check_bus(kind, arguments.on.bus.kind()).map_err(Unfinished::Usage)?;
+    parse::whom(kind, arguments.id).map_err(Unfinished::Usage)?;
+    if let (Some(opcode), Some(firmware)) =
+        (arguments.command.opcode(), arguments.revision.firmware)
+    {
+        parse::check_firmware(opcode, firmware).map_err(Unfinished::Usage)?;
+    }
+    if needs_consent(kind) {
+        arguments.consent.check(&arguments.on)?;
+    }
+    let config = Config { firmware: read_as(arguments), ..arguments.on.bus.config() };
+    let session = Session::open_with(&arguments.on, config)?;
+    run_on(&mut Session { yes: arguments.consent.yes, ..session }, arguments)
+}
+
+/// The firmware by which replies are read: the one that was given, else the first that has the command.
+/// All that have it share its layout.
+fn read_as(arguments: &Arguments) -> Firmware {
+    let has_it = |firmware: &Firmware| match arguments.command.opcode() {
+        Some(opcode) => opcode.is_in(*firmware),
+        None => true,
+    };
+    let first = || Firmware::ALL.iter().copied().find(has_it);
+    arguments.revision.firmware.or_else(first).unwrap_or(Firmware::V4_3)
+}
+
+/// Whether the user is asked first.
+fn needs_consent(kind: Kind) -> bool {
+    kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain
+}
+
+/// Whether it sets a motor in motion, so that the motor is stopped if something goes wrong.
+fn sets_in_motion(kind: Kind) -> bool {
+    match kind {
+        Kind::Known(opcode) => matches!(opcode.usage(), Usage::SetPoint | Usage::Move),
+        Kind::Raw { moves, .. } => moves,
+    }
+}
+
+/// Asks, sends and tells the replies.
+fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
+    let plan = arguments.command.plan().map_err(Unfinished::Usage)?;
+    let kind = plan.kind();
+    let target = parse::whom(kind, arguments.id).map_err(Unfinished::Usage)?;
+    let motors = session.meant(target)?;
+    let mut ranges = arguments.revision.ranges;
+    for motor in motors.iter() {
+        if let Some(opcode) = arguments.command.opcode() {
+            arguments.revision.check_has(session, motor, opcode)?;
+        }
+        if kind.is_motion() {
+            ranges = Some(arguments.revision.scales(session, motor)?);
+        }
+    }
+    let explainer = Explainer { firmware: read_as(arguments), ranges, sender: Some(Sender::Motor) };
+    let sending =
+        Sending { command: plan.command(ranges.as_ref())?, explainer, json: arguments.json };
+    if needs_consent(kind) {
+        session.confirm(&sending.question(motors))?;
+    }
+    let send = |session: &mut Session| match target {
+        Target::Motor(motor) => sending.to_one(session, motor),
+        Target::All => sending.to_all(session, motors),
+    };
+    if sets_in_motion(kind) { session.moving(motors, send) } else { send(session) }
+}
+
+/// A command, and how its replies are told.
+struct Sending {
+    command: AnyCommand,
+    explainer: Explainer,
+    json: bool,
+}
+
+impl Sending {
+    fn kind(&self) -> Kind {
+        self.command.kind()
+    }
+
+    /// As a request of the master: what the table has is known by its command byte.
+    fn as_raw(&self) -> RawCommand {
+        match self.command {
+            AnyCommand::Raw(command) => command,
+            known => RawCommand::new(known.encode(), ReplyRule::Values, true),
+        }
+    }
+
+    /// The command in words.
+    fn words(&self) -> String {
+        match self.command {
+            AnyCommand::Motion(motion) => {
+                let (fields, ranges) = (Opcode::Motion.command_fields(), &self.explainer.ranges);
+                let values = Phrase { fields, data: &motion.encode(), ranges: ranges.as_ref() };
+                format!("{}: {values}", Opcode::Motion)
+            }
+            command => command.to_string(),
+        }
+    }
+
+    /// What the user is asked.
+    fn question(&self, motors: MotorSet) -> String {
+        let who = if motors.len() == 1 { "Motor" } else { "Motors" };
+        let then = match (self.kind(), self.command) {
+            (kind, _) if sets_in_motion(kind) => {
+                "This may set a shaft in motion, which goes on until it is told something else."
+            }
+            (Kind::Raw { .. }, _) => "What it does is not known here: it may write memory.",
+            (_, AnyCommand::BusId(BusId::Write(_))) => "All that are connected take this id.",
+            (Kind::Known(Opcode::ReleaseBrake), _) => "A load can turn the shaft then.",
+            (Kind::Known(Opcode::Reset), _) => "Hold the shaft if a load pulls at it.",
+            _ => "This may write memory.",
+        };
+        format!("{who} {motors} will be sent {}. {then}", self.words())
+    }
+
+    fn to_one(&self, session: &mut Session, motor: MotorId) -> Outcome {
+        let master = &mut session.master;
+        let reply = match self.command {
+            AnyCommand::Motion(motion) => {
+                master.call(motor, motion).map(|reply| reply.map(|reply| reply.encode()))
+            }
+            _ => master.call(motor, self.as_raw()).map(|reply| reply.map(|reply| reply.0)),
+        };
+        match reply {
+            Ok(Some(data)) => self.tell(session, motor, data),
+            Ok(None) => self.tell_sent(motor.into()),
+            Err(error) => Err(self.failure(motor, error)),
+        }
+    }
+
+    /// Why a motor has not answered.
+    fn failure(&self, motor: MotorId, error: CallError<BusError>) -> Unfinished {
+        match (self.kind(), error) {
+            (Kind::Raw { byte, .. }, CallError::Failed(Failure::NoReply)) => {
+                Unfinished::Failed(format!(
+                    "motor {motor}: no reply to command byte 0x{byte:02X}: its firmware may not know \
+                     it, or not answer it (--reply none); or is the motor not powered, or this not \
+                     its id?"
+                ))
+            }
+            (_, error) => Unfinished::of_motor(motor)(error),
+        }
+    }
+
+    fn to_all(&self, session: &mut Session, motors: MotorSet) -> Outcome {
+        let expected = match self.command {
+            _ if !self.kind().has_reply() => MotorSet::EMPTY,
+            // They answer with the id that they have been given.
+            AnyCommand::BusId(BusId::Write(id)) => id.into(),
+            _ => motors,
+        };
+        let now = session.master.now();
+        let sent = session.master.master().broadcast(self.as_raw(), expected, now);
+        sent.map_err(CallError::from)?;
+        let silent = loop {
+            session.check_interrupted()?;
+            match session.master.poll()? {
+                Some(Event::BroadcastReply { motor, reply }) => {
+                    self.tell(session, motor, reply.encode())?;
+                }
+                Some(Event::BroadcastDone { silent }) => break silent,
+                Some(_) => {}
+                None => {
+                    let soon = session.master.now() + LONGEST_IDLE;
+                    session.master.idle(soon);
+                }
+            }
+        };
+        if expected.is_empty() {
+            return self.tell_sent(motors);
+        }
+        if silent.is_empty() {
+            return Ok(());
+        }
+        let who = if silent.len() == 1 { "motor" } else { "motors" };
+        let unknown = match self.kind() {
+            Kind::Known(_) => "",
+            Kind::Raw { .. } => "firmware may not know the command byte; ",
+        };
+        Err(Unfinished::Failed(format!(
+            "no reply from {who} {silent}: {unknown}on CAN a motor whose id filter is on (function 2) \
+             does not hear what goes to all, on RS485 the replies to it collide"
+        )))
+    }
+
+    /// Tells that it was sent, where no reply is awaited.
+    fn tell_sent(&self, motors: MotorSet) -> Outcome {
+        if self.json {
+            return Ok(());
+        }
+        let who = if motors.len() == 1 { "motor" } else { "motors" };
+        say(&format!("{who} {motors}: sent {}; no reply is awaited", self.words()))
+    }
+
+    /// Tells a reply, as `decode` does.
+    fn tell(&self, session: &Session, motor: MotorId, data: Data) -> Outcome {
+        let channel = match self.kind().opcode().map(Opcode::reach) {
+            Some(Reach::One) => Channel::MotionReply(motor),
+            Some(Reach::Connected) => Channel::BusId,
+            Some(Reach::OneOrAll) | None => Channel::Reply(motor),
+        };
+        let bus = session.address.kind();
+        let Some(explanation) = self.explainer.packet(bus, &Packet { channel, data }) else {
+            return Ok(());
+        };
+        say(&if self.json { explanation.to_json().to_string() } else { explanation.to_string() })?;
+        if explanation.is_decoded() { Ok(()) } else { Err(Unfinished::FailedAndTold) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::{MotionLimits, VersionDate};
+
+    use super::super::simulated::{sent, with};
+    use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    /// Sends on these drives. Gives how it ended, and the packets that were sent.
+    fn send(fleet: &Fleet, line: &str) -> (Outcome, Vec<Packet>) {
+        let words = ["send"].into_iter().chain(line.split(' '));
+        let arguments = Line::try_parse_from(words).unwrap().arguments;
+        let fleet = fleet.on_can(1_000_000).unwrap();
+        let log = fleet.world.log();
+        let config = Config { firmware: read_as(&arguments), ..Config::CAN };
+        let mut session = with(&fleet, config);
+        let outcome = run_on(&mut session, &arguments);
+        // What needs no reply is on its way still.
+        fleet.world.run_for(Duration::from_millis(1));
+        (outcome, sent(&log))
+    }
+
+    fn failed(fleet: &Fleet, line: &str) -> (String, Vec<Packet>) {
+        match send(fleet, line) {
+            (Err(Unfinished::Failed(sentence)), packets) => (sentence, packets),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    const C0: Data = [0xC0, 1, 2, 3, 4, 5, 6, 7];
+
+    #[test]
+    fn what_no_drive_knows_is_sent_once_and_its_silence_told() {
+        let (told, packets) = failed(&Fleet::new(1), "--id 1 raw C0 01 2 3,4 0x5 0607");
+        assert!(
+            told.starts_with("motor 1: no reply to command byte 0xC0: its firmware may"),
+            "{told}"
+        );
+        let channel = Channel::Command(Target::Motor(MotorId::MIN));
+        assert_eq!(packets, [Packet { channel, data: C0 }]);
+        // Nobody waits for what is not answered.
+        let (outcome, packets) = send(&Fleet::new(1), "--id 1 raw C001020304050607 --reply none");
+        assert_eq!((outcome, packets), (Ok(()), vec![Packet { channel, data: C0 }]));
+    }
+
+    #[test]
+    fn a_motor_that_may_move_and_does_not_answer_is_stopped() {
+        let (told, packets) = failed(&Fleet::new(1), "--id 1 raw --moves C0 01 02 03 04 05 06 07");
+        assert!(told.ends_with("; motor 1 is stopped and holds still (0x81)"), "{told}");
+        let (first, rest) = packets.split_first().unwrap();
+        assert_eq!(first.data, C0);
+        assert!(!rest.is_empty() && rest.iter().all(|packet| packet.data[0] == 0x81), "{rest:?}");
+        // A read is none of those.
+        let (told, packets) = failed(&Fleet::new(1), "--id 9 read-status1");
+        assert!(!told.contains("stopped"), "{told}");
+        assert!(packets.iter().all(|packet| packet.data[0] == 0x9A));
+    }
+
+    #[test]
+    fn bytes_are_hexadecimal_and_eight() {
+        let (outcome, packets) = send(&Fleet::new(1), "--id 1 raw 92 0 0 0 0 0 0 0");
+        assert_eq!((outcome, packets[0].data[0]), (Ok(()), 0x92));
+        for (bytes, told) in [
+            ("92", "expected eight bytes, found 1"),
+            ("92 0 0 0 0 0 0 0 0", "expected eight bytes, found 9"),
+            ("G2 0 0 0 0 0 0 0", "found \"0xG2\""),
+        ] {
+            let Err(Unfinished::Usage(sentence)) =
+                send(&Fleet::new(1), &format!("--id 1 raw {bytes}")).0
+            else {
+                panic!("{bytes}")
+            };
+            assert!(sentence.ends_with(told), "{sentence}");
+        }
+    }
+
+    #[test]
+    fn the_user_is_asked_with_what_is_at_stake() {
+        let question = |line: &str| {
+            let words = ["send"].into_iter().chain(line.split(' '));
+            let arguments = Line::try_parse_from(words).unwrap().arguments;
+            let ranges = Some(MotionRanges::V4_3);
+            let command = arguments.command.plan().unwrap().command(ranges.as_ref()).unwrap();
+            let explainer = Explainer { ranges, ..Explainer::new(Firmware::V4_3) };
+            let sending = Sending { command, explainer, json: false };
+            needs_consent(sending.kind()).then(|| sending.question(MotorId::MIN.into()))
+        };
+        assert_eq!(question("read-pid --index 1"), None);
+        assert_eq!(question("stop"), None);
+        for (line, told) in [
+            ("torque --current-a 1", "torque (0xA1): current 1 A. This may set a shaft in motion,"),
+            (
+                "motion --position-rad 1 --velocity-rad-s 0 --kp 1 --kd 1 --torque-nm 0",
+                "motion: position 1 rad, ",
+            ),
+            ("raw --moves C0 0 0 0 0 0 0 0", "raw C0 00 00 00 00 00 00 00. This may set a shaft"),
+            ("raw C0 0 0 0 0 0 0 0", "What it does is not known here: it may write memory."),
+            ("bus-id --access write --motor-id 2", "motor id 2. All that are connected take this"),
+            ("set-current-position-zero", "(0x64). This may write memory."),
+        ] {
+            let asked = question(line).unwrap();
+            assert!(asked.starts_with("Motor 1 will be sent ") && asked.contains(told), "{asked}");
+        }
+    }
+
+    #[test]
+    fn to_all_goes_one_frame() {
+        let (outcome, packets) = send(&Fleet::new(3), "--id all read-status2");
+        assert_eq!(outcome, Ok(()));
+        let channel = Channel::Command(Target::All);
+        let to_all = packets.iter().filter(|packet| packet.channel == channel);
+        assert_eq!(to_all.map(|packet| packet.data[0]).collect::<Vec<_>>(), [0x9C]);
+        let (told, _) = failed(&Fleet::new(3), "--id all raw C0 0 0 0 0 0 0 0");
+        assert!(told.starts_with("no reply from motors 1 2 3: firmware may not know"), "{told}");
+    }
+
+    #[test]
+    fn a_motors_firmware_must_have_the_command() {
+        let limits = MotionLimits { torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
+        let ranges = MotionRanges::new(limits).unwrap();
+        let v4_4 = Fleet::new(2).firmware(Firmware::V4_4).motion_ranges(ranges);
+        let (told, _) = failed(&v4_4, "--id 1 read-single-turn-angle");
+        assert_eq!(
+            told,
+            "motor 1 speaks v4.4: v4.4 has no read-single-turn-angle (0x94): take read-single-turn-angle-v4.4"
+        );
+        let (told, packets) = failed(&v4_4, "bus-id --access read");
+        assert_eq!(told, "motor 1 speaks v4.4: v4.4 has no bus-id (0x79)");
+        assert!(packets.iter().all(|packet| packet.data[0] != 0x79));
+        for id in ["1", "all"] {
+            let line = format!("--id {id} read-single-turn-angle-v4.4");
+            assert_eq!(send(&v4_4, &line).0, Ok(()));
+        }
+    }
+
+    #[test]
+    fn motion_needs_scales_that_are_known() {
+        let motion =
+            "--id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 1 --kd 1 --torque-nm 0";
+        let unknown = Fleet::new(1).version_date(VersionDate::from_raw(2_025_070_202));
+        let (told, packets) = failed(&unknown, motion);
+        assert!(told.contains("version date 2025070202, and which firmware that is"), "{told}");
+        let is_motion = |packet: &Packet| packet.channel == Channel::Motion(MotorId::MIN);
+        assert!(!packets.iter().any(is_motion));
+        for known in ["--firmware v4.3", "--ranges 12.5,45,500,5,24"] {
+            let (outcome, packets) = send(&unknown, &format!("{motion} {known}"));
+            assert_eq!(outcome, Ok(()));
+            assert_eq!(packets.iter().filter(|packet| is_motion(packet)).count(), 1, "{known}");
+        }
+    }
+}

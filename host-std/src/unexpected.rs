@@ -1,0 +1,17 @@
+//! What is wrong with text that a person typed.
+
+/// Text that is not what was expected: the error of everything here that is read from a few words.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("expected {expected}, found \"{found}\"")]
+pub struct Unexpected {
+    /// What was expected, with an example or the range.
+    pub expected: String,
+    /// What was found in its place.
+    pub found: String,
+}
+
+impl Unexpected {
+    pub(crate) fn new(expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self { expected: expected.into(), found: found.into() }
+    }
+}

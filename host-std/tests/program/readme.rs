@@ -1,0 +1,39 @@
+//! What the README shows of an example and of the program is what they are and print.
+
+use crate::run::{lines, run_words};
+
+const README: &str = include_str!("../../../README.md");
+const CONTROL_LOOP: &str = include_str!("../../examples/control_loop.rs");
+
+#[test]
+fn the_control_loop_is_the_examples() {
+    let (_, section) = README.split_once("## A control loop").unwrap();
+    let (_, code) = section.split_once("```rust\n").unwrap();
+    let (code, _) = code.split_once("```").unwrap();
+    // Its imports have lines of their own there.
+    let (imports, function) = code.split_once("\n\n").unwrap();
+    assert!(imports.lines().all(|line| line.starts_with("use ")), "{imports}");
+    assert!(function.contains("bus.stop_all(StopKind::Hold, arm)"), "{function}");
+    assert!(CONTROL_LOOP.contains(function), "not in the example:\n{function}");
+}
+
+#[test]
+fn commands_print_what_is_shown() {
+    let blocks = README.split("```sh\n").skip(1).filter_map(|rest| rest.split("```").next());
+    let mut compared = 0;
+    for run in blocks.flat_map(|block| block.split("$ myactuator ").skip(1)) {
+        let mut shown = run.lines();
+        let arguments = shown.next().unwrap();
+        let shown: Vec<&str> = shown.take_while(|line| !line.starts_with('$')).collect();
+        if shown.is_empty() {
+            continue;
+        }
+        let output = run_words(arguments);
+        match shown.split_last() {
+            Some((&"...", first)) => assert_eq!(lines(&output)[..first.len()], *first, "{run}"),
+            _ => assert_eq!(lines(&output), shown, "{run}"),
+        }
+        compared += 1;
+    }
+    assert_eq!(compared, 4); // scan, move, encode, send
+}
