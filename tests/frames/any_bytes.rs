@@ -57,10 +57,14 @@ fn over_the_wires(packet: &Packet) -> Result<Vec<Packet>, TestCaseError> {
         return Err(TestCaseError::fail(format!("{frame:?} is no packet")));
     };
     let mut over = vec![over_can];
-    // The title of 5, and 2.34.1.
-    let is_motion = matches!(packet.channel, Channel::Motion(_) | Channel::MotionReply(_));
+    // The title of 5, 4.1, and 2.34.1.
+    let is_on_can_only = match packet.channel {
+        Channel::Motion(_) | Channel::MotionReply(_) => true,
+        Channel::BusId => packet.data[0] != 0x79,
+        Channel::Command(_) | Channel::Reply(_) => packet.data[0] == 0xB6,
+    };
     let on_rs485 = rs485::Frame::from_packet(packet);
-    prop_assert_eq!(on_rs485.is_none(), is_motion || packet.data[0] == 0xB6);
+    prop_assert_eq!(on_rs485.is_none(), is_on_can_only);
     if let Some(frame) = on_rs485 {
         let mut receiver = rs485::Receiver::new();
         let fed = frame.encode().map(|byte| receiver.feed(byte));
