@@ -11,7 +11,6 @@ use myactuator_protocol_core::command::MotionRanges;
 use myactuator_protocol_core::quantity::Form;
 use myactuator_protocol_core::wire::{can, rs485};
 use myactuator_protocol_core::{AnyCommand, AnyReply, Firmware, Opcode, Packet};
-use myactuator_tests::line::Line;
 use myactuator_tests::vectors::{Bus, Direction, Row, rows};
 use serde_json::Value;
 
@@ -117,15 +116,6 @@ fn rs485_rows_decode_to_their_meaning_and_encode_to_their_bytes() {
         let again = rs485::Frame::from_packet(&packet).expect("a frame");
         assert_eq!(again.encode(), bytes, "{row}");
     }
-}
-
-#[test]
-fn all_rs485_rows_behind_each_other_are_received_in_order() {
-    let frames: Vec<[u8; 13]> =
-        rows().iter().filter(|row| row.bus == Bus::Rs485).map(Row::rs485).collect();
-    let line = Line::after(&frames.concat());
-    assert_eq!(line.frames(), frames);
-    assert_eq!(line.discarded(), 0);
 }
 
 #[test]

@@ -141,23 +141,6 @@ fn facts_of_a_kind_are_the_manuals() {
 }
 
 #[test]
-fn the_list_of_sections_is_whole() {
-    let sections = sections();
-    assert_eq!(sections.len(), 210);
-    // Each number follows the one before it, and its parent exists.
-    for number in sections.keys() {
-        let (parent, last) = number.rsplit_once('.').unwrap_or(("", number));
-        let last: u32 = last.parse().expect("a number");
-        if !parent.is_empty() {
-            assert!(sections.contains_key(parent), "{number} has no parent");
-        }
-        let dot = if parent.is_empty() { "" } else { "." };
-        let before = format!("{parent}{dot}{}", last - 1);
-        assert!(last == 1 || sections.contains_key(before.as_str()), "{before} is missing");
-    }
-}
-
-#[test]
 fn each_kinds_section_exists_and_names_it() {
     let sections = sections();
     for &opcode in Opcode::ALL {
