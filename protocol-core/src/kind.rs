@@ -63,7 +63,7 @@ impl Kind {
 
     /// Whether it may set the motor in motion, let its load fall, or change the drive for good: while
     /// the motors are stopped, it is refused
-    /// ([`RequestError::Stopped`](crate::RequestError::Stopped)).
+    /// ([`RequestError::Stopped`]).
     ///
     /// Of the table these are the set-points, 0x77, and whatever [acts again](Repeat::ActsAgain) with
     /// each sending: 0xA8, the restart, writes to ROM, 0x20, 0x79 (its read too), 0xB3, 0xB4 and
