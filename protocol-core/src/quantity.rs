@@ -307,25 +307,25 @@ pub enum Place {
 }
 
 impl Place {
-    /// How many bits lie there.
+    /// How many bits lie there, at most 64.
     pub const fn bits(self) -> u32 {
-        match self {
+        let bits = match self {
             Self::Bytes { count, .. } => count as u32 * 8,
             Self::Bits { count, .. } => count as u32,
-        }
+        };
+        if bits > 64 { 64 } else { bits }
     }
 
     const fn low_bits(self) -> u64 {
-        u64::MAX >> ((64 - self.bits()) % 64)
+        if self.bits() == 0 { 0 } else { u64::MAX >> (64 - self.bits()) }
     }
 
     /// How far up from the lowest bit they lie, in the order of bytes that they have.
     const fn shift(self) -> u32 {
-        let shift = match self {
-            Self::Bytes { first, .. } => first as u32 * 8,
-            Self::Bits { first, count } => 64 - first as u32 - count as u32,
-        };
-        shift % 64
+        match self {
+            Self::Bytes { first, .. } => first as u32 * 8 % 64,
+            Self::Bits { first, .. } => 64u32.saturating_sub(first as u32 + self.bits()) % 64,
+        }
     }
 
     /// The bits of a data field that lie there, as a number without sign.
@@ -526,6 +526,14 @@ mod tests {
             place.put(&mut data, 0);
             let set: u32 = data.iter().map(|byte| byte.count_ones()).sum();
             assert_eq!((place.get(&data), set), (0, 64 - place.bits()), "{place:?}");
+        }
+        // Whatever somebody makes up, nothing panics.
+        for (first, count) in [(0, 0), (0, 9), (60, 12), (255, 255), (64, 64), (7, 2)] {
+            for place in [Place::Bytes { first, count }, Place::Bits { first, count }] {
+                let mut data = [0xA5; 8];
+                place.put(&mut data, u64::MAX);
+                let _ = place.get(&data);
+            }
         }
         // 5.2: kp fills the low nibble of the fourth byte and the fifth.
         let mut data = [0; 8];

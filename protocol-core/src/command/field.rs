@@ -93,7 +93,7 @@ impl Field {
         let bits = self.place.get(data);
         match self.quantity.form {
             Form::Steps(Steps { min, .. }) if min < 0 => {
-                let unused = 64 - self.place.bits();
+                let unused = (64 - self.place.bits()) % 64;
                 (bits << unused) as i64 >> unused
             }
             Form::ReplyIdentifier => i64::from(super::bus_id::told_id(bits as u16)),
