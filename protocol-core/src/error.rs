@@ -71,6 +71,9 @@ pub enum RequestError {
     /// this: put it in the stream, or wait for the late window after the last set-point.
     #[error("the motor follows a stream of {0}: put this in the stream too")]
     Streamed(Opcode),
+    /// The command does not replace the one before it, so it cannot be streamed.
+    #[error("{0} acts with each sending, so it is no set-point: request it")]
+    NotASetPoint(Opcode),
     /// The master has no place left for one more motor.
     #[error("this master is made for {capacity} motors: make it larger")]
     TooManyMotors {

@@ -28,6 +28,20 @@ pub enum Kind {
 }
 
 impl Kind {
+    /// The kind of a command that claims to be of this kind, by its bytes: where the table has their
+    /// command byte, what the table says of it holds, so that nobody's own [`Command`](crate::Command)
+    /// gets round a rule by a wrong claim.
+    pub(crate) fn of_bytes(self, data: &Data) -> Self {
+        match (self, Opcode::from_byte(data[0])) {
+            (Self::Known(opcode), _) if opcode.byte().is_none_or(|byte| byte == data[0]) => self,
+            (_, Some(opcode)) => Self::Known(opcode),
+            (Self::Raw { reply, moves, .. }, None) => Self::Raw { byte: data[0], reply, moves },
+            (Self::Known(_), None) => {
+                Self::Raw { byte: data[0], reply: ReplyRule::Values, moves: true }
+            }
+        }
+    }
+
     /// The row, if it is in the table.
     pub const fn opcode(self) -> Option<Opcode> {
         match self {

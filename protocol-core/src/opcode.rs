@@ -114,19 +114,19 @@ macro_rules! opcode_table {
     /// Close the brake.
     LockBrake = 0x78, "lock-brake", "2.28", Same, none, Harmless, Both, OneOrAll, Plain, any;
     /// Read or set the motor id of whatever is connected.
-    BusId = 0x79, "bus-id", "4", Values, 2, ActsAgain, Both, Connected, Plain, V4_3;
+    BusId = 0x79, "bus-id", "4", Values, 2, ActsAgain, Both, Connected, Plain, until_v4_3;
     /// Switch the output off and leave every control mode.
     Shutdown = 0x80, "shutdown", "2.17", Same, none, Harmless, Both, OneOrAll, Plain, any;
     /// Stop and hold still.
     Stop = 0x81, "stop", "2.18", Same, none, Harmless, Both, OneOrAll, Plain, any;
     /// Read the single-turn encoder (direct-drive motors).
-    ReadSingleTurnEncoder = 0x90, "read-single-turn-encoder", "2.11", Values, none, Harmless, Both, OneOrAll, Plain, V4_3;
+    ReadSingleTurnEncoder = 0x90, "read-single-turn-encoder", "2.11", Values, none, Harmless, Both, OneOrAll, Plain, until_v4_3;
     /// Read the multi-turn angle of the output shaft.
     ReadMultiTurnAngle = 0x92, "read-multi-turn-angle", "2.12", Values, none, Harmless, Both, OneOrAll, Report, any;
     /// Read the single-turn angle (direct-drive motors).
-    ReadSingleTurnAngle = 0x94, "read-single-turn-angle", "2.13", Values, none, Harmless, Both, OneOrAll, Plain, V4_3;
+    ReadSingleTurnAngle = 0x94, "read-single-turn-angle", "2.13", Values, none, Harmless, Both, OneOrAll, Plain, until_v4_3;
     /// Read the single-turn angle, as V4.4 answers it.
-    ReadSingleTurnAngleV4_4 = 0x94, "read-single-turn-angle-v4.4", "2.13", Values, none, Harmless, Both, OneOrAll, Plain, V4_4;
+    ReadSingleTurnAngleV4_4 = 0x94, "read-single-turn-angle-v4.4", "2.13", Values, none, Harmless, Both, OneOrAll, Plain, since_v4_4;
     /// Read temperatures, brake, voltage and error flags.
     ReadStatus1 = 0x9A, "read-status1", "2.14", Values, none, Harmless, Both, OneOrAll, Report, any;
     /// Read temperature, torque current, speed and angle.
@@ -152,9 +152,9 @@ macro_rules! opcode_table {
     /// Set after how long without a command the drive stops by itself.
     CommunicationLossProtection = 0xB3, "communication-loss-protection", "2.31", Acknowledge, none, ActsAgain, Both, OneOrAll, Plain, any;
     /// Set the bit rate of the bus.
-    SetBaudRate = 0xB4, "set-baud-rate", "2.32", Garbled, none, ActsAgain, Both, OneOrAll, Plain, V4_3;
+    SetBaudRate = 0xB4, "set-baud-rate", "2.32", Garbled, none, ActsAgain, Both, OneOrAll, Plain, until_v4_3;
     /// Read the motor's model.
-    ReadModel = 0xB5, "read-model", "2.33", Values, none, Harmless, Both, OneOrAll, Plain, V4_3;
+    ReadModel = 0xB5, "read-model", "2.33", Values, none, Harmless, Both, OneOrAll, Plain, until_v4_3;
     /// Have a reply sent by itself at an interval.
     ActiveReply = 0xB6, "active-reply", "2.34", Silent, 1, ActsAgain, CanOnly, OneOrAll, Plain, any;
     /// Motion (MIT) mode: position, speed, both gains and torque in one frame.
@@ -259,7 +259,8 @@ macro_rules! opcodes {
     (@option none) => { None };
     (@option $value:literal) => { Some($value) };
     (@in $asked:ident any) => { true };
-    (@in $asked:ident $only:ident) => { matches!($asked, Firmware::$only) };
+    (@in $asked:ident until_v4_3) => { $asked as u8 <= Firmware::V4_3 as u8 };
+    (@in $asked:ident since_v4_4) => { $asked as u8 >= Firmware::V4_4 as u8 };
     (@identifier OneOrAll) => { "0x140 + id, all 0x280" };
     (@identifier One) => { "0x400 + id" };
     (@identifier Connected) => { "0x300" };
@@ -323,10 +324,14 @@ impl Opcode {
     /// fields out differently, but how it is answered, repeated and used is the same in all.
     #[inline]
     pub const fn from_byte(byte: u8) -> Option<Self> {
-        match Self::of_firmware(Firmware::V4_3, byte) {
-            Some(opcode) => Some(opcode),
-            None => Self::of_firmware(Firmware::V4_4, byte),
+        let mut rest = Firmware::ALL;
+        while let [firmware, after @ ..] = rest {
+            if let Some(opcode) = Self::of_firmware(*firmware, byte) {
+                return Some(opcode);
+            }
+            rest = after;
         }
+        None
     }
 
     /// Whether a drive answers it with bytes that can be waited for.

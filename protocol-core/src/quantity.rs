@@ -209,8 +209,11 @@ impl Quantity {
             Form::Steps(Steps { min, max, zero, .. }) => {
                 (min <= raw && raw <= max) || (raw == 0 && zero.is_some())
             }
-            Form::Float => f32::from_bits(raw as u32).is_finite(),
+            Form::Float => {
+                0 <= raw && raw <= u32::MAX as i64 && f32::from_bits(raw as u32).is_finite()
+            }
             Form::Switch => raw == 0 || raw == 1,
+            Form::ReplyIdentifier => 1 <= raw && raw <= 32,
             _ => true,
         }
     }

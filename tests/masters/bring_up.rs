@@ -68,7 +68,7 @@ fn a_motor_tells_what_it_is<B: Bus>() {
     let runner = &mut bus.master();
     listen(runner, millis(300));
     let identity = bring_up::identify(runner, id(2)).expect("it is there");
-    assert_eq!(identity.model.to_string(), "X8-PRO");
+    assert_eq!(identity.model.map(|model| model.to_string()).as_deref(), Some("X8-PRO"));
     assert_eq!(identity.status.errors, ErrorFlags::empty());
     assert!((290..=400).contains(&identity.run_time.raw()), "{}", identity.run_time);
     let nobody = bring_up::identify(runner, id(7)).expect_err("nobody is there");

@@ -16,12 +16,25 @@ type Parsed<T> = Result<T, String>;
 pub(super) const RANGES_ARE_MISSING: &str =
     "--ranges is missing: the scales of this firmware's motion mode depend on the motor";
 
-/// A number, decimal or whole with `0x`.
-fn number(text: &str) -> Option<f64> {
+/// A number, decimal or whole with `0x`. One too small for a double is none: it would become 0, which
+/// may mean "no limit".
+pub(super) fn number(text: &str) -> Option<f64> {
     match integer(text) {
         Some(whole) => Some(whole as f64),
-        None => text.parse().ok(),
+        None => {
+            let is_zero = |text: &str| {
+                let digits = text.split(['e', 'E']).next().unwrap_or(text);
+                !digits.contains(|c: char| matches!(c, '1'..='9'))
+            };
+            text.parse().ok().filter(|value: &f64| *value != 0.0 || is_zero(text))
+        }
     }
+}
+
+/// A finite number for a quantity of motion mode.
+pub(super) fn single(text: &str) -> Parsed<f32> {
+    let value = number(text).map(|value| value as f32).filter(|value| value.is_finite());
+    value.ok_or_else(|| format!("expected a number such as 1.5, found \"{text}\""))
 }
 
 /// A whole number, decimal or with `0x`.
@@ -161,9 +174,6 @@ pub(super) fn firmware(text: &str) -> Parsed<Firmware> {
 
 /// The scales of motion mode: those of a firmware, or five numbers.
 pub(super) fn ranges(text: &str) -> Parsed<MotionRanges> {
-    if let Some(ranges) = Firmware::from_str(text).ok().and_then(Firmware::motion_ranges) {
-        return Ok(ranges);
-    }
     let numbers: Result<Vec<f32>, _> = text.split(',').map(f32::from_str).collect();
     match numbers.as_deref() {
         Ok(&[position_rad, velocity_rad_s, kp, kd, torque_nm]) => {
@@ -171,7 +181,7 @@ pub(super) fn ranges(text: &str) -> Parsed<MotionRanges> {
                 .map_err(|error| error.to_string())
         }
         _ => Err(format!(
-            "expected v4.3 or five numbers such as 12.5,45,500,5,24 (the largest position in rad, \
+            "expected five numbers such as 12.5,45,500,5,24 (the largest position in rad, \
              velocity in rad/s, kp, kd and torque in N·m), found \"{text}\""
         )),
     }
@@ -180,7 +190,7 @@ pub(super) fn ranges(text: &str) -> Parsed<MotionRanges> {
 /// Which revision of the protocol frames are of, and the scales of their motion mode.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(super) struct Revision {
-    /// The revision of the protocol: v4.3 or v4.4 (of which only what it shares with v4.3 is known).
+    /// The revision of the protocol: v4.3, or v4.4, of which 0x94 and what it shares with v4.3 are known.
     #[arg(long, global = true, value_parser = firmware, default_value = "v4.3")]
     pub(super) firmware: Firmware,
     /// The scales of motion mode, where they are not the firmware's: the largest position, velocity, kp,
@@ -202,6 +212,12 @@ mod tests {
 
     #[test]
     fn a_limit_is_never_rounded_to_none() {
+        for tiny in ["1e-400", "0.0001e-330", "-1e-999", "0.4"] {
+            assert!(max_speed(tiny).is_err() && max_torque(tiny).is_err(), "{tiny}");
+        }
+        for zero in ["0", "0.0", "-0", "0e5", "0x0"] {
+            assert_eq!(max_speed(zero).unwrap().raw(), 0, "{zero}");
+        }
         assert_eq!(max_speed("0").unwrap().raw(), 0);
         assert_eq!(
             max_speed("0.4").unwrap_err(),
@@ -212,12 +228,11 @@ mod tests {
     }
 
     #[test]
-    fn ranges_are_named_or_given_number_by_number() {
-        assert_eq!(ranges("V4.3"), Ok(MotionRanges::V4_3));
+    fn ranges_are_given_number_by_number() {
         assert_eq!(ranges("12.5,45,500,5,24"), Ok(MotionRanges::V4_3));
         assert_ne!(ranges("12.566,45,500,5,60"), Ok(MotionRanges::V4_3));
-        let sentence = ranges("v4.4").unwrap_err();
-        assert!(sentence.starts_with("expected v4.3 or five numbers"), "{sentence}");
+        let sentence = ranges("v4.3").unwrap_err();
+        assert!(sentence.starts_with("expected five numbers"), "{sentence}");
         assert!(ranges("12.5,45").is_err() && ranges("12.5,45,500,5,-24").is_err());
     }
 }

@@ -118,7 +118,7 @@ impl Tour {
             writeln!(
                 self.out,
                 "  motor {motor}: {}, software of {}, up for {:.1} s, {}, {}, {}, at {}",
-                is.model,
+                is.model.map_or("no model".to_owned(), |model| model.to_string()),
                 is.version,
                 f64::from(is.run_time.raw()) / 1000.0,
                 is.status.voltage,

@@ -229,7 +229,7 @@ pub fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterErr
     Ok(Parameters {
         model: model_name(&model.name),
         firmware: model.firmware,
-        version_date: model.firmware.version_date(),
+        version_date: model.firmware.version_dates().first().copied().unwrap_or(DATELESS),
         motion_ranges: model.motion_ranges()?,
         baud_rate: BaudCode::CAN_1M_RS485_500K,
         encoder_bits: model.encoder.bits,
@@ -273,6 +273,9 @@ pub struct DriveHandle {
     station: StationId,
     seat: Arc<Mutex<Seat<SimulatedMotor, DriveMemory>>>,
 }
+
+/// What drives of a firmware report of which no version date is known: it leads to none.
+const DATELESS: VersionDate = VersionDate::from_raw(0);
 
 impl DriveHandle {
     /// The id that the drive started with.

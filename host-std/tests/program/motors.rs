@@ -139,12 +139,17 @@ fn torque_releases_the_brake_and_locks_it_again() {
 fn motion_runs_to_its_position_by_the_ranges_told() {
     let motion = "motion --id 2 --position-rad 1 --kp 40 --kd 2 --for-s 0.5";
     let lines = done(motion);
-    for ranges in ["--firmware v4.3", "--ranges v4.3", "--ranges 12.5,45,500,5,24"] {
+    for ranges in ["--firmware v4.3", "--ranges 12.5,45,500,5,24"] {
         assert_eq!(done(&format!("{motion} {ranges}")), lines, "{ranges}");
     }
     let (end, way) = lines.split_last().unwrap();
     assert!(end.ends_with("it is stopped and holds still (0x81)"), "{end}");
     assert!((before(way.last().unwrap(), "rad") - 1.0).abs() < 0.05, "{way:?}");
+    // Others than its firmware's would multiply the torque.
+    let (status, told) = refused(&format!("{motion} --ranges 12.566,45,500,5,60"));
+    assert!(status == 1 && told.contains("has scales of its own"), "{status}: {told}");
+    assert_eq!(refused(&format!("{motion} --ranges v4.3")).0, 2);
+    assert_eq!(refused("send --id 2 --firmware v4.4 read-single-turn-angle-v4.4").0, 1);
     let (status, told) = refused(&format!("{motion} --bus sim:2,rs485"));
     assert_eq!((status, told.as_str()), (2, "--bus: motion exists on CAN only"));
 }

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::path::Path;
 use std::process::{Child, ExitStatus, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use myactuator_host_std::open::{AnyMaster, BusAddress};
@@ -25,16 +26,21 @@ use crate::run::{myactuator, run, text, vectors};
 /// Longer than anything takes on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(20);
 
+/// They keep real time, so that several at once on a busy machine would miss it.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
 /// A simulation in a process of its own.
 struct Simulation {
     process: Child,
     /// What it told, by kind.
     places: Vec<Value>,
+    _alone: MutexGuard<'static, ()>,
 }
 
 impl Simulation {
     /// Starts one that serves in so many ways.
     fn start(ways: usize, arguments: &[&str]) -> Self {
+        let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
         let mut process = myactuator()
             .args(["sim", "--json"])
             .args(arguments)
@@ -46,7 +52,7 @@ impl Simulation {
         let lines = BufReader::new(process.stdout.take().unwrap()).lines();
         let places: Vec<Value> =
             lines.take(ways).map(|line| serde_json::from_str(&line.unwrap()).unwrap()).collect();
-        let simulation = Self { process, places };
+        let simulation = Self { process, places, _alone: alone };
         assert_eq!(simulation.places.len(), ways);
         simulation
     }

@@ -19,7 +19,8 @@ reply! {
 }
 
 command! {
-    /// Read the angle within one turn of a direct-drive motor: 0x94 (2.13).
+    /// Read the angle within one turn of a direct-drive motor: 0x94 (2.13). Firmware V4.4 answers the same
+    /// bytes with another layout: see [`ReadSingleTurnAngleV4_4`].
     ReadSingleTurnAngle -> SingleTurnAngle
 }
 

@@ -108,6 +108,8 @@ impl Field {
     pub fn put(&self, data: &mut Data, raw: i64) -> Result<(), OutOfRange> {
         let fits = match self.quantity.form {
             Form::Steps(_) | Form::Float | Form::Switch => true,
+            // It is written as a reply identifier, of two bytes.
+            Form::ReplyIdentifier => true,
             _ => raw >= 0 && raw as u64 >> (self.place.bits() % 64) == 0,
         };
         if !fits || !self.quantity.allows(raw) {
@@ -116,7 +118,11 @@ impl Field {
                 given: self.quantity.amount(raw).into(),
             });
         }
-        self.place.put(data, raw as u64);
+        let bits = match self.quantity.form {
+            Form::ReplyIdentifier => 0x240 + raw as u64,
+            _ => raw as u64,
+        };
+        self.place.put(data, bits);
         Ok(())
     }
 

@@ -80,7 +80,8 @@ impl From<OtherFunction> for (u8, u32) {
 impl TryFrom<(u8, u32)> for OtherFunction {
     type Error = OutOfRange;
     fn try_from((index, value): (u8, u32)) -> Result<Self, OutOfRange> {
-        const UNNAMED: Quantity = Quantity::whole("index of a function without a name", 8, 255);
+        const UNNAMED: Quantity =
+            Quantity::whole("index of a function without a name (none of 1 to 7)", 0, 255);
         match FunctionControl::from_index(index, value) {
             Ok(FunctionControl::Other(other)) => Ok(other),
             _ => Err(OutOfRange { quantity: &UNNAMED, given: Given::steps(index.into(), 1) }),

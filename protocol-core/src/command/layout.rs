@@ -354,6 +354,10 @@ pub(super) fn code_from<'de, D: serde::Deserializer<'de>>(
             let wrong = serde::de::Unexpected::Unsigned(raw);
             u8::try_from(raw).map_err(|_| E::invalid_value(wrong, &self))
         }
+        fn visit_i64<E: serde::de::Error>(self, raw: i64) -> Result<u8, E> {
+            let wrong = serde::de::Unexpected::Signed(raw);
+            u8::try_from(raw).map_err(|_| E::invalid_value(wrong, &self))
+        }
         fn visit_u8<E: serde::de::Error>(self, raw: u8) -> Result<u8, E> {
             Ok(raw)
         }

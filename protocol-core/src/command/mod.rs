@@ -91,7 +91,8 @@ pub trait Command: Sized {
     /// What a drive answers.
     type Reply: Reply;
 
-    /// What a master has to know of it: its row in the table.
+    /// What a master has to know of it: its row in the table. If the bytes say another one, the bytes'
+    /// holds.
     fn kind(&self) -> Kind;
 
     /// The data field.

@@ -155,7 +155,7 @@ impl MotionRanges {
     /// Ranges of other firmware.
     ///
     /// # Errors
-    /// [`MotionOutOfRange`] unless every limit is positive and at most 1e6.
+    /// [`MotionOutOfRange`] unless every limit is 0.001 to 1e6.
     pub const fn new(limits: MotionLimits) -> Result<Self, MotionOutOfRange> {
         let checks = [
             (limits.position_rad, "position range", "rad"),
@@ -166,7 +166,7 @@ impl MotionRanges {
         ];
         let mut row = 0;
         while row < checks.len() {
-            let ((given, name, unit), min, max) = (checks[row], f32::MIN_POSITIVE, 1e6);
+            let ((given, name, unit), min, max) = (checks[row], 1e-3, 1e6);
             if !(min <= given && given <= max) {
                 return Err(MotionOutOfRange { name, unit, min, max, given });
             }
@@ -386,5 +386,31 @@ mod tests {
                 torque_nm: 10.0,
             });
         assert_eq!(HOLD.unwrap().position, 58_982); // 5.4
+    }
+
+    #[test]
+    fn every_value_goes_to_its_nearest_step() {
+        // 65535 steps in 25 rad, 4095 in 90 rad/s and in kp 500.
+        for step in 0..=4095u16 {
+            for part in [-0.4, 0.0, 0.4] {
+                let place = f64::from(step) + part;
+                if !(0.0..=4095.0).contains(&place) {
+                    continue;
+                }
+                let set_point = MotionSetPoint {
+                    position_rad: (place * 16.0 * 25.0 / 65_535.0 - 12.5) as f32,
+                    velocity_rad_s: (place * 90.0 / 4_095.0 - 45.0) as f32,
+                    kp: (place * 500.0 / 4_095.0) as f32,
+                    kd: (place * 5.0 / 4_095.0) as f32,
+                    torque_nm: (24.0 - place * 48.0 / 4_095.0) as f32,
+                };
+                let raw = MotionRanges::V4_3.quantise(&set_point).unwrap();
+                let steps = [raw.velocity, raw.kp, raw.kd].map(U12::get);
+                assert_eq!(steps, [step; 3], "{place}");
+                assert_eq!(raw.torque.get(), 4_095 - step, "{place}");
+                let sixteenth = f64::from(raw.position) - place * 16.0;
+                assert!(sixteenth.abs() <= 0.51, "{place}: {}", raw.position);
+            }
+        }
     }
 }

@@ -5,6 +5,7 @@ use core::fmt::{self, Display, Formatter};
 use crate::command::{AnyCommand, AnyReply, Field, MotionRanges};
 use crate::data::Data;
 use crate::firmware::Firmware;
+use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 
 /// The fields of a data field as text: `max speed 500 dps, angle 360 deg`.
@@ -91,10 +92,25 @@ impl Packet {
     }
 }
 
-/// As firmware V4.3 means it.
+/// As every firmware means it. Where they differ (0x94) only the bytes are printed: see
+/// [`as_of`](Packet::as_of).
 impl Display for Packet {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        self.as_of(Firmware::V4_3).fmt(f)
+        let is_motion = matches!(self.channel, Channel::Motion(_) | Channel::MotionReply(_));
+        let of =
+            |&firmware: &Firmware| Some((firmware, Opcode::of_firmware(firmware, self.data[0])?));
+        let mut known = Firmware::ALL.iter().filter_map(of);
+        match known.next() {
+            Some((firmware, opcode)) if !is_motion => {
+                if known.all(|(_, other)| other == opcode) {
+                    return self.as_of(firmware).fmt(f);
+                }
+                write!(f, "{}: ", self.channel)?;
+                raw(f, &self.data)?;
+                f.write_str(" (its layout differs between firmwares)")
+            }
+            _ => self.as_of(Firmware::V4_3).fmt(f),
+        }
     }
 }
 
@@ -168,6 +184,10 @@ command to all motors: raw 43 00 00 00 63 00 00 00 (acceleration must be 100 to 
         for case in lines.chunks(2) {
             assert_eq!(packet(case[0]).to_string(), case[1]);
         }
+        assert_eq!(
+            packet("241#94000000D8DCFFFF").to_string(),
+            "reply of motor 1: raw 94 00 00 00 D8 DC FF FF (its layout differs between firmwares)"
+        );
         assert_eq!(
             packet("241#94000000D8DCFFFF").as_of(Firmware::V4_4).to_string(),
             "reply of motor 1: read-single-turn-angle-v4.4 (0x94): angle -90 deg"

@@ -4,18 +4,19 @@ use core::fmt;
 
 use crate::command::{Command, Field, Fields, print};
 use crate::data::Data;
-use crate::error::DecodeError;
+use crate::error::{DecodeError, RequestError};
 use crate::id::Target;
 use crate::kind::Kind;
 use crate::opcode::{Opcode, ReplyRule};
-use crate::packet::{Channel, Packet};
+use crate::packet::Packet;
 
 /// A command of the caller's own: eight bytes, how a drive answers them, and whether they may move the
 /// motor. For commands that this library does not know, or knows with another layout.
 ///
 /// It is never sent twice by itself, and one that may move is
 /// [refused while the motors are stopped](Kind::is_refused_while_stopped).
-/// Where the table has its command byte, what the table says of it holds.
+/// Where the table has its command byte, what the table says of it holds. A reply that begins with 0xF1
+/// is taken for that of a [lost master](crate::opcode::LOST_MASTER_BYTE), so 0xF1 is never answered.
 ///
 /// ```
 /// use myactuator_protocol_core::command::RawCommand;
@@ -60,8 +61,11 @@ impl RawCommand {
     }
 
     /// The command to one motor or to [all](Target::All), on CAN those with their id filter off.
-    pub const fn packet_to(&self, target: Target) -> Packet {
-        Packet { channel: Channel::Command(target), data: self.data }
+    ///
+    /// # Errors
+    /// As [`Kind::channel_to`]: where the table has its command byte, that says whom it reaches.
+    pub fn packet_to(&self, target: Target) -> Result<Packet, RequestError> {
+        Ok(Packet { channel: self.kind().channel_to(target)?, data: self.data })
     }
 }
 

@@ -112,27 +112,21 @@ impl VersionDate {
 }
 
 impl Firmware {
-    /// The version date (0xB2) that is known of it, which simulated drives report: 2025-05-12, the day of
-    /// protocol V4.3 (manual 9); 2026-04-24, build 02, of a V4.4 that was met on a real motor.
-    pub const fn version_date(self) -> VersionDate {
-        VersionDate::from_raw(match self {
-            Self::V4_3 => 20_250_512,
-            Self::V4_4 => 2_026_042_402,
-        })
+    /// The version dates (0xB2) that are known to be it, of which simulated drives report the first:
+    /// 2025-05-12, the day of protocol V4.3 (manual 9); 2026-04-24, build 02, of a V4.4 that was met on a
+    /// real motor.
+    pub const fn version_dates(self) -> &'static [VersionDate] {
+        match self {
+            Self::V4_3 => &[VersionDate(20_250_512)],
+            Self::V4_4 => &[VersionDate(2_026_042_402)],
+        }
     }
 
     /// The firmware of a drive that reports this version date, where it is
-    /// [known](Self::version_date). No report ties any other date to a protocol; so for all others
+    /// [known](Self::version_dates). No report ties any other date to a protocol; so for all others
     /// there is none, and nothing is guessed.
-    pub const fn of_version_date(date: VersionDate) -> Option<Self> {
-        let mut rest = Self::ALL;
-        while let [firmware, after @ ..] = rest {
-            if firmware.version_date().raw() == date.raw() {
-                return Some(*firmware);
-            }
-            rest = after;
-        }
-        None
+    pub fn of_version_date(date: VersionDate) -> Option<Self> {
+        Self::ALL.iter().copied().find(|firmware| firmware.version_dates().contains(&date))
     }
 }
 

@@ -107,7 +107,7 @@ defaults! {
         /// Which revision of the protocol it speaks: its commands and their layouts.
         pub firmware: Firmware = Firmware::V4_3,
         /// The date of the software (0xB2).
-        pub version_date: VersionDate = Firmware::V4_3.version_date(),
+        pub version_date: VersionDate = VersionDate::from_raw(20_250_512),
         /// Bits of the encoder on the motor shaft: 14 for 16384 pulses in a turn. At most 24.
         pub encoder_bits: u8 = 14,
         /// Turns of the motor shaft in one of the output shaft.

@@ -144,8 +144,8 @@ pub fn scan<R: Runner<N>, const N: usize>(
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Identity {
-    /// Its model (0xB5).
-    pub model: ModelName,
+    /// Its model (0xB5); `None` if it does not answer that, as firmware V4.4 does not.
+    pub model: Option<ModelName>,
     /// The date of its software (0xB2).
     pub version: VersionDate,
     /// How long it has run since its last start (0xB1).
@@ -164,8 +164,13 @@ pub fn identify<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
 ) -> Result<Identity, CallError<R::Error>> {
+    let model = match runner.ask(motor, ReadModel) {
+        Ok(reply) => Some(reply.model),
+        Err(CallError::Failed(Failure::NoReply)) => None,
+        Err(error) => return Err(error),
+    };
     Ok(Identity {
-        model: runner.ask(motor, ReadModel)?.model,
+        model,
         version: runner.ask(motor, ReadVersionDate)?.version_date,
         run_time: runner.ask(motor, ReadRunTime)?.run_time,
         mode: runner.ask(motor, ReadRunningMode)?.mode,

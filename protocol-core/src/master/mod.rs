@@ -51,7 +51,7 @@ use crate::data::Data;
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
-use crate::opcode::Opcode;
+use crate::opcode::{Opcode, Usage};
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 use broadcast::Broadcast;
@@ -174,7 +174,7 @@ impl<const N: usize> Master<N> {
         command: C,
         now: Instant,
     ) -> Result<Ticket<C>, RequestError> {
-        let patience = self.config.patience(command.kind());
+        let patience = self.config.patience(command.kind().of_bytes(&command.encode()));
         self.request_with(motor, command, patience, now)
     }
 
@@ -189,7 +189,8 @@ impl<const N: usize> Master<N> {
         patience: Patience,
         now: Instant,
     ) -> Result<Ticket<C>, RequestError> {
-        let kind = command.kind();
+        let data = command.encode();
+        let kind = command.kind().of_bytes(&data);
         self.check(kind, motor.into())?;
         let pace = self.pace;
         let (lane, _) = self.lane_for(motor)?;
@@ -205,7 +206,7 @@ impl<const N: usize> Master<N> {
             }
         }
         lane.join(pace);
-        lane.put_request(kind, command.encode(), patience);
+        lane.put_request(kind, data, patience);
         lane.generation = lane.generation.wrapping_add(1);
         let id = TicketId { motor, generation: lane.generation };
         self.advance(now);
@@ -224,8 +225,15 @@ impl<const N: usize> Master<N> {
         command: C,
         now: Instant,
     ) -> Result<(), RequestError> {
-        let kind = command.kind();
+        let data = command.encode();
+        let kind = command.kind().of_bytes(&data);
         self.check(kind, motor.into())?;
+        match kind {
+            Kind::Known(opcode) if opcode.usage() != Usage::SetPoint => {
+                return Err(RequestError::NotASetPoint(opcode));
+            }
+            _ => {}
+        }
         let expiry = CoarseTick::after(now, Duration::from_millis(self.config.max_age_ms.into()));
         // What was offered is older than this.
         self.offer = None;
@@ -235,7 +243,7 @@ impl<const N: usize> Master<N> {
             return Err(RequestError::Busy);
         }
         lane.join(pace);
-        lane.put_set_point(kind, command.encode(), expiry, tally);
+        lane.put_set_point(kind, data, expiry, tally);
         self.advance(now);
         Ok(())
     }
@@ -258,12 +266,13 @@ impl<const N: usize> Master<N> {
         expected: MotorSet,
         now: Instant,
     ) -> Result<(), RequestError> {
-        let kind = command.kind();
+        let data = command.encode();
+        let kind = command.kind().of_bytes(&data);
         self.check(kind, Target::All)?;
         if self.broadcast.is_active() {
             return Err(RequestError::Busy);
         }
-        self.broadcast.put(kind, command.encode(), expected);
+        self.broadcast.put(kind, data, expected);
         self.advance(now);
         Ok(())
     }

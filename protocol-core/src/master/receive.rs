@@ -180,6 +180,13 @@ impl<const N: usize> Master<N> {
         now: Instant,
     ) -> Event {
         let reply = AnyReply::decode(packet, self.config.firmware);
+        // Motion mode has no command byte: its first byte is the drive's id and says nothing.
+        if let Channel::MotionReply(_) = packet.channel {
+            if let (true, Some((lane, _))) = (may_be_late, self.lane_of(motor)) {
+                lane.late_reply_has_come();
+            }
+            return self.stray(motor, &packet.data);
+        }
         match reply {
             Ok(reply) if self.answers_broadcast(motor, &packet.data, now) => {
                 return Event::BroadcastReply { motor, reply };

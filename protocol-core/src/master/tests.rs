@@ -344,11 +344,72 @@ fn motion_mode_feedback_comes_on_its_own_channel() {
 }
 
 #[test]
+fn motion_feedback_stands_for_no_other_reply() {
+    // Its first byte is the id, here that of 0x20 and of 0x9C.
+    let feedback = |motor: u8, first: u8| {
+        let data = [first, 2, 0x80, 0, 0, 0, 0, 0];
+        Received::Packet(Packet { channel: Channel::MotionReply(id(motor)), data })
+    };
+    let mut master = Master::<2>::new(Config::CAN);
+    let filter = FunctionControl::CanIdFilter(Switch::On);
+    master.broadcast(filter, id(32).into(), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    let event = master.handle_frame(&feedback(32, 0x20), ms(2)).unwrap();
+    assert!(matches!(event, Event::Stray { .. }), "{event:?}");
+    assert_eq!(master.poll_event(), None);
+    let event = Master::<2>::new(Config::CAN).handle_frame(&feedback(1, 0x9C), ms(2)).unwrap();
+    assert!(matches!(event, Event::Stray { .. }), "{event:?}");
+}
+
+/// A relative move that says it is something else.
+#[derive(Clone, Copy)]
+struct Lying(Kind);
+
+impl Command for Lying {
+    type Reply = RawReply;
+
+    fn kind(&self) -> Kind {
+        self.0
+    }
+
+    fn encode(&self) -> Data {
+        step().encode()
+    }
+
+    fn decode_reply(data: &Data) -> Result<RawReply, crate::DecodeError> {
+        Ok(RawReply(*data))
+    }
+}
+
+impl SetPoint for Lying {}
+
+#[test]
+fn the_bytes_hold_against_a_claim() {
+    let harmless = Kind::Raw { byte: 0xA8, reply: ReplyRule::Values, moves: false };
+    for claim in [harmless, Opcode::ReadStatus2.into()] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let refused = master.set_point(id(1), Lying(claim), ms(0)).unwrap_err();
+        assert_eq!(refused, RequestError::NotASetPoint(Opcode::IncrementalPosition));
+        let _ticket = master.request(id(1), Lying(claim), ms(0)).unwrap();
+        assert_eq!(sent(&mut master, ms(0)).len(), 1);
+        // It is not sent again.
+        master.handle_timeout(ms(30));
+        assert_eq!(sent(&mut master, ms(30)).len(), 0, "{claim:?}");
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY, ms(100)).unwrap();
+        assert_eq!(
+            master.request(id(2), Lying(claim), ms(100)).unwrap_err(),
+            RequestError::Stopped,
+            "{claim:?}"
+        );
+    }
+}
+
+#[test]
 fn a_raw_command_is_carried_and_matched_like_any_other() {
     let mut master = Master::<2>::new(Config::CAN);
     let power = RawCommand::new([0x71, 0, 0, 0, 0, 0, 0, 0], ReplyRule::Values, false);
     let ticket = master.request(id(1), power, ms(0)).unwrap();
-    assert_eq!(sent(&mut master, ms(0))[0], power.packet_to(id(1).into()));
+    assert_eq!(sent(&mut master, ms(0))[0], power.packet_to(id(1).into()).unwrap());
     let other = reply(&mut master, 1, [0x72, 0, 0, 0, 0, 0, 1, 0], ms(1)).unwrap();
     assert!(matches!(other, Event::Stray { .. }), "{other:?}");
     let data = [0x71, 0, 0, 0, 0, 0, 0xE8, 3];

@@ -17,7 +17,8 @@ macro_rules! quantity {
         $(; radians $($radians:ident)+)?
         $(; signed $arithmetic:ident)?
     ) => {
-        quantity!(@type $(#[$attr])* #[derive(Default)] $name $raw);
+        quantity!(@type $(#[$attr])* $name $raw);
+        quantity!(@default $name $($zero)?);
         quantity!(@range $name($raw) $what $unit, $numerator/$denominator,
             quantity!(@min $raw $($zero)?), $raw::MAX, quantity!(@zero $($zero)?));
         quantity!(@wire $name($raw $put $get));
@@ -83,6 +84,16 @@ macro_rules! quantity {
         impl From<$name> for $raw {
             fn from(quantity: $name) -> $raw {
                 quantity.0
+            }
+        }
+    };
+    // A 0 that means "no limit" is nobody's default.
+    (@default $name:ident $zero:literal) => {};
+    (@default $name:ident) => {
+        /// Nothing: 0.
+        impl Default for $name {
+            fn default() -> Self {
+                Self(0)
             }
         }
     };

@@ -17,8 +17,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
     let is = bring_up::identify(&mut session.master, motor).map_err(Unfinished::of_motor(motor))?;
     let zero = session.ask(motor, ReadMultiTurnEncoderOffset)?;
-    let made =
-        Group::default().and(&Model { model: is.model }).and(&Version { version_date: is.version });
+    let model = is.model.map_or(Group::default(), |model| Group::default().and(&Model { model }));
+    let made = model.and(&Version { version_date: is.version });
     let runs = Group::default()
         .and(&RunTime { run_time: is.run_time })
         .and(&RunningMode { mode: is.mode })

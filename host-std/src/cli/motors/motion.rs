@@ -19,19 +19,19 @@ pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     span: Span,
     /// Wanted position, rad.
-    #[arg(long, allow_hyphen_values = true)]
+    #[arg(long, value_parser = parse::single, allow_hyphen_values = true)]
     position_rad: f32,
     /// Wanted velocity, rad/s.
-    #[arg(long, allow_hyphen_values = true, default_value_t = 0.0)]
+    #[arg(long, value_parser = parse::single, allow_hyphen_values = true, default_value = "0")]
     velocity_rad_s: f32,
     /// Gain on the position error, N·m/rad.
-    #[arg(long, allow_hyphen_values = true)]
+    #[arg(long, value_parser = parse::single, allow_hyphen_values = true)]
     kp: f32,
     /// Gain on the velocity error, N·m·s/rad.
-    #[arg(long, allow_hyphen_values = true)]
+    #[arg(long, value_parser = parse::single, allow_hyphen_values = true)]
     kd: f32,
     /// Torque added to both, N·m.
-    #[arg(long, allow_hyphen_values = true, default_value_t = 0.0)]
+    #[arg(long, value_parser = parse::single, allow_hyphen_values = true, default_value = "0")]
     torque_nm: f32,
     #[command(flatten)]
     revision: MotorRevision,

@@ -39,7 +39,7 @@ impl MotorRevision {
         }
     }
 
-    /// Refuses a command that a motor's firmware does not have. Where that is not known, the user is told as
+    /// Refuses a command that a motor's firmware does not have, whatever was given. Where that is not known, the user is told as
     /// whose command it is taken.
     pub(super) fn check_has(
         &self,
@@ -48,7 +48,7 @@ impl MotorRevision {
         opcode: Opcode,
     ) -> Outcome {
         let in_all = Firmware::ALL.iter().all(|firmware| opcode.is_in(*firmware));
-        if self.firmware.is_some() || in_all {
+        if in_all {
             return Ok(());
         }
         match self.find(session, motor)? {
@@ -71,10 +71,19 @@ impl MotorRevision {
 
     /// The scales that were given, else those of the motor's firmware.
     pub(super) fn scales(&self, session: &mut Session, motor: MotorId) -> Outcome<MotionRanges> {
+        let found = self.find(session, motor)?;
         if let Some(ranges) = self.ranges {
-            return Ok(ranges);
+            return match found {
+                Ok(firmware) if firmware.motion_ranges().is_some_and(|own| own != ranges) => {
+                    Err(Unfinished::Failed(format!(
+                        "motor {motor} speaks {firmware}, which has scales of its own, and --ranges \
+                         gives others: wrong ones multiply its torque, so nothing was sent"
+                    )))
+                }
+                _ => Ok(ranges),
+            };
         }
-        let firmware = self.find(session, motor)?.map_err(|date| {
+        let firmware = found.map_err(|date| {
             Unfinished::Failed(format!(
                 "motor {motor} reports version date {}, and which firmware that is, is not known: \
                  wrong scales multiply its torque, so nothing was sent; give --firmware v4.3 if \

@@ -5,8 +5,8 @@ use myactuator_host_std::open::{BusAddress, BusError};
 use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadModel, ReadStatus1};
-use myactuator_protocol_core::io::{CallError, bring_up};
-use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::io::{CallError, Runner, bring_up};
+use myactuator_protocol_core::master::{Failure, MotorSet};
 
 use super::group::Group;
 use super::session::{OnBus, Outcome, Session, Unfinished, say};
@@ -101,9 +101,15 @@ fn told_of_rate(address: &BusAddress, found: &Found) -> String {
 
 /// A line about one motor.
 fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome {
-    let read = session
-        .ask(motor, ReadModel)
-        .and_then(|model| Ok(Group::default().and(&model).and(&session.ask(motor, ReadStatus1)?)));
+    let read = session.ask(motor, ReadStatus1).and_then(|status| {
+        // Firmware V4.4 does not answer this.
+        let model = match session.master.ask(motor, ReadModel) {
+            Ok(model) => Group::default().and(&model),
+            Err(CallError::Failed(Failure::NoReply)) => Group::default(),
+            Err(error) => return Err(Unfinished::of_motor(motor)(error)),
+        };
+        Ok(model.and(&status))
+    });
     match read {
         Ok(group) if as_json => say(&session.json(motor, &[group])),
         Ok(group) => say(&format!("motor {motor}: {group}")),
