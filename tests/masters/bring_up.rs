@@ -3,8 +3,10 @@
 use std::fmt::Debug;
 
 use myactuator_host_std::sim::Fleet;
+use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::command::{
-    BrakeCommand, ErrorFlags, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadStatus1,
+    BrakeCommand, ErrorFlags, MotionLimits, MotionRanges, ReadMultiTurnAngle,
+    ReadMultiTurnEncoderOffset, ReadStatus1,
 };
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
@@ -21,6 +23,7 @@ on_both_buses! {
     a_scan_tells_who_is_there
     a_motor_that_is_being_asked_is_not_there_before_it_answers
     a_motor_tells_what_it_is
+    a_newer_motor_has_no_model_to_tell
     a_motor_is_waited_for_after_its_power_was_cycled
     a_zero_is_kept_over_a_power_cycle
     an_id_is_not_changed_while_two_motors_listen_or_it_is_taken
@@ -73,6 +76,16 @@ fn a_motor_tells_what_it_is<B: Bus>() {
     assert!((290..=400).contains(&identity.run_time.raw()), "{}", identity.run_time);
     let nobody = bring_up::identify(runner, id(7)).expect_err("nobody is there");
     assert_eq!(nobody, CallError::Failed(Failure::NoReply));
+}
+
+fn a_newer_motor_has_no_model_to_tell<B: Bus>() {
+    let limits = MotionLimits { torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
+    let ranges = MotionRanges::new(limits).unwrap();
+    let fleet = Fleet::new(1).firmware(Firmware::V4_4).motion_ranges(ranges);
+    let bus = B::with(&fleet).unwrap();
+    let identity = bring_up::identify(&mut bus.master(), id(1)).expect("it is there");
+    assert_eq!(identity.model, None);
+    assert_eq!(identity.status.errors, ErrorFlags::empty());
 }
 
 fn a_motor_is_waited_for_after_its_power_was_cycled<B: Bus>() {
