@@ -605,6 +605,7 @@ fn locking_the_brake_ends_the_run() {
     bench.write(LockBrake);
     assert!(!bench.state().output_on);
     bench.write(Stop); // holds already, and must not open it
+    assert_eq!(bench.not_run(), None, "which is no refusal");
     assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::LOCK);
 }
 

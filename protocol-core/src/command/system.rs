@@ -224,6 +224,9 @@ mod tests {
         assert_eq!(VersionDate::from_raw(20_220_206).to_string(), "2022-02-06");
         assert_eq!(VersionDate::from_raw(2_023_020_601).year_month_day(), Some((2023, 2, 6)));
         assert_eq!(VersionDate::from_raw(7).to_string(), "7");
+        for no_date in [20_221_301, 20_220_001, 20_221_232, 20_221_200] {
+            assert_eq!(VersionDate::from_raw(no_date).year_month_day(), None, "{no_date}");
+        }
     }
 
     #[test]

@@ -126,4 +126,11 @@ mod tests {
         reporting.disable(Opcode::ReadStatus2);
         assert_eq!(reporting.poll_at(), None);
     }
+
+    #[test]
+    fn an_interval_of_zero_is_the_shortest() {
+        let mut reporting = Reporting::default();
+        reporting.enable(Opcode::ReadStatus2, ReportInterval::from_raw(0), at(0));
+        assert_eq!(reporting.poll_at(), Some(at(10)));
+    }
 }

@@ -452,6 +452,35 @@ fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
 }
 
 #[test]
+fn what_a_motor_reported_before_its_reset_may_be_asked_for_after_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let report = ActiveReply {
+        command: ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
+        enable: Switch::On,
+        interval: ReportInterval::from_raw(1),
+    };
+    let _ = ask(&mut master, 1, report, ms(0));
+    events(&mut master, ms(7));
+    assert!(master.request(id(1), ReadMultiTurnAngle, ms(7)).is_err());
+    let _ = ask(&mut master, 1, Reset, ms(10));
+    events(&mut master, ms(20));
+    assert!(master.request(id(1), ReadMultiTurnAngle, ms(20)).is_ok());
+}
+
+#[test]
+fn a_late_reply_with_the_status_is_no_error_report() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = ask(&mut master, 1, ReadStatus1, ms(0));
+    let at = (1..100).map(ms).find(|&at| {
+        let _repeats = sent(&mut master, at);
+        events(&mut master, at).iter().any(|event| read.outcome(event).is_some())
+    });
+    let at = at.expect("it is given up");
+    let status = [0x9A, 50, 40, 0, 0xE0, 1, 2, 0];
+    assert!(matches!(reply(&mut master, 1, status, at), Some(Event::Stray { .. })));
+}
+
+#[test]
 fn an_error_report_is_told_as_a_report() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
