@@ -66,6 +66,11 @@ impl Broadcast {
         Some(Packet { channel, data: self.data })
     }
 
+    /// What is or was sent last.
+    pub(super) fn command(&self) -> (Option<Kind>, Data) {
+        (self.kind, self.data)
+    }
+
     pub(super) fn was_sent(&mut self, now: Instant, timeout: Span, late_window: Duration) {
         let has_reply = self.kind.is_some_and(Kind::has_reply);
         let awaits_reply = has_reply && !self.expected.is_empty();

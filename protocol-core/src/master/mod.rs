@@ -350,7 +350,8 @@ impl<const N: usize> Master<N> {
                         kind.is_some_and(|kind| awaits_reply(kind, &lane.request_data));
                     told_without_reply = !awaits_reply;
                     let hold = kind.map_or(Duration::ZERO, |kind| config.hold_after(kind));
-                    note_report(lane, kind);
+                    let data = lane.request_data;
+                    note_report(lane, kind, &data);
                     self.pace = lane.round;
                     lane.request_was_sent(now, awaits_reply, hold);
                 }
@@ -362,6 +363,10 @@ impl<const N: usize> Master<N> {
                 }
             }
             Some(Offer::Broadcast) => {
+                let (kind, data) = self.broadcast.command();
+                for lane in &mut self.lanes {
+                    note_report(lane, kind, &data);
+                }
                 self.broadcast.was_sent(now, config.timeout, config.late_window());
             }
             None => return,
@@ -591,11 +596,11 @@ fn awaits_reply(kind: Kind, data: &Data) -> bool {
 }
 
 /// Keeps track of what a motor reports by itself, from the commands that switch it.
-fn note_report(lane: &mut Lane, sent: Option<Kind>) {
+fn note_report(lane: &mut Lane, sent: Option<Kind>, data: &Data) {
     match sent.and_then(Kind::opcode) {
         Some(Opcode::Reset) => lane.reported = 0,
         Some(Opcode::ActiveReply) => {
-            let [_, command, enable, ..] = lane.request_data;
+            let [_, command, enable, ..] = *data;
             let bit = Opcode::from_byte(command).and_then(reported_bit).unwrap_or(0);
             if enable == 0 { lane.reported &= !bit } else { lane.reported |= bit }
         }

@@ -468,6 +468,27 @@ fn what_a_motor_reported_before_its_reset_may_be_asked_for_after_it() {
 }
 
 #[test]
+fn what_all_are_told_to_report_is_known_of_each() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    let report = ActiveReply {
+        command: ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
+        enable: Switch::On,
+        interval: ReportInterval::from_raw(1),
+    };
+    master.broadcast(report, MotorSet::EMPTY, ms(100)).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 1);
+    events(&mut master, ms(150));
+    let refused = master.request(id(1), ReadMultiTurnAngle, ms(150)).unwrap_err();
+    assert_eq!(refused, RequestError::Reported(Opcode::ReadMultiTurnAngle));
+    master.broadcast(Reset, MotorSet::EMPTY, ms(200)).unwrap();
+    assert_eq!(sent(&mut master, ms(200)).len(), 1);
+    events(&mut master, ms(250));
+    assert!(master.request(id(1), ReadMultiTurnAngle, ms(250)).is_ok());
+}
+
+#[test]
 fn a_late_reply_with_the_status_is_no_error_report() {
     let mut master = Master::<2>::new(Config::CAN);
     let read = ask(&mut master, 1, ReadStatus1, ms(0));
