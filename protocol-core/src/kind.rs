@@ -76,8 +76,7 @@ impl Kind {
     }
 
     /// Whether it may set the motor in motion, let its load fall, or change the drive for good: while
-    /// the motors are stopped, it is refused
-    /// ([`RequestError::Stopped`]).
+    /// the motors are stopped, it is refused ([`RequestError::Stopped`]).
     ///
     /// Of the table these are the set-points, 0x77, and whatever [acts again](Repeat::ActsAgain) with
     /// each sending: 0xA8, the restart, writes to ROM, 0x20, 0x79 (its read too), 0xB3, 0xB4 and
@@ -106,9 +105,7 @@ impl Kind {
         let key_agrees = key_byte.is_none_or(|at| command.get(at) == reply.get(at));
         key_agrees && self.byte().is_none_or(|byte| reply[0] == byte)
     }
-}
 
-impl Kind {
     /// The channel on which a command of this kind reaches `target`.
     ///
     /// # Errors

@@ -107,9 +107,8 @@ impl Field {
     /// [`OutOfRange`] for what the quantity does not allow.
     pub fn put(&self, data: &mut Data, raw: i64) -> Result<(), OutOfRange> {
         let fits = match self.quantity.form {
-            Form::Steps(_) | Form::Float | Form::Switch => true,
-            // It is written as a reply identifier, of two bytes.
-            Form::ReplyIdentifier => true,
+            // These allow no number that does not fit.
+            Form::Steps(_) | Form::Float | Form::Switch | Form::ReplyIdentifier => true,
             _ => raw >= 0 && raw as u64 >> (self.place.bits() % 64) == 0,
         };
         if !fits || !self.quantity.allows(raw) {

@@ -23,10 +23,9 @@
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
 //! arbitration against those of low ids and all commands; so no motor gets more than one round ahead
 //! of one that may be waiting for its turn to answer. Whoever was silent before, or had its chance on
-//! a quiet bus, is not waited for: on CAN a silent
-//! motor costs the others the time of its own commands on the bus and no more. On RS485 there is one
-//! exchange at a time, and each command to a silent motor keeps the line for
-//! [`Config::reply_timeout`].
+//! a quiet bus, is not waited for: on CAN a silent motor costs the others the time of its own commands
+//! on the bus and no more. On RS485 there is one exchange at a time, and each command to a silent
+//! motor keeps the line for [`Config::reply_timeout`].
 
 mod broadcast;
 mod compact;
@@ -174,8 +173,7 @@ impl<const N: usize> Master<N> {
         command: C,
         now: Instant,
     ) -> Result<Ticket<C>, RequestError> {
-        let patience = self.config.patience(command.kind().of_bytes(&command.encode()));
-        self.request_with(motor, command, patience, now)
+        self.put_request(motor, command, None, now)
     }
 
     /// As [`request`](Self::request), with a patience of its own.
@@ -189,9 +187,20 @@ impl<const N: usize> Master<N> {
         patience: Patience,
         now: Instant,
     ) -> Result<Ticket<C>, RequestError> {
+        self.put_request(motor, command, Some(patience), now)
+    }
+
+    fn put_request<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        patience: Option<Patience>,
+        now: Instant,
+    ) -> Result<Ticket<C>, RequestError> {
         let data = command.encode();
         let kind = command.kind().of_bytes(&data);
         self.check(kind, motor.into())?;
+        let patience = patience.unwrap_or_else(|| self.config.patience(kind));
         let pace = self.pace;
         let (lane, _) = self.lane_for(motor)?;
         if lane.request != RequestState::Idle || lane.flags.contains(Flags::TELL_STOPPED) {
@@ -279,7 +288,8 @@ impl<const N: usize> Master<N> {
 
     /// Stops every motor that this master knows and those of `also`, before anything else is sent
     /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Until
-    /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a restart and writes to ROM, for example, but not reads.
+    /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a
+    /// restart and writes to ROM, for example, but not reads.
     ///
     /// Each motor's confirmation, or its absence, comes as an event.
     ///

@@ -432,21 +432,25 @@ fn a_raw_command_is_carried_and_matched_like_any_other() {
     assert_eq!(master.request(id(2), torque, ms(0)).unwrap_err(), RequestError::Stopped);
 }
 
+/// Switches reports of the angle every 10 ms on or off.
+fn report_angle(enable: Switch) -> ActiveReply {
+    ActiveReply {
+        command: ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
+        enable,
+        interval: ReportInterval::from_raw(1),
+    }
+}
+
 #[test]
 fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
     let mut master = Master::<2>::new(Config::CAN);
-    let report = ActiveReply {
-        command: ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
-        enable: Switch::On,
-        interval: ReportInterval::from_raw(1),
-    };
-    let _ = ask(&mut master, 1, report, ms(0));
+    let _ = ask(&mut master, 1, report_angle(Switch::On), ms(0));
     events(&mut master, ms(7));
     let refused = master.request(id(1), ReadMultiTurnAngle, ms(7)).unwrap_err();
     assert_eq!(refused, RequestError::Reported(Opcode::ReadMultiTurnAngle));
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(10)).unwrap();
     assert!(matches!(event, Event::Report { reply: AnyReply::ReadMultiTurnAngle(_), .. }));
-    let _off = ask(&mut master, 1, ActiveReply { enable: Switch::Off, ..report }, ms(20));
+    let _off = ask(&mut master, 1, report_angle(Switch::Off), ms(20));
     events(&mut master, ms(27));
     assert!(master.request(id(1), ReadMultiTurnAngle, ms(27)).is_ok());
 }
@@ -454,12 +458,7 @@ fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
 #[test]
 fn what_a_motor_reported_before_its_reset_may_be_asked_for_after_it() {
     let mut master = Master::<2>::new(Config::CAN);
-    let report = ActiveReply {
-        command: ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
-        enable: Switch::On,
-        interval: ReportInterval::from_raw(1),
-    };
-    let _ = ask(&mut master, 1, report, ms(0));
+    let _ = ask(&mut master, 1, report_angle(Switch::On), ms(0));
     events(&mut master, ms(7));
     assert!(master.request(id(1), ReadMultiTurnAngle, ms(7)).is_err());
     let _ = ask(&mut master, 1, Reset, ms(10));
@@ -472,12 +471,7 @@ fn what_all_are_told_to_report_is_known_of_each() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
-    let report = ActiveReply {
-        command: ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
-        enable: Switch::On,
-        interval: ReportInterval::from_raw(1),
-    };
-    master.broadcast(report, MotorSet::EMPTY, ms(100)).unwrap();
+    master.broadcast(report_angle(Switch::On), MotorSet::EMPTY, ms(100)).unwrap();
     assert_eq!(sent(&mut master, ms(100)).len(), 1);
     events(&mut master, ms(150));
     let refused = master.request(id(1), ReadMultiTurnAngle, ms(150)).unwrap_err();

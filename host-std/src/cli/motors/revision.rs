@@ -39,8 +39,8 @@ impl MotorRevision {
         }
     }
 
-    /// Refuses a command that a motor's firmware does not have, whatever was given. Where that is not known, the user is told as
-    /// whose command it is taken.
+    /// Refuses a command that a motor's firmware does not have, whatever was given. Where that is not
+    /// known, the user is told as whose command it is taken.
     pub(super) fn check_has(
         &self,
         session: &mut Session,
