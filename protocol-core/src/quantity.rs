@@ -100,6 +100,12 @@ impl Steps {
     pub const fn per_unit(&self) -> f64 {
         self.denominator as f64 / self.numerator as f64
     }
+
+    /// Whether a number of steps is allowed.
+    #[inline]
+    pub const fn allow(&self, raw: i64) -> bool {
+        (self.min <= raw && raw <= self.max) || (raw == 0 && self.zero.is_some())
+    }
 }
 
 /// A name of a number on the wire.
@@ -206,9 +212,7 @@ impl Quantity {
     /// Whether this number on the wire is allowed.
     pub const fn allows(&self, raw: i64) -> bool {
         match self.form {
-            Form::Steps(Steps { min, max, zero, .. }) => {
-                (min <= raw && raw <= max) || (raw == 0 && zero.is_some())
-            }
+            Form::Steps(steps) => steps.allow(raw),
             Form::Float => {
                 0 <= raw && raw <= u32::MAX as i64 && f32::from_bits(raw as u32).is_finite()
             }
@@ -244,6 +248,18 @@ impl Quantity {
                 if raw as f64 == amount && self.allows(raw) { Ok(raw) } else { Err(wrong) }
             }
         }
+    }
+
+    /// The name that a number has as a code, `None` where it has none.
+    pub fn name_of(&self, raw: i64) -> Option<&'static str> {
+        let Form::Code(names) = self.form else { return None };
+        names.iter().find(|name| i64::from(name.raw) == raw).map(|name| name.name)
+    }
+
+    /// The number of the code with this name, `None` where there is none.
+    pub fn code_of(&self, name: &str) -> Option<u16> {
+        let Form::Code(names) = self.form else { return None };
+        names.iter().find(|code| code.name == name).map(|code| code.raw)
     }
 }
 

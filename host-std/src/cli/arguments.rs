@@ -65,8 +65,8 @@ fn amount(text: &str, quantity: &'static Quantity) -> Parsed<i64> {
 pub(super) fn field(text: &str, field: &Field, ranges: Option<&MotionRanges>) -> Parsed<i64> {
     let quantity = field.quantity;
     match quantity.form {
-        Form::Code(names) => {
-            let named = names.iter().find(|name| name.name == text).map(|name| name.raw.into());
+        Form::Code(_) => {
+            let named = quantity.code_of(text).map(i64::from);
             let number = || integer(text).filter(|code| (0..=0xFF).contains(code));
             named.or_else(number).ok_or_else(|| format!("{quantity}, but \"{text}\" was given"))
         }

@@ -250,8 +250,7 @@ impl Condition {
 const OTHER: &str = "other";
 
 fn name_of(field: &Field, code: u8) -> &'static str {
-    let Form::Code(names) = field.quantity.form else { return OTHER };
-    names.iter().find(|name| name.raw == u16::from(code)).map_or(OTHER, |name| name.name)
+    field.quantity.name_of(code.into()).unwrap_or(OTHER)
 }
 
 /// The bytes that are none of these, in as few ranges as can be.

@@ -30,10 +30,7 @@ fn value(field: &Field, raw: i64, data: &Data, ranges: Option<&MotionRanges>) ->
             ((raw * i64::from(steps.numerator)).into(), false)
         }
         Form::Float => (decimal(f32::from_bits(raw as u32)).into(), false),
-        Form::Code(names) => {
-            let name = names.iter().find(|name| i64::from(name.raw) == raw);
-            (name.map(|name| name.name).into(), true)
-        }
+        Form::Code(_) => (field.quantity.name_of(raw).into(), true),
         Form::Switch => ((raw == 1).into(), false),
         Form::Flags(_) => {
             let errors = ErrorFlags::from_bits_retain(raw as u16);

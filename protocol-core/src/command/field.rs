@@ -141,8 +141,8 @@ impl Field {
         match self.quantity.form {
             Form::Steps(steps) => decimal::print(f, raw, &steps, symbol),
             Form::Float => write!(f, "{}", f32::from_bits(raw as u32)),
-            Form::Code(names) => match names.iter().find(|name| i64::from(name.raw) == raw) {
-                Some(name) => write!(f, "{} ({raw})", name.name),
+            Form::Code(_) => match self.quantity.name_of(raw) {
+                Some(name) => write!(f, "{name} ({raw})"),
                 None => write!(f, "unknown code {raw}"),
             },
             Form::Switch => f.write_str(if raw == 1 { "on" } else { "off" }),

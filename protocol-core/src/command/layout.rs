@@ -273,8 +273,7 @@ macro_rules! code_methods {
 
             /// Its name in tools, `None` where the manual gives none.
             pub fn name(self) -> Option<&'static str> {
-                let $crate::quantity::Form::Code(names) = Self::QUANTITY.form else { return None };
-                names.iter().find(|name| name.raw == u16::from(self.0)).map(|name| name.name)
+                Self::QUANTITY.name_of(self.0.into())
             }
         }
 
@@ -343,11 +342,7 @@ pub(super) fn code_from<'de, D: serde::Deserializer<'de>>(
             write!(f, "a name or number of {}", self.0.name)
         }
         fn visit_str<E: serde::de::Error>(self, given: &str) -> Result<u8, E> {
-            let crate::quantity::Form::Code(names) = self.0.form else {
-                return Err(E::custom("no codes"));
-            };
-            let found = names.iter().find(|name| name.name == given);
-            let raw = found.and_then(|name| u8::try_from(name.raw).ok());
+            let raw = self.0.code_of(given).and_then(|raw| u8::try_from(raw).ok());
             raw.ok_or_else(|| E::invalid_value(serde::de::Unexpected::Str(given), &self))
         }
         fn visit_u64<E: serde::de::Error>(self, raw: u64) -> Result<u8, E> {

@@ -60,7 +60,7 @@ macro_rules! quantity {
             /// [`OutOfRange`] for what [`QUANTITY`](Self::QUANTITY) does not allow.
             #[inline]
             pub const fn try_from_raw(raw: $raw) -> Result<Self, OutOfRange> {
-                if (raw >= Self::MIN_RAW && raw <= Self::MAX_RAW) || (raw == 0 && Self::ZERO.is_some()) {
+                if Self::STEPS.allow(raw as i64) {
                     Ok(Self(raw))
                 } else {
                     let given = Given::steps(raw as u32, Self::STEPS.per_unit() as u16);
