@@ -1,33 +1,36 @@
-//! What every firmware here shares on the emulated machine: however it ends, the emulator ends with
-//! it, with exit code 0 after [`finish`]`(Ok(()))` and another after an error, a panic or a fault.
+//! Master firmware for microcontrollers: the application, without a board.
+//!
+//! Read it in this order:
+//!
+//! 1. [`Board`]: what a board has to supply beside its bus. The boards are in `boards/`, a package
+//!    each, a program a bus.
+//! 2. [`run`] and [`run_async`]: the loop that every board's program ends in.
+//! 3. [`App`]: what happens in each cycle, a small state machine without a clock or I/O of its own.
+//!
+//! ```text
+//!                 button                    all motors ready
+//!    Stopped ────────────────▶ Finding, Preparing ────────────▶ Running
+//!     ▲    │                        │                              │
+//!     │    │ button held            │ trouble, button              │ trouble, button
+//!     │    ▼                        ▼                              │
+//!     │  ShuttingDown ──────────▶ Stopping ◀───────────────────────┘
+//!     │                             │  ▲
+//!     └─────────────────────────────┘  └── every start, whatever its cause
+//!        all confirmed, or too late
+//! ```
+//!
+//! Nothing moves until the button was pressed, whatever happened before.
 #![no_std]
+#![forbid(unsafe_code)]
 
-use core::fmt::Debug;
+mod app;
+mod board;
+mod last_words;
+mod report;
+mod run;
 
-use cortex_m_rt::{ExceptionFrame, exception};
-use cortex_m_semihosting::{
-    debug::{self, EXIT_FAILURE, EXIT_SUCCESS},
-    hprintln,
-};
-use panic_semihosting as _; // The panic handler: prints the message, exits with a failure.
-
-/// Ends the emulator with the firmware's outcome.
-pub fn finish(outcome: Result<(), impl Debug>) -> ! {
-    match outcome {
-        Ok(()) => debug::exit(EXIT_SUCCESS),
-        Err(error) => {
-            hprintln!("failed: {:?}", error);
-            debug::exit(EXIT_FAILURE);
-        }
-    }
-    unreachable!("no emulator or debugger took the exit call")
-}
-
-/// Without this a fault would loop forever.
-///
-/// # Safety
-/// For the processor to call, never for a program.
-#[exception]
-unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    panic!("hard fault at {:#010x}", frame.pc())
-}
+pub use app::{App, Movement, Setup};
+pub use board::{Board, RestartCause};
+pub use last_words::last_words;
+pub use report::{Report, StateName, Trouble};
+pub use run::{cycle, cycle_async, run, run_async};

@@ -11,7 +11,7 @@ use core::hint::black_box;
 use cortex_m::peripheral::{Peripherals, SYST, syst::SystClkSource};
 use cortex_m_rt::entry;
 use cortex_m_semihosting::hprintln;
-use myactuator_mcu_example::finish;
+use measure::finish;
 use myactuator_protocol_core::{
     Command, Data, DecodeError, MotorId, Target,
     command::{

@@ -6,7 +6,7 @@
 use cortex_m_rt::entry;
 use cortex_m_semihosting::hprintln;
 use embedded_can::{Frame, StandardId};
-use myactuator_mcu_example::finish;
+use measure::finish;
 use myactuator_protocol_core::{
     Channel, Command, DecodeError, MotorId, Packet,
     command::AbsolutePosition,

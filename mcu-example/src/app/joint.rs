@@ -1,0 +1,139 @@
+//! What is known of one motor.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::{
+    AbsolutePosition, AnyReply, MotionRanges, MotionSetPoint, VersionDate,
+};
+use myactuator_protocol_core::master::Master;
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::{Angle, Milliseconds};
+
+use super::path::place;
+use super::{Movement, Setup};
+
+/// A motor that was found.
+#[derive(Debug)]
+pub(super) struct Joint {
+    pub(super) motor: MotorId,
+    pub(super) version_date: VersionDate,
+    /// Where it was when it got ready: it moves around that.
+    pub(super) home: Angle,
+    /// Where it was last seen.
+    pub(super) angle: Angle,
+    /// When its stream was answered last.
+    heard: Instant,
+    /// How long it had run when it was asked last.
+    run_time: Milliseconds,
+    /// Set-points that were answered since they were last counted.
+    answered: u16,
+}
+
+impl Joint {
+    pub(super) const fn new(motor: MotorId, version_date: VersionDate) -> Self {
+        let zero = Angle::from_raw(0);
+        Self {
+            motor,
+            version_date,
+            home: zero,
+            angle: zero,
+            heard: Instant::ZERO,
+            run_time: Milliseconds::from_raw(0),
+            answered: 0,
+        }
+    }
+
+    /// The motion begins now.
+    pub(super) fn begin(&mut self, now: Instant) {
+        self.heard = now;
+        self.answered = 0;
+    }
+
+    /// Its stream was answered.
+    pub(super) fn feedback(
+        &mut self,
+        reply: &AnyReply,
+        ranges: Option<MotionRanges>,
+        now: Instant,
+    ) {
+        self.heard = now;
+        self.answered = self.answered.saturating_add(1);
+        if let (AnyReply::Motion(raw), Some(ranges)) = (reply, ranges) {
+            let position_rad = ranges.feedback(raw).position_rad;
+            if let Ok(angle) = Angle::from_degrees(position_rad.to_degrees()) {
+                self.angle = angle;
+            }
+        }
+    }
+
+    /// For how long its stream was not answered.
+    pub(super) fn silence(&self, now: Instant) -> Duration {
+        now - self.heard
+    }
+
+    /// How many set-points were answered since this was last asked.
+    pub(super) fn take_answered(&mut self) -> u16 {
+        core::mem::take(&mut self.answered)
+    }
+
+    /// Whether its run time says that it has started anew.
+    pub(super) fn has_restarted(&mut self, run_time: Milliseconds) -> bool {
+        let before = core::mem::replace(&mut self.run_time, run_time);
+        run_time < before
+    }
+
+    /// Whether the whole way lies within what its commands can say.
+    pub(super) fn can_reach(&self, setup: &Setup) -> bool {
+        [0.0, 1.0].into_iter().all(|part| match setup.movement {
+            Movement::Motion { ranges, kp, kd } => {
+                ranges.quantise(&self.motion(setup, part, 0.0, kp, kd)).is_ok()
+            }
+            Movement::Position { .. } => self.target(setup, part).is_some(),
+        })
+    }
+
+    /// Puts the set-point for `since` in its stream. `false` if it is not taken.
+    pub(super) fn put_set_point<const N: usize>(
+        &self,
+        setup: &Setup,
+        since: Duration,
+        master: &mut Master<N>,
+        now: Instant,
+    ) -> bool {
+        let place = place(since, setup.period);
+        match setup.movement {
+            Movement::Motion { ranges, kp, kd } => {
+                let wanted = self.motion(setup, place.part, place.per_second, kp, kd);
+                let raw = ranges.quantise(&wanted);
+                raw.is_ok_and(|raw| master.set_point(self.motor, raw, now).is_ok())
+            }
+            Movement::Position { max_speed } => self
+                .target(setup, place.part)
+                .map(|angle| AbsolutePosition { max_speed, angle })
+                .is_some_and(|wanted| master.set_point(self.motor, wanted, now).is_ok()),
+        }
+    }
+
+    fn motion(
+        &self,
+        setup: &Setup,
+        part: f32,
+        per_second: f32,
+        kp: f32,
+        kd: f32,
+    ) -> MotionSetPoint {
+        let home_rad = self.home.degrees().to_radians();
+        let amplitude_rad = setup.amplitude.degrees().to_radians();
+        MotionSetPoint {
+            position_rad: home_rad + amplitude_rad * part,
+            velocity_rad_s: amplitude_rad * per_second,
+            kp,
+            kd,
+            torque_nm: 0.0,
+        }
+    }
+
+    fn target(&self, setup: &Setup, part: f32) -> Option<Angle> {
+        let way = (setup.amplitude.raw() as f32 * part) as i32;
+        self.home.raw().checked_add(way).map(Angle::from_raw)
+    }
+}

@@ -1,0 +1,480 @@
+//! What happens in each cycle.
+
+mod button;
+mod joint;
+mod path;
+mod script;
+mod watch;
+
+use heapless::Vec;
+use myactuator_protocol_core::command::AnyReply;
+use myactuator_protocol_core::firmware::Firmware;
+use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::{Angle, MaxSpeed, Milliseconds};
+use myactuator_protocol_core::{MotorId, command::MotionRanges};
+
+use self::button::{Button, Press};
+use self::joint::Joint;
+use self::script::{Answer, Script, Step};
+use self::watch::Watch;
+use crate::board::{Board, RestartCause};
+use crate::report::{Report, StateName, Trouble};
+
+/// How the motors are moved: to and fro, each around the place where it was found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Movement {
+    /// In motion mode, which only CAN has.
+    Motion {
+        /// The scales of these motors' firmware.
+        ranges: MotionRanges,
+        /// Gain on the position error, N·m/rad.
+        kp: f32,
+        /// Gain on the velocity error, N·m·s/rad.
+        kd: f32,
+    },
+    /// By positions (0xA4), on either bus.
+    Position {
+        /// The fastest turning.
+        max_speed: MaxSpeed,
+    },
+}
+
+/// What a product would set.
+#[derive(Clone, Copy, Debug)]
+pub struct Setup {
+    /// Where motors are looked for.
+    pub search: MotorSet,
+    /// The firmware that all of them must have.
+    pub firmware: Firmware,
+    /// How they are moved.
+    pub movement: Movement,
+    /// How far they turn away from where they were found.
+    pub amplitude: Angle,
+    /// How long it takes there and back.
+    pub period: Duration,
+    /// The cycle.
+    pub cycle: Duration,
+    /// After how long without a command a motor cuts its output by itself (0xB3).
+    pub protection: Milliseconds,
+    /// How motors are stopped.
+    pub stop: StopKind,
+}
+
+impl Setup {
+    /// Motors 1 to 8 of firmware V4.3, moved to and fro by 20 degrees within 2 s, 1000 set-points a
+    /// second; stopped, they hold still.
+    pub fn new(movement: Movement) -> Self {
+        Self {
+            search: MotorId::all().take(8).collect(),
+            firmware: Firmware::V4_3,
+            movement,
+            amplitude: Angle::from_raw(2_000),
+            period: Duration::from_secs(2),
+            cycle: Duration::from_millis(1),
+            protection: Milliseconds::from_raw(500),
+            stop: StopKind::Hold,
+        }
+    }
+}
+
+/// How long a brake takes to open at the most: 50 to 150 ms were seen.
+const BRAKE_OPENS: Duration = Duration::from_millis(200);
+/// How long a stop is waited for before whoever has not confirmed it is told.
+const LONGEST_STOP: Duration = Duration::from_secs(1);
+/// A running motor that was not heard for so long has gone.
+const SILENT_AFTER: Duration = Duration::from_millis(100);
+/// If none was heard for so long when one has gone, it is the bus that has.
+const BUS_SILENT_AFTER: Duration = Duration::from_millis(50);
+const SECOND: Duration = Duration::from_secs(1);
+
+/// The state, with what belongs to it.
+#[derive(Debug)]
+enum State {
+    Stopping { waiting: MotorSet, unconfirmed: MotorSet, until: Instant },
+    Stopped,
+    Finding(Script),
+    Preparing(Script),
+    Running { since: Instant, cycles: u32, overruns: u32, next_second: Instant },
+    ShuttingDown(Script),
+}
+
+impl State {
+    fn name(&self) -> StateName {
+        match self {
+            Self::Stopping { .. } => StateName::Stopping,
+            Self::Stopped => StateName::Stopped,
+            Self::Finding(_) => StateName::Finding,
+            Self::Preparing(_) => StateName::Preparing,
+            Self::Running { .. } => StateName::Running,
+            Self::ShuttingDown(_) => StateName::ShuttingDown,
+        }
+    }
+}
+
+/// The application of a bus with up to `N` motors: told every event and the beginning of every cycle,
+/// it says to the [`Master`] what is to be done.
+#[derive(Debug)]
+pub struct App<const N: usize> {
+    setup: Setup,
+    state: State,
+    joints: Vec<Joint, N>,
+    watch: Watch,
+    button: Button,
+    next_cycle: Instant,
+}
+
+impl<const N: usize> App<N> {
+    /// Begins with a stop to all motors that may be there, whatever the cause of the start: they may
+    /// have gone on while nobody watched.
+    pub fn start(
+        setup: Setup,
+        cause: RestartCause,
+        master: &mut Master<N>,
+        now: Instant,
+        board: &mut impl Board,
+    ) -> Self {
+        board.log(&Report::Started { cause });
+        let mut app = Self {
+            setup,
+            state: State::Stopped,
+            joints: Vec::new(),
+            watch: Watch::new(now),
+            button: Button::new(),
+            next_cycle: now,
+        };
+        app.stop(master, now, board);
+        app
+    }
+
+    /// When the next cycle is to [begin](Self::begin_cycle).
+    pub const fn next_cycle(&self) -> Instant {
+        self.next_cycle
+    }
+
+    /// Takes note of an event. Call it with each as soon as it comes.
+    pub fn handle_event(
+        &mut self,
+        event: &Event,
+        master: &mut Master<N>,
+        now: Instant,
+        board: &mut impl Board,
+    ) {
+        match *event {
+            Event::StopConfirmed { motor } => self.stop_is_over(motor, true),
+            Event::StopUnconfirmed { motor } => self.stop_is_over(motor, false),
+            Event::Feedback { motor, reply } => {
+                let ranges = match self.setup.movement {
+                    Movement::Motion { ranges, .. } => Some(ranges),
+                    Movement::Position { .. } => None,
+                };
+                if let Some(joint) = self.joint(motor) {
+                    joint.feedback(&reply, ranges, now);
+                }
+            }
+            Event::Report { motor, reply: AnyReply::ReadStatus1(status) }
+                if !status.errors.is_empty() =>
+            {
+                self.trouble(Trouble::Errors { motor, flags: status.errors }, master, now, board);
+            }
+            Event::LostMaster { motor } if self.joint(motor).is_some() => {
+                self.trouble(Trouble::LostMaster { motor }, master, now, board);
+            }
+            _ => self.handle_answer(event, master, now, board),
+        }
+    }
+
+    /// The bus driver reports an error.
+    pub fn handle_bus_error(
+        &mut self,
+        master: &mut Master<N>,
+        now: Instant,
+        board: &mut impl Board,
+    ) {
+        self.trouble(Trouble::BusDown, master, now, board);
+    }
+
+    /// Begins a cycle: [`next_cycle`](Self::next_cycle) is over.
+    pub fn begin_cycle(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
+        let is_late = now > self.next_cycle + half(self.setup.cycle);
+        self.next_cycle = if is_late { now } else { self.next_cycle } + self.setup.cycle;
+
+        match self.button.look(board.is_button_down(), now) {
+            Some(press) => self.pressed(press, master, now, board),
+            None => self.go_on(is_late, master, now, board),
+        }
+
+        board.set_light(self.is_light_on(now));
+        let is_missed = self.is_running() && self.longest_silent(now).is_some();
+        if !is_late && !is_missed {
+            board.feed_watchdog();
+        }
+    }
+
+    fn pressed(
+        &mut self,
+        press: Press,
+        master: &mut Master<N>,
+        now: Instant,
+        board: &mut impl Board,
+    ) {
+        match (&self.state, press) {
+            (State::Stopped, Press::Short) => {
+                for joint in self.joints.iter() {
+                    master.forget(joint.motor);
+                }
+                self.joints.clear();
+                self.enter(State::Finding(Script::find(self.setup.search, now)), board);
+            }
+            (State::Stopped, Press::Long) => {
+                let all = self.motors();
+                self.enter(State::ShuttingDown(Script::shut_down(all, now)), board);
+            }
+            (State::Stopped | State::Stopping { .. }, _) => {}
+            // The press that stops is used up: letting go does not start anything.
+            _ => {
+                self.button.use_up();
+                self.trouble(Trouble::Button, master, now, board);
+            }
+        }
+    }
+
+    fn go_on(
+        &mut self,
+        is_late: bool,
+        master: &mut Master<N>,
+        now: Instant,
+        board: &mut impl Board,
+    ) {
+        match &mut self.state {
+            State::Stopping { waiting, unconfirmed, until } => {
+                if waiting.is_empty() || now >= *until {
+                    let unconfirmed = waiting.iter().chain(unconfirmed.iter()).collect();
+                    board.log(&Report::Stopped { unconfirmed });
+                    self.enter(State::Stopped, board);
+                }
+            }
+            State::Stopped => self.watch.ask(&self.joints, &self.setup, master, now),
+            State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
+                match script.go_on(&self.setup, master, now) {
+                    Step::Waiting => {}
+                    Step::Refused(motor) => {
+                        self.trouble(Trouble::Refused { motor }, master, now, board)
+                    }
+                    Step::Over => self.script_is_over(master, now, board),
+                }
+            }
+            State::Running { cycles, overruns, .. } => {
+                *cycles = cycles.saturating_add(1);
+                *overruns = overruns.saturating_add(is_late.into());
+                self.control(master, now, board);
+            }
+        }
+    }
+
+    fn script_is_over(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
+        match &self.state {
+            State::Finding(_) if self.joints.is_empty() => {
+                self.trouble(Trouble::NoMotor, master, now, board);
+            }
+            State::Finding(_) => {
+                // Nothing moves yet; but opening a brake is refused while a stop is in force.
+                master.lift_stop();
+                self.enter(State::Preparing(Script::prepare(self.motors(), now)), board);
+            }
+            State::Preparing(script) if !script.is_about_angles() => {
+                self.state = State::Preparing(Script::angles(self.motors(), now + BRAKE_OPENS));
+            }
+            State::Preparing(_) => {
+                self.joints.iter_mut().for_each(|joint| joint.begin(now));
+                let next_second = now + SECOND;
+                self.enter(
+                    State::Running { since: now, cycles: 0, overruns: 0, next_second },
+                    board,
+                );
+            }
+            _ => self.stop(master, now, board),
+        }
+    }
+
+    /// One cycle of motion.
+    fn control(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
+        if let Some(motor) = self.longest_silent(now) {
+            let is_bus = self.joints.iter().all(|joint| joint.silence(now) > BUS_SILENT_AFTER);
+            let trouble = if is_bus { Trouble::BusDown } else { Trouble::Silent { motor } };
+            return self.trouble(trouble, master, now, board);
+        }
+        let State::Running { since, next_second, .. } = &self.state else { return };
+        let (since, is_second) = (*since, now >= *next_second);
+        for joint in &self.joints {
+            if !joint.put_set_point(&self.setup, now - since, master, now) {
+                let motor = joint.motor;
+                return self.trouble(Trouble::Refused { motor }, master, now, board);
+            }
+        }
+        self.watch.ask(&self.joints, &self.setup, master, now);
+        if is_second {
+            self.tell_second(master, board);
+        }
+    }
+
+    fn tell_second(&mut self, master: &Master<N>, board: &mut impl Board) {
+        let State::Running { cycles, overruns, next_second, .. } = &mut self.state else { return };
+        *next_second += SECOND;
+        let (cycles, overruns) = (*cycles, *overruns);
+        let lost = self.joints.iter().map(|j| u32::from(master.health(j.motor).lost)).sum();
+        let slowest = self.joints.iter_mut().map(Joint::take_answered).min().unwrap_or(0);
+        let stack = board.stack_used().unwrap_or(0);
+        board.log(&Report::Second { cycles, overruns, slowest, lost, stack });
+        for joint in &self.joints {
+            board.log(&Report::Measured { motor: joint.motor, angle: joint.angle });
+        }
+    }
+
+    /// The outcome of a request: the watch's or the script's.
+    fn handle_answer(
+        &mut self,
+        event: &Event,
+        master: &mut Master<N>,
+        now: Instant,
+        board: &mut impl Board,
+    ) {
+        let answer = self.watch.take(event).or_else(|| match &mut self.state {
+            State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
+                script.take(event)
+            }
+            _ => None,
+        });
+        let Some((motor, answer)) = answer else { return };
+        if let Some(trouble) = self.note(motor, answer, master, board) {
+            self.trouble(trouble, master, now, board);
+        }
+    }
+
+    /// Takes note of an answer; gives what is wrong with it.
+    fn note(
+        &mut self,
+        motor: MotorId,
+        answer: Answer,
+        master: &mut Master<N>,
+        board: &mut impl Board,
+    ) -> Option<Trouble> {
+        match answer {
+            Answer::None
+                if matches!(self.state, State::Finding(_)) && self.joint(motor).is_none() =>
+            {
+                // Nobody has this id.
+                master.forget(motor);
+                None
+            }
+            Answer::None => Some(Trouble::Silent { motor }),
+            Answer::Done => None,
+            Answer::Version(version_date) => {
+                let is_known = Firmware::of_version_date(version_date) == Some(self.setup.firmware);
+                let joint = Joint::new(motor, version_date);
+                match self.joints.push(joint) {
+                    _ if !is_known => Some(Trouble::OtherFirmware { motor, version_date }),
+                    Err(_) => Some(Trouble::Refused { motor }),
+                    Ok(()) => None,
+                }
+            }
+            Answer::Model(model) => {
+                let version_date = self.joint(motor)?.version_date;
+                board.log(&Report::Found { motor, model, version_date });
+                None
+            }
+            Answer::Errors(flags) if flags.is_empty() => None,
+            Answer::Errors(flags) => Some(Trouble::Errors { motor, flags }),
+            Answer::RunTime(run_time) => {
+                let has_restarted = self.joint(motor)?.has_restarted(run_time);
+                has_restarted.then_some(Trouble::Restarted { motor })
+            }
+            Answer::Angle(angle) => {
+                let is_preparing = matches!(self.state, State::Preparing(_));
+                let setup = self.setup;
+                let joint = self.joint(motor)?;
+                joint.angle = angle;
+                if is_preparing {
+                    joint.home = angle;
+                    if !joint.can_reach(&setup) {
+                        return Some(Trouble::OutOfRange { motor });
+                    }
+                    board.log(&Report::Ready { motor, angle });
+                }
+                None
+            }
+        }
+    }
+
+    /// Tells what is wrong and stops all motors. What is wrong while they are stopped already changes
+    /// nothing.
+    fn trouble(
+        &mut self,
+        trouble: Trouble,
+        master: &mut Master<N>,
+        now: Instant,
+        board: &mut impl Board,
+    ) {
+        if !matches!(self.state, State::Stopping { .. } | State::Stopped) {
+            board.log(&Report::Trouble(trouble));
+            self.stop(master, now, board);
+        }
+    }
+
+    fn stop(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
+        let all = if self.joints.is_empty() { self.setup.search } else { self.motors() };
+        // Those that the master has no place for stay unconfirmed.
+        let _ = master.stop_all(self.setup.stop, all, now);
+        let waiting: MotorSet = master.motors();
+        let unconfirmed = all.without(waiting);
+        let until = now + LONGEST_STOP;
+        self.enter(State::Stopping { waiting, unconfirmed, until }, board);
+    }
+
+    fn stop_is_over(&mut self, stopped: MotorId, is_confirmed: bool) {
+        if let State::Stopping { waiting, unconfirmed, .. } = &mut self.state {
+            waiting.remove(stopped);
+            if !is_confirmed {
+                unconfirmed.insert(stopped);
+            }
+        }
+    }
+
+    fn enter(&mut self, state: State, board: &mut impl Board) {
+        self.state = state;
+        board.log(&Report::State(self.state.name()));
+    }
+
+    fn is_running(&self) -> bool {
+        matches!(self.state, State::Running { .. })
+    }
+
+    /// The motor that was not heard for longest, if that is too long.
+    fn longest_silent(&self, now: Instant) -> Option<MotorId> {
+        let longest = self.joints.iter().max_by_key(|joint| joint.silence(now).as_micros())?;
+        (longest.silence(now) > SILENT_AFTER).then_some(longest.motor)
+    }
+
+    fn joint(&mut self, motor: MotorId) -> Option<&mut Joint> {
+        self.joints.iter_mut().find(|joint| joint.motor == motor)
+    }
+
+    fn motors(&self) -> MotorSet {
+        self.joints.iter().map(|joint| joint.motor).collect()
+    }
+
+    /// On while the motors run, blinking fast while it is busy, slowly while it waits.
+    fn is_light_on(&self, now: Instant) -> bool {
+        let blink =
+            |half_period_ms: u64| (now.as_micros() / (half_period_ms * 1_000)).is_multiple_of(2);
+        match self.state {
+            State::Running { .. } => true,
+            State::Stopped => blink(500),
+            _ => blink(100),
+        }
+    }
+}
+
+const fn half(span: Duration) -> Duration {
+    Duration::from_micros(span.as_micros() / 2)
+}

@@ -1,0 +1,188 @@
+//! Questions that are put to one motor after the other.
+
+use myactuator_protocol_core::command::{
+    Command, CommunicationLossProtection, ErrorFlags, LockBrake, ModelName, ReadModel,
+    ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadVersionDate, ReleaseBrake, Shutdown,
+    VersionDate,
+};
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::master::{Event, Master, MotorSet, Patience, TicketId};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::{Angle, Milliseconds};
+use myactuator_protocol_core::{Data, MotorId};
+
+use super::Setup;
+
+/// How long a write to ROM is waited for.
+const ROM_TIMEOUT: Duration = Duration::from_millis(50);
+
+/// What a motor is asked or told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Question {
+    VersionDate,
+    Model,
+    Errors,
+    Protection,
+    ReleaseBrake,
+    Angle,
+    RunTime,
+    LockBrake,
+    Shutdown,
+}
+
+/// What came of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Answer {
+    /// None came, or none that can be read.
+    None,
+    /// It was done.
+    Done,
+    Version(VersionDate),
+    Model(ModelName),
+    Errors(ErrorFlags),
+    Angle(Angle),
+    RunTime(Milliseconds),
+}
+
+impl Question {
+    /// Puts it to a motor.
+    pub(super) fn ask<const N: usize>(
+        self,
+        motor: MotorId,
+        setup: &Setup,
+        master: &mut Master<N>,
+        now: Instant,
+    ) -> Result<TicketId, RequestError> {
+        match self {
+            Self::VersionDate => master.request(motor, ReadVersionDate, now).map(|t| t.id()),
+            Self::Model => master.request(motor, ReadModel, now).map(|t| t.id()),
+            Self::Errors => master.request(motor, ReadStatus1, now).map(|t| t.id()),
+            Self::Protection => {
+                // Written to ROM each time, but to the same value, so a second time does no harm.
+                let command = CommunicationLossProtection { timeout: setup.protection };
+                let patience = Patience { reply_timeout: ROM_TIMEOUT, attempts: 3 };
+                master.request_with(motor, command, patience, now).map(|t| t.id())
+            }
+            Self::ReleaseBrake => master.request(motor, ReleaseBrake, now).map(|t| t.id()),
+            Self::Angle => master.request(motor, ReadMultiTurnAngle, now).map(|t| t.id()),
+            Self::RunTime => master.request(motor, ReadRunTime, now).map(|t| t.id()),
+            Self::LockBrake => master.request(motor, LockBrake, now).map(|t| t.id()),
+            Self::Shutdown => master.request(motor, Shutdown, now).map(|t| t.id()),
+        }
+    }
+
+    /// Reads the answer from an event, if it is that of this request.
+    pub(super) fn answer(self, ticket: TicketId, event: &Event) -> Option<Answer> {
+        match event {
+            Event::Reply { ticket: of, data, .. } if *of == ticket => {
+                Some(self.read(data).unwrap_or(Answer::None))
+            }
+            Event::Failed { ticket: of, .. } if *of == ticket => Some(Answer::None),
+            _ => None,
+        }
+    }
+
+    fn read(self, data: &Data) -> Option<Answer> {
+        let answer = match self {
+            Self::VersionDate => {
+                Answer::Version(ReadVersionDate::decode_reply(data).ok()?.version_date)
+            }
+            Self::Model => Answer::Model(ReadModel::decode_reply(data).ok()?.model),
+            Self::Errors => Answer::Errors(ReadStatus1::decode_reply(data).ok()?.errors),
+            Self::Angle => Answer::Angle(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
+            Self::RunTime => Answer::RunTime(ReadRunTime::decode_reply(data).ok()?.run_time),
+            Self::Protection | Self::ReleaseBrake | Self::LockBrake | Self::Shutdown => {
+                Answer::Done
+            }
+        };
+        Some(answer)
+    }
+}
+
+/// How far a script is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Step {
+    Waiting,
+    /// The master does not take the question to this motor.
+    Refused(MotorId),
+    Over,
+}
+
+/// The same questions to one motor after the other.
+#[derive(Debug)]
+pub(super) struct Script {
+    questions: &'static [Question],
+    /// The next one to be asked.
+    next: usize,
+    /// Motors that have not answered all questions, the one that is being asked among them.
+    left: MotorSet,
+    /// The one that was asked and has not answered.
+    asked: Option<TicketId>,
+    not_before: Instant,
+}
+
+impl Script {
+    /// Who is there, with what, and how is it?
+    pub(super) const fn find(motors: MotorSet, now: Instant) -> Self {
+        Self::new(&[Question::VersionDate, Question::Model, Question::Errors], motors, now)
+    }
+
+    /// What has to be done before a motor may run.
+    pub(super) const fn prepare(motors: MotorSet, now: Instant) -> Self {
+        Self::new(&[Question::Protection, Question::ReleaseBrake], motors, now)
+    }
+
+    /// Where are they, once their brakes are open? Asked last, for a shaft may sink when its brake opens.
+    pub(super) const fn angles(motors: MotorSet, not_before: Instant) -> Self {
+        Self::new(&[Question::Angle], motors, not_before)
+    }
+
+    /// The brakes first: without power the shafts are free.
+    pub(super) const fn shut_down(motors: MotorSet, now: Instant) -> Self {
+        Self::new(&[Question::LockBrake, Question::Shutdown], motors, now)
+    }
+
+    const fn new(questions: &'static [Question], motors: MotorSet, not_before: Instant) -> Self {
+        Self { questions, next: 0, left: motors, asked: None, not_before }
+    }
+
+    /// Whether this is the last part of getting ready.
+    pub(super) fn is_about_angles(&self) -> bool {
+        self.questions == [Question::Angle]
+    }
+
+    /// Asks the next question if nobody is being asked.
+    pub(super) fn go_on<const N: usize>(
+        &mut self,
+        setup: &Setup,
+        master: &mut Master<N>,
+        now: Instant,
+    ) -> Step {
+        if self.asked.is_some() || now < self.not_before {
+            return Step::Waiting;
+        }
+        let Some(motor) = self.left.iter().next() else { return Step::Over };
+        let Some(question) = self.questions.get(self.next) else { return Step::Over };
+        match question.ask(motor, setup, master, now) {
+            Ok(ticket) => {
+                self.asked = Some(ticket);
+                Step::Waiting
+            }
+            Err(RequestError::Busy) => Step::Waiting,
+            Err(_) => Step::Refused(motor),
+        }
+    }
+
+    /// The answer, if the event brings it. A motor that does not answer is not asked further.
+    pub(super) fn take(&mut self, event: &Event) -> Option<(MotorId, Answer)> {
+        let asked = self.asked?;
+        let answer = self.questions.get(self.next)?.answer(asked, event)?;
+        self.asked = None;
+        self.next += 1;
+        if answer == Answer::None || self.next == self.questions.len() {
+            self.left.remove(asked.motor());
+            self.next = 0;
+        }
+        Some((asked.motor(), answer))
+    }
+}

@@ -1,0 +1,57 @@
+//! One status in turn: of each motor its errors, its run time and its angle, beside the set-points.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::master::{Event, Master, TicketId};
+use myactuator_protocol_core::time::{Duration, Instant};
+
+use super::Setup;
+use super::joint::Joint;
+use super::script::{Answer, Question};
+
+/// How often a question is asked.
+const INTERVAL: Duration = Duration::from_millis(10);
+const QUESTIONS: [Question; 3] = [Question::Errors, Question::RunTime, Question::Angle];
+
+/// Whose turn it is.
+#[derive(Debug)]
+pub(super) struct Watch {
+    /// Counts the questions: all of one motor's, then the next motor's.
+    turn: usize,
+    asked: Option<(TicketId, Question)>,
+    next: Instant,
+}
+
+impl Watch {
+    pub(super) const fn new(now: Instant) -> Self {
+        Self { turn: 0, asked: None, next: now }
+    }
+
+    /// Asks the next question if it is time and nobody is being asked.
+    pub(super) fn ask<const N: usize>(
+        &mut self,
+        joints: &[Joint],
+        setup: &Setup,
+        master: &mut Master<N>,
+        now: Instant,
+    ) {
+        if self.asked.is_some() || now < self.next || joints.is_empty() {
+            return;
+        }
+        self.turn = (self.turn + 1) % (joints.len() * QUESTIONS.len());
+        let joint = &joints[self.turn / QUESTIONS.len()];
+        let question = QUESTIONS[self.turn % QUESTIONS.len()];
+        // A motor that is busy is asked in its next turn.
+        if let Ok(ticket) = question.ask(joint.motor, setup, master, now) {
+            self.asked = Some((ticket, question));
+        }
+        self.next = now + INTERVAL;
+    }
+
+    /// The answer, if the event brings it.
+    pub(super) fn take(&mut self, event: &Event) -> Option<(MotorId, Answer)> {
+        let (ticket, question) = self.asked?;
+        let answer = question.answer(ticket, event)?;
+        self.asked = None;
+        Some((ticket.motor(), answer))
+    }
+}

@@ -1,0 +1,134 @@
+//! What the application reports.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::{ErrorFlags, ModelName, VersionDate};
+use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::units::Angle;
+
+use crate::board::RestartCause;
+
+/// Something worth telling.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Report {
+    /// The firmware has started.
+    Started {
+        /// Why.
+        cause: RestartCause,
+    },
+    /// The application went on to another state.
+    State(StateName),
+    /// A motor answers.
+    Found {
+        /// Its id.
+        motor: MotorId,
+        /// Its model.
+        model: ModelName,
+        /// The date of its software.
+        version_date: VersionDate,
+    },
+    /// A motor is ready to run from here.
+    Ready {
+        /// The motor.
+        motor: MotorId,
+        /// Where its shaft is.
+        angle: Angle,
+    },
+    /// What made the application stop the motors, or not start them.
+    Trouble(Trouble),
+    /// The stop is over.
+    Stopped {
+        /// The motors that have not confirmed it: cut their power.
+        unconfirmed: MotorSet,
+    },
+    /// Every second while the motors run.
+    Second {
+        /// Cycles since the motors run.
+        cycles: u32,
+        /// Cycles of these that began more than half a period late.
+        overruns: u32,
+        /// Set-points that were answered in this second, of the motor with the fewest.
+        slowest: u16,
+        /// Commands without a reply in time since the start, of all motors.
+        lost: u32,
+        /// The deepest that the stack has been since the start, in bytes; 0 if the board cannot tell.
+        stack: u32,
+    },
+    /// Every second while the motors run, for each.
+    Measured {
+        /// The motor.
+        motor: MotorId,
+        /// Where its shaft is.
+        angle: Angle,
+    },
+}
+
+/// Why the motors are stopped.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Trouble {
+    /// The button was pressed.
+    Button,
+    /// No motor answers.
+    NoMotor,
+    /// A motor's firmware is not the one that this application is set up for: what it would make of
+    /// the same commands is not known.
+    OtherFirmware {
+        /// The motor.
+        motor: MotorId,
+        /// The date of its software.
+        version_date: VersionDate,
+    },
+    /// A motor reports errors.
+    Errors {
+        /// The motor.
+        motor: MotorId,
+        /// Which.
+        flags: ErrorFlags,
+    },
+    /// A motor is too far from zero to be moved from where it is.
+    OutOfRange {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// A motor does not answer, or what it answers cannot be read.
+    Silent {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// A motor has restarted: its turns may be lost.
+    Restarted {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// A motor had lost its master and has cut its output.
+    LostMaster {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// The master does not take a command for a motor.
+    Refused {
+        /// The motor.
+        motor: MotorId,
+    },
+    /// The bus driver reports an error, or no motor at all is heard any more.
+    BusDown,
+}
+
+/// The states of the application.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum StateName {
+    /// The motors are being stopped.
+    Stopping,
+    /// Waits for the button.
+    Stopped,
+    /// Asks for each motor's firmware, model and errors.
+    Finding,
+    /// Sets protections, opens brakes, reads where the shafts are.
+    Preparing,
+    /// Moves the motors.
+    Running,
+    /// Locks brakes and switches outputs off.
+    ShuttingDown,
+}

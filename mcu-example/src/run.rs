@@ -1,0 +1,77 @@
+//! The loop that every program ends in: [`run`] where the bus is polled, [`run_async`] where it is a
+//! task. Both do nothing but carry events and time to the [`App`].
+
+use myactuator_protocol_core::io::{AsyncRunner, Runner};
+
+use crate::app::{App, Setup};
+use crate::board::{Board, RestartCause};
+
+/// Runs the application for ever.
+pub fn run<const N: usize>(
+    bus: &mut impl Runner<N>,
+    board: &mut impl Board,
+    setup: Setup,
+    cause: RestartCause,
+) -> ! {
+    let now = bus.now();
+    let mut app = App::start(setup, cause, bus.master(), now, board);
+    loop {
+        cycle(&mut app, bus, board);
+    }
+}
+
+/// Runs one cycle: carries the bus until it is time, then begins the next cycle.
+pub fn cycle<const N: usize>(app: &mut App<N>, bus: &mut impl Runner<N>, board: &mut impl Board) {
+    while bus.now() < app.next_cycle() {
+        match bus.poll() {
+            Ok(Some(event)) => {
+                let now = bus.now();
+                app.handle_event(&event, bus.master(), now, board);
+            }
+            Ok(None) => bus.idle(app.next_cycle()),
+            Err(_) => {
+                let now = bus.now();
+                app.handle_bus_error(bus.master(), now, board);
+            }
+        }
+    }
+    let now = bus.now();
+    app.begin_cycle(bus.master(), now, board);
+}
+
+/// [`run`] as a task.
+pub async fn run_async<const N: usize>(
+    bus: &mut impl AsyncRunner<N>,
+    board: &mut impl Board,
+    setup: Setup,
+    cause: RestartCause,
+) -> ! {
+    let now = bus.now();
+    let mut app = App::start(setup, cause, bus.master(), now, board);
+    loop {
+        cycle_async(&mut app, bus, board).await;
+    }
+}
+
+/// [`cycle`] as a task.
+pub async fn cycle_async<const N: usize>(
+    app: &mut App<N>,
+    bus: &mut impl AsyncRunner<N>,
+    board: &mut impl Board,
+) {
+    while bus.now() < app.next_cycle() {
+        match bus.run(Some(app.next_cycle())).await {
+            Ok(Some(event)) => {
+                let now = bus.now();
+                app.handle_event(&event, bus.master(), now, board);
+            }
+            Ok(None) => {}
+            Err(_) => {
+                let now = bus.now();
+                app.handle_bus_error(bus.master(), now, board);
+            }
+        }
+    }
+    let now = bus.now();
+    app.begin_cycle(bus.master(), now, board);
+}
