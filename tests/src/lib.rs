@@ -1,6 +1,8 @@
 //! Helpers shared by the tests of the workspace.
 
 pub mod bench;
+#[cfg(feature = "emulator")]
+pub mod emulator;
 pub mod fleet;
 pub mod line;
 pub mod listen;

@@ -1,0 +1,1 @@
+//! The firmware of the emulated boards, end to end.

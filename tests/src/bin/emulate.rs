@@ -1,0 +1,104 @@
+//! Runs a board's firmware in the emulator, on a bus of simulated drives, for a person to look at:
+//! `cargo emulate mps2_an386 --bin rs485`.
+
+use std::error::Error;
+use std::io::{self, BufRead as _};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::mpsc::{self, Sender};
+use std::thread;
+use std::time::Duration;
+
+use myactuator_host_std::sim::Fleet;
+use myactuator_tests::emulator::board::{Board, Wire};
+use myactuator_tests::emulator::drives::Drives;
+use myactuator_tests::emulator::panel::{Breakage, Panel};
+use myactuator_tests::emulator::{Emulated, Failure};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+/// How many drives there are.
+const DRIVES: u8 = 4;
+
+const KEYS: &str = "\
+Enter presses the button: nothing moves before. \"long\" and Enter is a long press: it shuts the
+motors down when they are stopped. \"panic\", \"fault\", \"hang\" and \"overflow\" break the firmware.
+Ctrl-C ends all.";
+
+/// What comes from outside.
+enum Said {
+    Line(String),
+    End,
+}
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<(), Box<dyn Error + Send + Sync>> {
+    let mut arguments = std::env::args_os().skip(1);
+    let (Some(board), Some(image), None) = (arguments.next(), arguments.next(), arguments.next())
+    else {
+        return Err("this wants the name of a board and the file of its firmware".into());
+    };
+    let board: Board = board.to_string_lossy().parse()?;
+    let image = PathBuf::from(image);
+    let program = image.file_name().unwrap_or_default().to_string_lossy();
+    let wire = Wire::of_program(&program)?;
+
+    let (say, said) = mpsc::channel();
+    listen(say)?;
+    let drives = Drives::serve(&Fleet::new(DRIVES).brakes(true), wire)?;
+    println!("{board} in QEMU, with {DRIVES} simulated drives on {wire}.\n{KEYS}\n");
+    let mut emulated = Emulated::start(board, wire, &image, drives, |line| println!("{line}"))?;
+    loop {
+        match said.recv_timeout(Duration::from_millis(100)) {
+            Ok(Said::Line(line)) => obey(line.trim(), &mut emulated.panel)?,
+            Ok(Said::End) | Err(mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
+            Err(mpsc::RecvTimeoutError::Timeout) if emulated.log.is_open() => {}
+            Err(mpsc::RecvTimeoutError::Timeout) => {
+                return Err(format!("QEMU has ended: {}", emulated.qemu.complaints()).into());
+            }
+        }
+    }
+}
+
+fn obey(line: &str, panel: &mut Panel) -> Result<(), Failure> {
+    match line {
+        "" => panel.press(),
+        "long" => panel.hold(),
+        "panic" => panel.break_it(Breakage::Panic),
+        "fault" => panel.break_it(Breakage::Fault),
+        "hang" => panel.break_it(Breakage::Hang),
+        "overflow" => panel.break_it(Breakage::Overflow),
+        _ => {
+            println!("{KEYS}");
+            Ok(())
+        }
+    }
+}
+
+/// Hands on what is typed, and that it is time to end. The end of what is typed is not.
+fn listen(say: Sender<Said>) -> io::Result<()> {
+    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    let end = say.clone();
+    thread::spawn(move || {
+        if signals.forever().next().is_some() {
+            // Without a listener it has ended already.
+            let _ = end.send(Said::End);
+        }
+    });
+    thread::spawn(move || {
+        for line in io::stdin().lock().lines().map_while(Result::ok) {
+            if say.send(Said::Line(line)).is_err() {
+                return;
+            }
+        }
+    });
+    Ok(())
+}

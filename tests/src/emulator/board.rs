@@ -1,0 +1,119 @@
+//! Which boards are emulated, how, and where their wires are.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// A board that QEMU emulates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Board {
+    /// A Cortex-M4F with CMSDK peripherals, by Arm.
+    Mps2An386,
+    /// An STM32F405.
+    NetduinoPlus2,
+}
+
+/// What leads from a board to the motors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wire {
+    /// An RS485 line.
+    Rs485,
+    /// CAN, by an SLCAN adapter.
+    Slcan,
+}
+
+/// What a serial port of a board leads to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Port {
+    Bus,
+    Panel,
+    Nothing,
+}
+
+impl Board {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Mps2An386, Self::NetduinoPlus2];
+
+    /// The name of its package.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Mps2An386 => "mps2_an386",
+            Self::NetduinoPlus2 => "netduinoplus2",
+        }
+    }
+
+    /// QEMU's name for it.
+    pub(super) const fn machine(self) -> &'static str {
+        match self {
+            Self::Mps2An386 => "mps2-an386",
+            Self::NetduinoPlus2 => "netduinoplus2",
+        }
+    }
+
+    /// Where its serial ports lead, in QEMU's order; `None` if it has no such wire.
+    pub(super) const fn ports(self, wire: Wire) -> Option<&'static [Port]> {
+        match (self, wire) {
+            (Self::Mps2An386, Wire::Rs485) => Some(&[Port::Bus, Port::Nothing, Port::Panel]),
+            (Self::Mps2An386, Wire::Slcan) => Some(&[Port::Nothing, Port::Bus, Port::Panel]),
+            (Self::NetduinoPlus2, Wire::Rs485) => Some(&[Port::Bus, Port::Panel]),
+            (Self::NetduinoPlus2, Wire::Slcan) => None,
+        }
+    }
+}
+
+impl fmt::Display for Board {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Board {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        Self::ALL.into_iter().find(|board| board.name() == name).ok_or_else(|| {
+            let names = Self::ALL.map(Self::name).join(", ");
+            format!("no board \"{name}\" is emulated; emulated are: {names}")
+        })
+    }
+}
+
+impl Wire {
+    /// The wire of a program, which is named after it.
+    ///
+    /// # Errors
+    /// A sentence for a name that says nothing about a wire.
+    pub fn of_program(name: &str) -> Result<Self, String> {
+        match name.split('_').next() {
+            Some("rs485") => Ok(Self::Rs485),
+            Some("can") => Ok(Self::Slcan),
+            _ => Err(format!(
+                "a board's program is named after its bus, rs485… or can…, and not \"{name}\""
+            )),
+        }
+    }
+}
+
+impl fmt::Display for Wire {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Rs485 => "an RS485 line",
+            Self::Slcan => "a CAN bus behind an SLCAN adapter",
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_understood() {
+        for board in Board::ALL {
+            assert_eq!(board.name().parse(), Ok(board));
+        }
+        assert!("nucleo_f446re".parse::<Board>().unwrap_err().contains("mps2_an386, netduino"));
+        assert_eq!(Wire::of_program("rs485_async"), Ok(Wire::Rs485));
+        assert_eq!(Wire::of_program("can"), Ok(Wire::Slcan));
+        assert!(Wire::of_program("canvas").is_err());
+    }
+}

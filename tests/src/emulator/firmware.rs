@@ -1,0 +1,171 @@
+//! A board's firmware, its drives, and whoever looks at both.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use myactuator_host_std::sim::{DriveHandle, Fleet};
+use myactuator_protocol_core::time::Instant;
+
+use super::board::{Board, Wire};
+use super::drives::Drives;
+use super::image;
+use super::log::{Line, Mark, Second};
+use super::panel::Breakage;
+use super::truth::{Look, Truth};
+use super::{Emulated, Failure};
+
+/// They keep real time, so that several at once would miss it.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+/// Lines of the log that are shown when something is wrong.
+const TAIL: usize = 40;
+
+/// A firmware that runs. Everything ends when this is dropped.
+///
+/// Its methods panic where a test has failed, with the end of the log.
+#[derive(Debug)]
+pub struct Firmware {
+    emulated: Emulated,
+    /// What the shafts really did.
+    pub truth: Truth,
+    /// Up to where the log was read.
+    read: Mark,
+    _alone: MutexGuard<'static, ()>,
+}
+
+impl Firmware {
+    /// Starts a board's program, which is named after its bus, with these drives.
+    ///
+    /// # Panics
+    /// If it does not start: what is missing, and how to get it.
+    pub fn start(board: Board, program: &str, fleet: &Fleet) -> Self {
+        let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+        match Self::try_start(board, program, fleet, alone) {
+            Ok(firmware) => firmware,
+            Err(error) => panic!("{program} of {board} does not start: {error}"),
+        }
+    }
+
+    fn try_start(
+        board: Board,
+        program: &str,
+        fleet: &Fleet,
+        alone: MutexGuard<'static, ()>,
+    ) -> Result<Self, Failure> {
+        let wire = Wire::of_program(program)?;
+        let image = image::find(board, program)?;
+        let drives = Drives::serve(fleet, wire)?;
+        drives.listen();
+        let truth = Truth::observe(drives.handles().to_vec());
+        let emulated = Emulated::start(board, wire, &image, drives, |_| {})?;
+        Ok(Self { emulated, truth, read: Mark::default(), _alone: alone })
+    }
+
+    /// The drives that it moves.
+    pub fn drives(&self) -> &Drives {
+        &self.emulated.drives
+    }
+
+    /// A drive, by its id.
+    pub fn drive(&self, id: usize) -> &DriveHandle {
+        &self.emulated.drives.handles()[id - 1]
+    }
+
+    /// Presses the button.
+    pub fn press(&mut self) {
+        let pressed = self.emulated.panel.press();
+        self.expect(pressed);
+    }
+
+    /// Holds the button until that is a long press.
+    pub fn hold(&mut self) {
+        let held = self.emulated.panel.hold();
+        self.expect(held);
+    }
+
+    /// Breaks the firmware. Gives when, on the drives' clock.
+    pub fn break_it(&mut self, how: Breakage) -> Instant {
+        let now = self.emulated.drives.now();
+        let broken = self.emulated.panel.break_it(how);
+        self.expect(broken);
+        now
+    }
+
+    /// Whether the light is on.
+    pub fn is_light_on(&mut self) -> bool {
+        let is_on = self.emulated.panel.is_light_on();
+        self.expect(is_on)
+    }
+
+    /// The next line of the log that begins with `text`; those before it are skipped.
+    pub fn wait_for(&mut self, text: &str, within: Duration) -> Line {
+        match self.emulated.log.wait(self.read, within, |line| line.text.starts_with(text)) {
+            Some((line, read)) => {
+                self.read = read;
+                line
+            }
+            None => self.fail(&format!("the firmware does not say \"{text}\" within {within:?}")),
+        }
+    }
+
+    /// The next second that the application tells of.
+    pub fn wait_for_second(&mut self) -> Second {
+        let line = self.wait_for("Second", Duration::from_secs(3));
+        match line.second() {
+            Some(second) => second,
+            None => self.fail(&format!("this is no second: {line}")),
+        }
+    }
+
+    /// The lines that were not read yet. They stay so.
+    pub fn unread(&self) -> Vec<Line> {
+        self.emulated.log.since(self.read)
+    }
+
+    /// All lines from the start.
+    pub fn reports(&self) -> Vec<Line> {
+        self.emulated.log.since(Mark::default())
+    }
+
+    /// Skips what the log says until now.
+    pub fn skip(&mut self) {
+        self.read = self.emulated.log.mark();
+    }
+
+    /// Fails unless the log could be read without a gap.
+    pub fn check_log(&self) {
+        let garbled = self.emulated.log.garbled();
+        if garbled > 0 {
+            self.fail(&format!("{garbled} lines of the log cannot be read"));
+        }
+    }
+
+    /// Waits until a shaft turns faster than this, and gives when that was.
+    pub fn wait_until_moving(&self, id: usize, speed_dps: f32) -> Instant {
+        for _ in 0..2_000 {
+            let look = Look::at(self.drive(id));
+            if look.speed_dps.abs() > speed_dps {
+                return look.at;
+            }
+            thread::sleep(Duration::from_millis(2));
+        }
+        self.fail(&format!("motor {id} does not turn at {speed_dps} degrees a second"))
+    }
+
+    /// Fails, and shows what there is to see.
+    pub fn fail(&self, what: &str) -> ! {
+        let looks: Vec<Look> = self.emulated.drives.handles().iter().map(Look::at).collect();
+        panic!(
+            "{what}\nthe end of the log{}:\n{}drives: {looks:#?}\nsimulation: {:?}\nemulator: {:?}",
+            if self.emulated.log.is_open() { "" } else { ", and the emulator has ended" },
+            self.emulated.log.tail(TAIL),
+            self.emulated.drives.notices(),
+            self.emulated.qemu.complaints(),
+        )
+    }
+
+    fn expect<T>(&self, result: Result<T, Failure>) -> T {
+        result.unwrap_or_else(|error| self.fail(&error.to_string()))
+    }
+}

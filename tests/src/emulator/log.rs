@@ -1,0 +1,223 @@
+//! What the firmware tells.
+
+use std::fmt;
+use std::io::Read;
+use std::path::Path;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use defmt_decoder::{DecodeError, StreamDecoder, Table};
+
+use super::Failure;
+
+/// A line of the log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// When it came.
+    pub came: Instant,
+    /// The firmware's clock then, if it tells that.
+    pub at: Option<Duration>,
+    /// What it says.
+    pub text: String,
+}
+
+impl fmt::Display for Line {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(at) = self.at {
+            write!(f, "{:9.3} s  ", at.as_secs_f64())?;
+        }
+        f.write_str(&self.text)
+    }
+}
+
+/// What a running application tells every second.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Second {
+    /// Cycles since the motors run.
+    pub cycles: u32,
+    /// Cycles of these that began late.
+    pub overruns: u32,
+    /// Answered set-points of the motor with the fewest, in this second.
+    pub slowest: u32,
+    /// Commands without a reply in time since the start.
+    pub lost: u32,
+    /// The deepest stack since the start, in bytes.
+    pub stack: u32,
+}
+
+impl Line {
+    /// The number behind `field:`, as in `Second { cycles: 1000 }`.
+    pub fn number(&self, field: &str) -> Option<f64> {
+        let (_, rest) = self.text.split_once(&format!("{field}: "))?;
+        let is_of_number = |c: char| c.is_ascii_digit() || matches!(c, '.' | '-');
+        let number = rest.trim_start_matches(|c: char| !is_of_number(c));
+        number.split(|c| !is_of_number(c)).next()?.parse().ok()
+    }
+
+    /// What it tells of a second, if it is about that.
+    pub fn second(&self) -> Option<Second> {
+        if !self.text.starts_with("Second") {
+            return None;
+        }
+        let number = |field| self.number(field).map(|number| number as u32);
+        Some(Second {
+            cycles: number("cycles")?,
+            overruns: number("overruns")?,
+            slowest: number("slowest")?,
+            lost: number("lost")?,
+            stack: number("stack")?,
+        })
+    }
+}
+
+#[derive(Debug, Default)]
+struct Told {
+    lines: Vec<Line>,
+    /// Frames that could not be read.
+    garbled: usize,
+    /// Nobody tells anything any more.
+    is_over: bool,
+}
+
+/// All that a firmware has told. Clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct Log(Arc<(Mutex<Told>, Condvar)>);
+
+/// A place in a log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Mark(usize);
+
+impl Log {
+    /// Decodes what comes from `source` until it ends; calls `tell` with each line.
+    ///
+    /// # Errors
+    /// The image's file tells nothing about its log.
+    pub fn decode(
+        image: &Path,
+        mut source: impl Read + Send + 'static,
+        mut tell: impl FnMut(&Line) + Send + 'static,
+    ) -> Result<Self, Failure> {
+        let table = Table::parse(&std::fs::read(image)?)
+            .map_err(|error| format!("{}: {error}", image.display()))?
+            .ok_or_else(|| format!("{} has no defmt log", image.display()))?;
+        let log = Self::default();
+        let writer = log.clone();
+        thread::spawn(move || {
+            let mut decoder = table.new_stream_decoder();
+            let mut chunk = [0; 4096];
+            while let Ok(length @ 1..) = source.read(&mut chunk) {
+                decoder.received(chunk.get(..length).unwrap_or_default());
+                writer.take(decoder.as_mut(), &mut tell);
+            }
+            writer.lock().is_over = true;
+            writer.0.1.notify_all();
+        });
+        Ok(log)
+    }
+
+    fn take(&self, decoder: &mut dyn StreamDecoder, tell: &mut dyn FnMut(&Line)) {
+        loop {
+            let read = match decoder.decode() {
+                Ok(frame) => {
+                    let at = frame.display_timestamp().and_then(|at| seconds(&at.to_string()));
+                    let text = frame.display_message().to_string();
+                    Some(Line { came: Instant::now(), at, text })
+                }
+                Err(DecodeError::UnexpectedEof) => return,
+                Err(DecodeError::Malformed) => None,
+            };
+            if let Some(line) = &read {
+                tell(line);
+            }
+            let mut told = self.lock();
+            match read {
+                Some(line) => told.lines.push(line),
+                None => told.garbled += 1,
+            }
+            self.0.1.notify_all();
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Told> {
+        self.0.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Here.
+    pub fn mark(&self) -> Mark {
+        Mark(self.lock().lines.len())
+    }
+
+    /// Everything behind a mark.
+    pub fn since(&self, mark: Mark) -> Vec<Line> {
+        self.lock().lines.get(mark.0..).unwrap_or_default().to_vec()
+    }
+
+    /// How many frames could not be read.
+    pub fn garbled(&self) -> usize {
+        self.lock().garbled
+    }
+
+    /// Whether the firmware can still tell something.
+    pub fn is_open(&self) -> bool {
+        !self.lock().is_over
+    }
+
+    /// The first line behind `mark` that satisfies, with the mark behind it; waits for that.
+    pub fn wait(
+        &self,
+        mark: Mark,
+        within: Duration,
+        is_it: impl Fn(&Line) -> bool,
+    ) -> Option<(Line, Mark)> {
+        let until = Instant::now() + within;
+        let mut told = self.lock();
+        let mut next = mark.0;
+        loop {
+            while let Some(line) = told.lines.get(next) {
+                next += 1;
+                if is_it(line) {
+                    return Some((line.clone(), Mark(next)));
+                }
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if told.is_over || left.is_zero() {
+                return None;
+            }
+            (told, _) = self.0.1.wait_timeout(told, left).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// The last lines, as a person reads them.
+    pub fn tail(&self, lines: usize) -> String {
+        let told = self.lock();
+        let skipped = told.lines.len().saturating_sub(lines);
+        told.lines.iter().skip(skipped).map(|line| format!("  {line}\n")).collect()
+    }
+}
+
+/// A time stamp: seconds, with a point.
+fn seconds(text: &str) -> Option<Duration> {
+    Duration::try_from_secs_f64(text.trim().parse().ok()?).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(text: &str) -> Line {
+        Line { came: Instant::now(), at: None, text: text.into() }
+    }
+
+    #[test]
+    fn numbers_are_found_by_their_names() {
+        let measured = line("Measured { motor: motor 3, angle: Angle(-1250) }");
+        assert_eq!(measured.number("motor"), Some(3.0));
+        assert_eq!(measured.number("angle"), Some(-1_250.0));
+        assert_eq!(measured.number("speed"), None);
+        assert_eq!(measured.second(), None);
+        let told = "Second { cycles: 3000, overruns: 2, slowest: 214, lost: 1, stack: 1736 }";
+        let expected = Second { cycles: 3_000, overruns: 2, slowest: 214, lost: 1, stack: 1_736 };
+        assert_eq!(line(told).second(), Some(expected));
+    }
+}

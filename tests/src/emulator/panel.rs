@@ -1,0 +1,134 @@
+//! The button, and ways to break the firmware.
+
+use std::io::{ErrorKind, Read as _, Write as _};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::Failure;
+
+/// How long a short press lasts.
+const SHORT: Duration = Duration::from_millis(80);
+/// How long a long press lasts: the application takes one of a second for long.
+const LONG: Duration = Duration::from_millis(1_300);
+/// How long QEMU has for its start.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A way to break the firmware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Breakage {
+    /// It panics.
+    Panic,
+    /// It does what the processor forbids.
+    Fault,
+    /// It does not go on.
+    Hang,
+    /// It uses up its stack.
+    Overflow,
+}
+
+/// Whoever stands in front of the board.
+#[derive(Debug)]
+pub struct Panel {
+    socket: UnixStream,
+    is_light_on: bool,
+}
+
+/// A panel that waits for its board.
+#[derive(Debug)]
+pub(super) struct Waiting(UnixListener);
+
+impl Waiting {
+    pub(super) fn at(path: &Path) -> Result<Self, Failure> {
+        let listener = UnixListener::bind(path)?;
+        listener.set_nonblocking(true)?;
+        Ok(Self(listener))
+    }
+
+    pub(super) fn connect(self, is_alive: impl Fn() -> bool) -> Result<Panel, Failure> {
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE && is_alive() {
+            match self.0.accept() {
+                Ok((socket, _)) => {
+                    socket.set_nonblocking(true)?;
+                    return Ok(Panel { socket, is_light_on: false });
+                }
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                    thread::sleep(Duration::from_millis(5));
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Err("the emulator does not start".into())
+    }
+}
+
+impl Panel {
+    /// Presses the button and lets go.
+    ///
+    /// # Errors
+    /// The emulator has gone.
+    pub fn press(&mut self) -> Result<(), Failure> {
+        self.press_for(SHORT)
+    }
+
+    /// Holds the button until that is a long press, and lets go.
+    ///
+    /// # Errors
+    /// The emulator has gone.
+    pub fn hold(&mut self) -> Result<(), Failure> {
+        self.press_for(LONG)
+    }
+
+    fn press_for(&mut self, span: Duration) -> Result<(), Failure> {
+        self.send(b'B')?;
+        thread::sleep(span);
+        self.send(b'b')
+    }
+
+    /// Breaks the firmware.
+    ///
+    /// # Errors
+    /// The emulator has gone.
+    pub fn break_it(&mut self, how: Breakage) -> Result<(), Failure> {
+        self.send(match how {
+            Breakage::Panic => b'p',
+            Breakage::Fault => b'f',
+            Breakage::Hang => b'h',
+            Breakage::Overflow => b'o',
+        })
+    }
+
+    fn send(&mut self, byte: u8) -> Result<(), Failure> {
+        Ok(self.socket.write_all(&[byte])?)
+    }
+
+    /// Whether the light is on just now.
+    ///
+    /// # Errors
+    /// The emulator has gone.
+    pub fn is_light_on(&mut self) -> Result<bool, Failure> {
+        let mut told = [0; 64];
+        loop {
+            match self.socket.read(&mut told) {
+                Ok(0) => return Err("the emulator has gone".into()),
+                Ok(length) => {
+                    for byte in told.iter().take(length) {
+                        match byte {
+                            b'L' => self.is_light_on = true,
+                            b'l' => self.is_light_on = false,
+                            other => {
+                                return Err(format!("the panel was told {other:#04X}").into());
+                            }
+                        }
+                    }
+                }
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                    return Ok(self.is_light_on);
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Where the shafts really were, and when they stood still.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::Duration as WallTime;
+
+use myactuator_host_std::sim::DriveHandle;
+use myactuator_protocol_core::time::{Duration, Instant};
+
+/// How often the shafts are looked at.
+const INTERVAL: WallTime = WallTime::from_millis(2);
+/// A shaft that turns slower than this stands still, degrees per second: a held shaft trembles within
+/// the last step of its encoder.
+const STILL_DPS: f32 = 1.0;
+
+/// A drive at a moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// When.
+    pub at: Instant,
+    /// True angle of the output shaft, degrees.
+    pub angle_deg: f32,
+    /// True speed of the output shaft, degrees per second.
+    pub speed_dps: f32,
+    /// Whether the drive's output is on.
+    pub is_output_on: bool,
+}
+
+impl Look {
+    /// At a drive, now.
+    pub fn at(drive: &DriveHandle) -> Self {
+        drive.with(|drive| Self {
+            at: drive.clock(),
+            angle_deg: drive.plant().output_angle_deg() as f32,
+            speed_dps: drive.plant().output_speed_dps() as f32,
+            is_output_on: drive.state().output_on,
+        })
+    }
+
+    /// Whether the shaft stands still.
+    pub fn is_still(&self) -> bool {
+        self.speed_dps.abs() < STILL_DPS
+    }
+}
+
+/// Looks at all shafts again and again until it is dropped.
+#[derive(Debug)]
+pub struct Truth {
+    looks: Arc<Mutex<Vec<Vec<Look>>>>,
+    is_over: Arc<AtomicBool>,
+    observer: Option<JoinHandle<()>>,
+}
+
+impl Truth {
+    /// Begins.
+    pub fn observe(drives: Vec<DriveHandle>) -> Self {
+        let looks = Arc::new(Mutex::new(vec![Vec::new(); drives.len()]));
+        let is_over = Arc::<AtomicBool>::default();
+        let (all, until) = (Arc::clone(&looks), Arc::clone(&is_over));
+        let observer = thread::spawn(move || {
+            while !until.load(Ordering::Relaxed) {
+                {
+                    let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
+                    for (of_drive, drive) in all.iter_mut().zip(&drives) {
+                        let look = Look::at(drive);
+                        if of_drive.last().is_none_or(|last: &Look| last.at < look.at) {
+                            of_drive.push(look);
+                        }
+                    }
+                }
+                thread::sleep(INTERVAL);
+            }
+        });
+        Self { looks, is_over, observer: Some(observer) }
+    }
+
+    /// What was seen of each drive from `since` to `until`.
+    pub fn between(&self, since: Instant, until: Instant) -> Vec<Vec<Look>> {
+        let all = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
+        let within = |look: &&Look| look.at >= since && look.at < until;
+        all.iter().map(|looks| looks.iter().filter(within).copied().collect()).collect()
+    }
+
+    /// How long after `since` each shaft still moved, as far as it was seen.
+    pub fn moved_for(&self, since: Instant) -> Vec<Duration> {
+        let all = self.between(since, Instant::from_micros(u64::MAX));
+        let last = |looks: &Vec<Look>| {
+            let moving = looks.iter().rfind(|look| !look.is_still());
+            moving.map_or(Duration::ZERO, |look| look.at - since)
+        };
+        all.iter().map(last).collect()
+    }
+
+    /// The smallest and the largest angle of each shaft from `since` to `until`, degrees.
+    pub fn reached_deg(&self, since: Instant, until: Instant) -> Vec<(f32, f32)> {
+        let all = self.between(since, until);
+        let reached = |looks: &Vec<Look>| {
+            looks.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(least, most), look| {
+                (least.min(look.angle_deg), most.max(look.angle_deg))
+            })
+        };
+        all.iter().map(reached).collect()
+    }
+}
+
+impl Drop for Truth {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        if let Some(observer) = self.observer.take() {
+            // A panic there has been told already.
+            let _ = observer.join();
+        }
+    }
+}
