@@ -84,8 +84,10 @@ const BRAKE_OPENS: Duration = Duration::from_millis(200);
 const LONGEST_STOP: Duration = Duration::from_secs(1);
 /// A running motor that was not heard for so long has gone.
 const SILENT_AFTER: Duration = Duration::from_millis(100);
-/// If none was heard for so long when one has gone, it is the bus that has.
-const BUS_SILENT_AFTER: Duration = Duration::from_millis(50);
+/// If none at all was heard for so long when one has gone, it is the bus that has.
+const BUS_SILENT_AFTER: Duration = Duration::from_millis(15);
+/// The watchdog is fed only as long as each running motor was heard within this time.
+const SEEN_WITHIN: Duration = Duration::from_millis(50);
 const SECOND: Duration = Duration::from_secs(1);
 
 /// The state, with what belongs to it.
@@ -205,8 +207,8 @@ impl<const N: usize> App<N> {
         }
 
         board.set_light(self.is_light_on(now));
-        let is_missed = self.is_running() && self.longest_silent(now).is_some();
-        if !is_late && !is_missed {
+        let sees_its_motors = !self.is_running() || self.longest_silence(now).1 <= SEEN_WITHIN;
+        if !is_late && sees_its_motors {
             board.feed_watchdog();
         }
     }
@@ -285,7 +287,8 @@ impl<const N: usize> App<N> {
             State::Preparing(script) if !script.is_about_angles() => {
                 self.state = State::Preparing(Script::angles(self.motors(), now + BRAKE_OPENS));
             }
-            State::Preparing(_) => {
+            State::ShuttingDown(_) => self.stop(master, now, board),
+            _ => {
                 self.joints.iter_mut().for_each(|joint| joint.begin(now));
                 let next_second = now + SECOND;
                 self.enter(
@@ -293,16 +296,15 @@ impl<const N: usize> App<N> {
                     board,
                 );
             }
-            _ => self.stop(master, now, board),
         }
     }
 
     /// One cycle of motion.
     fn control(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
-        if let Some(motor) = self.longest_silent(now) {
-            let is_bus = self.joints.iter().all(|joint| joint.silence(now) > BUS_SILENT_AFTER);
-            let trouble = if is_bus { Trouble::BusDown } else { Trouble::Silent { motor } };
-            return self.trouble(trouble, master, now, board);
+        if let (Some(motor), silence) = self.longest_silence(now)
+            && silence > SILENT_AFTER
+        {
+            return self.trouble(self.silent(motor, now), master, now, board);
         }
         let State::Running { since, next_second, .. } = &self.state else { return };
         let (since, is_second) = (*since, now >= *next_second);
@@ -346,7 +348,7 @@ impl<const N: usize> App<N> {
             _ => None,
         });
         let Some((motor, answer)) = answer else { return };
-        if let Some(trouble) = self.note(motor, answer, master, board) {
+        if let Some(trouble) = self.note(motor, answer, master, now, board) {
             self.trouble(trouble, master, now, board);
         }
     }
@@ -357,6 +359,7 @@ impl<const N: usize> App<N> {
         motor: MotorId,
         answer: Answer,
         master: &mut Master<N>,
+        now: Instant,
         board: &mut impl Board,
     ) -> Option<Trouble> {
         match answer {
@@ -367,7 +370,7 @@ impl<const N: usize> App<N> {
                 master.forget(motor);
                 None
             }
-            Answer::None => Some(Trouble::Silent { motor }),
+            Answer::None => Some(self.silent(motor, now)),
             Answer::Done => None,
             Answer::Version(version_date) => {
                 let is_known = Firmware::of_version_date(version_date) == Some(self.setup.firmware);
@@ -423,8 +426,13 @@ impl<const N: usize> App<N> {
 
     fn stop(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
         let all = if self.joints.is_empty() { self.setup.search } else { self.motors() };
+        // Once the brakes are being locked, holding on would be no shutdown.
+        let kind = match self.state {
+            State::ShuttingDown(_) => StopKind::Off,
+            _ => self.setup.stop,
+        };
         // Those that the master has no place for stay unconfirmed.
-        let _ = master.stop_all(self.setup.stop, all, now);
+        let _ = master.stop_all(kind, all, now);
         let waiting: MotorSet = master.motors();
         let unconfirmed = all.without(waiting);
         let until = now + LONGEST_STOP;
@@ -449,10 +457,17 @@ impl<const N: usize> App<N> {
         matches!(self.state, State::Running { .. })
     }
 
-    /// The motor that was not heard for longest, if that is too long.
-    fn longest_silent(&self, now: Instant) -> Option<MotorId> {
-        let longest = self.joints.iter().max_by_key(|joint| joint.silence(now).as_micros())?;
-        (longest.silence(now) > SILENT_AFTER).then_some(longest.motor)
+    /// The motor that was not heard for longest, and for how long.
+    fn longest_silence(&self, now: Instant) -> (Option<MotorId>, Duration) {
+        let silences = self.joints.iter().map(|joint| (Some(joint.motor), joint.silence(now)));
+        silences.max_by_key(|&(_, silence)| silence).unwrap_or((None, Duration::ZERO))
+    }
+
+    /// What it means that this motor is not heard.
+    fn silent(&self, motor: MotorId, now: Instant) -> Trouble {
+        let is_bus = self.is_running()
+            && self.joints.iter().all(|joint| joint.silence(now) > BUS_SILENT_AFTER);
+        if is_bus { Trouble::BusDown } else { Trouble::Silent { motor } }
     }
 
     fn joint(&mut self, motor: MotorId) -> Option<&mut Joint> {
