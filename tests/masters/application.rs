@@ -2,7 +2,7 @@
 
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet, LineFleet};
 use myactuator_mcu_example::{
-    App, Board, Movement, Report, RestartCause, Setup, StateName, Trouble, cycle,
+    App, Board, Moment, Movement, Report, RestartCause, Setup, StateName, Trouble, cycle,
 };
 use myactuator_protocol_core::command::{ErrorFlags, MotionRanges, VersionDate};
 use myactuator_protocol_core::io::Runner;
@@ -86,7 +86,8 @@ impl<'a, B: Moved> Firmware<'a, B> {
     fn start(bus: &'a B, panel: Panel) -> Self {
         let (mut runner, mut panel) = (bus.master(), panel);
         let now = runner.now();
-        let app = App::start(B::setup(), RestartCause::Power, runner.master(), now, &mut panel);
+        let at = &mut Moment { now, master: runner.master(), board: &mut panel };
+        let app = App::start(B::setup(), RestartCause::Power, at);
         Self { bus, runner, app, panel }
     }
 
