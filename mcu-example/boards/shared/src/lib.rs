@@ -31,4 +31,4 @@ mod stack;
 
 pub use note::take_note;
 pub use restart::restart;
-pub use stack::{stack_size, stack_used};
+pub use stack::{guard_stack, stack_size, stack_used};

@@ -9,7 +9,7 @@ use heapless::spsc::{Consumer, Producer};
 use tock_registers::interfaces::{Readable, Writeable};
 
 use super::{RECEIVED, UNSENT};
-use crate::clock::something_has_happened;
+use crate::clock::{something_has_happened, wake_emulator};
 use crate::device::{UartId, UartInterrupts, UartState, interrupt};
 
 /// The interrupts' ends of the queues.
@@ -95,6 +95,7 @@ pub(super) fn discard_unsent(id: UartId) {
 fn received(id: UartId) {
     with(id, |carrier| carrier.receive(id));
     something_has_happened();
+    wake_emulator();
 }
 
 fn sent(id: UartId) {
