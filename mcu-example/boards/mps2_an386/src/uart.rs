@@ -104,8 +104,7 @@ impl Uart {
 
     /// Writes as much as there is room for, without waiting.
     pub fn try_write(&mut self, bytes: &[u8]) -> usize {
-        let taken =
-            bytes.iter().take_while(|&&byte| self.unsent.enqueue(byte).is_ok()).count();
+        let taken = bytes.iter().take_while(|&&byte| self.unsent.enqueue(byte).is_ok()).count();
         // The interrupt for sending comes only after a byte has left.
         carrier::carry(self.id);
         taken

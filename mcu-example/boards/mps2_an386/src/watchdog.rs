@@ -20,9 +20,7 @@ impl Watchdog {
         let registers = watchdog();
         registers.lock.set(UNLOCKED);
         registers.load.set(CLOCK_HZ / 1_000 * BITES_AFTER_MS);
-        registers
-            .control
-            .write(WatchdogControl::INTERRUPT::SET + WatchdogControl::RESET::SET);
+        registers.control.write(WatchdogControl::INTERRUPT::SET + WatchdogControl::RESET::SET);
         registers.lock.set(LOCKED);
         Self(())
     }

@@ -24,9 +24,8 @@ struct Port {
     lost: AtomicU32,
 }
 
-static PORTS: [Port; 3] = [const {
-    Port { carrier: Mutex::new(RefCell::new(None)), lost: AtomicU32::new(0) }
-}; 3];
+static PORTS: [Port; 3] =
+    [const { Port { carrier: Mutex::new(RefCell::new(None)), lost: AtomicU32::new(0) } }; 3];
 
 const fn port(id: UartId) -> &'static Port {
     &PORTS[id as usize]
