@@ -30,5 +30,5 @@ mod restart;
 mod stack;
 
 pub use note::take_note;
-pub use restart::restart;
+pub use restart::{restart, say_last_words};
 pub use stack::{stack_size, stack_used};
