@@ -46,7 +46,8 @@ pub fn start() -> Hardware {
     let clocks = Config::hse(8.MHz()).bypass_hse_oscillator();
     let clocks = clocks.sysclk(180.MHz()).pclk1(45.MHz()).pclk2(90.MHz());
     let mut rcc = chip.RCC.freeze(clocks);
-    let timers = TimerClocks { tim2: 90, systick: 180 };
+    let timers =
+        TimerClocks { tim2: rcc.clocks.timclk1().to_MHz(), systick: rcc.clocks.hclk().to_MHz() };
     let time = TimeBase::start(chip.TIM2, core.SYST, &mut rcc, timers);
 
     let a = chip.GPIOA.split(&mut rcc);
