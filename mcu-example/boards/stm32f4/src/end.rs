@@ -9,6 +9,11 @@ use myactuator_mcu_example::RestartCause;
 use myactuator_protocol_core::Packet;
 
 use crate::motors;
+use crate::time::Countdown;
+
+/// What a debugger needs to fetch the message: the restart begins a new log. With the last words before
+/// it, still less than what makes a watchdog bite.
+const FETCH_MICROS: u32 = 50_000;
 
 /// Stops the motors, tells where it panicked, and restarts. `send` is as [`say_last_words`] wants it.
 pub fn panic(info: &PanicInfo<'_>, send: impl FnMut(&Packet)) -> ! {
@@ -18,6 +23,7 @@ pub fn panic(info: &PanicInfo<'_>, send: impl FnMut(&Packet)) -> ! {
     if !PANICS.swap(true, Ordering::Relaxed) {
         say_last_words(RestartCause::Panic, motors(), send);
         defmt::error!("{}", defmt::Display2Format(info));
+        Countdown::of_micros(FETCH_MICROS).wait_unless(|| false);
     }
     SCB::sys_reset()
 }
