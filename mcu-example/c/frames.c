@@ -80,7 +80,7 @@ bool c_encode_motion(const struct motion_set_point *set_point, uint8_t data[DATA
 
 static float symmetric_value(uint32_t step, float max, float last)
 {
-    return (float)step * (2.0f * max / last) - max;
+    return (float)step * (2.0f * max) / last - max; /* in this order the last step is `max` itself */
 }
 
 void c_decode_motion(const uint8_t data[DATA_LENGTH], struct motion_feedback *feedback)

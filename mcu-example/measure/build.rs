@@ -20,6 +20,7 @@ fn c() {
     cc::Build::new()
         .files(["frames.c", "rs485.c"].map(|file| format!("{folder}/{file}")))
         .opt_level(2)
+        .force_frame_pointer(false) // as plain -O2
         .warnings(true)
         .extra_warnings(true)
         .warnings_into_errors(true)
