@@ -1,0 +1,21 @@
+//! Motors on CAN at 1 Mbit/s, moved in motion mode.
+#![no_std]
+#![no_main]
+
+use cortex_m_rt::entry;
+use mps2_an386::{Bus, Parts, SLCAN_LINE_RATE, Slcan, start};
+use myactuator_mcu_example::{Movement, Setup, run};
+use myactuator_protocol_core::command::MotionRanges;
+use myactuator_protocol_core::io::CanMaster;
+use myactuator_protocol_core::master::Config;
+
+#[entry]
+fn main() -> ! {
+    // Gentle: 5 degrees away from where it is to be, a motor turns back with less than 2 N·m.
+    let movement = Movement::Motion { ranges: MotionRanges::V4_3, kp: 20.0, kd: 1.0 };
+    let setup = Setup::new(movement);
+    let Parts { cause, clock, uart, mut board } = start(Bus::Slcan, SLCAN_LINE_RATE, &setup);
+    let can = Slcan::open(uart, clock);
+    let mut bus = CanMaster::<_, _, 8>::new(can, clock, Config::CAN);
+    run(&mut bus, &mut board, setup, cause)
+}

@@ -1,0 +1,73 @@
+//! Button, light, watchdog and log.
+
+use core::hint::black_box;
+
+use myactuator_mcu_example::{Board, Report};
+
+use crate::uart::Uart;
+use crate::watchdog::Watchdog;
+
+/// The board around the bus. Button and light are a panel on UART 2, a byte for each change: `B` the
+/// button goes down, `b` it comes up; `L` the light is on, `l` it is off.
+///
+/// Four more bytes do what a broken firmware does: `p` panics, `f` faults, `h` hangs with interrupts
+/// off, `o` overflows the stack.
+#[derive(Debug)]
+pub struct Mps2 {
+    panel: Uart,
+    watchdog: Watchdog,
+    is_button_down: bool,
+    is_light_on: bool,
+}
+
+impl Mps2 {
+    pub(crate) const fn new(panel: Uart, watchdog: Watchdog) -> Self {
+        Self { panel, watchdog, is_button_down: false, is_light_on: false }
+    }
+}
+
+impl Board for Mps2 {
+    fn is_button_down(&mut self) -> bool {
+        // One a call, so that no press is missed that is over already.
+        match self.panel.try_read() {
+            Some(b'B') => self.is_button_down = true,
+            Some(b'b') => self.is_button_down = false,
+            Some(b'p') => panic!("the panel asked for it"),
+            Some(b'f') => cortex_m::asm::udf(),
+            Some(b'h') => cortex_m::interrupt::free(|_| loop {
+                cortex_m::asm::nop();
+            }),
+            Some(b'o') => {
+                overflow(0);
+            }
+            _ => {}
+        }
+        self.is_button_down
+    }
+
+    fn set_light(&mut self, on: bool) {
+        // A panel that takes nothing is told the next time.
+        if on != self.is_light_on && self.panel.try_write(if on { b"L" } else { b"l" }) == 1 {
+            self.is_light_on = on;
+        }
+    }
+
+    fn feed_watchdog(&mut self) {
+        self.watchdog.feed();
+    }
+
+    fn log(&mut self, report: &Report) {
+        defmt::info!("{}", report);
+    }
+
+    fn stack_used(&mut self) -> Option<u32> {
+        Some(board_shared::stack_used())
+    }
+}
+
+#[allow(unconditional_recursion, reason = "that is what it is for")]
+#[inline(never)]
+fn overflow(depth: u32) -> u32 {
+    let frame = black_box([depth; 16]);
+    overflow(depth + 1) + black_box(frame)[0]
+}

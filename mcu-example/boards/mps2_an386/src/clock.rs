@@ -1,0 +1,105 @@
+//! The time, and sleeping until it is time.
+
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+use cortex_m_rt::interrupt;
+use myactuator_protocol_core::io;
+use myactuator_protocol_core::time::{Duration, Instant};
+use tock_registers::interfaces::{Readable, Writeable};
+
+use crate::device::{
+    CLOCK_HZ, Interrupt, TimerControl, TimerInterrupt, interrupt, timer0, timer1, unmask,
+};
+
+const TICKS_A_MICRO: u32 = CLOCK_HZ / 1_000_000;
+/// Timer 0 begins again after 2^27 microseconds, or 134 seconds: the most that fits its 32 bits as whole
+/// microseconds, so that reading the time takes no division of 64 bits.
+const WRAP_BITS: u32 = 27;
+const RELOAD: u32 = (TICKS_A_MICRO << WRAP_BITS) - 1;
+
+/// The longest sleep. Its ticks fit 32 bits.
+const LONGEST_SLEEP: Duration = Duration::from_millis(100);
+
+/// How often timer 0 has begun again.
+static WRAPS: AtomicU32 = AtomicU32::new(0);
+/// Something has happened since this was last looked at, so that there may be something to do.
+static HAS_HAPPENED: AtomicBool = AtomicBool::new(false);
+
+/// Microseconds since the start, from timer 0; timer 1 ends the sleep in [`idle`](io::Clock::idle).
+///
+/// It never goes back. It would lose 134 seconds if interrupts were off for as long as that; the
+/// watchdog bites long before.
+#[derive(Clone, Copy, Debug)]
+pub struct Clock(());
+
+impl Clock {
+    /// Starts the timers. Call it once.
+    pub(crate) fn start() -> Self {
+        let control = TimerControl::ENABLE::SET + TimerControl::INTERRUPT::SET;
+        timer0().reload.set(RELOAD);
+        timer0().value.set(RELOAD);
+        timer0().control.write(control);
+        // Once only, each time; the first is for nothing.
+        timer1().reload.set(0);
+        timer1().value.set(RELOAD);
+        timer1().control.write(control);
+        unmask(&[Interrupt::TIMER0, Interrupt::TIMER1]);
+        Self(())
+    }
+
+    /// Waits without sleeping. Needs no interrupt.
+    pub(crate) fn wait(self, span: Duration) {
+        let until = io::Clock::now(&self) + span;
+        while io::Clock::now(&self) < until {}
+    }
+}
+
+impl io::Clock for Clock {
+    fn now(&self) -> Instant {
+        let (wraps, ticks_left) = critical_section::with(|_| {
+            let ticks_left = timer0().value.get();
+            let wraps = WRAPS.load(Ordering::Relaxed);
+            if timer0().interrupt.is_set(TimerInterrupt::PENDING) {
+                // It has begun again, before or after it was read, and nobody has counted that yet.
+                (wraps + 1, timer0().value.get())
+            } else {
+                (wraps, ticks_left)
+            }
+        });
+        let micros = (RELOAD - ticks_left) / TICKS_A_MICRO;
+        Instant::from_micros((u64::from(wraps) << WRAP_BITS) + u64::from(micros))
+    }
+
+    /// Sleeps until then, or until a byte comes or leaves.
+    fn idle(&self, until: Instant) {
+        let span = (until - self.now()).min(LONGEST_SLEEP);
+        let ticks = span.as_micros() as u32 * TICKS_A_MICRO;
+        if ticks == 0 {
+            return;
+        }
+        // With interrupts off, so that none falls between the look and the sleep: a pending one ends
+        // the sleep all the same.
+        critical_section::with(|_| {
+            if !HAS_HAPPENED.swap(false, Ordering::Relaxed) {
+                timer1().value.set(ticks);
+                cortex_m::asm::wfi();
+            }
+        });
+    }
+}
+
+/// Whoever sleeps has to look again. For interrupts.
+pub(crate) fn something_has_happened() {
+    HAS_HAPPENED.store(true, Ordering::Relaxed);
+}
+
+#[interrupt]
+fn TIMER0() {
+    WRAPS.fetch_add(1, Ordering::Relaxed);
+    timer0().interrupt.write(TimerInterrupt::PENDING::SET);
+}
+
+#[interrupt]
+fn TIMER1() {
+    timer1().interrupt.write(TimerInterrupt::PENDING::SET);
+}

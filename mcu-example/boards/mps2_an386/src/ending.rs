@@ -1,0 +1,148 @@
+//! The last words, and the exceptions that lead to them.
+
+use core::cell::Cell;
+use core::panic::PanicInfo;
+
+use board_shared::on_fresh_stack;
+use critical_section::Mutex;
+use myactuator_mcu_example::RestartCause;
+use myactuator_protocol_core::Packet;
+use myactuator_protocol_core::io::Clock as _;
+use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::wire::can::SimpleFrame;
+use myactuator_protocol_core::wire::rs485;
+use tock_registers::interfaces::{Readable, Writeable};
+
+use crate::clock::Clock;
+use crate::device::{UartControl, UartId, UartState};
+use crate::slcan;
+
+/// How a bus is spoken on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bus {
+    /// An RS485 line on UART 0.
+    Rs485,
+    /// CAN behind an SLCAN adapter on UART 1.
+    Slcan,
+}
+
+impl Bus {
+    /// The UART that it is on.
+    pub const fn uart(self) -> UartId {
+        match self {
+            Self::Rs485 => UartId::Uart0,
+            Self::Slcan => UartId::Uart1,
+        }
+    }
+
+    /// How long a motor may take to answer before the next command, where both share a line. The bus's
+    /// reply time-out is longer: it has room for delays that there are none of here.
+    const fn pause(self) -> Duration {
+        match self {
+            Self::Rs485 => Duration::from_millis(3),
+            Self::Slcan => Duration::ZERO,
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct LastWords {
+    bus: Bus,
+    motors: MotorSet,
+    clock: Clock,
+}
+
+static LAST_WORDS: Mutex<Cell<Option<LastWords>>> = Mutex::new(Cell::new(None));
+
+/// From here on, whatever ends the firmware stops these motors on this bus first.
+pub(crate) fn prepare_last_words(bus: Bus, motors: MotorSet, clock: Clock) {
+    let words = LastWords { bus, motors, clock };
+    critical_section::with(|cs| LAST_WORDS.borrow(cs).set(Some(words)));
+}
+
+fn end(cause: RestartCause) -> ! {
+    let words = critical_section::with(|cs| LAST_WORDS.borrow(cs).get());
+    let Some(LastWords { bus, motors, clock }) = words else {
+        board_shared::restart(cause, MotorSet::EMPTY, |_| {});
+    };
+    let mut voice = Voice::new(bus, clock);
+    board_shared::restart(cause, motors, |packet| voice.say(packet))
+}
+
+/// Sends without interrupts.
+struct Voice {
+    bus: Bus,
+    clock: Clock,
+    has_begun: bool,
+    /// The UART has taken nothing for too long.
+    is_stuck: bool,
+}
+
+/// A UART that takes no byte for so long is given up: a hundred times what one takes.
+const LONGEST_BYTE: Duration = Duration::from_millis(1);
+
+impl Voice {
+    fn new(bus: Bus, clock: Clock) -> Self {
+        Self { bus, clock, has_begun: false, is_stuck: false }
+    }
+
+    fn say(&mut self, packet: &Packet) {
+        if !core::mem::replace(&mut self.has_begun, true) {
+            self.begin();
+        }
+        match self.bus {
+            Bus::Rs485 => {
+                if let Some(frame) = rs485::Frame::from_packet(packet) {
+                    self.write(&frame.encode());
+                }
+            }
+            Bus::Slcan => self.write(&slcan::line(&SimpleFrame::from_packet(packet))),
+        }
+        self.clock.wait(self.bus.pause());
+    }
+
+    /// What was under way is cut off in the middle: drives and adapter have to see its end.
+    fn begin(&mut self) {
+        self.bus
+            .uart()
+            .registers()
+            .control
+            .write(UartControl::TX_ENABLE::SET + UartControl::RX_ENABLE::SET);
+        match self.bus {
+            Bus::Rs485 => self.clock.wait(self.bus.pause()),
+            Bus::Slcan => self.write(b"\r"),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        let registers = self.bus.uart().registers();
+        for &byte in bytes {
+            let until = self.clock.now() + LONGEST_BYTE;
+            while registers.state.is_set(UartState::TX_FULL) && !self.is_stuck {
+                self.is_stuck = self.clock.now() > until;
+            }
+            if self.is_stuck {
+                return;
+            }
+            registers.data.set(byte.into());
+        }
+    }
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo) -> ! {
+    end(RestartCause::Panic)
+}
+
+extern "C" fn fault() -> ! {
+    end(RestartCause::Fault)
+}
+
+/// The watchdog's first end is the non-maskable interrupt.
+extern "C" fn not_fed() -> ! {
+    end(RestartCause::Watchdog)
+}
+
+on_fresh_stack!(HardFault => fault);
+on_fresh_stack!(NonMaskableInt => not_fed);
