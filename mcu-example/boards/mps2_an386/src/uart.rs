@@ -1,6 +1,7 @@
 //! A driver for the CMSDK UART: interrupts carry the bytes between it and two queues.
 
 mod carrier;
+mod tasks;
 
 use core::fmt;
 
@@ -104,8 +105,7 @@ impl Uart {
 
     /// Writes as much as there is room for, without waiting.
     pub fn try_write(&mut self, bytes: &[u8]) -> usize {
-        let taken =
-            bytes.iter().take_while(|&&byte| self.unsent.enqueue(byte).is_ok()).count();
+        let taken = bytes.iter().take_while(|&&byte| self.unsent.enqueue(byte).is_ok()).count();
         // The interrupt for sending comes only after a byte has left.
         carrier::carry(self.id);
         taken
@@ -119,6 +119,12 @@ impl Uart {
     /// Drops what was written and has not left yet.
     pub fn discard_unsent(&mut self) {
         carrier::discard_unsent(self.id);
+    }
+
+    /// Takes what was received and fits, without waiting.
+    fn take_received(&mut self, buf: &mut [u8]) -> usize {
+        let bytes = core::iter::from_fn(|| self.received.dequeue());
+        buf.iter_mut().zip(bytes).map(|(place, byte)| *place = byte).count()
     }
 
     fn has_sent(&self) -> bool {
@@ -159,8 +165,7 @@ impl Read for Uart {
         while !self.received.ready() {
             self.clock.idle(Instant::from_micros(u64::MAX));
         }
-        let bytes = core::iter::from_fn(|| self.received.dequeue());
-        Ok(buf.iter_mut().zip(bytes).map(|(place, byte)| *place = byte).count())
+        Ok(self.take_received(buf))
     }
 }
 
