@@ -44,12 +44,18 @@ pub async fn sleep() -> ! {
     loop {
         // With interrupts off, so that none falls between the look and the sleep: a pending one ends
         // the sleep all the same.
-        critical_section::with(|_| {
-            if !IS_WOKEN.swap(false, Ordering::Relaxed) {
+        let is_woken = critical_section::with(|_| {
+            let is_woken = IS_WOKEN.swap(false, Ordering::Relaxed);
+            if !is_woken {
                 wfi();
             }
+            is_woken
         });
         yield_now().await;
+        if is_woken {
+            // In the executor's round that begins now, the one that was woken may come after this one.
+            yield_now().await;
+        }
     }
 }
 
