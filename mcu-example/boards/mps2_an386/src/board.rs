@@ -34,8 +34,10 @@ impl Board for Mps2 {
             Some(b'b') => self.is_button_down = false,
             Some(b'p') => panic!("the panel asked for it"),
             Some(b'f') => cortex_m::asm::udf(),
-            Some(b'h') => cortex_m::interrupt::free(|_| loop {
-                cortex_m::asm::nop();
+            Some(b'h') => cortex_m::interrupt::free(|_| {
+                loop {
+                    cortex_m::asm::nop();
+                }
             }),
             Some(b'o') => {
                 overflow(0);

@@ -18,6 +18,10 @@ const TICKS_A_MICRO: u32 = CLOCK_HZ / 1_000_000;
 const WRAP_BITS: u32 = 27;
 const RELOAD: u32 = (TICKS_A_MICRO << WRAP_BITS) - 1;
 
+/// The shortest sleep, for when it is time already: then what is to be sent waits for a bus that takes
+/// nothing, which an interrupt ends. A processor that polled instead would keep the emulator from serving
+/// the UART.
+const SHORTEST_SLEEP: Duration = Duration::from_micros(50);
 /// The longest sleep. Its ticks fit 32 bits.
 const LONGEST_SLEEP: Duration = Duration::from_millis(100);
 
@@ -83,13 +87,10 @@ impl io::Clock for Clock {
         Instant::from_micros((u64::from(wraps) << WRAP_BITS) + u64::from(micros))
     }
 
-    /// Sleeps until then, or until a byte comes or leaves.
+    /// Sleeps until then, or until a byte comes or leaves; for a moment also if it is time already.
     fn idle(&self, until: Instant) {
-        let span = (until - self.now()).min(LONGEST_SLEEP);
+        let span = (until - self.now()).clamp(SHORTEST_SLEEP, LONGEST_SLEEP);
         let ticks = span.as_micros() as u32 * TICKS_A_MICRO;
-        if ticks == 0 {
-            return;
-        }
         // With interrupts off, so that none falls between the look and the sleep: a pending one ends
         // the sleep all the same.
         critical_section::with(|_| {
@@ -105,6 +106,12 @@ impl io::Clock for Clock {
 pub(crate) fn something_has_happened() {
     HAS_HAPPENED.store(true, Ordering::Relaxed);
     tasks::wake();
+}
+
+/// A byte was taken from a UART. QEMU offers it the next one only when something wakes the thread that
+/// serves its devices, which a processor that is busy does not do: setting a timer does.
+pub(crate) fn wake_emulator() {
+    timer1().value.set(TICKS_A_MICRO);
 }
 
 #[interrupt]

@@ -36,11 +36,11 @@ impl Bus {
         }
     }
 
-    /// How long a motor may take to answer before the next command, where both share a line. The bus's
-    /// reply time-out is longer: it has room for delays that there are none of here.
+    /// How long a motor may take to answer before the next command, where both share a line: as long as
+    /// the master waits.
     const fn pause(self) -> Duration {
         match self {
-            Self::Rs485 => Duration::from_millis(3),
+            Self::Rs485 => Duration::from_millis(5),
             Self::Slcan => Duration::ZERO,
         }
     }

@@ -58,6 +58,10 @@ pub struct Parts {
 /// From here on whatever ends the program stops this setup's motors on this bus, and the watchdog runs.
 pub fn start(bus: Bus, bit_rate: u32, setup: &Setup) -> Parts {
     let cause = board_shared::take_note().unwrap_or(RestartCause::Power);
+    if let Some(mut core) = cortex_m::Peripherals::take() {
+        // Below RAM there is a device that takes all and does nothing.
+        board_shared::guard_stack(&mut core.MPU);
+    }
     let clock = Clock::start();
     let queues = singleton!(: Queues = Queues::new()).expect("called once");
     let uart = Uart::start(bus.uart(), bit_rate, clock, queues);

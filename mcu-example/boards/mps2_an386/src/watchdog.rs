@@ -6,7 +6,7 @@ use crate::device::{CLOCK_HZ, WatchdogControl, watchdog};
 
 /// It bites after so long: the non-maskable interrupt comes, which ends the firmware. Should even that
 /// hang, the same time again is left until the reset.
-const BITES_AFTER_MS: u32 = 150;
+const BITES_AFTER_MS: u32 = 200;
 const UNLOCKED: u32 = 0x1ACC_E551;
 const LOCKED: u32 = 0;
 
@@ -20,9 +20,7 @@ impl Watchdog {
         let registers = watchdog();
         registers.lock.set(UNLOCKED);
         registers.load.set(CLOCK_HZ / 1_000 * BITES_AFTER_MS);
-        registers
-            .control
-            .write(WatchdogControl::INTERRUPT::SET + WatchdogControl::RESET::SET);
+        registers.control.write(WatchdogControl::INTERRUPT::SET + WatchdogControl::RESET::SET);
         registers.lock.set(LOCKED);
         Self(())
     }

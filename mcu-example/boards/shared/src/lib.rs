@@ -15,7 +15,8 @@
 //! _stack_end = ORIGIN(STACK);
 //! ```
 //!
-//! Its binaries do the rest in three lines:
+//! Where there is something below RAM all the same, [`guard_stack`] makes it fault. The binaries do the
+//! rest in three lines:
 //!
 //! ```ignore
 //! board_shared::on_fresh_stack!(HardFault => fault);
@@ -31,4 +32,4 @@ mod stack;
 
 pub use note::take_note;
 pub use restart::restart;
-pub use stack::{stack_size, stack_used};
+pub use stack::{guard_stack, stack_size, stack_used};

@@ -124,7 +124,7 @@ fn parse_frame(line: &[u8]) -> Option<SimpleFrame> {
 
 /// Up to eight hexadecimal digits.
 fn number(digits: &[u8]) -> Option<u32> {
-    digits.iter().try_fold(0, |value: u32, &digit| {
-        Some(value << 4 | char::from(digit).to_digit(16)?)
-    })
+    digits
+        .iter()
+        .try_fold(0, |value: u32, &digit| Some(value << 4 | char::from(digit).to_digit(16)?))
 }

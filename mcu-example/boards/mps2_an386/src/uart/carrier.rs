@@ -9,7 +9,7 @@ use heapless::spsc::{Consumer, Producer};
 use tock_registers::interfaces::{Readable, Writeable};
 
 use super::{RECEIVED, UNSENT};
-use crate::clock::something_has_happened;
+use crate::clock::{something_has_happened, wake_emulator};
 use crate::device::{UartId, UartInterrupts, UartState, interrupt};
 
 /// The interrupts' ends of the queues.
@@ -24,9 +24,8 @@ struct Port {
     lost: AtomicU32,
 }
 
-static PORTS: [Port; 3] = [const {
-    Port { carrier: Mutex::new(RefCell::new(None)), lost: AtomicU32::new(0) }
-}; 3];
+static PORTS: [Port; 3] =
+    [const { Port { carrier: Mutex::new(RefCell::new(None)), lost: AtomicU32::new(0) } }; 3];
 
 const fn port(id: UartId) -> &'static Port {
     &PORTS[id as usize]
@@ -95,6 +94,7 @@ pub(super) fn discard_unsent(id: UartId) {
 fn received(id: UartId) {
     with(id, |carrier| carrier.receive(id));
     something_has_happened();
+    wake_emulator();
 }
 
 fn sent(id: UartId) {
