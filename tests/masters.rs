@@ -1,6 +1,7 @@
 //! The master against simulated drives. What takes long is a program of its own, `master_truth`.
 
 mod masters {
+    mod application;
     mod bring_up;
     mod losses;
     mod streams;

@@ -29,7 +29,7 @@ mod last_words;
 mod report;
 mod run;
 
-pub use app::{App, Movement, Setup};
+pub use app::{App, Moment, Movement, Setup};
 pub use board::{Board, RestartCause};
 pub use last_words::last_words;
 pub use report::{Report, StateName, Trouble};

@@ -3,7 +3,7 @@
 
 use myactuator_protocol_core::io::{AsyncRunner, Runner};
 
-use crate::app::{App, Setup};
+use crate::app::{App, Moment, Setup};
 use crate::board::{Board, RestartCause};
 
 /// Runs the application for ever.
@@ -14,7 +14,7 @@ pub fn run<const N: usize>(
     cause: RestartCause,
 ) -> ! {
     let now = bus.now();
-    let mut app = App::start(setup, cause, bus.master(), now, board);
+    let mut app = App::start(setup, cause, &mut Moment { now, master: bus.master(), board });
     loop {
         cycle(&mut app, bus, board);
     }
@@ -26,17 +26,17 @@ pub fn cycle<const N: usize>(app: &mut App<N>, bus: &mut impl Runner<N>, board: 
         match bus.poll() {
             Ok(Some(event)) => {
                 let now = bus.now();
-                app.handle_event(&event, bus.master(), now, board);
+                app.handle_event(&event, &mut Moment { now, master: bus.master(), board });
             }
             Ok(None) => bus.idle(app.next_cycle()),
             Err(_) => {
                 let now = bus.now();
-                app.handle_bus_error(bus.master(), now, board);
+                app.handle_bus_error(&mut Moment { now, master: bus.master(), board });
             }
         }
     }
     let now = bus.now();
-    app.begin_cycle(bus.master(), now, board);
+    app.begin_cycle(&mut Moment { now, master: bus.master(), board });
 }
 
 /// [`run`] as a task.
@@ -47,7 +47,7 @@ pub async fn run_async<const N: usize>(
     cause: RestartCause,
 ) -> ! {
     let now = bus.now();
-    let mut app = App::start(setup, cause, bus.master(), now, board);
+    let mut app = App::start(setup, cause, &mut Moment { now, master: bus.master(), board });
     loop {
         cycle_async(&mut app, bus, board).await;
     }
@@ -63,15 +63,15 @@ pub async fn cycle_async<const N: usize>(
         match bus.run(Some(app.next_cycle())).await {
             Ok(Some(event)) => {
                 let now = bus.now();
-                app.handle_event(&event, bus.master(), now, board);
+                app.handle_event(&event, &mut Moment { now, master: bus.master(), board });
             }
             Ok(None) => {}
             Err(_) => {
                 let now = bus.now();
-                app.handle_bus_error(bus.master(), now, board);
+                app.handle_bus_error(&mut Moment { now, master: bus.master(), board });
             }
         }
     }
     let now = bus.now();
-    app.begin_cycle(bus.master(), now, board);
+    app.begin_cycle(&mut Moment { now, master: bus.master(), board });
 }

@@ -4,79 +4,23 @@ mod button;
 mod joint;
 mod path;
 mod script;
+mod setup;
 mod watch;
 
 use heapless::Vec;
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::firmware::Firmware;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{Angle, MaxSpeed, Milliseconds};
-use myactuator_protocol_core::{MotorId, command::MotionRanges};
 
 use self::button::{Button, Press};
 use self::joint::Joint;
 use self::script::{Answer, Script, Step};
+pub use self::setup::{Movement, Setup};
 use self::watch::Watch;
 use crate::board::{Board, RestartCause};
 use crate::report::{Report, StateName, Trouble};
-
-/// How the motors are moved: to and fro, each around the place where it was found.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Movement {
-    /// In motion mode, which only CAN has.
-    Motion {
-        /// The scales of these motors' firmware.
-        ranges: MotionRanges,
-        /// Gain on the position error, N·m/rad.
-        kp: f32,
-        /// Gain on the velocity error, N·m·s/rad.
-        kd: f32,
-    },
-    /// By positions (0xA4), on either bus.
-    Position {
-        /// The fastest turning.
-        max_speed: MaxSpeed,
-    },
-}
-
-/// What a product would set.
-#[derive(Clone, Copy, Debug)]
-pub struct Setup {
-    /// Where motors are looked for.
-    pub search: MotorSet,
-    /// The firmware that all of them must have.
-    pub firmware: Firmware,
-    /// How they are moved.
-    pub movement: Movement,
-    /// How far they turn away from where they were found.
-    pub amplitude: Angle,
-    /// How long it takes there and back.
-    pub period: Duration,
-    /// The cycle.
-    pub cycle: Duration,
-    /// After how long without a command a motor cuts its output by itself (0xB3).
-    pub protection: Milliseconds,
-    /// How motors are stopped.
-    pub stop: StopKind,
-}
-
-impl Setup {
-    /// Motors 1 to 8 of firmware V4.3, moved to and fro by 20 degrees within 2 s, 1000 set-points a
-    /// second; stopped, they hold still.
-    pub fn new(movement: Movement) -> Self {
-        Self {
-            search: MotorId::all().take(8).collect(),
-            firmware: Firmware::V4_3,
-            movement,
-            amplitude: Angle::from_raw(2_000),
-            period: Duration::from_secs(2),
-            cycle: Duration::from_millis(1),
-            protection: Milliseconds::from_raw(500),
-            stop: StopKind::Hold,
-        }
-    }
-}
 
 /// How long a brake takes to open at the most: 50 to 150 ms were seen.
 const BRAKE_OPENS: Duration = Duration::from_millis(200);
@@ -84,8 +28,10 @@ const BRAKE_OPENS: Duration = Duration::from_millis(200);
 const LONGEST_STOP: Duration = Duration::from_secs(1);
 /// A running motor that was not heard for so long has gone.
 const SILENT_AFTER: Duration = Duration::from_millis(100);
-/// If none was heard for so long when one has gone, it is the bus that has.
-const BUS_SILENT_AFTER: Duration = Duration::from_millis(50);
+/// If none at all was heard for so long when one has gone, it is the bus that has.
+const BUS_SILENT_AFTER: Duration = Duration::from_millis(15);
+/// The watchdog is fed only as long as each running motor was heard within this time.
+const SEEN_WITHIN: Duration = Duration::from_millis(50);
 const SECOND: Duration = Duration::from_secs(1);
 
 /// The state, with what belongs to it.
@@ -112,6 +58,17 @@ impl State {
     }
 }
 
+/// What the application works with at one moment.
+#[derive(Debug)]
+pub struct Moment<'a, const N: usize, B> {
+    /// Takes commands.
+    pub master: &'a mut Master<N>,
+    /// The time.
+    pub now: Instant,
+    /// The board.
+    pub board: &'a mut B,
+}
+
 /// The application of a bus with up to `N` motors: told every event and the beginning of every cycle,
 /// it says to the [`Master`] what is to be done.
 #[derive(Debug)]
@@ -127,23 +84,17 @@ pub struct App<const N: usize> {
 impl<const N: usize> App<N> {
     /// Begins with a stop to all motors that may be there, whatever the cause of the start: they may
     /// have gone on while nobody watched.
-    pub fn start(
-        setup: Setup,
-        cause: RestartCause,
-        master: &mut Master<N>,
-        now: Instant,
-        board: &mut impl Board,
-    ) -> Self {
-        board.log(&Report::Started { cause });
+    pub fn start(setup: Setup, cause: RestartCause, at: &mut Moment<'_, N, impl Board>) -> Self {
+        at.board.log(&Report::Started { cause });
         let mut app = Self {
             setup,
             state: State::Stopped,
             joints: Vec::new(),
-            watch: Watch::new(now),
+            watch: Watch::new(at.now),
             button: Button::new(),
-            next_cycle: now,
+            next_cycle: at.now,
         };
-        app.stop(master, now, board);
+        app.stop(at);
         app
     }
 
@@ -153,13 +104,7 @@ impl<const N: usize> App<N> {
     }
 
     /// Takes note of an event. Call it with each as soon as it comes.
-    pub fn handle_event(
-        &mut self,
-        event: &Event,
-        master: &mut Master<N>,
-        now: Instant,
-        board: &mut impl Board,
-    ) {
+    pub fn handle_event(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
         match *event {
             Event::StopConfirmed { motor } => self.stop_is_over(motor, true),
             Event::StopUnconfirmed { motor } => self.stop_is_over(motor, false),
@@ -169,176 +114,151 @@ impl<const N: usize> App<N> {
                     Movement::Position { .. } => None,
                 };
                 if let Some(joint) = self.joint(motor) {
-                    joint.feedback(&reply, ranges, now);
+                    joint.feedback(&reply, ranges, at.now);
                 }
             }
             Event::Report { motor, reply: AnyReply::ReadStatus1(status) }
                 if !status.errors.is_empty() =>
             {
-                self.trouble(Trouble::Errors { motor, flags: status.errors }, master, now, board);
+                self.trouble(Trouble::Errors { motor, flags: status.errors }, at);
             }
             Event::LostMaster { motor } if self.joint(motor).is_some() => {
-                self.trouble(Trouble::LostMaster { motor }, master, now, board);
+                self.trouble(Trouble::LostMaster { motor }, at);
             }
-            _ => self.handle_answer(event, master, now, board),
+            _ => self.handle_answer(event, at),
         }
     }
 
     /// The bus driver reports an error.
-    pub fn handle_bus_error(
-        &mut self,
-        master: &mut Master<N>,
-        now: Instant,
-        board: &mut impl Board,
-    ) {
-        self.trouble(Trouble::BusDown, master, now, board);
+    pub fn handle_bus_error(&mut self, at: &mut Moment<'_, N, impl Board>) {
+        self.trouble(Trouble::BusDown, at);
     }
 
     /// Begins a cycle: [`next_cycle`](Self::next_cycle) is over.
-    pub fn begin_cycle(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
-        let is_late = now > self.next_cycle + half(self.setup.cycle);
-        self.next_cycle = if is_late { now } else { self.next_cycle } + self.setup.cycle;
+    pub fn begin_cycle(&mut self, at: &mut Moment<'_, N, impl Board>) {
+        let is_late = at.now > self.next_cycle + half(self.setup.cycle);
+        self.next_cycle = if is_late { at.now } else { self.next_cycle } + self.setup.cycle;
 
-        match self.button.look(board.is_button_down(), now) {
-            Some(press) => self.pressed(press, master, now, board),
-            None => self.go_on(is_late, master, now, board),
+        match self.button.look(at.board.is_button_down(), at.now) {
+            Some(press) => self.pressed(press, at),
+            None => self.go_on(is_late, at),
         }
 
-        board.set_light(self.is_light_on(now));
-        let is_missed = self.is_running() && self.longest_silent(now).is_some();
-        if !is_late && !is_missed {
-            board.feed_watchdog();
+        at.board.set_light(self.is_light_on(at.now));
+        let sees_its_motors = !self.is_running() || self.longest_silence(at.now).1 <= SEEN_WITHIN;
+        if !is_late && sees_its_motors {
+            at.board.feed_watchdog();
         }
     }
 
-    fn pressed(
-        &mut self,
-        press: Press,
-        master: &mut Master<N>,
-        now: Instant,
-        board: &mut impl Board,
-    ) {
+    fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
             (State::Stopped, Press::Short) => {
                 for joint in self.joints.iter() {
-                    master.forget(joint.motor);
+                    at.master.forget(joint.motor);
                 }
                 self.joints.clear();
-                self.enter(State::Finding(Script::find(self.setup.search, now)), board);
+                self.enter(State::Finding(Script::find(self.setup.search, at.now)), at);
             }
             (State::Stopped, Press::Long) => {
                 let all = self.motors();
-                self.enter(State::ShuttingDown(Script::shut_down(all, now)), board);
+                self.enter(State::ShuttingDown(Script::shut_down(all, at.now)), at);
             }
             (State::Stopped | State::Stopping { .. }, _) => {}
             // The press that stops is used up: letting go does not start anything.
             _ => {
                 self.button.use_up();
-                self.trouble(Trouble::Button, master, now, board);
+                self.trouble(Trouble::Button, at);
             }
         }
     }
 
-    fn go_on(
-        &mut self,
-        is_late: bool,
-        master: &mut Master<N>,
-        now: Instant,
-        board: &mut impl Board,
-    ) {
+    fn go_on(&mut self, is_late: bool, at: &mut Moment<'_, N, impl Board>) {
         match &mut self.state {
             State::Stopping { waiting, unconfirmed, until } => {
-                if waiting.is_empty() || now >= *until {
+                if waiting.is_empty() || at.now >= *until {
                     let unconfirmed = waiting.iter().chain(unconfirmed.iter()).collect();
-                    board.log(&Report::Stopped { unconfirmed });
-                    self.enter(State::Stopped, board);
+                    at.board.log(&Report::Stopped { unconfirmed });
+                    self.enter(State::Stopped, at);
                 }
             }
-            State::Stopped => self.watch.ask(&self.joints, &self.setup, master, now),
+            State::Stopped => self.watch.ask(&self.joints, &self.setup, at.master, at.now),
             State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
-                match script.go_on(&self.setup, master, now) {
+                match script.go_on(&self.setup, at.master, at.now) {
                     Step::Waiting => {}
-                    Step::Refused(motor) => {
-                        self.trouble(Trouble::Refused { motor }, master, now, board)
-                    }
-                    Step::Over => self.script_is_over(master, now, board),
+                    Step::Refused(motor) => self.trouble(Trouble::Refused { motor }, at),
+                    Step::Over => self.script_is_over(at),
                 }
             }
             State::Running { cycles, overruns, .. } => {
                 *cycles = cycles.saturating_add(1);
                 *overruns = overruns.saturating_add(is_late.into());
-                self.control(master, now, board);
+                self.control(at);
             }
         }
     }
 
-    fn script_is_over(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
+    fn script_is_over(&mut self, at: &mut Moment<'_, N, impl Board>) {
         match &self.state {
             State::Finding(_) if self.joints.is_empty() => {
-                self.trouble(Trouble::NoMotor, master, now, board);
+                self.trouble(Trouble::NoMotor, at);
             }
             State::Finding(_) => {
                 // Nothing moves yet; but opening a brake is refused while a stop is in force.
-                master.lift_stop();
-                self.enter(State::Preparing(Script::prepare(self.motors(), now)), board);
+                at.master.lift_stop();
+                self.enter(State::Preparing(Script::prepare(self.motors(), at.now)), at);
             }
             State::Preparing(script) if !script.is_about_angles() => {
-                self.state = State::Preparing(Script::angles(self.motors(), now + BRAKE_OPENS));
+                self.state = State::Preparing(Script::angles(self.motors(), at.now + BRAKE_OPENS));
             }
-            State::Preparing(_) => {
-                self.joints.iter_mut().for_each(|joint| joint.begin(now));
-                let next_second = now + SECOND;
+            State::ShuttingDown(_) => self.stop(at),
+            _ => {
+                self.joints.iter_mut().for_each(|joint| joint.begin(at.now));
+                let next_second = at.now + SECOND;
                 self.enter(
-                    State::Running { since: now, cycles: 0, overruns: 0, next_second },
-                    board,
+                    State::Running { since: at.now, cycles: 0, overruns: 0, next_second },
+                    at,
                 );
             }
-            _ => self.stop(master, now, board),
         }
     }
 
     /// One cycle of motion.
-    fn control(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
-        if let Some(motor) = self.longest_silent(now) {
-            let is_bus = self.joints.iter().all(|joint| joint.silence(now) > BUS_SILENT_AFTER);
-            let trouble = if is_bus { Trouble::BusDown } else { Trouble::Silent { motor } };
-            return self.trouble(trouble, master, now, board);
+    fn control(&mut self, at: &mut Moment<'_, N, impl Board>) {
+        if let (Some(motor), silence) = self.longest_silence(at.now)
+            && silence > SILENT_AFTER
+        {
+            return self.trouble(self.silent(motor, at.now), at);
         }
         let State::Running { since, next_second, .. } = &self.state else { return };
-        let (since, is_second) = (*since, now >= *next_second);
+        let (since, is_second) = (*since, at.now >= *next_second);
         for joint in &self.joints {
-            if !joint.put_set_point(&self.setup, now - since, master, now) {
+            if !joint.put_set_point(&self.setup, at.now - since, at.master, at.now) {
                 let motor = joint.motor;
-                return self.trouble(Trouble::Refused { motor }, master, now, board);
+                return self.trouble(Trouble::Refused { motor }, at);
             }
         }
-        self.watch.ask(&self.joints, &self.setup, master, now);
+        self.watch.ask(&self.joints, &self.setup, at.master, at.now);
         if is_second {
-            self.tell_second(master, board);
+            self.tell_second(at);
         }
     }
 
-    fn tell_second(&mut self, master: &Master<N>, board: &mut impl Board) {
+    fn tell_second(&mut self, at: &mut Moment<'_, N, impl Board>) {
         let State::Running { cycles, overruns, next_second, .. } = &mut self.state else { return };
         *next_second += SECOND;
         let (cycles, overruns) = (*cycles, *overruns);
-        let lost = self.joints.iter().map(|j| u32::from(master.health(j.motor).lost)).sum();
+        let lost = self.joints.iter().map(|j| u32::from(at.master.health(j.motor).lost)).sum();
         let slowest = self.joints.iter_mut().map(Joint::take_answered).min().unwrap_or(0);
-        let stack = board.stack_used().unwrap_or(0);
-        board.log(&Report::Second { cycles, overruns, slowest, lost, stack });
+        let stack = at.board.stack_used().unwrap_or(0);
+        at.board.log(&Report::Second { cycles, overruns, slowest, lost, stack });
         for joint in &self.joints {
-            board.log(&Report::Measured { motor: joint.motor, angle: joint.angle });
+            at.board.log(&Report::Measured { motor: joint.motor, angle: joint.angle });
         }
     }
 
     /// The outcome of a request: the watch's or the script's.
-    fn handle_answer(
-        &mut self,
-        event: &Event,
-        master: &mut Master<N>,
-        now: Instant,
-        board: &mut impl Board,
-    ) {
+    fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
         let answer = self.watch.take(event).or_else(|| match &mut self.state {
             State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
                 script.take(event)
@@ -346,8 +266,8 @@ impl<const N: usize> App<N> {
             _ => None,
         });
         let Some((motor, answer)) = answer else { return };
-        if let Some(trouble) = self.note(motor, answer, master, board) {
-            self.trouble(trouble, master, now, board);
+        if let Some(trouble) = self.note(motor, answer, at) {
+            self.trouble(trouble, at);
         }
     }
 
@@ -356,18 +276,17 @@ impl<const N: usize> App<N> {
         &mut self,
         motor: MotorId,
         answer: Answer,
-        master: &mut Master<N>,
-        board: &mut impl Board,
+        at: &mut Moment<'_, N, impl Board>,
     ) -> Option<Trouble> {
         match answer {
             Answer::None
                 if matches!(self.state, State::Finding(_)) && self.joint(motor).is_none() =>
             {
                 // Nobody has this id.
-                master.forget(motor);
+                at.master.forget(motor);
                 None
             }
-            Answer::None => Some(Trouble::Silent { motor }),
+            Answer::None => Some(self.silent(motor, at.now)),
             Answer::Done => None,
             Answer::Version(version_date) => {
                 let is_known = Firmware::of_version_date(version_date) == Some(self.setup.firmware);
@@ -380,7 +299,7 @@ impl<const N: usize> App<N> {
             }
             Answer::Model(model) => {
                 let version_date = self.joint(motor)?.version_date;
-                board.log(&Report::Found { motor, model, version_date });
+                at.board.log(&Report::Found { motor, model, version_date });
                 None
             }
             Answer::Errors(flags) if flags.is_empty() => None,
@@ -399,7 +318,7 @@ impl<const N: usize> App<N> {
                     if !joint.can_reach(&setup) {
                         return Some(Trouble::OutOfRange { motor });
                     }
-                    board.log(&Report::Ready { motor, angle });
+                    at.board.log(&Report::Ready { motor, angle });
                 }
                 None
             }
@@ -408,27 +327,26 @@ impl<const N: usize> App<N> {
 
     /// Tells what is wrong and stops all motors. What is wrong while they are stopped already changes
     /// nothing.
-    fn trouble(
-        &mut self,
-        trouble: Trouble,
-        master: &mut Master<N>,
-        now: Instant,
-        board: &mut impl Board,
-    ) {
+    fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
         if !matches!(self.state, State::Stopping { .. } | State::Stopped) {
-            board.log(&Report::Trouble(trouble));
-            self.stop(master, now, board);
+            at.board.log(&Report::Trouble(trouble));
+            self.stop(at);
         }
     }
 
-    fn stop(&mut self, master: &mut Master<N>, now: Instant, board: &mut impl Board) {
+    fn stop(&mut self, at: &mut Moment<'_, N, impl Board>) {
         let all = if self.joints.is_empty() { self.setup.search } else { self.motors() };
+        // Once the brakes are being locked, holding on would be no shutdown.
+        let kind = match self.state {
+            State::ShuttingDown(_) => StopKind::Off,
+            _ => self.setup.stop,
+        };
         // Those that the master has no place for stay unconfirmed.
-        let _ = master.stop_all(self.setup.stop, all, now);
-        let waiting: MotorSet = master.motors();
+        let _ = at.master.stop_all(kind, all, at.now);
+        let waiting: MotorSet = at.master.motors();
         let unconfirmed = all.without(waiting);
-        let until = now + LONGEST_STOP;
-        self.enter(State::Stopping { waiting, unconfirmed, until }, board);
+        let until = at.now + LONGEST_STOP;
+        self.enter(State::Stopping { waiting, unconfirmed, until }, at);
     }
 
     fn stop_is_over(&mut self, stopped: MotorId, is_confirmed: bool) {
@@ -440,19 +358,26 @@ impl<const N: usize> App<N> {
         }
     }
 
-    fn enter(&mut self, state: State, board: &mut impl Board) {
+    fn enter(&mut self, state: State, at: &mut Moment<'_, N, impl Board>) {
         self.state = state;
-        board.log(&Report::State(self.state.name()));
+        at.board.log(&Report::State(self.state.name()));
     }
 
     fn is_running(&self) -> bool {
         matches!(self.state, State::Running { .. })
     }
 
-    /// The motor that was not heard for longest, if that is too long.
-    fn longest_silent(&self, now: Instant) -> Option<MotorId> {
-        let longest = self.joints.iter().max_by_key(|joint| joint.silence(now).as_micros())?;
-        (longest.silence(now) > SILENT_AFTER).then_some(longest.motor)
+    /// The motor that was not heard for longest, and for how long.
+    fn longest_silence(&self, now: Instant) -> (Option<MotorId>, Duration) {
+        let silences = self.joints.iter().map(|joint| (Some(joint.motor), joint.silence(now)));
+        silences.max_by_key(|&(_, silence)| silence).unwrap_or((None, Duration::ZERO))
+    }
+
+    /// What it means that this motor is not heard.
+    fn silent(&self, motor: MotorId, now: Instant) -> Trouble {
+        let is_bus = self.is_running()
+            && self.joints.iter().all(|joint| joint.silence(now) > BUS_SILENT_AFTER);
+        if is_bus { Trouble::BusDown } else { Trouble::Silent { motor } }
     }
 
     fn joint(&mut self, motor: MotorId) -> Option<&mut Joint> {

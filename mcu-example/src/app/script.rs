@@ -2,8 +2,7 @@
 
 use myactuator_protocol_core::command::{
     Command, CommunicationLossProtection, ErrorFlags, LockBrake, ModelName, ReadModel,
-    ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadVersionDate, ReleaseBrake, Shutdown,
-    VersionDate,
+    ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadVersionDate, ReleaseBrake, VersionDate,
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, Patience, TicketId};
@@ -27,7 +26,6 @@ pub(super) enum Question {
     Angle,
     RunTime,
     LockBrake,
-    Shutdown,
 }
 
 /// What came of it.
@@ -67,7 +65,6 @@ impl Question {
             Self::Angle => master.request(motor, ReadMultiTurnAngle, now).map(|t| t.id()),
             Self::RunTime => master.request(motor, ReadRunTime, now).map(|t| t.id()),
             Self::LockBrake => master.request(motor, LockBrake, now).map(|t| t.id()),
-            Self::Shutdown => master.request(motor, Shutdown, now).map(|t| t.id()),
         }
     }
 
@@ -91,9 +88,7 @@ impl Question {
             Self::Errors => Answer::Errors(ReadStatus1::decode_reply(data).ok()?.errors),
             Self::Angle => Answer::Angle(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::RunTime => Answer::RunTime(ReadRunTime::decode_reply(data).ok()?.run_time),
-            Self::Protection | Self::ReleaseBrake | Self::LockBrake | Self::Shutdown => {
-                Answer::Done
-            }
+            Self::Protection | Self::ReleaseBrake | Self::LockBrake => Answer::Done,
         };
         Some(answer)
     }
@@ -137,9 +132,9 @@ impl Script {
         Self::new(&[Question::Angle], motors, not_before)
     }
 
-    /// The brakes first: without power the shafts are free.
+    /// Lock the brakes, before the outputs are switched off: without power the shafts are free.
     pub(super) const fn shut_down(motors: MotorSet, now: Instant) -> Self {
-        Self::new(&[Question::LockBrake, Question::Shutdown], motors, now)
+        Self::new(&[Question::LockBrake], motors, now)
     }
 
     const fn new(questions: &'static [Question], motors: MotorSet, not_before: Instant) -> Self {

@@ -1,0 +1,65 @@
+//! What a product would set.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::MotionRanges;
+use myactuator_protocol_core::firmware::Firmware;
+use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::units::{Angle, MaxSpeed, Milliseconds};
+
+/// How the motors are moved: to and fro, each around the place where it was found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Movement {
+    /// In motion mode, which only CAN has.
+    Motion {
+        /// The scales of these motors' firmware.
+        ranges: MotionRanges,
+        /// Gain on the position error, N·m/rad.
+        kp: f32,
+        /// Gain on the velocity error, N·m·s/rad.
+        kd: f32,
+    },
+    /// By positions (0xA4), on either bus.
+    Position {
+        /// The fastest turning.
+        max_speed: MaxSpeed,
+    },
+}
+
+/// What a product would set.
+#[derive(Clone, Copy, Debug)]
+pub struct Setup {
+    /// Where motors are looked for.
+    pub search: MotorSet,
+    /// The firmware that all of them must have.
+    pub firmware: Firmware,
+    /// How they are moved.
+    pub movement: Movement,
+    /// How far they turn away from where they were found.
+    pub amplitude: Angle,
+    /// How long it takes there and back.
+    pub period: Duration,
+    /// The cycle.
+    pub cycle: Duration,
+    /// After how long without a command a motor cuts its output by itself (0xB3).
+    pub protection: Milliseconds,
+    /// How motors are stopped.
+    pub stop: StopKind,
+}
+
+impl Setup {
+    /// Motors 1 to 8 of firmware V4.3, moved to and fro by 20 degrees within 2 s, 1000 set-points a
+    /// second; stopped, they hold still.
+    pub fn new(movement: Movement) -> Self {
+        Self {
+            search: MotorId::all().take(8).collect(),
+            firmware: Firmware::V4_3,
+            movement,
+            amplitude: Angle::from_raw(2_000),
+            period: Duration::from_secs(2),
+            cycle: Duration::from_millis(1),
+            protection: Milliseconds::from_raw(500),
+            stop: StopKind::Hold,
+        }
+    }
+}

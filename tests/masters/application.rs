@@ -1,0 +1,336 @@
+//! The application of the example firmware against simulated drives, on both buses.
+
+use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet, LineFleet};
+use myactuator_mcu_example::{
+    App, Board, Moment, Movement, Report, RestartCause, Setup, StateName, Trouble, cycle,
+};
+use myactuator_protocol_core::command::{ErrorFlags, MotionRanges, VersionDate};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::units::MaxSpeed;
+use myactuator_tests::fleet::{self, Bus, angle_deg, speed_dps, state};
+use myactuator_tests::on_both_buses;
+use myactuator_tests::values::{id, millis};
+
+on_both_buses! {
+    nothing_moves_before_the_button
+    a_button_that_is_down_at_the_start_starts_nothing
+    motors_are_named_and_reach_both_ends
+    the_button_stops_within_a_few_cycles_and_letting_go_starts_nothing
+    a_motor_that_is_unplugged_stops_all
+    a_motor_that_restarts_stops_all
+    a_motor_with_an_error_stops_all
+    a_motor_of_another_firmware_is_not_moved
+    a_dead_bus_is_told_and_only_the_button_ends_that
+    a_long_press_shuts_down
+    a_motor_that_is_not_seen_does_not_feed_the_watchdog
+}
+
+/// How the motors of a bus are moved.
+trait Moved: Bus {
+    fn setup() -> Setup;
+}
+
+impl Moved for CanFleet {
+    fn setup() -> Setup {
+        Setup::new(Movement::Motion { ranges: MotionRanges::V4_3, kp: 50.0, kd: 2.0 })
+    }
+}
+
+impl Moved for LineFleet {
+    fn setup() -> Setup {
+        Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(200) })
+    }
+}
+
+#[derive(Default)]
+struct Panel {
+    is_button_down: bool,
+    is_light_on: bool,
+    fed: u32,
+    reports: Vec<Report>,
+}
+
+impl Board for Panel {
+    fn is_button_down(&mut self) -> bool {
+        self.is_button_down
+    }
+
+    fn set_light(&mut self, on: bool) {
+        self.is_light_on = on;
+    }
+
+    fn feed_watchdog(&mut self) {
+        self.fed += 1;
+    }
+
+    fn log(&mut self, report: &Report) {
+        self.reports.push(*report);
+    }
+
+    fn stack_used(&mut self) -> Option<u32> {
+        None
+    }
+}
+
+/// A firmware on a bus.
+struct Firmware<'a, B: Bus> {
+    bus: &'a B,
+    runner: fleet::Master<B>,
+    app: App<8>,
+    panel: Panel,
+}
+
+impl<'a, B: Moved> Firmware<'a, B> {
+    fn start(bus: &'a B, panel: Panel) -> Self {
+        let (mut runner, mut panel) = (bus.master(), panel);
+        let now = runner.now();
+        let at = &mut Moment { now, master: runner.master(), board: &mut panel };
+        let app = App::start(B::setup(), RestartCause::Power, at);
+        Self { bus, runner, app, panel }
+    }
+
+    /// A firmware whose motors run.
+    fn running(bus: &'a B) -> Self {
+        let mut firmware = Self::start(bus, Panel::default());
+        firmware.run_for(millis(1_500));
+        firmware.press(millis(50));
+        firmware.run_until(Report::State(StateName::Running), millis(3_000));
+        firmware
+    }
+
+    fn run_for(&mut self, span: Duration) {
+        let end = self.runner.now() + span;
+        while self.runner.now() < end {
+            cycle(&mut self.app, &mut self.runner, &mut self.panel);
+        }
+    }
+
+    /// Runs until this is reported from now on.
+    #[track_caller]
+    fn run_until(&mut self, report: Report, within: Duration) {
+        let (told, end) = (self.panel.reports.len(), self.runner.now() + within);
+        while !self.panel.reports[told..].contains(&report) {
+            assert!(self.runner.now() < end, "no {report:?} in {:?}", &self.panel.reports[told..]);
+            cycle(&mut self.app, &mut self.runner, &mut self.panel);
+        }
+    }
+
+    fn press(&mut self, span: Duration) {
+        self.panel.is_button_down = true;
+        self.run_for(span);
+        self.panel.is_button_down = false;
+        self.run_for(millis(2));
+    }
+
+    /// What is told from now on.
+    fn forget(&mut self) {
+        self.panel.reports.clear();
+    }
+
+    fn troubles(&self) -> Vec<Trouble> {
+        let trouble = |report: &Report| match report {
+            Report::Trouble(trouble) => Some(*trouble),
+            _ => None,
+        };
+        self.panel.reports.iter().filter_map(trouble).collect()
+    }
+
+    fn is_anything_running(&self) -> bool {
+        self.bus.drives().iter().any(|drive| speed_dps(drive).abs() > 1.0)
+    }
+
+    /// Nothing turns now nor in the next second, and nothing starts by itself.
+    #[track_caller]
+    fn stays_stopped(&mut self) {
+        self.run_for(millis(1_100));
+        let told = self.panel.reports.len();
+        for _ in 0..100 {
+            assert!(!self.is_anything_running());
+            self.run_for(millis(10));
+        }
+        assert_eq!(self.panel.reports[told..], []);
+    }
+}
+
+fn unplug(bus: &impl Bus, drive: &DriveHandle) {
+    bus.world().cut(drive.station());
+}
+
+fn nothing_moves_before_the_button<B: Moved>() {
+    let bus = B::with(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    let before: Vec<_> = bus.drives().iter().map(angle_deg).collect();
+    firmware.run_for(millis(3_000));
+    assert_eq!(before, bus.drives().iter().map(angle_deg).collect::<Vec<_>>());
+    let nobody: MotorSet = (5..=8).map(id).collect();
+    assert_eq!(
+        firmware.panel.reports,
+        [
+            Report::Started { cause: RestartCause::Power },
+            Report::State(StateName::Stopping),
+            Report::Stopped { unconfirmed: nobody },
+            Report::State(StateName::Stopped),
+        ]
+    );
+    assert!(firmware.panel.fed > 2_900, "{}", firmware.panel.fed);
+}
+
+fn a_button_that_is_down_at_the_start_starts_nothing<B: Moved>() {
+    let bus = B::with(&Fleet::new(2)).unwrap();
+    let jammed = Panel { is_button_down: true, ..Panel::default() };
+    let mut firmware = Firmware::start(&bus, jammed);
+    firmware.run_for(millis(4_000));
+    firmware.panel.is_button_down = false;
+    firmware.stays_stopped();
+}
+
+fn motors_are_named_and_reach_both_ends<B: Moved>() {
+    let bus = B::with(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    let told =
+        |wanted: fn(&Report) -> bool| firmware.panel.reports.iter().filter(|r| wanted(r)).count();
+    assert_eq!(told(|report| matches!(report, Report::Found { .. })), 4);
+    assert_eq!(told(|report| matches!(report, Report::Ready { .. })), 4);
+    let home: Vec<_> = bus.drives().iter().map(angle_deg).collect();
+    firmware.forget();
+    let mut farthest = vec![0.0_f64; 4];
+    for _ in 0..600 {
+        firmware.run_for(millis(10));
+        for ((drive, home), farthest) in bus.drives().iter().zip(&home).zip(&mut farthest) {
+            let way = angle_deg(drive) - home;
+            assert!((-2.0..22.0).contains(&way), "{way}");
+            *farthest = farthest.max(way);
+        }
+    }
+    assert!(farthest.iter().all(|&way| way > 18.0), "{farthest:?}");
+    let last = firmware.panel.reports.iter().rev().find_map(|report| match *report {
+        Report::Second { cycles, overruns, slowest, lost, .. } => {
+            Some((cycles, overruns, slowest, lost))
+        }
+        _ => None,
+    });
+    let (cycles, overruns, slowest, lost) = last.expect("six seconds");
+    assert!((4_990..=6_010).contains(&cycles), "{cycles}");
+    // Four motors share one line or bus: the watch's questions take their part of it.
+    assert!(slowest > 180, "{slowest}");
+    assert_eq!((overruns, lost), (0, 0));
+    assert!(firmware.panel.is_light_on);
+    assert_eq!(firmware.troubles(), []);
+}
+
+fn the_button_stops_within_a_few_cycles_and_letting_go_starts_nothing<B: Moved>() {
+    let bus = B::with(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(300));
+    assert!(firmware.is_anything_running());
+    firmware.panel.is_button_down = true;
+    let pressed = firmware.runner.now();
+    firmware.run_until(Report::Stopped { unconfirmed: MotorSet::EMPTY }, millis(100));
+    let taken = firmware.runner.now() - pressed;
+    assert!(taken < millis(20), "{taken}");
+    firmware.panel.is_button_down = false;
+    firmware.stays_stopped();
+    assert_eq!(firmware.troubles(), [Trouble::Button]);
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+}
+
+fn a_motor_that_is_unplugged_stops_all<B: Moved>() {
+    let bus = B::with(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(500));
+    unplug(&bus, &bus.drives()[2]);
+    firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(3) }), millis(200));
+    firmware.run_until(Report::Stopped { unconfirmed: id(3).into() }, millis(1_100));
+    bus.world().mend(bus.drives()[2].station());
+    firmware.stays_stopped();
+    firmware.forget();
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+    assert_eq!(firmware.troubles(), []);
+}
+
+fn a_motor_that_restarts_stops_all<B: Moved>() {
+    let bus = B::with(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(500));
+    let now = firmware.runner.now();
+    bus.drives()[1].with(|drive| {
+        drive.power_off(now);
+        drive.power_on(now);
+    });
+    firmware.run_for(millis(300));
+    let [Trouble::Restarted { motor } | Trouble::Silent { motor }] = firmware.troubles()[..] else {
+        panic!("{:?}", firmware.panel.reports)
+    };
+    assert_eq!(motor, id(2));
+    firmware.stays_stopped();
+}
+
+fn a_motor_with_an_error_stops_all<B: Moved>() {
+    let bus = B::with(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(500));
+    let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
+    bus.drives()[3].with(|drive| drive.raise_fault(flags));
+    let trouble = Trouble::Errors { motor: id(4), flags };
+    firmware.run_until(Report::Trouble(trouble), millis(300));
+    firmware.stays_stopped();
+    // As long as it has the error, it does not run.
+    firmware.forget();
+    firmware.press(millis(50));
+    firmware.run_until(Report::Trouble(trouble), millis(1_000));
+    assert!(!firmware.panel.reports.contains(&Report::State(StateName::Running)));
+}
+
+fn a_motor_of_another_firmware_is_not_moved<B: Moved>() {
+    let version_date = VersionDate::from_raw(20_231_201);
+    let bus = B::with(&Fleet::new(3).version_date(version_date)).unwrap();
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    firmware.run_for(millis(1_500));
+    firmware.press(millis(50));
+    let trouble = Trouble::OtherFirmware { motor: id(1), version_date };
+    firmware.run_until(Report::Trouble(trouble), millis(1_000));
+    firmware.run_for(millis(3_000));
+    assert!(bus.drives().iter().all(|drive| angle_deg(drive).abs() < 0.1));
+}
+
+fn a_dead_bus_is_told_and_only_the_button_ends_that<B: Moved>() {
+    let bus = B::with(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(500));
+    bus.drives().iter().for_each(|drive| unplug(&bus, drive));
+    firmware.run_until(Report::Trouble(Trouble::BusDown), millis(200));
+    firmware.run_for(millis(1_000));
+    bus.drives().iter().for_each(|drive| bus.world().mend(drive.station()));
+    firmware.stays_stopped();
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+}
+
+fn a_long_press_shuts_down<B: Moved>() {
+    let bus = B::with(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(500));
+    firmware.press(millis(50));
+    firmware.run_for(millis(1_100));
+    firmware.press(millis(1_100));
+    firmware.run_for(millis(500));
+    for drive in bus.drives() {
+        assert!(!state(drive).output_on);
+    }
+    assert_eq!(firmware.troubles(), [Trouble::Button]);
+}
+
+fn a_motor_that_is_not_seen_does_not_feed_the_watchdog<B: Moved>() {
+    let bus = B::with(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(500));
+    let fed = firmware.panel.fed;
+    unplug(&bus, &bus.drives()[0]);
+    firmware.run_for(millis(95));
+    let fed = firmware.panel.fed - fed;
+    assert!((45..=60).contains(&fed), "{fed}");
+}
