@@ -31,5 +31,5 @@ mod restart;
 mod stack;
 
 pub use note::take_note;
-pub use restart::restart;
+pub use restart::{restart, say_last_words};
 pub use stack::{guard_stack, stack_size, stack_used};

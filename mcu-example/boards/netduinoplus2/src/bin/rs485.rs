@@ -1,0 +1,22 @@
+//! The firmware on RS485.
+#![no_std]
+#![no_main]
+
+use core::panic::PanicInfo;
+
+use board_stm32f4::{fault_on_rs485, panic_on_rs485, run_rs485};
+use cortex_m_rt::entry;
+use netduinoplus2::{BIT_RATE, Hardware, start};
+
+#[entry]
+fn main() -> ! {
+    let Hardware { line, time, mut panel, cause } = start();
+    run_rs485(line, BIT_RATE, time, &mut panel, cause)
+}
+
+board_shared::on_fresh_stack!(HardFault => fault_on_rs485);
+
+#[panic_handler]
+fn panic(info: &PanicInfo<'_>) -> ! {
+    panic_on_rs485(info)
+}

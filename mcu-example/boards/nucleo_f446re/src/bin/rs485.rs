@@ -1,0 +1,23 @@
+//! The firmware on RS485.
+#![no_std]
+#![no_main]
+
+use core::panic::PanicInfo;
+
+use board_stm32f4::{fault_on_rs485, open_line, panic_on_rs485, run_rs485};
+use cortex_m_rt::entry;
+use nucleo_f446re::{BIT_RATE, Hardware, start};
+
+#[entry]
+fn main() -> ! {
+    let Hardware { mut rcc, time, mut board, cause, usart: (usart, pins), .. } = start();
+    let line = open_line(usart, pins, BIT_RATE, &mut rcc, time).expect("90 MHz carry the bit rate");
+    run_rs485(line, BIT_RATE, time, &mut board, cause)
+}
+
+board_shared::on_fresh_stack!(HardFault => fault_on_rs485);
+
+#[panic_handler]
+fn panic(info: &PanicInfo<'_>) -> ! {
+    panic_on_rs485(info)
+}

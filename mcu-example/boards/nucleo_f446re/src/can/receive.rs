@@ -1,0 +1,82 @@
+//! What comes from the bus: an interrupt empties the controller's three places into a queue.
+
+use core::cell::RefCell;
+use core::mem;
+
+use board_stm32f4::wake;
+use bxcan::{Frame, Rx0};
+use cortex_m::interrupt::{Mutex, free};
+use cortex_m::peripheral::NVIC;
+use heapless::Deque;
+use stm32f4xx_hal::can::Can;
+use stm32f4xx_hal::pac::{self, CAN1, interrupt};
+
+/// Frames that may wait until the loop takes them: what a full bus brings in 4 ms.
+const QUEUE: usize = 32;
+
+/// Frames that were lost since they were last asked for. To the master each is a reply that did not
+/// come, and no reason to take the bus for dead.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, defmt::Format)]
+pub(crate) struct CanErrors {
+    /// How often the controller had no place.
+    overruns: u32,
+    /// How many found the queue full.
+    dropped: u32,
+}
+
+impl CanErrors {
+    /// Whether there were none.
+    pub(crate) fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+struct Receiver {
+    fifo: Rx0<Can<CAN1>>,
+    queue: Deque<Frame, QUEUE>,
+    errors: CanErrors,
+}
+
+static RECEIVER: Mutex<RefCell<Option<Receiver>>> = Mutex::new(RefCell::new(None));
+
+fn with_receiver<T>(work: impl FnOnce(&mut Receiver) -> T) -> Option<T> {
+    free(|cs| RECEIVER.borrow(cs).borrow_mut().as_mut().map(work))
+}
+
+/// From now on frames are received.
+pub(super) fn begin(fifo: Rx0<Can<CAN1>>) {
+    let receiver = Receiver { fifo, queue: Deque::new(), errors: CanErrors::default() };
+    free(|cs| RECEIVER.borrow(cs).replace(Some(receiver)));
+    // SAFETY: no critical section relies on this interrupt being masked.
+    unsafe { NVIC::unmask(pac::Interrupt::CAN1_RX0) };
+}
+
+/// The next frame.
+pub(super) fn take() -> Option<Frame> {
+    with_receiver(|receiver| receiver.queue.pop_front()).flatten()
+}
+
+/// What was lost since the last call.
+pub(crate) fn take_can_errors() -> CanErrors {
+    with_receiver(|receiver| mem::take(&mut receiver.errors)).unwrap_or_default()
+}
+
+#[interrupt]
+fn CAN1_RX0() {
+    with_receiver(|receiver| {
+        let errors = &mut receiver.errors;
+        loop {
+            match receiver.fifo.receive() {
+                Ok(frame) => {
+                    if receiver.queue.push_back(frame).is_err() {
+                        errors.dropped = errors.dropped.saturating_add(1);
+                    }
+                }
+                // Reading has cleared it.
+                Err(nb::Error::Other(_)) => errors.overruns = errors.overruns.saturating_add(1),
+                Err(nb::Error::WouldBlock) => break,
+            }
+        }
+    });
+    wake();
+}

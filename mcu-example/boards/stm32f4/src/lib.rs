@@ -1,0 +1,34 @@
+//! What the boards with an STM32F4 share, so that their sources differ by pins and clocks only.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | `time` | [`TimeBase`]: the clock of the loops, from timer TIM2 |
+//! | `line` | [`open_line`]: the RS485 line, received by interrupt |
+//! | `rs485` | [`run_rs485`]: the application on it; what to do on a panic and a fault |
+//! | `last_line` | the line of a firmware that cannot go on |
+//! | `end` | [`panic`](panic()), for any bus |
+//! | `log` | [`log`](log()): the log |
+#![no_std]
+
+mod end;
+mod last_line;
+mod line;
+mod log;
+mod rs485;
+mod time;
+
+pub use end::panic;
+pub use line::{Line, LineErrors, Port, open_line, take_line_errors};
+pub use log::log;
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::master::MotorSet;
+pub use rs485::{fault_on_rs485, panic_on_rs485, run_rs485};
+pub use time::{Countdown, TimeBase, TimerClocks, wake};
+
+/// How many motors may be on the bus, with ids from 1.
+pub const MOTORS: usize = 8;
+
+/// The motors that are looked for, and that a firmware stops when it ends.
+pub fn motors() -> MotorSet {
+    MotorId::all().take(MOTORS).collect()
+}

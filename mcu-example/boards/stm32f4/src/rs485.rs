@@ -1,0 +1,49 @@
+//! The application on the RS485 line, and its end.
+
+use core::panic::PanicInfo;
+
+use myactuator_mcu_example::{Board, Movement, RestartCause, Setup, run};
+use myactuator_protocol_core::io::SerialMaster;
+use myactuator_protocol_core::master::Config;
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::units::MaxSpeed;
+
+use crate::end;
+use crate::last_line::LastLine;
+use crate::line::Line;
+use crate::time::TimeBase;
+use crate::{MOTORS, motors};
+
+/// The fastest turning, in degrees a second.
+const MAX_SPEED: MaxSpeed = MaxSpeed::from_raw(100);
+
+/// Runs the application on the line for ever.
+pub fn run_rs485(
+    line: Line,
+    bit_rate: u32,
+    time: TimeBase,
+    board: &mut impl Board,
+    cause: RestartCause,
+) -> ! {
+    let mut bus = SerialMaster::<_, _, MOTORS>::new(line, time, Config::rs485(bit_rate, false));
+    let movement = Movement::Position { max_speed: MAX_SPEED };
+    let setup = Setup { cycle: cycle(bit_rate), ..Setup::new(movement) };
+    run(&mut bus, board, setup, cause)
+}
+
+/// The loop stands still while a frame is sent, and a cycle that begins half a cycle late was missed.
+const fn cycle(bit_rate: u32) -> Duration {
+    if bit_rate < 500_000 { Duration::from_millis(5) } else { Duration::from_millis(1) }
+}
+
+/// What a panic handler has to do: stops the motors, tells why, and restarts.
+pub fn panic_on_rs485(info: &PanicInfo<'_>) -> ! {
+    let mut line = LastLine::take();
+    end::panic(info, |packet| line.send(packet))
+}
+
+/// What is to be done on a fault: stops the motors, and restarts.
+pub extern "C" fn fault_on_rs485() -> ! {
+    let mut line = LastLine::take();
+    board_shared::restart(RestartCause::Fault, motors(), |packet| line.send(packet))
+}
