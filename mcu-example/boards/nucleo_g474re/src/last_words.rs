@@ -4,7 +4,9 @@
 use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicBool, Ordering};
 
+use board_shared::{on_fresh_stack, say_last_words};
 use cortex_m::asm;
+use cortex_m::peripheral::SCB;
 use defmt::Display2Format;
 use embassy_stm32::pac;
 use embedded_can::{Frame as _, Id};
@@ -15,27 +17,33 @@ use myactuator_protocol_core::{MotorId, Packet};
 use crate::start::CORE_HZ;
 use crate::{MOTORS, fdcan, serial};
 
-/// Set by the first panic: one that comes of telling it is not told.
+/// Set by the first panic: one that comes of telling it only restarts.
 static PANICS: AtomicBool = AtomicBool::new(false);
+
+/// What a debugger needs to fetch the message: the restart begins a new log.
+const FETCH_MICROS: u32 = 50_000;
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
     if !PANICS.swap(true, Ordering::Relaxed) {
+        stop_motors(RestartCause::Panic);
         defmt::error!("{}", Display2Format(info));
+        pause(FETCH_MICROS);
     }
-    end(RestartCause::Panic)
+    SCB::sys_reset()
 }
 
-board_shared::on_fresh_stack!(HardFault => fault);
+on_fresh_stack!(HardFault => fault);
 
 extern "C" fn fault() -> ! {
-    end(RestartCause::Fault)
+    stop_motors(RestartCause::Fault);
+    SCB::sys_reset()
 }
 
-fn end(cause: RestartCause) -> ! {
+fn stop_motors(cause: RestartCause) {
     let mut mouth = Mouth::Closed;
     let motors = MotorId::all().take(MOTORS).collect();
-    board_shared::restart(cause, motors, |packet| mouth.say(packet))
+    say_last_words(cause, motors, |packet| mouth.say(packet));
 }
 
 /// Where the last words go.

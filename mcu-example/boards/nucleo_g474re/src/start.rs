@@ -1,5 +1,6 @@
 //! Clocks, and why the firmware starts.
 
+use board_shared::{guard_stack, take_note};
 use embassy_stm32::rcc::{
     Hse, HseMode, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk, mux::Fdcansel,
 };
@@ -10,11 +11,15 @@ use myactuator_mcu_example::RestartCause;
 /// The core's clock.
 pub(crate) const CORE_HZ: u32 = 170_000_000;
 
-/// Sets up the clocks. Call it first, and once.
+/// Guards the stack and sets up the clocks. Call it first, and once.
 ///
 /// Waits for ever if the board's crystal does not start.
 pub fn start() -> (Peripherals, RestartCause) {
     let cause = restart_cause();
+    if let Some(mut core) = cortex_m::Peripherals::take() {
+        // Below RAM there is ST's boot loader, which a write does not have to fault on.
+        guard_stack(&mut core.MPU);
+    }
     let mut config = Config::default();
     config.rcc.hse = Some(Hse { freq: Hertz(24_000_000), mode: HseMode::Oscillator });
     config.rcc.pll = Some(Pll {
@@ -37,7 +42,7 @@ pub fn start() -> (Peripherals, RestartCause) {
 fn restart_cause() -> RestartCause {
     let flags = pac::RCC.csr().read();
     pac::RCC.csr().modify(|csr| csr.set_rmvf(true));
-    match board_shared::take_note() {
+    match take_note() {
         Some(cause) => cause,
         None if flags.iwdgrstf() => RestartCause::Watchdog,
         None => RestartCause::Power,
