@@ -8,4 +8,21 @@ fn main() {
     println!("cargo::rustc-link-arg-bins=-Tlink.x");
     // Sections of a microcontroller's flash are not aligned to the pages of an operating system.
     println!("cargo::rustc-link-arg-bins=--nmagic");
+    #[cfg(feature = "c")]
+    c();
+}
+
+/// The C that Rust is measured beside.
+#[cfg(feature = "c")]
+fn c() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../c");
+    println!("cargo::rerun-if-changed={folder}");
+    cc::Build::new()
+        .files(["frames.c", "rs485.c"].map(|file| format!("{folder}/{file}")))
+        .opt_level(2)
+        .force_frame_pointer(false) // as plain -O2
+        .warnings(true)
+        .extra_warnings(true)
+        .warnings_into_errors(true)
+        .compile("frames_in_c");
 }

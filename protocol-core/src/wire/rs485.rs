@@ -1,6 +1,6 @@
 //! RS485 framing: `3E id 08 D0..D7 CRClow CRChigh`, and a receiver fed byte by byte (manual 1.2, 6).
 
-use crc::{CRC_16_MODBUS, Crc, Table};
+use crc::{CRC_16_MODBUS, Crc, NoTable};
 
 use crate::data::Data;
 use crate::id::{MotorId, Target};
@@ -16,20 +16,32 @@ pub const ALL: u8 = 0xCD;
 const DATA_LENGTH: u8 = 8;
 const LAST_PLACE: usize = FRAME_LENGTH - 1;
 
-/// The manual says "CRC16, low byte first" (1.2.2); drives use MODBUS's.
-static CRC: Crc<u16, Table<1>> = Crc::<u16, Table<1>>::new(&CRC_16_MODBUS);
 /// Where the CRC starts.
 const CRC_START: u16 = CRC_16_MODBUS.init;
+/// The CRC of the first byte of every frame.
+const CRC_OF_HEADER: u16 = crc_over(CRC_START, HEADER);
 /// What the CRC of a frame comes to when it runs on over its own two bytes.
 const CRC_GOOD: u16 = 0;
+
+/// The CRC of each single byte from 0. The manual says "CRC16, low byte first" (1.2.2); drives use
+/// MODBUS's.
+static CRC_OF_BYTE: [u16; 256] = {
+    let crc = Crc::<u16, NoTable>::new(&CRC_16_MODBUS);
+    let mut table = [0; 256];
+    let mut byte = 0;
+    while byte < table.len() {
+        let mut digest = crc.digest_with_initial(0);
+        digest.update(&[byte as u8]);
+        table[byte] = digest.finalize();
+        byte += 1;
+    }
+    table
+};
 
 /// The CRC of one byte more.
 #[inline(always)]
 const fn crc_over(crc: u16, byte: u8) -> u16 {
-    // The crate takes a start the other way round, as the catalogues print it.
-    let mut digest = CRC.digest_with_initial(crc.reverse_bits());
-    digest.update(&[byte]);
-    digest.finalize()
+    CRC_OF_BYTE[(crc as u8 ^ byte) as usize] ^ crc >> 8
 }
 
 /// One frame on the line.
@@ -125,8 +137,11 @@ impl Frame {
             Target::All => ALL,
         };
         let [a, b, c, d, e, f, g, h] = self.data;
-        let covered = [HEADER, address, DATA_LENGTH, a, b, c, d, e, f, g, h];
-        let [low, high] = CRC.checksum(&covered).to_le_bytes();
+        // Byte after byte rather than over an array, which would first have to be written to memory.
+        let crc = crc_over(crc_over(CRC_OF_HEADER, address), DATA_LENGTH);
+        let crc = crc_over(crc_over(crc_over(crc_over(crc, a), b), c), d);
+        let crc = crc_over(crc_over(crc_over(crc_over(crc, e), f), g), h);
+        let [low, high] = crc.to_le_bytes();
         [HEADER, address, DATA_LENGTH, a, b, c, d, e, f, g, h, low, high]
     }
 }
@@ -207,7 +222,7 @@ pub struct Receiver {
     /// The CRC over what is held.
     crc: u16,
     /// What the second byte says, once it is held.
-    address: Option<Target>,
+    address: Target,
 }
 
 impl Default for Receiver {
@@ -219,7 +234,7 @@ impl Default for Receiver {
 impl Receiver {
     /// A receiver that holds nothing.
     pub const fn new() -> Self {
-        Self { held: [0; FRAME_LENGTH], length: 0, crc: CRC_START, address: None }
+        Self { held: [0; FRAME_LENGTH], length: 0, crc: CRC_START, address: Target::All }
     }
 
     /// Takes the next byte from the line.
@@ -248,36 +263,26 @@ impl Receiver {
     fn push(&mut self, byte: u8) -> Result<bool, Fault> {
         let place = self.length;
         // There is always room: 13 bytes are a frame or are cut down before the next byte.
-        if let Some(room) = self.held.get_mut(place) {
-            *room = byte;
-        }
+        let Some(room) = self.held.get_mut(place) else { return Ok(false) };
+        *room = byte;
         self.length = place + 1;
         self.crc = crc_over(self.crc, byte);
         match place {
+            3..LAST_PLACE => return Ok(false),
             0 if byte != HEADER => return Err(Fault::Header),
-            1 => {
-                self.address = address(byte);
-                if self.address.is_none() {
-                    return Err(Fault::Address);
-                }
-            }
+            1 => self.address = address(byte).ok_or(Fault::Address)?,
             2 if byte != DATA_LENGTH => return Err(Fault::Length),
-            LAST_PLACE if self.crc == CRC_GOOD => return Ok(true),
-            LAST_PLACE => return Err(Fault::Crc),
+            LAST_PLACE if self.crc != CRC_GOOD => return Err(Fault::Crc),
             _ => {}
         }
-        Ok(false)
+        Ok(place == LAST_PLACE)
     }
 
     #[inline(always)]
     fn complete(&mut self) -> Fed {
         self.reset();
         let [_, _, _, data @ .., _, _] = &self.held;
-        match self.address {
-            Some(address) => Fed::Frame(Frame { address, data: *data }),
-            // Not with an address that was looked at when it came.
-            None => Fed::Discarded { bytes: FRAME_LENGTH, fault: Fault::Address },
-        }
+        Fed::Frame(Frame { address: self.address, data: *data })
     }
 
     /// Throws away what cannot be the start of a frame.

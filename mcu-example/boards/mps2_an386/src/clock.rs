@@ -10,6 +10,7 @@ use tock_registers::interfaces::{Readable, Writeable};
 use crate::device::{
     CLOCK_HZ, Interrupt, TimerControl, TimerInterrupt, interrupt, timer0, timer1, unmask,
 };
+use crate::tasks;
 
 const TICKS_A_MICRO: u32 = CLOCK_HZ / 1_000_000;
 /// Timer 0 begins again after 2^27 microseconds, or 134 seconds: the most that fits its 32 bits as whole
@@ -49,6 +50,18 @@ impl Clock {
         timer1().control.write(control);
         unmask(&[Interrupt::TIMER0, Interrupt::TIMER1]);
         Self(())
+    }
+
+    /// Lets timer 1 wake whoever waits by then, at the latest.
+    pub(crate) fn wake_by(self, until: Instant) {
+        let span = (until - io::Clock::now(&self)).min(LONGEST_SLEEP);
+        let ticks = (span.as_micros() as u32 * TICKS_A_MICRO).max(1);
+        critical_section::with(|_| {
+            let left = timer1().value.get();
+            if left == 0 || left > ticks {
+                timer1().value.set(ticks);
+            }
+        });
     }
 
     /// Waits without sleeping. Needs no interrupt.
@@ -92,6 +105,7 @@ impl io::Clock for Clock {
 /// Whoever sleeps has to look again. For interrupts.
 pub(crate) fn something_has_happened() {
     HAS_HAPPENED.store(true, Ordering::Relaxed);
+    tasks::wake();
 }
 
 /// A byte was taken from a UART. QEMU offers it the next one only when something wakes the thread that
@@ -109,4 +123,5 @@ fn TIMER0() {
 #[interrupt]
 fn TIMER1() {
     timer1().interrupt.write(TimerInterrupt::PENDING::SET);
+    tasks::wake();
 }

@@ -1,7 +1,8 @@
 //! The firmware on an emulated board: QEMU's machine mps2-an386, a Cortex-M4F with Arm's Cortex-M System
 //! Design Kit around it.
 //!
-//! `cargo emulate mps2_an386 --bin rs485` (or `can`) runs it; it takes UARTs for wires:
+//! `cargo emulate mps2_an386 --bin rs485` runs it, as do `can`, `rs485_async` and `can_async`. It takes
+//! UARTs for wires:
 //!
 //! | UART | what is on it |
 //! |---|---|
@@ -17,6 +18,7 @@ mod clock;
 mod device;
 mod ending;
 mod slcan;
+mod tasks;
 mod uart;
 mod watchdog;
 
@@ -29,6 +31,7 @@ pub use clock::Clock;
 pub use device::UartId;
 pub use ending::Bus;
 pub use slcan::Slcan;
+pub use tasks::sleep;
 pub use uart::{Queues, Stalled, Uart};
 
 use watchdog::Watchdog;

@@ -90,6 +90,10 @@ impl Slcan {
         slcan
     }
 
+    pub(crate) const fn clock(&self) -> Clock {
+        self.clock
+    }
+
     fn tell(&mut self, command: &[u8]) {
         if self.uart.write_all(command).is_err() {
             return;

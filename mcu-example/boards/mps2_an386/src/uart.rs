@@ -1,6 +1,7 @@
 //! A driver for the CMSDK UART: interrupts carry the bytes between it and two queues.
 
 mod carrier;
+mod tasks;
 
 use core::fmt;
 
@@ -120,6 +121,12 @@ impl Uart {
         carrier::discard_unsent(self.id);
     }
 
+    /// Takes what was received and fits, without waiting.
+    fn take_received(&mut self, buf: &mut [u8]) -> usize {
+        let bytes = core::iter::from_fn(|| self.received.dequeue());
+        buf.iter_mut().zip(bytes).map(|(place, byte)| *place = byte).count()
+    }
+
     fn has_sent(&self) -> bool {
         self.unsent.len() == 0 && !self.id.registers().state.is_set(UartState::TX_FULL)
     }
@@ -158,8 +165,7 @@ impl Read for Uart {
         while !self.received.ready() {
             self.clock.idle(Instant::from_micros(u64::MAX));
         }
-        let bytes = core::iter::from_fn(|| self.received.dequeue());
-        Ok(buf.iter_mut().zip(bytes).map(|(place, byte)| *place = byte).count())
+        Ok(self.take_received(buf))
     }
 }
 

@@ -1,0 +1,22 @@
+//! As `can`, as a task of embassy's executor.
+#![no_std]
+#![no_main]
+
+use embassy_executor::Spawner;
+use mps2_an386::{Bus, Parts, SLCAN_LINE_RATE, Slcan, sleep, start};
+use myactuator_mcu_example::{Movement, Setup, run_async};
+use myactuator_protocol_core::command::MotionRanges;
+use myactuator_protocol_core::io::AsyncCanMaster;
+use myactuator_protocol_core::master::Config;
+
+#[embassy_executor::main]
+async fn main(spawner: Spawner) -> ! {
+    // Gentle: 5 degrees away from where it is to be, a motor turns back with less than 2 N·m.
+    let movement = Movement::Motion { ranges: MotionRanges::V4_3, kp: 20.0, kd: 1.0 };
+    let setup = Setup::new(movement);
+    let Parts { cause, clock, uart, mut board } = start(Bus::Slcan, SLCAN_LINE_RATE, &setup);
+    spawner.spawn(sleep().expect("spawned once"));
+    let can = Slcan::open(uart, clock);
+    let mut bus = AsyncCanMaster::<_, _, 8>::new(can, clock, Config::CAN);
+    run_async(&mut bus, &mut board, setup, cause).await
+}

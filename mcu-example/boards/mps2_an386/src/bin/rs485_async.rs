@@ -1,0 +1,22 @@
+//! As `rs485`, as a task of embassy's executor.
+#![no_std]
+#![no_main]
+
+use embassy_executor::Spawner;
+use mps2_an386::{Bus, Parts, sleep, start};
+use myactuator_mcu_example::{Movement, Setup, run_async};
+use myactuator_protocol_core::io::AsyncSerialMaster;
+use myactuator_protocol_core::master::Config;
+use myactuator_protocol_core::units::MaxSpeed;
+
+const BIT_RATE: u32 = 1_000_000;
+
+#[embassy_executor::main]
+async fn main(spawner: Spawner) -> ! {
+    // Twice what the movement needs at its fastest.
+    let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(60) });
+    let Parts { cause, clock, uart, mut board } = start(Bus::Rs485, BIT_RATE, &setup);
+    spawner.spawn(sleep().expect("spawned once"));
+    let mut bus = AsyncSerialMaster::<_, _, 8>::new(uart, clock, Config::rs485(BIT_RATE, false));
+    run_async(&mut bus, &mut board, setup, cause).await
+}

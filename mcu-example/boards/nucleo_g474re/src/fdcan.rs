@@ -1,0 +1,124 @@
+//! CAN: FDCAN1 on PA11 and PA12, 1 Mbit/s, classic frames.
+
+use core::fmt;
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use embassy_stm32::can::config::TxBufferMode;
+use embassy_stm32::can::{
+    Can, CanConfigurator, Frame, IT0InterruptHandler, IT1InterruptHandler, OperatingMode,
+};
+use embassy_stm32::peripherals::{FDCAN1, PA11, PA12};
+use embassy_stm32::{Peri, bind_interrupts, pac};
+use embassy_time::{Duration, with_timeout};
+use myactuator_protocol_core::io::AsyncCan;
+
+/// Bits a second.
+pub const BIT_RATE: u32 = 1_000_000;
+
+/// A controller that takes nothing for so long has nobody who listens to it. Sooner than the loop
+/// gives up on it, which would leave what is pending in the controller.
+const STUCK_AFTER: Duration = Duration::from_millis(10);
+
+/// Whether the controller takes part in the bus, so that last words may be sent by it.
+pub(crate) static TAKES_PART: AtomicBool = AtomicBool::new(false);
+
+bind_interrupts!(struct Irqs {
+    FDCAN1_IT0 => IT0InterruptHandler<FDCAN1>;
+    FDCAN1_IT1 => IT1InterruptHandler<FDCAN1>;
+});
+
+/// Why the bus is down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
+pub enum BusDown {
+    /// The controller has switched itself off after too many errors. It comes back by itself.
+    Off,
+    /// The controller gets no frame onto the bus: nobody acknowledges.
+    TakesNothing,
+}
+
+/// The controller, as the async loop wants it.
+///
+/// Where the bus is down, what the controller has not sent yet is thrown away: it would leave whenever
+/// the bus comes back, and move a motor long after everything was stopped.
+pub struct FdCan {
+    can: Can<'static>,
+}
+
+impl FdCan {
+    /// Starts the controller.
+    pub fn new(
+        controller: Peri<'static, FDCAN1>,
+        rx: Peri<'static, PA11>,
+        tx: Peri<'static, PA12>,
+    ) -> Self {
+        let mut configurator = CanConfigurator::new(controller, rx, tx, Irqs);
+        configurator.set_bitrate(BIT_RATE);
+        let mut config = configurator.config();
+        // First in, first out: by priority, which is the driver's default, a stop could overtake an
+        // older set-point, which would then follow it.
+        config.tx_buffer_mode = TxBufferMode::Fifo;
+        // By `discard_pending`, not by the driver, which would go on with what was pending.
+        config.automatic_bus_off_recovery = false;
+        configurator.set_config(config);
+        let can = configurator.start(OperatingMode::NormalOperationMode);
+        TAKES_PART.store(true, Ordering::Relaxed);
+        Self { can }
+    }
+}
+
+impl fmt::Debug for FdCan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FdCan").finish_non_exhaustive()
+    }
+}
+
+impl AsyncCan for FdCan {
+    type Frame = Frame;
+    type Error = BusDown;
+
+    async fn transmit(&mut self, frame: &Frame) -> Result<(), BusDown> {
+        match with_timeout(STUCK_AFTER, self.can.write(frame)).await {
+            // Nothing is pushed out of a queue that is first in, first out.
+            Ok(_) => Ok(()),
+            Err(_) => {
+                discard_pending();
+                Err(BusDown::TakesNothing)
+            }
+        }
+    }
+
+    async fn receive(&mut self) -> Result<Frame, BusDown> {
+        loop {
+            if is_off() {
+                discard_pending();
+                return Err(BusDown::Off);
+            }
+            // An error is the driver's note of one disturbed frame, which whoever sent it sends again.
+            if let Ok(envelope) = self.can.read().await {
+                return Ok(envelope.frame);
+            }
+        }
+    }
+}
+
+/// Whether the controller has switched itself off: nobody else does, once it runs.
+pub(crate) fn is_off() -> bool {
+    pac::FDCAN1.cccr().read().init()
+}
+
+/// How often a bit is looked at that the controller sets within a few cycles of its own clock.
+const LOOKS: u32 = 10_000;
+
+/// Throws away what the controller has not sent and not handed over yet, and lets it take part in the
+/// bus again as soon as that is quiet: after bus-off, 128 times eleven recessive bits.
+pub(crate) fn discard_pending() {
+    let cccr = pac::FDCAN1.cccr();
+    cccr.modify(|w| w.set_init(true));
+    let _ = (0..LOOKS).any(|_| cccr.read().init());
+    // Resets, beside what it allows, all queues and requests (reference manual RM0440, 44.3.2).
+    cccr.modify(|w| w.set_cce(true));
+    let _ = (0..LOOKS).any(|_| cccr.read().cce());
+    cccr.modify(|w| w.set_cce(false));
+    cccr.modify(|w| w.set_init(false));
+    let _ = (0..LOOKS).any(|_| !cccr.read().init());
+}

@@ -1,0 +1,157 @@
+//! What a firmware that cannot go on still says on its bus, by looking at registers: no interrupt, no
+//! lock, no heap, and in a bounded time.
+
+use core::panic::PanicInfo;
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use board_shared::{on_fresh_stack, say_last_words};
+use cortex_m::asm;
+use cortex_m::peripheral::SCB;
+use defmt::Display2Format;
+use embassy_stm32::pac;
+use embedded_can::{Frame as _, Id};
+use myactuator_mcu_example::RestartCause;
+use myactuator_protocol_core::wire::{can, rs485};
+use myactuator_protocol_core::{MotorId, Packet};
+
+use crate::start::CORE_HZ;
+use crate::{MOTORS, fdcan, serial};
+
+/// Set by the first panic: one that comes of telling it only restarts.
+static PANICS: AtomicBool = AtomicBool::new(false);
+
+/// What a debugger needs to fetch the message: the restart begins a new log.
+const FETCH_MICROS: u32 = 50_000;
+
+#[panic_handler]
+fn panic(info: &PanicInfo<'_>) -> ! {
+    if !PANICS.swap(true, Ordering::Relaxed) {
+        stop_motors(RestartCause::Panic);
+        defmt::error!("{}", Display2Format(info));
+        pause(FETCH_MICROS);
+    }
+    SCB::sys_reset()
+}
+
+on_fresh_stack!(HardFault => fault);
+
+extern "C" fn fault() -> ! {
+    stop_motors(RestartCause::Fault);
+    SCB::sys_reset()
+}
+
+fn stop_motors(cause: RestartCause) {
+    let mut mouth = Mouth::Closed;
+    let motors = MotorId::all().take(MOTORS).collect();
+    say_last_words(cause, motors, |packet| mouth.say(packet));
+}
+
+/// Where the last words go.
+enum Mouth {
+    /// Nothing was said yet.
+    Closed,
+    Can,
+    Rs485,
+    /// No bus was set up, or it takes nothing.
+    Mute,
+}
+
+impl Mouth {
+    fn say(&mut self, packet: &Packet) {
+        if matches!(self, Self::Closed) {
+            *self = Self::open();
+        }
+        let is_said = match self {
+            Self::Can => say_on_can(packet),
+            Self::Rs485 => say_on_rs485(packet),
+            Self::Closed | Self::Mute => false,
+        };
+        if !is_said {
+            *self = Self::Mute;
+        }
+    }
+
+    fn open() -> Self {
+        // All of it takes less than the watchdog's patience, counted from here.
+        pac::IWDG.kr().write(|w| w.set_key(pac::iwdg::vals::Key::RESET));
+        if fdcan::TAKES_PART.load(Ordering::Relaxed) {
+            // What is pending may leave, but not later than now. A controller that is off is let back.
+            if fdcan::is_off() || !wait_for(2_000, is_queue_empty) {
+                fdcan::discard_pending();
+            }
+            Self::Can
+        } else if serial::IS_SET_UP.load(Ordering::Relaxed) {
+            // The rest of a command, and the answer to it.
+            wait_for(2_000, is_all_sent);
+            pause(ANSWER_MICROS);
+            Self::Rs485
+        } else {
+            Self::Mute
+        }
+    }
+}
+
+/// Sends a packet through the first place of the transmit queue that is free, and waits until it has
+/// left.
+fn say_on_can(packet: &Packet) -> bool {
+    /// Words that a place of the queue takes.
+    const PLACE: usize = 18;
+    const LAST_PLACE: u8 = 2;
+
+    let Some(frame) = can::encode::<can::SimpleFrame>(packet) else { return false };
+    let Id::Standard(id) = frame.id() else { return false };
+    let [a, b, c, d, e, f, g, h] = packet.data;
+    let words = [
+        u32::from(id.as_raw()) << 18,
+        8 << 16,
+        u32::from_le_bytes([a, b, c, d]),
+        u32::from_le_bytes([e, f, g, h]),
+    ];
+    let place = usize::from(pac::FDCAN1.txfqs().read().tfqpi().min(LAST_PLACE));
+    for (i, word) in words.into_iter().enumerate() {
+        pac::FDCANRAM1.txbuf(place * PLACE + i).write_value(word);
+    }
+    pac::FDCAN1.txbar().write(|w| w.set_ar(place, true));
+    wait_for(5_000, is_queue_empty)
+}
+
+fn is_queue_empty() -> bool {
+    pac::FDCAN1.txbrp().read().0 == 0
+}
+
+/// A drive's answer: 0.8 ms until it comes, 1.2 ms for its bytes, and some to spare.
+const ANSWER_MICROS: u32 = 3_000;
+
+/// Sends a packet, and leaves the drive time to answer.
+fn say_on_rs485(packet: &Packet) -> bool {
+    let Some(frame) = rs485::Frame::from_packet(packet) else { return false };
+    let is_sent = frame.encode().into_iter().all(|byte| {
+        let has_place = wait_for(1_000, || pac::USART1.isr().read().txe());
+        pac::USART1.tdr().write(|w| w.set_dr(byte.into()));
+        has_place
+    });
+    // A byte that was written has not left yet, and its flag may take a moment to say so.
+    pause(10);
+    let is_sent = is_sent && wait_for(2_000, is_all_sent);
+    pause(ANSWER_MICROS);
+    is_sent
+}
+
+fn is_all_sent() -> bool {
+    pac::USART1.isr().read().tc()
+}
+
+/// Looks for so long, by the clock that [`start`](crate::start()) sets up. Longer if the clock is slow.
+fn wait_for(micros: u32, mut is_so: impl FnMut() -> bool) -> bool {
+    (0..micros).any(|_| {
+        let is_so = is_so();
+        if !is_so {
+            pause(1);
+        }
+        is_so
+    })
+}
+
+fn pause(micros: u32) {
+    asm::delay(micros * (CORE_HZ / 1_000_000));
+}
