@@ -10,6 +10,7 @@ use super::drives::Drives;
 use super::log::{Line, Log};
 use super::panel::{Panel, Waiting};
 use super::qemu::Qemu;
+use super::urgency;
 
 /// A board that runs, and the drives that it moves. All end when this is dropped.
 #[derive(Debug)]
@@ -45,6 +46,7 @@ impl Emulated {
         let panel = waiting
             .connect(|| log.is_open())
             .map_err(|error| format!("{error}: {}", qemu.complaints()))?;
+        urgency::take();
         Ok(Self { log, panel, qemu, drives, _folder: folder })
     }
 }

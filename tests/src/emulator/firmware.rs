@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant as WallTime};
 
 use myactuator_host_std::sim::{DriveHandle, Fleet};
 use myactuator_protocol_core::time::Instant;
@@ -13,6 +13,7 @@ use super::image;
 use super::log::{Line, Mark, Second};
 use super::panel::Breakage;
 use super::truth::{Look, Truth};
+use super::urgency::Stalls;
 use super::{Emulated, Failure};
 
 /// They keep real time, so that several at once would miss it.
@@ -29,6 +30,8 @@ pub struct Firmware {
     emulated: Emulated,
     /// What the shafts really did.
     pub truth: Truth,
+    /// How often the machine had no time for this.
+    pub stalls: Stalls,
     /// Up to where the log was read.
     read: Mark,
     _alone: MutexGuard<'static, ()>,
@@ -59,7 +62,8 @@ impl Firmware {
         drives.listen();
         let truth = Truth::observe(drives.handles().to_vec());
         let emulated = Emulated::start(board, wire, &image, drives, |_| {})?;
-        Ok(Self { emulated, truth, read: Mark::default(), _alone: alone })
+        let stalls = Stalls::count();
+        Ok(Self { emulated, truth, stalls, read: Mark::default(), _alone: alone })
     }
 
     /// The drives that it moves.
@@ -73,12 +77,14 @@ impl Firmware {
     }
 
     /// Presses the button.
+    #[track_caller]
     pub fn press(&mut self) {
         let pressed = self.emulated.panel.press();
         self.expect(pressed);
     }
 
     /// Holds the button until that is a long press.
+    #[track_caller]
     pub fn hold(&mut self) {
         let held = self.emulated.panel.hold();
         self.expect(held);
@@ -99,6 +105,7 @@ impl Firmware {
     }
 
     /// The next line of the log that begins with `text`; those before it are skipped.
+    #[track_caller]
     pub fn wait_for(&mut self, text: &str, within: Duration) -> Line {
         match self.emulated.log.wait(self.read, within, |line| line.text.starts_with(text)) {
             Some((line, read)) => {
@@ -110,6 +117,7 @@ impl Firmware {
     }
 
     /// The next second that the application tells of.
+    #[track_caller]
     pub fn wait_for_second(&mut self) -> Second {
         let line = self.wait_for("Second", Duration::from_secs(3));
         match line.second() {
@@ -134,6 +142,7 @@ impl Firmware {
     }
 
     /// Fails unless the log could be read without a gap.
+    #[track_caller]
     pub fn check_log(&self) {
         let garbled = self.emulated.log.garbled();
         if garbled > 0 {
@@ -141,30 +150,68 @@ impl Firmware {
         }
     }
 
-    /// Waits until a shaft turns faster than this, and gives when that was.
-    pub fn wait_until_moving(&self, id: usize, speed_dps: f32) -> Instant {
-        for _ in 0..2_000 {
-            let look = Look::at(self.drive(id));
-            if look.speed_dps.abs() > speed_dps {
-                return look.at;
+    /// Waits until all shafts turn faster than this, and gives when that was.
+    #[track_caller]
+    pub fn wait_until_moving(&self, speed_dps: f32) -> Instant {
+        let until = WallTime::now() + Duration::from_secs(4);
+        while WallTime::now() < until {
+            let looks = self.looks();
+            if looks.iter().all(|look| look.speed_dps.abs() > speed_dps) {
+                return self.drives().now();
             }
             thread::sleep(Duration::from_millis(2));
         }
-        self.fail(&format!("motor {id} does not turn at {speed_dps} degrees a second"))
+        self.fail(&format!("not all motors turn at {speed_dps} degrees a second"))
+    }
+
+    /// How all drives do now.
+    pub fn looks(&self) -> Vec<Look> {
+        self.drives().handles().iter().map(Look::at).collect()
+    }
+
+    /// Fails unless all these shafts stood still from so long after `since` on, until now. Called a while
+    /// after that.
+    #[track_caller]
+    pub fn check_still(&self, since: Instant, within: Duration) {
+        let moved_for = self.truth.moved_for(since);
+        if moved_for.iter().any(|&moved_for| moved_for > within) {
+            self.fail(&format!("shafts moved for {moved_for:?}, which is longer than {within:?}"));
+        }
+    }
+
+    /// Fails unless nothing moves in the next `span`, or the application starts something.
+    #[track_caller]
+    pub fn check_stays_stopped(&mut self, span: Duration) {
+        self.skip();
+        let since = self.drives().now();
+        thread::sleep(span);
+        self.check_still(since, Duration::ZERO);
+        if !self.unread().is_empty() {
+            self.fail(&format!(
+                "nobody has pressed the button, yet the firmware says: {:?}",
+                self.unread()
+            ));
+        }
     }
 
     /// Fails, and shows what there is to see.
+    #[track_caller]
     pub fn fail(&self, what: &str) -> ! {
-        let looks: Vec<Look> = self.emulated.drives.handles().iter().map(Look::at).collect();
+        let Emulated { log, qemu, drives, .. } = &self.emulated;
+        let ended = if log.is_open() { "" } else { ", and the emulator has ended" };
+        let looks: String = self.looks().iter().map(|look| format!("  {look:?}\n")).collect();
         panic!(
-            "{what}\nthe end of the log{}:\n{}drives: {looks:#?}\nsimulation: {:?}\nemulator: {:?}",
-            if self.emulated.log.is_open() { "" } else { ", and the emulator has ended" },
-            self.emulated.log.tail(TAIL),
-            self.emulated.drives.notices(),
-            self.emulated.qemu.complaints(),
+            "{what}\nthe end of the log{ended}:\n{}drives:\n{looks}simulation: {:?}\nemulator: {:?}\n\
+             this machine kept a thread waiting {} times, for up to {:?}",
+            log.tail(TAIL),
+            drives.notices(),
+            qemu.complaints(),
+            self.stalls.so_far(),
+            self.stalls.longest(),
         )
     }
 
+    #[track_caller]
     fn expect<T>(&self, result: Result<T, Failure>) -> T {
         result.unwrap_or_else(|error| self.fail(&error.to_string()))
     }

@@ -19,6 +19,7 @@
 //! | [`log`] | what the firmware tells |
 //! | [`drives`] | the simulated drives: disturbed, and asked what they heard |
 //! | [`truth`] | where the shafts really were, and when they stood still |
+//! | [`urgency`] | the processor's time for all of this |
 //! | [`Emulated`] | a board with its drives |
 //! | [`firmware`] | that, and whoever looks at both ends, for tests |
 //!
@@ -33,6 +34,7 @@ pub mod log;
 pub mod panel;
 pub mod qemu;
 pub mod truth;
+pub mod urgency;
 
 use std::path::PathBuf;
 

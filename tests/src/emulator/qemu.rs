@@ -14,9 +14,15 @@ use super::{Failure, target_dir};
 const NAME: &str = "qemu-system-arm";
 
 /// Runs the emulator until its standard input is closed. So it ends with this process, however that
-/// ends; and its standard output ends with it.
-const KEEPER: &str =
-    r#""$@" </dev/null & emulator=$!; exec >/dev/null; read -r _; kill -9 $emulator"#;
+/// ends; and its standard output ends with it. Before all ordinary processes, if that is allowed.
+const KEEPER: &str = r#"
+    if chrt --rr 1 true 2>/dev/null; then set -- chrt --rr 1 "$@"; fi
+    "$@" </dev/null & emulator=$!
+    exec >/dev/null
+    read -r _
+    kill -9 $emulator
+    wait
+"#;
 
 /// A running emulator. It ends when this is dropped.
 #[derive(Debug)]

@@ -3,13 +3,13 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::Duration as WallTime;
+use std::time::Duration;
 
 use myactuator_host_std::sim::DriveHandle;
-use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::time::Instant;
 
 /// How often the shafts are looked at.
-const INTERVAL: WallTime = WallTime::from_millis(2);
+const INTERVAL: Duration = Duration::from_millis(2);
 /// A shaft that turns slower than this stands still, degrees per second: a held shaft trembles within
 /// the last step of its encoder.
 const STILL_DPS: f32 = 1.0;
@@ -87,7 +87,7 @@ impl Truth {
         let all = self.between(since, Instant::from_micros(u64::MAX));
         let last = |looks: &Vec<Look>| {
             let moving = looks.iter().rfind(|look| !look.is_still());
-            moving.map_or(Duration::ZERO, |look| look.at - since)
+            moving.map_or(Duration::ZERO, |look| (look.at - since).into())
         };
         all.iter().map(last).collect()
     }

@@ -1,0 +1,92 @@
+//! One drive is not as it should be.
+
+use std::thread;
+use std::time::Duration;
+
+use myactuator_protocol_core::command::{ErrorFlags, VersionDate};
+
+use super::running::{PATIENCE, Program, WATCHED, go, millis, moving, on, stopped};
+
+on! {
+    MPS2_RS485 as mps2_rs485, MPS2_CAN as mps2_can:
+    one_that_is_unplugged_stops_all
+    one_that_restarts_stops_all
+    one_with_an_error_stops_all_until_that_is_gone
+    one_with_another_firmware_keeps_all_from_moving
+}
+
+/// A motor that is silent is given up after 100 ms; then all are stopped.
+const SILENCE_STOPS: Duration = Duration::from_millis(250);
+/// A motor that hears nothing stops by itself after 500 ms, which the application has told it.
+const PROTECTION_STOPS: Duration = Duration::from_millis(700);
+/// The application looks at each motor's errors every 120 ms.
+const ERROR_STOPS: Duration = Duration::from_millis(300);
+
+fn one_that_is_unplugged_stops_all(program: Program) {
+    let mut firmware = moving(program);
+    let unplugged = firmware.drives().now();
+    let motor_3 = firmware.drive(3).clone();
+    firmware.drives().cut(std::slice::from_ref(&motor_3));
+    firmware.wait_for("Trouble(Silent { motor: motor 3 })", PATIENCE);
+    // A set of motors is told as bits, from motor 1 on.
+    firmware.wait_for("Stopped { unconfirmed: MotorSet(4) }", PATIENCE);
+    firmware.wait_for("State(Stopped)", PATIENCE);
+    thread::sleep(PROTECTION_STOPS);
+    firmware.drives().mend(std::slice::from_ref(&motor_3));
+    firmware.check_stays_stopped(WATCHED);
+    let mut moved_for = firmware.truth.moved_for(unplugged);
+    let alone = moved_for.remove(2);
+    if alone > PROTECTION_STOPS || moved_for.iter().any(|&moved_for| moved_for > SILENCE_STOPS) {
+        firmware.fail(&format!("the unplugged one moved for {alone:?}, the others {moved_for:?}"));
+    }
+    go(&mut firmware);
+}
+
+fn one_that_restarts_stops_all(program: Program) {
+    let mut firmware = moving(program);
+    let restarted = firmware.drives().now();
+    firmware.drives().restart(firmware.drive(2));
+    let told = firmware.wait_for("Trouble(", PATIENCE);
+    // It may be missed before it is asked how long it has run.
+    let is_known = told.text.contains("Restarted") || told.text.contains("Silent");
+    assert!(is_known && told.number("motor") == Some(2.0), "{told}");
+    firmware.wait_for("State(Stopped)", PATIENCE);
+    firmware.check_stays_stopped(WATCHED);
+    firmware.check_still(restarted, SILENCE_STOPS);
+    go(&mut firmware);
+}
+
+fn one_with_an_error_stops_all_until_that_is_gone(program: Program) {
+    let mut firmware = moving(program);
+    let struck = firmware.drives().now();
+    let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
+    firmware.drive(4).with(|drive| drive.raise_fault(flags));
+    firmware.wait_for("Trouble(Errors { motor: motor 4,", PATIENCE);
+    firmware.wait_for("State(Stopped)", PATIENCE);
+    firmware.check_stays_stopped(WATCHED);
+    firmware.check_still(struck, ERROR_STOPS);
+
+    firmware.press();
+    firmware.wait_for("Trouble(Errors { motor: motor 4,", PATIENCE);
+    firmware.wait_for("State(Stopped)", PATIENCE);
+    firmware.check_stays_stopped(millis(300));
+    firmware.check_still(struck, ERROR_STOPS);
+
+    firmware.drive(4).with(|drive| drive.clear_fault(flags));
+    go(&mut firmware);
+}
+
+fn one_with_another_firmware_keeps_all_from_moving(program: Program) {
+    let mut firmware = stopped(program);
+    let replaced = firmware.drives().now();
+    let other = VersionDate::from_raw(20_231_201);
+    if let Err(error) = firmware.drives().replace(firmware.drive(2), other) {
+        firmware.fail(&error.to_string());
+    }
+    firmware.press();
+    let told = firmware.wait_for("Trouble(OtherFirmware { motor: motor 2,", PATIENCE);
+    assert!(told.text.contains("20231201"), "{told}");
+    firmware.wait_for("State(Stopped)", PATIENCE);
+    firmware.check_stays_stopped(WATCHED);
+    firmware.check_still(replaced, Duration::ZERO);
+}

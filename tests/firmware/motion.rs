@@ -1,0 +1,158 @@
+//! First contact, motion, shutdown; and that it goes on like that.
+
+use std::thread;
+use std::time::Duration;
+
+use myactuator_protocol_core::command::{BrakeCommand, Stop};
+use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::{Channel, MotorId, Target};
+use myactuator_tests::emulator::board::Wire;
+use myactuator_tests::fleet::state;
+
+use super::running::{DRIVES, PATIENCE, Program, WATCHED, millis, on, stopped};
+
+on! {
+    MPS2_RS485 as mps2_rs485, MPS2_RS485_ASYNC as mps2_rs485_async, MPS2_CAN as mps2_can,
+    MPS2_CAN_ASYNC as mps2_can_async, NETDUINO_RS485 as netduino_rs485:
+    motors_are_found_moved_and_shut_down
+}
+on! {
+    MPS2_CAN as mps2_can_for_long, NETDUINO_RS485 as netduino_rs485_for_long:
+    nothing_is_lost_in_a_minute
+}
+
+/// How far from its place a shaft may be that follows a set-point, degrees.
+const FOLLOWS_DEG: f32 = 2.0;
+/// How far the application moves the motors, degrees.
+const AMPLITUDE_DEG: f32 = 20.0;
+/// An application that is stopped by the button has stopped the motors by then: it looks at the button
+/// every millisecond.
+const BUTTON_STOPS: Duration = Duration::from_millis(100);
+/// An interrupt at the deepest place of the stack, which need not come in the first seconds: 104 bytes that
+/// the processor puts there, and what the handler takes.
+const INTERRUPT_BYTES: u32 = 256;
+/// The stack that the boards' memory.x has.
+const STACK_BYTES: u32 = 8 * 1024;
+
+/// The least set-points a second that each motor answers.
+///
+/// An exchange on the line takes 1.16 ms: two frames of 0.13 ms, the drive's 0.8 ms, a pause of 0.1 ms. Of
+/// the 862 that this makes in a second, 100 are questions, and the motors share the rest. Half of that is
+/// asked for: the emulator hands each byte to the firmware by itself, which takes as long as the exchange.
+///
+/// TODO
+fn least_rate(program: &str) -> u32 {
+    match Wire::of_program(program) {
+        Ok(Wire::Rs485) => (862 - 100) / u32::from(DRIVES) / 2,
+        _ => 150,
+    }
+}
+
+fn motors_are_found_moved_and_shut_down(program: Program) {
+    let mut firmware = stopped(program);
+    firmware.check_stays_stopped(WATCHED);
+    let heard = firmware.drives().heard_since(Instant::ZERO);
+    assert!(heard.iter().all(|heard| heard.packet.data == Stop.encode()), "{heard:?}");
+    for motor in MotorId::all().take(DRIVES.into()) {
+        let channel = Channel::Command(Target::Motor(motor));
+        assert!(heard.iter().any(|heard| heard.packet.channel == channel), "{heard:?}");
+    }
+    for look in firmware.looks() {
+        assert!(look.angle_deg.abs() < 0.1, "{look:?}");
+    }
+
+    firmware.press();
+    for id in 1..=DRIVES {
+        let found = firmware.wait_for("Found", PATIENCE);
+        assert_eq!(found.number("motor"), Some(id.into()), "{found}");
+        // RMD-X8-PRO, without the maker's part.
+        let name: Vec<String> = b"X8-PRO\0".iter().map(u8::to_string).collect();
+        assert!(found.text.contains(&name.join(", ")), "{found}");
+        assert!(found.text.contains("20250512"), "{found}");
+    }
+    for id in 1..=DRIVES {
+        let ready = firmware.wait_for("Ready", PATIENCE);
+        assert_eq!(ready.number("motor"), Some(id.into()), "{ready}");
+    }
+    firmware.wait_for("State(Running)", PATIENCE);
+    let running = firmware.drives().now();
+    for drive in firmware.drives().handles() {
+        assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
+    }
+
+    let seconds: Vec<_> = (0..4).map(|_| firmware.wait_for_second()).collect();
+    assert!(firmware.is_light_on());
+    for id in 1..=DRIVES {
+        let told = firmware.wait_for("Measured", PATIENCE);
+        assert_eq!(told.number("motor"), Some(id.into()), "{told}");
+        // It is told at the end of a way, where a shaft is slow.
+        let told_deg = told.number("angle").unwrap_or(f64::NAN) as f32 / 100.0;
+        let true_deg = firmware.looks()[usize::from(id) - 1].angle_deg;
+        assert!((told_deg - true_deg).abs() < FOLLOWS_DEG, "{told}, but it is at {true_deg}");
+    }
+    let now = firmware.drives().now();
+    for (least_deg, most_deg) in firmware.truth.reached_deg(running, now) {
+        assert!(least_deg > -FOLLOWS_DEG, "{least_deg}");
+        assert!((most_deg - AMPLITUDE_DEG).abs() < FOLLOWS_DEG, "{most_deg}");
+    }
+    let least = least_rate(program.1);
+    if seconds.iter().any(|second| second.slowest < least) {
+        firmware.fail(&format!("a motor answered less than {least} set-points in a second"));
+    }
+
+    let pressed = firmware.drives().now();
+    firmware.press();
+    firmware.wait_for("Trouble(Button)", PATIENCE);
+    firmware.wait_for("Stopped { unconfirmed: MotorSet(0) }", PATIENCE);
+    firmware.wait_for("State(Stopped)", PATIENCE);
+    firmware.check_stays_stopped(WATCHED);
+    firmware.check_still(pressed, BUTTON_STOPS);
+
+    firmware.hold();
+    firmware.wait_for("State(ShuttingDown)", PATIENCE);
+    firmware.wait_for("State(Stopped)", PATIENCE);
+    for drive in firmware.drives().handles() {
+        let state = state(drive);
+        assert!(!state.output_on && state.brake == BrakeCommand::LOCK, "{state:?}");
+    }
+    firmware.check_stays_stopped(WATCHED);
+    firmware.check_log();
+}
+
+fn nothing_is_lost_in_a_minute(program: Program) {
+    nothing_is_lost(program, 60);
+}
+
+#[test]
+#[ignore = "takes twenty minutes"]
+fn nothing_is_lost_in_ten_minutes() {
+    nothing_is_lost(super::running::MPS2_CAN, 600);
+    nothing_is_lost(super::running::NETDUINO_RS485, 600);
+}
+
+fn nothing_is_lost(program: Program, seconds: u32) {
+    let mut firmware = stopped(program);
+    firmware.press();
+    firmware.wait_for("State(Running)", PATIENCE);
+    let stalls = firmware.stalls.so_far();
+    let mut stack = 0;
+    for second in 1..=seconds {
+        let told = firmware.wait_for_second();
+        // Where the machine had something else to do, a reply may be late.
+        let excused = firmware.stalls.so_far() - stalls;
+        if told.lost as usize > excused {
+            firmware.fail(&format!("{told:?}: a reply was lost on a clean bus"));
+        }
+        if second <= 5 {
+            stack = told.stack;
+        }
+        if told.stack > stack + INTERRUPT_BYTES || told.stack > STACK_BYTES / 2 {
+            firmware.fail(&format!("{told:?}: the stack grows, it was {stack}"));
+        }
+        if second == seconds {
+            println!("{program:?} after {seconds} s, {excused} stalls: {told:?}");
+        }
+    }
+    thread::sleep(millis(10));
+    firmware.check_log();
+}

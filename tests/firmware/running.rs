@@ -1,0 +1,69 @@
+//! What the tests have in common: a program of a board, and how it is brought to move its motors.
+
+use std::time::Duration;
+
+use myactuator_host_std::sim::Fleet;
+use myactuator_tests::emulator::board::Board;
+use myactuator_tests::emulator::firmware::Firmware;
+
+/// How many drives there are.
+pub(crate) const DRIVES: u8 = 4;
+/// Longer than anything takes that has no time of its own.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(5);
+/// How long it is watched that nothing starts by itself.
+pub(crate) const WATCHED: Duration = Duration::from_millis(1_000);
+/// At this speed, degrees a second, a movement is well under way: at its fastest it has 30.
+pub(crate) const UNDER_WAY_DPS: f32 = 15.0;
+
+/// A board's program, which is named after its bus.
+pub(crate) type Program = (Board, &'static str);
+
+pub(crate) const MPS2_RS485: Program = (Board::Mps2An386, "rs485");
+pub(crate) const MPS2_CAN: Program = (Board::Mps2An386, "can");
+pub(crate) const MPS2_RS485_ASYNC: Program = (Board::Mps2An386, "rs485_async");
+pub(crate) const MPS2_CAN_ASYNC: Program = (Board::Mps2An386, "can_async");
+pub(crate) const NETDUINO_RS485: Program = (Board::NetduinoPlus2, "rs485");
+
+/// Makes a test of each function for each program.
+macro_rules! on {
+    ($($program:ident as $module:ident),+: $($name:ident)+) => {
+        $crate::firmware::running::on!(@all [$($program as $module),+] [$($name)+]);
+    };
+    (@all [$($program:ident as $module:ident),+] $names:tt) => {
+        $($crate::firmware::running::on!(@one $program $module $names);)+
+    };
+    (@one $program:ident $module:ident [$($name:ident)+]) => {
+        mod $module {
+            $(#[test] fn $name() { super::$name(super::super::running::$program); })+
+        }
+    };
+}
+pub(crate) use on;
+
+pub(crate) fn millis(millis: u64) -> Duration {
+    Duration::from_millis(millis)
+}
+
+/// A firmware that waits for the button.
+pub(crate) fn stopped((board, program): Program) -> Firmware {
+    let fleet = Fleet::new(DRIVES).brakes(true);
+    let mut firmware = Firmware::start(board, program, &fleet);
+    firmware.wait_for("Started { cause: Power }", PATIENCE);
+    firmware.wait_for("State(Stopped)", PATIENCE);
+    firmware
+}
+
+/// A firmware whose motors are well under way.
+pub(crate) fn moving(program: Program) -> Firmware {
+    let mut firmware = stopped(program);
+    go(&mut firmware);
+    firmware
+}
+
+/// Presses the button, and waits until the motors are well under way.
+#[track_caller]
+pub(crate) fn go(firmware: &mut Firmware) {
+    firmware.press();
+    firmware.wait_for("State(Running)", PATIENCE);
+    firmware.wait_until_moving(UNDER_WAY_DPS);
+}
