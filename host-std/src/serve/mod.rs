@@ -31,6 +31,7 @@ use std::collections::VecDeque;
 use std::fmt;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -119,7 +120,7 @@ impl fmt::Display for Notice {
 /// Why drives cannot be served, or not any more.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The operating system refuses a pseudo-terminal, or fails it.
+    /// The operating system refuses a pseudo-terminal, or fails it; or a socket's program has gone.
     #[error("no pseudo-terminal to serve: the operating system reports: {0}")]
     Terminal(#[from] io::Error),
     /// The CAN interface cannot be opened or has failed.
@@ -154,12 +155,30 @@ impl Server {
         fleet: &LineFleet,
         transceiver: TransceiverConfig,
     ) -> Result<PathBuf, ServeError> {
-        let pty = Pty::open()?;
-        let path = pty.path().to_owned();
+        let (pty, path) = Pty::open()?;
+        self.add_line(fleet, transceiver, pty);
+        Ok(path)
+    }
+
+    /// As [`serve_line`](Self::serve_line), with a socket in place of the serial port, for an emulator.
+    /// Serving ends when the other end is closed.
+    ///
+    /// # Errors
+    /// [`ServeError::Terminal`].
+    pub fn serve_line_on(
+        &mut self,
+        fleet: &LineFleet,
+        transceiver: TransceiverConfig,
+        stream: UnixStream,
+    ) -> Result<(), ServeError> {
+        self.add_line(fleet, transceiver, Pty::on(stream)?);
+        Ok(())
+    }
+
+    fn add_line(&mut self, fleet: &LineFleet, transceiver: TransceiverConfig, pty: Pty) {
         let port = fleet.world.port_with(transceiver);
         self.hosts.push(Box::new(Host::new(fleet.world.clone(), fleet.drives.clone())));
         self.ends.push(Box::new(LineEnd { pty, port, waiting: Vec::new() }));
-        Ok(path)
     }
 
     /// Takes drives on a CAN bus, to serve them by adapters and interfaces. They live without as
@@ -173,13 +192,30 @@ impl Server {
     /// # Errors
     /// [`ServeError::Terminal`].
     pub fn serve_adapter(&mut self, fleet: &CanFleet) -> Result<PathBuf, ServeError> {
-        let pty = Pty::open()?;
-        let path = pty.path().to_owned();
+        let (pty, path) = Pty::open()?;
+        self.add_adapter(fleet, pty);
+        Ok(path)
+    }
+
+    /// As [`serve_adapter`](Self::serve_adapter), with a socket in place of the serial port, for an
+    /// emulator. Serving ends when the other end is closed.
+    ///
+    /// # Errors
+    /// [`ServeError::Terminal`].
+    pub fn serve_adapter_on(
+        &mut self,
+        fleet: &CanFleet,
+        stream: UnixStream,
+    ) -> Result<(), ServeError> {
+        self.add_adapter(fleet, Pty::on(stream)?);
+        Ok(())
+    }
+
+    fn add_adapter(&mut self, fleet: &CanFleet, pty: Pty) {
         let queues =
             ControllerConfig { transmit_queue: ADAPTER_QUEUE, ..ControllerConfig::SOCKETCAN };
         let port = fleet.world.port_with(queues);
         self.ends.push(Box::new(AdapterEnd::new(pty, port, fleet.bit_rate())));
-        Ok(path)
     }
 
     /// Serves [hosted](Self::host_can) drives on a CAN interface. On a real one they answer next to

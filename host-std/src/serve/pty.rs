@@ -1,26 +1,28 @@
-//! A pseudo-terminal that stands in for a serial port.
+//! What stands in for a serial port: a pseudo-terminal, or a socket.
 
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
-use std::path::{Path, PathBuf};
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
 
 use rustix::io::Errno;
 use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 
-/// The device's end of a serial port. Programs open the other end by its path, one after the other
-/// as they like.
+/// The device's end of a serial port. Programs open the other end of a pseudo-terminal by its path, one
+/// after the other as they like.
 #[derive(Debug)]
 pub(super) struct Pty {
     device: OwnedFd,
-    /// The programs' end, kept open so that the device's end does not fail while no program is there.
-    port: OwnedFd,
-    path: PathBuf,
+    /// A pseudo-terminal's end for programs, kept open so that the device's end does not fail while no
+    /// program is there.
+    port: Option<OwnedFd>,
 }
 
 impl Pty {
-    /// A new one in raw mode: bytes go through as they are, also of programs that set nothing.
-    pub(super) fn open() -> io::Result<Self> {
+    /// A new one in raw mode: bytes go through as they are, also of programs that set nothing. With the
+    /// path where programs find it.
+    pub(super) fn open() -> io::Result<(Self, PathBuf)> {
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let device = openpt(flags)?;
         grantpt(&device)?;
@@ -32,26 +34,28 @@ impl Pty {
         settings.make_raw();
         tcsetattr(&port, OptionalActions::Now, &settings)?;
         rustix::io::ioctl_fionbio(&device, true)?;
-        Ok(Self { device, port, path })
+        Ok((Self { device, port: Some(port) }, path))
     }
 
-    /// Where programs find it.
-    pub(super) fn path(&self) -> &Path {
-        &self.path
+    /// A socket in place of a pseudo-terminal. It ends when the program goes.
+    pub(super) fn on(stream: UnixStream) -> io::Result<Self> {
+        stream.set_nonblocking(true)?;
+        Ok(Self { device: stream.into(), port: None })
     }
 
     /// Lets the next program in: the port of one that asked to be alone stays locked otherwise, as
     /// long as this end is open.
     pub(super) fn admit_all(&self) -> io::Result<()> {
-        Ok(ioctl_tiocnxcl(&self.port)?)
+        Ok(self.port.as_ref().map_or(Ok(()), ioctl_tiocnxcl)?)
     }
 
-    /// What a program has written; 0 if nothing.
+    /// What a program has written; 0 if nothing. An error if a socket's program has gone.
     pub(super) fn read(&self, buffer: &mut [u8]) -> io::Result<usize> {
         loop {
             match rustix::io::read(&self.device, &mut *buffer) {
                 Err(Errno::INTR) => {}
                 Err(Errno::AGAIN) => return Ok(0),
+                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
                 done => return Ok(done?),
             }
         }

@@ -53,7 +53,7 @@ fn run() -> Result<(), Box<dyn Error + Send + Sync>> {
 
     let (say, said) = mpsc::channel();
     listen(say)?;
-    let drives = Drives::serve(&Fleet::new(DRIVES).brakes(true), wire)?;
+    let drives = Drives::new(&Fleet::new(DRIVES).brakes(true), wire)?;
     println!("{board} in QEMU, with {DRIVES} simulated drives on {wire}.\n{KEYS}\n");
     let mut emulated = Emulated::start(board, wire, &image, drives, |line| println!("{line}"))?;
     loop {

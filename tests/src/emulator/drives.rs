@@ -2,17 +2,17 @@
 
 use std::fmt;
 use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 
-use myactuator_host_std::serve::{Notice, ServeError, Server};
+use myactuator_host_std::serve::{ServeError, Server};
+use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
-use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
+use myactuator_host_std::sim::bus::rs485::{Rs485Line, TransceiverConfig};
 use myactuator_host_std::sim::bus::trace::Event;
-use myactuator_host_std::sim::bus::{Medium, StationId, World};
+use myactuator_host_std::sim::bus::{Medium, StationId};
 use myactuator_host_std::sim::memory::DriveMemory;
-use myactuator_host_std::sim::{BusFleet, CanFleet, DriveHandle, Fleet, LineFleet};
+use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::command::VersionDate;
 use myactuator_protocol_core::drive::{Drive, Parameters};
@@ -37,72 +37,64 @@ pub struct Heard {
 
 type Shared<T> = Arc<Mutex<Vec<T>>>;
 
-/// Simulated drives behind a pseudo-terminal, in real time. They stop when this is dropped.
+/// Simulated drives, in real time. They stop when this is dropped.
 pub struct Drives {
-    handles: Vec<DriveHandle>,
-    bus: Box<dyn AnyBus>,
-    path: PathBuf,
+    bus: Arc<dyn Bus>,
     heard: Shared<Heard>,
     notices: Shared<String>,
+    server: Option<Running>,
+}
+
+struct Running {
     /// Closed, it stops the server.
-    stop: Option<UnixStream>,
-    server: Option<JoinHandle<()>>,
+    stop: UnixStream,
+    thread: JoinHandle<()>,
 }
 
 impl fmt::Debug for Drives {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Drives").field("path", &self.path).finish_non_exhaustive()
+        f.debug_struct("Drives").field("notices", &self.notices).finish_non_exhaustive()
     }
 }
 
 impl Drives {
-    /// Serves these on a wire.
+    /// These, on a wire to nobody.
     ///
     /// # Errors
-    /// They cannot be simulated, or not served.
-    pub fn serve(fleet: &Fleet, wire: Wire) -> Result<Self, Failure> {
-        match wire {
-            Wire::Rs485 => Self::start(fleet.on_rs485(BIT_RATE)?),
-            Wire::Slcan => Self::start(fleet.on_can(BIT_RATE)?),
-        }
+    /// They cannot be simulated.
+    pub fn new(fleet: &Fleet, wire: Wire) -> Result<Self, Failure> {
+        let bus: Arc<dyn Bus> = match wire {
+            Wire::Rs485 => Arc::new(fleet.on_rs485(BIT_RATE)?),
+            Wire::Slcan => Arc::new(fleet.on_can(BIT_RATE)?),
+        };
+        Ok(Self { bus, heard: Shared::default(), notices: Shared::default(), server: None })
     }
 
-    fn start<B: Served>(fleet: BusFleet<B>) -> Result<Self, Failure>
-    where
-        BusFleet<B>: Send,
-    {
-        let (handles, world) = (fleet.drives.clone(), fleet.world.clone());
-        let (notices, problems) = (Shared::<String>::default(), Shared::<String>::default());
+    /// Puts whoever is at the other end of the stream on their wire: as the serial port of an RS485 line, or
+    /// of an SLCAN adapter.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn serve(&mut self, stream: UnixStream) -> Result<(), Failure> {
         let (stop, stopped) = UnixStream::pair()?;
-        let (place, placed) = mpsc::channel();
-        let (for_notices, for_problems) = (Arc::clone(&notices), Arc::clone(&problems));
+        let (bus, notices) = (Arc::clone(&self.bus), Arc::clone(&self.notices));
         // A server stays in the thread that made it.
-        let server = thread::spawn(move || {
+        let thread = thread::spawn(move || {
             let mut server = Server::new();
-            let served = B::serve(&fleet, &mut server).and_then(|path| {
-                // Whoever waits for it is there.
-                let _ = place.send(path);
-                server.run(stopped, |notice| push(&for_notices, told(&notice)))
-            });
+            let served = bus
+                .serve(&mut server, stream)
+                .and_then(|()| server.run(stopped, |notice| push(&notices, notice.to_string())));
             if let Err(error) = served {
-                push(&for_problems, error.to_string());
-                push(&for_notices, error.to_string());
+                push(&notices, error.to_string());
             }
         });
-        let path = placed.recv().map_err(|_| problems_of(&problems))?;
-        let (stop, server) = (Some(stop), Some(server));
-        let heard = Shared::default();
-        Ok(Self { handles, bus: Box::new(world), path, heard, notices, stop, server })
-    }
-
-    /// Where their serial port is.
-    pub fn path(&self) -> &Path {
-        &self.path
+        self.server = Some(Running { stop, thread });
+        Ok(())
     }
 
     /// The drives, in the order of their ids.
     pub fn handles(&self) -> &[DriveHandle] {
-        &self.handles
+        self.bus.handles()
     }
 
     /// The time on their bus.
@@ -117,8 +109,7 @@ impl Drives {
 
     /// Takes note of all commands from now on.
     pub fn listen(&self) {
-        let drives = self.handles.iter().map(DriveHandle::station).collect();
-        self.bus.listen(drives, Arc::clone(&self.heard));
+        self.bus.listen(Arc::clone(&self.heard));
     }
 
     /// The commands since then that were [noted](Self::listen), oldest first.
@@ -146,7 +137,7 @@ impl Drives {
 
     /// Cycles a drive's power.
     pub fn restart(&self, drive: &DriveHandle) {
-        self.bus.reset(drive.station());
+        self.bus.restart(drive.station());
     }
 
     /// Puts another drive in a drive's place, as it came from the factory but for the date of its
@@ -167,10 +158,10 @@ impl Drives {
 
 impl Drop for Drives {
     fn drop(&mut self) {
-        drop(self.stop.take());
-        if let Some(server) = self.server.take() {
+        if let Some(Running { stop, thread }) = self.server.take() {
+            drop(stop);
             // A panic there has been told already.
-            let _ = server.join();
+            let _ = thread.join();
         }
     }
 }
@@ -179,49 +170,52 @@ fn push<T>(list: &Shared<T>, item: T) {
     list.lock().unwrap_or_else(PoisonError::into_inner).push(item);
 }
 
-fn problems_of(problems: &Shared<String>) -> Failure {
-    problems.lock().unwrap_or_else(PoisonError::into_inner).join(", ").into()
-}
-
-fn told(notice: &Notice) -> String {
-    notice.to_string()
-}
-
-/// A bus of either kind.
-trait AnyBus: Send + Sync {
+/// Drives on a bus of either kind.
+trait Bus: Send + Sync {
+    fn serve(&self, server: &mut Server, stream: UnixStream) -> Result<(), ServeError>;
+    fn handles(&self) -> &[DriveHandle];
     fn now(&self) -> Instant;
     fn disturb(&self, plan: FaultPlan);
     fn cut(&self, station: StationId);
     fn mend(&self, station: StationId);
-    fn reset(&self, station: StationId);
-    fn listen(&self, drives: Vec<StationId>, heard: Shared<Heard>);
+    fn restart(&self, station: StationId);
+    fn listen(&self, heard: Shared<Heard>);
 }
 
-impl<B: Served> AnyBus for World<B> {
+impl<B: Served> Bus for BusFleet<B> {
+    fn serve(&self, server: &mut Server, stream: UnixStream) -> Result<(), ServeError> {
+        B::serve(self, server, stream)
+    }
+
+    fn handles(&self) -> &[DriveHandle] {
+        &self.drives
+    }
+
     fn now(&self) -> Instant {
-        World::now(self)
+        self.world.now()
     }
 
     fn disturb(&self, plan: FaultPlan) {
-        self.set_faults(Direction::ToNodes, plan);
-        self.set_faults(Direction::ToPorts, plan);
+        self.world.set_faults(Direction::ToNodes, plan);
+        self.world.set_faults(Direction::ToPorts, plan);
     }
 
     fn cut(&self, station: StationId) {
-        World::cut(self, station);
+        self.world.cut(station);
     }
 
     fn mend(&self, station: StationId) {
-        World::mend(self, station);
+        self.world.mend(station);
     }
 
-    fn reset(&self, station: StationId) {
-        World::reset(self, station);
+    fn restart(&self, station: StationId) {
+        self.world.reset(station);
     }
 
-    fn listen(&self, drives: Vec<StationId>, heard: Shared<Heard>) {
+    fn listen(&self, heard: Shared<Heard>) {
+        let drives: Vec<StationId> = self.drives.iter().map(DriveHandle::station).collect();
         let mut ear = B::Ear::default();
-        self.observe(move |record| {
+        self.world.observe(move |record| {
             let Event::Carried { frame, .. } = &record.event else { return };
             if !drives.contains(&record.station) {
                 let note = |packet| push(&heard, Heard { at: record.at(), packet });
@@ -231,20 +225,28 @@ impl<B: Served> AnyBus for World<B> {
     }
 }
 
-/// A bus that can be served on a pseudo-terminal and listened to.
+/// A bus that can be served and listened to.
 trait Served: Medium + Sized {
     /// What was heard of a command so far.
     type Ear: Default + Send + 'static;
 
-    fn serve(fleet: &BusFleet<Self>, server: &mut Server) -> Result<PathBuf, ServeError>;
+    fn serve(
+        fleet: &BusFleet<Self>,
+        server: &mut Server,
+        stream: UnixStream,
+    ) -> Result<(), ServeError>;
     fn hear(ear: &mut Self::Ear, frame: &Self::Frame, note: impl FnMut(Packet));
 }
 
-impl Served for myactuator_host_std::sim::bus::rs485::Rs485Line {
+impl Served for Rs485Line {
     type Ear = Receiver;
 
-    fn serve(fleet: &LineFleet, server: &mut Server) -> Result<PathBuf, ServeError> {
-        server.serve_line(fleet, TransceiverConfig::default())
+    fn serve(
+        fleet: &BusFleet<Self>,
+        server: &mut Server,
+        stream: UnixStream,
+    ) -> Result<(), ServeError> {
+        server.serve_line_on(fleet, TransceiverConfig::default(), stream)
     }
 
     fn hear(ear: &mut Receiver, bytes: &Vec<u8>, mut note: impl FnMut(Packet)) {
@@ -256,12 +258,16 @@ impl Served for myactuator_host_std::sim::bus::rs485::Rs485Line {
     }
 }
 
-impl Served for myactuator_host_std::sim::bus::can::CanBus {
+impl Served for CanBus {
     type Ear = ();
 
-    fn serve(fleet: &CanFleet, server: &mut Server) -> Result<PathBuf, ServeError> {
+    fn serve(
+        fleet: &BusFleet<Self>,
+        server: &mut Server,
+        stream: UnixStream,
+    ) -> Result<(), ServeError> {
         server.host_can(fleet);
-        server.serve_adapter(fleet)
+        server.serve_adapter_on(fleet, stream)
     }
 
     fn hear((): &mut (), frame: &SimpleFrame, mut note: impl FnMut(Packet)) {

@@ -4,13 +4,13 @@ use std::path::Path;
 
 use tempfile::TempDir;
 
-use super::Failure;
 use super::board::{Board, Wire};
 use super::drives::Drives;
 use super::log::{Line, Log};
-use super::panel::{Panel, Waiting};
+use super::panel::Panel;
 use super::qemu::Qemu;
-use super::urgency;
+use super::socket::Waiting;
+use super::{Failure, urgency};
 
 /// A board that runs, and the drives that it moves. All end when this is dropped.
 #[derive(Debug)]
@@ -19,10 +19,10 @@ pub struct Emulated {
     pub log: Log,
     /// The button.
     pub panel: Panel,
+    /// The drives. They end before the emulator, which they would miss.
+    pub drives: Drives,
     /// The emulator.
     pub qemu: Qemu,
-    /// The drives.
-    pub drives: Drives,
     _folder: TempDir,
 }
 
@@ -35,18 +35,20 @@ impl Emulated {
         board: Board,
         wire: Wire,
         image: &Path,
-        drives: Drives,
+        mut drives: Drives,
         tell: impl FnMut(&Line) + Send + 'static,
     ) -> Result<Self, Failure> {
         let folder = tempfile::tempdir()?;
-        let socket = folder.path().join("panel");
-        let waiting = Waiting::at(&socket)?;
-        let (qemu, output) = Qemu::start(board, wire, image, drives.path(), &socket)?;
+        let [bus, panel] = ["bus", "panel"].map(|name| folder.path().join(name));
+        let (bus_end, panel_end) = (Waiting::at(&bus)?, Waiting::at(&panel)?);
+        let (qemu, output) = Qemu::start(board, wire, image, &bus, &panel)?;
         let log = Log::decode(image, output, tell)?;
-        let panel = waiting
-            .connect(|| log.is_open())
-            .map_err(|error| format!("{error}: {}", qemu.complaints()))?;
+        let connect = |end: Waiting| {
+            end.connect(|| log.is_open()).map_err(|error| format!("{error}: {}", qemu.complaints()))
+        };
+        drives.serve(connect(bus_end)?)?;
+        let panel = Panel::new(connect(panel_end)?);
         urgency::take();
-        Ok(Self { log, panel, qemu, drives, _folder: folder })
+        Ok(Self { log, panel, drives, qemu, _folder: folder })
     }
 }

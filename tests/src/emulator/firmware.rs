@@ -19,6 +19,8 @@ use super::{Emulated, Failure};
 /// They keep real time, so that several at once would miss it.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
+/// A drive confirms a stop before its shaft has come to rest.
+const COMES_TO_REST: Duration = Duration::from_millis(20);
 /// Lines of the log that are shown when something is wrong.
 const TAIL: usize = 40;
 
@@ -58,7 +60,7 @@ impl Firmware {
     ) -> Result<Self, Failure> {
         let wire = Wire::of_program(program)?;
         let image = image::find(board, program)?;
-        let drives = Drives::serve(fleet, wire)?;
+        let drives = Drives::new(fleet, wire)?;
         drives.listen();
         let truth = Truth::observe(drives.handles().to_vec());
         let emulated = Emulated::start(board, wire, &image, drives, |_| {})?;
@@ -179,13 +181,14 @@ impl Firmware {
         }
     }
 
-    /// Fails unless nothing moves in the next `span`, or the application starts something.
+    /// Fails unless nothing moves in the next `span` but for the moment in which shafts come to rest, and
+    /// the application starts nothing.
     #[track_caller]
     pub fn check_stays_stopped(&mut self, span: Duration) {
         self.skip();
         let since = self.drives().now();
         thread::sleep(span);
-        self.check_still(since, Duration::ZERO);
+        self.check_still(since, COMES_TO_REST);
         if !self.unread().is_empty() {
             self.fail(&format!(
                 "nobody has pressed the button, yet the firmware says: {:?}",

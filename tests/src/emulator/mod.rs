@@ -2,9 +2,9 @@
 //!
 //! ```text
 //!   this process                                    QEMU
-//!   ┌──────────────────────────┐   pseudo-terminal  ┌─────────────────────┐
+//!   ┌──────────────────────────┐      socket        ┌─────────────────────┐
 //!   │ Drives, a simulated bus  │◀──────────────────▶│ UART ◀─▶ firmware   │
-//!   │                          │    unix socket     │            │  │     │
+//!   │                          │      socket        │            │  │     │
 //!   │ Panel, a button          │◀──────────────────▶│ UART ◀─────┘  │     │
 //!   │ Log, decoded             │◀───────────────────│ semihosting ◀─┘     │
 //!   └──────────────────────────┘   standard output  └─────────────────────┘
@@ -23,7 +23,9 @@
 //! | [`Emulated`] | a board with its drives |
 //! | [`firmware`] | that, and whoever looks at both ends, for tests |
 //!
-//! The emulated time is real time: what a test waits for, it really waits for.
+//! The emulated time is real time: what a test waits for, it really waits for. The bus is a socket and no
+//! pseudo-terminal, though the drives have one for programs: Linux hands a pseudo-terminal's bytes over in
+//! a thread of its own, which on a busy machine comes milliseconds late.
 
 pub mod board;
 pub mod drives;
@@ -33,6 +35,7 @@ pub mod image;
 pub mod log;
 pub mod panel;
 pub mod qemu;
+mod socket;
 pub mod truth;
 pub mod urgency;
 

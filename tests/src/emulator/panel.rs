@@ -1,10 +1,9 @@
 //! The button, and ways to break the firmware.
 
 use std::io::{ErrorKind, Read as _, Write as _};
-use std::os::unix::net::{UnixListener, UnixStream};
-use std::path::Path;
+use std::os::unix::net::UnixStream;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::Failure;
 
@@ -12,8 +11,6 @@ use super::Failure;
 const SHORT: Duration = Duration::from_millis(80);
 /// How long a long press lasts: the application takes one of a second for long.
 const LONG: Duration = Duration::from_millis(1_300);
-/// How long QEMU has for its start.
-const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A way to break the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,36 +32,11 @@ pub struct Panel {
     is_light_on: bool,
 }
 
-/// A panel that waits for its board.
-#[derive(Debug)]
-pub(super) struct Waiting(UnixListener);
-
-impl Waiting {
-    pub(super) fn at(path: &Path) -> Result<Self, Failure> {
-        let listener = UnixListener::bind(path)?;
-        listener.set_nonblocking(true)?;
-        Ok(Self(listener))
-    }
-
-    pub(super) fn connect(self, is_alive: impl Fn() -> bool) -> Result<Panel, Failure> {
-        let start = Instant::now();
-        while start.elapsed() < PATIENCE && is_alive() {
-            match self.0.accept() {
-                Ok((socket, _)) => {
-                    socket.set_nonblocking(true)?;
-                    return Ok(Panel { socket, is_light_on: false });
-                }
-                Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                    thread::sleep(Duration::from_millis(5));
-                }
-                Err(error) => return Err(error.into()),
-            }
-        }
-        Err("the emulator does not start".into())
-    }
-}
-
 impl Panel {
+    pub(super) const fn new(socket: UnixStream) -> Self {
+        Self { socket, is_light_on: false }
+    }
+
     /// Presses the button and lets go.
     ///
     /// # Errors

@@ -51,8 +51,8 @@ pub fn find() -> Result<PathBuf, Failure> {
 }
 
 impl Qemu {
-    /// Starts a board with this firmware, its bus on a serial port and its panel on a socket that
-    /// somebody listens at. What the firmware tells comes out of the last of the two.
+    /// Starts a board with this firmware, its bus and its panel on sockets that somebody listens at. What
+    /// the firmware tells comes out of the second of the two.
     ///
     /// # Errors
     /// A sentence.
@@ -70,7 +70,7 @@ impl Qemu {
             .args(["-machine", board.machine(), "-display", "none", "-monitor", "none"])
             .args(["-semihosting-config", "enable=on,target=native"])
             .arg("-chardev")
-            .arg(with_path("serial,id=bus,path=", bus))
+            .arg(with_path("socket,id=bus,path=", bus))
             .arg("-chardev")
             .arg(with_path("socket,id=panel,path=", panel))
             .args(ports.iter().flat_map(|port| {

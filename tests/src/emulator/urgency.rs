@@ -1,8 +1,7 @@
 //! Real-time scheduling, where the system grants it, and what happens where others want the processor.
 //!
 //! Emulator and simulation have to answer each other within a millisecond, and both are threads among
-//! others. What no priority helps: Linux hands the bytes of a pseudo-terminal over in a kernel thread of
-//! ordinary priority, so on a busy machine replies are late all the same.
+//! others.
 
 use std::process::{self, Command, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

@@ -1,0 +1,42 @@
+//! A socket that the emulator connects to.
+
+use std::io::ErrorKind;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::Failure;
+
+/// How long the emulator has for its start.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// One that nobody has connected to yet.
+#[derive(Debug)]
+pub(super) struct Waiting(UnixListener);
+
+impl Waiting {
+    pub(super) fn at(path: &Path) -> Result<Self, Failure> {
+        let listener = UnixListener::bind(path)?;
+        listener.set_nonblocking(true)?;
+        Ok(Self(listener))
+    }
+
+    /// The stream to whoever connects. Gives up if there is nobody any more who could.
+    pub(super) fn connect(self, is_alive: impl Fn() -> bool) -> Result<UnixStream, Failure> {
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE && is_alive() {
+            match self.0.accept() {
+                Ok((stream, _)) => {
+                    stream.set_nonblocking(true)?;
+                    return Ok(stream);
+                }
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                    thread::sleep(Duration::from_millis(1));
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+        Err("the emulator does not start".into())
+    }
+}
