@@ -10,13 +10,16 @@ use super::running::{PATIENCE, Program, WATCHED, go, millis, moving, on};
 on! {
     MPS2_RS485 as mps2_rs485, MPS2_CAN as mps2_can, NETDUINO_RS485 as netduino_rs485:
     noise_moves_nothing_wrongly
+    a_bus_that_is_cut_for_a_second_stops_all_until_the_button
+}
+on! {
+    MPS2_RS485 as mps2_rs485_frames, MPS2_CAN as mps2_can_frames:
     lost_frames_move_nothing_wrongly
     doubled_frames_move_nothing_wrongly
-    a_bus_that_is_cut_for_a_second_stops_all_until_the_button
 }
 
 /// How long a bus is disturbed.
-const DISTURBED: Duration = Duration::from_secs(4);
+const DISTURBED: Duration = Duration::from_secs(3);
 /// How far from the way to and fro a shaft may be, degrees, with what it takes to come to rest.
 const OFF_THE_WAY_DEG: f32 = 3.0;
 /// How far the way is, degrees.

@@ -32,7 +32,7 @@ pub struct Firmware {
     emulated: Emulated,
     /// What the shafts really did.
     pub truth: Truth,
-    /// How often the machine had no time for this.
+    /// How often the machine had something else to do.
     pub stalls: Stalls,
     /// Up to where the log was read.
     read: Mark,
@@ -63,8 +63,9 @@ impl Firmware {
         let drives = Drives::new(fleet, wire)?;
         drives.listen();
         let truth = Truth::observe(drives.handles().to_vec());
-        let emulated = Emulated::start(board, wire, &image, drives, |_| {})?;
+        // Before the emulator starts: they are as urgent as that.
         let stalls = Stalls::count();
+        let emulated = Emulated::start(board, wire, &image, drives, |_| {})?;
         Ok(Self { emulated, truth, stalls, read: Mark::default(), _alone: alone })
     }
 
@@ -205,12 +206,12 @@ impl Firmware {
         let looks: String = self.looks().iter().map(|look| format!("  {look:?}\n")).collect();
         panic!(
             "{what}\nthe end of the log{ended}:\n{}drives:\n{looks}simulation: {:?}\nemulator: {:?}\n\
-             this machine kept a thread waiting {} times, for up to {:?}",
+             this machine kept threads waiting for up to {:?}: that excuses {} lost replies",
             log.tail(TAIL),
             drives.notices(),
             qemu.complaints(),
-            self.stalls.so_far(),
             self.stalls.longest(),
+            self.stalls.excused(),
         )
     }
 

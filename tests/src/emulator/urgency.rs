@@ -1,16 +1,22 @@
-//! Real-time scheduling, where the system grants it, and what happens where others want the processor.
+//! Real-time scheduling, where the system grants it, and what is left of the processor where others want
+//! it, too.
 //!
 //! Emulator and simulation have to answer each other within a millisecond, and both are threads among
-//! others.
+//! others, on a machine that may be a guest among others.
 
 use std::process::{self, Command, Stdio};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
 /// A thread that wakes so late was kept waiting.
 const LATE: Duration = Duration::from_millis(2);
+/// A master asks the next time when no reply has come for so long, so that a wait costs one reply for each
+/// of these, and one for what is left.
+const REPLY_TIMEOUT: Duration = Duration::from_millis(5);
 
 /// Puts all threads of this process before all ordinary ones, if that is allowed. What it starts from
 /// now on is ordinary.
@@ -26,17 +32,18 @@ pub(super) fn take() {
     drop(changed);
 }
 
-/// Counts how often a thread of ordinary priority was kept waiting. Ends when it is dropped.
+/// Counts how often threads were kept waiting by what else the machine does, one on each processor. Ends
+/// when it is dropped.
 #[derive(Debug)]
 pub struct Stalls {
     found: Arc<Found>,
-    observer: Option<JoinHandle<()>>,
+    observers: Vec<JoinHandle<()>>,
 }
 
 #[derive(Debug, Default)]
 struct Found {
-    count: AtomicUsize,
-    longest: Mutex<Duration>,
+    excused: AtomicUsize,
+    longest_us: AtomicU64,
     is_over: AtomicBool,
 }
 
@@ -44,38 +51,50 @@ impl Stalls {
     /// Begins.
     pub(super) fn count() -> Self {
         let found = Arc::<Found>::default();
-        let shared = Arc::clone(&found);
-        let observer = thread::spawn(move || {
-            let pause = Duration::from_millis(1);
-            while !shared.is_over.load(Ordering::Relaxed) {
-                let asleep = Instant::now();
-                thread::sleep(pause);
-                let late = asleep.elapsed().saturating_sub(pause);
-                if late >= LATE {
-                    shared.count.fetch_add(1, Ordering::Relaxed);
-                    let mut longest = shared.longest.lock().unwrap_or_else(PoisonError::into_inner);
-                    *longest = late.max(*longest);
-                }
-            }
-        });
-        Self { found, observer: Some(observer) }
+        let ours = sched_getaffinity(None).unwrap_or_default();
+        let processors = (0..CpuSet::MAX_CPU).filter(|&processor| ours.is_set(processor));
+        let observer = |processor| {
+            let found = Arc::clone(&found);
+            thread::spawn(move || found.observe(processor))
+        };
+        Self { observers: processors.map(observer).collect(), found }
     }
 
-    /// How often so far.
-    pub fn so_far(&self) -> usize {
-        self.found.count.load(Ordering::Relaxed)
+    /// How many replies may have come too late for that so far.
+    pub fn excused(&self) -> usize {
+        self.found.excused.load(Ordering::Relaxed)
     }
 
-    /// How long at the most.
+    /// The longest wait.
     pub fn longest(&self) -> Duration {
-        *self.found.longest.lock().unwrap_or_else(PoisonError::into_inner)
+        Duration::from_micros(self.found.longest_us.load(Ordering::Relaxed))
+    }
+}
+
+impl Found {
+    fn observe(&self, processor: usize) {
+        let mut alone = CpuSet::new();
+        alone.set(processor);
+        // Where that is not allowed, it observes whatever it runs on.
+        let _ = sched_setaffinity(None, &alone);
+        let pause = Duration::from_millis(1);
+        while !self.is_over.load(Ordering::Relaxed) {
+            let asleep = Instant::now();
+            thread::sleep(pause);
+            let late = asleep.elapsed().saturating_sub(pause);
+            if late >= LATE {
+                let replies = late.as_millis() / REPLY_TIMEOUT.as_millis() + 1;
+                self.excused.fetch_add(replies as usize, Ordering::Relaxed);
+                self.longest_us.fetch_max(late.as_micros() as u64, Ordering::Relaxed);
+            }
+        }
     }
 }
 
 impl Drop for Stalls {
     fn drop(&mut self) {
         self.found.is_over.store(true, Ordering::Relaxed);
-        if let Some(observer) = self.observer.take() {
+        for observer in self.observers.drain(..) {
             // A panic there has been told already.
             let _ = observer.join();
         }
