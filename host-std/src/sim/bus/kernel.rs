@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
-use std::task::Waker;
 
 use myactuator_protocol_core::time::Duration;
 
@@ -10,7 +9,7 @@ use super::faults::{Babble, Fate, Injector};
 use super::medium::{Arrival, Medium, Part, Surroundings};
 use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
 use super::node::Node;
-use super::trace::{Event, Fault, Trace};
+use super::trace::{Event, Fault};
 
 const MICROSECOND: Nanos = 1_000;
 
@@ -34,7 +33,6 @@ struct Station<F> {
     overflows: u64,
     /// Somebody waits to send.
     wants_room: bool,
-    wakers: Vec<Waker>,
     /// Nothing may arrive before this: it would overtake what is late.
     not_before: Nanos,
     /// What waits for the next message to overtake it.
@@ -69,7 +67,6 @@ pub(crate) struct Kernel<B: Medium> {
     /// What is still to arrive.
     late: LateArrivals<B::Frame>,
     sequence: u64,
-    timers: Vec<(Nanos, Waker)>,
     /// What has come to the ports so far: received units, and room where it was missed.
     pub(crate) arrivals: u64,
     /// The message whose fates are drawn, and those fates by receiver.
@@ -91,14 +88,13 @@ impl<B: Medium> Kernel<B> {
             around: Surroundings {
                 now: 0,
                 injector: Injector::new(seed),
-                trace: Trace::new(),
+                observers: Vec::new(),
                 arrivals: Vec::new(),
                 freed: Vec::new(),
             },
             stations: Vec::new(),
             late: BTreeMap::new(),
             sequence: 0,
-            timers: Vec::new(),
             arrivals: 0,
             message: 0,
             fates: Vec::new(),
@@ -108,7 +104,7 @@ impl<B: Medium> Kernel<B> {
     pub(crate) fn attach(
         &mut self,
         node: Option<Box<dyn Node<B::Frame>>>,
-        how: B::How,
+        how: B::Attachment,
         receive_queue: usize,
     ) -> usize {
         self.bus.attach(how);
@@ -128,7 +124,6 @@ impl<B: Medium> Kernel<B> {
             receive_queue,
             overflows: 0,
             wants_room: false,
-            wakers: Vec::new(),
             not_before: 0,
             held: VecDeque::new(),
             held_message: 0,
@@ -141,8 +136,7 @@ impl<B: Medium> Kernel<B> {
     pub(crate) fn next_event(&self) -> Nanos {
         let stations = self.stations.iter().map(Station::due).min().unwrap_or(NEVER);
         let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
-        let timers = self.timers.iter().map(|(at, _)| *at).min().unwrap_or(NEVER);
-        let next = stations.min(late).min(timers).min(self.bus.next_event());
+        let next = stations.min(late).min(self.bus.next_event());
         if next == NEVER { NEVER } else { next.max(self.around.now) }
     }
 
@@ -182,10 +176,6 @@ impl<B: Medium> Kernel<B> {
         }
         self.bus.start(&mut self.around);
         self.spread();
-        let now = self.around.now;
-        for (_, waker) in self.timers.extract_if(.., |(at, _)| *at <= now) {
-            waker.wake();
-        }
     }
 
     /// Passes on what the bus has done.
@@ -202,9 +192,6 @@ impl<B: Medium> Kernel<B> {
             }
             if std::mem::take(&mut state.wants_room) {
                 self.arrivals += 1;
-            }
-            for waker in self.stations[station].wakers.drain(..) {
-                waker.wake();
             }
         }
     }
@@ -246,8 +233,7 @@ impl<B: Medium> Kernel<B> {
         let fate = self.fates[to];
         let now = self.around.now;
         let from = super::StationId(arrival.sender);
-        let trace = &mut self.around.trace;
-        let mut note = |fault| trace.record(now, to, || Event::Faulted { from, fault });
+        let mut note = |fault| self.around.record(to, || Event::Faulted { from, fault });
         let is_first = part.index == 0;
         if fate.lost {
             if is_first {
@@ -324,13 +310,10 @@ impl<B: Medium> Kernel<B> {
         }
         if state.received.len() >= state.receive_queue {
             state.overflows += 1;
-            self.around.trace.record(now, to, || Event::Overflowed { frame: unit.clone() });
+            self.around.record(to, || Event::Overflowed { frame: unit.clone() });
             return;
         }
         state.received.push_back(unit.clone());
-        for waker in state.wakers.drain(..) {
-            waker.wake();
-        }
         self.arrivals += 1;
     }
 
@@ -414,32 +397,17 @@ impl<B: Medium> Kernel<B> {
         (state.received.len(), state.overflows)
     }
 
-    /// Has `waker` woken when something arrives at a port or leaves it.
-    pub(crate) fn wake_on_change(&mut self, station: usize, waker: &Waker) {
-        let wakers = &mut self.stations[station].wakers;
-        if !wakers.iter().any(|known| known.will_wake(waker)) {
-            wakers.push(waker.clone());
-        }
-    }
-
-    pub(crate) fn wake_at(&mut self, at: Nanos, waker: &Waker) {
-        let known = |(time, known): &(Nanos, Waker)| *time == at && known.will_wake(waker);
-        if !self.timers.iter().any(known) {
-            self.timers.push((at, waker.clone()));
-        }
-    }
-
     pub(crate) fn cut(&mut self, station: usize, is_cut: bool) {
         self.bus.cut(station, is_cut, &mut self.around);
         let event = if is_cut { Event::Cut } else { Event::Mended };
-        self.around.trace.record(self.around.now, station, || event);
+        self.around.record(station, || event);
         self.spread();
     }
 
     pub(crate) fn reset(&mut self, station: usize) {
         self.bus.reset(station, &mut self.around);
         let now = self.around.now;
-        self.around.trace.record(now, station, || Event::Reset);
+        self.around.record(station, || Event::Reset);
         let state = &mut self.stations[station];
         state.backlog.clear();
         state.is_backlog_stuck = false;

@@ -1,11 +1,8 @@
 //! The world: a clock, a bus and all that is on it.
 
 use std::fmt;
-use std::future::Future;
-use std::pin::pin;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::task::{Context, Poll, Wake, Waker};
 
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -13,13 +10,9 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use super::faults::{Babble, Direction, FaultPlan};
 use super::kernel::Kernel;
 use super::medium::Medium;
-use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
+use super::nanos::{NEVER, Nanos, from_instant, to_instant};
 use super::node::{Node, StationId};
 use super::trace::{Log, Record};
-
-/// The longest sleep in real time: a waker that is called from outside the world may fall between
-/// looking and sleeping.
-const LONGEST_SLEEP: std::time::Duration = std::time::Duration::from_millis(10);
 
 /// What makes time go on.
 #[derive(Clone, Copy, Debug)]
@@ -55,9 +48,9 @@ struct Shared<B: Medium> {
 /// world.
 ///
 /// In virtual time, which is the default, nothing happens between calls: the world goes on only in
-/// [`run_until`](Self::run_until), [`step`](Self::step) and [`block_on`](Self::block_on), in
-/// [`SimClock::idle`](Clock::idle), and in the ports' blocking calls. Several masters may share it,
-/// in one thread: if several threads wait, each drives time on for all.
+/// [`run_until`](Self::run_until) and [`step`](Self::step), in [`SimClock::idle`](Clock::idle), and in
+/// the blocking calls of serial ports. Several masters may share it, in one thread: if several threads
+/// wait, each drives time on for all.
 ///
 /// After [`in_real_time`](Self::in_real_time) it follows the wall clock, is caught up to it in every
 /// call, and may be used from any number of threads.
@@ -128,7 +121,7 @@ impl<B: Medium> World<B> {
                     let wake = next.min(until);
                     let ahead =
                         std::time::Duration::from_nanos(wake).saturating_sub(zero.elapsed());
-                    let sleep = self.0.changed.wait_timeout(state, ahead.min(LONGEST_SLEEP));
+                    let sleep = self.0.changed.wait_timeout(state, ahead);
                     (state, _) = sleep.unwrap_or_else(PoisonError::into_inner);
                 }
             }
@@ -172,29 +165,13 @@ impl<B: Medium> World<B> {
         self.run_until(self.now() + span);
     }
 
-    /// Lets virtual time go on by `span`; real time does that by itself.
-    pub(super) fn pass(&self, span: Duration) {
-        let mut state = self.lock();
-        if let TimeBase::Virtual = state.base {
-            let until = state.kernel.around.now.saturating_add(from_duration(span));
-            state.kernel.run_until(until);
-        }
-    }
-
     /// Goes on to the next event. False if there is none. In real time this sleeps.
     pub fn step(&self) -> bool {
         let next = self.with(|kernel| kernel.next_event());
-        if next == NEVER {
-            return false;
-        }
-        let mut state = self.lock();
-        if let TimeBase::Virtual = state.base {
-            state.kernel.step(next);
-        } else {
-            drop(state);
+        if next != NEVER {
             self.wait(next, |_| None::<()>);
         }
-        true
+        next != NEVER
     }
 
     /// A clock for masters in this world.
@@ -257,7 +234,7 @@ impl<B: Medium> World<B> {
     /// Calls `observer` for everything that happens from now on. It must not touch the world, which
     /// is in the middle of something.
     pub fn observe(&self, observer: impl FnMut(&Record<B::Frame>) + Send + 'static) {
-        self.with(|kernel| kernel.around.trace.observe(Box::new(observer)));
+        self.with(|kernel| kernel.around.observers.push(Box::new(observer)));
     }
 
     /// Notes everything that happens from now on.
@@ -266,55 +243,6 @@ impl<B: Medium> World<B> {
         let notes = log.clone();
         self.observe(move |record| notes.push(record));
         log
-    }
-
-    /// Runs a future of this world's ports and clocks to its end, and lets time go on while it
-    /// waits. `None` if it waits for something that cannot come: nothing will ever happen in a world
-    /// in virtual time.
-    pub fn block_on<F: Future>(&self, future: F) -> Option<F::Output> {
-        let mut future = pin!(future);
-        let flag = Arc::new(Flag { woken: AtomicBool::new(true), shared: Arc::downgrade(&self.0) });
-        let waker = Waker::from(Arc::clone(&flag));
-        loop {
-            if flag.woken.swap(false, Ordering::SeqCst)
-                && let Poll::Ready(output) = future.as_mut().poll(&mut Context::from_waker(&waker))
-            {
-                return Some(output);
-            }
-            self.wait(NEVER, |_| flag.woken.load(Ordering::SeqCst).then_some(()))?;
-        }
-    }
-
-    /// Waits for `done` in a future: it is asked whenever something changes at `station`.
-    pub(super) fn until_change<T>(
-        &self,
-        station: StationId,
-        mut done: impl FnMut(&mut Kernel<B>) -> Option<T>,
-    ) -> impl Future<Output = T> {
-        std::future::poll_fn(move |context| {
-            self.with(|kernel| match done(kernel) {
-                Some(result) => Poll::Ready(result),
-                None => {
-                    kernel.wake_on_change(station.0, context.waker());
-                    Poll::Pending
-                }
-            })
-        })
-    }
-}
-
-/// Wakes [`World::block_on`].
-struct Flag<B: Medium> {
-    woken: AtomicBool,
-    shared: std::sync::Weak<Shared<B>>,
-}
-
-impl<B: Medium> Wake for Flag<B> {
-    fn wake(self: Arc<Self>) {
-        self.woken.store(true, Ordering::SeqCst);
-        if let Some(shared) = self.shared.upgrade() {
-            shared.changed.notify_all();
-        }
     }
 }
 
@@ -335,22 +263,6 @@ impl<B: Medium> Clone for SimClock<B> {
     fn clone(&self) -> Self {
         let seen = AtomicU64::new(self.seen.load(Ordering::Relaxed));
         Self { world: self.world.clone(), seen }
-    }
-}
-
-impl<B: Medium> SimClock<B> {
-    /// Waits in a future until `at`.
-    pub fn wait_until(&self, at: Instant) -> impl Future<Output = ()> {
-        let at = from_instant(at);
-        std::future::poll_fn(move |context| {
-            self.world.with(|kernel| {
-                if kernel.around.now >= at {
-                    return Poll::Ready(());
-                }
-                kernel.wake_at(at, context.waker());
-                Poll::Pending
-            })
-        })
     }
 }
 

@@ -36,18 +36,15 @@ pub struct ControllerConfig {
     /// How many frames can wait to be read. What comes then is lost, and counted. A
     /// [`Node`](crate::sim::bus::Node) takes its frames at once and needs no such queue.
     pub receive_queue: usize,
-    /// Whether the controller returns by itself after bus-off, once it has seen eleven recessive
-    /// bits 128 times.
-    pub recovers: bool,
 }
 
 impl ControllerConfig {
     /// Linux's usual CAN interface: ten frames in order.
     pub const SOCKETCAN: Self =
-        Self { transmit_queue: 10, order: QueueOrder::Fifo, receive_queue: 1024, recovers: true };
+        Self { transmit_queue: 10, order: QueueOrder::Fifo, receive_queue: 1024 };
     /// A microcontroller's: three mailboxes by priority.
     pub const MAILBOXES: Self =
-        Self { transmit_queue: 3, order: QueueOrder::Priority, receive_queue: 64, recovers: true };
+        Self { transmit_queue: 3, order: QueueOrder::Priority, receive_queue: 64 };
 }
 
 /// How a controller stands towards the bus (fault confinement of ISO 11898-1).
@@ -100,8 +97,6 @@ pub(super) struct Recovery {
 pub(super) struct Controller {
     config: ControllerConfig,
     queue: VecDeque<Pending>,
-    /// Where the frame is that goes first.
-    head: Option<usize>,
     pub(super) transmit_errors: u16,
     pub(super) receive_errors: u16,
     /// An error-passive sender waits until then.
@@ -117,7 +112,6 @@ impl Controller {
         Self {
             config,
             queue: VecDeque::new(),
-            head: None,
             transmit_errors: 0,
             receive_errors: 0,
             suspended_until: 0,
@@ -154,7 +148,7 @@ impl Controller {
         if self.is_bus_off() {
             return None;
         }
-        let pending = self.queue.get(self.head?)?;
+        let pending = self.queue.get(self.head()?)?;
         Some((pending.since.max(self.suspended_until), pending.key))
     }
 
@@ -164,7 +158,6 @@ impl Controller {
         }
         let key = arbitration_key(&frame);
         self.queue.push_back(Pending { frame, key, since: now, on_wire: false });
-        self.choose_head();
         true
     }
 
@@ -179,21 +172,19 @@ impl Controller {
         let (place, _) = waiting
             .filter(|(_, pending)| pending.key > key)
             .max_by_key(|(_, pending)| pending.key)?;
-        let displaced = self.queue.remove(place)?;
-        self.choose_head();
-        Some(displaced.frame)
+        Some(self.queue.remove(place)?.frame)
+    }
+
+    /// The frame that goes first.
+    pub(super) fn next_frame(&self) -> Option<SimpleFrame> {
+        Some(self.queue.get(self.head()?)?.frame)
     }
 
     /// Puts the first frame on the wire.
-    pub(super) fn begin(&mut self) -> Option<SimpleFrame> {
-        let pending = self.queue.get_mut(self.head?)?;
-        pending.on_wire = true;
-        Some(pending.frame)
-    }
-
-    /// Whether this is the frame that it has on the wire.
-    pub(super) fn sends(&self, frame: &SimpleFrame) -> bool {
-        self.queue.iter().any(|pending| pending.on_wire && pending.frame == *frame)
+    pub(super) fn begin(&mut self) {
+        if let Some(pending) = self.head().and_then(|head| self.queue.get_mut(head)) {
+            pending.on_wire = true;
+        }
     }
 
     /// The frame on the wire is done; a failed one stays for the next try.
@@ -205,23 +196,22 @@ impl Controller {
                 self.queue[place].on_wire = false;
             }
         }
-        self.choose_head();
     }
 
     pub(super) fn clear(&mut self) {
         self.queue.clear();
-        self.head = None;
         self.recover();
     }
 
-    fn choose_head(&mut self) {
-        self.head = match self.config.order {
-            QueueOrder::Fifo => (!self.queue.is_empty()).then_some(0),
+    /// Where the frame is that goes first.
+    fn head(&self) -> Option<usize> {
+        match self.config.order {
+            QueueOrder::Fifo => Some(0),
             QueueOrder::Priority => {
                 let keys = self.queue.iter().enumerate();
                 keys.min_by_key(|(_, pending)| pending.key).map(|(place, _)| place)
             }
-        };
+        }
     }
 
     /// Counts a failed transmission, which may be one too many.
@@ -251,10 +241,7 @@ impl Controller {
     }
 
     pub(super) fn leave_bus(&mut self, idle_from: Nanos) {
-        self.recovery = self
-            .config
-            .recovers
-            .then_some(Recovery { wanted: RECOVERY_SEQUENCES, since: idle_from });
+        self.recovery = Some(Recovery { wanted: RECOVERY_SEQUENCES, since: idle_from });
     }
 
     pub(super) fn recover(&mut self) {

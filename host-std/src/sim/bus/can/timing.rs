@@ -50,13 +50,6 @@ pub(crate) fn arbitration_key<F: Frame>(frame: &F) -> u64 {
     }
 }
 
-/// The bits on the wire from the start of frame through the CRC, stuff bits included.
-pub(crate) fn line_bits<F: Frame>(frame: &F) -> Vec<bool> {
-    let mut line = Vec::new();
-    stuff(bits(frame), |bit| line.push(bit));
-    line
-}
-
 /// The bits from the start of frame through the CRC without stuff bits, and how many they are. The
 /// first is the highest.
 fn bits<F: Frame>(frame: &F) -> (u128, u32) {
@@ -150,14 +143,5 @@ mod tests {
         assert!(remote < lowest_extended, "IDE is recessive in an extended frame");
         assert!(lowest_extended < key(standard(base + 1, &[])));
         assert_eq!(data, key(standard(base, &[1, 2])));
-    }
-
-    #[test]
-    fn stuff_bits_stand_behind_five_equal_ones() {
-        // SOF and identifier 0: 12 zeros. RTR, IDE, r0: 3 zeros, DLC 0: 4, CRC: 15.
-        let line = line_bits(&standard(0, &[]));
-        assert_eq!(line.len(), 40);
-        let ones: Vec<usize> = (0..40).filter(|&place| line[place]).collect();
-        assert_eq!(ones, [5, 11, 17, 23, 29, 35]);
     }
 }

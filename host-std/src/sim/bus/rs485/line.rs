@@ -218,7 +218,7 @@ impl Rs485Line {
             && let Some(message) = state.queue.pop_front()
         {
             let Message { bytes: frame, started: started_ns, is_garbled, .. } = message;
-            around.trace.record(now, station, || {
+            around.record(station, || {
                 if is_garbled {
                     Event::Broken { frame, started_ns }
                 } else {
@@ -260,14 +260,11 @@ impl Rs485Line {
     }
 }
 
-impl Medium for Rs485Line {
-    type Frame = Vec<u8>;
-    type Attachment = TransceiverConfig;
-}
+impl Medium for Rs485Line {}
 
 impl Bus for Rs485Line {
-    type Carries = Vec<u8>;
-    type How = TransceiverConfig;
+    type Frame = Vec<u8>;
+    type Attachment = TransceiverConfig;
 
     const DELIVERS_CORRUPTED: bool = true;
 
