@@ -1,21 +1,22 @@
 //! Several simulated drives on one bus.
 
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use myactuator_protocol_core::command::{BaudCode, ModelName, MotionRanges, VersionDate};
 use myactuator_protocol_core::drive::{Bus, Drive, FaultLimits, Gains, Parameters, Quirks};
 use myactuator_protocol_core::io::{CanMaster, SerialMaster};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{Firmware, MotorId};
 
-use crate::sim::Seat;
 use crate::sim::bus::can::{CanBus, CanConfig, CanPort, ControllerConfig};
 use crate::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
 use crate::sim::bus::{Medium, Node, SimClock, StationId, World};
 use crate::sim::memory::{DriveMemory, StoreError};
 use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
+use crate::sim::seat::Seat;
 
 /// A drive with its physics and its memory.
 pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;
@@ -151,7 +152,7 @@ impl Fleet {
         self.put_on(world, TransceiverConfig::default(), Bus::Rs485, bit_rate)
     }
 
-    fn put_on<B: Medium<Attachment: Copy>>(
+    fn put_on<B: Medium>(
         &self,
         world: World<B>,
         attachment: B::Attachment,
@@ -159,7 +160,7 @@ impl Fleet {
         bit_rate: u32,
     ) -> Result<BusFleet<B>, FleetError>
     where
-        Seat<SimulatedMotor, DriveMemory>: Node<B::Frame>,
+        Seat: Node<B::Frame>,
     {
         let model = self.made_model()?;
         let mut drives = Vec::new();
@@ -185,14 +186,9 @@ impl Fleet {
         Ok(model)
     }
 
-    fn seat(
-        &self,
-        model: &MotorParameters,
-        motor: MotorId,
-        bus: Bus,
-    ) -> Result<Seat<SimulatedMotor, DriveMemory>, FleetError> {
+    fn seat(&self, model: &MotorParameters, motor: MotorId, bus: Bus) -> Result<Seat, FleetError> {
         let memory = match &self.memory_folder {
-            Some(folder) => DriveMemory::in_file(folder.join(format!("motor-{motor}.json"))),
+            Some(folder) => DriveMemory::File(folder.join(format!("motor-{motor}.json"))),
             None => DriveMemory::Process(None),
         };
         // A stream of chance of its own for each drive.
@@ -211,15 +207,13 @@ impl Fleet {
             ..of_model
         };
         let plant = SimulatedMotor::new(model.clone())?;
-        Ok(Seat::new(Drive::new(parameters, plant, memory, Instant::ZERO)?))
+        let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
+        Ok(Seat { drive, receiver: Receiver::new() })
     }
 }
 
 /// A drive's parameters for a motor of this model: its firmware, limits, scales and factory gains.
-///
-/// # Errors
-/// [`ParameterError::NoMotionRanges`].
-pub fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterError> {
+fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterError> {
     let rating = &model.rating;
     let peak_a = rating.peak_current_a as f32;
     let no_load_dps = (rating.no_load_speed_rpm * 6.0) as f32;
@@ -271,7 +265,7 @@ fn model_name(name: &str) -> ModelName {
 pub struct DriveHandle {
     motor: MotorId,
     station: StationId,
-    seat: Arc<Mutex<Seat<SimulatedMotor, DriveMemory>>>,
+    seat: Arc<Mutex<Seat>>,
 }
 
 /// What drives of a firmware report of which no version date is known: it leads to none.
@@ -291,11 +285,7 @@ impl DriveHandle {
     /// Works on the drive: raise an error, push the shaft, look at the physics. Not while the world
     /// runs in this thread.
     pub fn with<T>(&self, work: impl FnOnce(&mut SimulatedDrive) -> T) -> T {
-        work(&mut self.lock().drive)
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Seat<SimulatedMotor, DriveMemory>> {
-        self.seat.lock().unwrap_or_else(PoisonError::into_inner)
+        work(&mut self.seat.lock().unwrap_or_else(PoisonError::into_inner).drive)
     }
 }
 
@@ -334,17 +324,8 @@ impl CanFleet {
 impl LineFleet {
     /// A master on this line.
     pub fn master<const N: usize>(&self) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        self.master_with(TransceiverConfig::default())
-    }
-
-    /// A master on this line, by an adapter with these properties.
-    pub fn master_with<const N: usize>(
-        &self,
-        transceiver: TransceiverConfig,
-    ) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        let firmware = self.firmware;
-        let config = Config { firmware, ..Config::rs485(self.bit_rate, transceiver.echo) };
-        SerialMaster::new(self.world.port_with(transceiver), self.world.clock(), config)
+        let config = Config { firmware: self.firmware, ..Config::rs485(self.bit_rate, false) };
+        SerialMaster::new(self.world.port(), self.world.clock(), config)
     }
 }
 
