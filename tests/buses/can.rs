@@ -4,7 +4,7 @@
 use embedded_can::{ExtendedId, Frame, Id, StandardId, nb::Can as _};
 use myactuator_host_std::sim::bus::Node;
 use myactuator_host_std::sim::bus::can::{
-    CanConfig, CanError, CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
+    CanError, CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
 };
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::trace::{Event, Record};
@@ -29,7 +29,7 @@ fn smooth() -> SimpleFrame {
 }
 
 fn world() -> CanWorld {
-    CanWorld::new(CanConfig::default(), 1)
+    CanWorld::new(1_000_000, 1)
 }
 
 /// A bus with a master's port and somebody who listens.
@@ -119,7 +119,7 @@ proptest! {
 #[test]
 fn a_frame_arrives_with_its_last_bit() {
     for (bit_rate, bit_us) in [(1_000_000, 1), (500_000, 2), (250_000, 4)] {
-        let world = CanWorld::new(CanConfig { bit_rate }, 1);
+        let world = CanWorld::new(bit_rate, 1);
         let listener = world.listener();
         let mut port = world.port();
         send(&mut port, frame(0x141));

@@ -3,7 +3,7 @@
 use embedded_can::{Frame, StandardId, nb::Can as _};
 use embedded_io::Write as _;
 use myactuator_host_std::sim::bus::can::{
-    CanConfig, CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
+    CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
 };
 use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
@@ -37,7 +37,7 @@ fn flipped_bits(found: &[u8], sent: &[u8]) -> u32 {
 }
 
 fn can() -> (CanWorld, CanPort) {
-    let world = CanWorld::new(CanConfig::default(), 1);
+    let world = CanWorld::new(1_000_000, 1);
     (world.clone(), world.port())
 }
 
@@ -56,7 +56,7 @@ struct Broadcast {
 const SENT: u16 = 1_000;
 
 fn broadcast(seed: u64, direction: Direction, plan: FaultPlan) -> Broadcast {
-    let world = CanWorld::new(CanConfig::default(), seed);
+    let world = CanWorld::new(1_000_000, seed);
     let mut port = world.port_with(ControllerConfig {
         receive_queue: 4_096,
         transmit_queue: 2_000,
@@ -265,7 +265,7 @@ fn a_nodes_own_plan_strikes_it_alone() {
 
 /// All that happens in a world in which much goes wrong.
 fn chaos(seed: u64) -> Vec<Record<SimpleFrame>> {
-    let world = CanWorld::new(CanConfig::default(), seed);
+    let world = CanWorld::new(1_000_000, seed);
     let log = world.log();
     let mut port = world.port();
     let nodes: Vec<_> = (0..4).map(|_| world.mirror()).collect();
@@ -374,7 +374,7 @@ fn a_reset_tells_the_node_and_empties_its_controller() {
     assert_eq!(node.resets(), [77]);
 
     // Nobody acknowledges: all stays in the queue.
-    let alone = CanWorld::new(CanConfig::default(), 1);
+    let alone = CanWorld::new(1_000_000, 1);
     let station = alone.sender([(0, frame(1)), (0, frame(2))]);
     alone.run_until(seconds(1));
     let status = alone.controller(station);
@@ -408,7 +408,7 @@ fn a_slow_node_answers_late_and_in_order() {
 
 #[test]
 fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
-    let world = CanWorld::new(CanConfig::default(), 1);
+    let world = CanWorld::new(1_000_000, 1);
     let station = world.sender([(0, frame(1))]);
     world.slow_down(station, Duration::from_millis(1));
     let interval = Duration::from_micros(10);

@@ -3,7 +3,7 @@
 
 use embedded_io::{Read as _, ReadReady as _, Write as _, WriteReady as _};
 use myactuator_host_std::sim::bus::rs485::{
-    LineConfig, SerialError, SerialPort, SerialWorld, TransceiverConfig,
+    SerialError, SerialPort, SerialWorld, TransceiverConfig,
 };
 use myactuator_host_std::sim::bus::trace::Event;
 use myactuator_protocol_core::time::Duration;
@@ -37,7 +37,7 @@ fn a_frame_at_each_bit_rate_of_the_manual() {
     for (bit_rate, last_us) in
         [(115_200, 1129), (500_000, 260), (1_000_000, 130), (1_500_000, 87), (2_500_000, 52)]
     {
-        let world = SerialWorld::new(LineConfig { bit_rate }, 1);
+        let world = SerialWorld::new(bit_rate, 1);
         let listener = world.listener();
         let mut port = world.port();
         port.write_all(&READ_PID).unwrap();
@@ -49,7 +49,7 @@ fn a_frame_at_each_bit_rate_of_the_manual() {
 
 #[test]
 fn the_roundings_of_many_bytes_do_not_add_up() {
-    let world = SerialWorld::new(LineConfig::default(), 1);
+    let world = SerialWorld::new(115_200, 1);
     world.silent();
     let mut port = world.port();
     // 1152 bytes of ten bits at 115200 bit/s are 100 ms.

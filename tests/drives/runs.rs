@@ -255,7 +255,8 @@ fn stall() {
         drive.plant_mut().set_load(Load { upper_stop: Some(STOP), ..Load::NONE }).unwrap();
     });
     let model = drive.with(|drive| drive.plant().parameters().clone());
-    let motor_nm = model.air_gap_constant_nm_per_a() * f64::from(RATED_A);
+    let air_gap_nm_per_a = model.motor.torque_constant_nm_per_a / model.gear.efficiency;
+    let motor_nm = air_gap_nm_per_a * f64::from(RATED_A);
     let held_nm = model.friction.static_nm + (1.0 - model.gear.efficiency) * motor_nm;
     let mut master = fleet.master::<1>();
     let gently =

@@ -2,8 +2,8 @@
 
 use std::fmt::Debug;
 
-use myactuator_host_std::sim::bus::can::{CanBus, CanConfig, CanPort};
-use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort};
+use myactuator_host_std::sim::bus::can::{CanBus, CanPort};
+use myactuator_host_std::sim::bus::rs485::{Rs485Line, SerialPort};
 use myactuator_host_std::sim::bus::{Medium, Node, SimClock, StationId, World};
 use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
@@ -42,7 +42,7 @@ impl Wire for CanBus {
     const CONFIG: Config = Config::CAN;
 
     fn world(seed: u64) -> World<Self> {
-        World::<CanBus>::new(CanConfig::default(), seed)
+        World::<CanBus>::new(1_000_000, seed)
     }
 
     fn runner<const N: usize>(world: &World<Self>, config: Config) -> (Self::Runner<N>, StationId) {
@@ -76,7 +76,7 @@ impl Wire for Rs485Line {
     const CONFIG: Config = Config::rs485(LINE_RATE, false);
 
     fn world(seed: u64) -> World<Self> {
-        World::<Rs485Line>::new(LineConfig { bit_rate: LINE_RATE }, seed)
+        World::<Rs485Line>::new(LINE_RATE, seed)
     }
 
     fn runner<const N: usize>(world: &World<Self>, config: Config) -> (Self::Runner<N>, StationId) {

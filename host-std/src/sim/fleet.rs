@@ -11,8 +11,8 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{Firmware, MotorId};
 
-use crate::sim::bus::can::{CanBus, CanConfig, CanPort, ControllerConfig};
-use crate::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
+use crate::sim::bus::can::{CanBus, CanPort, ControllerConfig};
+use crate::sim::bus::rs485::{Rs485Line, SerialPort, TransceiverConfig};
 use crate::sim::bus::{Medium, Node, SimClock, StationId, World};
 use crate::sim::memory::{DriveMemory, StoreError};
 use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
@@ -139,7 +139,7 @@ impl Fleet {
     /// # Errors
     /// [`FleetError`]: the model's figures make no motor, or a memory file cannot be read.
     pub fn on_can(&self, bit_rate: u32) -> Result<CanFleet, FleetError> {
-        let world = World::<CanBus>::new(CanConfig { bit_rate }, self.seed);
+        let world = World::<CanBus>::new(bit_rate, self.seed);
         self.put_on(world, ControllerConfig::MAILBOXES, Bus::Can, bit_rate)
     }
 
@@ -148,7 +148,7 @@ impl Fleet {
     /// # Errors
     /// As [`on_can`](Self::on_can).
     pub fn on_rs485(&self, bit_rate: u32) -> Result<LineFleet, FleetError> {
-        let world = World::<Rs485Line>::new(LineConfig { bit_rate }, self.seed);
+        let world = World::<Rs485Line>::new(bit_rate, self.seed);
         self.put_on(world, TransceiverConfig::default(), Bus::Rs485, bit_rate)
     }
 

@@ -249,13 +249,6 @@ mod tests {
     }
 
     #[test]
-    fn a_plan_is_for_one_direction() {
-        let mut injector = injector(Direction::ToPorts, FaultPlan { lose: 1.0, ..FaultPlan::NONE });
-        assert!(injector.fate(NODE, 0, 1, true).lost);
-        assert!(!injector.fate(0, NODE, 1, true).lost);
-    }
-
-    #[test]
     fn a_nodes_own_plan_goes_first() {
         let mut injector = injector(Direction::ToNodes, FaultPlan { lose: 1.0, ..FaultPlan::NONE });
         injector.set_own(NODE, Direction::ToNodes, Some(FaultPlan::NONE));
@@ -277,16 +270,5 @@ mod tests {
             let late = injector.fate(0, NODE, 1, true).late_by.unwrap();
             assert!((10_000..=12_000).contains(&late), "{late}");
         }
-    }
-
-    #[test]
-    fn quiet_until_something_can_happen() {
-        let mut injector = injector(Direction::ToNodes, FaultPlan::NONE);
-        assert!(injector.is_quiet());
-        let lossy = FaultPlan { lose: 0.1, ..FaultPlan::NONE };
-        injector.set_own(NODE, Direction::ToPorts, Some(lossy));
-        assert!(!injector.is_quiet());
-        injector.set_own(NODE, Direction::ToPorts, None);
-        assert!(injector.is_quiet());
     }
 }

@@ -1,7 +1,6 @@
 //! The chain of events: what is due when, and who is told.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fmt;
 
 use myactuator_protocol_core::time::Duration;
 
@@ -72,13 +71,6 @@ pub(crate) struct Kernel<B: Medium> {
     /// The message whose fates are drawn, and those fates by receiver.
     message: u64,
     fates: Vec<Fate>,
-}
-
-impl<B: Medium> fmt::Debug for Kernel<B> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut out = f.debug_struct("Kernel");
-        out.field("now", &self.around.now).field("bus", &self.bus).finish_non_exhaustive()
-    }
 }
 
 impl<B: Medium> Kernel<B> {

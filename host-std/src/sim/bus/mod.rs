@@ -19,7 +19,7 @@
 //!
 //! ```
 //! use embedded_can::{Frame, StandardId, nb::Can};
-//! use myactuator_host_std::sim::bus::{Node, can::{CanConfig, CanWorld}};
+//! use myactuator_host_std::sim::bus::{Node, can::CanWorld};
 //! use myactuator_host_std::protocol::time::{Duration, Instant};
 //! use myactuator_host_std::protocol::wire::can::SimpleFrame;
 //!
@@ -38,7 +38,7 @@
 //!     }
 //! }
 //!
-//! let world = CanWorld::new(CanConfig::default(), 1);
+//! let world = CanWorld::new(1_000_000, 1);
 //! world.attach(Mirror(None));
 //! let mut port = world.port();
 //! let frame = SimpleFrame::new(StandardId::new(0x141).unwrap(), &[0x55; 8]).unwrap();

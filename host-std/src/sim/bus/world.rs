@@ -14,24 +14,16 @@ use super::nanos::{NEVER, Nanos, from_instant, to_instant};
 use super::node::{Node, StationId};
 use super::trace::{Log, Record};
 
-/// What makes time go on.
-#[derive(Clone, Copy, Debug)]
-enum TimeBase {
-    /// Whoever waits.
-    Virtual,
-    /// The wall clock: time 0 was then.
-    Wall(std::time::Instant),
-}
-
 struct State<B: Medium> {
     kernel: Kernel<B>,
-    base: TimeBase,
+    /// Time 0 on the wall clock; `None` in virtual time, which goes on by whoever waits.
+    wall_zero: Option<std::time::Instant>,
 }
 
 impl<B: Medium> State<B> {
     /// In real time, lets everything up to now happen.
     fn catch_up(&mut self) {
-        if let TimeBase::Wall(zero) = self.base {
+        if let Some(zero) = self.wall_zero {
             let wall = u64::try_from(zero.elapsed().as_nanos()).unwrap_or(NEVER);
             self.kernel.run_until(wall);
         }
@@ -66,13 +58,13 @@ impl<B: Medium> Clone for World<B> {
 
 impl<B: Medium> fmt::Debug for World<B> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("World").field(&self.lock().kernel).finish()
+        f.debug_struct("World").field("bus", &self.lock().kernel.bus).finish_non_exhaustive()
     }
 }
 
 impl<B: Medium> World<B> {
     pub(super) fn with_medium(bus: B, seed: u64) -> Self {
-        let state = State { kernel: Kernel::new(bus, seed), base: TimeBase::Virtual };
+        let state = State { kernel: Kernel::new(bus, seed), wall_zero: None };
         Self(Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() }))
     }
 
@@ -106,15 +98,15 @@ impl<B: Medium> World<B> {
                 return Some(result);
             }
             let next = state.kernel.next_event();
-            match state.base {
-                TimeBase::Virtual if next > until || next == NEVER => {
+            match state.wall_zero {
+                None if next > until || next == NEVER => {
                     if until != NEVER {
                         state.kernel.run_until(until);
                     }
                     return None;
                 }
-                TimeBase::Virtual => state.kernel.step(next),
-                TimeBase::Wall(zero) => {
+                None => state.kernel.step(next),
+                Some(zero) => {
                     if state.kernel.around.now >= until {
                         return None;
                     }
@@ -133,7 +125,7 @@ impl<B: Medium> World<B> {
         let mut state = self.lock();
         let passed = std::time::Duration::from_nanos(state.kernel.around.now);
         let now = std::time::Instant::now();
-        state.base = TimeBase::Wall(now.checked_sub(passed).unwrap_or(now));
+        state.wall_zero = Some(now.checked_sub(passed).unwrap_or(now));
         drop(state);
         self
     }

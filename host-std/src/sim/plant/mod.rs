@@ -10,7 +10,7 @@
 //! | load | a constant torque, an inertia, springs against stops | [`Load`] |
 //! | electrics | torque current limited by voltage and back-EMF, phase currents, electronics' own power | [`SimulatedMotor`] |
 //! | supply | a source with internal resistance and a capacitor; feedback raises the voltage | [`Supply`] |
-//! | heat | the winding and the output stage, each cooling to ambient | [`ThermalNode`] |
+//! | heat | the winding and the output stage, each cooling to ambient | [`SimulatedMotor`] |
 //!
 //! Everything is reckoned at the output shaft, in SI units and f64. The step is fixed,
 //! [`STEP`]; nothing reads a clock or a random number, so the same calls give the same bits.
@@ -27,20 +27,17 @@
 //! # Ok::<(), myactuator_host_std::sim::plant::ParameterError>(())
 //! ```
 
-mod figure;
 mod load;
 mod motor;
 mod parameters;
 mod supply;
 mod thermal;
 
-pub use figure::{Figure, ImpossibleFigure};
 pub use load::{Load, SpringStop};
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{
     BrakeParameters, CurrentScale, EncoderParameters, FrictionParameters, GearParameters,
-    InverterParameters, MODELS, Model, MotorParameters, ParameterError, Rating, ThermalParameters,
-    WindingParameters,
+    ImpossibleFigure, InverterParameters, MODELS, Model, MotorParameters, ParameterError, Rating,
+    ThermalParameters, WindingParameters,
 };
 pub use supply::Supply;
-pub use thermal::ThermalNode;

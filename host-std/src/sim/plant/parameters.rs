@@ -1,6 +1,7 @@
 //! What a motor is like: the figures of a data sheet, from a TOML file, checked.
 
-use super::figure::{Figure, ImpossibleFigure};
+use std::ops::RangeInclusive;
+
 use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::command::MotionRanges;
 use serde::{Deserialize, Serialize};
@@ -42,11 +43,9 @@ macro_rules! table {
         impl $name {
             fn check(&self) -> Result<(), ParameterError> {
                 $(
-                    check(
-                        concat!($key, ".", stringify!($field)),
-                        &Figure { name: $what, unit: $unit, min: $min as f64, max: $max as f64 },
-                        Into::<f64>::into(self.$field),
-                    )?;
+                    let key = concat!($key, ".", stringify!($field));
+                    check($what, $unit, $min..=$max, self.$field.into())
+                        .map_err(|error| ParameterError::OutOfRange { key, error })?;
                 )*
                 Ok(())
             }
@@ -299,20 +298,39 @@ impl MotorParameters {
         self.motor.rotor_inertia_kg_m2 * self.gear.ratio * self.gear.ratio
             + self.gear.output_inertia_kg_m2
     }
-
-    /// Torque in the air gap per ampere of torque current, at the output shaft before any loss,
-    /// N·m/A. It is the back-EMF constant too: the power that becomes mechanical is this times
-    /// current times speed.
-    pub fn air_gap_constant_nm_per_a(&self) -> f64 {
-        self.motor.torque_constant_nm_per_a / self.gear.efficiency
-    }
 }
 
-fn check(key: &'static str, allowed: &'static Figure, given: f64) -> Result<(), ParameterError> {
-    match allowed.check(given) {
-        Ok(_) => Ok(()),
-        Err(error) => Err(ParameterError::OutOfRange { key, error }),
+/// The figure, if it is a number in this range.
+pub(super) fn check(
+    name: &'static str,
+    unit: &'static str,
+    allowed: RangeInclusive<f64>,
+    given: f64,
+) -> Result<f64, ImpossibleFigure> {
+    if allowed.contains(&given) {
+        return Ok(given);
     }
+    let (min, max) = allowed.into_inner();
+    Err(ImpossibleFigure { name, unit, min, max, given })
+}
+
+/// A figure that cannot be, or that is not a number.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "{name} must be {min} to {max}{space}{unit}, but {given}{space}{unit} was given",
+    space = if unit.is_empty() { "" } else { " " }
+)]
+pub struct ImpossibleFigure {
+    /// What it is: `"supply voltage"`.
+    pub name: &'static str,
+    /// Its unit; empty for a bare number.
+    pub unit: &'static str,
+    /// The smallest allowed.
+    pub min: f64,
+    /// The largest allowed.
+    pub max: f64,
+    /// What was given.
+    pub given: f64,
 }
 
 fn at_most(
@@ -354,7 +372,7 @@ pub enum ParameterError {
     },
     /// A load, a supply or the like that cannot be.
     #[error("{0}")]
-    Setting(ImpossibleFigure),
+    Setting(#[from] ImpossibleFigure),
     /// Two figures that cannot both be.
     #[error("{low_key} must be at most {high_key}, but they are {low} and {high}: change either")]
     Contradiction {
@@ -388,12 +406,6 @@ pub enum ParameterError {
     },
 }
 
-impl From<ImpossibleFigure> for ParameterError {
-    fn from(error: ImpossibleFigure) -> Self {
-        Self::Setting(error)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -405,18 +417,28 @@ mod tests {
     }
 
     #[test]
-    fn every_model_loads_under_its_name() {
+    fn every_model_loads_under_its_name_and_reads_back_as_it_is_written() {
         for model in MODELS {
             let parameters = MotorParameters::named(&model.name.to_lowercase()).unwrap();
             assert!(parameters.name.starts_with(model.name), "{}", parameters.name);
+            let text = toml::to_string(&parameters).unwrap();
+            assert_eq!(MotorParameters::from_toml(&text), Ok(parameters));
         }
     }
 
     #[test]
-    fn an_unknown_key_is_refused_and_named() {
-        let error = edited("ratio = 19.612", "ratio = 19.612\nteeth = 12").unwrap_err();
-        let text = error.to_string();
-        assert!(text.contains("teeth") && text.contains("ratio"), "{text}");
+    fn what_is_wrong_with_a_key_is_told() {
+        let ratio = "ratio = 19.612";
+        for (wrong, told) in [
+            ("ratio = 19.612\nteeth = 12", &["teeth", "ratio"][..]),
+            ("", &["missing field `ratio`"]),
+            ("ratio = \"twenty\"", &["ratio", "f64", "twenty"]),
+        ] {
+            let text = edited(ratio, wrong).unwrap_err().to_string();
+            assert!(told.iter().all(|word| text.contains(word)), "{text}");
+        }
+        // Whole numbers are figures too.
+        assert_eq!(edited(ratio, "ratio = 20").unwrap().gear.ratio, 20.0);
     }
 
     #[test]
@@ -445,26 +467,6 @@ mod tests {
             let text = motion(wrong).unwrap_err().to_string();
             assert!(text.contains(told), "{text}");
         }
-    }
-
-    #[test]
-    fn a_missing_key_is_named() {
-        let text = edited("ratio = 19.612", "").unwrap_err().to_string();
-        assert!(text.contains("missing field `ratio`"), "{text}");
-    }
-
-    #[test]
-    fn a_wrong_type_says_what_was_expected_and_found() {
-        let text = edited("ratio = 19.612", "ratio = \"twenty\"").unwrap_err().to_string();
-        assert!(
-            text.contains("ratio") && text.contains("f64") && text.contains("twenty"),
-            "{text}"
-        );
-    }
-
-    #[test]
-    fn whole_numbers_are_figures_too() {
-        assert_eq!(edited("ratio = 19.612", "ratio = 20").unwrap().gear.ratio, 20.0);
     }
 
     #[test]
@@ -525,14 +527,5 @@ mod tests {
         );
         assert!(edited("min_voltage_v = 24", "min_voltage_v = 50").is_err());
         assert!(edited("peak_current_a = 29.1", "peak_current_a = 9.4").is_err());
-    }
-
-    #[test]
-    fn what_is_written_reads_back_the_same() {
-        for model in MODELS {
-            let parameters = MotorParameters::named(model.name).unwrap();
-            let text = toml::to_string(&parameters).unwrap();
-            assert_eq!(MotorParameters::from_toml(&text), Ok(parameters));
-        }
     }
 }

@@ -3,7 +3,6 @@
 use embedded_can::{Frame, StandardId};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
-use super::CanConfig;
 use super::controller::{Controller, ControllerConfig, ControllerStatus, ErrorState, Recovery};
 use super::timing::{AFTER_ACKNOWLEDGE, INTERMISSION, frame_bits};
 use crate::sim::bus::faults::Disturbance;
@@ -74,9 +73,9 @@ const fn place(wire: Wire) -> usize {
 }
 
 impl CanBus {
-    pub(super) fn new(config: CanConfig) -> Self {
+    pub(super) fn new(bit_rate: u32) -> Self {
         Self {
-            bit_rate: config.bit_rate,
+            bit_rate,
             controllers: Vec::new(),
             wires: vec![Phase::Idle { since: 0 }],
             messages: 0,

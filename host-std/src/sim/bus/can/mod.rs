@@ -36,24 +36,11 @@ pub use timing::frame_bits;
 /// A world with a CAN bus.
 pub type CanWorld = World<CanBus>;
 
-/// A CAN bus's properties.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CanConfig {
-    /// Bits per second.
-    pub bit_rate: u32,
-}
-
-impl Default for CanConfig {
-    /// 1 Mbit/s.
-    fn default() -> Self {
-        Self { bit_rate: 1_000_000 }
-    }
-}
-
 impl World<CanBus> {
-    /// A world with an empty bus, at time 0. All chance in it comes from `seed`.
-    pub fn new(config: CanConfig, seed: u64) -> Self {
-        Self::with_medium(CanBus::new(config), seed)
+    /// A world with an empty bus of this bit rate in bit/s, at time 0. All chance in it comes from
+    /// `seed`.
+    pub fn new(bit_rate: u32, seed: u64) -> Self {
+        Self::with_medium(CanBus::new(bit_rate), seed)
     }
 
     /// Attaches a node with a microcontroller's usual controller.

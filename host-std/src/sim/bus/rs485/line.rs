@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::{LineConfig, TransceiverConfig};
+use super::TransceiverConfig;
 use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, Wire, sealed::Bus};
 use crate::sim::bus::nanos::{NEVER, Nanos, bits, from_duration};
 use crate::sim::bus::random::{Random, Stream};
@@ -76,9 +76,9 @@ pub struct Rs485Line {
 }
 
 impl Rs485Line {
-    pub(super) fn new(config: LineConfig, seed: u64) -> Self {
+    pub(super) fn new(bit_rate: u32, seed: u64) -> Self {
         Self {
-            bit_rate: config.bit_rate,
+            bit_rate,
             stations: Vec::new(),
             heard: None,
             messages: 0,
