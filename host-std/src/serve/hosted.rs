@@ -1,5 +1,6 @@
 //! A simulated bus with its drives in real time.
 
+use std::fmt::Debug;
 use std::time::Duration;
 
 use myactuator_protocol_core::MotorId;
@@ -15,12 +16,12 @@ use super::planned_fault::{FaultKind, PlannedFault};
 const DIRECTIONS: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
 
 /// A bus of either kind that is being served.
-pub(super) trait Hosted {
+pub(super) trait Hosted: Debug {
     /// Has time go on with the wall clock from now on, whatever has passed.
     fn follow_wall_clock(&self);
 
-    /// When something happens next by itself: a clock that counts down to it.
-    fn next_event(&self) -> NextEvent<'_>;
+    /// How long it still is until something happens by itself; `None` for nothing ever.
+    fn until_next_event(&self) -> Option<Duration>;
 
     /// Lets something go wrong.
     fn strike(&mut self, fault: &PlannedFault);
@@ -28,9 +29,6 @@ pub(super) trait Hosted {
     /// Takes the supply from all drives, which store what they save then. Gives those that could not.
     fn power_off(&self) -> Vec<MotorId>;
 }
-
-/// Tells how long it still is until something happens on a bus; `None` for nothing ever.
-pub(super) type NextEvent<'a> = Box<dyn Fn() -> Option<Duration> + 'a>;
 
 /// A bus, its drives, and what is wrong with them.
 #[derive(Debug)]
@@ -78,11 +76,8 @@ impl<B: Medium> Hosted for Host<B> {
         self.world.clone().in_real_time();
     }
 
-    fn next_event(&self) -> NextEvent<'_> {
-        let next = self.world.next_event();
-        Box::new(move || {
-            next.map(|next| Duration::from_micros((next - self.world.now()).as_micros()))
-        })
+    fn until_next_event(&self) -> Option<Duration> {
+        Some((self.world.next_event()? - self.world.now()).into())
     }
 
     fn strike(&mut self, fault: &PlannedFault) {

@@ -296,8 +296,9 @@ pub struct BusFleet<B: Medium> {
     pub world: World<B>,
     /// The drives, in the order of their ids.
     pub drives: Vec<DriveHandle>,
+    /// Bits per second.
+    pub bit_rate: u32,
     firmware: Firmware,
-    bit_rate: u32,
 }
 
 /// Drives on a CAN bus.
@@ -305,13 +306,6 @@ pub type CanFleet = BusFleet<CanBus>;
 
 /// Drives on an RS485 line.
 pub type LineFleet = BusFleet<Rs485Line>;
-
-impl<B: Medium> BusFleet<B> {
-    /// Bits per second.
-    pub const fn bit_rate(&self) -> u32 {
-        self.bit_rate
-    }
-}
 
 impl CanFleet {
     /// A master on this bus.

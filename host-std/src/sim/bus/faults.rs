@@ -80,12 +80,6 @@ impl FaultPlan {
     }
 }
 
-impl Default for FaultPlan {
-    fn default() -> Self {
-        Self::NONE
-    }
-}
-
 /// What a babbling station sends.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Babble<F> {

@@ -30,6 +30,8 @@ struct Station<F> {
     received: VecDeque<F>,
     receive_queue: usize,
     overflows: u64,
+    /// What happens to the message that is on its way to it.
+    fate: Fate,
     /// Somebody waits to send.
     wants_room: bool,
     /// Nothing may arrive before this: it would overtake what is late.
@@ -68,9 +70,8 @@ pub(crate) struct Kernel<B: Medium> {
     sequence: u64,
     /// What has come to the ports so far: received units, and room where it was missed.
     pub(crate) arrivals: u64,
-    /// The message whose fates are drawn, and those fates by receiver.
+    /// The message whose fates are drawn.
     message: u64,
-    fates: Vec<Fate>,
 }
 
 impl<B: Medium> Kernel<B> {
@@ -89,7 +90,6 @@ impl<B: Medium> Kernel<B> {
             sequence: 0,
             arrivals: 0,
             message: 0,
-            fates: Vec::new(),
         }
     }
 
@@ -115,12 +115,12 @@ impl<B: Medium> Kernel<B> {
             received: VecDeque::new(),
             receive_queue,
             overflows: 0,
+            fate: Fate::default(),
             wants_room: false,
             not_before: 0,
             held: VecDeque::new(),
             held_message: 0,
         });
-        self.fates.push(Fate::default());
         self.stations.len() - 1
     }
 
@@ -194,17 +194,13 @@ impl<B: Medium> Kernel<B> {
         let draws = arrival.part.as_ref().filter(|part| !quiet && part.message != self.message);
         if let Some(part) = draws {
             self.message = part.message;
-            for receiver in 0..self.stations.len() {
-                if self.bus.hears(receiver, &arrival) && receiver != arrival.sender {
-                    self.fates[receiver] = self.around.injector.fate(
-                        arrival.sender,
-                        receiver,
-                        part.of,
-                        B::DELIVERS_CORRUPTED,
-                    );
+            let Arrival { sender, .. } = arrival;
+            for (receiver, state) in self.stations.iter_mut().enumerate() {
+                state.fate = if self.bus.hears(receiver, &arrival) && receiver != sender {
+                    self.around.injector.fate(sender, receiver, part.of, B::DELIVERS_CORRUPTED)
                 } else {
-                    self.fates[receiver] = Fate::default();
-                }
+                    Fate::default()
+                };
             }
         }
         for receiver in 0..self.stations.len() {
@@ -222,7 +218,7 @@ impl<B: Medium> Kernel<B> {
     }
 
     fn arrive_by_fate(&mut self, to: usize, arrival: &Arrival<B::Frame>, part: &Part<B::Frame>) {
-        let fate = self.fates[to];
+        let fate = self.stations[to].fate;
         let now = self.around.now;
         let from = super::StationId(arrival.sender);
         let mut note = |fault| self.around.record(to, || Event::Faulted { from, fault });

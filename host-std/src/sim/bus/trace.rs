@@ -92,17 +92,9 @@ pub(crate) type Observer<F> = Box<dyn FnMut(&Record<F>) + Send>;
 
 /// A list of all that happens from its making on. Clones share the list.
 #[derive(Clone, Debug)]
-pub struct Log<F>(Arc<Mutex<Vec<Record<F>>>>);
+pub struct Log<F>(pub(super) Arc<Mutex<Vec<Record<F>>>>);
 
-impl<F: Clone> Log<F> {
-    pub(crate) fn new() -> Self {
-        Self(Arc::new(Mutex::new(Vec::new())))
-    }
-
-    pub(crate) fn push(&self, record: &Record<F>) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(record.clone());
-    }
-
+impl<F> Log<F> {
     /// Hands over what was noted so far and starts anew.
     pub fn take(&self) -> Vec<Record<F>> {
         std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))

@@ -231,9 +231,11 @@ impl<B: Medium> World<B> {
 
     /// Notes everything that happens from now on.
     pub fn log(&self) -> Log<B::Frame> {
-        let log = Log::new();
-        let notes = log.clone();
-        self.observe(move |record| notes.push(record));
+        let records = Arc::new(Mutex::new(Vec::new()));
+        let log = Log(Arc::clone(&records));
+        self.observe(move |record| {
+            records.lock().unwrap_or_else(PoisonError::into_inner).push(record.clone());
+        });
         log
     }
 }

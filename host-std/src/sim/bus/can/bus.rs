@@ -3,7 +3,7 @@
 use embedded_can::{Frame, StandardId};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
-use super::controller::{Controller, ControllerConfig, ControllerStatus, ErrorState, Recovery};
+use super::controller::{Controller, ControllerConfig, ErrorState, Recovery};
 use super::timing::{AFTER_ACKNOWLEDGE, INTERMISSION, frame_bits};
 use crate::sim::bus::faults::Disturbance;
 use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, Wire, sealed::Bus};
@@ -22,10 +22,11 @@ const SEQUENCE: u32 = 11;
 
 /// How a frame on the wire will end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Ending {
-    Good,
-    /// With this data bit flipped.
-    Falsified(u64),
+pub(super) enum Ending {
+    /// Whole, and maybe with a data bit flipped that nobody notices.
+    Sent {
+        flipped: Option<u64>,
+    },
     Unacknowledged,
     /// With an error frame.
     Broken,
@@ -59,7 +60,7 @@ enum Phase {
 #[derive(Debug)]
 pub struct CanBus {
     bit_rate: u32,
-    controllers: Vec<Controller>,
+    pub(super) controllers: Vec<Controller>,
     /// The common wire, then each station's stub.
     wires: Vec<Phase>,
     messages: u64,
@@ -172,8 +173,10 @@ impl CanBus {
         let (ending, taken) = match disturbance {
             Some(Disturbance::Detected(bit)) => (Ending::Broken, bit),
             _ if alone => (Ending::Unacknowledged, length - INTERMISSION - AFTER_ACKNOWLEDGE),
-            Some(Disturbance::Undetected(bit)) => (Ending::Falsified(bit), length - INTERMISSION),
-            None => (Ending::Good, length - INTERMISSION),
+            Some(Disturbance::Undetected(bit)) => {
+                (Ending::Sent { flipped: Some(bit) }, length - INTERMISSION)
+            }
+            None => (Ending::Sent { flipped: None }, length - INTERMISSION),
         };
         let transmission = Transmission { senders, frame, started: now, ending };
         let until = now + self.bits(taken);
@@ -221,9 +224,8 @@ impl CanBus {
     ) {
         let Transmission { senders, frame, started: started_ns, ending } = transmission;
         let now = around.now;
-        let sent = matches!(ending, Ending::Good | Ending::Falsified(_));
         let gap = match ending {
-            Ending::Good | Ending::Falsified(_) => INTERMISSION,
+            Ending::Sent { .. } => INTERMISSION,
             Ending::Unacknowledged => LONE_ERROR_FRAME + INTERMISSION,
             Ending::Broken => ERROR_FRAME + INTERMISSION,
         };
@@ -232,23 +234,14 @@ impl CanBus {
         self.begin_silence(wire, free_at);
         let suspended_until = free_at + self.bits(SUSPEND);
         for (station, controller) in self.on_mut(wire) {
-            if senders.contains(&station) {
-                match ending {
-                    Ending::Good | Ending::Falsified(_) => controller.count_sent(),
-                    Ending::Unacknowledged => controller.count_unacknowledged(),
-                    Ending::Broken => controller.count_transmit_error(),
-                }
-            } else if !controller.is_bus_off() {
-                match ending {
-                    Ending::Good | Ending::Falsified(_) => controller.count_received(),
-                    Ending::Broken => controller.count_receive_error(),
-                    Ending::Unacknowledged => {}
-                }
+            let is_sender = senders.contains(&station);
+            if is_sender || !controller.is_bus_off() {
+                controller.count(ending, is_sender);
             }
         }
         for &station in &senders {
             let controller = &mut self.controllers[station];
-            controller.end(sent);
+            controller.end(ending);
             match controller.state() {
                 ErrorState::Active => {}
                 ErrorState::Passive => controller.suspended_until = suspended_until,
@@ -257,18 +250,16 @@ impl CanBus {
                     around.record(station, || Event::BusOff);
                 }
             }
-            if sent {
-                around.freed.push(station);
-            }
             around.record(station, || match ending {
-                Ending::Good | Ending::Falsified(_) => Event::Carried { frame, started_ns },
+                Ending::Sent { .. } => Event::Carried { frame, started_ns },
                 Ending::Unacknowledged => Event::Unacknowledged { frame, started_ns },
                 Ending::Broken => Event::Broken { frame, started_ns },
             });
         }
-        if sent {
+        if let Ending::Sent { flipped } = ending {
+            around.freed.extend(&senders);
             let mut unit = frame;
-            if let Ending::Falsified(bit) = ending {
+            if let Some(bit) = flipped {
                 Self::flip_bit(&mut unit, bit);
             }
             self.messages += 1;
@@ -296,29 +287,8 @@ impl CanBus {
         } else {
             // The wire sees no change.
             transmission.senders.retain(|&sender| sender != station);
-            self.controllers[station].end(false);
+            self.controllers[station].end(Ending::Broken);
         }
-    }
-
-    pub(super) fn displace(&mut self, station: usize, by: &SimpleFrame) -> Option<SimpleFrame> {
-        self.controllers[station].displace(by)
-    }
-
-    /// All but what the port knows of received frames.
-    pub(super) fn status(&self, station: usize) -> ControllerStatus {
-        let controller = &self.controllers[station];
-        ControllerStatus {
-            transmit_errors: controller.transmit_errors,
-            receive_errors: controller.receive_errors,
-            state: controller.state(),
-            queued: controller.queued(),
-            received: 0,
-            overflows: 0,
-        }
-    }
-
-    pub(super) fn is_bus_off(&self, station: usize) -> bool {
-        self.controllers[station].is_bus_off()
     }
 }
 

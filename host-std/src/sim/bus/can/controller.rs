@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
+use super::bus::Ending;
 use super::timing::arbitration_key;
 use crate::sim::bus::medium::Wire;
 use crate::sim::bus::nanos::Nanos;
@@ -135,8 +136,16 @@ impl Controller {
         self.transmit_errors > BUS_OFF_ABOVE
     }
 
-    pub(super) fn queued(&self) -> usize {
-        self.queue.len()
+    /// How it stands, with what its port knows of received frames.
+    pub(super) fn status(&self, (received, overflows): (usize, u64)) -> ControllerStatus {
+        ControllerStatus {
+            transmit_errors: self.transmit_errors,
+            receive_errors: self.receive_errors,
+            state: self.state(),
+            queued: self.queue.len(),
+            received,
+            overflows,
+        }
     }
 
     pub(super) fn room(&self) -> usize {
@@ -188,12 +197,11 @@ impl Controller {
     }
 
     /// The frame on the wire is done; a failed one stays for the next try.
-    pub(super) fn end(&mut self, sent: bool) {
+    pub(super) fn end(&mut self, ending: Ending) {
         if let Some(place) = self.queue.iter().position(|pending| pending.on_wire) {
-            if sent {
-                self.queue.remove(place);
-            } else {
-                self.queue[place].on_wire = false;
+            match ending {
+                Ending::Sent { .. } => drop(self.queue.remove(place)),
+                Ending::Unacknowledged | Ending::Broken => self.queue[place].on_wire = false,
             }
         }
     }
@@ -214,30 +222,23 @@ impl Controller {
         }
     }
 
-    /// Counts a failed transmission, which may be one too many.
-    pub(super) fn count_transmit_error(&mut self) {
-        self.transmit_errors = self.transmit_errors.saturating_add(8);
-    }
-
-    /// Counts a frame that nobody acknowledged. An error-passive sender does not count those, so
-    /// silence alone leads to error-passive and never to bus-off.
-    pub(super) fn count_unacknowledged(&mut self) {
-        if self.state() != ErrorState::Passive {
-            self.count_transmit_error();
+    /// Counts what became of a frame.
+    pub(super) fn count(&mut self, ending: Ending, is_sender: bool) {
+        match ending {
+            // Silence alone leads to error-passive and never to bus-off.
+            Ending::Unacknowledged if !is_sender || self.state() == ErrorState::Passive => {}
+            Ending::Sent { .. } if is_sender => {
+                self.transmit_errors = self.transmit_errors.saturating_sub(1);
+            }
+            Ending::Sent { .. } => self.receive_errors = self.receive_errors.saturating_sub(1),
+            Ending::Unacknowledged | Ending::Broken if is_sender => {
+                self.transmit_errors = self.transmit_errors.saturating_add(8);
+            }
+            // More tells nothing: the state is the same from 128 on.
+            Ending::Unacknowledged | Ending::Broken => {
+                self.receive_errors = (self.receive_errors + 1).min(PASSIVE);
+            }
         }
-    }
-
-    pub(super) fn count_sent(&mut self) {
-        self.transmit_errors = self.transmit_errors.saturating_sub(1);
-    }
-
-    pub(super) fn count_receive_error(&mut self) {
-        // More tells nothing: the state is the same from 128 on.
-        self.receive_errors = (self.receive_errors + 1).min(PASSIVE);
-    }
-
-    pub(super) fn count_received(&mut self) {
-        self.receive_errors = self.receive_errors.min(PASSIVE).saturating_sub(1);
     }
 
     pub(super) fn leave_bus(&mut self, idle_from: Nanos) {

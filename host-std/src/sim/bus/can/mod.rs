@@ -60,9 +60,7 @@ impl World<CanBus> {
 
     /// How a station's controller stands.
     pub fn controller(&self, station: StationId) -> ControllerStatus {
-        self.with(|kernel| {
-            let (received, overflows) = kernel.received(station.0);
-            ControllerStatus { received, overflows, ..kernel.bus.status(station.0) }
-        })
+        let station = station.0;
+        self.with(|kernel| kernel.bus.controllers[station].status(kernel.received(station)))
     }
 }

@@ -58,13 +58,14 @@ impl embedded_can::nb::Can for CanPort {
     fn transmit(&mut self, frame: &SimpleFrame) -> nb::Result<Option<SimpleFrame>, CanError> {
         let station = self.station.0;
         self.world.with(|kernel| {
-            if kernel.bus.is_bus_off(station) {
+            if kernel.bus.controllers[station].is_bus_off() {
                 return Err(nb::Error::Other(CanError::BusOff));
             }
             if kernel.submit(station, *frame) {
                 return Ok(None);
             }
-            let displaced = kernel.bus.displace(station, frame).ok_or(nb::Error::WouldBlock)?;
+            let controller = &mut kernel.bus.controllers[station];
+            let displaced = controller.displace(frame).ok_or(nb::Error::WouldBlock)?;
             kernel.submit(station, *frame);
             Ok(Some(displaced))
         })

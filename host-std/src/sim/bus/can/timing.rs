@@ -30,9 +30,20 @@ const CRC: Crc<u16> = Crc::<u16>::new(&CRC_15_CAN);
 /// assert!((111..=135).contains(&frame_bits(&frame)));
 /// ```
 pub fn frame_bits<F: Frame>(frame: &F) -> u32 {
-    let mut stuffed = 0;
-    stuff(bits(frame), |_| stuffed += 1);
-    stuffed + UNSTUFFED_TAIL
+    let (bits, count) = bits(frame);
+    let mut length = count + UNSTUFFED_TAIL;
+    let (mut last, mut run) = (true, 0);
+    for place in (0..count).rev() {
+        let bit = bits >> place & 1 == 1;
+        run = if bit == last { run + 1 } else { 1 };
+        last = bit;
+        if run == 5 {
+            length += 1;
+            // The stuff bit begins a run of the other level.
+            (last, run) = (!bit, 1);
+        }
+    }
+    length
 }
 
 /// What arbitration compares, as the bits on the wire: the smaller wins. Frames with the same key
@@ -53,16 +64,13 @@ pub(crate) fn arbitration_key<F: Frame>(frame: &F) -> u64 {
 /// The bits from the start of frame through the CRC without stuff bits, and how many they are. The
 /// first is the highest.
 fn bits<F: Frame>(frame: &F) -> (u128, u32) {
-    let remote = u128::from(frame.is_remote_frame());
+    let arbitration = u128::from(arbitration_key(frame));
     let length = frame.dlc().min(8) as u128;
     // The start of frame is a 0 ahead of it all.
     let (mut bits, mut count) = match frame.id() {
-        Id::Standard(id) => (u128::from(id.as_raw()) << 7 | remote << 6 | length, 1 + 11 + 7),
-        Id::Extended(id) => {
-            let raw = u128::from(id.as_raw());
-            let arbitration = (raw >> 18) << 21 | 0b11 << 19 | (raw & 0x3_FFFF) << 1 | remote;
-            (arbitration << 6 | length, 1 + 32 + 6)
-        }
+        // What is left of the extended identifier's place: IDE, r0 and the DLC.
+        Id::Standard(_) => (arbitration >> 14 | length, 1 + 11 + 7),
+        Id::Extended(_) => (arbitration << 6 | length, 1 + 32 + 6),
     };
     // A remote frame has no data, whatever its DLC.
     if !frame.is_remote_frame() {
@@ -74,22 +82,6 @@ fn bits<F: Frame>(frame: &F) -> (u128, u32) {
     // The CRC begins with 0, so zeros ahead of the frame change nothing.
     let crc = CRC.checksum(&bits.to_be_bytes());
     (bits << 15 | u128::from(crc), count + 15)
-}
-
-/// Calls `put` with each bit on the wire.
-fn stuff((bits, count): (u128, u32), mut put: impl FnMut(bool)) {
-    let (mut last, mut run) = (true, 0);
-    for place in (0..count).rev() {
-        let bit = bits >> place & 1 == 1;
-        put(bit);
-        run = if bit == last { run + 1 } else { 1 };
-        last = bit;
-        if run == 5 {
-            put(!bit);
-            // The stuff bit begins a run of the other level.
-            (last, run) = (!bit, 1);
-        }
-    }
 }
 
 #[cfg(test)]
