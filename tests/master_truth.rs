@@ -280,14 +280,14 @@ impl<W: Wire> Session<W> {
             Trouble::Slow => world.slow_down(node, Duration::from_millis(3)),
             Trouble::Babble => {
                 let interval = Duration::from_micros(200);
-                world.babble(node, Some(Babble::Random { interval }));
+                world.babble(node, Some(Babble { interval, frame: None }));
             }
             Trouble::Foreign => {
                 let interval = Duration::from_micros(2_000);
                 let data = Pid { index: 9, token: 0 }.encode();
                 let question = Packet { channel: Channel::Command(id(1).into()), data };
                 let frame = W::frame(&question);
-                world.babble(node, Some(Babble::Fixed { interval, frame }));
+                world.babble(node, Some(Babble { interval, frame: Some(frame) }));
             }
             _ => world.reset(node),
         }

@@ -282,7 +282,7 @@ fn chaos(seed: u64) -> Vec<Record<SimpleFrame>> {
         world.set_faults(direction, plan);
     }
     let interval = Duration::from_micros(1_700);
-    world.babble(nodes[3], Some(Babble::Random { interval }));
+    world.babble(nodes[3], Some(Babble { interval, frame: None }));
     for n in 0..100 {
         let _ = port.transmit(&frame(n));
         world.run_for(Duration::from_micros(900));
@@ -413,7 +413,7 @@ fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
     world.slow_down(station, Duration::from_millis(1));
     let interval = Duration::from_micros(10);
     // Nobody acknowledges, so the babble fills the mailboxes before the frame gets there.
-    world.babble(station, Some(Babble::Fixed { interval, frame: frame(5) }));
+    world.babble(station, Some(Babble { interval, frame: Some(frame(5)) }));
     world.run_until(micros(10_000));
     world.babble(station, None);
     let mut port = world.port();
@@ -426,10 +426,10 @@ fn a_babbling_station_sends_until_it_is_silenced() {
     let (world, mut port) = can();
     let station = world.silent();
     let interval = Duration::from_millis(1);
-    world.babble(station, Some(Babble::Fixed { interval, frame: frame(5) }));
+    world.babble(station, Some(Babble { interval, frame: Some(frame(5)) }));
     world.run_until(micros(9_900));
     assert_eq!(receive_all(&mut port), [frame(5); 10]);
-    world.babble(station, Some(Babble::Random { interval }));
+    world.babble(station, Some(Babble { interval, frame: None }));
     world.run_until(micros(19_800));
     let garbage = receive_all(&mut port);
     assert_eq!(garbage.len(), 10);
@@ -444,8 +444,7 @@ fn a_babbler_of_high_priority_starves_the_others() {
     let (world, mut port) = can();
     let station = world.silent();
     let first = SimpleFrame::new(StandardId::new(0).unwrap(), &[]).unwrap();
-    world
-        .babble(station, Some(Babble::Fixed { interval: Duration::from_micros(10), frame: first }));
+    world.babble(station, Some(Babble { interval: Duration::from_micros(10), frame: Some(first) }));
     world.run_until(micros(100));
     assert_eq!(port.transmit(&frame(1)), Ok(None));
     world.run_until(micros(100_000));
@@ -559,7 +558,7 @@ fn a_reset_on_rs485_stops_what_is_being_sent() {
 fn a_babbler_on_rs485_garbles_others() {
     let (world, mut port, listener) = line(1);
     let babbler = world.silent();
-    world.babble(babbler, Some(Babble::Random { interval: Duration::from_micros(20) }));
+    world.babble(babbler, Some(Babble { interval: Duration::from_micros(20), frame: None }));
     let log = world.log();
     world.run_until(micros(1_000));
     port.write_all(&READ_PID).unwrap();

@@ -7,9 +7,9 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::drive::Event;
 
-use crate::sim::DriveHandle;
 use crate::sim::bus::faults::{Babble, Direction, FaultPlan};
 use crate::sim::bus::{Medium, World};
+use crate::sim::{BusFleet, DriveHandle};
 
 use super::planned_fault::{FaultKind, PlannedFault};
 
@@ -42,9 +42,13 @@ pub(super) struct Host<B: Medium> {
 }
 
 impl<B: Medium> Host<B> {
-    pub(super) fn new(world: World<B>, drives: Vec<DriveHandle>) -> Self {
-        let own = vec![[None; 2]; drives.len()];
-        Self { world, drives, common: [FaultPlan::NONE; 2], own }
+    pub(super) fn new(fleet: &BusFleet<B>) -> Self {
+        Self {
+            world: fleet.world.clone(),
+            drives: fleet.drives.clone(),
+            common: [FaultPlan::NONE; 2],
+            own: vec![[None; 2]; fleet.drives.len()],
+        }
     }
 
     /// Changes what chance does, and leaves what it did so far.
@@ -91,7 +95,7 @@ impl<B: Medium> Hosted for Host<B> {
             match fault.kind {
                 FaultKind::Chance(_) => {}
                 FaultKind::Babble(interval) => {
-                    world.babble(station, Some(Babble::Random { interval }));
+                    world.babble(station, Some(Babble { interval, frame: None }));
                 }
                 FaultKind::Slow(by) => world.slow_down(station, by),
                 FaultKind::Cut => world.cut(station),
@@ -134,7 +138,7 @@ mod tests {
     /// Two drives under virtual time, what hosts them, and whether each of them answers.
     fn answers(faults: &[&str]) -> [bool; 2] {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
-        let mut host = Host::new(fleet.world.clone(), fleet.drives.clone());
+        let mut host = Host::new(&fleet);
         for fault in faults {
             host.strike(&fault.parse().unwrap());
         }
@@ -165,7 +169,7 @@ mod tests {
     #[test]
     fn errors_come_and_go() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let mut host = Host::new(fleet.world.clone(), fleet.drives.clone());
+        let mut host = Host::new(&fleet);
         let mut master = fleet.master::<1>();
         let mut named = |fault: &str| {
             host.strike(&fault.parse().unwrap());

@@ -147,7 +147,7 @@ impl Server {
         let pty = Pty::open()?;
         let path = pty.path().to_owned();
         let port = fleet.world.port_with(transceiver);
-        self.hosts.push(Box::new(Host::new(fleet.world.clone(), fleet.drives.clone())));
+        self.hosts.push(Box::new(Host::new(fleet)));
         self.ends.push(Box::new(LineEnd { pty, port, waiting: Vec::new() }));
         Ok(path)
     }
@@ -155,7 +155,7 @@ impl Server {
     /// Takes drives on a CAN bus, to serve them by adapters and interfaces. They live without as
     /// well.
     pub fn host_can(&mut self, fleet: &CanFleet) {
-        self.hosts.push(Box::new(Host::new(fleet.world.clone(), fleet.drives.clone())));
+        self.hosts.push(Box::new(Host::new(fleet)));
     }
 
     /// Serves [hosted](Self::host_can) drives by an SLCAN adapter. Gives the path of its serial port.

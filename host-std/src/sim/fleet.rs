@@ -220,10 +220,13 @@ fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterError> 
     let supply_a = (rating.peak_torque_nm * rating.speed_rpm * std::f64::consts::TAU
         / 60.0
         / rating.voltage_v) as f32;
+    // A date that leads to no firmware where none is known of the model's.
+    let dates = model.firmware.version_dates();
+    let version_date = dates.first().copied().unwrap_or(VersionDate::from_raw(0));
     Ok(Parameters {
         model: model_name(&model.name),
         firmware: model.firmware,
-        version_date: model.firmware.version_dates().first().copied().unwrap_or(DATELESS),
+        version_date,
         motion_ranges: model.motion_ranges()?,
         baud_rate: BaudCode::CAN_1M_RS485_500K,
         encoder_bits: model.encoder.bits,
@@ -267,9 +270,6 @@ pub struct DriveHandle {
     station: StationId,
     seat: Arc<Mutex<Seat>>,
 }
-
-/// What drives of a firmware report of which no version date is known: it leads to none.
-const DATELESS: VersionDate = VersionDate::from_raw(0);
 
 impl DriveHandle {
     /// The id that the drive started with.

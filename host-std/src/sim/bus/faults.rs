@@ -82,19 +82,12 @@ impl FaultPlan {
 
 /// What a babbling station sends.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Babble<F> {
-    /// Random frames: on CAN any standard identifier, length and data, on RS485 1 to 16 bytes.
-    Random {
-        /// Time from one to the next; a microsecond at least.
-        interval: Duration,
-    },
-    /// The same frame again and again.
-    Fixed {
-        /// Time from one to the next; a microsecond at least.
-        interval: Duration,
-        /// The frame.
-        frame: F,
-    },
+pub struct Babble<F> {
+    /// Time from one frame to the next; a microsecond at least.
+    pub interval: Duration,
+    /// The same frame again and again; `None` for random ones: on CAN any standard identifier, length
+    /// and data, on RS485 1 to 16 bytes.
+    pub frame: Option<F>,
 }
 
 /// What happens to a message on its way to one receiver.

@@ -190,30 +190,26 @@ impl<B: Medium> Kernel<B> {
 
     /// Brings what is complete on the wire to everyone who hears it.
     fn arrive(&mut self, arrival: Arrival<B::Frame>) {
-        let quiet = self.around.injector.is_quiet();
-        let draws = arrival.part.as_ref().filter(|part| !quiet && part.message != self.message);
-        if let Some(part) = draws {
-            self.message = part.message;
-            let Arrival { sender, .. } = arrival;
-            for (receiver, state) in self.stations.iter_mut().enumerate() {
-                state.fate = if self.bus.hears(receiver, &arrival) && receiver != sender {
+        let Arrival { sender, .. } = arrival;
+        // Nothing can befall what a collision left.
+        let part = arrival.part.as_ref().filter(|_| !self.around.injector.is_quiet());
+        let is_new = part.is_some_and(|part| part.message != self.message);
+        for receiver in 0..self.stations.len() {
+            let hears = self.bus.hears(receiver, &arrival);
+            let strikes = part.filter(|_| hears && receiver != sender);
+            if is_new {
+                self.stations[receiver].fate = strikes.map_or(Fate::default(), |part| {
                     self.around.injector.fate(sender, receiver, part.of, B::DELIVERS_CORRUPTED)
-                } else {
-                    Fate::default()
-                };
+                });
+            }
+            match part {
+                _ if !hears => {}
+                Some(part) => self.arrive_by_fate(receiver, &arrival, part),
+                None => self.deliver_in_order(receiver, &arrival.unit, 0),
             }
         }
-        for receiver in 0..self.stations.len() {
-            if !self.bus.hears(receiver, &arrival) {
-                continue;
-            }
-            match &arrival.part {
-                Some(part) if !quiet && self.message == part.message => {
-                    self.arrive_by_fate(receiver, &arrival, part);
-                }
-                // A message that had begun before there were faults, or what a collision left.
-                _ => self.deliver_in_order(receiver, &arrival.unit, 0),
-            }
+        if let Some(part) = part {
+            self.message = part.message;
         }
     }
 
@@ -319,13 +315,9 @@ impl<B: Medium> Kernel<B> {
         if state.babble_at <= now
             && let Some(babble) = &state.babble
         {
-            let (interval, frame) = match babble {
-                Babble::Random { interval } => {
-                    (interval, B::garbage(&mut self.around.injector.babble))
-                }
-                Babble::Fixed { interval, frame } => (interval, frame.clone()),
-            };
-            state.babble_at = now + from_duration(*interval).max(MICROSECOND);
+            let random = &mut self.around.injector.babble;
+            let frame = babble.frame.clone().unwrap_or_else(|| B::garbage(random));
+            state.babble_at = now + from_duration(babble.interval).max(MICROSECOND);
             // A full queue loses it: there is more where it came from.
             self.bus.submit(station, frame, now);
         }

@@ -244,20 +244,12 @@ impl<B: Medium> World<B> {
 ///
 /// In virtual time [`idle`](Clock::idle) lets the world go on; in real time it sleeps. Both end early
 /// as soon as something arrives at one of the world's ports, or one of them has room again for what
-/// it had refused, since this clock last looked. Each master has a clock of its own; a clone is one
-/// that has seen as much.
+/// it had refused, since this clock last looked. Each master has a clock of its own.
 #[derive(Debug)]
 pub struct SimClock<B: Medium> {
     world: World<B>,
     /// What had come to the ports when it last looked.
     seen: AtomicU64,
-}
-
-impl<B: Medium> Clone for SimClock<B> {
-    fn clone(&self) -> Self {
-        let seen = AtomicU64::new(self.seen.load(Ordering::Relaxed));
-        Self { world: self.world.clone(), seen }
-    }
 }
 
 impl<B: Medium> Clock for SimClock<B> {

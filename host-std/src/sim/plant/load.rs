@@ -1,6 +1,6 @@
 //! What the output shaft carries.
 
-use super::parameters::{ImpossibleFigure, check};
+use super::figure::{ImpossibleFigure, check};
 use serde::{Deserialize, Serialize};
 
 /// What is fixed to the output shaft: any of its parts may be there, all at once too.

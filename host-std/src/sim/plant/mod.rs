@@ -27,17 +27,19 @@
 //! # Ok::<(), myactuator_host_std::sim::plant::ParameterError>(())
 //! ```
 
+mod figure;
 mod load;
 mod motor;
 mod parameters;
 mod supply;
 mod thermal;
 
+pub use figure::ImpossibleFigure;
 pub use load::{Load, SpringStop};
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{
     BrakeParameters, CurrentScale, EncoderParameters, FrictionParameters, GearParameters,
-    ImpossibleFigure, InverterParameters, MODELS, Model, MotorParameters, ParameterError, Rating,
-    ThermalParameters, WindingParameters,
+    InverterParameters, MODELS, Model, MotorParameters, ParameterError, Rating, ThermalParameters,
+    WindingParameters,
 };
 pub use supply::Supply;

@@ -5,10 +5,10 @@ use std::f64::consts::TAU;
 use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
 use myactuator_protocol_core::time::Duration;
 
-use super::parameters::check;
+use super::figure::{ImpossibleFigure, check};
 use super::supply::{Link, check_voltage};
 use super::thermal::ThermalNode;
-use super::{ImpossibleFigure, Load, MotorParameters, ParameterError, Supply};
+use super::{Load, MotorParameters, ParameterError, Supply};
 
 /// The simulation's step. Time that is left over is carried to the next call.
 pub const STEP: Duration = Duration::from_micros(100);
@@ -300,7 +300,11 @@ impl SimulatedMotor {
             self.coefficients;
         self.angle_rad += self.speed_rad_s * HALF_STEP_S;
 
-        let winding_ohm = self.winding_resistance_ohm();
+        let motor = &self.parameters.motor;
+        let warmer_k = self.winding.temperature_c() - REFERENCE_C;
+        // No conductor loses its resistance in the cold.
+        let warmth = (1.0 + motor.resistance_coefficient_per_k * warmer_k).max(0.1);
+        let winding_ohm = motor.phase_resistance_ohm * warmth;
         let mos_ohm = self.parameters.inverter.mos_resistance_ohm;
         self.current_a = if actuation.output_on {
             let limit_v = self.parameters.inverter.modulation_limit * self.link.voltage_v();
@@ -342,13 +346,6 @@ impl SimulatedMotor {
         let brake_nm = if brake_released { 0.0 } else { self.parameters.brake.holding_torque_nm };
         let most_taken = (dry_nm + brake_nm + gear_loss * motor_nm.abs()) * speed_per_torque;
         if freely.abs() <= most_taken { 0.0 } else { freely - most_taken.copysign(freely) }
-    }
-
-    fn winding_resistance_ohm(&self) -> f64 {
-        let warmer_k = self.winding.temperature_c() - REFERENCE_C;
-        let motor = &self.parameters.motor;
-        // No conductor loses its resistance in the cold.
-        motor.phase_resistance_ohm * (1.0 + motor.resistance_coefficient_per_k * warmer_k).max(0.1)
     }
 
     fn measure(&self) -> Measurement {

@@ -1,7 +1,6 @@
 //! What a motor is like: the figures of a data sheet, from a TOML file, checked.
 
-use std::ops::RangeInclusive;
-
+use super::figure::{ImpossibleFigure, check};
 use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::command::MotionRanges;
 use serde::{Deserialize, Serialize};
@@ -300,39 +299,6 @@ impl MotorParameters {
     }
 }
 
-/// The figure, if it is a number in this range.
-pub(super) fn check(
-    name: &'static str,
-    unit: &'static str,
-    allowed: RangeInclusive<f64>,
-    given: f64,
-) -> Result<f64, ImpossibleFigure> {
-    if allowed.contains(&given) {
-        return Ok(given);
-    }
-    let (min, max) = allowed.into_inner();
-    Err(ImpossibleFigure { name, unit, min, max, given })
-}
-
-/// A figure that cannot be, or that is not a number.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "{name} must be {min} to {max}{space}{unit}, but {given}{space}{unit} was given",
-    space = if unit.is_empty() { "" } else { " " }
-)]
-pub struct ImpossibleFigure {
-    /// What it is: `"supply voltage"`.
-    pub name: &'static str,
-    /// Its unit; empty for a bare number.
-    pub unit: &'static str,
-    /// The smallest allowed.
-    pub min: f64,
-    /// The largest allowed.
-    pub max: f64,
-    /// What was given.
-    pub given: f64,
-}
-
 fn at_most(
     low_key: &'static str,
     low: f64,
@@ -469,53 +435,41 @@ mod tests {
         }
     }
 
-    #[test]
-    fn figures_out_of_range_are_refused() {
-        let (ratio, inertia) = ("ratio = 19.612", "rotor_inertia_kg_m2 = 6.6e-5");
-        for (figure, value, table) in [
-            (ratio, "0", "gear"),
-            (ratio, "nan", "gear"),
-            (ratio, "inf", "gear"),
-            (inertia, "0", "motor"),
-            (inertia, "-6.6e-5", "motor"),
-            ("bits = 17", "40", "encoder"),
-        ] {
-            let name = figure.split(' ').next().unwrap();
-            let (wrong, full) = (format!("{name} = {value}"), format!("{table}.{name}"));
-            let error = edited(figure, &wrong).unwrap_err();
-            assert!(
-                matches!(error, ParameterError::OutOfRange { key, .. } if key == full),
-                "{wrong}: {error}"
-            );
-            assert!(error.to_string().starts_with(&full), "{error}");
-        }
-    }
-
     /// No figure of the file is taken unchecked.
     #[test]
     fn every_figure_has_a_range() {
         let whole: toml::Table = MODELS[0].toml.parse().unwrap();
+        let refuses = |table: &str, key: &str, wrong: toml::Value| {
+            let mut changed = whole.clone();
+            changed[table][key] = wrong;
+            let error = MotorParameters::from_toml(&changed.to_string()).unwrap_err();
+            let full = format!("{table}.{key}");
+            assert!(
+                matches!(error, ParameterError::OutOfRange { key, .. } if key == full),
+                "{changed}: {error}"
+            );
+            assert!(error.to_string().starts_with(&full), "{error}");
+        };
         let mut figures = 0;
         for (table, keys) in
             whole.iter().filter_map(|(name, value)| Some((name, value.as_table()?)))
         {
             for (key, value) in keys.iter().filter(|(_, value)| !value.is_str()) {
-                let too_low = match value {
-                    toml::Value::Integer(_) if key == "pole_pairs" || key == "bits" => 0.into(),
-                    _ => toml::Value::Float(-1.0),
+                let wrong: &[toml::Value] = match value {
+                    toml::Value::Integer(_) if key == "pole_pairs" || key == "bits" => {
+                        &[0.into(), 127.into()]
+                    }
+                    _ => &[(-1.0).into(), f64::NAN.into(), f64::INFINITY.into()],
                 };
-                let mut changed = whole.clone();
-                changed[table][key] = too_low;
-                let error = MotorParameters::from_toml(&changed.to_string()).unwrap_err();
-                let full = format!("{table}.{key}");
-                assert!(
-                    matches!(error, ParameterError::OutOfRange { key: found, .. } if found == full),
-                    "{full}: {error}"
-                );
+                for wrong in wrong {
+                    refuses(table, key, wrong.clone());
+                }
                 figures += 1;
             }
         }
         assert_eq!(figures, 31);
+        refuses("gear", "ratio", 0.0.into());
+        refuses("motor", "rotor_inertia_kg_m2", 0.0.into());
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Where the power comes from, and where it goes when the motor feeds back.
 
-use super::parameters::{ImpossibleFigure, check};
+use super::figure::{ImpossibleFigure, check};
 use serde::{Deserialize, Serialize};
 
 /// A voltage source behind a resistance, with the capacitor at the drive's input.

@@ -3,7 +3,7 @@
 use embedded_can::{Frame, StandardId};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
-use super::controller::{Controller, ControllerConfig, ErrorState, Recovery};
+use super::controller::{Controller, ControllerConfig, ErrorState, RECOVERY_SEQUENCES, Recovery};
 use super::timing::{AFTER_ACKNOWLEDGE, INTERMISSION, frame_bits};
 use crate::sim::bus::faults::Disturbance;
 use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, Wire, sealed::Bus};
@@ -246,7 +246,8 @@ impl CanBus {
                 ErrorState::Active => {}
                 ErrorState::Passive => controller.suspended_until = suspended_until,
                 ErrorState::BusOff => {
-                    controller.leave_bus(free_at);
+                    controller.recovery =
+                        Some(Recovery { wanted: RECOVERY_SEQUENCES, since: free_at });
                     around.record(station, || Event::BusOff);
                 }
             }

@@ -14,7 +14,7 @@ const PASSIVE: u16 = 128;
 /// Above this transmit error count a controller leaves the bus.
 const BUS_OFF_ABOVE: u16 = 255;
 /// How many times eleven recessive bits end bus-off.
-const RECOVERY_SEQUENCES: u64 = 128;
+pub(super) const RECOVERY_SEQUENCES: u64 = 128;
 
 /// Which frame of a transmit queue goes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -239,10 +239,6 @@ impl Controller {
                 self.receive_errors = (self.receive_errors + 1).min(PASSIVE);
             }
         }
-    }
-
-    pub(super) fn leave_bus(&mut self, idle_from: Nanos) {
-        self.recovery = Some(Recovery { wanted: RECOVERY_SEQUENCES, since: idle_from });
     }
 
     pub(super) fn recover(&mut self) {
