@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::PathBuf;
 
-use myactuator_host_std::explain::{Explainer, Explanation, Rs485Stream, Sender};
+use myactuator_host_std::explain::{Explainer, Explanation, FrameDirection, Rs485Stream};
 use myactuator_host_std::text::can::LogLine;
 use myactuator_host_std::{BusKind, text};
 
@@ -29,8 +29,8 @@ pub(super) struct Arguments {
     #[arg(long)]
     binary: bool,
     /// Which way frames went whose bytes cannot tell (RS485, and bus id on CAN).
-    #[arg(long, value_parser = names::sender(), value_name = "WAY")]
-    direction: Option<Sender>,
+    #[arg(long, value_parser = names::direction(), value_name = "WAY")]
+    direction: Option<FrameDirection>,
     #[command(flatten)]
     revision: Revision,
     /// Frames, files, or - for standard input, which is also read if there is none of these.
@@ -69,7 +69,7 @@ pub(super) fn run(arguments: &Arguments) -> u8 {
         explainer: Explainer {
             firmware: arguments.revision.firmware,
             ranges: arguments.revision.motion_ranges(),
-            sender: arguments.direction,
+            direction: arguments.direction.unwrap_or(FrameDirection::Either),
         },
         out: io::stdout().lock(),
         all_decoded: true,

@@ -18,7 +18,7 @@ pub enum FrameDirection {
     Command,
     /// From a motor.
     Reply,
-    /// The bytes cannot tell.
+    /// The one or the other: the bytes cannot tell.
     Either,
 }
 

@@ -29,6 +29,6 @@ mod values;
 
 pub use dbc::Dbc;
 pub use explanation::{Decoded, Explanation, FrameDirection, FrameKind, Reading};
-pub use reading::{Explainer, Sender};
+pub use reading::Explainer;
 pub use stream::Rs485Stream;
 pub use values::{Values, values};

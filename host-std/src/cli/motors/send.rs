@@ -1,7 +1,7 @@
 //! `myactuator send`: one command, known or not, and what is answered.
 
 use clap::ValueEnum;
-use myactuator_host_std::explain::{Explainer, Sender};
+use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
 use myactuator_host_std::text;
 use myactuator_protocol_core::command::{AnyCommand, BusId, MotionRanges, Phrase, RawCommand};
@@ -199,7 +199,8 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
             ranges = Some(arguments.revision.scales(session, motor)?);
         }
     }
-    let explainer = Explainer { firmware: read_as(arguments), ranges, sender: Some(Sender::Motor) };
+    let direction = FrameDirection::Reply;
+    let explainer = Explainer { firmware: read_as(arguments), ranges, direction };
     let sending =
         Sending { command: plan.command(ranges.as_ref())?, explainer, json: arguments.json };
     if needs_consent(kind) {
