@@ -19,7 +19,7 @@ use myactuator_protocol_core::master::{Bus, Config, Event, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
-use super::{DONE, FAILED, names, tell};
+use super::{Outcome, Unfinished, names};
 
 const MOTORS: u8 = 4;
 /// Of either bus.
@@ -36,23 +36,17 @@ pub(super) struct Arguments {
     bus: BusKind,
 }
 
-type Outcome<T = ()> = Result<T, Box<dyn Error>>;
+type Told<T = ()> = Result<T, Box<dyn Error>>;
 
 /// Runs the demonstration.
-pub(super) fn run(arguments: &Arguments) -> u8 {
-    match Tour::start(arguments.bus).and_then(Tour::run) {
-        Ok(()) => DONE,
-        // Nobody is left to tell: `… | head`.
-        Err(error) if is_broken_pipe(&*error) => DONE,
-        Err(error) => {
-            tell("error", format_args!("the demonstration ended early: {error}"));
-            FAILED
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    Tour::start(arguments.bus).and_then(Tour::run).map_err(|error| {
+        let io_error = error.downcast_ref::<io::Error>();
+        match io_error.map(io::Error::kind) {
+            Some(io::ErrorKind::BrokenPipe) => Unfinished::ReaderLeft,
+            _ => Unfinished::Failed(format!("the demonstration ended early: {error}")),
         }
-    }
-}
-
-fn is_broken_pipe(error: &(dyn Error + 'static)) -> bool {
-    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+    })
 }
 
 /// A master, what is known about the wire under it, and where to tell.
@@ -64,7 +58,7 @@ struct Tour {
 }
 
 impl Tour {
-    fn start(bus: BusKind) -> Outcome<Self> {
+    fn start(bus: BusKind) -> Told<Self> {
         let min = Duration::from_micros(RESPONSE.as_micros() - RESPONSE_SPREAD.as_micros());
         let fleet = Fleet::new(MOTORS).response(min, RESPONSE + RESPONSE_SPREAD);
         let mut out = io::stdout().lock();
@@ -88,7 +82,7 @@ impl Tour {
         Ok(Self { bus, master, traffic, out })
     }
 
-    fn run(mut self) -> Outcome {
+    fn run(mut self) -> Told {
         let motors = self.find()?;
         self.identify(motors)?;
         self.go()?;
@@ -102,7 +96,7 @@ impl Tour {
         self.shut_down(motors)
     }
 
-    fn find(&mut self) -> Outcome<MotorSet> {
+    fn find(&mut self) -> Told<MotorSet> {
         let start = self.master.now();
         let motors = bring_up::scan(&mut self.master, MotorSet::ALL, |_, _| {})?;
         let (span, count) = (self.seconds_since(start), motors.len());
@@ -110,7 +104,7 @@ impl Tour {
         Ok(motors)
     }
 
-    fn identify(&mut self, motors: MotorSet) -> Outcome {
+    fn identify(&mut self, motors: MotorSet) -> Told {
         writeln!(self.out)?;
         for motor in motors.iter() {
             let is = bring_up::identify(&mut self.master, motor)?;
@@ -131,7 +125,7 @@ impl Tour {
     }
 
     /// Moves motor 1 to an angle and watches it arrive.
-    fn go(&mut self) -> Outcome {
+    fn go(&mut self) -> Told {
         const TARGET_DEG: f32 = 90.0;
         const NEAR_DEG: f32 = 0.1;
         const LONGEST: Duration = Duration::from_secs(5);
@@ -162,7 +156,7 @@ impl Tour {
     }
 
     /// Gives every motor its next set-point as soon as it has answered the last, for two seconds.
-    fn stream(&mut self, motors: MotorSet) -> Outcome {
+    fn stream(&mut self, motors: MotorSet) -> Told {
         const SPAN: Duration = Duration::from_secs(2);
         let mut centres = [0.0_f32; MotorId::COUNT];
         for motor in motors.iter() {
@@ -210,7 +204,7 @@ impl Tour {
 
     /// The next set-point of a swing of ±0.5 rad, one a second, around where a motor is: by motion mode
     /// where it exists, else by absolute positions.
-    fn swing(&mut self, motor: MotorId, centre_rad: f32, time: f32) -> Outcome {
+    fn swing(&mut self, motor: MotorId, centre_rad: f32, time: f32) -> Told {
         let phase = TAU * time;
         let position_rad = centre_rad + 0.5 * phase.sin();
         match self.bus {
@@ -229,7 +223,7 @@ impl Tour {
         Ok(())
     }
 
-    fn shut_down(mut self, motors: MotorSet) -> Outcome {
+    fn shut_down(mut self, motors: MotorSet) -> Told {
         let start = self.master.now();
         let unconfirmed = self.master.stop_all(StopKind::Off, motors);
         if !unconfirmed.is_empty() {
@@ -252,7 +246,7 @@ impl Tour {
         (self.master.now() - start).as_micros() as f64 / 1e6
     }
 
-    fn wait_until(&mut self, until: Instant) -> Outcome {
+    fn wait_until(&mut self, until: Instant) -> Told {
         while self.master.now() < until {
             if self.master.poll()?.is_none() {
                 self.master.idle(until);

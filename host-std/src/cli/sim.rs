@@ -23,7 +23,7 @@ use myactuator_protocol_core::{Firmware, MotorId};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::arguments as parse;
-use super::{DONE, FAILED, print_line, tell, wrong_usage};
+use super::{FAILED, Outcome, Unfinished, print_line, tell};
 use folders::{Links, MemoryFolder};
 use options::Quirk;
 use places::Place;
@@ -136,17 +136,9 @@ enum Way {
 type Failure = Box<dyn Error>;
 
 /// Serves until it is told to stop.
-pub(super) fn run(arguments: &Arguments) -> u8 {
-    if let Err(sentence) = check(arguments) {
-        return wrong_usage(&sentence);
-    }
-    match serve(arguments) {
-        Ok(()) => DONE,
-        Err(error) => {
-            tell("error", error);
-            FAILED
-        }
-    }
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    check(arguments)?;
+    serve(arguments).map_err(|error| Unfinished::Failed(error.to_string()))
 }
 
 fn check(arguments: &Arguments) -> Result<(), String> {
@@ -235,11 +227,11 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
         }
     }
     let motors = MotorId::all().take(arguments.count.into()).collect();
-    let out = &mut io::stdout();
     for line in places::lines(&places, motors, arguments.json) {
-        // Whoever reads may leave; the drives stay.
-        if !print_line(out, &line)? {
-            break;
+        match print_line(&line) {
+            // Whoever reads may leave; the drives stay.
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => break,
+            printed => printed?,
         }
     }
     server.run(stop, |notice| {

@@ -10,7 +10,8 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::moving::hold_still;
-use super::session::{Motors, Outcome, Session, say};
+use super::session::{Motors, Session, say};
+use crate::cli::Outcome;
 
 /// How often ids are tried that do not confirm.
 const ROUNDS: usize = 3;

@@ -7,8 +7,9 @@ use myactuator_protocol_core::command::{
 use myactuator_protocol_core::io::bring_up;
 
 use super::group::Group;
-use super::session::{Outcome, Session, Unfinished};
+use super::session::Session;
 use super::status::{Arguments, tell_each};
+use crate::cli::{Outcome, Unfinished};
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     tell_each(arguments, read)

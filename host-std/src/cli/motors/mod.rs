@@ -24,7 +24,7 @@ mod status;
 mod torque;
 mod zero;
 
-use super::DONE;
+use super::Outcome;
 
 /// What can be done with motors.
 #[derive(Debug, clap::Subcommand)]
@@ -48,9 +48,8 @@ pub(super) enum Subcommand {
     Send(send::Arguments),
 }
 
-/// Does it, and gives the exit status.
-pub(super) fn run(subcommand: &Subcommand) -> u8 {
-    let outcome = match subcommand {
+pub(super) fn run(subcommand: &Subcommand) -> Outcome {
+    match subcommand {
         Subcommand::Scan(arguments) => scan::run(arguments),
         Subcommand::Info(arguments) => info::run(arguments),
         Subcommand::Status(arguments) => status::run(arguments),
@@ -64,9 +63,5 @@ pub(super) fn run(subcommand: &Subcommand) -> u8 {
         Subcommand::Zero(arguments) => zero::run(arguments),
         Subcommand::Id(arguments) => change_id::run(arguments),
         Subcommand::Send(arguments) => send::run(arguments),
-    };
-    match outcome {
-        Ok(()) => DONE,
-        Err(unfinished) => unfinished.tell(),
     }
 }

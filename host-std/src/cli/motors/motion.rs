@@ -6,8 +6,8 @@ use myactuator_protocol_core::master::StopKind;
 
 use super::revision::MotorRevision;
 use super::run_for::{self, Run, Span};
-use super::session::{Outcome, Session, Unfinished};
-use crate::cli::arguments as parse;
+use super::session::Session;
+use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// Run a motor in motion (MIT) mode at one set-point for a while, then stop it (0x81); CAN only
 ///
@@ -39,7 +39,7 @@ pub(in crate::cli) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let bus = arguments.span.motor.on.bus.kind();
-    parse::check_bus(Opcode::Motion.into(), bus).map_err(Unfinished::Usage)?;
+    parse::check_bus(Opcode::Motion.into(), bus)?;
     run_on(&mut arguments.span.motor.open_to_change()?, arguments)
 }
 

@@ -11,8 +11,8 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
 
 use super::progress::Progress;
-use super::session::{OneMotor, Outcome, Session, Unfinished, healthy, say};
-use crate::cli::arguments as parse;
+use super::session::{OneMotor, Session, healthy, say};
+use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// So near counts as arrived, degrees.
 const NEAR_DEG: f64 = 0.2;

@@ -8,7 +8,8 @@ use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-use super::session::{Outcome, Session, Unfinished};
+use super::session::Session;
+use crate::cli::{Outcome, Unfinished};
 
 /// How long to wait at the most before looking whether the user interrupts.
 const LONGEST_WAIT: Duration = Duration::from_millis(10);

@@ -10,8 +10,8 @@ use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
 
 use super::progress::Progress;
-use super::session::{OneMotor, Outcome, Session, Unfinished, healthy, say};
-use crate::cli::arguments as parse;
+use super::session::{OneMotor, Session, healthy, say};
+use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// How often the command is sent.
 const SEND_EVERY: Duration = Duration::from_millis(10);

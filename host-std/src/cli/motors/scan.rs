@@ -9,7 +9,8 @@ use myactuator_protocol_core::io::{CallError, Runner, bring_up};
 use myactuator_protocol_core::master::{Failure, MotorSet};
 
 use super::group::Group;
-use super::session::{OnBus, Outcome, Session, Unfinished, say};
+use super::session::{OnBus, Session, say};
+use crate::cli::{Outcome, Unfinished};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
 const LINE_RATES: [u32; 5] = [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000];

@@ -12,9 +12,9 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
 use super::revision::MotorRevision;
-use super::session::{Consent, OnBus, Outcome, Session, Unfinished, say};
-use crate::cli::arguments as parse;
+use super::session::{Consent, OnBus, Session, say};
 use crate::cli::from_table::FromTable;
+use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// How long to sleep at most between two looks at the bus.
 const LONGEST_IDLE: Duration = Duration::from_millis(10);
@@ -144,13 +144,13 @@ impl Wanted {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let kind = arguments.command.plan().map_err(Unfinished::Usage)?.kind();
-    parse::check_bus(kind, arguments.on.bus.kind()).map_err(Unfinished::Usage)?;
-    parse::whom(kind, arguments.id).map_err(Unfinished::Usage)?;
+    let kind = arguments.command.plan()?.kind();
+    parse::check_bus(kind, arguments.on.bus.kind())?;
+    parse::whom(kind, arguments.id)?;
     if let (Some(opcode), Some(firmware)) =
         (arguments.command.opcode(), arguments.revision.firmware)
     {
-        parse::check_firmware(opcode, firmware).map_err(Unfinished::Usage)?;
+        parse::check_firmware(opcode, firmware)?;
     }
     if needs_consent(kind) {
         arguments.consent.check(&arguments.on)?;
@@ -186,9 +186,9 @@ fn sets_in_motion(kind: Kind) -> bool {
 
 /// Asks, sends and tells the replies.
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
-    let plan = arguments.command.plan().map_err(Unfinished::Usage)?;
+    let plan = arguments.command.plan()?;
     let kind = plan.kind();
-    let target = parse::whom(kind, arguments.id).map_err(Unfinished::Usage)?;
+    let target = parse::whom(kind, arguments.id)?;
     let motors = session.meant(target)?;
     let mut ranges = arguments.revision.ranges;
     for motor in motors.iter() {

@@ -6,8 +6,8 @@ use myactuator_protocol_core::command::{
 };
 
 use super::group::Group;
-use super::session::{Motors, Outcome, Session, Unfinished, say};
-use crate::cli::tell;
+use super::session::{Motors, Session, say};
+use crate::cli::{Outcome, Unfinished, tell};
 
 /// Exit status: 0 if every motor was read, else 1.
 #[derive(Debug, clap::Args)]

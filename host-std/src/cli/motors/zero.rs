@@ -4,7 +4,8 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::bring_up;
 
-use super::session::{OneMotor, Outcome, Session, say};
+use super::session::{OneMotor, Session, say};
+use crate::cli::Outcome;
 
 /// Make a motor's present position its zero, and check that it is kept
 ///
