@@ -68,12 +68,19 @@ impl Session {
     }
 }
 
+/// Motors in a sentence: "motor 1" or "motors 1 2".
+pub(super) fn named(motors: MotorSet) -> String {
+    let noun = if motors.len() == 1 { "motor" } else { "motors" };
+    format!("{noun} {motors}")
+}
+
 /// That these motors have confirmed the stop.
 pub(super) fn hold_still(motors: MotorSet) -> String {
-    match motors.len() {
-        1 => format!("motor {motors} is stopped and holds still (0x81)"),
-        _ => format!("motors {motors} are stopped and hold still (0x81)"),
-    }
+    let are = match motors.len() {
+        1 => "is stopped and holds still (0x81)",
+        _ => "are stopped and hold still (0x81)",
+    };
+    format!("{} {are}", named(motors))
 }
 
 /// Why the work ended, and that the motors have stopped, or not.

@@ -140,7 +140,7 @@ fn repeat<C: Command + Copy>(
     Ok(())
 }
 
-fn seconds(span: Duration) -> f64 {
+pub(super) fn seconds(span: Duration) -> f64 {
     span.as_micros() as f64 / 1e6
 }
 
@@ -155,7 +155,7 @@ mod tests {
     use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
-    use super::super::simulated::{sent, span};
+    use super::super::simulated::{sent, typed};
     use super::*;
 
     const TURN: Speed =
@@ -168,7 +168,7 @@ mod tests {
     /// Turns the motor and calls `then` at the first reply. Gives how it ended.
     fn turn(session: &mut Session, then: impl Fn()) -> Unfinished {
         let outcome = session.moving(MotorId::MIN, |session| {
-            repeat(session, &span(), TURN, |_| {
+            repeat(session, &typed("--id 1"), TURN, |_| {
                 then();
                 String::new()
             })
@@ -199,7 +199,7 @@ mod tests {
         let mut session = Session::on(&fleet);
         bring_up::release_brake(&mut session.master, MotorId::MIN).unwrap();
         let torque = Torque { current: Current::from_raw(50) };
-        repeat(&mut session, &span(), torque, |_| String::new()).unwrap();
+        repeat(&mut session, &typed("--id 1"), torque, |_| String::new()).unwrap();
         assert!(session.standing(MotorId::MIN).is_err());
         let log = fleet.world.log();
         put_down(&mut session, MotorId::MIN).unwrap();

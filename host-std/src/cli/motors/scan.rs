@@ -33,12 +33,8 @@ pub(in crate::cli) struct Arguments {
     json: bool,
 }
 
-/// What one address brought.
-enum Found {
-    Motors(MotorSet),
-    /// The bus carries nothing at this rate.
-    Outage(BusError),
-}
+/// Who was found, or that the bus carries nothing at this rate.
+type Found = Result<MotorSet, BusError>;
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let addresses = if arguments.all_rates {
@@ -55,14 +51,14 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             say(&told_of_rate(&session.address, &found))?;
         }
         match found {
-            Found::Motors(motors) => {
+            Ok(motors) => {
                 anybody |= !motors.is_empty();
                 for motor in motors.iter() {
                     describe(&mut session, motor, arguments.json)?;
                 }
             }
-            Found::Outage(error) if !arguments.all_rates => return Err(error.into()),
-            Found::Outage(_) => {}
+            Err(error) if !arguments.all_rates => return Err(error.into()),
+            Err(_) => {}
         }
         last = Some(session);
     }
@@ -84,20 +80,20 @@ fn look(session: &mut Session) -> Outcome<Found> {
     let found = bring_up::scan(&mut session.master, MotorSet::ALL, |_, _| bar.inc(1));
     bar.finish_and_clear();
     match found {
-        Ok(motors) => Ok(Found::Motors(motors)),
-        Err(CallError::Bus(error)) if error.is_outage() => Ok(Found::Outage(error)),
+        Ok(motors) => Ok(Ok(motors)),
+        Err(CallError::Bus(error)) if error.is_outage() => Ok(Err(error)),
         Err(error) => Err(error.into()),
     }
 }
 
 fn told_of_rate(address: &BusAddress, found: &Found) -> String {
-    let rate = address.bit_rate().unwrap_or_default();
-    match found {
-        Found::Motors(motors) if motors.is_empty() => format!("{rate} bit/s: no motor"),
-        Found::Motors(motors) if motors.len() == 1 => format!("{rate} bit/s: 1 motor"),
-        Found::Motors(motors) => format!("{rate} bit/s: {} motors", motors.len()),
-        Found::Outage(_) => format!("{rate} bit/s: no motor, the bus carries nothing"),
-    }
+    let told = match found.as_ref().map(|motors| motors.len()) {
+        Ok(0) => "no motor",
+        Ok(1) => "1 motor",
+        Ok(count) => &format!("{count} motors"),
+        Err(_) => "no motor, the bus carries nothing",
+    };
+    format!("{} bit/s: {told}", address.bit_rate().unwrap_or_default())
 }
 
 /// A line about one motor.

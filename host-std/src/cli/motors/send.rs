@@ -11,6 +11,7 @@ use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule, Usage};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
+use super::moving::named;
 use super::revision::MotorRevision;
 use super::session::{Consent, OnBus, Session, say};
 use crate::cli::from_table::FromTable;
@@ -102,38 +103,7 @@ impl Raw {
     }
 }
 
-/// What is to be sent.
-enum Planned<'a> {
-    Whole(AnyCommand),
-    /// A motion mode command, for which the scales must be known.
-    Motion(&'a FromTable),
-}
-
-impl Planned<'_> {
-    fn kind(&self) -> Kind {
-        match self {
-            Self::Whole(command) => command.kind(),
-            Self::Motion(_) => Opcode::Motion.into(),
-        }
-    }
-
-    fn command(&self, ranges: Option<&MotionRanges>) -> Outcome<AnyCommand> {
-        match self {
-            Self::Whole(command) => Ok(*command),
-            Self::Motion(table) => table.command(ranges).map_err(Unfinished::Usage),
-        }
-    }
-}
-
 impl Wanted {
-    fn plan(&self) -> Result<Planned<'_>, String> {
-        match self {
-            Self::Raw(raw) => Ok(Planned::Whole(raw.command()?.into())),
-            Self::Table(table) if table.opcode() == Opcode::Motion => Ok(Planned::Motion(table)),
-            Self::Table(table) => table.command(None).map(Planned::Whole),
-        }
-    }
-
     /// The row of the table, unless it is raw.
     const fn opcode(&self) -> Option<Opcode> {
         match self {
@@ -141,10 +111,26 @@ impl Wanted {
             Self::Table(table) => Some(table.opcode()),
         }
     }
+
+    /// What is to be sent; motion mode needs scales.
+    fn command(&self, ranges: Option<&MotionRanges>) -> Result<AnyCommand, String> {
+        match self {
+            Self::Raw(raw) => Ok(raw.command()?.into()),
+            Self::Table(table) => table.command(ranges),
+        }
+    }
+
+    /// What can be said of it before the scales are known.
+    fn kind(&self) -> Result<Kind, String> {
+        match self.opcode() {
+            Some(Opcode::Motion) => Ok(Opcode::Motion.into()),
+            _ => Ok(self.command(None)?.kind()),
+        }
+    }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let kind = arguments.command.plan()?.kind();
+    let kind = arguments.command.kind()?;
     parse::check_bus(kind, arguments.on.bus.kind())?;
     parse::whom(kind, arguments.id)?;
     if let (Some(opcode), Some(firmware)) =
@@ -186,8 +172,7 @@ fn sets_in_motion(kind: Kind) -> bool {
 
 /// Asks, sends and tells the replies.
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
-    let plan = arguments.command.plan()?;
-    let kind = plan.kind();
+    let kind = arguments.command.kind()?;
     let target = parse::whom(kind, arguments.id)?;
     let motors = session.meant(target)?;
     let mut ranges = arguments.revision.ranges;
@@ -201,8 +186,8 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     }
     let direction = FrameDirection::Reply;
     let explainer = Explainer { firmware: read_as(arguments), ranges, direction };
-    let sending =
-        Sending { command: plan.command(ranges.as_ref())?, explainer, json: arguments.json };
+    let command = arguments.command.command(ranges.as_ref())?;
+    let sending = Sending { command, explainer, json: arguments.json };
     if needs_consent(kind) {
         session.confirm(&sending.question(motors))?;
     }
@@ -320,14 +305,14 @@ impl Sending {
         if silent.is_empty() {
             return Ok(());
         }
-        let who = if silent.len() == 1 { "motor" } else { "motors" };
         let unknown = match self.kind() {
             Kind::Known(_) => "",
             Kind::Raw { .. } => "firmware may not know the command byte; ",
         };
         Err(Unfinished::Failed(format!(
-            "no reply from {who} {silent}: {unknown}on CAN a motor whose id filter is on (function 2) \
-             does not hear what goes to all, on RS485 the replies to it collide"
+            "no reply from {}: {unknown}on CAN a motor whose id filter is on (function 2) \
+             does not hear what goes to all, on RS485 the replies to it collide",
+            named(silent)
         )))
     }
 
@@ -336,8 +321,7 @@ impl Sending {
         if self.json {
             return Ok(());
         }
-        let who = if motors.len() == 1 { "motor" } else { "motors" };
-        say(&format!("{who} {motors}: sent {}; no reply is awaited", self.words()))
+        say(&format!("{}: sent {}; no reply is awaited", named(motors), self.words()))
     }
 
     /// Tells a reply, as `decode` does.
@@ -358,23 +342,15 @@ impl Sending {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::command::{MotionLimits, VersionDate};
 
-    use super::super::simulated::{sent, with};
+    use super::super::simulated::{sent, typed, with};
     use super::*;
-
-    #[derive(Parser)]
-    struct Line {
-        #[command(flatten)]
-        arguments: Arguments,
-    }
 
     /// Sends on these drives. Gives how it ended, and the packets that were sent.
     fn send(fleet: &Fleet, line: &str) -> (Outcome, Vec<Packet>) {
-        let words = ["send"].into_iter().chain(line.split(' '));
-        let arguments = Line::try_parse_from(words).unwrap().arguments;
+        let arguments: Arguments = typed(line);
         let fleet = fleet.on_can(1_000_000).unwrap();
         let log = fleet.world.log();
         let config = Config { firmware: read_as(&arguments), ..Config::CAN };
@@ -442,10 +418,8 @@ mod tests {
     #[test]
     fn the_user_is_asked_with_what_is_at_stake() {
         let question = |line: &str| {
-            let words = ["send"].into_iter().chain(line.split(' '));
-            let arguments = Line::try_parse_from(words).unwrap().arguments;
             let ranges = Some(MotionRanges::V4_3);
-            let command = arguments.command.plan().unwrap().command(ranges.as_ref()).unwrap();
+            let command = typed::<Arguments>(line).command.command(ranges.as_ref()).unwrap();
             let explainer = Explainer { ranges, ..Explainer::new(Firmware::V4_3) };
             let sending = Sending { command, explainer, json: false };
             needs_consent(sending.kind()).then(|| sending.question(MotorId::MIN.into()))

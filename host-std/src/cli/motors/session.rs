@@ -58,7 +58,7 @@ impl OneMotor {
 
 /// Which motors.
 #[derive(Debug, clap::Args)]
-pub(super) struct Motors {
+pub(in crate::cli) struct Motors {
     #[command(flatten)]
     pub(super) on: OnBus,
     /// The motor, 1 to 32, or all.
