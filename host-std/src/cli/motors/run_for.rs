@@ -146,9 +146,6 @@ pub(super) fn seconds(span: Duration) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-    use std::sync::atomic::Ordering;
-
     use myactuator_host_std::sim::bus::trace::Log;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{ErrorFlags, Speed, Torque};
@@ -179,18 +176,6 @@ mod tests {
     /// The first bytes of what was sent.
     fn commands(log: &Log<SimpleFrame>) -> Vec<u8> {
         sent(log).iter().map(|packet| packet.data[0]).collect()
-    }
-
-    #[test]
-    fn an_interrupted_run_stops_the_motor() {
-        let fleet = fleet();
-        let mut session = Session::on(&fleet);
-        let log = fleet.world.log();
-        let flag = Arc::clone(&session.interrupted);
-        let why = turn(&mut session, || flag.store(true, Ordering::Relaxed));
-        let told = "interrupted; motor 1 is stopped and holds still (0x81)".to_owned();
-        assert_eq!(why, Unfinished::Interrupted(told));
-        assert_eq!(commands(&log).last(), Some(&0x81));
     }
 
     #[test]
