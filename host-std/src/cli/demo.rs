@@ -3,7 +3,6 @@
 use std::error::Error;
 use std::f32::consts::TAU;
 use std::io::{self, StdoutLock, Write};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use clap::Args;
 use myactuator_host_std::BusKind;
@@ -53,7 +52,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 struct Tour {
     bus: BusKind,
     master: AnyMaster<8>,
-    traffic: Traffic,
+    means: Means,
     out: StdoutLock<'static>,
 }
 
@@ -62,16 +61,16 @@ impl Tour {
         let min = Duration::from_micros(RESPONSE.as_micros() - RESPONSE_SPREAD.as_micros());
         let fleet = Fleet::new(MOTORS).response(min, RESPONSE + RESPONSE_SPREAD);
         let mut out = io::stdout().lock();
-        let (master, traffic, name) = match bus {
+        let (master, means, name) = match bus {
             BusKind::Can => {
                 let fleet = fleet.on_can(BIT_RATE)?;
-                let traffic = Traffic::watch(&fleet.world);
-                (AnyMaster::SimulatedCan(fleet.master()), traffic, "a CAN bus")
+                let means = means(&fleet.world);
+                (AnyMaster::SimulatedCan(fleet.master()), means, "a CAN bus")
             }
             BusKind::Rs485 => {
                 let fleet = fleet.on_rs485(BIT_RATE)?;
-                let traffic = Traffic::watch(&fleet.world);
-                (AnyMaster::SimulatedRs485(fleet.master()), traffic, "an RS485 line")
+                let means = means(&fleet.world);
+                (AnyMaster::SimulatedRs485(fleet.master()), means, "an RS485 line")
             }
         };
         writeln!(
@@ -79,7 +78,7 @@ impl Tour {
             "{MOTORS} simulated drives on {name} at {} Mbit/s, in virtual time.",
             BIT_RATE / 1_000_000
         )?;
-        Ok(Self { bus, master, traffic, out })
+        Ok(Self { bus, master, means, out })
     }
 
     fn run(mut self) -> Told {
@@ -164,7 +163,7 @@ impl Tour {
             centres[motor.index()] = angle.degrees().to_radians();
         }
         let start = self.master.now();
-        self.traffic.restart();
+        (self.means)();
         let mut answers = 0_u32;
         let (mut lowest, mut highest) = (f32::INFINITY, f32::NEG_INFINITY);
         for motor in motors.iter() {
@@ -187,7 +186,7 @@ impl Tour {
         let span = f64::from((self.master.now() - start).as_secs_f32());
         let count = motors.len();
         let rate = f64::from(answers) / count as f64 / span;
-        let means = self.traffic.means();
+        let means = (self.means)();
         let (title, bound) = match self.bus {
             BusKind::Can => ("Motion mode", bound_on_can(motors, means)),
             BusKind::Rs485 => ("Position", bound_on_rs485(motors, means)),
@@ -264,38 +263,25 @@ fn measured_deg(reply: &AnyReply) -> f32 {
     }
 }
 
-/// How long commands, and replies, have been on the wire: nanoseconds in all, and how many they were.
-#[derive(Clone, Default)]
-struct Traffic(Arc<Mutex<[(u64, u64); 2]>>);
+/// Gives how long commands, and replies, have been on the wire since it was asked last: the means, in
+/// seconds.
+type Means = Box<dyn Fn() -> [f64; 2]>;
 
-impl Traffic {
-    fn watch<B: Medium>(world: &World<B>) -> Self {
-        let traffic = Self::default();
-        let notes = traffic.clone();
-        world.observe(move |record| {
+fn means<B: Medium>(world: &World<B>) -> Means {
+    let log = world.log();
+    Box::new(move || {
+        let mut sums = [(0, 0_u32); 2];
+        for record in log.take() {
             if let trace::Event::Carried { started_ns, .. } = record.event {
                 // The drives are attached first, the master last.
                 let is_reply = record.station.index() < usize::from(MOTORS);
-                let (ns, count) = &mut notes.lock()[usize::from(is_reply)];
+                let (ns, count) = &mut sums[usize::from(is_reply)];
                 *ns += record.at_ns - started_ns;
                 *count += 1;
             }
-        });
-        traffic
-    }
-
-    fn lock(&self) -> MutexGuard<'_, [(u64, u64); 2]> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn restart(&self) {
-        *self.lock() = Default::default();
-    }
-
-    /// The means in seconds.
-    fn means(&self) -> [f64; 2] {
-        self.lock().map(|(ns, count)| ns as f64 / 1e9 / count.max(1) as f64)
-    }
+        }
+        sums.map(|(ns, count)| ns as f64 / 1e9 / f64::from(count.max(1)))
+    })
 }
 
 /// A motor's next command follows its reply, and the wire carries one frame at a time with a pause of

@@ -51,32 +51,25 @@ fn open(path: &Path, options: &str) -> Result<AnyMaster<2>, BusError> {
     AnyMaster::open_with(&address, pty::forgiving(address.config()))
 }
 
-fn asks_and_gets_answers(how: Line) {
-    let (line, path) = pty::open();
-    let drives = play(line, how);
-    let mut master = open(&path, if how.echo { ",echo" } else { "" }).unwrap();
-    for _ in 0..20 {
-        let version = master.ask(motor(1), ReadVersionDate).unwrap();
-        assert_eq!(version.version_date.year_month_day(), Some((2022, 2, 6)));
-    }
-    ask_and_stop(&mut master, 20);
-    drop(master);
-    assert!(drives.join().unwrap() >= 62);
-}
-
+/// An echo is no answer, and noise before an answer does no harm.
 #[test]
 fn a_master_asks_over_a_serial_port() {
-    asks_and_gets_answers(Line::default());
-}
-
-#[test]
-fn an_echo_is_no_answer() {
-    asks_and_gets_answers(Line { echo: true, ..Line::default() });
-}
-
-#[test]
-fn noise_before_an_answer_does_no_harm() {
-    asks_and_gets_answers(Line { noise: &[0x00, 0x3E, 0xFF], ..Line::default() });
+    for how in [
+        Line::default(),
+        Line { echo: true, ..Line::default() },
+        Line { noise: &[0x00, 0x3E, 0xFF], ..Line::default() },
+    ] {
+        let (line, path) = pty::open();
+        let drives = play(line, how);
+        let mut master = open(&path, if how.echo { ",echo" } else { "" }).unwrap();
+        for _ in 0..20 {
+            let version = master.ask(motor(1), ReadVersionDate).unwrap();
+            assert_eq!(version.version_date.year_month_day(), Some((2022, 2, 6)));
+        }
+        ask_and_stop(&mut master, 20);
+        drop(master);
+        assert!(drives.join().unwrap() >= 62);
+    }
 }
 
 #[test]
