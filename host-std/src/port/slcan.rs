@@ -62,7 +62,7 @@ impl Slcan {
     pub fn open(path: impl AsRef<Path>, rate: Rate) -> Result<Self, PortError> {
         let mut slcan = Self {
             tty: Tty::open(path.as_ref(), LINE_RATE)?,
-            codec: Codec::new(),
+            codec: Codec::default(),
             chunk: Box::new([0; CHUNK]),
             unread: 0..0,
             unsent: Vec::new(),
@@ -78,7 +78,7 @@ impl Slcan {
         slcan.read_until_quiet()?;
         slcan.tty.discard_input()?;
         slcan.unread = 0..0;
-        slcan.codec = Codec::new();
+        slcan.codec = Codec::default();
         for command in [AdapterCommand::SetRate(rate), AdapterCommand::Open] {
             if slcan.tell(command)? == Some(Answer::Refused) {
                 return Err(PortError::Refused(slcan.tty.name().to_owned()));

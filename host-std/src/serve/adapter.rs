@@ -46,7 +46,12 @@ pub(super) struct Adapter {
 
 impl Adapter {
     pub(super) fn new(bit_rate: u32) -> Self {
-        Self { codec: AdapterCodec::new(), channel: Channel::Closed, has_stamps: false, bit_rate }
+        Self {
+            codec: AdapterCodec::default(),
+            channel: Channel::Closed,
+            has_stamps: false,
+            bit_rate,
+        }
     }
 
     /// Takes a byte from the program.

@@ -40,7 +40,7 @@ fn frame(first: u8) -> SimpleFrame {
 /// Plays adapter and drives until the port is closed; gives the commands heard.
 fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<AdapterCommand>> {
     std::thread::spawn(move || {
-        let mut codec = AdapterCodec::new();
+        let mut codec = AdapterCodec::default();
         let (mut chunk, mut heard, mut is_open) = ([0; 64], Vec::new(), false);
         while let Ok(length @ 1..) = line.read(&mut chunk) {
             for command in chunk[..length].iter().filter_map(|&byte| codec.feed(byte)) {

@@ -187,14 +187,21 @@ fn forgiving(config: Config) -> Config {
 
 #[test]
 fn masters_reach_all_motors_on_both_buses_by_the_addresses_told() {
-    let simulation = Simulation::start(2, &["--count", "3"]);
+    let folder = tempfile::tempdir().unwrap();
+    let links = folder.path().join("buses");
+    let simulation = Simulation::start(2, &["--count", "3", "--link", links.to_str().unwrap()]);
     let motors: MotorSet = MotorId::all().take(3).collect();
     // Programs come and go. An adapter's last answers to one may reach one that comes at once, so there
     // is one here, as on real adapters.
     for kind in ["rs485", "rs485", "slcan"] {
         let place = simulation.place(kind);
         assert_eq!(place["motors"], serde_json::json!([1, 2, 3]));
+        // The address is that of a link to the pseudo-terminal.
+        let link = links.join(kind);
+        assert_eq!(place["link"], link.to_str().unwrap());
+        assert_eq!(std::fs::read_link(&link).unwrap(), Path::new(place["path"].as_str().unwrap()));
         let address: BusAddress = place["bus"].as_str().unwrap().parse().unwrap();
+        assert!(address.to_string().contains(link.to_str().unwrap()), "{address}");
         let config = forgiving(address.config());
         let mut master = AnyMaster::<4>::open_with(&address, config).unwrap();
         for motor in motors.iter() {
@@ -202,6 +209,7 @@ fn masters_reach_all_motors_on_both_buses_by_the_addresses_told() {
         }
     }
     assert_eq!(simulation.end(Signal::INT), ended_well());
+    assert_eq!(std::fs::read_dir(links).unwrap().count(), 0);
 }
 
 #[test]
@@ -264,7 +272,7 @@ fn faults_and_quirks_are_those_asked_for() {
 #[test]
 fn the_firmware_is_the_one_asked_for() {
     let v4_4 = ["--firmware", "v4.4", "--ranges", "12.566,45,500,5,60", "--count", "1"];
-    let simulation = Simulation::start(2, &v4_4);
+    let simulation = Simulation::start(1, &[&["--only", "rs485"], &v4_4[..]].concat());
     let port = simulation.open("rs485");
     // The command is the same in both; V4.4 answers it with another layout.
     port.write_all(&frame(ReadSingleTurnAngle)).unwrap();
@@ -272,31 +280,6 @@ fn the_firmware_is_the_one_asked_for() {
     assert!(matches!(told, AnyReply::ReadSingleTurnAngleV4_4(_)), "{told:?}");
     let AnyReply::ReadVersionDate(told) = ask(&port, ReadVersionDate) else { panic!() };
     assert_eq!(Firmware::of_version_date(told.version_date), Some(Firmware::V4_4));
-    drop(port);
-
-    let bus = simulation.place("slcan")["bus"].as_str().unwrap();
-    let motion = ["motion", "--yes", "--id", "1", "--position-rad", "0", "--kp", "1", "--kd", "1"];
-    let (status, told) = run_at(bus, &motion);
-    assert_eq!(status, Some(1), "{told}");
-    assert!(told.contains("motor 1 speaks v4.4: --ranges is missing"), "{told}");
-    let (status, told) = run_at(bus, &[&motion[..], &v4_4[2..4], &["--for-s", "0.1"]].concat());
-    assert_eq!(status, Some(0), "{told}");
-}
-
-#[test]
-fn links_lead_to_the_pseudo_terminals_as_long_as_they_are_there() {
-    let folder = tempfile::tempdir().unwrap();
-    let links = folder.path().join("buses");
-    let simulation = Simulation::start(2, &["--link", links.to_str().unwrap()]);
-    for kind in ["rs485", "slcan"] {
-        let place = simulation.place(kind);
-        let link = place["link"].as_str().unwrap();
-        assert_eq!(Path::new(link), links.join(kind));
-        assert_eq!(std::fs::read_link(link).unwrap(), Path::new(place["path"].as_str().unwrap()));
-        assert!(place["bus"].as_str().unwrap().contains(link));
-    }
-    assert_eq!(simulation.end(Signal::INT), ended_well());
-    assert_eq!(std::fs::read_dir(links).unwrap().count(), 0);
 }
 
 /// Exit status and what is said on standard error.
@@ -338,14 +321,6 @@ fn what_cannot_be_served_is_told() {
     let (status, told) = refused(&["--can", "no-such-can"]);
     assert_eq!(status, Some(1));
     assert!(told.starts_with("error: ") && told.contains("CAN"), "{told}");
-
-    let folder = tempfile::tempdir().unwrap();
-    let memory = folder.path().to_str().unwrap();
-    let first = Simulation::start(1, &["--only", "rs485", "--memory", memory]);
-    let (status, told) = refused(&["--only", "slcan", "--memory", memory]);
-    assert_eq!(status, Some(1));
-    assert!(told.contains("another simulation"), "{told}");
-    assert_eq!(first.end(Signal::INT), ended_well());
 }
 
 /// Runs the program on a bus, and gives its exit status and what it printed.

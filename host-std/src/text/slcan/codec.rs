@@ -147,7 +147,7 @@ impl Answer {
 /// ```
 /// use myactuator_host_std::text::slcan::{Answer, Codec};
 ///
-/// let mut codec = Codec::new();
+/// let mut codec = Codec::default();
 /// let answers: Vec<Answer> =
 ///     b"\rt24189C32640032000A00\r\x07".iter().filter_map(|&byte| codec.feed(byte)).collect();
 /// assert!(matches!(answers[..], [Answer::Done, Answer::Frame(_), Answer::Refused]));
@@ -158,11 +158,6 @@ pub struct Codec {
 }
 
 impl Codec {
-    /// One that has heard nothing.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Takes the next byte. BEL counts wherever it stands, and ends a line that had begun.
     pub fn feed(&mut self, byte: u8) -> Option<Answer> {
         if byte == BELL {
@@ -180,11 +175,6 @@ pub struct AdapterCodec {
 }
 
 impl AdapterCodec {
-    /// One that has heard nothing.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Takes the next byte.
     pub fn feed(&mut self, byte: u8) -> Option<AdapterCommand> {
         self.line.feed(byte).map(|line| AdapterCommand::parse(&line))
@@ -201,12 +191,12 @@ mod tests {
     }
 
     fn answers(bytes: &[u8]) -> Vec<Answer> {
-        let mut codec = Codec::new();
+        let mut codec = Codec::default();
         bytes.iter().filter_map(|&byte| codec.feed(byte)).collect()
     }
 
     fn commands(bytes: &[u8]) -> Vec<AdapterCommand> {
-        let mut codec = AdapterCodec::new();
+        let mut codec = AdapterCodec::default();
         bytes.iter().filter_map(|&byte| codec.feed(byte)).collect()
     }
 
