@@ -303,6 +303,7 @@ mod tests {
         let short = on_can("241#F1");
         assert_eq!(short.id, Some(Target::Motor(MotorId::new(1).unwrap())));
         assert_eq!(direction(&short), "reply");
+        assert_eq!(on_can("7DF#0000000000000000").id, None);
         assert_eq!(
             on_can("141#4300000063000000").kind,
             Some(FrameKind::Known(Opcode::WriteAcceleration))

@@ -1,7 +1,7 @@
 //! What the motors that are played here answer.
 
 use myactuator_host_std::open::AnyMaster;
-use myactuator_protocol_core::command::{Feedback, MultiTurnAngle, ReadMultiTurnAngle, Version};
+use myactuator_protocol_core::command::{Feedback, MultiTurnAngle, ReadMultiTurnAngle};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::units::Angle;
@@ -27,7 +27,7 @@ pub(crate) fn ask_and_stop(master: &mut AnyMaster<2>, times: usize) {
     assert_eq!(master.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
 }
 
-/// Motors 1 and 2 answer reads of angle and version, stops and torque; there are no others.
+/// Motors 1 and 2 answer reads of the angle, stops and torque; there are no others.
 pub(crate) fn answer(command: &Packet) -> Option<Packet> {
     const TORQUE_FEEDBACK: Data = [0xA1, 50, 100, 0, 244, 1, 45, 0]; // manual 2.19.4
     let Channel::Command(Target::Motor(id)) = command.channel else { return None };
@@ -38,10 +38,6 @@ pub(crate) fn answer(command: &Packet) -> Option<Packet> {
         AnyCommand::ReadMultiTurnAngle(_) => {
             let angle = Angle::from_degrees(degrees(id)).unwrap();
             AnyReply::ReadMultiTurnAngle(MultiTurnAngle { angle })
-        }
-        AnyCommand::ReadVersionDate(_) => {
-            let data = [0xB2, 0, 0, 0, 0x2E, 0x89, 0x34, 0x01]; // manual 2.30.4: 20220206
-            AnyReply::ReadVersionDate(Version::decode(&data).unwrap())
         }
         AnyCommand::Stop(stop) => AnyReply::Stop(stop),
         AnyCommand::Torque(_) => AnyReply::Torque(Feedback::decode(&TORQUE_FEEDBACK).unwrap()),

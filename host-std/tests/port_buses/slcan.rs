@@ -122,17 +122,6 @@ fn an_adapter_that_will_not_open_is_told() {
     device.join().unwrap();
 }
 
-#[test]
-fn a_port_belongs_to_one_program() {
-    let (line, path) = pty::open();
-    let device = play(line, Adapter::default());
-    let first = open(&path).unwrap();
-    let error = open(&path).unwrap_err();
-    assert!(matches!(error, BusError::Port(PortError::InUse(_))), "{error}");
-    drop(first);
-    device.join().unwrap();
-}
-
 /// Receives until this gives something; gives up after four seconds.
 fn until<T>(
     can: &mut Slcan,

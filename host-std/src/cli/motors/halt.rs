@@ -11,7 +11,7 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::moving::{hold_still, named};
-use super::session::{Motors, Session, say};
+use super::session::{Motors, Session, nobody_on, say};
 use crate::cli::Outcome;
 
 /// How often ids are tried that do not confirm.
@@ -54,7 +54,7 @@ fn tell_all<C: Command + Copy>(session: &mut Session, command: C) -> Outcome<Mot
             confirmed.insert(motor);
         }
     }
-    if confirmed.is_empty() { Err(session.nobody()) } else { Ok(confirmed) }
+    if confirmed.is_empty() { Err(nobody_on(&session.address)) } else { Ok(confirmed) }
 }
 
 /// Sends a command once to each of these ids and gives those that have answered.

@@ -9,7 +9,7 @@ use myactuator_protocol_core::io::{CallError, Runner, bring_up};
 use myactuator_protocol_core::master::{Failure, MotorSet};
 
 use super::group::Group;
-use super::session::{OnBus, Session, say};
+use super::session::{OnBus, Session, nobody_on, say};
 use crate::cli::{Outcome, Unfinished};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
@@ -43,7 +43,6 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         vec![arguments.on.bus.clone()]
     };
     let mut anybody = false;
-    let mut last = None;
     for bus in addresses {
         let mut session = Session::open(&OnBus { bus })?;
         let found = look(&mut session)?;
@@ -60,12 +59,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             Err(error) if !arguments.all_rates => return Err(error.into()),
             Err(_) => {}
         }
-        last = Some(session);
     }
-    match last {
-        _ if anybody => Ok(()),
-        Some(session) if !arguments.all_rates => Err(session.nobody()),
-        _ => Err(Unfinished::Failed(
+    match (anybody, arguments.all_rates) {
+        (true, _) => Ok(()),
+        (false, false) => Err(nobody_on(&arguments.on.bus)),
+        (false, true) => Err(Unfinished::Failed(
             "no motor answers at any bit rate: check the motors' power and the wiring".to_owned(),
         )),
     }

@@ -200,17 +200,9 @@ impl Session {
             Target::Motor(motor) => Ok(motor.into()),
             Target::All => {
                 let found = bring_up::scan(&mut self.master, MotorSet::ALL, |_, _| {})?;
-                if found.is_empty() { Err(self.nobody()) } else { Ok(found) }
+                if found.is_empty() { Err(nobody_on(&self.address)) } else { Ok(found) }
             }
         }
-    }
-
-    /// That no motor answers, and what to look at.
-    pub(super) fn nobody(&self) -> Unfinished {
-        Unfinished::Failed(format!(
-            "no motor answers on {}: check the motors' power, the wiring and the bit rate ('scan --all-rates' tries the others)",
-            self.address
-        ))
     }
 
     /// Reads a motor's state, and refuses one that reports errors.
@@ -229,6 +221,13 @@ impl Session {
             Err(Unfinished::Failed(format!("motor {motor} turns at {speed}: stop it first")))
         }
     }
+}
+
+/// That no motor answers, and what to look at.
+pub(super) fn nobody_on(bus: &BusAddress) -> Unfinished {
+    Unfinished::Failed(format!(
+        "no motor answers on {bus}: check the motors' power, the wiring and the bit rate ('scan --all-rates' tries the others)"
+    ))
 }
 
 /// Refuses errors, and tells what to do about them.
