@@ -49,9 +49,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         (None, false) => BusKind::Can,
     };
     let mut decoder = Decoder {
+        arguments,
         bus,
-        json: arguments.json,
-        binary: arguments.binary,
         explainer: Explainer {
             firmware: arguments.revision.firmware,
             ranges: arguments.revision.motion_ranges(),
@@ -59,7 +58,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         },
         all_decoded: true,
     };
-    match decoder.inputs(&arguments.inputs) {
+    match decoder.inputs() {
         Ok(()) | Err(Unfinished::ReaderLeft) if !decoder.all_decoded => {
             Err(Unfinished::FailedAndTold)
         }
@@ -67,20 +66,21 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     }
 }
 
-struct Decoder {
+struct Decoder<'a> {
+    arguments: &'a Arguments,
     bus: BusKind,
-    json: bool,
-    binary: bool,
     explainer: Explainer,
     all_decoded: bool,
 }
 
-impl Decoder {
-    fn inputs(&mut self, inputs: &[String]) -> Outcome {
+impl Decoder<'_> {
+    fn inputs(&mut self) -> Outcome {
         let mut unreadable = None;
         let only_standard_input = ["-".to_owned()];
-        let inputs = if inputs.is_empty() { &only_standard_input } else { inputs };
-        let mut rest = inputs;
+        let mut rest = match self.arguments.inputs.as_slice() {
+            [] => &only_standard_input,
+            inputs => inputs,
+        };
         while let [input, after @ ..] = rest {
             // The bytes of an RS485 frame may come as one argument or as many.
             let bytes = rest.iter().take_while(|input| self.are_bytes(input)).count();
@@ -104,7 +104,7 @@ impl Decoder {
 
     fn are_bytes(&self, input: &str) -> bool {
         self.bus == BusKind::Rs485
-            && !self.binary
+            && !self.arguments.binary
             && text::rs485::parse_line(input).is_ok_and(|bytes| !bytes.is_empty())
     }
 
@@ -129,7 +129,7 @@ impl Decoder {
     }
 
     fn source(&mut self, mut source: impl BufRead, name: &str) -> Outcome {
-        if !self.binary {
+        if !self.arguments.binary {
             return self.text(source, name);
         }
         let mut stream = Rs485Stream::new(self.explainer);
@@ -194,8 +194,11 @@ impl Decoder {
     fn tell(&mut self, explanations: impl IntoIterator<Item = Explanation>) -> Outcome {
         for explanation in explanations {
             self.all_decoded &= explanation.is_decoded();
-            let line =
-                if self.json { explanation.to_json().to_string() } else { explanation.to_string() };
+            let line = if self.arguments.json {
+                explanation.to_json().to_string()
+            } else {
+                explanation.to_string()
+            };
             print_line(&line)?;
         }
         Ok(())

@@ -9,7 +9,7 @@ use myactuator_protocol_core::{
     Channel, Data, DecodeError, Firmware, Kind, Opcode, Packet, Target,
 };
 
-use super::explanation::{Decoded, Explanation, FrameDirection, FrameKind, LOST_MASTER, Reading};
+use super::explanation::{Decoded, Explanation, FrameDirection, LOST_MASTER, Reading};
 use crate::{BusKind, text};
 
 /// What is known of the motors whose frames are explained.
@@ -128,7 +128,8 @@ impl Explainer {
             bus,
             id: Some(addressed(channel).0),
             direction: Some(direction),
-            kind: Some(opcode.map_or(FrameKind::Raw(data[0]), FrameKind::Known)),
+            opcode,
+            byte: opcode.map_or(Some(data[0]), Opcode::byte),
             outcome,
         }
     }
@@ -304,10 +305,7 @@ mod tests {
         assert_eq!(short.id, Some(Target::Motor(MotorId::new(1).unwrap())));
         assert_eq!(direction(&short), "reply");
         assert_eq!(on_can("7DF#0000000000000000").id, None);
-        assert_eq!(
-            on_can("141#4300000063000000").kind,
-            Some(FrameKind::Known(Opcode::WriteAcceleration))
-        );
+        assert_eq!(on_can("141#4300000063000000").opcode, Some(Opcode::WriteAcceleration));
         assert_eq!(
             on_rs485([0xB6, 0x60, 1, 1, 0, 0, 0, 0], FrameDirection::Either).outcome,
             Err("active-reply (0xB6) exists on CAN only".to_owned())

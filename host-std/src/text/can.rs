@@ -69,12 +69,9 @@ pub struct Stamp {
 /// As `candump -L` writes it: `(1436509052.249713) can0`.
 impl fmt::Display for Stamp {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match (&self.time, &self.interface) {
-            (Some(time), Some(interface)) => write!(f, "({time}) {interface}"),
-            (Some(time), None) => write!(f, "({time})"),
-            (None, Some(interface)) => f.write_str(interface),
-            (None, None) => Ok(()),
-        }
+        let between = if self.time.is_some() && self.interface.is_some() { " " } else { "" };
+        let time = self.time.as_ref().map_or(String::new(), |time| format!("({time})"));
+        write!(f, "{time}{between}{}", self.interface.as_deref().unwrap_or_default())
     }
 }
 

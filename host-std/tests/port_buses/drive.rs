@@ -1,9 +1,10 @@
 //! What the motors that are played here answer.
 
-use myactuator_host_std::open::AnyMaster;
+use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
 use myactuator_protocol_core::command::{Feedback, MultiTurnAngle, ReadMultiTurnAngle};
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::master::{Config, MotorSet, StopKind};
+use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Angle;
 use myactuator_protocol_core::{
     AnyCommand, AnyReply, Channel, Data, Firmware, MotorId, Packet, Reply, Target,
@@ -11,6 +12,20 @@ use myactuator_protocol_core::{
 
 pub(crate) fn motor(id: u8) -> MotorId {
     MotorId::new(id).unwrap()
+}
+
+/// A master on the bus of this address. It forgives a machine that is busy or emulated: four seconds in
+/// all.
+pub(crate) fn open(address: &str) -> Result<AnyMaster<2>, BusError> {
+    let address: BusAddress = address.parse().unwrap();
+    let config = Config {
+        reply_timeout: Duration::from_millis(250),
+        attempts: 15,
+        // Who plays the drive here answers at once.
+        shortest_response: Duration::ZERO,
+        ..address.config()
+    };
+    AnyMaster::open_with(&address, config)
 }
 
 /// The angle at which this motor stands: 10 degrees times its id.

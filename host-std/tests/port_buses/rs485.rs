@@ -3,12 +3,12 @@
 use std::io::{Read, Write};
 
 use embedded_io::{Read as _, ReadReady as _, Write as _};
-use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+use myactuator_host_std::open::BusError;
 use myactuator_host_std::port::{PortError, Rs485};
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::{CallError, Runner};
 
-use crate::drive::motor;
+use crate::drive::{self, motor};
 use crate::pty;
 
 #[test]
@@ -62,8 +62,7 @@ fn what_is_no_serial_port_is_told() {
 #[test]
 fn an_adapter_that_is_pulled_out_is_told() {
     let (line, path) = pty::open();
-    let address: BusAddress = format!("rs485:{}@2500000", path.display()).parse().unwrap();
-    let mut master = AnyMaster::<2>::open(&address).unwrap();
+    let mut master = drive::open(&format!("rs485:{}@2500000", path.display())).unwrap();
     drop(line);
     let error = master.ask(motor(1), ReadMultiTurnAngle).unwrap_err();
     let CallError::Bus(error) = error else { panic!("{error}") };

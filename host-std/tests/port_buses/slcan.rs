@@ -7,14 +7,14 @@ use std::thread::JoinHandle;
 
 use embedded_can::nb::Can as _;
 use embedded_can::{Frame as _, StandardId};
-use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+use myactuator_host_std::open::{AnyMaster, BusError};
 use myactuator_host_std::port::{HostClock, PortError, Slcan};
 use myactuator_host_std::text::slcan::{AdapterCodec, AdapterCommand, Answer, Rate};
 use myactuator_protocol_core::io::Clock as _;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 
-use crate::drive::{answer, ask_and_stop};
+use crate::drive::{self, answer, ask_and_stop};
 use crate::pty;
 
 /// What kind of adapter is played.
@@ -84,8 +84,7 @@ fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<AdapterCommand>> {
 }
 
 fn open(path: &Path) -> Result<AnyMaster<2>, BusError> {
-    let address: BusAddress = format!("slcan:{}@1000000", path.display()).parse().unwrap();
-    AnyMaster::open_with(&address, pty::forgiving(address.config()))
+    drive::open(&format!("slcan:{}@1000000", path.display()))
 }
 
 /// Also through one that answers nothing, or lines that mean nothing.
