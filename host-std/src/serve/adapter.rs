@@ -96,7 +96,7 @@ impl Adapter {
         Self {
             port,
             bit_rate,
-            codec: AdapterCodec::new(),
+            codec: AdapterCodec::default(),
             channel: Channel::Closed,
             has_stamps: false,
             waiting: None,
