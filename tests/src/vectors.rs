@@ -135,8 +135,38 @@ pub fn one_of_each() -> Vec<AnyCommand> {
     Opcode::ALL.iter().map(command).collect()
 }
 
-/// The headings of the manual's table of contents by section: `sections.txt`.
+const KINDS: &str = include_str!("../vectors/kinds.txt");
+const INDENT: &str = "    ";
+
+/// The headings of the manual's table of contents by section.
 pub fn sections() -> BTreeMap<&'static str, &'static str> {
-    let lines = include_str!("../vectors/sections.txt").lines();
-    lines.map(|line| line.split_once(' ').expect("number and heading")).collect()
+    let headings = KINDS.lines().filter(|line| !line.starts_with(INDENT));
+    headings.map(|line| line.split_once(' ').expect("number and heading")).collect()
+}
+
+/// A line below a heading in `kinds.txt`.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// The section that it stands in.
+    pub section: &'static str,
+    /// The kind that it is about.
+    pub opcode: Opcode,
+    /// The rest of the line.
+    pub rest: &'static str,
+}
+
+/// The lines of `kinds.txt` that begin with this word, in the manual's order.
+pub fn entries(word: &str) -> impl Iterator<Item = Entry> {
+    let mut section = "";
+    KINDS.lines().filter_map(move |line| {
+        let Some(entry) = line.strip_prefix(INDENT) else {
+            section = line.split(' ').next()?;
+            return None;
+        };
+        let (first, rest) = entry.split_once(' ').expect(line);
+        assert!(["kind", "command", "reply", "case"].contains(&first), "no such line: {line}");
+        let (name, rest) = rest.split_once(' ').unwrap_or((rest, ""));
+        let opcode = name.parse().unwrap_or_else(|error| panic!("{line}: {error}"));
+        (first == word).then_some(Entry { section, opcode, rest })
+    })
 }
