@@ -13,8 +13,9 @@ use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::command::{
-    AbsolutePosition, BaudCode, Command, PidIndex, RawMotion, Reset, SetBaudRate, Speed,
-    WritePidRam,
+    AbsolutePosition, AccelerationIndex, BaudCode, Command, PidIndex, RawMotion, ReadAcceleration,
+    ReadMultiTurnEncoder, ReadPid, ReadRunTime, ReadStatus2, ReadVersionDate, Reset, SetBaudRate,
+    Speed, WritePidRam,
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
@@ -24,9 +25,8 @@ use myactuator_protocol_core::master::{
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{self, Gain, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Opcode, Packet};
-use myactuator_tests::rig::{
-    Acceleration, Angle, Dice, Encoder, Pid, Rig, RunTimeOf, Status2, Step, VersionOf, token_of,
-};
+use myactuator_tests::dice::Dice;
+use myactuator_tests::rig::{Rig, angle, step, token_of, with_token};
 use myactuator_tests::values::id;
 use myactuator_tests::wire::Wire;
 
@@ -284,7 +284,7 @@ impl<W: Wire> Session<W> {
             }
             Trouble::Foreign => {
                 let interval = Duration::from_micros(2_000);
-                let data = Pid { index: 9, token: 0 }.encode();
+                let data = ReadPid { index: PidIndex::POSITION_KD }.encode();
                 let question = Packet { channel: Channel::Command(id(1).into()), data };
                 let frame = W::frame(&question);
                 world.babble(node, Some(Babble::Fixed { interval, frame }));
@@ -347,9 +347,13 @@ impl<W: Wire> Session<W> {
         let expected = self.rig.motors().filter(|motor| motor.get() % 3 != 0).collect();
         let master = self.rig.runner.master();
         if self.dice.below(2) == 0 {
-            master.broadcast(Angle { index: 0, token }, expected, now)
+            master.broadcast(angle(token), expected, now)
         } else {
-            master.broadcast(Pid { index: 4, token }, expected, now)
+            master.broadcast(
+                with_token(ReadPid { index: PidIndex::SPEED_KP }, token),
+                expected,
+                now,
+            )
         }
         .expect("there is no other broadcast");
         self.broadcast = Some(token);
@@ -359,18 +363,24 @@ impl<W: Wire> Session<W> {
         let motor = id(index as u8 + 1);
         let token = self.dice.draw() as u32;
         let choice = self.dice.below(1_000);
-        let gain = self.dice.below(3) as u8;
+        let index = self.dice.below(3) as u8;
         match choice {
             // A restart keeps a motor quiet for two seconds, so it is rare.
             0 if self.scenario.motors == 32 => self.put(motor, Reset, now),
             0..10 => self.put(motor, SetBaudRate { baud_rate: BaudCode::CAN_1M_RS485_500K }, now),
-            10..300 => self.put(motor, Pid { index: gain, token }, now),
-            300..400 => self.put(motor, Acceleration { index: gain, token }, now),
-            400..550 => self.put(motor, Angle { index: 0, token }, now),
-            550..600 => self.put(motor, Encoder { index: 0, token }, now),
-            600..650 => self.put(motor, Status2 { index: 0, token }, now),
-            650..700 => self.put(motor, RunTimeOf { index: 0, token }, now),
-            700..750 => self.put(motor, VersionOf { index: 0, token }, now),
+            10..300 => {
+                let index = PidIndex::from_raw(index);
+                self.put(motor, with_token(ReadPid { index }, token), now);
+            }
+            300..400 => {
+                let index = AccelerationIndex::from_raw(index);
+                self.put(motor, with_token(ReadAcceleration { index }, token), now);
+            }
+            400..550 => self.put(motor, angle(token), now),
+            550..600 => self.put(motor, with_token(ReadMultiTurnEncoder, token), now),
+            600..650 => self.put(motor, with_token(ReadStatus2, token), now),
+            650..700 => self.put(motor, with_token(ReadRunTime, token), now),
+            700..750 => self.put(motor, with_token(ReadVersionDate, token), now),
             750..850 => {
                 // A finite number whatever the token.
                 let value = Gain::new(f32::from_bits(token & 0x3FFF_FFFF)).expect("finite");
@@ -383,7 +393,7 @@ impl<W: Wire> Session<W> {
                 };
                 self.put(motor, speed, now);
             }
-            _ => self.put(motor, Step { index: 0, token }, now),
+            _ => self.put(motor, step(token), now),
         }
     }
 
@@ -560,7 +570,7 @@ fn is_fooled(delay: Duration, late_window: Duration) -> bool {
     let motor = id(1);
     rig.world.set_faults(Direction::ToPorts, late);
     let once = Patience { reply_timeout: Duration::from_millis(20), attempts: 1 };
-    let (first, second) = (Angle { index: 0, token: 1 }, Angle { index: 0, token: 2 });
+    let (first, second) = (angle(1), angle(2));
     assert!(rig.runner.call_with(motor, first, Some(once), |_| {}).is_err());
     // The bus is well again, but the first reply is still on its way.
     rig.world.set_faults(Direction::ToPorts, FaultPlan::NONE);

@@ -16,7 +16,7 @@ use myactuator_protocol_core::master::{Event, Failure};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::{MotorId, Opcode};
-use myactuator_tests::fleet::{Bus, happened, speed_dps, state, turn_to};
+use myactuator_tests::fleet::{Bus, happened, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{gain, id, millis, push, turn};
@@ -206,10 +206,10 @@ fn physical_errors_of_level_two_recover<B: Bus>() {
         assert_eq!(now, ErrorFlags::empty(), "after {}", status.errors);
         // A motor that goes on by itself may hurt someone.
         listen(&mut master, millis(1_000));
-        assert!(speed_dps(drive).abs() < 1.0);
+        assert!(state(drive).measurement.speed_dps.abs() < 1.0);
         master.ask(MOTOR, turn(90.0)).unwrap();
         listen(&mut master, millis(200));
-        assert!(speed_dps(drive) > 80.0);
+        assert!(state(drive).measurement.speed_dps > 80.0);
     }
 }
 

@@ -1,11 +1,14 @@
 //! Proves that the RS485 receiver never returns a wrong frame and never loses a good one, whatever
-//! lies before, between and behind: split and cut-off frames, flipped bits, noise with 0x3E in it,
+//! lies before, between and behind: split and cut-off frames, flipped bits, dice with 0x3E in it,
 //! frames inside bad frames. After each byte the bytes fed add up to those discarded, returned and
 //! held. Frames and CRC are built here, bit by bit, without the library.
 
 use myactuator_protocol_core::wire::rs485::{Fault, Fed, Frame, Receiver};
 use myactuator_protocol_core::{MotorId, Target};
-use myactuator_tests::line::{Line, Noise, crc16_modbus, frame_bytes, frames_by_window, is_frame};
+use myactuator_tests::dice::Dice;
+use myactuator_tests::line::{
+    Line, crc16_modbus, frame_bytes, frames_by_window, is_frame, nasty_byte,
+};
 
 const START: [u8; 3] = [0x3E, 0x01, 0x08];
 
@@ -49,13 +52,13 @@ fn the_crc_is_modbuss() {
 
 #[test]
 fn the_librarys_frames_are_the_bitwise_ones() {
-    let mut noise = Noise::new(0x1357_9BDF);
+    let mut dice = Dice::new(0x1357_9BDF);
     let mut targets: Vec<(u8, Target)> =
         (1..=32).map(|id| (id, Target::Motor(MotorId::new(id).expect("an id")))).collect();
     targets.push((0xCD, Target::All));
     for (address, target) in targets {
         for _ in 0..200 {
-            let data = [(); 8].map(|()| noise.byte());
+            let data = [(); 8].map(|()| dice.byte());
             let bytes = frame_bytes(address, data);
             assert!(is_frame(&bytes));
             let frame = Frame { address: target, data };
@@ -217,23 +220,23 @@ fn a_good_frame_inside_a_bad_one_is_found() {
 
 #[test]
 fn noise_between_frames_makes_no_frame_and_hides_none() {
-    let mut noise = Noise::new(0x00C0_FFEE);
-    for nasty in [false, true] {
+    let mut dice = Dice::new(0x00C0_FFEE);
+    for byte in [Dice::byte, nasty_byte] {
         let mut bytes = Vec::new();
         let mut sent = Vec::new();
         for _ in 0..4000 {
-            for _ in 0..noise.below(30) {
-                bytes.push(if nasty { noise.nasty_byte() } else { noise.byte() });
+            for _ in 0..dice.below(30) {
+                bytes.push(byte(&mut dice));
             }
-            let data = [(); 8].map(|()| if nasty { noise.nasty_byte() } else { noise.byte() });
-            let frame = frame_bytes(1 + noise.below(32) as u8, data);
+            let data = [(); 8].map(|()| byte(&mut dice));
+            let frame = frame_bytes(1 + dice.below(32) as u8, data);
             bytes.extend(frame);
             sent.push(frame);
         }
         let line = Line::after(&bytes);
         // What a look at the whole recording finds, and, the seed being fixed, just what was sent.
         assert_eq!(line.frames(), frames_by_window(&bytes));
-        assert_eq!(line.frames(), sent, "nasty: {nasty}");
+        assert_eq!(line.frames(), sent);
         assert_eq!(line.discarded() + 13 * sent.len(), bytes.len());
         assert_eq!(line.held(), 0);
     }
@@ -241,25 +244,24 @@ fn noise_between_frames_makes_no_frame_and_hides_none() {
 
 #[test]
 fn noise_alone_is_no_frame() {
-    let mut noise = Noise::new(42);
-    let bytes: Vec<u8> = (0..200_000).map(|_| noise.nasty_byte()).collect();
+    let mut dice = Dice::new(42);
+    let bytes: Vec<u8> = (0..200_000).map(|_| nasty_byte(&mut dice)).collect();
     assert_eq!(received(&bytes), frames_by_window(&bytes));
 }
 
 #[test]
 fn frames_with_scattered_flips_never_make_a_wrong_one() {
-    let mut noise = Noise::new(7);
+    let mut dice = Dice::new(7);
     let good = good_frames();
     let mut bytes = Vec::new();
     let mut untouched = Vec::new();
     for _ in 0..4000 {
-        let mut frame = good[noise.below(good.len())];
-        if noise.below(3) == 0 {
+        let mut frame = good[dice.below(good.len() as u64) as usize];
+        if dice.below(3) == 0 {
             // One to three different bits: fewer than the CRC's code distance at this length.
-            let first = noise.below(104);
-            for bit in
-                [first, (first + 11) % 104, (first + 53) % 104].iter().take(1 + noise.below(3))
-            {
+            let first = dice.below(104) as usize;
+            let bits = [first, (first + 11) % 104, (first + 53) % 104];
+            for &bit in &bits[..=dice.below(3) as usize] {
                 frame[bit / 8] ^= 1 << (bit % 8);
             }
         } else {

@@ -8,7 +8,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
 use myactuator_protocol_core::time::Duration;
-use myactuator_tests::rig::{Angle, Rig};
+use myactuator_tests::rig::{Rig, angle};
 use myactuator_tests::values::id;
 use myactuator_tests::wire::Wire;
 
@@ -58,7 +58,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         let mut open = motors.len();
         for &motor in &motors {
             let master = rig.runner.master();
-            let read = Angle { index: 0, token: round };
+            let read = angle(round);
             let _ticket =
                 master.request_with(motor, read, patience, now).expect("nothing is under way");
             rig.put(motor, round + 1).expect("there is a place");
@@ -66,7 +66,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         let mut broadcast = case.broadcasts && round % 4 == 0;
         if broadcast {
             let all: MotorSet = motors.iter().copied().collect();
-            let read = Angle { index: 0, token: round };
+            let read = angle(round);
             rig.runner.master().broadcast(read, all, now).expect("no other is under way");
         }
         while open > 0 || broadcast || rig.runner.master().is_anything_in_flight() {
@@ -169,12 +169,12 @@ fn a_motor_that_is_not_there_is_late_and_then_silent() {
     let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
     let mut presence = Vec::new();
     for token in 0..4 {
-        let read = Angle { index: 0, token };
+        let read = angle(token);
         assert!(rig.runner.call_with(id(1), read, Some(once), |_| {}).is_err());
         presence.push(rig.runner.master().health(id(1)).presence);
     }
     assert_eq!(presence, [Presence::Late, Presence::Late, Presence::Silent, Presence::Silent]);
     rig.world.mend(rig.nodes[0]);
-    assert!(rig.runner.ask(id(1), Angle { index: 0, token: 9 }).is_ok());
+    assert!(rig.runner.ask(id(1), angle(9)).is_ok());
     assert_eq!(rig.runner.master().health(id(1)).presence, Presence::Present);
 }

@@ -7,7 +7,7 @@ use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
-use myactuator_tests::rig::{Angle, Ledger, Rig, Step};
+use myactuator_tests::rig::{Ledger, Rig, angle, step};
 use myactuator_tests::script::late_by;
 use myactuator_tests::values::{go_to, id, millis};
 use myactuator_tests::wire::Wire;
@@ -82,9 +82,9 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
         events.extend(rig.run_for(millis(1)));
     }
     let now = rig.runner.now();
-    let step = Step { index: 0, token: 77 };
+    let step = step(77);
     let step = rig.runner.master().request(id(1), step, now).expect("nothing is under way");
-    let read = Angle { index: 0, token: 78 };
+    let read = angle(78);
     let read = rig.runner.master().request(id(2), read, now).expect("nothing is under way");
     events.extend(rig.run_for(millis(100)));
     let down = Some(Err(Failure::BusDown));
@@ -148,7 +148,7 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> (usize, usize) {
         for motor in rig.motors() {
             rig.put(motor, number).expect("there is a place");
             let now = rig.runner.now();
-            let step = Step { index: 0, token: number };
+            let step = step(number);
             let _ = rig.runner.master().request(motor, step, now);
         }
         rig.run_for(millis(1));

@@ -81,16 +81,6 @@ pub fn state(drive: &DriveHandle) -> State {
     drive.with(|drive| drive.state())
 }
 
-/// Where its output shaft is.
-pub fn angle_deg(drive: &DriveHandle) -> f64 {
-    drive.with(|drive| drive.plant().output_angle_deg())
-}
-
-/// How fast its output shaft turns.
-pub fn speed_dps(drive: &DriveHandle) -> f64 {
-    drive.with(|drive| drive.plant().output_speed_dps())
-}
-
 /// Turns its output shaft by hand.
 pub fn turn_to(drive: &DriveHandle, degrees: f64) {
     drive.with(|drive| drive.plant_mut().set_output_angle_deg(degrees).expect("a finite angle"));

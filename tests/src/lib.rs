@@ -1,6 +1,7 @@
 //! Helpers shared by the tests of the workspace.
 
 pub mod bench;
+pub mod dice;
 pub mod fleet;
 pub mod line;
 pub mod listen;

@@ -1,6 +1,9 @@
-//! An RS485 line for tests: a CRC of its own, a receiver whose bytes are counted, and noise.
+//! An RS485 line for tests: a CRC of its own, a receiver whose bytes are counted, and bytes that
+//! hurt it.
 
 use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
+
+use crate::dice::Dice;
 
 /// CRC-16/MODBUS a bit at a time: reflected 0x8005, start 0xFFFF, no final xor.
 pub fn crc16_modbus(bytes: &[u8]) -> u16 {
@@ -63,14 +66,9 @@ pub struct Line {
 }
 
 impl Line {
-    /// A line on which nothing was said yet.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// A line on which these bytes were said.
     pub fn after(bytes: &[u8]) -> Self {
-        let mut line = Self::new();
+        let mut line = Self::default();
         line.feed(bytes);
         line
     }
@@ -110,9 +108,9 @@ impl Line {
         self.discarded
     }
 
-    /// The frames that came out, each as 13 bytes again, built without the library.
+    /// The frames that came out, each as 13 bytes again.
     pub fn frames(&self) -> Vec<[u8; 13]> {
-        self.frames.iter().map(as_bytes).collect()
+        self.frames.iter().map(Frame::encode).collect()
     }
 
     /// Forgets what the receiver holds.
@@ -122,52 +120,13 @@ impl Line {
     }
 }
 
-fn as_bytes(frame: &Frame) -> [u8; 13] {
-    use myactuator_protocol_core::Target;
-    let address = match frame.address {
-        Target::Motor(id) => id.get(),
-        Target::All => 0xCD,
-    };
-    frame_bytes(address, frame.data)
-}
-
-/// A repeatable source of noise (xorshift, 64 bits).
-#[derive(Clone, Debug)]
-pub struct Noise(u64);
-
-impl Noise {
-    /// The noise of a seed, which must not be 0.
-    pub fn new(seed: u64) -> Self {
-        assert_ne!(seed, 0, "xorshift stays at 0");
-        Self(seed)
-    }
-
-    /// The next number.
-    pub fn number(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
-    }
-
-    /// A number below `end`.
-    pub fn below(&mut self, end: usize) -> usize {
-        (self.number() >> 16) as usize % end
-    }
-
-    /// Any byte.
-    pub fn byte(&mut self) -> u8 {
-        (self.number() >> 32) as u8
-    }
-
-    /// A byte as noise that hurts a receiver most has it: often 0x3E, an address or a length.
-    pub fn nasty_byte(&mut self) -> u8 {
-        match self.below(8) {
-            0..=2 => 0x3E,
-            3 => 1 + self.below(32) as u8,
-            4 => 0xCD,
-            5..=6 => 8,
-            _ => self.byte(),
-        }
+/// A byte as noise that hurts a receiver most has it: often 0x3E, an address or a length.
+pub fn nasty_byte(dice: &mut Dice) -> u8 {
+    match dice.below(8) {
+        0..=2 => 0x3E,
+        3 => 1 + dice.below(32) as u8,
+        4 => 0xCD,
+        5..=6 => 8,
+        _ => dice.byte(),
     }
 }

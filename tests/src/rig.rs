@@ -11,20 +11,18 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::trace::{Event, Fault};
 use myactuator_host_std::sim::bus::{Node, StationId, World};
-use myactuator_protocol_core::command::{
-    AccelerationReading, Feedback, Fields, MultiTurnAngle, MultiTurnEncoder, PidGain, RunTime,
-    Speed, Version,
-};
+use myactuator_protocol_core::command::{IncrementalPosition, ReadMultiTurnAngle, Speed};
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{self, Config};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
+use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{
     Channel, Command, Data, DecodeError, Kind, MotorId, Opcode, Packet, Target,
 };
 
+use crate::dice::Dice;
 use crate::wire::Wire;
 
 /// Marks a set-point of a stream in byte 1 of a speed command; requests of the same kind have another.
@@ -35,83 +33,42 @@ pub fn token_of(data: &Data) -> u32 {
     u32::from_le_bytes([data[4], data[5], data[6], data[7]])
 }
 
-fn with_token(first: [u8; 4], token: u32) -> Data {
-    let [a, b, c, d] = first;
-    let [e, f, g, h] = token.to_le_bytes();
-    [a, b, c, d, e, f, g, h]
+/// A command that has nothing in bytes 4 to 7, with a token there, which the master neither knows nor
+/// needs.
+#[derive(Clone, Copy, Debug)]
+pub struct WithToken<C>(C, u32);
+
+/// The command with this token.
+pub const fn with_token<C>(command: C, token: u32) -> WithToken<C> {
+    WithToken(command, token)
 }
 
-/// Commands whose unused bytes carry a token, which the master neither knows nor needs.
-macro_rules! tokened {
-    ($($(#[$doc:meta])* $name:ident: $opcode:ident => $reply:ty, $byte:literal;)+) => {$(
-        $(#[$doc])*
-        #[derive(Clone, Copy, Debug)]
-        pub struct $name {
-            /// Byte 1.
-            pub index: u8,
-            /// Bytes 4 to 7.
-            pub token: u32,
-        }
-
-        impl Command for $name {
-            type Reply = $reply;
-
-            fn kind(&self) -> Kind {
-                Kind::Known(Opcode::$opcode)
-            }
-
-            fn encode(&self) -> Data {
-                with_token([$byte, self.index, 0, 0], self.token)
-            }
-
-            fn decode_reply(data: &Data) -> Result<$reply, DecodeError> {
-                Fields::read(data)
-            }
-        }
-    )+};
+/// 0x92 with a token.
+pub const fn angle(token: u32) -> WithToken<ReadMultiTurnAngle> {
+    WithToken(ReadMultiTurnAngle, token)
 }
 
-tokened! {
-    /// 0x30 with a token.
-    Pid: ReadPid => PidGain, 0x30;
-    /// 0x42 with a token.
-    Acceleration: ReadAcceleration => AccelerationReading, 0x42;
-    /// 0x60 with a token; the index is 0.
-    Encoder: ReadMultiTurnEncoder => MultiTurnEncoder, 0x60;
-    /// 0x92 with a token; the index is 0.
-    Angle: ReadMultiTurnAngle => MultiTurnAngle, 0x92;
-    /// 0x9C with a token; the index is 0.
-    Status2: ReadStatus2 => Feedback, 0x9C;
-    /// 0xB1 with a token; the index is 0.
-    RunTimeOf: ReadRunTime => RunTime, 0xB1;
-    /// 0xB2 with a token; the index is 0.
-    VersionOf: ReadVersionDate => Version, 0xB2;
-    /// 0xA8 by the token's angle; the index is 0.
-    Step: IncrementalPosition => Feedback, 0xA8;
+/// 0xA8 by the token's angle.
+pub const fn step(token: u32) -> IncrementalPosition {
+    let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(token as i32));
+    IncrementalPosition { max_speed, angle }
 }
 
-/// A seeded stream of chance.
-#[derive(Clone, Debug)]
-pub struct Dice(u64);
+impl<C: Command> Command for WithToken<C> {
+    type Reply = C::Reply;
 
-impl Dice {
-    /// The chance of a seed.
-    pub const fn new(seed: u64) -> Self {
-        Self(seed)
+    fn kind(&self) -> Kind {
+        self.0.kind()
     }
 
-    /// SplitMix64.
-    pub fn draw(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+    fn encode(&self) -> Data {
+        let mut data = self.0.encode();
+        data[4..].copy_from_slice(&self.1.to_le_bytes());
+        data
     }
 
-    /// A number below `bound`.
-    pub fn below(&mut self, bound: u64) -> u64 {
-        self.draw() % bound
+    fn decode_reply(data: &Data) -> Result<C::Reply, DecodeError> {
+        C::decode_reply(data)
     }
 }
 
