@@ -7,10 +7,10 @@ use std::fmt::Debug;
 use myactuator_host_std::sim::plant::SimulatedMotor;
 use myactuator_host_std::sim::{Fleet, FleetError};
 use myactuator_protocol_core::command::{
-    AnyReply, CommunicationLossProtection, ErrorFlags, FunctionControl, PidIndex,
+    AnyReply, BrakeCommand, CommunicationLossProtection, ErrorFlags, FunctionControl, PidIndex,
     ReadMultiTurnAngle, ReadPid, ReadStatus1, Reset, Switch, WritePidRam, WritePidRom,
 };
-use myactuator_protocol_core::drive::{Event as Happened, NotRunReason, Quirks};
+use myactuator_protocol_core::drive::{Event as Happened, Indicator, NotRunReason, Quirks, State};
 use myactuator_protocol_core::io::{CallError, Runner, bring_up};
 use myactuator_protocol_core::master::{Event, Failure};
 use myactuator_protocol_core::time::Duration;
@@ -180,7 +180,7 @@ fn physical_errors_of_level_two_recover<B: Bus>() {
         (0x0800, |motor, bad| motor.force_mos_temperature_c(warm(bad)).unwrap()),
     ];
     for (bit, force) in causes {
-        let bus: B = quirky(Quirks::default());
+        let bus = B::with(&Fleet::new(1).brakes(true)).unwrap();
         let (mut master, drive) = (bus.master(), &bus.drives()[0]);
         master.ask(MOTOR, turn(90.0)).unwrap();
         listen(&mut master, millis(100));
@@ -196,7 +196,13 @@ fn physical_errors_of_level_two_recover<B: Bus>() {
             0x1000 => assert_eq!(status.temperature.celsius(), 120.0),
             _ => assert_eq!(status.mosfet_temperature.celsius(), 120.0),
         }
+        let State { output_on, brake, indicator, .. } = state(drive);
+        let expected = (false, BrakeCommand::LOCK, Indicator::SlowBlink);
+        assert_eq!((output_on, brake, indicator), expected, "{}", status.errors);
+        happened(drive);
         master.ask(MOTOR, turn(90.0)).unwrap();
+        let reason = NotRunReason::Fault(status.errors);
+        assert_eq!(happened(drive), [Happened::NotRun { opcode: Opcode::Speed, reason }]);
         listen(&mut master, millis(1_000));
         assert!(!state(drive).output_on, "{}", status.errors);
 
@@ -204,9 +210,10 @@ fn physical_errors_of_level_two_recover<B: Bus>() {
         listen(&mut master, millis(100));
         let now = read_errors(&mut master);
         assert_eq!(now, ErrorFlags::empty(), "after {}", status.errors);
+        assert_eq!(state(drive).indicator, Indicator::On);
         // A motor that goes on by itself may hurt someone.
         listen(&mut master, millis(1_000));
-        assert!(state(drive).measurement.speed_dps.abs() < 1.0);
+        assert!(!state(drive).output_on && state(drive).measurement.speed_dps.abs() < 1.0);
         master.ask(MOTOR, turn(90.0)).unwrap();
         listen(&mut master, millis(200));
         assert!(state(drive).measurement.speed_dps > 80.0);
