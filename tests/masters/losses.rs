@@ -38,8 +38,7 @@ const ROUNDS: u32 = 300;
 fn run<W: Wire>(case: Case) -> Vec<Told> {
     let mut rig = Rig::<W>::new(case.motors, u64::from(case.percent) + u64::from(case.motors));
     if !case.cuts {
-        let lossy = FaultPlan { lose: case.percent as f32 / 100.0, ..FaultPlan::NONE };
-        rig.strike(lossy);
+        rig.strike(FaultPlan { lose: case.percent as f32 / 100.0, ..FaultPlan::NONE });
     }
     let mut told = vec![Told::default(); case.motors.into()];
     let patience = Patience { reply_timeout: W::CONFIG.reply_timeout, attempts: case.attempts };
@@ -57,51 +56,42 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         let motors: Vec<MotorId> = rig.motors().collect();
         let mut open = motors.len();
         for &motor in &motors {
-            let master = rig.runner.master();
-            let read = angle(round);
-            let _ticket =
-                master.request_with(motor, read, patience, now).expect("nothing is under way");
+            let asked = rig.runner.master().request_with(motor, angle(round), patience, now);
+            let _ticket = asked.expect("nothing is under way");
             rig.put(motor, round + 1).expect("there is a place");
         }
         let mut broadcast = case.broadcasts && round % 4 == 0;
         if broadcast {
             let all: MotorSet = motors.iter().copied().collect();
-            let read = angle(round);
-            rig.runner.master().broadcast(read, all, now).expect("no other is under way");
+            rig.runner.master().broadcast(angle(round), all, now).expect("no other is under way");
         }
-        while open > 0 || broadcast || rig.runner.master().is_anything_in_flight() {
+        loop {
             let event = rig.runner.poll().expect("the bus works");
-            let Some(event) = event else {
-                rig.runner.idle(rig.world.now() + Duration::from_secs(1));
-                assert!(rig.world.now() - now < Duration::from_secs(2), "hangs in {case:?}");
-                continue;
-            };
             match event {
-                Event::Reply { ticket, .. } => {
+                Some(Event::Reply { ticket, .. }) => {
                     told[ticket.motor().index()].replies += 1;
                     open -= 1;
                 }
-                Event::Failed { ticket, failure: Failure::NoReply } => {
+                Some(Event::Failed { ticket, failure: Failure::NoReply }) => {
                     told[ticket.motor().index()].no_reply += 1;
                     open -= 1;
                 }
-                Event::Feedback { motor, .. } => told[motor.index()].feedback += 1,
-                Event::SetPointUnanswered { motor } => told[motor.index()].unanswered += 1,
-                Event::SetPointDropped { .. } => {}
-                Event::BroadcastReply { motor, .. } => told[motor.index()].broadcast_replies += 1,
-                Event::BroadcastDone { silent } => {
+                Some(Event::Feedback { motor, .. }) => told[motor.index()].feedback += 1,
+                Some(Event::SetPointUnanswered { motor }) => told[motor.index()].unanswered += 1,
+                Some(Event::SetPointDropped { .. }) => {}
+                Some(Event::BroadcastReply { motor, .. }) => {
+                    told[motor.index()].broadcast_replies += 1;
+                }
+                Some(Event::BroadcastDone { silent }) => {
                     broadcast = false;
                     silent.iter().for_each(|motor| told[motor.index()].silent += 1);
                 }
-                other => panic!("{other:?} in {case:?}"),
-            }
-        }
-        while let Some(event) = rig.runner.poll().expect("the bus works") {
-            match event {
-                Event::SetPointUnanswered { motor } => told[motor.index()].unanswered += 1,
-                Event::Feedback { motor, .. } => told[motor.index()].feedback += 1,
-                Event::SetPointDropped { .. } => {}
-                other => panic!("{other:?} in {case:?}"),
+                Some(other) => panic!("{other:?} in {case:?}"),
+                None if open > 0 || broadcast || rig.runner.master().is_anything_in_flight() => {
+                    rig.runner.idle(rig.world.now() + Duration::from_secs(1));
+                    assert!(rig.world.now() - now < Duration::from_secs(2), "hangs in {case:?}");
+                }
+                None => break,
             }
         }
     }
