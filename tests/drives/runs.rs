@@ -15,11 +15,11 @@
 
 use std::fmt::{Debug, Write as _};
 
-use myactuator_host_std::sim::bus::Medium;
-use myactuator_host_std::sim::bus::can::frame_bits;
+use myactuator_host_std::sim::bus::can::{CanBus, frame_bits};
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::bus::trace::{Event as OnBus, Record};
 use myactuator_host_std::sim::plant::{Load, MotorParameters, SpringStop};
-use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet, LineFleet};
+use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet};
 use myactuator_host_std::text;
 use myactuator_protocol_core::command::{
     AccelerationIndex, BrakeCommand, CommunicationLossProtection, ErrorFlags, ForcePosition, Mode,
@@ -33,10 +33,10 @@ use myactuator_protocol_core::units::{Acceleration, Milliseconds};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{Channel, Data, MotorId, Opcode, Packet};
-use myactuator_tests::fleet::{Bus, happened};
+use myactuator_tests::fleet::{happened, master};
 use myactuator_tests::listen::{listen, listen_until};
 use myactuator_tests::values::{degrees, go_to, id, millis, percent, turn, up_to};
-use myactuator_tests::wire::Wire as _;
+use myactuator_tests::wire::Wire;
 
 const MOTOR: MotorId = MotorId::MIN;
 const MODEL: &str = "RMD-X8-PRO";
@@ -380,19 +380,16 @@ fn exchanges<R: Runner<8, Error: Debug>>(master: &mut R) {
     assert!(master.master().motors() == MotorSet::from_iter([one, two]));
 }
 
-/// The frame on the wire.
-type FrameOf<B> = <<B as Bus>::Wire as Medium>::Frame;
-
 /// All that is on the bus during [`exchanges`], a frame a line with the time when it is over, after how
 /// long each frame takes was checked, and what it says. A drive takes 0.7 to 0.9 ms to begin a reply.
-fn trace<B: Bus>(
-    frame_ns: fn(&FrameOf<B>) -> u64,
+fn trace<W: Wire>(
+    frame_ns: fn(&W::Frame) -> u64,
     reply_begins_late_ns: u64,
-    print: fn(&str, &FrameOf<B>) -> String,
+    print: fn(&str, &W::Frame) -> String,
 ) -> String {
-    let bus = B::with(&Fleet::new(2)).unwrap();
-    let log = bus.world().log();
-    exchanges(&mut bus.master());
+    let bus = W::drives(&Fleet::new(2)).unwrap();
+    let log = bus.world.log();
+    exchanges(&mut master(&bus));
     let records = log.take();
     assert_eq!(records.len(), 2 * COMMANDS.len());
     let mut lines = String::new();
@@ -403,7 +400,7 @@ fn trace<B: Bus>(
         };
         assert_eq!(at_ns - started_ns, frame_ns(frame));
         let is_reply = place % 2 == 1;
-        let packet = B::Wire::packet(&mut Receiver::new(), frame, !is_reply).unwrap();
+        let packet = W::packet(&mut Receiver::new(), frame, !is_reply).unwrap();
         let (motor, data) = COMMANDS[place / 2];
         if is_reply {
             let took_ns = started_ns - command_over_ns;
@@ -430,7 +427,7 @@ fn trace<B: Bus>(
 fn trace_of_a_can_bus() {
     // A bit takes 1000 ns; the three of the intermission do not belong to the frame.
     let frame_ns = |frame: &SimpleFrame| (u64::from(frame_bits(frame)) - 3) * 1_000;
-    let lines = trace::<CanFleet>(frame_ns, 0, |stamp, frame| {
+    let lines = trace::<CanBus>(frame_ns, 0, |stamp, frame| {
         let line = format!("{stamp} can0 {}", text::can::frame(frame));
         // It can be read back, as a log of candump.
         assert_eq!(text::can::parse_line(&line).as_ref(), Ok(frame));
@@ -447,7 +444,7 @@ fn trace_of_a_can_bus() {
 #[test]
 fn trace_of_an_rs485_line() {
     // 13 bytes of 10 bits. The drive's transceiver takes time to turn round.
-    let lines = trace::<LineFleet>(
+    let lines = trace::<Rs485Line>(
         |_| 130_000,
         100_000,
         |stamp, bytes| format!("{stamp} {}", text::rs485::bytes(bytes)),
