@@ -18,6 +18,9 @@ use myactuator_tests::values::id;
 const LAST_16: u16 = 65_535;
 const LAST_12: u16 = 4_095;
 
+/// The last step of each field of a command.
+const LAST: [u16; 5] = [LAST_16, LAST_12, LAST_12, LAST_12, LAST_12];
+
 fn u12(step: u16) -> U12 {
     U12::new(step).expect("at most 4095")
 }
@@ -72,39 +75,25 @@ fn check_reply(fields: [u16; 4]) {
 
 /// A command of all zeros or all ones but for one field.
 fn with(field: usize, step: u16, others_full: bool) -> [u16; 5] {
-    let mut steps =
-        if others_full { [LAST_16, LAST_12, LAST_12, LAST_12, LAST_12] } else { [0; 5] };
+    let mut steps = if others_full { LAST } else { [0; 5] };
     steps[field] = step;
     steps
 }
 
 #[test]
-fn every_position_packs_and_unpacks() {
-    for position in 0..=LAST_16 {
-        for full in [false, true] {
+fn every_step_of_each_field_packs_and_unpacks() {
+    for full in [false, true] {
+        let (id, p, other) = if full { (32, LAST_16, LAST_12) } else { (1, 0, 0) };
+        for position in 0..=LAST_16 {
             check_command(with(0, position, full));
-            let rest = if full { LAST_12 } else { 0 };
-            check_reply([if full { 32 } else { 1 }, position, rest, rest]);
+            check_reply([id, position, other, other]);
+        }
+        for step in 0..=LAST_12 {
+            (1..5).for_each(|field| check_command(with(field, step, full)));
+            check_reply([id, p, step, other]);
+            check_reply([id, p, other, step]);
         }
     }
-}
-
-#[test]
-fn every_step_of_each_12_bit_field_packs_and_unpacks() {
-    for step in 0..=LAST_12 {
-        for full in [false, true] {
-            for field in 1..5 {
-                check_command(with(field, step, full));
-            }
-            let (p, other) = if full { (LAST_16, LAST_12) } else { (0, 0) };
-            check_reply([7, p, step, other]);
-            check_reply([7, p, other, step]);
-        }
-    }
-}
-
-#[test]
-fn every_id_byte_packs_and_unpacks() {
     (0..=255).for_each(|id| check_reply([id, 0x1234, 0x567, 0x89A]));
 }
 
@@ -176,14 +165,19 @@ struct Scale {
 fn scales(maxima: [f32; 5]) -> impl Iterator<Item = Scale> {
     let ranges = MotionRanges::new(limits(maxima)).expect("positive limits");
     let starts = [
-        (MotionScale::Position, -1.0, LAST_16),
-        (MotionScale::Velocity, -1.0, LAST_12),
-        (MotionScale::Kp, 0.0, LAST_12),
-        (MotionScale::Kd, 0.0, LAST_12),
-        (MotionScale::Torque, -1.0, LAST_12),
+        (MotionScale::Position, -1.0),
+        (MotionScale::Velocity, -1.0),
+        (MotionScale::Kp, 0.0),
+        (MotionScale::Kd, 0.0),
+        (MotionScale::Torque, -1.0),
     ];
-    starts.into_iter().zip(maxima).enumerate().map(move |(place, ((scale, start, last), max))| {
-        Scale { ranges, scale, place, min: start * max, max, last }
+    starts.into_iter().zip(maxima).enumerate().map(move |(place, ((scale, start), max))| Scale {
+        ranges,
+        scale,
+        place,
+        min: start * max,
+        max,
+        last: LAST[place],
     })
 }
 

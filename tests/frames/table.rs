@@ -23,7 +23,7 @@ fn of_firmware(firmware: Firmware) -> impl Iterator<Item = Opcode> {
 
 /// The rows of the kind.
 fn of(opcode: Opcode, rows: &[Row]) -> Vec<&Row> {
-    rows.iter().filter(|row| row.name == opcode.name()).collect()
+    rows.iter().filter(|row| row.opcode == opcode).collect()
 }
 
 /// Each reply with the command of its example. (One command to all has several.)
@@ -132,7 +132,7 @@ fn facts_of_a_kind_are_the_manuals() {
 fn each_row_stands_in_a_section_of_its_kind() {
     let sections = sections();
     for row in rows() {
-        let opcode = row.name.parse::<Opcode>().unwrap_or_else(|error| panic!("{row}: {error}"));
+        let opcode = row.opcode;
         assert!(sections.contains_key(row.section.as_str()), "{row}");
         assert!(sections[row.section.as_str()].starts_with("Examples"), "{row}");
         let chapter = row.section.rsplit_once('.').expect("a section of a chapter").0;
@@ -152,18 +152,6 @@ fn each_row_stands_in_a_section_of_its_kind() {
 }
 
 #[test]
-fn each_kind_has_an_example() {
-    let rows = rows();
-    for opcode in of_firmware(Firmware::V4_3) {
-        let examples = of(opcode, &rows);
-        assert_eq!(examples.is_empty(), is_without_example(opcode), "{opcode}");
-        if !examples.is_empty() {
-            assert!(examples.iter().any(|row| row.direction == Direction::Command), "{opcode}");
-        }
-    }
-}
-
-#[test]
 fn the_reply_rules_are_those_that_the_examples_show() {
     let rows = rows();
     let exchanges = exchanges(&rows);
@@ -172,7 +160,7 @@ fn the_reply_rules_are_those_that_the_examples_show() {
             continue;
         }
         let of_kind: Vec<_> =
-            exchanges.iter().filter(|(command, _)| command.name == opcode.name()).collect();
+            exchanges.iter().filter(|(command, _)| command.opcode == opcode).collect();
         let same = of_kind.iter().filter(|(command, reply)| command.data() == reply.data()).count();
         match opcode.reply_rule() {
             ReplyRule::Same => {
@@ -197,11 +185,11 @@ fn each_reply_answers_its_command_and_none_of_another_kind() {
     let exchanges = exchanges(&rows);
     assert_eq!(exchanges.len(), rows.iter().filter(|r| r.direction == Direction::Reply).count());
     for (command, reply) in &exchanges {
-        let opcode: Opcode = command.name.parse().expect("a kind");
+        let opcode = command.opcode;
         let kind = Kind::Known(opcode);
         assert!(kind.answers(&command.data(), &reply.data()), "{command} and {reply}");
         for (_, other) in &exchanges {
-            if opcode != Opcode::Motion && other.name != command.name {
+            if opcode != Opcode::Motion && other.opcode != opcode {
                 assert!(!kind.answers(&command.data(), &other.data()), "{command} and {other}");
             }
         }
@@ -214,14 +202,17 @@ fn each_reply_answers_its_command_and_none_of_another_kind() {
 }
 
 #[test]
-fn buses_are_those_that_the_examples_show() {
+fn each_kind_has_an_example_on_its_buses() {
     let rows = rows();
     for opcode in of_firmware(Firmware::V4_3) {
         let examples = of(opcode, &rows);
-        let rs485 = examples.iter().any(|row| row.bus == Bus::Rs485);
+        assert_eq!(examples.is_empty(), is_without_example(opcode), "{opcode}");
         if !examples.is_empty() {
-            assert_eq!(opcode.buses() == Buses::Both, rs485, "{opcode}");
-            assert!(examples.iter().any(|row| row.bus == Bus::Can), "{opcode}");
+            let any = |is: fn(&Row) -> bool| examples.iter().any(|row| is(row));
+            assert!(any(|row| row.direction == Direction::Command), "{opcode}");
+            assert!(any(|row| row.bus == Bus::Can), "{opcode}");
+            let on_rs485 = any(|row| row.bus == Bus::Rs485);
+            assert_eq!(opcode.buses() == Buses::Both, on_rs485, "{opcode}");
         }
         let refused = Kind::from(opcode).check_on_rs485();
         match opcode.buses() {
@@ -234,8 +225,7 @@ fn buses_are_those_that_the_examples_show() {
 #[test]
 fn channels_are_those_that_the_examples_show() {
     for row in rows().iter().filter(|row| row.direction == Direction::Command) {
-        let opcode: Opcode = row.name.parse().expect("a kind");
-        assert_eq!(Kind::from(opcode).channel_to(row.target()), Ok(row.channel()), "{row}");
+        assert_eq!(Kind::from(row.opcode).channel_to(row.target()), Ok(row.channel()), "{row}");
         if row.bus == Bus::Can {
             assert_eq!(can::channel_at(row.can().0), Some(row.channel()), "{row}");
         }

@@ -42,8 +42,9 @@ pub struct Row {
     pub id: Value,
     /// `identifier#data` on CAN, 13 bytes in hex on RS485.
     pub frame: String,
-    /// The command's name, in both directions.
-    pub name: String,
+    /// The command, in both directions.
+    #[serde(rename = "name")]
+    pub opcode: Opcode,
     /// What the frame means.
     pub fields: Map<String, Value>,
     /// The manual's explanation.
@@ -67,10 +68,10 @@ impl Row {
 
     /// The channel that sections 1, 3, 4, 5, 6 and 7 give this frame.
     pub fn channel(&self) -> Channel {
-        match (self.name.as_str(), self.direction, self.target()) {
-            ("bus-id", _, Target::All) => Channel::BusId,
-            ("motion", Direction::Command, Target::Motor(id)) => Channel::Motion(id),
-            ("motion", Direction::Reply, Target::Motor(id)) => Channel::MotionReply(id),
+        match (self.opcode, self.direction, self.target()) {
+            (Opcode::BusId, _, Target::All) => Channel::BusId,
+            (Opcode::Motion, Direction::Command, Target::Motor(id)) => Channel::Motion(id),
+            (Opcode::Motion, Direction::Reply, Target::Motor(id)) => Channel::MotionReply(id),
             (_, Direction::Command, target) => Channel::Command(target),
             (_, Direction::Reply, Target::Motor(id)) => Channel::Reply(id),
             _ => panic!("{self}: no channel carries this"),
@@ -128,7 +129,7 @@ pub fn one_of_each() -> Vec<AnyCommand> {
     let rows = rows();
     let command = |&opcode: &Opcode| {
         let is_command = |row: &&Row| row.direction == Direction::Command;
-        let example = rows.iter().filter(is_command).find(|row| row.name == opcode.name());
+        let example = rows.iter().filter(is_command).find(|row| row.opcode == opcode);
         let bare = || [opcode.byte().expect("a command byte"), 0, 0, 0, 0, 0, 0, 0];
         AnyCommand::decode_as(opcode, &example.map_or_else(bare, Row::data)).expect("a command")
     };
