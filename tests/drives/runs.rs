@@ -89,17 +89,12 @@ fn locked_open(brake: BrakeCommand) -> &'static str {
 fn trapezoid(way: f64, max_speed: f64, acceleration: f64, t: f64) -> (f64, f64) {
     let ramp = max_speed / acceleration;
     let end = way / max_speed + ramp;
-    if t <= 0.0 {
-        (0.0, 0.0)
-    } else if t < ramp {
-        (0.5 * acceleration * t * t, acceleration * t)
-    } else if t < end - ramp {
-        (max_speed * (t - 0.5 * ramp), max_speed)
-    } else if t < end {
-        (way - 0.5 * acceleration * (end - t).powi(2), acceleration * (end - t))
-    } else {
-        (way, 0.0)
-    }
+    let begun = |t: f64| {
+        if t < ramp { 0.5 * acceleration * t * t } else { max_speed * (t - 0.5 * ramp) }
+    };
+    let (t, left) = (t.clamp(0.0, end), (end - t).clamp(0.0, end));
+    let angle = if left < ramp { way - begun(left) } else { begun(t) };
+    (angle, (acceleration * t.min(left)).min(max_speed))
 }
 
 /// 2.21.1: with an acceleration that is not 0, 0xA4 "runs in the mode with a planned speed, and the

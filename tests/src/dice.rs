@@ -1,4 +1,16 @@
-//! Chance that a seed decides.
+//! Chance that a seed decides, and bytes by chance.
+
+use myactuator_protocol_core::{Data, Opcode};
+use proptest::prelude::*;
+
+/// Eight bytes: of a known kind more often than not, and small numbers as often as large ones.
+pub fn any_data() -> impl Strategy<Value = Data> {
+    let known: Vec<u8> = Opcode::ALL.iter().filter_map(|opcode| opcode.byte()).collect();
+    let first = prop_oneof![4 => prop::sample::select(known), 1 => any::<u8>()];
+    let byte = prop_oneof![2 => Just(0), 2 => 0_u8..=40, 2 => any::<u8>(), 1 => Just(0xFF)];
+    (first, prop::array::uniform7(byte))
+        .prop_map(|(a, [b, c, d, e, f, g, h])| [a, b, c, d, e, f, g, h])
+}
 
 /// A seeded stream of chance (SplitMix64).
 #[derive(Clone, Debug)]
