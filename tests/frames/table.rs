@@ -2,7 +2,7 @@
 //! example in the manual, a section that exists and names its command byte, the reply rule that the
 //! examples show, and the buses that it is shown on.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeSet, HashMap};
 
 use myactuator_protocol_core::opcode::{Buses, ReplyRule, UnknownOpcode};
 use myactuator_protocol_core::wire::{can, rs485};
@@ -29,7 +29,7 @@ fn of(opcode: Opcode, rows: &[Row]) -> Vec<&Row> {
 /// Each reply with the command of its example. (One command to all has several.)
 fn exchanges(rows: &[Row]) -> Vec<(&Row, &Row)> {
     let key = |row: &Row| (row.section.clone(), row.example, row.bus);
-    let commands: BTreeMap<_, _> =
+    let commands: HashMap<_, _> =
         rows.iter().filter(|r| r.direction == Direction::Command).map(|r| (key(r), r)).collect();
     rows.iter()
         .filter(|row| row.direction == Direction::Reply)

@@ -184,19 +184,16 @@ fn is_set_point(packet: &Packet) -> bool {
 }
 
 /// A motion mode command carries the low 16 bits of its number as position, the others all as token.
-fn set_point_number(packet: &Packet) -> (u32, u32) {
-    match packet.channel {
-        Channel::Motion(_) => {
-            (u32::from(u16::from_be_bytes([packet.data[0], packet.data[1]])) << 16, 1 << 16)
-        }
-        _ => (token_of(&packet.data), 1),
+fn set_point_number(packet: &Packet) -> u32 {
+    match (packet.channel, packet.data) {
+        (Channel::Motion(_), [high, low, ..]) => u32::from_be_bytes([high, low, 0, 0]),
+        (_, data) => token_of(&data),
     }
 }
 
 /// Whether this number is not above the newest one. Motion mode's wraps.
-fn is_stale(newest: &mut Option<u32>, (number, step): (u32, u32)) -> bool {
-    let ahead = newest.map_or(step, |newest| number.wrapping_sub(newest));
-    let is_newer = ahead != 0 && ahead < 1 << 31;
+fn is_stale(newest: &mut Option<u32>, number: u32) -> bool {
+    let is_newer = newest.is_none_or(|newest| (1..1 << 31).contains(&number.wrapping_sub(newest)));
     if is_newer {
         *newest = Some(number);
     }

@@ -2,22 +2,13 @@
 
 use std::collections::BTreeMap;
 
+pub use myactuator_protocol_core::drive::Bus;
 use myactuator_protocol_core::{AnyCommand, Channel, Data, MotorId, Opcode, Target};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-/// Which bus a row is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Bus {
-    /// CAN.
-    Can,
-    /// RS485.
-    Rs485,
-}
-
 /// Who sends a row's frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Direction {
     /// The master.
@@ -56,14 +47,12 @@ pub struct Row {
 impl Row {
     /// Whose frame it is.
     pub fn target(&self) -> Target {
-        match &self.id {
-            Value::String(all) if all == "all" => Target::All,
-            Value::Number(id) => {
-                let id = id.as_u64().and_then(|id| u8::try_from(id).ok()).expect("a small id");
-                Target::Motor(MotorId::new(id).expect("an id from 1 to 32"))
-            }
-            other => panic!("{self}: id must be a number or \"all\", found {other}"),
-        }
+        let Some(id) = self.id.as_u64() else {
+            assert_eq!(self.id, "all", "{self}: id must be a number or \"all\"");
+            return Target::All;
+        };
+        let id = u8::try_from(id).ok().and_then(|id| MotorId::new(id).ok());
+        Target::Motor(id.expect("an id from 1 to 32"))
     }
 
     /// The channel that sections 1, 3, 4, 5, 6 and 7 give this frame.
