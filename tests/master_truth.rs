@@ -27,6 +27,7 @@ use myactuator_protocol_core::units::{self, Gain, MaxSpeed, MaxTorque, SpeedTarg
 use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Opcode, Packet};
 use myactuator_tests::dice::Dice;
 use myactuator_tests::rig::{Rig, angle, step, token_of, with_token};
+use myactuator_tests::script::late_by;
 use myactuator_tests::values::id;
 use myactuator_tests::wire::Wire;
 
@@ -93,35 +94,30 @@ impl Scenario {
 
     fn plan(&self, direction: Direction, late: Duration) -> FaultPlan {
         let p = self.percent as f32 / 100.0;
-        let none = FaultPlan {
+        let to_ports = direction == Direction::ToPorts;
+        let mut plan = FaultPlan {
             delay_min: Duration::from_micros(500),
             delay_max: late,
             reorder_hold: late,
             ..FaultPlan::NONE
         };
         match self.trouble {
-            Trouble::Lose => FaultPlan { lose: p, ..none },
-            Trouble::Corrupt => FaultPlan { corrupt: p, ..none },
-            Trouble::Undetected => FaultPlan { corrupt: p, undetected: 0.5, ..none },
-            Trouble::DoubleReplies if direction == Direction::ToNodes => none,
-            Trouble::DoubleReplies | Trouble::DoubleAll => FaultPlan { duplicate: p, ..none },
-            Trouble::Delay => FaultPlan { delay: p, ..none },
-            Trouble::Reorder => FaultPlan { reorder: p, ..none },
+            Trouble::Lose => plan.lose = p,
+            Trouble::Corrupt => plan.corrupt = p,
+            Trouble::Undetected => (plan.corrupt, plan.undetected) = (p, 0.5),
+            Trouble::DoubleReplies => plan.duplicate = if to_ports { p } else { 0.0 },
+            Trouble::DoubleAll => plan.duplicate = p,
+            Trouble::Delay => plan.delay = p,
+            Trouble::Reorder => plan.reorder = p,
             Trouble::All => {
                 let fifth = p / 5.0;
-                let to_ports = direction == Direction::ToPorts;
-                FaultPlan {
-                    lose: fifth,
-                    corrupt: fifth,
-                    duplicate: if to_ports { fifth } else { 0.0 },
-                    delay: fifth,
-                    reorder: fifth,
-                    ..none
-                }
+                (plan.lose, plan.corrupt, plan.delay, plan.reorder) = (fifth, fifth, fifth, fifth);
+                plan.duplicate = if to_ports { fifth } else { 0.0 };
             }
-            Trouble::Cut | Trouble::Slow | Trouble::Babble => none,
-            Trouble::Restart | Trouble::Foreign => none,
+            Trouble::Cut | Trouble::Slow | Trouble::Babble => {}
+            Trouble::Restart | Trouble::Foreign => {}
         }
+        plan
     }
 }
 
@@ -566,9 +562,8 @@ impl<W: Wire> Session<W> {
 fn is_fooled(delay: Duration, late_window: Duration) -> bool {
     let config = Config { late_window, ..CanBus::CONFIG };
     let mut rig = Rig::<CanBus>::with_config(1, 1, config);
-    let late = FaultPlan { delay: 1.0, delay_min: delay, delay_max: delay, ..FaultPlan::NONE };
     let motor = id(1);
-    rig.world.set_faults(Direction::ToPorts, late);
+    rig.world.set_faults(Direction::ToPorts, late_by(delay));
     let once = Patience { reply_timeout: Duration::from_millis(20), attempts: 1 };
     let (first, second) = (angle(1), angle(2));
     assert!(rig.runner.call_with(motor, first, Some(once), |_| {}).is_err());

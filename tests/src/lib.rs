@@ -3,7 +3,6 @@
 pub mod bench;
 pub mod dice;
 pub mod fleet;
-pub mod line;
 pub mod listen;
 pub mod rig;
 pub mod script;
