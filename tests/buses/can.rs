@@ -53,15 +53,14 @@ fn send(port: &mut CanPort, frame: SimpleFrame) {
 
 /// The length of a frame, bit by bit and as slow as it is plain.
 fn counted_bits(frame: &SimpleFrame) -> u32 {
-    let mut text = String::from("0");
     let remote = u8::from(frame.is_remote_frame());
-    match frame.id() {
-        Id::Standard(id) => text += &format!("{:011b}{remote}00", id.as_raw()),
+    let mut text = match frame.id() {
+        Id::Standard(id) => format!("0{:011b}{remote}00", id.as_raw()),
         Id::Extended(id) => {
-            let whole = format!("{:029b}", id.as_raw());
-            text += &format!("{}11{}{remote}00", &whole[..11], &whole[11..]);
+            let (high, low) = (id.as_raw() >> 18, id.as_raw() & 0x3_FFFF);
+            format!("0{high:011b}11{low:018b}{remote}00")
         }
-    }
+    };
     text += &format!("{:04b}", frame.dlc());
     for byte in frame.data() {
         text += &format!("{byte:08b}");

@@ -41,6 +41,13 @@ fn within_a_turn(direction: Direction, angle_deg: f32) -> SingleTurnPosition {
     SingleTurnPosition { direction, max_speed: up_to(500), angle }
 }
 
+/// Carries the command out for 1.5 s, after which the shaft is at this angle.
+#[track_caller]
+fn ends_at<C: Command + Into<AnyCommand>>(bench: &mut Bench, command: C, angle_deg: f64) {
+    bench.go(command, millis(1_500));
+    assert!((bench.angle() - angle_deg).abs() < 0.02, "{}, not {angle_deg}", bench.angle());
+}
+
 /// The largest of what `figure` reads off the drive each millisecond of this span.
 fn most(bench: &mut Bench, span: Duration, figure: fn(&Measurement) -> f32) -> f32 {
     let mut largest = 0.0_f32;
@@ -445,9 +452,8 @@ fn a_single_turn_position_turns_as_told() {
     for (direction, end) in [(Direction::CLOCKWISE, 270.0), (Direction::COUNTER_CLOCKWISE, -90.0)] {
         let mut bench = Bench::default();
         // The same command again is a command to stay.
-        for span in [millis(1_500), millis(500)] {
-            bench.go(within_a_turn(direction, 270.0), span);
-            assert!((bench.angle() - end).abs() < 0.02, "{}", bench.angle());
+        for _ in 0..2 {
+            ends_at(&mut bench, within_a_turn(direction, 270.0), end);
         }
     }
 }
@@ -496,30 +502,22 @@ fn a_force_position_limits_its_torque() {
         let seen = most(&mut bench, millis(300), |measured| measured.current_a);
         assert!((seen - largest).abs() < 0.01, "{limit} %: {seen} A");
     }
-    let mut bench = Bench::default();
-    bench.go(force_to(360.0, 60), millis(1_500));
-    assert!((bench.angle() - 360.0).abs() < 0.05);
+    ends_at(&mut Bench::default(), force_to(360.0, 60), 360.0);
 }
 
-/// 2.26: 0x76 restarts the program: no reply, no mode, run time from 0.
+/// 2.26: 0x76 restarts the program: no reply, no mode, run time from 0; and what nothing says is saved ends:
+/// active replies and error reporting.
 #[test]
 fn a_reset_starts_anew() {
     let mut bench = Bench::default();
     bench.run(millis(10_000));
     bench.ask(push(0.1));
+    bench.write(FunctionControl::ErrorReporting(Switch::On));
+    bench.send(report(Opcode::ReadStatus2, Switch::On, 1));
     bench.restart();
     assert!(!bench.state().output_on);
     assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 5);
     assert!(bench.events.contains(&Event::Reset));
-}
-
-/// 2.26: what nothing says is saved ends with the restart: active replies and error reporting.
-#[test]
-fn a_reset_ends_reporting() {
-    let mut bench = Bench::default();
-    bench.write(FunctionControl::ErrorReporting(Switch::On));
-    bench.send(report(Opcode::ReadStatus2, Switch::On, 1));
-    bench.restart();
     bench.sent.clear();
     bench.raise(ErrorFlags::OVER_VOLTAGE);
     bench.run(millis(300));
@@ -736,21 +734,20 @@ fn function_2_filters_commands_to_all() {
 /// 2.35.4, function 4: on, the turns are saved at power-off; off, they are lost. After a restart.
 #[test]
 fn function_4_saves_the_turns() {
-    for (on, kept) in [(Switch::On, 1_110.0), (Switch::Off, 30.0)] {
+    for (on, restarted, kept) in
+        [(Switch::On, true, 1_110.0), (Switch::Off, true, 30.0), (Switch::On, false, 30.0)]
+    {
         let mut bench = Bench::default();
         bench.write(FunctionControl::SaveMultiTurn(on));
-        bench.restart();
+        if restarted {
+            bench.restart();
+        }
         bench.turn_to(1_110.0);
         bench.power_cycle();
         assert_eq!(bench.told_angle(), kept);
         bench.restart();
         assert_eq!(bench.told_angle(), kept);
     }
-    let mut bench = Bench::default();
-    bench.turn_to(1_110.0);
-    bench.write(FunctionControl::SaveMultiTurn(Switch::On));
-    bench.power_cycle();
-    assert_eq!(bench.told_angle(), 30.0, "on only after a restart");
 }
 
 /// 2.35.4, function 5: a new id acts after a restart.
@@ -777,13 +774,10 @@ fn functions_6_and_7_limit_positions() {
             bench.power_cycle();
         }
         for (target, end) in [(360.0, 90.0), (-360.0, -45.0), (10.0, 10.0)] {
-            bench.go(go_to(target, 500), millis(1_500));
-            assert!((bench.angle() - end).abs() < 0.02, "{target}: {}", bench.angle());
+            ends_at(&mut bench, go_to(target, 500), end);
         }
-        bench.go(on_by(500.0), millis(1_500));
-        assert!((bench.angle() - 90.0).abs() < 0.02);
-        bench.go(force_to(-500.0, 100), millis(1_500));
-        assert!((bench.angle() + 45.0).abs() < 0.02);
+        ends_at(&mut bench, on_by(500.0), 90.0);
+        ends_at(&mut bench, force_to(-500.0, 100), -45.0);
         bench.write(Stop);
     }
 }

@@ -152,6 +152,7 @@ fn only<T: Default + Copy>(place: usize, value: T) -> [T; 5] {
 }
 
 /// One value of a set-point: its place among the five, and its scale.
+#[derive(Debug)]
 struct Scale {
     ranges: MotionRanges,
     scale: MotionScale,
@@ -200,12 +201,6 @@ fn all_scales() -> impl Iterator<Item = Scale> {
     all_ranges().into_iter().flat_map(scales)
 }
 
-impl std::fmt::Display for Scale {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{:?} {} to {}", self.scale, self.min, self.max)
-    }
-}
-
 impl Scale {
     fn quantise(&self, value: f32) -> Option<u16> {
         let raw = self.ranges.quantise(&set_point(only(self.place, value))).ok()?;
@@ -250,23 +245,26 @@ fn the_ranges_are_those_of_5_1() {
 #[test]
 fn every_step_means_its_place_on_the_scale_and_comes_back() {
     for scale in all_scales() {
-        assert_eq!((scale.value(0), scale.quantise(scale.min)), (scale.min, Some(0)), "{scale}");
-        assert_eq!(scale.quantise(scale.max), Some(scale.last), "{scale}");
+        assert_eq!((scale.value(0), scale.quantise(scale.min)), (scale.min, Some(0)), "{scale:?}");
+        assert_eq!(scale.quantise(scale.max), Some(scale.last), "{scale:?}");
         let last = scale.value(scale.last);
-        assert!((last - scale.max).abs() <= scale.max * 4.0 * f32::EPSILON, "{scale}: {last}");
+        assert!((last - scale.max).abs() <= scale.max * 4.0 * f32::EPSILON, "{scale:?}: {last}");
         let mut before = f32::NEG_INFINITY;
         for step in 0..=scale.last {
             let (value, exact) = (scale.value(step), scale.exact(step.into()));
             // Three roundings, none of a number larger than the span.
             let error = (f64::from(value) - exact).abs() / scale.step();
-            assert!(error <= scale.slack(), "{scale}, step {step}: {value}");
-            assert!(value > before, "{scale}, step {step}: not above the step before");
+            assert!(error <= scale.slack(), "{scale:?}, step {step}: {value}");
+            assert!(value > before, "{scale:?}, step {step}: not above the step before");
             before = value;
-            assert_eq!(scale.quantise(value), Some(step), "{scale}: {value}");
+            assert_eq!(scale.quantise(value), Some(step), "{scale:?}: {value}");
             // In double precision, as tools show and take it.
             let shown = scale.ranges.value(scale.scale, step);
-            assert!((shown - exact).abs() <= 1e-9 * scale.step(), "{scale}, step {step}: {shown}");
-            assert_eq!(scale.ranges.step(scale.scale, shown), Ok(step), "{scale}: {shown}");
+            assert!(
+                (shown - exact).abs() <= 1e-9 * scale.step(),
+                "{scale:?}, step {step}: {shown}"
+            );
+            assert_eq!(scale.ranges.step(scale.scale, shown), Ok(step), "{scale:?}: {shown}");
         }
     }
 }
@@ -285,7 +283,7 @@ fn a_value_becomes_its_nearest_step() {
                 let error = (scale.exact(found.into()) - f64::from(value)).abs() / scale.step();
                 assert!(
                     error <= 0.5 + scale.slack(),
-                    "{scale}: {value} became step {found}, {error} steps away"
+                    "{scale:?}: {value} became step {found}, {error} steps away"
                 );
             }
         }
@@ -317,14 +315,14 @@ fn what_is_no_number_or_beyond_the_scale_is_refused() {
         let beyond = [scale.max.next_up(), below, f32::MAX, f32::MIN];
         let no_numbers = [f32::NAN, -f32::NAN, f32::from_bits(0x7F80_0001)];
         for bad in beyond.into_iter().chain(no_numbers).chain([f32::INFINITY, f32::NEG_INFINITY]) {
-            assert_eq!(scale.quantise(bad), None, "{scale}: {bad}");
-            assert!(scale.ranges.step(scale.scale, bad.into()).is_err(), "{scale}: {bad}");
+            assert_eq!(scale.quantise(bad), None, "{scale:?}: {bad}");
+            assert!(scale.ranges.step(scale.scale, bad.into()).is_err(), "{scale:?}: {bad}");
             let nearest = match bad {
                 _ if bad.is_nan() => None,
                 _ if bad > 0.0 => Some(scale.last),
                 _ => Some(0),
             };
-            assert_eq!(scale.saturate(bad), nearest, "{scale}: {bad}");
+            assert_eq!(scale.saturate(bad), nearest, "{scale:?}: {bad}");
         }
     }
 }

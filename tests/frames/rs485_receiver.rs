@@ -342,13 +342,6 @@ fn noise_between_frames_makes_no_frame_and_hides_none() {
 }
 
 #[test]
-fn noise_alone_is_no_frame() {
-    let mut dice = Dice::new(42);
-    let bytes: Vec<u8> = (0..200_000).map(|_| nasty_byte(&mut dice)).collect();
-    assert_eq!(received(&bytes), frames_by_window(&bytes));
-}
-
-#[test]
 fn frames_with_scattered_flips_never_make_a_wrong_one() {
     let mut dice = Dice::new(7);
     let good = good_frames();

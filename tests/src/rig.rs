@@ -75,10 +75,8 @@ impl<C: Command> Command for WithToken<C> {
 /// What is known of one motor.
 #[derive(Clone, Debug, Default)]
 pub struct Page {
-    /// Commands with a reply to this motor that were on the wire whole.
+    /// Commands with a reply, to this motor or to all, that were on the wire whole.
     pub asked: u64,
-    /// Commands to all with a reply that were on the wire whole.
-    pub asked_all: u64,
     /// Its replies that were on the wire whole.
     pub replied: u64,
     /// Its replies that the injector kept from the master.
@@ -145,7 +143,7 @@ impl Ledger {
                 }
             }
             Channel::Command(Target::All) if answered => {
-                pages.iter_mut().for_each(|page| page.asked_all += 1);
+                pages.iter_mut().for_each(|page| page.asked += 1);
             }
             _ => {}
         }

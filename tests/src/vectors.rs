@@ -100,10 +100,10 @@ impl std::fmt::Display for Row {
 
 /// The bytes of a text of hexadecimal digits, with or without spaces.
 pub fn hex(text: &str) -> Vec<u8> {
-    let digits: Vec<u8> =
-        text.chars().filter(|c| *c != ' ').map(|c| c.to_digit(16).expect("hex") as u8).collect();
+    let digits = text.replace(' ', "");
     assert_eq!(digits.len() % 2, 0, "{text}: half a byte is left over");
-    digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
+    let byte = |at| u8::from_str_radix(&digits[at..at + 2], 16).expect(text);
+    (0..digits.len()).step_by(2).map(byte).collect()
 }
 
 /// Every row of `manual-v4.3.jsonl`, in the manual's order.
