@@ -230,28 +230,26 @@ fn the_single_turn_encoder_tells_all_three() {
     assert_eq!(told, [2_099, 11_454, 9_355]); // the manual's example, 2.11.4
 }
 
-/// 2.12.3, 2.15.3: the angle counts turns, in 0.01 degrees and in feedback in degrees up to ±32767.
+/// 2.12.3: the angle counts turns, in 0.01 degrees; 2.13.3: within a turn it grows clockwise and begins
+/// anew; 2.15.3: feedback tells it in degrees up to ±32767.
 #[test]
 fn the_angle_counts_turns_and_feedback_saturates() {
     let mut bench = Bench::default();
-    for (angle, fine, coarse) in
-        [(360.0, 36_000, 360), (-725.5, -72_550, -726), (40_000.0, 4_000_000, 32_767)]
-    {
+    for (angle, fine, within_a_turn, coarse) in [
+        (0.0, 0, 0, 0),
+        (100.0, 10_000, 10_000, 100),
+        (360.0, 36_000, 0, 360),
+        (400.0, 40_000, 4_000, 400),
+        (-90.0, -9_000, 27_000, -90),
+        (-725.5, -72_550, 35_450, -726),
+        (40_000.0, 4_000_000, 4_000, 32_767),
+        (-40_000.0, -4_000_000, 32_000, -32_767),
+    ] {
         bench.turn_to(angle);
         assert_eq!(bench.ask(ReadMultiTurnAngle).angle.raw(), fine);
+        let told = bench.ask(ReadSingleTurnAngle).angle.raw();
+        assert!(told.abs_diff(within_a_turn) <= 1, "{angle}: {told}");
         assert_eq!(bench.feedback().angle.raw(), coarse);
-    }
-    bench.turn_to(-40_000.0);
-    assert_eq!(bench.feedback().angle.raw(), -32_767);
-}
-
-/// 2.13.3: the single-turn angle goes from 0 up clockwise and back to 0 after a turn.
-#[test]
-fn the_single_turn_angle_comes_back_to_zero() {
-    let mut bench = Bench::default();
-    for (angle, told) in [(0.0, 0), (100.0, 10_000), (360.0, 0), (400.0, 4_000), (-90.0, 27_000)] {
-        bench.turn_to(angle);
-        assert!(bench.ask(ReadSingleTurnAngle).angle.raw().abs_diff(told) <= 1, "{angle}");
     }
 }
 

@@ -368,8 +368,8 @@ fn the_supply_sags_under_load_and_rises_with_feedback() {
         let measured = m.advance(&amps(current), MS.times(500));
         let volts = (48.0 + (48.0_f64 * 48.0 - 4.0 * resistance * power).sqrt()) / 2.0;
         assert!(if power > 0.0 { volts < 45.0 } else { volts > 60.0 });
-        close(f64::from(measured.supply_voltage_v), volts, 1e-4);
-        close(f64::from(measured.supply_current_a), power / volts, 1e-4);
+        close(f64::from(measured.supply_voltage_v), volts, 1e-5);
+        close(f64::from(measured.supply_current_a), power / volts, 1e-5);
     }
 }
 

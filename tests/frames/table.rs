@@ -7,8 +7,7 @@ use std::collections::{BTreeSet, HashMap};
 use myactuator_protocol_core::opcode::{Buses, ReplyRule, UnknownOpcode};
 use myactuator_protocol_core::wire::{can, rs485};
 use myactuator_protocol_core::{
-    AnyCommand, AnyReply, Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, RequestError,
-    Target,
+    AnyCommand, Channel, Firmware, Kind, MotorId, Opcode, Packet, RequestError, Target,
 };
 use myactuator_tests::vectors::{Bus, Direction, Entry, Row, entries, rows, sections};
 
@@ -79,23 +78,6 @@ fn the_kinds_are_those_of_the_manual() {
     let known = Opcode::ALL.iter().copied();
     assert_eq!(known.clone().filter_map(Opcode::byte).collect::<BTreeSet<_>>(), named);
     assert!(known.filter(|opcode| opcode.byte().is_none()).eq([Opcode::Motion]));
-}
-
-#[test]
-fn a_firmware_decides_what_0x94_says() {
-    let angle = |data: Data, firmware: Firmware| {
-        let packet = Packet { channel: Channel::Reply(MotorId::MIN), data };
-        match AnyReply::decode(&packet, firmware) {
-            Ok(AnyReply::ReadSingleTurnAngle(reply)) => (Firmware::V4_3, reply.angle.degrees()),
-            Ok(AnyReply::ReadSingleTurnAngleV4_4(reply)) => (Firmware::V4_4, reply.angle.degrees()),
-            other => panic!("{other:?}"),
-        }
-    };
-    // -9000 of 0.01 degrees in DATA[4..8], and 36000, a whole turn, in DATA[6..8].
-    let (four, two) = ([0x94, 0, 0, 0, 0xD8, 0xDC, 0xFF, 0xFF], [0x94, 0, 0, 0, 0, 0, 0xA0, 0x8C]);
-    assert_eq!(angle(four, Firmware::V4_4), (Firmware::V4_4, -90.0));
-    assert_eq!(angle(two, Firmware::V4_3), (Firmware::V4_3, 360.0));
-    assert_eq!(angle(four, Firmware::V4_3), (Firmware::V4_3, 655.35));
 }
 
 /// What `kinds.txt` has to say of a kind: how it is answered, and what is not as with most kinds.
