@@ -101,8 +101,8 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         let what = format!("{}: motor {motor} of {case:?}, {told:?}, {health:?}", W::NAME);
         // What really happened: commands that were on the wire, replies that got through.
         let got_through = page.replied - page.replies_lost;
-        let lost_on_the_way = (page.asked - page.heard) + page.replies_lost;
-        assert_eq!(u64::from(health.lost), page.asked - got_through, "{what}");
+        let lost_on_the_way = (page.sent.asking - page.heard.asking) + page.replies_lost;
+        assert_eq!(u64::from(health.lost), page.sent.asking - got_through, "{what}");
         if !case.cuts {
             assert_eq!(u64::from(health.lost), lost_on_the_way, "{what}");
         }
@@ -115,7 +115,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         } else {
             assert!(u64::from(health.lost) >= told_lost + 2 * told.no_reply, "{what}");
         }
-        let replaced = u64::from(ROUNDS) - page.set_points_sent;
+        let replaced = u64::from(ROUNDS) - page.sent.set_points;
         assert_eq!(u64::from(health.superseded), replaced, "{what}");
     }
     told

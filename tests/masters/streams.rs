@@ -31,12 +31,12 @@ fn flood<W: Wire>(cuts: bool) {
     for motor in rig.motors() {
         let (page, health) = (rig.ledger.page(motor), rig.runner.master().health(motor));
         let told = format!("{}: motor {motor}, cuts {cuts}, {health:?}", W::NAME);
-        assert_eq!((page.stale_sent, page.stale_heard), (0, 0), "{told}");
-        assert!(page.set_points_sent > 20, "{told}");
+        assert_eq!((page.sent.stale, page.heard.stale), (0, 0), "{told}");
+        assert!(page.sent.set_points > 20, "{told}");
         if !cuts {
             // Each was sent or counted.
             let superseded = u64::from(health.superseded);
-            assert_eq!(page.set_points_sent + superseded, u64::from(number), "{told}");
+            assert_eq!(page.sent.set_points + superseded, u64::from(number), "{told}");
         }
     }
 }
@@ -75,7 +75,7 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     for motor in 1..=8 {
         assert!(events.contains(&Event::SetPointDropped { motor: id(motor) }), "motor {motor}");
     }
-    let sent = |ledger: &Ledger| -> u64 { ledger.pages().iter().map(|p| p.set_points_sent).sum() };
+    let sent = |ledger: &Ledger| -> u64 { ledger.pages().iter().map(|p| p.sent.set_points).sum() };
     let before = sent(&rig.ledger);
     rig.world.mend(rig.port);
     rig.run_for(millis(200));
@@ -86,9 +86,9 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
     assert!(after - before <= queue, "{} set-points came after the bus was mended", after - before);
     for motor in rig.motors() {
         let page = rig.ledger.page(motor);
-        assert!(page.moves.is_empty(), "the move was sent after all");
-        assert!(page.newest_sent < Some(150), "one of the last was kept: {:?}", page.newest_sent);
-        assert_eq!(page.stale_sent, 0);
+        assert!(page.sent.moves.is_empty(), "the move was sent after all");
+        assert!(page.sent.newest < Some(150), "one of the last was kept: {:?}", page.sent.newest);
+        assert_eq!(page.sent.stale, 0);
     }
 }
 
@@ -135,7 +135,7 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> (usize, usize) {
         rig.run_for(millis(1));
     }
     let begun = rig.runner.now();
-    rig.ledger.pages().iter_mut().for_each(|page| page.first_stop_sent = None);
+    rig.ledger.pages().iter_mut().for_each(|page| page.sent.first_stop = None);
     let unconfirmed = rig.runner.stop_all(kind, MotorSet::EMPTY);
     let took = rig.runner.now() - begun;
     // 15 attempts of 21 ms, on RS485 one motor after another.
@@ -144,10 +144,10 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> (usize, usize) {
     for motor in rig.motors() {
         let page = rig.ledger.page(motor);
         let told = format!("{}: motor {motor}, seed {seed}", W::NAME);
-        let heard = page.last_stop_heard.is_some_and(|at| at >= begun);
+        let heard = page.heard.last_stop.is_some_and(|at| at >= begun);
         assert!(heard || unconfirmed.contains(motor), "{told} is said to have stopped");
-        let first = page.first_stop_sent.expect("each is told at least once");
-        assert!(page.last_motion_sent < Some(first), "{told} was moved after its stop");
+        let first = page.sent.first_stop.expect("each is told at least once");
+        assert!(page.sent.last_motion < Some(first), "{told} was moved after its stop");
         if W::NAME == "CAN" {
             // Ten frames of the controller's queue and eight stops at the most are ahead.
             assert!(first - begun < Duration::from_micros(18 * 135), "{told} waited");

@@ -72,35 +72,61 @@ impl<C: Command> Command for WithToken<C> {
     }
 }
 
+/// The commands to one motor, as they were at one place: on the wire, or at the drive.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// Commands with a reply, to this motor or to all.
+    pub asking: u64,
+    /// How often each incremental move.
+    pub moves: HashMap<u32, u32>,
+    /// All set-points.
+    pub set_points: u64,
+    /// The newest set-point.
+    pub newest: Option<u32>,
+    /// Set-points that came after a newer one.
+    pub stale: u64,
+    /// When motion (set-points and moves) came last.
+    pub last_motion: Option<Instant>,
+    /// When a stop came first after this was forgotten.
+    pub first_stop: Option<Instant>,
+    /// When a stop came last.
+    pub last_stop: Option<Instant>,
+}
+
+impl Seen {
+    fn note(&mut self, packet: &Packet, at: Instant) {
+        self.asking += u64::from(has_reply(packet));
+        if let Some(number) = set_point_number(packet) {
+            self.set_points += 1;
+            self.last_motion = Some(at);
+            // Motion mode's numbers wrap.
+            let ahead = self.newest.map_or(1, |newest| number.wrapping_sub(newest));
+            if (1..1 << 31).contains(&ahead) {
+                self.newest = Some(number);
+            } else {
+                self.stale += 1;
+            }
+        } else if packet.data[0] == 0xA8 {
+            *self.moves.entry(token_of(&packet.data)).or_default() += 1;
+            self.last_motion = Some(at);
+        } else if matches!(packet.data[0], 0x80 | 0x81) {
+            self.first_stop.get_or_insert(at);
+            self.last_stop = Some(at);
+        }
+    }
+}
+
 /// What is known of one motor.
 #[derive(Clone, Debug, Default)]
 pub struct Page {
-    /// Commands with a reply, to this motor or to all, that were on the wire whole.
-    pub asked: u64,
+    /// Commands that were on the wire whole.
+    pub sent: Seen,
+    /// Commands that reached the drive.
+    pub heard: Seen,
     /// Its replies that were on the wire whole.
     pub replied: u64,
     /// Its replies that the injector kept from the master.
     pub replies_lost: u64,
-    /// Commands with a reply that reached the drive.
-    pub heard: u64,
-    /// How often each incremental move was on the wire, and how often the drive heard it.
-    pub moves: HashMap<u32, (u32, u32)>,
-    /// The newest set-point on the wire.
-    pub newest_sent: Option<u32>,
-    /// The newest set-point at the drive.
-    pub newest_heard: Option<u32>,
-    /// Set-points that came onto the wire after a newer one.
-    pub stale_sent: u64,
-    /// Set-points that came to the drive after a newer one.
-    pub stale_heard: u64,
-    /// All set-points on the wire.
-    pub set_points_sent: u64,
-    /// When motion (set-points and moves) was on the wire last.
-    pub last_motion_sent: Option<Instant>,
-    /// When the drive was told to stop last.
-    pub last_stop_heard: Option<Instant>,
-    /// When a stop to it was on the wire first after the ledger was asked to watch for one.
-    pub first_stop_sent: Option<Instant>,
 }
 
 /// What really happened.
@@ -125,77 +151,31 @@ impl Ledger {
 
     fn carried_command(&self, packet: &Packet, at: Instant) {
         let mut pages = self.pages();
-        let answered = opcode_of(packet).is_some_and(Opcode::has_reply);
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
-                let page = &mut pages[motor.index()];
-                page.asked += u64::from(answered);
-                if is_set_point(packet) {
-                    page.set_points_sent += 1;
-                    let stale = is_stale(&mut page.newest_sent, set_point_number(packet));
-                    page.stale_sent += u64::from(stale);
-                    page.last_motion_sent = Some(at);
-                } else if packet.data[0] == 0xA8 {
-                    page.moves.entry(token_of(&packet.data)).or_default().0 += 1;
-                    page.last_motion_sent = Some(at);
-                } else if matches!(packet.data[0], 0x80 | 0x81) {
-                    page.first_stop_sent.get_or_insert(at);
-                }
+                pages[motor.index()].sent.note(packet, at);
             }
-            Channel::Command(Target::All) if answered => {
-                pages.iter_mut().for_each(|page| page.asked += 1);
+            Channel::Command(Target::All) => {
+                pages.iter_mut().for_each(|page| page.sent.note(packet, at));
             }
             _ => {}
         }
     }
-
-    fn heard_command(&self, motor: MotorId, packet: &Packet, at: Instant) {
-        let page = &mut self.pages()[motor.index()];
-        page.heard += u64::from(opcode_of(packet).is_some_and(Opcode::has_reply));
-        if is_set_point(packet) {
-            let stale = is_stale(&mut page.newest_heard, set_point_number(packet));
-            page.stale_heard += u64::from(stale);
-        } else if packet.data[0] == 0xA8 {
-            page.moves.entry(token_of(&packet.data)).or_default().1 += 1;
-        } else if matches!(packet.data[0], 0x80 | 0x81) {
-            page.last_stop_heard = Some(at);
-        }
-    }
 }
 
-fn opcode_of(packet: &Packet) -> Option<Opcode> {
-    match packet.channel {
-        Channel::Motion(_) | Channel::MotionReply(_) => Some(Opcode::Motion),
-        _ => Opcode::from_byte(packet.data[0]),
-    }
+fn has_reply(packet: &Packet) -> bool {
+    matches!(packet.channel, Channel::Motion(_))
+        || Opcode::from_byte(packet.data[0]).is_some_and(Opcode::has_reply)
 }
 
-/// Set-points of the tests' streams are absolute positions, motion mode commands and marked speeds.
-fn is_set_point(packet: &Packet) -> bool {
-    match packet.channel {
-        Channel::Motion(_) => true,
-        Channel::Command(_) => {
-            packet.data[0] == 0xA4 || (packet.data[0] == 0xA2 && packet.data[1] == STREAM_MARK)
-        }
-        _ => false,
-    }
-}
-
-/// A motion mode command carries the low 16 bits of its number as position, the others all as token.
-fn set_point_number(packet: &Packet) -> u32 {
+/// The number of a set-point of the tests' streams: absolute positions and marked speeds carry it as
+/// token, motion mode commands its low 16 bits as position.
+fn set_point_number(packet: &Packet) -> Option<u32> {
     match (packet.channel, packet.data) {
-        (Channel::Motion(_), [high, low, ..]) => u32::from_be_bytes([high, low, 0, 0]),
-        (_, data) => token_of(&data),
+        (Channel::Motion(_), [high, low, ..]) => Some(u32::from_be_bytes([high, low, 0, 0])),
+        (_, [0xA4, ..] | [0xA2, STREAM_MARK, ..]) => Some(token_of(&packet.data)),
+        _ => None,
     }
-}
-
-/// Whether this number is not above the newest one. Motion mode's wraps.
-fn is_stale(newest: &mut Option<u32>, number: u32) -> bool {
-    let is_newer = newest.is_none_or(|newest| (1..1 << 31).contains(&number.wrapping_sub(newest)));
-    if is_newer {
-        *newest = Some(number);
-    }
-    !is_newer
 }
 
 /// A drive that answers every command after 0.7 to 0.9 ms, in order, with the command's own token.
@@ -216,8 +196,8 @@ impl<W> Teller<W> {
             Channel::Motion(motor) if motor == self.motor => Channel::MotionReply(motor),
             _ => return,
         };
-        self.ledger.heard_command(self.motor, packet, now);
-        if !opcode_of(packet).is_some_and(Opcode::has_reply) {
+        self.ledger.pages()[self.motor.index()].heard.note(packet, now);
+        if !has_reply(packet) {
             return;
         }
         let mut data = packet.data;
