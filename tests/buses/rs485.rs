@@ -59,25 +59,18 @@ fn the_roundings_of_many_bytes_do_not_add_up() {
 }
 
 #[test]
-fn nobody_hears_itself_without_echo() {
-    let (world, mut port, _) = line(1);
-    world.silent();
-    port.write_all(&READ_PID).unwrap();
-    world.run_until(micros(1_000));
-    assert_eq!(port.read_ready(), Ok(false));
-}
-
-#[test]
-fn an_echo_is_what_was_sent() {
-    let (world, ..) = line(1);
-    world.mirror();
-    let mut port = world.port_with(TransceiverConfig { echo: true, ..Default::default() });
-    port.write_all(&[1]).unwrap();
-    world.run_until(micros(15));
-    assert_eq!(received(&mut port), [1]);
-    world.run_until(micros(100));
-    // The mirror's answer.
-    assert_eq!(received(&mut port), [1]);
+fn only_with_an_echo_one_hears_what_one_sent() {
+    for echo in [false, true] {
+        let (world, ..) = line(1);
+        world.mirror();
+        let mut port = world.port_with(TransceiverConfig { echo, ..Default::default() });
+        port.write_all(&[1]).unwrap();
+        world.run_until(micros(15));
+        assert_eq!(received(&mut port), if echo { vec![1] } else { vec![] });
+        world.run_until(micros(100));
+        // The mirror's answer.
+        assert_eq!(received(&mut port), [1]);
+    }
 }
 
 #[test]

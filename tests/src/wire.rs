@@ -5,6 +5,7 @@ use std::fmt::Debug;
 use myactuator_host_std::sim::bus::can::{CanBus, CanPort};
 use myactuator_host_std::sim::bus::rs485::{Rs485Line, SerialPort};
 use myactuator_host_std::sim::bus::{Medium, Node, SimClock, StationId, World};
+use myactuator_host_std::sim::{BusFleet, Fleet, FleetError};
 use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
 use myactuator_protocol_core::master::Config;
@@ -25,6 +26,9 @@ pub trait Wire: Medium<Frame: Sync> + Sized + 'static {
 
     /// A master on the bus, and its place.
     fn runner<const N: usize>(world: &World<Self>, config: Config) -> (Self::Runner<N>, StationId);
+
+    /// Puts simulated drives on it.
+    fn drives(fleet: &Fleet) -> Result<BusFleet<Self>, FleetError>;
 
     /// Puts a node on the bus.
     fn seat(world: &World<Self>, node: impl Node<Self::Frame> + 'static) -> StationId;
@@ -49,6 +53,10 @@ impl Wire for CanBus {
         let port = world.port();
         let station = port.station();
         (CanMaster::new(port, world.clock(), config), station)
+    }
+
+    fn drives(fleet: &Fleet) -> Result<BusFleet<Self>, FleetError> {
+        fleet.on_can(1_000_000)
     }
 
     fn seat(world: &World<Self>, node: impl Node<SimpleFrame> + 'static) -> StationId {
@@ -83,6 +91,10 @@ impl Wire for Rs485Line {
         let port = world.port();
         let station = port.station();
         (SerialMaster::new(port, world.clock(), config), station)
+    }
+
+    fn drives(fleet: &Fleet) -> Result<BusFleet<Self>, FleetError> {
+        fleet.on_rs485(LINE_RATE)
     }
 
     fn seat(world: &World<Self>, node: impl Node<Vec<u8>> + 'static) -> StationId {
