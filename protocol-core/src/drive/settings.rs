@@ -216,18 +216,6 @@ pub trait Memory {
     fn store(&mut self, settings: &Settings) -> Result<(), Self::Error>;
 }
 
-impl<M: Memory + ?Sized> Memory for &mut M {
-    type Error = M::Error;
-
-    fn load(&mut self) -> Result<Option<Settings>, M::Error> {
-        (**self).load()
-    }
-
-    fn store(&mut self, settings: &Settings) -> Result<(), M::Error> {
-        (**self).store(settings)
-    }
-}
-
 /// A memory that outlives a simulated power-off, and nothing more.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
