@@ -84,8 +84,8 @@ impl Scenario {
     /// frames wait in them meanwhile. Whoever expects that must say so.
     fn late_window<W: Wire>(&self) -> Duration {
         let breaks = matches!(self.trouble, Trouble::Corrupt | Trouble::Undetected);
-        if breaks && self.percent >= 50 {
-            Duration::from_millis(400)
+        if W::NAME == "CAN" && breaks && self.percent >= 50 {
+            Duration::from_millis(1_000)
         } else {
             W::CONFIG.late_window
         }
@@ -253,7 +253,9 @@ impl<W: Wire> Session<W> {
             let next = self.next_ask.iter().min().copied().unwrap_or(now);
             next.max(now + Duration::from_micros(100))
         };
-        self.rig.runner.idle(until);
+        // A cut wire is mended in time: no frame is held back for longer than the master assumes.
+        let is_cut = self.scenario.trouble == Trouble::Cut && self.mischief.is_some();
+        self.rig.runner.idle(if is_cut { until.min(self.next_mischief) } else { until });
     }
 
     /// Cuts, slows, babbles and restarts for the scenario's share of the time.
@@ -313,7 +315,7 @@ impl<W: Wire> Session<W> {
             return self.stop(now);
         }
         if self.broadcast.is_none() && self.dice.below(500) == 0 {
-            self.ask_all(now);
+            self.ask_all();
         }
         for index in 0..self.open.len() {
             if now < self.next_ask[index] {
@@ -333,7 +335,7 @@ impl<W: Wire> Session<W> {
 
     fn stop(&mut self, now: Instant) {
         let kind = if self.dice.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
-        self.rig.runner.master().stop_all(kind, MotorSet::EMPTY, now).expect("no motor is new");
+        self.rig.runner.master().stop_all(kind, MotorSet::EMPTY).expect("no motor is new");
         self.stopping = self.rig.runner.master().motors();
         self.stopped_at = now;
         if self.stopping.is_empty() {
@@ -341,15 +343,15 @@ impl<W: Wire> Session<W> {
         }
     }
 
-    fn ask_all(&mut self, now: Instant) {
+    fn ask_all(&mut self) {
         let token = self.dice.draw() as u32;
         // Not everyone who answers is expected to.
         let expected = self.rig.motors().filter(|motor| motor.get() % 3 != 0).collect();
         let master = self.rig.runner.master();
         if self.dice.below(2) == 0 {
-            master.broadcast(Angle { index: 0, token }, expected, now)
+            master.broadcast(Angle { index: 0, token }, expected)
         } else {
-            master.broadcast(Pid { index: 4, token }, expected, now)
+            master.broadcast(Pid { index: 4, token }, expected)
         }
         .expect("there is no other broadcast");
         self.broadcast = Some(token);
@@ -393,8 +395,8 @@ impl<W: Wire> Session<W> {
         let master = self.rig.runner.master();
         let (kind, data) = (command.kind(), command.encode());
         let asked = match patience {
-            Some(patience) => master.request_with(motor, command, patience, now),
-            None => master.request(motor, command, now),
+            Some(patience) => master.request_with(motor, command, patience),
+            None => master.request(motor, command),
         };
         match asked {
             Ok(ticket) => {

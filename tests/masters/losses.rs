@@ -59,15 +59,14 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         for &motor in &motors {
             let master = rig.runner.master();
             let read = Angle { index: 0, token: round };
-            let _ticket =
-                master.request_with(motor, read, patience, now).expect("nothing is under way");
+            let _ticket = master.request_with(motor, read, patience).expect("nothing is under way");
             rig.put(motor, round + 1).expect("there is a place");
         }
         let mut broadcast = case.broadcasts && round % 4 == 0;
         if broadcast {
             let all: MotorSet = motors.iter().copied().collect();
             let read = Angle { index: 0, token: round };
-            rig.runner.master().broadcast(read, all, now).expect("no other is under way");
+            rig.runner.master().broadcast(read, all).expect("no other is under way");
         }
         while open > 0 || broadcast || rig.runner.master().is_anything_in_flight() {
             let event = rig.runner.poll().expect("the bus works");

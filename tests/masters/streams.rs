@@ -81,11 +81,10 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
         rig.put_all(number);
         events.extend(rig.run_for(millis(1)));
     }
-    let now = rig.runner.now();
     let step = Step { index: 0, token: 77 };
-    let step = rig.runner.master().request(id(1), step, now).expect("nothing is under way");
+    let step = rig.runner.master().request(id(1), step).expect("nothing is under way");
     let read = Angle { index: 0, token: 78 };
-    let read = rig.runner.master().request(id(2), read, now).expect("nothing is under way");
+    let read = rig.runner.master().request(id(2), read).expect("nothing is under way");
     events.extend(rig.run_for(millis(100)));
     let down = Some(Err(Failure::BusDown));
     assert!(events.iter().any(|event| step.outcome(event) == down), "the move is dropped");
@@ -147,9 +146,8 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> (usize, usize) {
     for number in 1..20 {
         for motor in rig.motors() {
             rig.put(motor, number).expect("there is a place");
-            let now = rig.runner.now();
             let step = Step { index: 0, token: number };
-            let _ = rig.runner.master().request(motor, step, now);
+            let _ = rig.runner.master().request(motor, step);
         }
         rig.run_for(millis(1));
     }
@@ -202,15 +200,13 @@ fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one() {
     rig.run_for(millis(5));
     // The first answer comes only after the second stop was sent, and that one is lost.
     rig.world.set_faults(Direction::ToPorts, late_by(millis(24)));
-    let now = rig.runner.now();
-    rig.runner.master().stop_all(StopKind::Hold, MotorSet::EMPTY, now).expect("no motor is new");
+    rig.runner.master().stop_all(StopKind::Hold, MotorSet::EMPTY).expect("no motor is new");
     rig.run_for(millis(2));
     rig.world.set_faults(Direction::ToPorts, FaultPlan::NONE);
     rig.world.set_faults(Direction::ToNodes, FaultPlan { lose: 1.0, ..FaultPlan::NONE });
     rig.run_for(millis(8));
-    let again = rig.runner.now();
     rig.runner.master().lift_stop();
-    rig.runner.master().stop_all(StopKind::Hold, MotorSet::EMPTY, again).expect("no motor is new");
+    rig.runner.master().stop_all(StopKind::Hold, MotorSet::EMPTY).expect("no motor is new");
     let told = rig.run_for(millis(50));
     let confirmed = told.contains(&Event::StopConfirmed { motor: id(1) });
     assert!(!confirmed, "the drive has not heard the second stop");

@@ -17,36 +17,7 @@ use crate::wire::can;
 /// An async CAN controller: what embedded-can has no trait for.
 ///
 /// The drivers of the HALs have these two functions under other names, often on two halves.
-/// [`CanHalves`] makes them one of these; for a driver in one piece it is a few lines:
-///
-/// ```
-/// # mod hal {
-/// #     pub use myactuator_protocol_core::wire::can::SimpleFrame as Frame;
-/// #     pub struct Envelope { pub frame: Frame }
-/// #     pub struct Can;
-/// #     impl Can {
-/// #         pub async fn write(&mut self, _: &Frame) {}
-/// #         pub async fn read(&mut self) -> Result<Envelope, u8> { Err(0) }
-/// #     }
-/// # }
-/// use myactuator_protocol_core::io::AsyncCan;
-///
-/// struct Bus(hal::Can);
-///
-/// impl AsyncCan for Bus {
-///     type Frame = hal::Frame;
-///     type Error = u8; // the HAL's
-///
-///     async fn transmit(&mut self, frame: &hal::Frame) -> Result<(), u8> {
-///         self.0.write(frame).await;
-///         Ok(())
-///     }
-///
-///     async fn receive(&mut self) -> Result<hal::Frame, u8> {
-///         Ok(self.0.read().await?.frame)
-///     }
-/// }
-/// ```
+/// [`CanHalves`] makes them one of these.
 ///
 /// The futures need not be `Send`: one task runs one bus.
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
@@ -154,19 +125,6 @@ where
 const RETRY_AFTER: Duration = Duration::from_millis(1);
 
 /// Runs a [`Master`] on an async CAN controller.
-///
-/// ```no_run
-/// # use myactuator_protocol_core::io::{AsyncCan, AsyncCanMaster, AsyncClock, AsyncRunner};
-/// # use myactuator_protocol_core::command::ReadMultiTurnAngle;
-/// # use myactuator_protocol_core::{MotorId, master::Config};
-/// # async fn firmware(can: impl AsyncCan<Error = core::convert::Infallible>, clock: impl AsyncClock)
-/// # -> Result<(), Box<dyn std::error::Error>> {
-/// let mut arm = AsyncCanMaster::<_, _, 8>::new(can, clock, Config::CAN);
-/// let elbow = MotorId::new(3)?;
-/// let reading = arm.ask(elbow, ReadMultiTurnAngle).await?;
-/// let degrees = reading.angle.degrees();
-/// # let _ = degrees; Ok(()) }
-/// ```
 ///
 /// It gives the controller frames for as long as it takes them at once, and looks for a received one
 /// after each, so that a controller with few places for received frames loses none.

@@ -7,7 +7,7 @@ use embassy_futures::yield_now;
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::runner::{CallError, StopWatch, request};
+use crate::io::runner::{CallError, StopWatch};
 use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;
 
@@ -58,8 +58,7 @@ pub trait AsyncRunner<const N: usize> {
         patience: Option<Patience>,
         mut on_event: impl FnMut(Event),
     ) -> Result<Option<C::Reply>, CallError<Self::Error>> {
-        let now = self.now();
-        let ticket = request(self.master(), motor, command, patience, now)?;
+        let ticket = self.master().put_request(motor, command, patience)?;
         loop {
             let event = self.next_event().await.map_err(CallError::Bus)?;
             match ticket.outcome(&event) {
