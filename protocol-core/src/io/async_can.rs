@@ -9,7 +9,7 @@ use embedded_can::Frame;
 
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
-use crate::io::stuck::StuckWatch;
+use crate::io::runner::STUCK_AFTER;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
 use crate::wire::can;
@@ -40,19 +40,6 @@ pub trait AsyncCan {
     /// It is dropped and called anew all the time. Dropping must lose no frame: one that arrives
     /// later, or has arrived, is for the next call.
     async fn receive(&mut self) -> Result<Self::Frame, Self::Error>;
-}
-
-impl<C: AsyncCan + ?Sized> AsyncCan for &mut C {
-    type Frame = C::Frame;
-    type Error = C::Error;
-
-    async fn transmit(&mut self, frame: &C::Frame) -> Result<(), C::Error> {
-        (**self).transmit(frame).await
-    }
-
-    async fn receive(&mut self) -> Result<C::Frame, C::Error> {
-        (**self).receive().await
-    }
 }
 
 /// An [`AsyncCan`] from the two halves of a driver, whatever they are called.
@@ -133,7 +120,8 @@ pub struct AsyncCanMaster<C, K, const N: usize> {
     can: C,
     clock: K,
     master: Master<N>,
-    stuck: StuckWatch,
+    /// Since when the bus has not taken what is offered to it.
+    stuck_since: Option<Instant>,
     /// The event of a frame, until somebody takes it. Here rather than in a future, which may be
     /// dropped.
     told: Option<Event>,
@@ -142,7 +130,7 @@ pub struct AsyncCanMaster<C, K, const N: usize> {
 impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock.
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        Self { can, clock, master: Master::new(config), stuck: StuckWatch::new(), told: None }
+        Self { can, clock, master: Master::new(config), stuck_since: None, told: None }
     }
 
     /// The controller and the clock back.
@@ -183,15 +171,15 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
             let Some(packet) = self.master.poll_transmit(now) else { return Ok(None) };
             // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
             let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(None) };
-            let busy_until = self.stuck.offered(now);
+            let busy_until = *self.stuck_since.get_or_insert(now) + STUCK_AFTER;
             let patience = self.clock.wait_until(busy_until);
             match select(self.can.transmit(&frame), patience).await {
                 Either::First(Ok(())) => {
-                    self.stuck.clear();
+                    self.stuck_since = None;
                     self.master.handle_transmitted(self.clock.now());
                 }
                 Either::First(Err(error)) => {
-                    self.stuck.clear();
+                    self.stuck_since = None;
                     self.master.handle_bus_down(self.clock.now());
                     return Err(error);
                 }

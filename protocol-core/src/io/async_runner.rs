@@ -46,8 +46,7 @@ pub trait AsyncRunner<const N: usize> {
         }
     }
 
-    /// Sends a command to one motor and waits for its answer; `None` for commands without one.
-    /// `on_event` gets everything else that happens meanwhile.
+    /// As [`Runner::call_with`](crate::io::Runner::call_with).
     ///
     /// # Errors
     /// [`CallError`].
@@ -68,8 +67,7 @@ pub trait AsyncRunner<const N: usize> {
         }
     }
 
-    /// Sends a command to one motor and waits for its answer; `None` for commands without one. Other
-    /// events are passed over.
+    /// As [`Runner::call`](crate::io::Runner::call).
     ///
     /// # Errors
     /// [`CallError`].
@@ -81,10 +79,10 @@ pub trait AsyncRunner<const N: usize> {
         self.call_with(motor, command, None, |_| {}).await
     }
 
-    /// Asks a motor for something whose reply cannot be missing, and waits for it.
+    /// As [`Runner::ask`](crate::io::Runner::ask).
     ///
     /// # Errors
-    /// [`CallError`]; [`Failure::NoReply`] also for a command that has no reply.
+    /// As there.
     async fn ask<C: Command>(
         &mut self,
         motor: MotorId,

@@ -27,7 +27,6 @@ mod half_duplex;
 mod line;
 mod runner;
 mod serial;
-mod stuck;
 #[cfg(test)]
 mod tests;
 

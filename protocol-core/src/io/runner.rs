@@ -30,6 +30,9 @@ pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 /// How long [`Runner::call`] sleeps at most between two looks at the bus.
 pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
+/// A bus that takes nothing for so long counts as down.
+pub(super) const STUCK_AFTER: Duration = Duration::from_millis(20);
+
 /// A loop that runs a [`Master`] on a bus.
 pub trait Runner<const N: usize> {
     /// What the bus driver reports when it fails.
