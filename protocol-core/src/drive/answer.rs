@@ -5,7 +5,7 @@ use crate::data::Data;
 use crate::drive::control::SetPoint;
 use crate::drive::encoder::saturated;
 use crate::drive::protection::{Heard, STEADY_COMMANDS, STEADY_COMMANDS_SEEN};
-use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings, brake};
+use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings};
 use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
@@ -232,8 +232,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 if self.protection.is_tripped() {
                     self.not_run(opcode, NotRunReason::CommunicationLost);
                 } else {
-                    let quirks = self.parameters.quirks;
-                    let at = brake::opening_time(now, &quirks, &mut self.random);
+                    let at = self.brake_opens_at(now);
                     self.brake.release(at);
                 }
                 echo
@@ -327,14 +326,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             torque_nm: number(m.current_a * self.parameters.torque_constant_nm_per_a),
         };
         // Only what is no number is refused, and no such thing is left.
-        self.parameters.motion_ranges.quantise_feedback(id, &feedback).unwrap_or(
-            RawMotionFeedback {
-                id_byte: id.get(),
-                position: 0,
-                velocity: U12::default(),
-                torque: U12::default(),
-            },
-        )
+        let steps = self.parameters.motion_ranges.quantise_feedback(id, &feedback);
+        steps.unwrap_or(RawMotionFeedback { id_byte: id.get(), ..RawMotionFeedback::default() })
     }
 
     fn function(&mut self, function: FunctionControl, echo: Data) -> Answer {

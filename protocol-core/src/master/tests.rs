@@ -33,8 +33,9 @@ fn step() -> IncrementalPosition {
     IncrementalPosition { max_speed: MaxSpeed::from_raw(100), angle: Angle::from_raw(9_000) }
 }
 
-/// Everything the master sends at this time.
+/// Everything the master sends at this time, which it is told first.
 fn sent<const N: usize>(master: &mut Master<N>, now: Instant) -> Vec<Packet> {
+    master.handle_timeout(now);
     let mut packets = Vec::new();
     while let Some(packet) = master.poll_transmit(now) {
         master.handle_transmitted(now);
@@ -128,7 +129,6 @@ fn a_relative_move_is_never_sent_twice_unless_the_caller_says_so() {
     let patience = Patience { reply_timeout: Duration::from_millis(5), attempts: 2 };
     let _ticket = master.request_with(id(2), step(), patience).unwrap();
     assert_eq!(sent(&mut master, ms(100)).len(), 1);
-    master.handle_timeout(ms(106));
     assert_eq!(sent(&mut master, ms(106)).len(), 1);
 }
 
@@ -147,10 +147,8 @@ fn a_late_answer_is_not_taken_for_the_next_ones() {
     // or until it cannot come any more.
     events(&mut master, ms(46));
     let third = master.request(id(1), step()).unwrap();
-    master.handle_timeout(ms(80));
     assert!(sent(&mut master, ms(80)).is_empty());
     assert!(master.poll_at().unwrap() > ms(80));
-    master.handle_timeout(ms(89));
     assert_eq!(sent(&mut master, ms(89)).len(), 1);
     let event = reply(&mut master, 1, [0xA8, 30, 0, 0, 0, 0, 0, 0], ms(90)).unwrap();
     assert!(third.outcome(&event).unwrap().is_ok());
@@ -175,7 +173,6 @@ fn a_doubled_answer_is_not_taken_for_the_next_ones() {
 fn both_answers_of_a_request_sent_twice_are_accounted_for() {
     let mut master = Master::<4>::new(Config::CAN);
     let first = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
-    master.handle_timeout(ms(21));
     sent(&mut master, ms(21));
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
     assert!(first.outcome(&event).is_some());
@@ -213,14 +210,12 @@ fn commands_without_reply_are_done_when_sent_and_give_the_drive_time() {
     assert_eq!(packets.len(), 1);
     assert_eq!(packets[0].channel, Channel::Command(Target::Motor(id(2))));
     for now in (200..2_000).step_by(100) {
-        master.handle_timeout(ms(now));
         assert!(
             sent(&mut master, ms(now))
                 .iter()
                 .all(|packet| packet.channel != Channel::Command(Target::Motor(id(1))))
         );
     }
-    master.handle_timeout(ms(2_003));
     assert_eq!(sent(&mut master, ms(2_003)).len(), 1);
 }
 
@@ -393,7 +388,6 @@ fn the_bytes_hold_against_a_claim() {
         let _ticket = master.request(id(1), Lying(claim)).unwrap();
         assert_eq!(sent(&mut master, ms(0)).len(), 1);
         // It is not sent again.
-        master.handle_timeout(ms(30));
         assert_eq!(sent(&mut master, ms(30)).len(), 0, "{claim:?}");
         master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
         assert_eq!(
@@ -588,7 +582,6 @@ fn a_stop_goes_before_everything_and_keeps_motion_away() {
     let mut now = 2;
     while master.is_anything_in_flight() {
         now += 21;
-        master.handle_timeout(ms(now));
         frames += sent(&mut master, ms(now)).len();
     }
     assert_eq!(frames, 15);
@@ -680,7 +673,6 @@ fn nobody_waits_for_a_motor_that_had_its_chance() {
     let mut held_at = Vec::new();
     for tick in 0..40 {
         let now = ms(tick);
-        master.handle_timeout(now);
         stream_to(&mut master, 2..=4, now);
         let others = sent(&mut master, now).iter().filter(|packet| packet.data[0] == 0xA4).count();
         match others {
@@ -725,7 +717,6 @@ fn late_answers_to_a_broadcast_are_not_taken_for_others() {
     let at = master.poll_at().unwrap();
     assert!((ms(62)..ms(66)).contains(&at), "{at:?}");
     assert!(sent(&mut master, ms(61)).is_empty());
-    master.handle_timeout(at);
     assert_eq!(sent(&mut master, at).len(), 1);
 }
 
@@ -755,14 +746,12 @@ fn a_broadcast_lets_further_attempts_go_and_waits_for_no_restart() {
     events(&mut master, ms(0));
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     // The first attempt is lost; the second must not wait for the broadcast, which waits for it.
-    master.handle_timeout(ms(21));
     assert_eq!(sent(&mut master, ms(21))[0].data[0], 0xB5);
     let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(22)).unwrap();
     assert!(read.outcome(&event).is_some());
     assert!(sent(&mut master, ms(22)).is_empty(), "the first attempt may still be answered");
     let at = master.poll_at().unwrap();
     assert!((ms(62)..ms(66)).contains(&at), "{at:?}");
-    master.handle_timeout(at);
     assert_eq!(sent(&mut master, at)[0].channel, Channel::Command(Target::All));
 }
 
@@ -845,9 +834,7 @@ fn while_the_bus_is_down_late_answers_do_not_grow_old() {
     events(&mut master, ms(21));
     master.handle_bus_down(ms(55));
     let read = master.request(id(1), ReadModel).unwrap();
-    master.handle_timeout(ms(70));
     assert!(sent(&mut master, ms(70)).is_empty(), "40 ms from when the bus was down");
-    master.handle_timeout(ms(98));
     assert_eq!(sent(&mut master, ms(98)).len(), 1);
     let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(99)).unwrap();
     assert!(read.outcome(&event).is_some());
