@@ -86,8 +86,8 @@ impl Scenario {
     /// frames wait in them meanwhile. Whoever expects that must say so.
     fn late_window<W: Wire>(&self) -> Duration {
         let breaks = matches!(self.trouble, Trouble::Corrupt | Trouble::Undetected);
-        if breaks && self.percent >= 50 {
-            Duration::from_millis(400)
+        if W::NAME == "CAN" && breaks && self.percent >= 50 {
+            Duration::from_millis(1_000)
         } else {
             W::CONFIG.late_window
         }
@@ -250,7 +250,9 @@ impl<W: Wire> Session<W> {
             let next = self.next_ask.iter().min().copied().unwrap_or(now);
             next.max(now + Duration::from_micros(100))
         };
-        self.rig.runner.idle(until);
+        // A cut wire is mended in time: no frame is held back for longer than the master assumes.
+        let is_cut = self.scenario.trouble == Trouble::Cut && self.mischief.is_some();
+        self.rig.runner.idle(if is_cut { until.min(self.next_mischief) } else { until });
     }
 
     /// Cuts, slows, babbles and restarts for the scenario's share of the time.
@@ -310,7 +312,7 @@ impl<W: Wire> Session<W> {
             return self.stop(now);
         }
         if self.broadcast.is_none() && self.dice.below(500) == 0 {
-            self.ask_all(now);
+            self.ask_all();
         }
         for index in 0..self.open.len() {
             if now < self.next_ask[index] {
@@ -330,7 +332,7 @@ impl<W: Wire> Session<W> {
 
     fn stop(&mut self, now: Instant) {
         let kind = if self.dice.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
-        self.rig.runner.master().stop_all(kind, MotorSet::EMPTY, now).expect("no motor is new");
+        self.rig.runner.master().stop_all(kind, MotorSet::EMPTY).expect("no motor is new");
         self.stopping = self.rig.runner.master().motors();
         self.stopped_at = now;
         if self.stopping.is_empty() {
@@ -338,18 +340,17 @@ impl<W: Wire> Session<W> {
         }
     }
 
-    fn ask_all(&mut self, now: Instant) {
+    fn ask_all(&mut self) {
         let token = self.dice.draw() as u32;
         // Not everyone who answers is expected to.
         let expected = self.rig.motors().filter(|motor| motor.get() % 3 != 0).collect();
         let master = self.rig.runner.master();
         if self.dice.below(2) == 0 {
-            master.broadcast(angle(token), expected, now)
+            master.broadcast(angle(token), expected)
         } else {
             master.broadcast(
                 with_token(ReadPid { index: PidIndex::SPEED_KP }, token),
                 expected,
-                now,
             )
         }
         .expect("there is no other broadcast");
@@ -400,8 +401,8 @@ impl<W: Wire> Session<W> {
         let master = self.rig.runner.master();
         let (kind, data) = (command.kind(), command.encode());
         let asked = match patience {
-            Some(patience) => master.request_with(motor, command, patience, now),
-            None => master.request(motor, command, now),
+            Some(patience) => master.request_with(motor, command, patience),
+            None => master.request(motor, command),
         };
         match asked {
             Ok(ticket) => {

@@ -67,8 +67,7 @@ fn watch<B: Medium>(world: &World<B>, pause_ns: u64) -> Arc<Mutex<Vec<u64>>> {
 fn command<R: Runner<32>>(bus: &mut R, motor: MotorId, kind: Kind) {
     match kind {
         Kind::Feedback => {
-            let now = bus.now();
-            let _ticket = bus.master().request(motor, ReadStatus2, now).expect("the motor is free");
+            let _ticket = bus.master().request(motor, ReadStatus2).expect("the motor is free");
         }
         Kind::Motion => {
             let time = bus.now().as_micros() as f32 / 1e6;

@@ -60,9 +60,8 @@ fn a_motor_that_is_being_asked_is_not_there_before_it_answers<W: Wire>() {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
     // Both are being asked already; only motor 1 is there to answer.
-    let now = runner.now();
     for motor in [id(1), id(9)] {
-        let _ticket = runner.master().request(motor, ReadStatus1, now).expect("it is free");
+        let _ticket = runner.master().request(motor, ReadStatus1).expect("it is free");
     }
     assert_eq!(bring_up::scan(runner, ids([1, 9]), |_, _| {}), Ok(ids([1])));
 }

@@ -56,14 +56,14 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         let motors: Vec<MotorId> = rig.motors().collect();
         let mut open = motors.len();
         for &motor in &motors {
-            let asked = rig.runner.master().request_with(motor, angle(round), patience, now);
+            let asked = rig.runner.master().request_with(motor, angle(round), patience);
             let _ticket = asked.expect("nothing is under way");
             rig.put(motor, round + 1).expect("there is a place");
         }
         let mut broadcast = case.broadcasts && round % 4 == 0;
         if broadcast {
             let all: MotorSet = motors.iter().copied().collect();
-            rig.runner.master().broadcast(angle(round), all, now).expect("no other is under way");
+            rig.runner.master().broadcast(angle(round), all).expect("no other is under way");
         }
         loop {
             let event = rig.runner.poll().expect("the bus works");

@@ -62,11 +62,10 @@ fn what_waits_while_the_bus_is_dead_is_dropped_and_never_replayed() {
         rig.put_all(number);
         events.extend(rig.run_for(millis(1)));
     }
-    let now = rig.runner.now();
     let step = step(77);
-    let step = rig.runner.master().request(id(1), step, now).expect("nothing is under way");
+    let step = rig.runner.master().request(id(1), step).expect("nothing is under way");
     let read = angle(78);
-    let read = rig.runner.master().request(id(2), read, now).expect("nothing is under way");
+    let read = rig.runner.master().request(id(2), read).expect("nothing is under way");
     events.extend(rig.run_for(millis(100)));
     let told = events.iter().find_map(|event| step.outcome(event));
     assert_eq!(told, Some(Err(Failure::BusDown)), "the move is dropped");
@@ -128,9 +127,8 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> (usize, usize) {
     for number in 1..20 {
         for motor in rig.motors() {
             rig.put(motor, number).expect("there is a place");
-            let now = rig.runner.now();
             let step = step(number);
-            let _ = rig.runner.master().request(motor, step, now);
+            let _ = rig.runner.master().request(motor, step);
         }
         rig.run_for(millis(1));
     }

@@ -67,7 +67,7 @@ fn once<C: Command + Copy>(
     let now = session.master.now();
     let mut waiting = Vec::with_capacity(MotorId::COUNT);
     for motor in motors.iter() {
-        let ticket = session.master.master().request_with(motor, command, patience, now);
+        let ticket = session.master.master().request_with(motor, command, patience);
         waiting.push((motor, ticket.map_err(myactuator_protocol_core::io::CallError::from)?));
     }
     let mut answered = MotorSet::EMPTY;

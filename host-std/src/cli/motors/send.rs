@@ -282,8 +282,7 @@ impl Sending {
             AnyCommand::BusId(BusId::Write(id)) => id.into(),
             _ => motors,
         };
-        let now = session.master.now();
-        let sent = session.master.master().broadcast(self.as_raw(), expected, now);
+        let sent = session.master.master().broadcast(self.as_raw(), expected);
         sent.map_err(CallError::from)?;
         let silent = loop {
             session.check_interrupted()?;
