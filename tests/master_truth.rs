@@ -348,10 +348,7 @@ impl<W: Wire> Session<W> {
         if self.dice.below(2) == 0 {
             master.broadcast(angle(token), expected)
         } else {
-            master.broadcast(
-                with_token(ReadPid { index: PidIndex::SPEED_KP }, token),
-                expected,
-            )
+            master.broadcast(with_token(ReadPid { index: PidIndex::SPEED_KP }, token), expected)
         }
         .expect("there is no other broadcast");
         self.broadcast = Some(token);
