@@ -37,7 +37,6 @@ pub(super) struct Arguments {
 
 type Told<T = ()> = Result<T, Box<dyn Error>>;
 
-/// Runs the demonstration.
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     Tour::start(arguments.bus).and_then(Tour::run).map_err(|error| {
         let io_error = error.downcast_ref::<io::Error>();

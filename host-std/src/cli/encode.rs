@@ -10,12 +10,7 @@ use super::{Outcome, names, print_line};
 /// Print the frame of a command: 141#A400F401A08C0000 (as candump and cansend write it), or RS485
 /// bytes in hexadecimal.
 #[derive(Debug, clap::Args)]
-#[command(
-    subcommand_value_name = "COMMAND",
-    subcommand_help_heading = "Commands",
-    disable_help_subcommand = true,
-    arg_required_else_help = false
-)]
+#[command(arg_required_else_help = false)]
 pub(super) struct Arguments {
     /// The bus that the frame is for.
     #[arg(long, global = true, value_parser = names::bus(), default_value = BusKind::Can.name())]

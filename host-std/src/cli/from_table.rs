@@ -99,7 +99,12 @@ impl clap::Subcommand for FromTable {
             }
             row
         };
-        command.subcommand_required(true).subcommands(Opcode::ALL.iter().map(row))
+        command
+            .subcommand_value_name("COMMAND")
+            .subcommand_help_heading("Commands")
+            .disable_help_subcommand(true)
+            .subcommand_required(true)
+            .subcommands(Opcode::ALL.iter().map(row))
     }
 
     fn augment_subcommands_for_update(command: Command) -> Command {

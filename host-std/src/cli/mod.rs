@@ -38,7 +38,6 @@ enum Subcommand {
     Motors(motors::Subcommand),
 }
 
-/// Runs the program with the arguments that it was started with.
 pub(crate) fn run() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,

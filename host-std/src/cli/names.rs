@@ -4,7 +4,6 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use myactuator_host_std::BusKind;
 use myactuator_host_std::explain::FrameDirection;
 
-/// A bus by its name.
 pub(super) fn bus() -> impl TypedValueParser<Value = BusKind> {
     let named = BusKind::ALL.map(|bus| {
         PossibleValue::new(bus.name()).help(match bus {
@@ -15,7 +14,6 @@ pub(super) fn bus() -> impl TypedValueParser<Value = BusKind> {
     PossibleValuesParser::new(named).try_map(|name| name.parse())
 }
 
-/// The direction of a frame by its name.
 pub(super) fn direction() -> impl TypedValueParser<Value = FrameDirection> {
     let named = [
         (FrameDirection::Command, "The master: it is a command"),

@@ -20,9 +20,7 @@ pub(super) enum Unfinished {
 
 pub(super) type Outcome<T = ()> = Result<T, Unfinished>;
 
-/// What could not be done.
 pub(super) const FAILED: u8 = 1;
-/// The program was used wrongly.
 pub(super) const WRONG_USAGE: u8 = 2;
 
 /// Tells why it did not come to its end, and gives the exit status.

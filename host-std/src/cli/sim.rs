@@ -196,11 +196,7 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
         let adapter = transceiver(&arguments.quirks);
         let path = server.serve_line(&line, adapter)?;
         let link = links.add("rs485", &path)?;
-        let address = BusAddress::Rs485 {
-            path: link.clone().unwrap_or_else(|| path.clone()),
-            bit_rate,
-            echo: adapter.echo,
-        };
+        let address = |path| BusAddress::Rs485 { path, bit_rate, echo: adapter.echo };
         places.push(Place::on_terminal(address, path, link, bit_rate));
     }
     let interface = arguments.can.as_ref().filter(|_| wanted(Way::Can));
@@ -212,8 +208,7 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
         if wanted(Way::Slcan) {
             let path = server.serve_adapter(&bus)?;
             let link = links.add("slcan", &path)?;
-            let address =
-                BusAddress::Slcan { path: link.clone().unwrap_or_else(|| path.clone()), rate };
+            let address = |path| BusAddress::Slcan { path, rate };
             places.push(Place::on_terminal(address, path, link, bit_rate));
         }
         if let Some(interface) = interface {

@@ -575,16 +575,6 @@ mod tests {
                     assert_eq!(at(0x241), has && opcode.has_reply(), "{opcode}");
                 }
             }
-            for &opcode in Opcode::ALL {
-                for fields in [opcode.command_fields(), opcode.reply_fields()] {
-                    let fields: Vec<&Field> = fields.iter().collect();
-                    for field in &fields {
-                        let word =
-                            Condition::of(field.when, opcode, &fields).map_or("", |of| of.word);
-                        assert_eq!(word.is_empty(), field.when == When::Always, "{field:?}");
-                    }
-                }
-            }
             // Fields, of which those of a text are seven.
             let fields = |opcode: Opcode| {
                 let fields = opcode.reply_fields().iter();

@@ -151,11 +151,10 @@ impl FromStr for BusAddress {
     fn from_str(text: &str) -> Result<Self, Unexpected> {
         let not_a_bus = || Unexpected::new(format!("a bus such as {EXAMPLES}"), text);
         match text.split_once(':') {
-            None if text.is_empty() => Err(not_a_bus()),
             None if text == SIMULATED => {
                 Ok(Self::Simulated { motors: USUAL_MOTORS, kind: BusKind::Can })
             }
-            None if text.contains('/') => Err(not_a_bus()),
+            None if text.is_empty() || text.contains('/') => Err(not_a_bus()),
             None => socket_can(text),
             Some((SIMULATED, motors)) => simulated(motors),
             Some(("can", interface)) => socket_can(interface),

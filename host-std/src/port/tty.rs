@@ -90,12 +90,10 @@ impl Tty {
             .map_err(|error| explain(&self.name, error.into()))
     }
 
-    /// Throws away what is not sent yet.
     pub(super) fn discard_output(&self) -> Result<(), PortError> {
         self.port.discard_output_buffer().map_err(|error| explain(&self.name, error))
     }
 
-    /// Throws away what has arrived.
     pub(super) fn discard_input(&self) -> Result<(), PortError> {
         self.port.discard_input_buffer().map_err(|error| explain(&self.name, error))
     }

@@ -103,7 +103,6 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     })
 }
 
-/// Where the way ends.
 fn target(arguments: &Arguments, here: Angle) -> Outcome<Angle> {
     if !arguments.relative {
         return Ok(arguments.angle_deg);

@@ -40,7 +40,6 @@ pub(super) struct Run<C> {
     pub(super) does: String,
     /// Whether a locked brake must be released first: torque does nothing against it (2.19.1).
     pub(super) needs_open_brake: bool,
-    /// How it ends.
     pub(super) end: StopKind,
 }
 

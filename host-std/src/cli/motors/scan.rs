@@ -94,7 +94,6 @@ fn told_of_rate(address: &BusAddress, found: &Found) -> String {
     format!("{} bit/s: {told}", address.bit_rate().unwrap_or_default())
 }
 
-/// A line about one motor.
 fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome {
     let read = session.ask(motor, ReadStatus1).and_then(|status| {
         // Firmware V4.4 does not answer this.

@@ -27,12 +27,7 @@ const LONGEST_IDLE: Duration = Duration::from_millis(10);
 /// (0x81). To all goes one frame that all hear. Exit status: 0 if it was sent and answered by each motor that had
 /// to, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
-#[command(
-    subcommand_value_name = "COMMAND",
-    subcommand_help_heading = "Commands",
-    disable_help_subcommand = true,
-    arg_required_else_help = false
-)]
+#[command(arg_required_else_help = false)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,
@@ -157,7 +152,6 @@ fn read_as(arguments: &Arguments) -> Firmware {
     arguments.revision.firmware.or_else(first).unwrap_or(Firmware::V4_3)
 }
 
-/// Whether the user is asked first.
 fn needs_consent(kind: Kind) -> bool {
     kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain
 }
@@ -170,7 +164,6 @@ fn sets_in_motion(kind: Kind) -> bool {
     }
 }
 
-/// Asks, sends and tells the replies.
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     let kind = arguments.command.kind()?;
     let target = parse::whom(kind, arguments.id)?;
@@ -218,7 +211,6 @@ impl Sending {
         }
     }
 
-    /// The command in words.
     fn words(&self) -> String {
         match self.command {
             AnyCommand::Motion(motion) => {
@@ -230,7 +222,6 @@ impl Sending {
         }
     }
 
-    /// What the user is asked.
     fn question(&self, motors: MotorSet) -> String {
         let who = if motors.len() == 1 { "Motor" } else { "Motors" };
         let then = match (self.kind(), self.command) {
@@ -261,7 +252,6 @@ impl Sending {
         }
     }
 
-    /// Why a motor has not answered.
     fn failure(&self, motor: MotorId, error: CallError<BusError>) -> Unfinished {
         match (self.kind(), error) {
             (Kind::Raw { byte, .. }, CallError::Failed(Failure::NoReply)) => {

@@ -110,7 +110,6 @@ impl From<CallError<BusError>> for Unfinished {
     }
 }
 
-/// Prints a line for the user.
 pub(super) fn say(line: &str) -> Outcome {
     print_line(line).map_err(|error| match error.kind() {
         io::ErrorKind::BrokenPipe => Unfinished::ReaderLeft,
@@ -189,7 +188,6 @@ impl Session {
         }
     }
 
-    /// Asks a motor for something.
     pub(super) fn ask<C: Command>(&mut self, motor: MotorId, command: C) -> Outcome<C::Reply> {
         self.master.ask(motor, command).map_err(Unfinished::of_motor(motor))
     }
@@ -212,7 +210,6 @@ impl Session {
         Ok(status)
     }
 
-    /// Refuses a motor that turns.
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
         let speed = self.ask(motor, ReadStatus2)?.speed;
         if speed.dps().abs() <= STILL_DPS {

@@ -20,7 +20,6 @@ pub(super) fn quirk_names() -> Vec<String> {
     of_drives.chain([ECHO.to_owned(), ECHO_NOISE.to_owned()]).collect()
 }
 
-/// The name of a quirk.
 pub(super) fn quirk(text: &str) -> Result<String, String> {
     let names = quirk_names();
     let known = names.iter().find(|name| *name == text).cloned();
