@@ -1,8 +1,8 @@
 //! Helpers shared by the tests of the workspace.
 
 pub mod bench;
+pub mod dice;
 pub mod fleet;
-pub mod line;
 pub mod listen;
 pub mod rig;
 pub mod script;
