@@ -53,7 +53,7 @@ impl World {
 
     /// Sends the motor a command and waits for its reply.
     fn ask<C: Command>(&mut self, command: C) -> Result<Option<C::Reply>, Box<dyn Error>> {
-        let ticket = self.master.request(MotorId::MIN, command, self.now)?;
+        let ticket = self.master.request(MotorId::MIN, command)?;
         loop {
             match self.poll().and_then(|event| ticket.outcome(&event)) {
                 Some(outcome) => return Ok(outcome?),

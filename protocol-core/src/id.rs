@@ -7,14 +7,6 @@ use core::str::FromStr;
 use crate::quantity::{Given, OutOfRange, Quantity};
 
 /// The number of a motor on its bus, 1 to 32 (manual 1.1.2, 1.2.2).
-///
-/// ```
-/// use myactuator_protocol_core::MotorId;
-///
-/// let elbow = MotorId::new(3).unwrap();
-/// assert_eq!(elbow.get(), 3);
-/// assert!(MotorId::new(33).is_err());
-/// ```
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(try_from = "u8", into = "u8"))]

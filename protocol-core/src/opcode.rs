@@ -186,9 +186,15 @@ macro_rules! opcodes {
         /// and its identifier alone says what it is. `any`: every [`Firmware`] that is known here.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
         #[non_exhaustive]
         pub enum Opcode {
-            $($(#[doc = $doc])+ #[doc = concat!("Manual ", $section, ".")] $name,)+
+            $(
+                $(#[doc = $doc])+
+                #[doc = concat!("Manual ", $section, ".")]
+                #[cfg_attr(feature = "serde", serde(rename = $kebab))]
+                $name,
+            )+
         }
 
         impl Opcode {
@@ -373,31 +379,6 @@ impl fmt::Display for Opcode {
             Some(byte) => write!(f, "{} (0x{byte:02X})", self.name()),
             None => f.write_str(self.name()),
         }
-    }
-}
-
-/// By its name in tools.
-#[cfg(feature = "serde")]
-impl serde::Serialize for Opcode {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.name())
-    }
-}
-
-#[cfg(feature = "serde")]
-impl<'de> serde::Deserialize<'de> for Opcode {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Visitor;
-        impl serde::de::Visitor<'_> for Visitor {
-            type Value = Opcode;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a command's name")
-            }
-            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Opcode, E> {
-                name.parse().map_err(E::custom)
-            }
-        }
-        deserializer.deserialize_str(Visitor)
     }
 }
 

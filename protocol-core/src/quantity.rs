@@ -182,7 +182,7 @@ pub enum Form {
 }
 
 /// What a value is: its name, unit and form, range included.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Quantity {
     /// What it is, for people: `"torque current"`.
@@ -296,12 +296,6 @@ impl fmt::Display for Quantity {
                 write!(f, "{name} must be within the firmware's range{space}{symbol}")
             }
         }
-    }
-}
-
-impl fmt::Debug for Quantity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Quantity({self})")
     }
 }
 

@@ -51,33 +51,23 @@ enum Kind {
     Motion,
 }
 
-/// Wire time of commands and replies, in nanoseconds.
-#[derive(Default)]
-struct OnWire {
-    ns: u64,
-    frames: u64,
-}
-
-/// Sums up the time on the wire, with `pause_ns` after each frame.
-fn watch<B: Medium>(world: &World<B>, pause_ns: u64) -> Arc<Mutex<OnWire>> {
-    let sum = Arc::new(Mutex::new(OnWire::default()));
-    let noted = Arc::clone(&sum);
+/// How long each frame takes of the wire, in nanoseconds, with `pause_ns` after it.
+fn watch<B: Medium>(world: &World<B>, pause_ns: u64) -> Arc<Mutex<Vec<u64>>> {
+    let frames = Arc::new(Mutex::new(Vec::new()));
+    let noted = Arc::clone(&frames);
     world.observe(move |record| {
         if let trace::Event::Carried { started_ns, .. } = record.event {
-            let mut sum = noted.lock().unwrap();
-            sum.ns += record.at_ns - started_ns + pause_ns;
-            sum.frames += 1;
+            noted.lock().unwrap().push(record.at_ns - started_ns + pause_ns);
         }
     });
-    sum
+    frames
 }
 
 /// Lets every motor swing gently, or asks it how it does.
 fn command<R: Runner<32>>(bus: &mut R, motor: MotorId, kind: Kind) {
     match kind {
         Kind::Feedback => {
-            let now = bus.now();
-            let _ticket = bus.master().request(motor, ReadStatus2, now).expect("the motor is free");
+            let _ticket = bus.master().request(motor, ReadStatus2).expect("the motor is free");
         }
         Kind::Motion => {
             let time = bus.now().as_micros() as f32 / 1e6;
@@ -105,44 +95,20 @@ fn answering(event: &Event) -> Option<MotorId> {
     }
 }
 
-/// How often one motor has answered, first and last when.
-#[derive(Clone, Copy, Default)]
-struct Answers {
-    count: u32,
-    first: Instant,
-    last: Instant,
-}
-
-impl Answers {
-    fn note(&mut self, now: Instant) {
-        if self.count == 0 {
-            self.first = now;
-        }
-        self.count += 1;
-        self.last = now;
-    }
-
-    /// Mean time from one answer to the next.
-    fn cycle_s(&self) -> f64 {
-        (self.last - self.first).as_micros() as f64 / 1e6 / f64::from(self.count - 1)
-    }
-}
-
-/// Runs until `until`; each answer leads to the next command. Gives the answers of each motor.
+/// Runs until `until`; each answer leads to the next command. Tells when each motor answered.
 fn run<R: Runner<32>>(
     bus: &mut R,
     kind: Kind,
     until: Instant,
     mut next: impl FnMut(MotorId) -> MotorId,
-) -> [Answers; 32] {
-    let mut answers = [Answers::default(); 32];
+) -> Vec<Vec<Instant>> {
+    let mut answers = vec![Vec::new(); MotorId::COUNT];
     while bus.now() < until {
         match bus.poll() {
             Ok(Some(event)) => {
                 if let Some(motor) = answering(&event) {
-                    answers[motor.index()].note(bus.now());
-                    let following = next(motor);
-                    command(bus, following, kind);
+                    answers[motor.index()].push(bus.now());
+                    command(bus, next(motor), kind);
                 }
             }
             Ok(None) => bus.idle(until),
@@ -150,6 +116,12 @@ fn run<R: Runner<32>>(
         }
     }
     answers
+}
+
+/// Mean time from one answer to the next.
+fn cycle_s(answers: &[Instant]) -> f64 {
+    let [first, .., last] = answers else { panic!("hardly any answers") };
+    (*last - *first).as_micros() as f64 / 1e6 / (answers.len() - 1) as f64
 }
 
 struct Measured {
@@ -161,7 +133,7 @@ struct Measured {
 /// Cycle time of `motors` motors, all at once or one at a time.
 fn measure<R: Runner<32>>(
     bus: &mut R,
-    wire: &Mutex<OnWire>,
+    wire: &Mutex<Vec<u64>>,
     kind: Kind,
     motors: u8,
     one_at_a_time: bool,
@@ -174,12 +146,12 @@ fn measure<R: Runner<32>>(
     }
     let settled = bus.now() + SETTLE;
     run(bus, kind, settled, next);
-    *wire.lock().unwrap() = OnWire::default();
+    wire.lock().unwrap().clear();
     let start = bus.now();
     let answers = run(bus, kind, start + SPAN, next);
-    let cycles = ids.iter().map(|motor| answers[motor.index()].cycle_s());
-    let wire = wire.lock().unwrap();
-    let frame_s = wire.ns as f64 / 1e9 / wire.frames as f64;
+    let cycles = ids.iter().map(|motor| cycle_s(&answers[motor.index()]));
+    let frames_ns = wire.lock().unwrap();
+    let frame_s = frames_ns.iter().sum::<u64>() as f64 / 1e9 / frames_ns.len() as f64;
     Measured {
         cycle_s: cycles.sum::<f64>() / f64::from(motors),
         wire_s: frame_s * 2.0 * f64::from(motors),
@@ -198,12 +170,6 @@ struct Row {
     cycle_s: f64,
     bound_s: f64,
     one_at_a_time_s: f64,
-}
-
-impl Row {
-    fn ratio(&self) -> f64 {
-        self.cycle_s / self.bound_s
-    }
 }
 
 fn fleet(motors: u8) -> Fleet {
@@ -250,12 +216,13 @@ fn table(title: &str, row: impl Fn(u8) -> Row) -> f64 {
     let mut worst = 0.0_f64;
     for motors in 1..=32 {
         let row = row(motors);
-        worst = worst.max(row.ratio());
+        let ratio = row.cycle_s / row.bound_s;
+        worst = worst.max(ratio);
         println!(
             "  {motors:6} {:10.3} {:10.3} {:7.3} {:18.3} {:5.1}x",
             row.cycle_s * 1e3,
             row.bound_s * 1e3,
-            row.ratio(),
+            ratio,
             row.one_at_a_time_s * 1e3,
             row.one_at_a_time_s / row.cycle_s,
         );

@@ -3,7 +3,7 @@
 use embedded_can::{Frame, StandardId, nb::Can as _};
 use embedded_io::Write as _;
 use myactuator_host_std::sim::bus::can::{
-    CanConfig, CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
+    CanPort, CanWorld, ControllerConfig, ErrorState, frame_bits,
 };
 use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
@@ -28,8 +28,8 @@ fn number(frame: &SimpleFrame) -> u16 {
     u16::from_le_bytes([frame.data()[0], frame.data()[1]])
 }
 
-fn numbers(hand: &Hand<SimpleFrame>) -> Vec<u16> {
-    hand.frames().iter().map(number).collect()
+fn numbers(frames: &[SimpleFrame]) -> Vec<u16> {
+    frames.iter().map(number).collect()
 }
 
 fn flipped_bits(found: &[u8], sent: &[u8]) -> u32 {
@@ -37,7 +37,7 @@ fn flipped_bits(found: &[u8], sent: &[u8]) -> u32 {
 }
 
 fn can() -> (CanWorld, CanPort) {
-    let world = CanWorld::new(CanConfig::default(), 1);
+    let world = CanWorld::new(1_000_000, 1);
     (world.clone(), world.port())
 }
 
@@ -56,7 +56,7 @@ struct Broadcast {
 const SENT: u16 = 1_000;
 
 fn broadcast(seed: u64, direction: Direction, plan: FaultPlan) -> Broadcast {
-    let world = CanWorld::new(CanConfig::default(), seed);
+    let world = CanWorld::new(1_000_000, seed);
     let mut port = world.port_with(ControllerConfig {
         receive_queue: 4_096,
         transmit_queue: 2_000,
@@ -84,35 +84,31 @@ fn in_order() -> Vec<u16> {
     (0..SENT).collect()
 }
 
-#[test]
-fn without_faults_all_arrive_once_and_in_order() {
-    for direction in BOTH {
-        let mut run = broadcast(1, direction, FaultPlan::NONE);
-        assert_eq!(numbers(&run.listeners[0]), in_order());
-        let at_port = receive_all(&mut run.port);
-        assert_eq!(at_port.len(), if direction == Direction::ToPorts { 1_000 } else { 0 });
-    }
-}
+const LOST: FaultPlan = FaultPlan { lose: 1.0, ..FaultPlan::NONE };
 
 #[test]
-fn certain_loss_loses_all_in_its_direction() {
-    let lossy = FaultPlan { lose: 1.0, ..FaultPlan::NONE };
-    let mut run = broadcast(1, Direction::ToPorts, lossy);
-    assert_eq!(receive_all(&mut run.port), []);
-    let run = broadcast(1, Direction::ToNodes, lossy);
-    assert_eq!(run.listeners[0].heard(), []);
-    // The wire knows nothing of it.
-    let status = run.world.controller(run.port.station());
-    assert_eq!((status.state, status.transmit_errors), (ErrorState::Active, 0));
-    let records = run.log.take();
-    let carried = records.iter().filter(|record| matches!(record.event, Event::Carried { .. }));
-    assert_eq!(carried.count(), 1_000);
-    // The other direction is not struck.
-    let world = run.world;
-    world.sender([(0, frame(7))]);
-    world.run_for(Duration::from_millis(1));
-    let mut port = run.port;
-    assert_eq!(receive_all(&mut port), [frame(7)]);
+fn what_is_certain_strikes_all_in_its_direction() {
+    for (plan, expected) in [
+        (FaultPlan::NONE, in_order()),
+        (LOST, vec![]),
+        (FaultPlan { duplicate: 1.0, ..FaultPlan::NONE }, (0..SENT).flat_map(|n| [n, n]).collect()),
+        (FaultPlan { reorder: 1.0, ..FaultPlan::NONE }, (0..SENT).map(|n| n ^ 1).collect()),
+    ] {
+        let mut run = broadcast(1, Direction::ToPorts, plan);
+        assert_eq!(numbers(&receive_all(&mut run.port)), expected, "{plan:?}");
+        let mut run = broadcast(1, Direction::ToNodes, plan);
+        assert_eq!(numbers(&run.listeners[0].frames()), expected, "{plan:?}");
+        // The wire knows nothing of it.
+        let status = run.world.controller(run.port.station());
+        assert_eq!((status.state, status.transmit_errors), (ErrorState::Active, 0), "{plan:?}");
+        let records = run.log.take();
+        let carried = records.iter().filter(|record| matches!(record.event, Event::Carried { .. }));
+        assert_eq!(carried.count(), 1_000, "{plan:?}");
+        // The other direction is not struck.
+        run.world.sender([(0, frame(7))]);
+        run.world.run_for(Duration::from_millis(1));
+        assert_eq!(receive_all(&mut run.port), [frame(7)], "{plan:?}");
+    }
 }
 
 /// How many of 1000 are to be expected of a probability of 0.1: six standard deviations around.
@@ -124,7 +120,7 @@ fn is_a_tenth(count: usize) -> bool {
 fn some_loss_strikes_each_receiver_by_itself() {
     let lossy = FaultPlan { lose: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, lossy);
-    let heard = run.listeners.each_ref().map(numbers);
+    let heard = run.listeners.each_ref().map(|listener| numbers(&listener.frames()));
     for heard in &heard {
         assert!(is_a_tenth(1_000 - heard.len()), "{}", heard.len());
         assert!(heard.is_sorted());
@@ -136,7 +132,7 @@ fn some_loss_strikes_each_receiver_by_itself() {
 fn corruption_on_can_is_noticed_and_repeated() {
     let noisy = FaultPlan { corrupt: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, noisy);
-    assert_eq!(numbers(&run.listeners[0]), in_order());
+    assert_eq!(numbers(&run.listeners[0].frames()), in_order());
     let records = run.log.take();
     assert!(is_a_tenth(broken(&records).count() * 9 / 10));
     // The error frame, 20 bits, and the intermission, 3, are in front of the repetition.
@@ -183,14 +179,10 @@ fn undetected_corruption_flips_one_data_bit() {
 }
 
 #[test]
-fn duplicates_arrive_twice() {
-    let all = FaultPlan { duplicate: 1.0, ..FaultPlan::NONE };
-    let run = broadcast(1, Direction::ToNodes, all);
-    let twice: Vec<u16> = (0..SENT).flat_map(|n| [n, n]).collect();
-    assert_eq!(numbers(&run.listeners[0]), twice);
+fn some_arrive_twice() {
     let some = FaultPlan { duplicate: 0.1, ..FaultPlan::NONE };
     let mut run = broadcast(1, Direction::ToPorts, some);
-    let mut heard: Vec<u16> = receive_all(&mut run.port).iter().map(number).collect();
+    let mut heard = numbers(&receive_all(&mut run.port));
     assert!(is_a_tenth(heard.len() - 1_000));
     heard.dedup();
     assert_eq!(heard, in_order());
@@ -207,21 +199,17 @@ fn delayed_frames_are_late_and_stay_in_order() {
     // Late by more than the distance to the next one, which waits then.
     let late = FaultPlan { delay: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, late);
-    assert_eq!(numbers(&run.listeners[0]), in_order());
+    assert_eq!(numbers(&run.listeners[0].frames()), in_order());
     let heard = run.listeners[0].heard();
     let on_time = heard.iter().zip(0u64..).filter(|((at, _), n)| *at < n * 1_000 + 150).count();
     assert!((400..900).contains(&on_time), "{on_time}");
 }
 
 #[test]
-fn reordered_frames_arrive_behind_the_next_one() {
-    let all = FaultPlan { reorder: 1.0, ..FaultPlan::NONE };
-    let run = broadcast(1, Direction::ToNodes, all);
-    let swapped: Vec<u16> = (0..SENT).map(|n| n ^ 1).collect();
-    assert_eq!(numbers(&run.listeners[0]), swapped);
+fn some_arrive_behind_the_next_one() {
     let some = FaultPlan { reorder: 0.1, ..FaultPlan::NONE };
     let run = broadcast(1, Direction::ToNodes, some);
-    let mut heard = numbers(&run.listeners[0]);
+    let mut heard = numbers(&run.listeners[0].frames());
     let steps_back = heard.windows(2).filter(|pair| pair[1] < pair[0]).count();
     assert!(is_a_tenth(steps_back), "{steps_back}");
     heard.sort_unstable();
@@ -247,7 +235,7 @@ fn a_nodes_own_plan_strikes_it_alone() {
     let [bad, good] = [(); 2].map(|()| Hand::mirroring());
     let bad_station = world.attach(bad.node());
     world.attach(good.node());
-    let lossy = Some(FaultPlan { lose: 1.0, ..FaultPlan::NONE });
+    let lossy = Some(LOST);
     world.set_node_faults(bad_station, Direction::ToNodes, lossy);
     assert_eq!(port.transmit(&frame(1)), Ok(None));
     world.run_until(micros(200));
@@ -265,7 +253,7 @@ fn a_nodes_own_plan_strikes_it_alone() {
 
 /// All that happens in a world in which much goes wrong.
 fn chaos(seed: u64) -> Vec<Record<SimpleFrame>> {
-    let world = CanWorld::new(CanConfig::default(), seed);
+    let world = CanWorld::new(1_000_000, seed);
     let log = world.log();
     let mut port = world.port();
     let nodes: Vec<_> = (0..4).map(|_| world.mirror()).collect();
@@ -282,7 +270,7 @@ fn chaos(seed: u64) -> Vec<Record<SimpleFrame>> {
         world.set_faults(direction, plan);
     }
     let interval = Duration::from_micros(1_700);
-    world.babble(nodes[3], Some(Babble::Random { interval }));
+    world.babble(nodes[3], Some(Babble { interval, frame: None }));
     for n in 0..100 {
         let _ = port.transmit(&frame(n));
         world.run_for(Duration::from_micros(900));
@@ -321,7 +309,7 @@ fn a_cut_wire_isolates_both_ways_and_mending_restores() {
     assert_eq!(port.transmit(&frame(2)), Ok(None));
     world.run_until(seconds(1));
     assert_eq!(cut_off.heard(), []);
-    assert_eq!(numbers(&other), [2]);
+    assert_eq!(numbers(&other.frames()), [2]);
     // Alone on its stub nobody acknowledges, while the bus goes on.
     let status = world.controller(station);
     assert_eq!((status.state, status.transmit_errors), (ErrorState::Passive, 128));
@@ -331,7 +319,7 @@ fn a_cut_wire_isolates_both_ways_and_mending_restores() {
     assert_eq!(port.transmit(&frame(3)), Ok(None));
     world.run_for(Duration::from_millis(1));
     assert_eq!(receive_all(&mut port), [frame(1)]);
-    assert_eq!(numbers(&cut_off), [3]);
+    assert_eq!(numbers(&cut_off.frames()), [3]);
     assert_eq!(world.controller(station).queued, 0);
 }
 
@@ -361,7 +349,7 @@ fn who_joins_in_the_middle_of_a_frame_does_not_hear_it() {
     world.run_until(micros(50));
     world.mend(station);
     world.run_until(seconds(1));
-    assert_eq!(numbers(&late), [2]);
+    assert_eq!(numbers(&late.frames()), [2]);
 }
 
 #[test]
@@ -374,7 +362,7 @@ fn a_reset_tells_the_node_and_empties_its_controller() {
     assert_eq!(node.resets(), [77]);
 
     // Nobody acknowledges: all stays in the queue.
-    let alone = CanWorld::new(CanConfig::default(), 1);
+    let alone = CanWorld::new(1_000_000, 1);
     let station = alone.sender([(0, frame(1)), (0, frame(2))]);
     alone.run_until(seconds(1));
     let status = alone.controller(station);
@@ -408,12 +396,12 @@ fn a_slow_node_answers_late_and_in_order() {
 
 #[test]
 fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
-    let world = CanWorld::new(CanConfig::default(), 1);
+    let world = CanWorld::new(1_000_000, 1);
     let station = world.sender([(0, frame(1))]);
     world.slow_down(station, Duration::from_millis(1));
     let interval = Duration::from_micros(10);
     // Nobody acknowledges, so the babble fills the mailboxes before the frame gets there.
-    world.babble(station, Some(Babble::Fixed { interval, frame: frame(5) }));
+    world.babble(station, Some(Babble { interval, frame: Some(frame(5)) }));
     world.run_until(micros(10_000));
     world.babble(station, None);
     let mut port = world.port();
@@ -426,10 +414,10 @@ fn a_babbling_station_sends_until_it_is_silenced() {
     let (world, mut port) = can();
     let station = world.silent();
     let interval = Duration::from_millis(1);
-    world.babble(station, Some(Babble::Fixed { interval, frame: frame(5) }));
+    world.babble(station, Some(Babble { interval, frame: Some(frame(5)) }));
     world.run_until(micros(9_900));
     assert_eq!(receive_all(&mut port), [frame(5); 10]);
-    world.babble(station, Some(Babble::Random { interval }));
+    world.babble(station, Some(Babble { interval, frame: None }));
     world.run_until(micros(19_800));
     let garbage = receive_all(&mut port);
     assert_eq!(garbage.len(), 10);
@@ -444,8 +432,7 @@ fn a_babbler_of_high_priority_starves_the_others() {
     let (world, mut port) = can();
     let station = world.silent();
     let first = SimpleFrame::new(StandardId::new(0).unwrap(), &[]).unwrap();
-    world
-        .babble(station, Some(Babble::Fixed { interval: Duration::from_micros(10), frame: first }));
+    world.babble(station, Some(Babble { interval: Duration::from_micros(10), frame: Some(first) }));
     world.run_until(micros(100));
     assert_eq!(port.transmit(&frame(1)), Ok(None));
     world.run_until(micros(100_000));
@@ -485,15 +472,27 @@ fn message_numbers(heard: &[(u64, Vec<u8>)]) -> Vec<u8> {
 }
 
 #[test]
-fn a_message_on_rs485_is_lost_as_a_whole() {
-    assert_eq!(messages(1, FaultPlan { lose: 1.0, ..FaultPlan::NONE }), []);
-    let some = messages(1, FaultPlan { lose: 0.5, ..FaultPlan::NONE });
-    let numbers = message_numbers(&some);
+fn messages_on_rs485_are_lost_doubled_delayed_and_reordered_as_a_whole() {
+    for (plan, expected) in [
+        (LOST, vec![]),
+        (FaultPlan { duplicate: 1.0, ..FaultPlan::NONE }, (0..100).flat_map(|n| [n, n]).collect()),
+        (FaultPlan { reorder: 1.0, ..FaultPlan::NONE }, (0..100).map(|n| n ^ 1).collect()),
+        (late_by(Duration::from_micros(300)), (0..100).collect()),
+    ] {
+        let heard = messages(1, plan);
+        assert_eq!(message_numbers(&heard), expected, "{plan:?}");
+        if plan.delay > 0.0 {
+            // Byte by byte, 10 us each.
+            assert_eq!((heard[0].0, heard[1].0, heard[13].0), (310, 320, 1_310));
+        }
+    }
+    let half = FaultPlan { lose: 0.5, ..FaultPlan::NONE };
+    let numbers = message_numbers(&messages(1, half));
     // Five standard deviations around.
     assert!((25..=75).contains(&numbers.len()), "{}", numbers.len());
     assert!(numbers.is_sorted());
-    assert_eq!(some, messages(1, FaultPlan { lose: 0.5, ..FaultPlan::NONE }));
-    assert_ne!(some, messages(2, FaultPlan { lose: 0.5, ..FaultPlan::NONE }));
+    assert_eq!(messages(1, half), messages(1, half));
+    assert_ne!(messages(1, half), messages(2, half));
 }
 
 #[test]
@@ -504,22 +503,6 @@ fn a_corrupted_message_on_rs485_has_one_flipped_bit() {
     for (corrupted, clean) in all.chunks(13).zip(clean.chunks(13)) {
         assert_eq!(flipped_bits(corrupted, clean), 1);
     }
-}
-
-#[test]
-fn messages_on_rs485_are_duplicated_delayed_and_reordered_as_a_whole() {
-    let twice: Vec<u8> = (0..100).flat_map(|n| [n, n]).collect();
-    let heard = messages(1, FaultPlan { duplicate: 1.0, ..FaultPlan::NONE });
-    assert_eq!(message_numbers(&heard), twice);
-
-    let swapped: Vec<u8> = (0..100).map(|n| n ^ 1).collect();
-    let heard = messages(1, FaultPlan { reorder: 1.0, ..FaultPlan::NONE });
-    assert_eq!(message_numbers(&heard), swapped);
-
-    let heard = messages(1, late_by(Duration::from_micros(300)));
-    assert_eq!(message_numbers(&heard), (0..100).collect::<Vec<u8>>());
-    // Byte by byte, 10 us each.
-    assert_eq!((heard[0].0, heard[1].0, heard[13].0), (310, 320, 1_310));
 }
 
 #[test]
@@ -559,7 +542,7 @@ fn a_reset_on_rs485_stops_what_is_being_sent() {
 fn a_babbler_on_rs485_garbles_others() {
     let (world, mut port, listener) = line(1);
     let babbler = world.silent();
-    world.babble(babbler, Some(Babble::Random { interval: Duration::from_micros(20) }));
+    world.babble(babbler, Some(Babble { interval: Duration::from_micros(20), frame: None }));
     let log = world.log();
     world.run_until(micros(1_000));
     port.write_all(&READ_PID).unwrap();

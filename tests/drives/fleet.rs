@@ -5,21 +5,22 @@
 use std::fmt::Debug;
 
 use myactuator_host_std::sim::plant::SimulatedMotor;
-use myactuator_host_std::sim::{Fleet, FleetError};
+use myactuator_host_std::sim::{BusFleet, Fleet, FleetError};
 use myactuator_protocol_core::command::{
-    AnyReply, CommunicationLossProtection, ErrorFlags, FunctionControl, PidIndex,
+    AnyReply, BrakeCommand, CommunicationLossProtection, ErrorFlags, FunctionControl, PidIndex,
     ReadMultiTurnAngle, ReadPid, ReadStatus1, Reset, Switch, WritePidRam, WritePidRom,
 };
-use myactuator_protocol_core::drive::{Event as Happened, NotRunReason, Quirks};
+use myactuator_protocol_core::drive::{Event as Happened, Indicator, NotRunReason, Quirks, State};
 use myactuator_protocol_core::io::{CallError, Runner, bring_up};
 use myactuator_protocol_core::master::{Event, Failure};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::{MotorId, Opcode};
-use myactuator_tests::fleet::{Bus, happened, speed_dps, state, turn_to};
+use myactuator_tests::fleet::{happened, master, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{gain, id, millis, push, turn};
+use myactuator_tests::wire::Wire;
 
 const MOTOR: MotorId = MotorId::MIN;
 
@@ -31,8 +32,8 @@ on_both_buses! {
     physical_errors_of_level_one_need_a_restart
 }
 
-fn quirky<B: Bus>(quirks: Quirks) -> B {
-    B::with(&Fleet::new(1).quirks(quirks)).unwrap()
+fn quirky<W: Wire>(quirks: Quirks) -> BusFleet<W> {
+    W::drives(&Fleet::new(1).quirks(quirks)).unwrap()
 }
 
 fn read_speed_kp<R: Runner<8, Error: Debug>>(master: &mut R) -> f32 {
@@ -47,9 +48,9 @@ fn read_errors<R: Runner<8, Error: Debug>>(master: &mut R) -> ErrorFlags {
 
 /// "A drive that lost its master sends frames with 0xF1 and no data, once a second; the first command
 /// after that is echoed and ignored, the second works if it comes in time".
-fn after_a_lost_master_the_first_command_does_nothing<B: Bus>() {
-    let bus: B = quirky(Quirks { lost_master_heartbeat: true, ..Quirks::default() });
-    let (mut master, drive) = (bus.master(), &bus.drives()[0]);
+fn after_a_lost_master_the_first_command_does_nothing<W: Wire>() {
+    let bus: BusFleet<W> = quirky(Quirks { lost_master_heartbeat: true, ..Quirks::default() });
+    let (mut master, drive) = (master(&bus), &bus.drives[0]);
     turn_to(drive, 30.0);
     let timeout = Milliseconds::from_raw(100);
     master.ask(MOTOR, CommunicationLossProtection { timeout }).unwrap();
@@ -100,13 +101,13 @@ fn after_a_lost_master_the_first_command_does_nothing<B: Bus>() {
 // ---- memory ----
 
 /// 2.2.1 and 2.3.1: what is written to RAM is lost with the supply, what is written to ROM is not.
-fn memory_in_files_outlives_the_fleet<B: Bus>() {
+fn memory_in_files_outlives_the_fleet<W: Wire>() {
     let folder = tempfile::tempdir().unwrap();
     let fleet = Fleet::new(2).memory_folder(folder.path());
     let (first, second) = (0.25, 0.5);
     let at_factory = {
-        let bus = B::with(&fleet).unwrap();
-        let mut master = bus.master();
+        let bus = W::drives(&fleet).unwrap();
+        let mut master = master(&bus);
         let at_factory = read_speed_kp(&mut master);
         let index = PidIndex::SPEED_KP;
         master.ask(MOTOR, WritePidRom { index, value: gain(first) }).unwrap();
@@ -114,8 +115,8 @@ fn memory_in_files_outlives_the_fleet<B: Bus>() {
         assert_eq!(read_speed_kp(&mut master), second);
         at_factory
     };
-    let bus = B::with(&fleet).unwrap();
-    let mut master = bus.master();
+    let bus = W::drives(&fleet).unwrap();
+    let mut master = master(&bus);
     assert_eq!(read_speed_kp(&mut master), first);
     // Each drive has a memory of its own.
     let other = master.ask(id(2), ReadPid { index: PidIndex::SPEED_KP }).unwrap();
@@ -125,15 +126,15 @@ fn memory_in_files_outlives_the_fleet<B: Bus>() {
     for file in std::fs::read_dir(folder.path()).unwrap() {
         std::fs::write(file.unwrap().path(), "nonsense").unwrap();
     }
-    assert!(matches!(B::with(&fleet), Err(FleetError::Memory(_))));
+    assert!(matches!(W::drives(&fleet), Err(FleetError::Memory(_))));
 }
 
 // ---- reports ----
 
 /// Function 3 (2.35.4): "0x9A by itself every 100 ms while an error lasts".
-fn errors_are_reported_while_they_last<B: Bus>() {
-    let bus: B = quirky(Quirks::default());
-    let (mut master, drive) = (bus.master(), &bus.drives()[0]);
+fn errors_are_reported_while_they_last<W: Wire>() {
+    let bus: BusFleet<W> = quirky(Quirks::default());
+    let (mut master, drive) = (master(&bus), &bus.drives[0]);
     let switch = |on| FunctionControl::ErrorReporting(Switch::from_bool(on));
 
     // Off, it says nothing.
@@ -171,7 +172,7 @@ fn warm(too_warm: bool) -> Option<f64> {
 }
 
 /// 8.1: level two, "the motor recovers to normal operation by itself once the conditions are met".
-fn physical_errors_of_level_two_recover<B: Bus>() {
+fn physical_errors_of_level_two_recover<W: Wire>() {
     // The bits of 2.14.3. The model runs from 24 to 55 V.
     let causes: [(u16, Force); 4] = [
         (0x0004, |motor, bad| motor.force_supply_voltage_v(bad.then_some(15.0)).unwrap()),
@@ -180,8 +181,8 @@ fn physical_errors_of_level_two_recover<B: Bus>() {
         (0x0800, |motor, bad| motor.force_mos_temperature_c(warm(bad)).unwrap()),
     ];
     for (bit, force) in causes {
-        let bus: B = quirky(Quirks::default());
-        let (mut master, drive) = (bus.master(), &bus.drives()[0]);
+        let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
+        let (mut master, drive) = (master(&bus), &bus.drives[0]);
         master.ask(MOTOR, turn(90.0)).unwrap();
         listen(&mut master, millis(100));
         assert_eq!(read_errors(&mut master), ErrorFlags::empty());
@@ -196,7 +197,13 @@ fn physical_errors_of_level_two_recover<B: Bus>() {
             0x1000 => assert_eq!(status.temperature.celsius(), 120.0),
             _ => assert_eq!(status.mosfet_temperature.celsius(), 120.0),
         }
+        let State { output_on, brake, indicator, .. } = state(drive);
+        let expected = (false, BrakeCommand::LOCK, Indicator::SlowBlink);
+        assert_eq!((output_on, brake, indicator), expected, "{}", status.errors);
+        happened(drive);
         master.ask(MOTOR, turn(90.0)).unwrap();
+        let reason = NotRunReason::Fault(status.errors);
+        assert_eq!(happened(drive), [Happened::NotRun { opcode: Opcode::Speed, reason }]);
         listen(&mut master, millis(1_000));
         assert!(!state(drive).output_on, "{}", status.errors);
 
@@ -204,20 +211,21 @@ fn physical_errors_of_level_two_recover<B: Bus>() {
         listen(&mut master, millis(100));
         let now = read_errors(&mut master);
         assert_eq!(now, ErrorFlags::empty(), "after {}", status.errors);
+        assert_eq!(state(drive).indicator, Indicator::On);
         // A motor that goes on by itself may hurt someone.
         listen(&mut master, millis(1_000));
-        assert!(speed_dps(drive).abs() < 1.0);
+        assert!(!state(drive).output_on && state(drive).measurement.speed_dps.abs() < 1.0);
         master.ask(MOTOR, turn(90.0)).unwrap();
         listen(&mut master, millis(200));
-        assert!(speed_dps(drive) > 80.0);
+        assert!(state(drive).measurement.speed_dps > 80.0);
     }
 }
 
 /// 8.1: level one, "the motor cannot recover; check it and restart it". An encoder that was wrong once
 /// is not trusted again.
-fn physical_errors_of_level_one_need_a_restart<B: Bus>() {
-    let bus: B = quirky(Quirks::default());
-    let (mut master, drive) = (bus.master(), &bus.drives()[0]);
+fn physical_errors_of_level_one_need_a_restart<W: Wire>() {
+    let bus: BusFleet<W> = quirky(Quirks::default());
+    let (mut master, drive) = (master(&bus), &bus.drives[0]);
     drive.with(|drive| drive.plant_mut().set_encoder_fault(true));
     listen(&mut master, millis(100));
     let broken = read_errors(&mut master);

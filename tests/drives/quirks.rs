@@ -9,6 +9,7 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::*;
 use myactuator_protocol_core::{Channel, MotorId, Target};
 use myactuator_tests::bench::*;
+use myactuator_tests::dice::any_data;
 use myactuator_tests::values::*;
 use proptest::prelude::*;
 
@@ -171,20 +172,6 @@ fn any_channel() -> impl Strategy<Value = Channel> {
         1 => Just(Channel::BusId),
         2 => Just(Channel::Motion(ID)),
         1 => id.prop_map(Channel::Reply),
-    ]
-}
-
-fn any_data() -> impl Strategy<Value = [u8; 8]> {
-    let known: Vec<u8> = (0..=255)
-        .filter(|&byte| myactuator_protocol_core::Opcode::from_byte(byte).is_some())
-        .collect();
-    let small = prop::array::uniform8(prop_oneof![3 => 0_u8..=9, 1 => any::<u8>()]);
-    prop_oneof![
-        5 => (prop::sample::select(known), small).prop_map(|(byte, mut data)| {
-            data[0] = byte;
-            data
-        }),
-        1 => any::<[u8; 8]>(),
     ]
 }
 

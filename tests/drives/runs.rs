@@ -13,10 +13,10 @@
 //! Otherwise a run that differs from its picture fails, and leaves the new one beside the old as
 //! `*.snap.new`; with `INSTA_UPDATE=no`, or where `CI` is set, it only fails.
 
-use std::fmt::Write as _;
+use std::fmt::{Debug, Write as _};
 
-use embedded_can::{Frame as _, Id, StandardId};
-use myactuator_host_std::sim::bus::can::frame_bits;
+use myactuator_host_std::sim::bus::can::{CanBus, frame_bits};
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::bus::trace::{Event as OnBus, Record};
 use myactuator_host_std::sim::plant::{Load, MotorParameters, SpringStop};
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet};
@@ -31,10 +31,12 @@ use myactuator_protocol_core::master::{Event, MotorSet};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Acceleration, Milliseconds};
 use myactuator_protocol_core::wire::can::SimpleFrame;
-use myactuator_protocol_core::{MotorId, Opcode};
-use myactuator_tests::fleet::happened;
+use myactuator_protocol_core::wire::rs485::Receiver;
+use myactuator_protocol_core::{Channel, Data, MotorId, Opcode, Packet};
+use myactuator_tests::fleet::{happened, master};
 use myactuator_tests::listen::{listen, listen_until};
 use myactuator_tests::values::{degrees, go_to, id, millis, percent, turn, up_to};
+use myactuator_tests::wire::Wire;
 
 const MOTOR: MotorId = MotorId::MIN;
 const MODEL: &str = "RMD-X8-PRO";
@@ -76,6 +78,10 @@ fn on_off(on: bool) -> &'static str {
     if on { "on" } else { "off" }
 }
 
+fn locked_open(brake: BrakeCommand) -> &'static str {
+    if brake == BrakeCommand::LOCK { "locked" } else { "open" }
+}
+
 // ---- position profile ----
 
 /// Where a trapezoid from 0 to `way` is after `t` seconds, and how fast: up and down at the same
@@ -83,17 +89,12 @@ fn on_off(on: bool) -> &'static str {
 fn trapezoid(way: f64, max_speed: f64, acceleration: f64, t: f64) -> (f64, f64) {
     let ramp = max_speed / acceleration;
     let end = way / max_speed + ramp;
-    if t <= 0.0 {
-        (0.0, 0.0)
-    } else if t < ramp {
-        (0.5 * acceleration * t * t, acceleration * t)
-    } else if t < end - ramp {
-        (max_speed * (t - 0.5 * ramp), max_speed)
-    } else if t < end {
-        (way - 0.5 * acceleration * (end - t).powi(2), acceleration * (end - t))
-    } else {
-        (way, 0.0)
-    }
+    let begun = |t: f64| {
+        if t < ramp { 0.5 * acceleration * t * t } else { max_speed * (t - 0.5 * ramp) }
+    };
+    let (t, left) = (t.clamp(0.0, end), (end - t).clamp(0.0, end));
+    let angle = if left < ramp { way - begun(left) } else { begun(t) };
+    (angle, (acceleration * t.min(left)).min(max_speed))
 }
 
 /// 2.21.1: with an acceleration that is not 0, 0xA4 "runs in the mode with a planned speed, and the
@@ -208,7 +209,6 @@ fn communication_loss() {
         // Losing the master is no error (2.14.3 has none for it).
         assert!(state.errors.is_empty());
 
-        let brake = if state.brake == BrakeCommand::LOCK { "locked" } else { "open" };
         let what: Vec<String> = happened(drive)
             .iter()
             .map(|event| match event {
@@ -224,7 +224,7 @@ fn communication_loss() {
             if speaks { "turn!" } else { "" },
             rounded(f64::from(speed_dps), 0),
             on_off(state.output_on),
-            brake,
+            locked_open(state.brake),
             what.join(", "),
         );
         writeln!(table, "{}", row.trim_end()).unwrap();
@@ -255,7 +255,8 @@ fn stall() {
         drive.plant_mut().set_load(Load { upper_stop: Some(STOP), ..Load::NONE }).unwrap();
     });
     let model = drive.with(|drive| drive.plant().parameters().clone());
-    let motor_nm = model.air_gap_constant_nm_per_a() * f64::from(RATED_A);
+    let air_gap_nm_per_a = model.motor.torque_constant_nm_per_a / model.gear.efficiency;
+    let motor_nm = air_gap_nm_per_a * f64::from(RATED_A);
     let held_nm = model.friction.static_nm + (1.0 - model.gear.efficiency) * motor_nm;
     let mut master = fleet.master::<1>();
     let gently =
@@ -327,14 +328,13 @@ fn stall() {
             _ => {}
         }
 
-        let brake = if state.brake == BrakeCommand::LOCK { "locked" } else { "open" };
         let row = format!(
             "{:5} {:>8} {:>8}  {:6}  {:6}  {:13}  {:9}  {said}",
             (at - start).as_millis(),
             rounded(state.angle_deg, 1),
             rounded(f64::from(current_a), 1),
             on_off(state.output_on),
-            brake,
+            locked_open(state.brake),
             state.errors,
             format!("{:?}", state.indicator),
         );
@@ -352,18 +352,18 @@ fn stall() {
 
 // ---- bus traces ----
 
-/// What the tour of [`exchanges`] sends on CAN, from the manual's examples where it has one.
-const ON_CAN: [(&str, &str); 6] = [
-    ("141#9A00000000000000", "2.14.4"),
-    ("142#9200000000000000", "2.12.4"),
-    ("141#A400F401A08C0000", "2.21.4: 500 deg/s at the most, to 360 deg"),
-    ("141#9C00000000000000", "2.15.4"),
-    ("141#8000000000000000", "2.17.2"),
-    ("142#8000000000000000", "2.17.2"),
+/// What the tour of [`exchanges`] sends to which motor, from the manual's examples where it has one.
+const COMMANDS: [(u8, Data); 6] = [
+    (1, [0x9A, 0, 0, 0, 0, 0, 0, 0]),             // 2.14.4
+    (2, [0x92, 0, 0, 0, 0, 0, 0, 0]),             // 2.12.4
+    (1, [0xA4, 0, 0xF4, 0x01, 0xA0, 0x8C, 0, 0]), // 2.21.4: 500 deg/s at the most, to 360 deg
+    (1, [0x9C, 0, 0, 0, 0, 0, 0, 0]),             // 2.15.4
+    (1, [0x80, 0, 0, 0, 0, 0, 0, 0]),             // 2.17.2
+    (2, [0x80, 0, 0, 0, 0, 0, 0, 0]),             // 2.17.2
 ];
 
 /// Asks two motors for something, moves one and shuts both down.
-fn exchanges<R: Runner<2>>(master: &mut R) {
+fn exchanges<R: Runner<8, Error: Debug>>(master: &mut R) {
     let [one, two] = [1, 2].map(id);
     master.ask(one, ReadStatus1).unwrap();
     master.ask(two, ReadMultiTurnAngle).unwrap();
@@ -376,87 +376,59 @@ fn exchanges<R: Runner<2>>(master: &mut R) {
     assert!(master.master().motors() == MotorSet::from_iter([one, two]));
 }
 
-/// A frame that was on the wire: when it began and when it was over, in nanoseconds.
-struct Carried<F> {
-    began_ns: u64,
-    over_ns: u64,
-    frame: F,
-}
-
-fn carried<F>(records: Vec<Record<F>>) -> Vec<Carried<F>>
-where
-    F: std::fmt::Debug,
-{
-    let frames = records.into_iter().map(|record| match record.event {
-        OnBus::Carried { frame, started_ns } => {
-            Carried { began_ns: started_ns, over_ns: record.at_ns, frame }
+/// All that is on the bus during [`exchanges`], a frame a line with the time when it is over, after how
+/// long each frame takes was checked, and what it says. A drive takes 0.7 to 0.9 ms to begin a reply.
+fn trace<W: Wire>(
+    frame_ns: fn(&W::Frame) -> u64,
+    reply_begins_late_ns: u64,
+    print: fn(&str, &W::Frame) -> String,
+) -> String {
+    let bus = W::drives(&Fleet::new(2)).unwrap();
+    let log = bus.world.log();
+    exchanges(&mut master(&bus));
+    let records = log.take();
+    assert_eq!(records.len(), 2 * COMMANDS.len());
+    let mut lines = String::new();
+    let mut command_over_ns = 0;
+    for (place, Record { at_ns, event, .. }) in records.iter().enumerate() {
+        let OnBus::Carried { frame, started_ns } = event else {
+            panic!("nothing else happens on a bus without faults: {event:?}")
+        };
+        assert_eq!(at_ns - started_ns, frame_ns(frame));
+        let is_reply = place % 2 == 1;
+        let packet = W::packet(&mut Receiver::new(), frame, !is_reply).unwrap();
+        let (motor, data) = COMMANDS[place / 2];
+        if is_reply {
+            let took_ns = started_ns - command_over_ns;
+            // The drive counts in microseconds.
+            let latest_ns = 901_000 + reply_begins_late_ns;
+            assert!((700_000..=latest_ns).contains(&took_ns), "{took_ns} ns");
+            assert_eq!((packet.channel, packet.data[0]), (Channel::Reply(id(motor)), data[0]));
+            // 2.17.3: the same data.
+            assert!(packet.data == data || data[0] != 0x80, "{packet}");
+        } else {
+            assert_eq!(packet, Packet { channel: Channel::Command(id(motor).into()), data });
+            command_over_ns = *at_ns;
         }
-        other => panic!("nothing else happens on a bus without faults: {other:?}"),
-    });
-    frames.collect()
-}
-
-/// Every second frame is the reply to the one before it, and a drive takes 0.7 to 0.9 ms to begin
-/// one.
-fn assert_replies_take_their_time<F>(frames: &[Carried<F>], reply_began_late_ns: u64) {
-    assert_eq!(frames.len(), 2 * ON_CAN.len());
-    for [command, reply] in frames.as_chunks::<2>().0 {
-        let took_ns = reply.began_ns - command.over_ns;
-        // The drive counts in microseconds.
-        assert!((700_000..=901_000 + reply_began_late_ns).contains(&took_ns), "{took_ns} ns");
+        let micros = at_ns.div_ceil(1_000);
+        let stamp = format!("({:010}.{:06})", micros / 1_000_000, micros % 1_000_000);
+        let name = Opcode::from_byte(data[0]).map_or("?", Opcode::name);
+        let whose = if is_reply { ", reply" } else { "" };
+        writeln!(lines, "{}  {name}{whose}", print(&stamp, frame)).unwrap();
     }
-}
-
-/// The time as candump -L prints it, when the frame is over.
-fn stamp<F>(frame: &Carried<F>) -> String {
-    let micros = frame.over_ns.div_ceil(1_000);
-    format!("({:010}.{:06})", micros / 1_000_000, micros % 1_000_000)
-}
-
-fn name(byte: u8, is_reply: bool) -> String {
-    let name = Opcode::from_byte(byte).map_or("?", Opcode::name);
-    format!("{name}{}", if is_reply { ", reply" } else { "" })
+    lines
 }
 
 #[test]
 fn trace_of_a_can_bus() {
-    let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
-    let log = fleet.world.log();
-    exchanges(&mut fleet.master::<2>());
-    let frames = carried(log.take());
-
-    assert_replies_take_their_time(&frames, 0);
-    let commands: Vec<String> =
-        frames.iter().step_by(2).map(|c| text::can::frame(&c.frame)).collect();
-    assert_eq!(commands, ON_CAN.map(|(frame, _)| frame));
-    for (command, reply) in frames.iter().step_by(2).zip(frames.iter().skip(1).step_by(2)) {
-        // 0x140 + id is answered with 0x240 + id, and the same command byte.
-        let id = |frame: &SimpleFrame| match frame.id() {
-            Id::Standard(id) => id.as_raw(),
-            Id::Extended(_) => panic!("an extended identifier"),
-        };
-        assert_eq!(id(&reply.frame), id(&command.frame) + 0x100);
-        assert_eq!(reply.frame.data()[0], command.frame.data()[0]);
-    }
-    for carried in &frames {
-        // A bit takes 1000 ns; the three of the intermission do not belong to the frame.
-        let bits = u64::from(frame_bits(&carried.frame)) - 3;
-        assert_eq!(carried.over_ns - carried.began_ns, bits * 1_000);
-    }
-    // 0x80 is answered with the same data (2.17.3).
-    let last = &frames[frames.len() - 1].frame;
-    assert_eq!(
-        last,
-        &SimpleFrame::new(StandardId::new(0x242).unwrap(), &[0x80, 0, 0, 0, 0, 0, 0, 0]).unwrap()
-    );
-
-    let mut lines = String::new();
-    for (place, carried) in frames.iter().enumerate() {
-        let line = format!("{} can0 {}", stamp(carried), text::can::frame(&carried.frame));
+    // A bit takes 1000 ns; the three of the intermission do not belong to the frame.
+    let frame_ns = |frame: &SimpleFrame| (u64::from(frame_bits(frame)) - 3) * 1_000;
+    let lines = trace::<CanBus>(frame_ns, 0, |stamp, frame| {
+        let line = format!("{stamp} can0 {}", text::can::frame(frame));
         // It can be read back, as a log of candump.
-        assert_eq!(text::can::parse_line(&line).as_ref(), Ok(&carried.frame));
-        writeln!(lines, "{line}  {}", name(carried.frame.data()[0], place % 2 == 1)).unwrap();
-    }
+        assert_eq!(text::can::parse_line(&line).as_ref(), Ok(frame));
+        line
+    });
     assert_picture!(
         "trace_of_a_can_bus",
         "A status, an angle, a movement to 360 deg, a status 100 ms later, and both motors shut down, \
@@ -467,36 +439,11 @@ fn trace_of_a_can_bus() {
 
 #[test]
 fn trace_of_an_rs485_line() {
-    let fleet = Fleet::new(2).on_rs485(1_000_000).unwrap();
-    let log = fleet.world.log();
-    exchanges(&mut fleet.master::<2>());
-    let frames = carried(log.take());
-
-    // The drive's transceiver takes time to turn round.
-    assert_replies_take_their_time(&frames, 100_000);
-    for (place, carried) in frames.iter().enumerate() {
-        // 13 bytes of 10 bits.
-        assert_eq!(carried.over_ns - carried.began_ns, 130_000);
-        let [0x3E, id, 8, data @ ..] = carried.frame.as_slice() else {
-            panic!("{:?}", carried.frame);
-        };
-        // The same data as on CAN, and the motor's id alone both ways.
-        let (on_can, _) = ON_CAN[place / 2];
-        assert_eq!(*id, on_can.as_bytes()[2] - b'0');
-        assert_eq!(data.len(), 10);
-        if place % 2 == 0 {
-            let hex = text::rs485::bytes(&data[..8]).replace(' ', "");
-            assert_eq!(hex, on_can[4..]);
-        } else {
-            assert_eq!(data[0], frames[place - 1].frame[3]);
-        }
-    }
-
-    let mut lines = String::new();
-    for (place, carried) in frames.iter().enumerate() {
-        let bytes = text::rs485::bytes(&carried.frame);
-        writeln!(lines, "{} {bytes}  {}", stamp(carried), name(carried.frame[3], place % 2 == 1))
-            .unwrap();
-    }
+    // 13 bytes of 10 bits. The drive's transceiver takes time to turn round.
+    let lines = trace::<Rs485Line>(
+        |_| 130_000,
+        100_000,
+        |stamp, bytes| format!("{stamp} {}", text::rs485::bytes(bytes)),
+    );
     assert_picture!("trace_of_an_rs485_line", "The same exchanges as on CAN, at 1 Mbit/s.", lines);
 }

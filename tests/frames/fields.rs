@@ -2,8 +2,8 @@
 //! layout tables say: distinct bytes land in exactly their field, nothing leaks into its neighbours,
 //! NULL bytes are written 0 and not read, and what a field may not hold is refused.
 //!
-//! The layouts are the manual's, typed by hand: `vectors/layouts.txt` for what has a place of its own,
-//! and `vectors/cases.jsonl` for what has fields that depend on one another, or share bytes.
+//! The layouts are the manual's, typed by hand in `vectors/kinds.txt`: what has a place of its own as a
+//! table, what has fields that depend on one another, or share bytes, as cases.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
@@ -13,7 +13,7 @@ use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::quantity::{Form, Place};
 use myactuator_protocol_core::{AnyCommand, AnyReply, Data, DecodeError, Opcode, OutOfRange};
 use myactuator_tests::values::id;
-use myactuator_tests::vectors::{hex, sections};
+use myactuator_tests::vectors::{Entry, entries, hex, sections};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -79,27 +79,9 @@ impl Row {
     }
 }
 
-struct Table {
-    section: &'static str,
-    byte: u8,
-    opcode: Opcode,
-    rows: Vec<Row>,
-}
-
-/// The tables of a side, `command` or `reply`.
-fn tables(of: &str) -> impl Iterator<Item = Table> {
-    let lines = include_str!("../vectors/layouts.txt").lines();
-    lines.filter(move |line| line.starts_with(of)).map(|line| {
-        let mut words = line.split_whitespace().skip(1);
-        let [section, byte, name] = std::array::from_fn(|_| words.next().expect(line));
-        let byte = u8::from_str_radix(byte, 16).expect(line);
-        let opcode = name.parse().expect(line);
-        Table { section, byte, opcode, rows: words.map(Row::new).collect() }
-    })
-}
-
 /// Commands, or replies.
 struct Side<T> {
+    name: &'static str,
     heading: &'static str,
     fields: fn(Opcode) -> &'static [Field],
     decode: fn(Opcode, &Data) -> Result<T, DecodeError>,
@@ -108,6 +90,7 @@ struct Side<T> {
 }
 
 const COMMAND: Side<AnyCommand> = Side {
+    name: "command",
     heading: "Command data",
     fields: Opcode::command_fields,
     decode: AnyCommand::decode_as,
@@ -115,6 +98,7 @@ const COMMAND: Side<AnyCommand> = Side {
     opcode: AnyCommand::opcode,
 };
 const REPLY: Side<AnyReply> = Side {
+    name: "reply",
     heading: "Reply data",
     fields: Opcode::reply_fields,
     decode: AnyReply::decode_as,
@@ -146,9 +130,14 @@ impl<T: PartialEq + Debug + DeserializeOwned> Side<T> {
         value
     }
 
-    fn check_table(&self, table: &Table) {
-        let &Table { section, byte, opcode, ref rows } = table;
-        assert_eq!((opcode.byte(), sections()[section]), (Some(byte), self.heading), "{opcode}");
+    fn check_tables(&self) {
+        entries(self.name).for_each(|table| self.check_table(table));
+    }
+
+    fn check_table(&self, Entry { section, opcode, rest }: Entry) {
+        let byte = opcode.byte().expect("a command byte");
+        let rows: Vec<_> = rest.split_whitespace().map(Row::new).collect();
+        assert_eq!(sections()[section], self.heading, "{opcode}");
         assert!(section.starts_with(&format!("{}.", opcode.section())), "{opcode}: {section}");
         let fields = (self.fields)(opcode);
         let described = fields.iter().map(|f| (f.key().to_string(), f.place, f.when));
@@ -168,7 +157,7 @@ impl<T: PartialEq + Debug + DeserializeOwned> Side<T> {
         for salt in [0x10, 0x80] {
             let pattern = std::array::from_fn(|place| salt + place as u8);
             let mut together = (nothing, nothing);
-            for (field, row) in fields.iter().zip(rows) {
+            for (field, row) in fields.iter().zip(&rows) {
                 // What is too large for this field is its largest.
                 let raw = Some(row.read(&pattern)).filter(|&raw| row.allows(raw));
                 let raw = raw.unwrap_or(row.ranges[row.ranges.len() - 1].1);
@@ -183,7 +172,7 @@ impl<T: PartialEq + Debug + DeserializeOwned> Side<T> {
             }
             self.check_bytes(opcode, together.1, &nulls);
         }
-        for (field, row) in fields.iter().zip(rows) {
+        for (field, row) in fields.iter().zip(&rows) {
             self.check_range(opcode, nothing, field, row);
         }
     }
@@ -218,10 +207,9 @@ impl<T: PartialEq + Debug + DeserializeOwned> Side<T> {
         }
     }
 
-    fn check_case(&self, case: &Case) {
+    fn check_case(&self, opcode: Opcode, case: &Case) {
         let value: T = serde_json::from_value(case.value.clone()).expect("a value");
         let data: Data = hex(&case.data).try_into().expect("eight bytes");
-        let opcode = (self.opcode)(&value).expect("a kind of the table");
         assert_eq!((self.encode)(&value), data, "{value:?}");
         assert_eq!(self.check_bytes(opcode, data, &case.null), value);
         let there = (self.fields)(opcode).iter().filter(|field| field.is_in(&data));
@@ -241,58 +229,57 @@ impl<T: PartialEq + Debug + DeserializeOwned> Side<T> {
 
 #[test]
 fn every_field_of_every_command_has_its_bytes() {
-    tables("command").for_each(|table| COMMAND.check_table(&table));
+    COMMAND.check_tables();
 }
 
 #[test]
 fn every_field_of_every_reply_has_its_bytes() {
-    tables("reply").for_each(|table| REPLY.check_table(&table));
+    REPLY.check_tables();
 }
 
 #[test]
-fn every_kind_is_covered() {
-    // 2.26.3 and 2.34.3: no reply; 2.32.3: a reply that means nothing.
-    let without_reply = [Opcode::Reset, Opcode::SetBaudRate, Opcode::ActiveReply];
-    for (side, without) in [("command", &[][..]), ("reply", &without_reply)] {
-        // 2.35, 4 and 5.
-        let in_cases = [Opcode::FunctionControl, Opcode::BusId, Opcode::Motion];
-        let kinds = tables(side).map(|table| table.opcode).chain(in_cases);
-        let mut kinds: Vec<_> = kinds.chain(without.iter().copied()).collect();
-        kinds.sort();
-        assert_eq!(kinds, Opcode::ALL, "each has one table");
-    }
-    for opcode in without_reply {
-        let data = [opcode.byte().expect("a command byte"), 0, 0, 0, 0, 0, 0, 0];
-        assert_eq!(AnyReply::decode_as(opcode, &data), Err(DecodeError::NoReply(opcode)));
-        assert!(!opcode.has_reply() && opcode.reply_fields().is_empty());
+fn every_kind_has_one_table_a_side_or_cases() {
+    for Entry { opcode, rest: facts, .. } in entries("kind") {
+        let is_in_cases = facts.contains("no-layout");
+        // 2.26.3 and 2.34.3: no reply; 2.32.3: a reply that means nothing.
+        let has_reply = !facts.starts_with("Silent") && !facts.starts_with("Garbled");
+        for (side, is_there) in [("command", true), ("reply", has_reply)] {
+            let count = entries(side).filter(|table| table.opcode == opcode).count();
+            assert_eq!(count, usize::from(is_there && !is_in_cases), "{opcode}: {side}");
+            assert!(!is_in_cases || cases(side).any(|(of, _)| of == opcode), "{opcode}: {side}");
+        }
+        if !has_reply {
+            let data = [opcode.byte().expect("a command byte"), 0, 0, 0, 0, 0, 0, 0];
+            assert_eq!(AnyReply::decode_as(opcode, &data), Err(DecodeError::NoReply(opcode)));
+            assert!(!opcode.has_reply() && opcode.reply_fields().is_empty());
+        }
     }
 }
 
-/// A row of `cases.jsonl`.
+/// A value, its bytes, which of them are NULL, and the number in each field.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Case {
-    section: String,
-    side: String,
     value: Value,
     data: String,
     null: Vec<usize>,
     fields: BTreeMap<String, i64>,
 }
 
+/// The cases of a side, `command` or `reply`.
+fn cases(of: &str) -> impl Iterator<Item = (Opcode, Case)> {
+    entries("case").filter_map(move |Entry { opcode, rest, .. }| {
+        let (side, json) = rest.split_once(' ').expect("a side and a value");
+        assert!(["command", "reply", "both"].contains(&side), "{opcode}: {side}");
+        let case = serde_json::from_str(json).unwrap_or_else(|e| panic!("{e} in {json}"));
+        (side == of || side == "both").then_some((opcode, case))
+    })
+}
+
 #[test]
 fn values_that_depend_on_one_another_have_their_bytes() {
-    for line in include_str!("../vectors/cases.jsonl").lines() {
-        let case: Case = serde_json::from_str(line).unwrap_or_else(|e| panic!("{e} in {line}"));
-        assert!(["command", "reply", "both"].contains(&&*case.side), "{line}");
-        assert!(sections().contains_key(&*case.section), "{line}");
-        if case.side != "reply" {
-            COMMAND.check_case(&case);
-        }
-        if case.side != "command" {
-            REPLY.check_case(&case);
-        }
-    }
+    cases(COMMAND.name).for_each(|(opcode, case)| COMMAND.check_case(opcode, &case));
+    cases(REPLY.name).for_each(|(opcode, case)| REPLY.check_case(opcode, &case));
     // 7.3's table has the bare id in DATA[6], 7.4's example in DATA[7].
     let data = [0x79, 0, 1, 0, 0, 0, 0x1E, 0];
     let told = AnyReply::BusId(BusIdReply::OnRs485(id(0x1E)));

@@ -18,6 +18,9 @@ use myactuator_tests::values::id;
 const LAST_16: u16 = 65_535;
 const LAST_12: u16 = 4_095;
 
+/// The last step of each field of a command.
+const LAST: [u16; 5] = [LAST_16, LAST_12, LAST_12, LAST_12, LAST_12];
+
 fn u12(step: u16) -> U12 {
     U12::new(step).expect("at most 4095")
 }
@@ -72,39 +75,25 @@ fn check_reply(fields: [u16; 4]) {
 
 /// A command of all zeros or all ones but for one field.
 fn with(field: usize, step: u16, others_full: bool) -> [u16; 5] {
-    let mut steps =
-        if others_full { [LAST_16, LAST_12, LAST_12, LAST_12, LAST_12] } else { [0; 5] };
+    let mut steps = if others_full { LAST } else { [0; 5] };
     steps[field] = step;
     steps
 }
 
 #[test]
-fn every_position_packs_and_unpacks() {
-    for position in 0..=LAST_16 {
-        for full in [false, true] {
+fn every_step_of_each_field_packs_and_unpacks() {
+    for full in [false, true] {
+        let (id, p, other) = if full { (32, LAST_16, LAST_12) } else { (1, 0, 0) };
+        for position in 0..=LAST_16 {
             check_command(with(0, position, full));
-            let rest = if full { LAST_12 } else { 0 };
-            check_reply([if full { 32 } else { 1 }, position, rest, rest]);
+            check_reply([id, position, other, other]);
+        }
+        for step in 0..=LAST_12 {
+            (1..5).for_each(|field| check_command(with(field, step, full)));
+            check_reply([id, p, step, other]);
+            check_reply([id, p, other, step]);
         }
     }
-}
-
-#[test]
-fn every_step_of_each_12_bit_field_packs_and_unpacks() {
-    for step in 0..=LAST_12 {
-        for full in [false, true] {
-            for field in 1..5 {
-                check_command(with(field, step, full));
-            }
-            let (p, other) = if full { (LAST_16, LAST_12) } else { (0, 0) };
-            check_reply([7, p, step, other]);
-            check_reply([7, p, other, step]);
-        }
-    }
-}
-
-#[test]
-fn every_id_byte_packs_and_unpacks() {
     (0..=255).for_each(|id| check_reply([id, 0x1234, 0x567, 0x89A]));
 }
 
@@ -163,6 +152,7 @@ fn only<T: Default + Copy>(place: usize, value: T) -> [T; 5] {
 }
 
 /// One value of a set-point: its place among the five, and its scale.
+#[derive(Debug)]
 struct Scale {
     ranges: MotionRanges,
     scale: MotionScale,
@@ -176,14 +166,19 @@ struct Scale {
 fn scales(maxima: [f32; 5]) -> impl Iterator<Item = Scale> {
     let ranges = MotionRanges::new(limits(maxima)).expect("positive limits");
     let starts = [
-        (MotionScale::Position, -1.0, LAST_16),
-        (MotionScale::Velocity, -1.0, LAST_12),
-        (MotionScale::Kp, 0.0, LAST_12),
-        (MotionScale::Kd, 0.0, LAST_12),
-        (MotionScale::Torque, -1.0, LAST_12),
+        (MotionScale::Position, -1.0),
+        (MotionScale::Velocity, -1.0),
+        (MotionScale::Kp, 0.0),
+        (MotionScale::Kd, 0.0),
+        (MotionScale::Torque, -1.0),
     ];
-    starts.into_iter().zip(maxima).enumerate().map(move |(place, ((scale, start, last), max))| {
-        Scale { ranges, scale, place, min: start * max, max, last }
+    starts.into_iter().zip(maxima).enumerate().map(move |(place, ((scale, start), max))| Scale {
+        ranges,
+        scale,
+        place,
+        min: start * max,
+        max,
+        last: LAST[place],
     })
 }
 
@@ -204,12 +199,6 @@ fn all_ranges() -> [[f32; 5]; 6] {
 
 fn all_scales() -> impl Iterator<Item = Scale> {
     all_ranges().into_iter().flat_map(scales)
-}
-
-impl std::fmt::Display for Scale {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{:?} {} to {}", self.scale, self.min, self.max)
-    }
 }
 
 impl Scale {
@@ -256,23 +245,26 @@ fn the_ranges_are_those_of_5_1() {
 #[test]
 fn every_step_means_its_place_on_the_scale_and_comes_back() {
     for scale in all_scales() {
-        assert_eq!((scale.value(0), scale.quantise(scale.min)), (scale.min, Some(0)), "{scale}");
-        assert_eq!(scale.quantise(scale.max), Some(scale.last), "{scale}");
+        assert_eq!((scale.value(0), scale.quantise(scale.min)), (scale.min, Some(0)), "{scale:?}");
+        assert_eq!(scale.quantise(scale.max), Some(scale.last), "{scale:?}");
         let last = scale.value(scale.last);
-        assert!((last - scale.max).abs() <= scale.max * 4.0 * f32::EPSILON, "{scale}: {last}");
+        assert!((last - scale.max).abs() <= scale.max * 4.0 * f32::EPSILON, "{scale:?}: {last}");
         let mut before = f32::NEG_INFINITY;
         for step in 0..=scale.last {
             let (value, exact) = (scale.value(step), scale.exact(step.into()));
             // Three roundings, none of a number larger than the span.
             let error = (f64::from(value) - exact).abs() / scale.step();
-            assert!(error <= scale.slack(), "{scale}, step {step}: {value}");
-            assert!(value > before, "{scale}, step {step}: not above the step before");
+            assert!(error <= scale.slack(), "{scale:?}, step {step}: {value}");
+            assert!(value > before, "{scale:?}, step {step}: not above the step before");
             before = value;
-            assert_eq!(scale.quantise(value), Some(step), "{scale}: {value}");
+            assert_eq!(scale.quantise(value), Some(step), "{scale:?}: {value}");
             // In double precision, as tools show and take it.
             let shown = scale.ranges.value(scale.scale, step);
-            assert!((shown - exact).abs() <= 1e-9 * scale.step(), "{scale}, step {step}: {shown}");
-            assert_eq!(scale.ranges.step(scale.scale, shown), Ok(step), "{scale}: {shown}");
+            assert!(
+                (shown - exact).abs() <= 1e-9 * scale.step(),
+                "{scale:?}, step {step}: {shown}"
+            );
+            assert_eq!(scale.ranges.step(scale.scale, shown), Ok(step), "{scale:?}: {shown}");
         }
     }
 }
@@ -291,7 +283,7 @@ fn a_value_becomes_its_nearest_step() {
                 let error = (scale.exact(found.into()) - f64::from(value)).abs() / scale.step();
                 assert!(
                     error <= 0.5 + scale.slack(),
-                    "{scale}: {value} became step {found}, {error} steps away"
+                    "{scale:?}: {value} became step {found}, {error} steps away"
                 );
             }
         }
@@ -323,14 +315,14 @@ fn what_is_no_number_or_beyond_the_scale_is_refused() {
         let beyond = [scale.max.next_up(), below, f32::MAX, f32::MIN];
         let no_numbers = [f32::NAN, -f32::NAN, f32::from_bits(0x7F80_0001)];
         for bad in beyond.into_iter().chain(no_numbers).chain([f32::INFINITY, f32::NEG_INFINITY]) {
-            assert_eq!(scale.quantise(bad), None, "{scale}: {bad}");
-            assert!(scale.ranges.step(scale.scale, bad.into()).is_err(), "{scale}: {bad}");
+            assert_eq!(scale.quantise(bad), None, "{scale:?}: {bad}");
+            assert!(scale.ranges.step(scale.scale, bad.into()).is_err(), "{scale:?}: {bad}");
             let nearest = match bad {
                 _ if bad.is_nan() => None,
                 _ if bad > 0.0 => Some(scale.last),
                 _ => Some(0),
             };
-            assert_eq!(scale.saturate(bad), nearest, "{scale}: {bad}");
+            assert_eq!(scale.saturate(bad), nearest, "{scale:?}: {bad}");
         }
     }
 }

@@ -2,19 +2,19 @@
 //! example in the manual, a section that exists and names its command byte, the reply rule that the
 //! examples show, and the buses that it is shown on.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeSet, HashMap};
 
-use myactuator_protocol_core::opcode::{Buses, Reach, Repeat, ReplyRule, UnknownOpcode, Usage};
+use myactuator_protocol_core::opcode::{Buses, ReplyRule, UnknownOpcode};
 use myactuator_protocol_core::wire::{can, rs485};
 use myactuator_protocol_core::{
-    AnyCommand, AnyReply, Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, RequestError,
-    Target,
+    AnyCommand, Channel, Firmware, Kind, MotorId, Opcode, Packet, RequestError, Target,
 };
-use myactuator_tests::vectors::{Bus, Direction, Row, rows, sections};
+use myactuator_tests::vectors::{Bus, Direction, Entry, Row, entries, rows, sections};
 
-/// The kinds of which the manual prints no example; their tables (2.18, 2.27, 2.28) are in
-/// `vectors/layouts.txt`.
-const WITHOUT_EXAMPLE: [Opcode; 3] = [Opcode::Stop, Opcode::ReleaseBrake, Opcode::LockBrake];
+/// Whether the manual prints no example of the kind.
+fn is_without_example(kind: Opcode) -> bool {
+    entries("kind").any(|entry| entry.opcode == kind && entry.rest.contains("no-example"))
+}
 
 fn of_firmware(firmware: Firmware) -> impl Iterator<Item = Opcode> {
     Opcode::ALL.iter().copied().filter(move |opcode| opcode.is_in(firmware))
@@ -22,13 +22,13 @@ fn of_firmware(firmware: Firmware) -> impl Iterator<Item = Opcode> {
 
 /// The rows of the kind.
 fn of(opcode: Opcode, rows: &[Row]) -> Vec<&Row> {
-    rows.iter().filter(|row| row.name == opcode.name()).collect()
+    rows.iter().filter(|row| row.opcode == opcode).collect()
 }
 
 /// Each reply with the command of its example. (One command to all has several.)
 fn exchanges(rows: &[Row]) -> Vec<(&Row, &Row)> {
     let key = |row: &Row| (row.section.clone(), row.example, row.bus);
-    let commands: BTreeMap<_, _> =
+    let commands: HashMap<_, _> =
         rows.iter().filter(|r| r.direction == Direction::Command).map(|r| (key(r), r)).collect();
     rows.iter()
         .filter(|row| row.direction == Direction::Reply)
@@ -63,6 +63,10 @@ fn bytes_and_names_are_unique() {
 
 #[test]
 fn the_kinds_are_those_of_the_manual() {
+    for &opcode in Opcode::ALL {
+        let lines = entries("kind").filter(|entry| entry.opcode == opcode);
+        assert_eq!(lines.count(), 1, "lines in kinds.txt for {opcode}");
+    }
     // Every command byte that a heading of the manual names, two digits in parentheses; 4 and 7 are
     // the same command.
     let named: BTreeSet<u8> = sections()
@@ -71,86 +75,38 @@ fn the_kinds_are_those_of_the_manual() {
         .filter(|digits| digits.len() == 2)
         .map(|digits| u8::from_str_radix(digits, 16).expect("two hexadecimal digits"))
         .collect();
-    let bytes = |firmware| of_firmware(firmware).filter_map(Opcode::byte).collect::<BTreeSet<_>>();
-    assert_eq!(bytes(Firmware::V4_3), named);
-    assert_eq!(named.len(), 36);
-    assert!(
-        of_firmware(Firmware::V4_3).filter(|opcode| opcode.byte().is_none()).eq([Opcode::Motion])
-    );
-    // V4.4 drops 0x79 and 0x90, and has other layouts of 0x94, 0xB4 and 0xB5, of which only 0x94's is
-    // known here.
-    let dropped = BTreeSet::from([0x79, 0x90, 0xB4, 0xB5]);
-    assert_eq!(bytes(Firmware::V4_4), &named - &dropped);
-    let of_0x94 = [Firmware::V4_3, Firmware::V4_4].map(|f| Opcode::of_firmware(f, 0x94));
-    let layouts = [Opcode::ReadSingleTurnAngle, Opcode::ReadSingleTurnAngleV4_4].map(Some);
-    assert_eq!(of_0x94, layouts);
+    let known = Opcode::ALL.iter().copied();
+    assert_eq!(known.clone().filter_map(Opcode::byte).collect::<BTreeSet<_>>(), named);
+    assert!(known.filter(|opcode| opcode.byte().is_none()).eq([Opcode::Motion]));
 }
 
-#[test]
-fn a_firmware_decides_what_0x94_says() {
-    let angle = |data: Data, firmware: Firmware| {
-        let packet = Packet { channel: Channel::Reply(MotorId::MIN), data };
-        match AnyReply::decode(&packet, firmware) {
-            Ok(AnyReply::ReadSingleTurnAngle(reply)) => (Firmware::V4_3, reply.angle.degrees()),
-            Ok(AnyReply::ReadSingleTurnAngleV4_4(reply)) => (Firmware::V4_4, reply.angle.degrees()),
-            other => panic!("{other:?}"),
-        }
-    };
-    // -9000 of 0.01 degrees in DATA[4..8], and 36000, a whole turn, in DATA[6..8].
-    let (four, two) = ([0x94, 0, 0, 0, 0xD8, 0xDC, 0xFF, 0xFF], [0x94, 0, 0, 0, 0, 0, 0xA0, 0x8C]);
-    assert_eq!(angle(four, Firmware::V4_4), (Firmware::V4_4, -90.0));
-    assert_eq!(angle(two, Firmware::V4_3), (Firmware::V4_3, 360.0));
-    assert_eq!(angle(four, Firmware::V4_3), (Firmware::V4_3, 655.35));
+/// What `kinds.txt` has to say of a kind: how it is answered, and what is not as with most kinds.
+fn facts(opcode: Opcode) -> Vec<String> {
+    let mut facts = vec![format!("{:?}", opcode.reply_rule())];
+    facts.extend(opcode.key_byte().map(|place| format!("key-{place}")));
+    let (repeat, buses) = (format!("{:?}", opcode.repeat()), format!("{:?}", opcode.buses()));
+    let (reach, usage) = (format!("{:?}", opcode.reach()), format!("{:?}", opcode.usage()));
+    let is_usual = |fact: &String| ["Harmless", "Both", "OneOrAll", "Plain"].contains(&&**fact);
+    facts.extend([repeat, buses, reach, usage].into_iter().filter(|fact| !is_usual(fact)));
+    let having: Vec<_> = Firmware::ALL.iter().filter(|&&f| opcode.is_in(f)).collect();
+    if having.len() < Firmware::ALL.len() {
+        facts.extend(having.iter().map(|firmware| format!("only-{firmware}")));
+    }
+    facts
 }
-
-/// In place of motion mode's command byte, which there is none.
-const MOTION: u8 = 0;
 
 #[test]
 fn facts_of_a_kind_are_the_manuals() {
-    let of = |fact: &dyn Fn(Opcode) -> bool| -> Vec<u8> {
-        let with = of_firmware(Firmware::V4_3).filter(|&opcode| fact(opcode));
-        with.map(|opcode| opcode.byte().unwrap_or(MOTION)).collect()
-    };
-    // 2.26.3 and 2.34.3; 2.32.3; 2.31.3 with 2.31.4.
-    assert_eq!(of(&|o| o.reply_rule() == ReplyRule::Silent), [0x76, 0xB6]);
-    assert_eq!(of(&|o| o.reply_rule() == ReplyRule::Garbled), [0xB4]);
-    assert_eq!(of(&|o| o.reply_rule() == ReplyRule::Acknowledge), [0xB3]);
-    // DATA[1] is an index in 2.1 to 2.5, 2.34 and 2.35; DATA[2] the flag of 4 and 7.
-    let indexed = [0x20, 0x30, 0x31, 0x32, 0x42, 0x43, 0xB6];
-    assert_eq!(of(&|o| o.key_byte() == Some(1)), indexed);
-    assert_eq!(of(&|o| o.key_byte() == Some(2)), [0x79]);
-    assert_eq!(of(&|o| o.key_byte().is_some()).len(), 8);
-    // 2.34.1 and the title of 5.
-    assert_eq!(of(&|o| o.buses() == Buses::CanOnly), [0xB6, MOTION]);
-    // 3.1 and 6.1: every command of 2 to all at once; 5: to one; 4.1 and 7.1: to all that listen.
-    assert_eq!(of(&|o| o.reach() == Reach::One), [MOTION]);
-    assert_eq!(of(&|o| o.reach() == Reach::Connected), [0x79]);
-    // 2.34.2, whose 0x9E the manual does not describe.
-    let reports = [0x60, 0x61, 0x62, 0x92, 0x9A, 0x9C, 0x9D];
-    assert_eq!(of(&|o| o.usage() == Usage::Report), reports);
-    assert_eq!(Opcode::from_byte(0x9E), None);
-    // 2.19 to 2.24 and 5 say where to be or how to run; 2.23 alone counts from where the motor is.
-    let set_points = [0xA1, 0xA2, 0xA4, 0xA6, 0xA9, MOTION];
-    assert_eq!(of(&|o| o.usage() == Usage::SetPoint), set_points);
-    assert_eq!(of(&|o| o.repeat() == Repeat::Stale), set_points);
-    assert_eq!(of(&|o| o.usage() == Usage::Move), [0xA8]);
-    // What writes to ROM, restarts, moves on, or changes how motors are spoken to.
-    let acts_again = [0x20, 0x32, 0x43, 0x63, 0x64, 0x76, 0x79, 0xA8, 0xB3, 0xB4, 0xB6];
-    assert_eq!(of(&|o| o.repeat() == Repeat::ActsAgain), acts_again);
-}
-
-#[test]
-fn each_kinds_section_exists_and_names_it() {
-    let sections = sections();
-    for &opcode in Opcode::ALL {
-        let heading = sections.get(opcode.section());
-        let heading = heading.unwrap_or_else(|| panic!("{opcode}: no {}", opcode.section()));
+    for Entry { section, opcode, rest } in entries("kind") {
+        let of_tests = ["no-layout", "no-example"];
+        let typed = rest.split(' ').filter(|fact| !of_tests.contains(fact));
+        assert_eq!(typed.collect::<Vec<_>>(), facts(opcode), "{opcode}");
+        assert_eq!(section, opcode.section(), "{opcode}");
         let named = match opcode.byte() {
             Some(byte) => format!("(0x{byte:02X})"),
             None => "(0x400 + ID)".to_owned(),
         };
-        assert!(heading.ends_with(&named), "{opcode}: {} is {heading}", opcode.section());
+        assert!(sections()[section].ends_with(&named), "{opcode}: {}", sections()[section]);
     }
 }
 
@@ -158,7 +114,7 @@ fn each_kinds_section_exists_and_names_it() {
 fn each_row_stands_in_a_section_of_its_kind() {
     let sections = sections();
     for row in rows() {
-        let opcode = row.name.parse::<Opcode>().unwrap_or_else(|error| panic!("{row}: {error}"));
+        let opcode = row.opcode;
         assert!(sections.contains_key(row.section.as_str()), "{row}");
         assert!(sections[row.section.as_str()].starts_with("Examples"), "{row}");
         let chapter = row.section.rsplit_once('.').expect("a section of a chapter").0;
@@ -178,29 +134,15 @@ fn each_row_stands_in_a_section_of_its_kind() {
 }
 
 #[test]
-fn each_kind_has_an_example() {
-    let rows = rows();
-    for opcode in of_firmware(Firmware::V4_3) {
-        let examples = of(opcode, &rows);
-        assert_eq!(examples.is_empty(), WITHOUT_EXAMPLE.contains(&opcode), "{opcode}");
-        if !examples.is_empty() {
-            assert!(examples.iter().any(|row| row.direction == Direction::Command), "{opcode}");
-        }
-    }
-}
-
-#[test]
 fn the_reply_rules_are_those_that_the_examples_show() {
     let rows = rows();
     let exchanges = exchanges(&rows);
     for opcode in of_firmware(Firmware::V4_3) {
-        if WITHOUT_EXAMPLE.contains(&opcode) {
-            // The reply is the same as the command (2.18.3, 2.27.3, 2.28.3).
-            assert_eq!(opcode.reply_rule(), ReplyRule::Same, "{opcode}");
+        if is_without_example(opcode) {
             continue;
         }
         let of_kind: Vec<_> =
-            exchanges.iter().filter(|(command, _)| command.name == opcode.name()).collect();
+            exchanges.iter().filter(|(command, _)| command.opcode == opcode).collect();
         let same = of_kind.iter().filter(|(command, reply)| command.data() == reply.data()).count();
         match opcode.reply_rule() {
             ReplyRule::Same => {
@@ -225,11 +167,11 @@ fn each_reply_answers_its_command_and_none_of_another_kind() {
     let exchanges = exchanges(&rows);
     assert_eq!(exchanges.len(), rows.iter().filter(|r| r.direction == Direction::Reply).count());
     for (command, reply) in &exchanges {
-        let opcode: Opcode = command.name.parse().expect("a kind");
+        let opcode = command.opcode;
         let kind = Kind::Known(opcode);
         assert!(kind.answers(&command.data(), &reply.data()), "{command} and {reply}");
         for (_, other) in &exchanges {
-            if opcode != Opcode::Motion && other.name != command.name {
+            if opcode != Opcode::Motion && other.opcode != opcode {
                 assert!(!kind.answers(&command.data(), &other.data()), "{command} and {other}");
             }
         }
@@ -242,14 +184,17 @@ fn each_reply_answers_its_command_and_none_of_another_kind() {
 }
 
 #[test]
-fn buses_are_those_that_the_examples_show() {
+fn each_kind_has_an_example_on_its_buses() {
     let rows = rows();
     for opcode in of_firmware(Firmware::V4_3) {
         let examples = of(opcode, &rows);
-        let rs485 = examples.iter().any(|row| row.bus == Bus::Rs485);
+        assert_eq!(examples.is_empty(), is_without_example(opcode), "{opcode}");
         if !examples.is_empty() {
-            assert_eq!(opcode.buses() == Buses::Both, rs485, "{opcode}");
-            assert!(examples.iter().any(|row| row.bus == Bus::Can), "{opcode}");
+            let any = |is: fn(&Row) -> bool| examples.iter().any(|row| is(row));
+            assert!(any(|row| row.direction == Direction::Command), "{opcode}");
+            assert!(any(|row| row.bus == Bus::Can), "{opcode}");
+            let on_rs485 = any(|row| row.bus == Bus::Rs485);
+            assert_eq!(opcode.buses() == Buses::Both, on_rs485, "{opcode}");
         }
         let refused = Kind::from(opcode).check_on_rs485();
         match opcode.buses() {
@@ -262,8 +207,7 @@ fn buses_are_those_that_the_examples_show() {
 #[test]
 fn channels_are_those_that_the_examples_show() {
     for row in rows().iter().filter(|row| row.direction == Direction::Command) {
-        let opcode: Opcode = row.name.parse().expect("a kind");
-        assert_eq!(Kind::from(opcode).channel_to(row.target()), Ok(row.channel()), "{row}");
+        assert_eq!(Kind::from(row.opcode).channel_to(row.target()), Ok(row.channel()), "{row}");
         if row.bus == Bus::Can {
             assert_eq!(can::channel_at(row.can().0), Some(row.channel()), "{row}");
         }

@@ -1,11 +1,9 @@
-//! Proves that codes, error flags and steps of quantities are the manual's, typed by hand, that a code
-//! or a function without a name can never be one with a name, and that a value which another field does
-//! not allow is refused.
+//! Proves that codes and error flags are the manual's, typed by hand, that a code or a function without a
+//! name can never be one with a name, and that a value which another field does not allow is refused.
 
 use std::fmt::Debug;
 
 use myactuator_protocol_core::command::*;
-use myactuator_protocol_core::units::*;
 use myactuator_protocol_core::{AnyCommand, AnyReply, DecodeError, Opcode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -185,22 +183,4 @@ fn error_flags_and_levels_are_those_of_2_14_3_and_8_2() {
         assert_eq!(flag.needs_restart(), level != Some(Two), "{flag}");
     }
     assert_eq!(ErrorFlags::NAMED, manual.map(|(_, flag, _)| flag));
-}
-
-#[test]
-fn steps_have_the_size_that_the_manual_gives() {
-    assert_eq!(Temperature::from_raw(-40).celsius(), -40.0); // 1 °C, 2.14.3
-    assert_eq!(Voltage::from_raw(485).volts(), 48.5); // 0.1 V, 2.14.3
-    assert_eq!(Current::from_raw(-125).amperes(), -1.25); // 0.01 A, 2.15.3
-    assert_eq!(CoarseSpeed::from_raw(-500).dps(), -500.0); // 1 dps, 2.15.3
-    assert_eq!(CoarseAngle::from_raw(-45).degrees(), -45.0); // 1 degree, 2.15.3
-    assert_eq!(Angle::from_raw(-36_025).degrees(), -360.25); // 0.01 degree, 2.12.3
-    assert_eq!(ReportedSingleTurnAngle::from_raw(35_950).degrees(), 359.5); // 0.01 degree, 2.13.3
-    assert_eq!(SingleTurnTarget::MAX.degrees(), 360.0); // 0.01 degree, 2.22.1
-    assert_eq!(SpeedTarget::from_raw(-150).dps(), -1.5); // 0.01 dps, 2.20.1
-    assert_eq!(MaxSpeed::from_raw(500).dps(), 500.0); // 1 dps, 2.21.1
-    assert_eq!(MaxTorque::from_raw(60).percent(), 60.0); // 1 % of rated current, 2.20.1
-    assert_eq!(Acceleration::MAX.dps2(), 60_000.0); // 1 dps/s, 2.5.1
-    assert_eq!(ReportedAcceleration::from_raw(7).dps2(), 7.0); // 1 dps/s, 2.4.3
-    assert_eq!(ReportInterval::from_raw(3).millis(), 30.0); // 10 ms, 2.34.2
 }

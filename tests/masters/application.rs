@@ -1,6 +1,8 @@
 //! The application of the example firmware against simulated drives, on both buses.
 
-use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet, LineFleet};
+use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
+use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_mcu_example::{
     App, Board, Moment, Movement, Report, RestartCause, Setup, StateName, Trouble, cycle,
 };
@@ -9,9 +11,10 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::MaxSpeed;
-use myactuator_tests::fleet::{self, Bus, angle_deg, speed_dps, state};
+use myactuator_tests::fleet::{master, state};
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
+use myactuator_tests::wire::Wire;
 
 on_both_buses! {
     nothing_moves_before_the_button
@@ -28,17 +31,17 @@ on_both_buses! {
 }
 
 /// How the motors of a bus are moved.
-trait Moved: Bus {
+trait Moved: Wire {
     fn setup() -> Setup;
 }
 
-impl Moved for CanFleet {
+impl Moved for CanBus {
     fn setup() -> Setup {
         Setup::new(Movement::Motion { ranges: MotionRanges::V4_3, kp: 50.0, kd: 2.0 })
     }
 }
 
-impl Moved for LineFleet {
+impl Moved for Rs485Line {
     fn setup() -> Setup {
         Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(200) })
     }
@@ -74,17 +77,25 @@ impl Board for Panel {
     }
 }
 
+fn angle_deg(drive: &DriveHandle) -> f64 {
+    drive.with(|drive| drive.plant().output_angle_deg())
+}
+
+fn speed_dps(drive: &DriveHandle) -> f64 {
+    drive.with(|drive| drive.plant().output_speed_dps())
+}
+
 /// A firmware on a bus.
-struct Firmware<'a, B: Bus> {
-    bus: &'a B,
-    runner: fleet::Master<B>,
+struct Firmware<'a, B: Moved> {
+    bus: &'a BusFleet<B>,
+    runner: B::Runner<8>,
     app: App<8>,
     panel: Panel,
 }
 
 impl<'a, B: Moved> Firmware<'a, B> {
-    fn start(bus: &'a B, panel: Panel) -> Self {
-        let (mut runner, mut panel) = (bus.master(), panel);
+    fn start(bus: &'a BusFleet<B>, panel: Panel) -> Self {
+        let (mut runner, mut panel) = (master(bus), panel);
         let now = runner.now();
         let at = &mut Moment { now, master: runner.master(), board: &mut panel };
         let app = App::start(B::setup(), RestartCause::Power, at);
@@ -92,7 +103,7 @@ impl<'a, B: Moved> Firmware<'a, B> {
     }
 
     /// A firmware whose motors run.
-    fn running(bus: &'a B) -> Self {
+    fn running(bus: &'a BusFleet<B>) -> Self {
         let mut firmware = Self::start(bus, Panel::default());
         firmware.run_for(millis(1_500));
         firmware.press(millis(50));
@@ -138,7 +149,7 @@ impl<'a, B: Moved> Firmware<'a, B> {
     }
 
     fn is_anything_running(&self) -> bool {
-        self.bus.drives().iter().any(|drive| speed_dps(drive).abs() > 1.0)
+        self.bus.drives.iter().any(|drive| speed_dps(drive).abs() > 1.0)
     }
 
     /// Nothing turns now nor in the next second, and nothing starts by itself.
@@ -154,16 +165,16 @@ impl<'a, B: Moved> Firmware<'a, B> {
     }
 }
 
-fn unplug(bus: &impl Bus, drive: &DriveHandle) {
-    bus.world().cut(drive.station());
+fn unplug<B: Moved>(bus: &BusFleet<B>, drive: &DriveHandle) {
+    bus.world.cut(drive.station());
 }
 
 fn nothing_moves_before_the_button<B: Moved>() {
-    let bus = B::with(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::start(&bus, Panel::default());
-    let before: Vec<_> = bus.drives().iter().map(angle_deg).collect();
+    let before: Vec<_> = bus.drives.iter().map(angle_deg).collect();
     firmware.run_for(millis(3_000));
-    assert_eq!(before, bus.drives().iter().map(angle_deg).collect::<Vec<_>>());
+    assert_eq!(before, bus.drives.iter().map(angle_deg).collect::<Vec<_>>());
     let nobody: MotorSet = (5..=8).map(id).collect();
     assert_eq!(
         firmware.panel.reports,
@@ -178,7 +189,7 @@ fn nothing_moves_before_the_button<B: Moved>() {
 }
 
 fn a_button_that_is_down_at_the_start_starts_nothing<B: Moved>() {
-    let bus = B::with(&Fleet::new(2)).unwrap();
+    let bus = B::drives(&Fleet::new(2)).unwrap();
     let jammed = Panel { is_button_down: true, ..Panel::default() };
     let mut firmware = Firmware::start(&bus, jammed);
     firmware.run_for(millis(4_000));
@@ -187,18 +198,18 @@ fn a_button_that_is_down_at_the_start_starts_nothing<B: Moved>() {
 }
 
 fn motors_are_named_and_reach_both_ends<B: Moved>() {
-    let bus = B::with(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::running(&bus);
     let told =
         |wanted: fn(&Report) -> bool| firmware.panel.reports.iter().filter(|r| wanted(r)).count();
     assert_eq!(told(|report| matches!(report, Report::Found { .. })), 4);
     assert_eq!(told(|report| matches!(report, Report::Ready { .. })), 4);
-    let home: Vec<_> = bus.drives().iter().map(angle_deg).collect();
+    let home: Vec<_> = bus.drives.iter().map(angle_deg).collect();
     firmware.forget();
     let mut farthest = vec![0.0_f64; 4];
     for _ in 0..600 {
         firmware.run_for(millis(10));
-        for ((drive, home), farthest) in bus.drives().iter().zip(&home).zip(&mut farthest) {
+        for ((drive, home), farthest) in bus.drives.iter().zip(&home).zip(&mut farthest) {
             let way = angle_deg(drive) - home;
             assert!((-2.0..22.0).contains(&way), "{way}");
             *farthest = farthest.max(way);
@@ -221,7 +232,7 @@ fn motors_are_named_and_reach_both_ends<B: Moved>() {
 }
 
 fn the_button_stops_within_a_few_cycles_and_letting_go_starts_nothing<B: Moved>() {
-    let bus = B::with(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::running(&bus);
     firmware.run_for(millis(300));
     assert!(firmware.is_anything_running());
@@ -238,13 +249,13 @@ fn the_button_stops_within_a_few_cycles_and_letting_go_starts_nothing<B: Moved>(
 }
 
 fn a_motor_that_is_unplugged_stops_all<B: Moved>() {
-    let bus = B::with(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::running(&bus);
     firmware.run_for(millis(500));
-    unplug(&bus, &bus.drives()[2]);
+    unplug(&bus, &bus.drives[2]);
     firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(3) }), millis(200));
     firmware.run_until(Report::Stopped { unconfirmed: id(3).into() }, millis(1_100));
-    bus.world().mend(bus.drives()[2].station());
+    bus.world.mend(bus.drives[2].station());
     firmware.stays_stopped();
     firmware.forget();
     firmware.press(millis(50));
@@ -253,11 +264,11 @@ fn a_motor_that_is_unplugged_stops_all<B: Moved>() {
 }
 
 fn a_motor_that_restarts_stops_all<B: Moved>() {
-    let bus = B::with(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::running(&bus);
     firmware.run_for(millis(500));
     let now = firmware.runner.now();
-    bus.drives()[1].with(|drive| {
+    bus.drives[1].with(|drive| {
         drive.power_off(now);
         drive.power_on(now);
     });
@@ -270,11 +281,11 @@ fn a_motor_that_restarts_stops_all<B: Moved>() {
 }
 
 fn a_motor_with_an_error_stops_all<B: Moved>() {
-    let bus = B::with(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::running(&bus);
     firmware.run_for(millis(500));
     let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
-    bus.drives()[3].with(|drive| drive.raise_fault(flags));
+    bus.drives[3].with(|drive| drive.raise_fault(flags));
     let trouble = Trouble::Errors { motor: id(4), flags };
     firmware.run_until(Report::Trouble(trouble), millis(300));
     firmware.stays_stopped();
@@ -287,49 +298,49 @@ fn a_motor_with_an_error_stops_all<B: Moved>() {
 
 fn a_motor_of_another_firmware_is_not_moved<B: Moved>() {
     let version_date = VersionDate::from_raw(20_231_201);
-    let bus = B::with(&Fleet::new(3).version_date(version_date)).unwrap();
+    let bus = B::drives(&Fleet::new(3).version_date(version_date)).unwrap();
     let mut firmware = Firmware::start(&bus, Panel::default());
     firmware.run_for(millis(1_500));
     firmware.press(millis(50));
     let trouble = Trouble::OtherFirmware { motor: id(1), version_date };
     firmware.run_until(Report::Trouble(trouble), millis(1_000));
     firmware.run_for(millis(3_000));
-    assert!(bus.drives().iter().all(|drive| angle_deg(drive).abs() < 0.1));
+    assert!(bus.drives.iter().all(|drive| angle_deg(drive).abs() < 0.1));
 }
 
 fn a_dead_bus_is_told_and_only_the_button_ends_that<B: Moved>() {
-    let bus = B::with(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::running(&bus);
     firmware.run_for(millis(500));
-    bus.drives().iter().for_each(|drive| unplug(&bus, drive));
+    bus.drives.iter().for_each(|drive| unplug(&bus, drive));
     firmware.run_until(Report::Trouble(Trouble::BusDown), millis(200));
     firmware.run_for(millis(1_000));
-    bus.drives().iter().for_each(|drive| bus.world().mend(drive.station()));
+    bus.drives.iter().for_each(|drive| bus.world.mend(drive.station()));
     firmware.stays_stopped();
     firmware.press(millis(50));
     firmware.run_until(Report::State(StateName::Running), millis(3_000));
 }
 
 fn a_long_press_shuts_down<B: Moved>() {
-    let bus = B::with(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::running(&bus);
     firmware.run_for(millis(500));
     firmware.press(millis(50));
     firmware.run_for(millis(1_100));
     firmware.press(millis(1_100));
     firmware.run_for(millis(500));
-    for drive in bus.drives() {
+    for drive in &bus.drives {
         assert!(!state(drive).output_on);
     }
     assert_eq!(firmware.troubles(), [Trouble::Button]);
 }
 
 fn a_motor_that_is_not_seen_does_not_feed_the_watchdog<B: Moved>() {
-    let bus = B::with(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4)).unwrap();
     let mut firmware = Firmware::running(&bus);
     firmware.run_for(millis(500));
     let fed = firmware.panel.fed;
-    unplug(&bus, &bus.drives()[0]);
+    unplug(&bus, &bus.drives[0]);
     firmware.run_for(millis(95));
     let fed = firmware.panel.fed - fed;
     assert!((45..=60).contains(&fed), "{fed}");

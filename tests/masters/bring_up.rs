@@ -14,10 +14,11 @@ use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, MotorSet};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
-use myactuator_tests::fleet::{Bus, state, turn_to};
+use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis, push, turn};
+use myactuator_tests::wire::Wire;
 
 on_both_buses! {
     a_scan_tells_who_is_there
@@ -41,9 +42,9 @@ fn read_angle<R: Runner<8, Error: Debug>>(runner: &mut R) -> f32 {
     runner.ask(id(1), ReadMultiTurnAngle).expect("it is there").angle.degrees()
 }
 
-fn a_scan_tells_who_is_there<B: Bus>() {
-    let bus = B::with(&Fleet::new(5)).unwrap();
-    let runner = &mut bus.master();
+fn a_scan_tells_who_is_there<W: Wire>() {
+    let bus = W::drives(&Fleet::new(5)).unwrap();
+    let runner = &mut master(&bus);
     let mut told = Vec::new();
     let found = bring_up::scan(runner, MotorSet::ALL, |motor, there| told.push((motor, there)));
     assert_eq!(found, Ok(ids(1..=5)));
@@ -55,20 +56,19 @@ fn a_scan_tells_who_is_there<B: Bus>() {
     assert_eq!(bring_up::scan(runner, ids([2, 9]), |_, _| {}), Ok(ids([2])));
 }
 
-fn a_motor_that_is_being_asked_is_not_there_before_it_answers<B: Bus>() {
-    let bus = B::with(&Fleet::new(1)).unwrap();
-    let runner = &mut bus.master();
+fn a_motor_that_is_being_asked_is_not_there_before_it_answers<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
     // Both are being asked already; only motor 1 is there to answer.
-    let now = runner.now();
     for motor in [id(1), id(9)] {
-        let _ticket = runner.master().request(motor, ReadStatus1, now).expect("it is free");
+        let _ticket = runner.master().request(motor, ReadStatus1).expect("it is free");
     }
     assert_eq!(bring_up::scan(runner, ids([1, 9]), |_, _| {}), Ok(ids([1])));
 }
 
-fn a_motor_tells_what_it_is<B: Bus>() {
-    let bus = B::with(&Fleet::new(2)).unwrap();
-    let runner = &mut bus.master();
+fn a_motor_tells_what_it_is<W: Wire>() {
+    let bus = W::drives(&Fleet::new(2)).unwrap();
+    let runner = &mut master(&bus);
     listen(runner, millis(300));
     let identity = bring_up::identify(runner, id(2)).expect("it is there");
     assert_eq!(identity.model.map(|model| model.to_string()).as_deref(), Some("X8-PRO"));
@@ -78,21 +78,21 @@ fn a_motor_tells_what_it_is<B: Bus>() {
     assert_eq!(nobody, CallError::Failed(Failure::NoReply));
 }
 
-fn a_newer_motor_has_no_model_to_tell<B: Bus>() {
+fn a_newer_motor_has_no_model_to_tell<W: Wire>() {
     let limits = MotionLimits { torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
     let ranges = MotionRanges::new(limits).unwrap();
     let fleet = Fleet::new(1).firmware(Firmware::V4_4).motion_ranges(ranges);
-    let bus = B::with(&fleet).unwrap();
-    let identity = bring_up::identify(&mut bus.master(), id(1)).expect("it is there");
+    let bus = W::drives(&fleet).unwrap();
+    let identity = bring_up::identify(&mut master(&bus), id(1)).expect("it is there");
     assert_eq!(identity.model, None);
     assert_eq!(identity.status.errors, ErrorFlags::empty());
 }
 
-fn a_motor_is_waited_for_after_its_power_was_cycled<B: Bus>() {
+fn a_motor_is_waited_for_after_its_power_was_cycled<W: Wire>() {
     let slow = Quirks { slow_boot: true, ..Quirks::default() };
-    let bus = B::with(&Fleet::new(1).quirks(slow)).unwrap();
-    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
-    bus.world().reset(drive.station());
+    let bus = W::drives(&Fleet::new(1).quirks(slow)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    bus.world.reset(drive.station());
     let begun = runner.now();
     let half = millis(500);
     let early = bring_up::wait_until_there(runner, id(1), half);
@@ -105,16 +105,16 @@ fn a_motor_is_waited_for_after_its_power_was_cycled<B: Bus>() {
     assert!(runner.ask(id(1), ReadStatus1).is_ok());
 }
 
-fn a_zero_is_kept_over_a_power_cycle<B: Bus>() {
-    let bus = B::with(&Fleet::new(1)).unwrap();
-    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+fn a_zero_is_kept_over_a_power_cycle<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     turn_to(drive, 90.0);
     listen(runner, millis(20));
     let before = read_angle(runner);
     assert!((before - 90.0).abs() < 0.1, "{before}");
     let offset = bring_up::zero_here(runner, id(1)).expect("it keeps its zero");
     assert_ne!(offset.raw(), 0);
-    bus.world().reset(drive.station());
+    bus.world.reset(drive.station());
     bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
     let kept = runner.ask(id(1), ReadMultiTurnEncoderOffset).expect("it is there").offset;
     assert_eq!(kept, offset);
@@ -127,41 +127,41 @@ fn a_zero_is_kept_over_a_power_cycle<B: Bus>() {
     assert!((turned - 30.0).abs() < 0.1, "{turned}");
 }
 
-fn an_id_is_not_changed_while_two_motors_listen_or_it_is_taken<B: Bus>() {
-    let bus = B::with(&Fleet::new(2)).unwrap();
-    let runner = &mut bus.master();
+fn an_id_is_not_changed_while_two_motors_listen_or_it_is_taken<W: Wire>() {
+    let bus = W::drives(&Fleet::new(2)).unwrap();
+    let runner = &mut master(&bus);
     let two = bring_up::change_id(runner, id(1), id(9));
     assert_eq!(two, Err(BringUpError::NotAlone(ids([1, 2]))));
     let taken = bring_up::change_id(runner, id(1), id(2));
     assert_eq!(taken, Err(BringUpError::IdTaken(id(2))));
     let stranger = bring_up::change_id(runner, id(5), id(6));
     assert_eq!(stranger, Err(BringUpError::NotAlone(ids([1, 2]))));
-    for (drive, number) in bus.drives().iter().zip(1..) {
+    for (drive, number) in bus.drives.iter().zip(1..) {
         let ids = drive.with(|drive| (drive.id(), drive.stored_settings().id));
         assert_eq!(ids, (id(number), id(number)), "nothing was changed");
     }
 }
 
-fn the_only_motor_gets_its_new_id_for_good<B: Bus>() {
+fn the_only_motor_gets_its_new_id_for_good<W: Wire>() {
     let slow = Quirks { slow_boot: true, silent_id_change: true, ..Quirks::default() };
     for quirks in [Quirks::default(), slow] {
-        let bus = B::with(&Fleet::new(1).quirks(quirks)).unwrap();
-        let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+        let bus = W::drives(&Fleet::new(1).quirks(quirks)).unwrap();
+        let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
         bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
         let empty = bring_up::change_id(runner, id(3), id(4));
         assert_eq!(empty, Err(BringUpError::NotAlone(ids([1]))), "the only one there is another");
         bring_up::change_id(runner, id(1), id(9)).expect("it is alone");
         assert_eq!(bring_up::scan(runner, MotorSet::ALL, |_, _| {}), Ok(ids([9])));
-        bus.world().reset(drive.station());
+        bus.world.reset(drive.station());
         let there = bring_up::wait_until_there(runner, id(9), Duration::from_secs(3));
         there.expect("it kept its id");
     }
 }
 
-fn a_brake_is_open_before_torque_comes<B: Bus>() {
+fn a_brake_is_open_before_torque_comes<W: Wire>() {
     let slow = Quirks { slow_brake: true, ..Quirks::default() };
-    let bus = B::with(&Fleet::new(1).brakes(true).quirks(slow)).unwrap();
-    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+    let bus = W::drives(&Fleet::new(1).brakes(true).quirks(slow)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     let moved = || state(drive).angle_deg.abs();
     let begun = runner.now();
     bring_up::release_brake(runner, id(1)).expect("it has a brake");
@@ -175,9 +175,9 @@ fn a_brake_is_open_before_torque_comes<B: Bus>() {
     assert!(moved() > 0.01, "{}", moved());
 }
 
-fn a_brake_that_does_not_open_is_told<B: Bus>() {
-    let bus = B::with(&Fleet::new(1).brakes(true)).unwrap();
-    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+fn a_brake_that_does_not_open_is_told<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     // A drive that has lost its master answers 0x77 and does nothing.
     let limit = Milliseconds::from_raw(100);
     assert_eq!(bring_up::protect(runner, id(1), limit), Ok(Protection::Confirmed));
@@ -187,9 +187,9 @@ fn a_brake_that_does_not_open_is_told<B: Bus>() {
     assert_eq!(refused, Err(BringUpError::BrakeNotReleased(BrakeCommand::LOCK)));
 }
 
-fn a_protected_motor_stops_when_nobody_speaks<B: Bus>() {
-    let bus = B::with(&Fleet::new(1)).unwrap();
-    let (runner, drive) = (&mut bus.master(), &bus.drives()[0]);
+fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     let limit = Milliseconds::from_raw(200);
     assert_eq!(bring_up::protect(runner, id(1), limit), Ok(Protection::Confirmed));
     for _ in 0..20 {

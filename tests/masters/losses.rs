@@ -8,7 +8,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, Presence};
 use myactuator_protocol_core::time::Duration;
-use myactuator_tests::rig::{Angle, Rig};
+use myactuator_tests::rig::{Rig, angle};
 use myactuator_tests::values::id;
 use myactuator_tests::wire::Wire;
 
@@ -38,8 +38,7 @@ const ROUNDS: u32 = 300;
 fn run<W: Wire>(case: Case) -> Vec<Told> {
     let mut rig = Rig::<W>::new(case.motors, u64::from(case.percent) + u64::from(case.motors));
     if !case.cuts {
-        let lossy = FaultPlan { lose: case.percent as f32 / 100.0, ..FaultPlan::NONE };
-        rig.strike(lossy);
+        rig.strike(FaultPlan { lose: case.percent as f32 / 100.0, ..FaultPlan::NONE });
     }
     let mut told = vec![Told::default(); case.motors.into()];
     let patience = Patience { reply_timeout: W::CONFIG.reply_timeout, attempts: case.attempts };
@@ -57,51 +56,42 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         let motors: Vec<MotorId> = rig.motors().collect();
         let mut open = motors.len();
         for &motor in &motors {
-            let master = rig.runner.master();
-            let read = Angle { index: 0, token: round };
-            let _ticket =
-                master.request_with(motor, read, patience, now).expect("nothing is under way");
+            let asked = rig.runner.master().request_with(motor, angle(round), patience);
+            let _ticket = asked.expect("nothing is under way");
             rig.put(motor, round + 1).expect("there is a place");
         }
         let mut broadcast = case.broadcasts && round % 4 == 0;
         if broadcast {
             let all: MotorSet = motors.iter().copied().collect();
-            let read = Angle { index: 0, token: round };
-            rig.runner.master().broadcast(read, all, now).expect("no other is under way");
+            rig.runner.master().broadcast(angle(round), all).expect("no other is under way");
         }
-        while open > 0 || broadcast || rig.runner.master().is_anything_in_flight() {
+        loop {
             let event = rig.runner.poll().expect("the bus works");
-            let Some(event) = event else {
-                rig.runner.idle(rig.world.now() + Duration::from_secs(1));
-                assert!(rig.world.now() - now < Duration::from_secs(2), "hangs in {case:?}");
-                continue;
-            };
             match event {
-                Event::Reply { ticket, .. } => {
+                Some(Event::Reply { ticket, .. }) => {
                     told[ticket.motor().index()].replies += 1;
                     open -= 1;
                 }
-                Event::Failed { ticket, failure: Failure::NoReply } => {
+                Some(Event::Failed { ticket, failure: Failure::NoReply }) => {
                     told[ticket.motor().index()].no_reply += 1;
                     open -= 1;
                 }
-                Event::Feedback { motor, .. } => told[motor.index()].feedback += 1,
-                Event::SetPointUnanswered { motor } => told[motor.index()].unanswered += 1,
-                Event::SetPointDropped { .. } => {}
-                Event::BroadcastReply { motor, .. } => told[motor.index()].broadcast_replies += 1,
-                Event::BroadcastDone { silent } => {
+                Some(Event::Feedback { motor, .. }) => told[motor.index()].feedback += 1,
+                Some(Event::SetPointUnanswered { motor }) => told[motor.index()].unanswered += 1,
+                Some(Event::SetPointDropped { .. }) => {}
+                Some(Event::BroadcastReply { motor, .. }) => {
+                    told[motor.index()].broadcast_replies += 1;
+                }
+                Some(Event::BroadcastDone { silent }) => {
                     broadcast = false;
                     silent.iter().for_each(|motor| told[motor.index()].silent += 1);
                 }
-                other => panic!("{other:?} in {case:?}"),
-            }
-        }
-        while let Some(event) = rig.runner.poll().expect("the bus works") {
-            match event {
-                Event::SetPointUnanswered { motor } => told[motor.index()].unanswered += 1,
-                Event::Feedback { motor, .. } => told[motor.index()].feedback += 1,
-                Event::SetPointDropped { .. } => {}
-                other => panic!("{other:?} in {case:?}"),
+                Some(other) => panic!("{other:?} in {case:?}"),
+                None if open > 0 || broadcast || rig.runner.master().is_anything_in_flight() => {
+                    rig.runner.idle(rig.world.now() + Duration::from_secs(1));
+                    assert!(rig.world.now() - now < Duration::from_secs(2), "hangs in {case:?}");
+                }
+                None => break,
             }
         }
     }
@@ -110,10 +100,9 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         let health = rig.runner.master().health(motor);
         let what = format!("{}: motor {motor} of {case:?}, {told:?}, {health:?}", W::NAME);
         // What really happened: commands that were on the wire, replies that got through.
-        let asked = page.asked + page.asked_all;
         let got_through = page.replied - page.replies_lost;
-        let lost_on_the_way = (asked - page.heard) + page.replies_lost;
-        assert_eq!(u64::from(health.lost), asked - got_through, "{what}");
+        let lost_on_the_way = (page.sent.asking - page.heard.asking) + page.replies_lost;
+        assert_eq!(u64::from(health.lost), page.sent.asking - got_through, "{what}");
         if !case.cuts {
             assert_eq!(u64::from(health.lost), lost_on_the_way, "{what}");
         }
@@ -126,7 +115,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         } else {
             assert!(u64::from(health.lost) >= told_lost + 2 * told.no_reply, "{what}");
         }
-        let replaced = u64::from(ROUNDS) - page.set_points_sent;
+        let replaced = u64::from(ROUNDS) - page.sent.set_points;
         assert_eq!(u64::from(health.superseded), replaced, "{what}");
     }
     told
@@ -169,12 +158,12 @@ fn a_motor_that_is_not_there_is_late_and_then_silent() {
     let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
     let mut presence = Vec::new();
     for token in 0..4 {
-        let read = Angle { index: 0, token };
+        let read = angle(token);
         assert!(rig.runner.call_with(id(1), read, Some(once), |_| {}).is_err());
         presence.push(rig.runner.master().health(id(1)).presence);
     }
     assert_eq!(presence, [Presence::Late, Presence::Late, Presence::Silent, Presence::Silent]);
     rig.world.mend(rig.nodes[0]);
-    assert!(rig.runner.ask(id(1), Angle { index: 0, token: 9 }).is_ok());
+    assert!(rig.runner.ask(id(1), angle(9)).is_ok());
     assert_eq!(rig.runner.master().health(id(1)).presence, Presence::Present);
 }

@@ -36,11 +36,7 @@ impl Default for Bench {
 impl Bench {
     /// A drive on CAN with an ideal motor.
     pub fn new(parameters: Parameters) -> Self {
-        Self::with(parameters, IdealPlant::default())
-    }
-
-    /// A drive with this motor.
-    pub fn with(parameters: Parameters, plant: IdealPlant) -> Self {
+        let plant = IdealPlant::default();
         let now = Instant::from_millis(1_000);
         let drive = Drive::new(parameters, plant, RamMemory::default(), now).unwrap();
         let mut bench = Self { drive, now, sent: Vec::new(), events: Vec::new() };

@@ -1,10 +1,10 @@
 //! Helpers shared by the tests of the workspace.
 
 pub mod bench;
+pub mod dice;
 #[cfg(feature = "emulator")]
 pub mod emulator;
 pub mod fleet;
-pub mod line;
 pub mod listen;
 pub mod rig;
 pub mod script;

@@ -11,20 +11,18 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::trace::{Event, Fault};
 use myactuator_host_std::sim::bus::{Node, StationId, World};
-use myactuator_protocol_core::command::{
-    AccelerationReading, Feedback, Fields, MultiTurnAngle, MultiTurnEncoder, PidGain, RunTime,
-    Speed, Version,
-};
+use myactuator_protocol_core::command::{IncrementalPosition, ReadMultiTurnAngle, Speed};
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{self, Config};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
+use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{
     Channel, Command, Data, DecodeError, Kind, MotorId, Opcode, Packet, Target,
 };
 
+use crate::dice::Dice;
 use crate::wire::Wire;
 
 /// Marks a set-point of a stream in byte 1 of a speed command; requests of the same kind have another.
@@ -35,117 +33,100 @@ pub fn token_of(data: &Data) -> u32 {
     u32::from_le_bytes([data[4], data[5], data[6], data[7]])
 }
 
-fn with_token(first: [u8; 4], token: u32) -> Data {
-    let [a, b, c, d] = first;
-    let [e, f, g, h] = token.to_le_bytes();
-    [a, b, c, d, e, f, g, h]
+/// A command that has nothing in bytes 4 to 7, with a token there, which the master neither knows nor
+/// needs.
+#[derive(Clone, Copy, Debug)]
+pub struct WithToken<C>(C, u32);
+
+/// The command with this token.
+pub const fn with_token<C>(command: C, token: u32) -> WithToken<C> {
+    WithToken(command, token)
 }
 
-/// Commands whose unused bytes carry a token, which the master neither knows nor needs.
-macro_rules! tokened {
-    ($($(#[$doc:meta])* $name:ident: $opcode:ident => $reply:ty, $byte:literal;)+) => {$(
-        $(#[$doc])*
-        #[derive(Clone, Copy, Debug)]
-        pub struct $name {
-            /// Byte 1.
-            pub index: u8,
-            /// Bytes 4 to 7.
-            pub token: u32,
-        }
-
-        impl Command for $name {
-            type Reply = $reply;
-
-            fn kind(&self) -> Kind {
-                Kind::Known(Opcode::$opcode)
-            }
-
-            fn encode(&self) -> Data {
-                with_token([$byte, self.index, 0, 0], self.token)
-            }
-
-            fn decode_reply(data: &Data) -> Result<$reply, DecodeError> {
-                Fields::read(data)
-            }
-        }
-    )+};
+/// 0x92 with a token.
+pub const fn angle(token: u32) -> WithToken<ReadMultiTurnAngle> {
+    WithToken(ReadMultiTurnAngle, token)
 }
 
-tokened! {
-    /// 0x30 with a token.
-    Pid: ReadPid => PidGain, 0x30;
-    /// 0x42 with a token.
-    Acceleration: ReadAcceleration => AccelerationReading, 0x42;
-    /// 0x60 with a token; the index is 0.
-    Encoder: ReadMultiTurnEncoder => MultiTurnEncoder, 0x60;
-    /// 0x92 with a token; the index is 0.
-    Angle: ReadMultiTurnAngle => MultiTurnAngle, 0x92;
-    /// 0x9C with a token; the index is 0.
-    Status2: ReadStatus2 => Feedback, 0x9C;
-    /// 0xB1 with a token; the index is 0.
-    RunTimeOf: ReadRunTime => RunTime, 0xB1;
-    /// 0xB2 with a token; the index is 0.
-    VersionOf: ReadVersionDate => Version, 0xB2;
-    /// 0xA8 by the token's angle; the index is 0.
-    Step: IncrementalPosition => Feedback, 0xA8;
+/// 0xA8 by the token's angle.
+pub const fn step(token: u32) -> IncrementalPosition {
+    let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(token as i32));
+    IncrementalPosition { max_speed, angle }
 }
 
-/// A seeded stream of chance.
-#[derive(Clone, Debug)]
-pub struct Dice(u64);
+impl<C: Command> Command for WithToken<C> {
+    type Reply = C::Reply;
 
-impl Dice {
-    /// The chance of a seed.
-    pub const fn new(seed: u64) -> Self {
-        Self(seed)
+    fn kind(&self) -> Kind {
+        self.0.kind()
     }
 
-    /// SplitMix64.
-    pub fn draw(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+    fn encode(&self) -> Data {
+        let mut data = self.0.encode();
+        data[4..].copy_from_slice(&self.1.to_le_bytes());
+        data
     }
 
-    /// A number below `bound`.
-    pub fn below(&mut self, bound: u64) -> u64 {
-        self.draw() % bound
+    fn decode_reply(data: &Data) -> Result<C::Reply, DecodeError> {
+        C::decode_reply(data)
+    }
+}
+
+/// The commands to one motor, as they were at one place: on the wire, or at the drive.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// Commands with a reply, to this motor or to all.
+    pub asking: u64,
+    /// How often each incremental move.
+    pub moves: HashMap<u32, u32>,
+    /// All set-points.
+    pub set_points: u64,
+    /// The newest set-point.
+    pub newest: Option<u32>,
+    /// Set-points that came after a newer one.
+    pub stale: u64,
+    /// When motion (set-points and moves) came last.
+    pub last_motion: Option<Instant>,
+    /// When a stop came first after this was forgotten.
+    pub first_stop: Option<Instant>,
+    /// When a stop came last.
+    pub last_stop: Option<Instant>,
+}
+
+impl Seen {
+    fn note(&mut self, packet: &Packet, at: Instant) {
+        self.asking += u64::from(has_reply(packet));
+        if let Some(number) = set_point_number(packet) {
+            self.set_points += 1;
+            self.last_motion = Some(at);
+            // Motion mode's numbers wrap.
+            let ahead = self.newest.map_or(1, |newest| number.wrapping_sub(newest));
+            if (1..1 << 31).contains(&ahead) {
+                self.newest = Some(number);
+            } else {
+                self.stale += 1;
+            }
+        } else if packet.data[0] == 0xA8 {
+            *self.moves.entry(token_of(&packet.data)).or_default() += 1;
+            self.last_motion = Some(at);
+        } else if matches!(packet.data[0], 0x80 | 0x81) {
+            self.first_stop.get_or_insert(at);
+            self.last_stop = Some(at);
+        }
     }
 }
 
 /// What is known of one motor.
 #[derive(Clone, Debug, Default)]
 pub struct Page {
-    /// Commands with a reply to this motor that were on the wire whole.
-    pub asked: u64,
-    /// Commands to all with a reply that were on the wire whole.
-    pub asked_all: u64,
+    /// Commands that were on the wire whole.
+    pub sent: Seen,
+    /// Commands that reached the drive.
+    pub heard: Seen,
     /// Its replies that were on the wire whole.
     pub replied: u64,
     /// Its replies that the injector kept from the master.
     pub replies_lost: u64,
-    /// Commands with a reply that reached the drive.
-    pub heard: u64,
-    /// How often each incremental move was on the wire, and how often the drive heard it.
-    pub moves: HashMap<u32, (u32, u32)>,
-    /// The newest set-point on the wire.
-    pub newest_sent: Option<u32>,
-    /// The newest set-point at the drive.
-    pub newest_heard: Option<u32>,
-    /// Set-points that came onto the wire after a newer one.
-    pub stale_sent: u64,
-    /// Set-points that came to the drive after a newer one.
-    pub stale_heard: u64,
-    /// All set-points on the wire.
-    pub set_points_sent: u64,
-    /// When motion (set-points and moves) was on the wire last.
-    pub last_motion_sent: Option<Instant>,
-    /// When the drive was told to stop last.
-    pub last_stop_heard: Option<Instant>,
-    /// When a stop to it was on the wire first after the ledger was asked to watch for one.
-    pub first_stop_sent: Option<Instant>,
 }
 
 /// What really happened.
@@ -170,80 +151,31 @@ impl Ledger {
 
     fn carried_command(&self, packet: &Packet, at: Instant) {
         let mut pages = self.pages();
-        let answered = opcode_of(packet).is_some_and(Opcode::has_reply);
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
-                let page = &mut pages[motor.index()];
-                page.asked += u64::from(answered);
-                if is_set_point(packet) {
-                    page.set_points_sent += 1;
-                    let stale = is_stale(&mut page.newest_sent, set_point_number(packet));
-                    page.stale_sent += u64::from(stale);
-                    page.last_motion_sent = Some(at);
-                } else if packet.data[0] == 0xA8 {
-                    page.moves.entry(token_of(&packet.data)).or_default().0 += 1;
-                    page.last_motion_sent = Some(at);
-                } else if matches!(packet.data[0], 0x80 | 0x81) {
-                    page.first_stop_sent.get_or_insert(at);
-                }
+                pages[motor.index()].sent.note(packet, at);
             }
-            Channel::Command(Target::All) if answered => {
-                pages.iter_mut().for_each(|page| page.asked_all += 1);
+            Channel::Command(Target::All) => {
+                pages.iter_mut().for_each(|page| page.sent.note(packet, at));
             }
             _ => {}
         }
     }
-
-    fn heard_command(&self, motor: MotorId, packet: &Packet, at: Instant) {
-        let page = &mut self.pages()[motor.index()];
-        page.heard += u64::from(opcode_of(packet).is_some_and(Opcode::has_reply));
-        if is_set_point(packet) {
-            let stale = is_stale(&mut page.newest_heard, set_point_number(packet));
-            page.stale_heard += u64::from(stale);
-        } else if packet.data[0] == 0xA8 {
-            page.moves.entry(token_of(&packet.data)).or_default().1 += 1;
-        } else if matches!(packet.data[0], 0x80 | 0x81) {
-            page.last_stop_heard = Some(at);
-        }
-    }
 }
 
-fn opcode_of(packet: &Packet) -> Option<Opcode> {
-    match packet.channel {
-        Channel::Motion(_) | Channel::MotionReply(_) => Some(Opcode::Motion),
-        _ => Opcode::from_byte(packet.data[0]),
-    }
+fn has_reply(packet: &Packet) -> bool {
+    matches!(packet.channel, Channel::Motion(_))
+        || Opcode::from_byte(packet.data[0]).is_some_and(Opcode::has_reply)
 }
 
-/// Set-points of the tests' streams are absolute positions, motion mode commands and marked speeds.
-fn is_set_point(packet: &Packet) -> bool {
-    match packet.channel {
-        Channel::Motion(_) => true,
-        Channel::Command(_) => {
-            packet.data[0] == 0xA4 || (packet.data[0] == 0xA2 && packet.data[1] == STREAM_MARK)
-        }
-        _ => false,
+/// The number of a set-point of the tests' streams: absolute positions and marked speeds carry it as
+/// token, motion mode commands its low 16 bits as position.
+fn set_point_number(packet: &Packet) -> Option<u32> {
+    match (packet.channel, packet.data) {
+        (Channel::Motion(_), [high, low, ..]) => Some(u32::from_be_bytes([high, low, 0, 0])),
+        (_, [0xA4, ..] | [0xA2, STREAM_MARK, ..]) => Some(token_of(&packet.data)),
+        _ => None,
     }
-}
-
-/// A motion mode command carries the low 16 bits of its number as position, the others all as token.
-fn set_point_number(packet: &Packet) -> (u32, u32) {
-    match packet.channel {
-        Channel::Motion(_) => {
-            (u32::from(u16::from_be_bytes([packet.data[0], packet.data[1]])) << 16, 1 << 16)
-        }
-        _ => (token_of(&packet.data), 1),
-    }
-}
-
-/// Whether this number is not above the newest one. Motion mode's wraps.
-fn is_stale(newest: &mut Option<u32>, (number, step): (u32, u32)) -> bool {
-    let ahead = newest.map_or(step, |newest| number.wrapping_sub(newest));
-    let is_newer = ahead != 0 && ahead < 1 << 31;
-    if is_newer {
-        *newest = Some(number);
-    }
-    !is_newer
 }
 
 /// A drive that answers every command after 0.7 to 0.9 ms, in order, with the command's own token.
@@ -264,8 +196,8 @@ impl<W> Teller<W> {
             Channel::Motion(motor) if motor == self.motor => Channel::MotionReply(motor),
             _ => return,
         };
-        self.ledger.heard_command(self.motor, packet, now);
-        if !opcode_of(packet).is_some_and(Opcode::has_reply) {
+        self.ledger.pages()[self.motor.index()].heard.note(packet, now);
+        if !has_reply(packet) {
             return;
         }
         let mut data = packet.data;

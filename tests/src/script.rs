@@ -16,14 +16,11 @@ pub const fn micros(at: u64) -> Instant {
     Instant::from_micros(at)
 }
 
-/// What a bus carries and when, in microseconds.
-pub type Timetable<F> = Vec<(u64, F)>;
-
 /// What it will send and what it heard.
 #[derive(Debug)]
 pub struct Script<F> {
     to_send: VecDeque<(u64, F)>,
-    heard: Timetable<F>,
+    heard: Vec<(u64, F)>,
     resets: Vec<u64>,
     /// Whether it sends back what it hears.
     mirrors: bool,
@@ -58,8 +55,8 @@ impl<F: Clone> Hand<F> {
         Arc::clone(&self.0)
     }
 
-    /// What it heard so far, and when.
-    pub fn heard(&self) -> Timetable<F> {
+    /// What it heard so far, and when, in microseconds.
+    pub fn heard(&self) -> Vec<(u64, F)> {
         self.0.lock().unwrap().heard.clone()
     }
 

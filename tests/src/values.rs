@@ -15,11 +15,6 @@ pub const fn millis(count: u64) -> Duration {
     Duration::from_millis(count)
 }
 
-/// A current.
-pub fn amperes(amperes: f32) -> Current {
-    Current::from_amperes(amperes).unwrap()
-}
-
 /// A speed to keep.
 pub fn dps(dps: f32) -> SpeedTarget {
     SpeedTarget::from_dps(dps).unwrap()
@@ -47,7 +42,7 @@ pub fn gain(value: f32) -> Gain {
 
 /// 0xA1: this current.
 pub fn push(current_a: f32) -> Torque {
-    Torque { current: amperes(current_a) }
+    Torque { current: Current::from_amperes(current_a).unwrap() }
 }
 
 /// 0xA2: this speed, with all the torque that there is.

@@ -2,22 +2,13 @@
 
 use std::collections::BTreeMap;
 
+pub use myactuator_protocol_core::drive::Bus;
 use myactuator_protocol_core::{AnyCommand, Channel, Data, MotorId, Opcode, Target};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-/// Which bus a row is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Bus {
-    /// CAN.
-    Can,
-    /// RS485.
-    Rs485,
-}
-
 /// Who sends a row's frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Direction {
     /// The master.
@@ -42,8 +33,9 @@ pub struct Row {
     pub id: Value,
     /// `identifier#data` on CAN, 13 bytes in hex on RS485.
     pub frame: String,
-    /// The command's name, in both directions.
-    pub name: String,
+    /// The command, in both directions.
+    #[serde(rename = "name")]
+    pub opcode: Opcode,
     /// What the frame means.
     pub fields: Map<String, Value>,
     /// The manual's explanation.
@@ -55,22 +47,20 @@ pub struct Row {
 impl Row {
     /// Whose frame it is.
     pub fn target(&self) -> Target {
-        match &self.id {
-            Value::String(all) if all == "all" => Target::All,
-            Value::Number(id) => {
-                let id = id.as_u64().and_then(|id| u8::try_from(id).ok()).expect("a small id");
-                Target::Motor(MotorId::new(id).expect("an id from 1 to 32"))
-            }
-            other => panic!("{self}: id must be a number or \"all\", found {other}"),
-        }
+        let Some(id) = self.id.as_u64() else {
+            assert_eq!(self.id, "all", "{self}: id must be a number or \"all\"");
+            return Target::All;
+        };
+        let id = u8::try_from(id).ok().and_then(|id| MotorId::new(id).ok());
+        Target::Motor(id.expect("an id from 1 to 32"))
     }
 
     /// The channel that sections 1, 3, 4, 5, 6 and 7 give this frame.
     pub fn channel(&self) -> Channel {
-        match (self.name.as_str(), self.direction, self.target()) {
-            ("bus-id", _, Target::All) => Channel::BusId,
-            ("motion", Direction::Command, Target::Motor(id)) => Channel::Motion(id),
-            ("motion", Direction::Reply, Target::Motor(id)) => Channel::MotionReply(id),
+        match (self.opcode, self.direction, self.target()) {
+            (Opcode::BusId, _, Target::All) => Channel::BusId,
+            (Opcode::Motion, Direction::Command, Target::Motor(id)) => Channel::Motion(id),
+            (Opcode::Motion, Direction::Reply, Target::Motor(id)) => Channel::MotionReply(id),
             (_, Direction::Command, target) => Channel::Command(target),
             (_, Direction::Reply, Target::Motor(id)) => Channel::Reply(id),
             _ => panic!("{self}: no channel carries this"),
@@ -110,10 +100,10 @@ impl std::fmt::Display for Row {
 
 /// The bytes of a text of hexadecimal digits, with or without spaces.
 pub fn hex(text: &str) -> Vec<u8> {
-    let digits: Vec<u8> =
-        text.chars().filter(|c| *c != ' ').map(|c| c.to_digit(16).expect("hex") as u8).collect();
+    let digits = text.replace(' ', "");
     assert_eq!(digits.len() % 2, 0, "{text}: half a byte is left over");
-    digits.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect()
+    let byte = |at| u8::from_str_radix(&digits[at..at + 2], 16).expect(text);
+    (0..digits.len()).step_by(2).map(byte).collect()
 }
 
 /// Every row of `manual-v4.3.jsonl`, in the manual's order.
@@ -128,15 +118,45 @@ pub fn one_of_each() -> Vec<AnyCommand> {
     let rows = rows();
     let command = |&opcode: &Opcode| {
         let is_command = |row: &&Row| row.direction == Direction::Command;
-        let example = rows.iter().filter(is_command).find(|row| row.name == opcode.name());
+        let example = rows.iter().filter(is_command).find(|row| row.opcode == opcode);
         let bare = || [opcode.byte().expect("a command byte"), 0, 0, 0, 0, 0, 0, 0];
         AnyCommand::decode_as(opcode, &example.map_or_else(bare, Row::data)).expect("a command")
     };
     Opcode::ALL.iter().map(command).collect()
 }
 
-/// The headings of the manual's table of contents by section: `sections.txt`.
+const KINDS: &str = include_str!("../vectors/kinds.txt");
+const INDENT: &str = "    ";
+
+/// The headings of the manual's table of contents by section.
 pub fn sections() -> BTreeMap<&'static str, &'static str> {
-    let lines = include_str!("../vectors/sections.txt").lines();
-    lines.map(|line| line.split_once(' ').expect("number and heading")).collect()
+    let headings = KINDS.lines().filter(|line| !line.starts_with(INDENT));
+    headings.map(|line| line.split_once(' ').expect("number and heading")).collect()
+}
+
+/// A line below a heading in `kinds.txt`.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// The section that it stands in.
+    pub section: &'static str,
+    /// The kind that it is about.
+    pub opcode: Opcode,
+    /// The rest of the line.
+    pub rest: &'static str,
+}
+
+/// The lines of `kinds.txt` that begin with this word, in the manual's order.
+pub fn entries(word: &str) -> impl Iterator<Item = Entry> {
+    let mut section = "";
+    KINDS.lines().filter_map(move |line| {
+        let Some(entry) = line.strip_prefix(INDENT) else {
+            section = line.split(' ').next()?;
+            return None;
+        };
+        let (first, rest) = entry.split_once(' ').expect(line);
+        assert!(["kind", "command", "reply", "case"].contains(&first), "no such line: {line}");
+        let (name, rest) = rest.split_once(' ').unwrap_or((rest, ""));
+        let opcode = name.parse().unwrap_or_else(|error| panic!("{line}: {error}"));
+        (first == word).then_some(Entry { section, opcode, rest })
+    })
 }

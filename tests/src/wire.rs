@@ -2,9 +2,10 @@
 
 use std::fmt::Debug;
 
-use myactuator_host_std::sim::bus::can::{CanBus, CanConfig, CanPort};
-use myactuator_host_std::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort};
+use myactuator_host_std::sim::bus::can::{CanBus, CanPort};
+use myactuator_host_std::sim::bus::rs485::{Rs485Line, SerialPort};
 use myactuator_host_std::sim::bus::{Medium, Node, SimClock, StationId, World};
+use myactuator_host_std::sim::{BusFleet, Fleet, FleetError};
 use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
 use myactuator_protocol_core::master::Config;
@@ -26,6 +27,9 @@ pub trait Wire: Medium<Frame: Sync> + Sized + 'static {
     /// A master on the bus, and its place.
     fn runner<const N: usize>(world: &World<Self>, config: Config) -> (Self::Runner<N>, StationId);
 
+    /// Puts simulated drives on it.
+    fn drives(fleet: &Fleet) -> Result<BusFleet<Self>, FleetError>;
+
     /// Puts a node on the bus.
     fn seat(world: &World<Self>, node: impl Node<Self::Frame> + 'static) -> StationId;
 
@@ -42,13 +46,17 @@ impl Wire for CanBus {
     const CONFIG: Config = Config::CAN;
 
     fn world(seed: u64) -> World<Self> {
-        World::<CanBus>::new(CanConfig::default(), seed)
+        World::<CanBus>::new(1_000_000, seed)
     }
 
     fn runner<const N: usize>(world: &World<Self>, config: Config) -> (Self::Runner<N>, StationId) {
         let port = world.port();
         let station = port.station();
         (CanMaster::new(port, world.clock(), config), station)
+    }
+
+    fn drives(fleet: &Fleet) -> Result<BusFleet<Self>, FleetError> {
+        fleet.on_can(1_000_000)
     }
 
     fn seat(world: &World<Self>, node: impl Node<SimpleFrame> + 'static) -> StationId {
@@ -76,13 +84,17 @@ impl Wire for Rs485Line {
     const CONFIG: Config = Config::rs485(LINE_RATE, false);
 
     fn world(seed: u64) -> World<Self> {
-        World::<Rs485Line>::new(LineConfig { bit_rate: LINE_RATE }, seed)
+        World::<Rs485Line>::new(LINE_RATE, seed)
     }
 
     fn runner<const N: usize>(world: &World<Self>, config: Config) -> (Self::Runner<N>, StationId) {
         let port = world.port();
         let station = port.station();
         (SerialMaster::new(port, world.clock(), config), station)
+    }
+
+    fn drives(fleet: &Fleet) -> Result<BusFleet<Self>, FleetError> {
+        fleet.on_rs485(LINE_RATE)
     }
 
     fn seat(world: &World<Self>, node: impl Node<Vec<u8>> + 'static) -> StationId {

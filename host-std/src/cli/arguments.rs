@@ -145,7 +145,6 @@ pub(super) fn whom(kind: Kind, id: Option<Target>) -> Parsed<Target> {
     Ok(target)
 }
 
-/// Refuses a command that a bus does not have.
 pub(super) fn check_bus(kind: Kind, bus: BusKind) -> Parsed<()> {
     match bus {
         BusKind::Can => Ok(()),
@@ -153,7 +152,6 @@ pub(super) fn check_bus(kind: Kind, bus: BusKind) -> Parsed<()> {
     }
 }
 
-/// Refuses a command that a firmware does not have.
 pub(super) fn check_firmware(opcode: Opcode, firmware: Firmware) -> Parsed<()> {
     if opcode.is_in(firmware) {
         return Ok(());

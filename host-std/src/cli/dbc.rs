@@ -5,8 +5,8 @@ use std::io::{self, Write};
 use myactuator_host_std::explain::Dbc;
 use myactuator_host_std::protocol::MotorId;
 
+use super::Outcome;
 use super::arguments::{self as parse, Revision};
-use super::{DONE, wrong_usage};
 
 /// Print a DBC file, with which other tools decode the CAN frames of these motors.
 ///
@@ -21,15 +21,8 @@ pub(super) struct Arguments {
     revision: Revision,
 }
 
-/// Prints the file.
-pub(super) fn run(arguments: &Arguments) -> u8 {
+pub(super) fn run(arguments: &Arguments) -> Outcome {
     let Arguments { id, revision } = arguments;
     let file = Dbc { firmware: revision.firmware, ranges: revision.motion_ranges(), motor: *id };
-    match io::stdout().lock().write_all(file.to_string().as_bytes()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            wrong_usage(&format!("cannot write: {error}"))
-        }
-        // A reader that has left is no error: … | head.
-        _ => DONE,
-    }
+    Ok(io::stdout().lock().write_all(file.to_string().as_bytes())?)
 }

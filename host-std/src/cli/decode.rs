@@ -1,15 +1,15 @@
 //! `myactuator decode`: what frames say.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Write};
+use std::io::{self, BufRead, BufReader};
 use std::path::PathBuf;
 
-use myactuator_host_std::explain::{Explainer, Explanation, Rs485Stream, Sender};
+use myactuator_host_std::explain::{Explainer, Explanation, FrameDirection, Rs485Stream};
 use myactuator_host_std::text::can::LogLine;
 use myactuator_host_std::{BusKind, text};
 
 use super::arguments::Revision;
-use super::{DONE, NOT_ALL_DECODED, names, print_line, wrong_usage};
+use super::{Outcome, Unfinished, names, print_line};
 
 /// Explain frames: one line each for people, or with --json one object a line.
 ///
@@ -29,8 +29,8 @@ pub(super) struct Arguments {
     #[arg(long)]
     binary: bool,
     /// Which way frames went whose bytes cannot tell (RS485, and bus id on CAN).
-    #[arg(long, value_parser = names::sender(), value_name = "WAY")]
-    direction: Option<Sender>,
+    #[arg(long, value_parser = names::direction(), value_name = "WAY")]
+    direction: Option<FrameDirection>,
     #[command(flatten)]
     revision: Revision,
     /// Frames, files, or - for standard input, which is also read if there is none of these.
@@ -38,64 +38,49 @@ pub(super) struct Arguments {
     inputs: Vec<String>,
 }
 
-/// Why no more is printed.
-enum Stop {
-    /// The reader has left.
-    Closed,
-    /// Wrong usage, told in a sentence.
-    Wrong(String),
-}
-
-impl From<io::Error> for Stop {
-    fn from(error: io::Error) -> Self {
-        Self::Wrong(format!("cannot write: {error}"))
-    }
-}
-
-/// Explains every input, and returns the exit status.
-pub(super) fn run(arguments: &Arguments) -> u8 {
+pub(super) fn run(arguments: &Arguments) -> Outcome {
     let bus = match (arguments.bus, arguments.binary) {
         (Some(BusKind::Can), true) => {
-            return wrong_usage("--binary: raw bytes are RS485's, but --bus can was given");
+            let sentence = "--binary: raw bytes are RS485's, but --bus can was given";
+            return Err(sentence.to_owned().into());
         }
         (Some(bus), _) => bus,
         (None, true) => BusKind::Rs485,
         (None, false) => BusKind::Can,
     };
     let mut decoder = Decoder {
+        arguments,
         bus,
-        json: arguments.json,
-        binary: arguments.binary,
         explainer: Explainer {
             firmware: arguments.revision.firmware,
             ranges: arguments.revision.motion_ranges(),
-            sender: arguments.direction,
+            direction: arguments.direction.unwrap_or(FrameDirection::Either),
         },
-        out: io::stdout().lock(),
         all_decoded: true,
     };
-    match decoder.inputs(&arguments.inputs) {
-        Err(Stop::Wrong(sentence)) => wrong_usage(&sentence),
-        Ok(()) | Err(Stop::Closed) if decoder.all_decoded => DONE,
-        Ok(()) | Err(Stop::Closed) => NOT_ALL_DECODED,
+    match decoder.inputs() {
+        Ok(()) | Err(Unfinished::ReaderLeft) if !decoder.all_decoded => {
+            Err(Unfinished::FailedAndTold)
+        }
+        outcome => outcome,
     }
 }
 
-struct Decoder<W> {
+struct Decoder<'a> {
+    arguments: &'a Arguments,
     bus: BusKind,
-    json: bool,
-    binary: bool,
     explainer: Explainer,
-    out: W,
     all_decoded: bool,
 }
 
-impl<W: Write> Decoder<W> {
-    fn inputs(&mut self, inputs: &[String]) -> Result<(), Stop> {
+impl Decoder<'_> {
+    fn inputs(&mut self) -> Outcome {
         let mut unreadable = None;
         let only_standard_input = ["-".to_owned()];
-        let inputs = if inputs.is_empty() { &only_standard_input } else { inputs };
-        let mut rest = inputs;
+        let mut rest = match self.arguments.inputs.as_slice() {
+            [] => &only_standard_input,
+            inputs => inputs,
+        };
         while let [input, after @ ..] = rest {
             // The bytes of an RS485 frame may come as one argument or as many.
             let bytes = rest.iter().take_while(|input| self.are_bytes(input)).count();
@@ -106,7 +91,7 @@ impl<W: Write> Decoder<W> {
             } else {
                 match self.input(input) {
                     // The others are still read.
-                    Err(Stop::Wrong(sentence)) => {
+                    Err(Unfinished::Usage(sentence)) => {
                         unreadable.get_or_insert(sentence);
                     }
                     other => other?,
@@ -114,17 +99,17 @@ impl<W: Write> Decoder<W> {
                 after
             };
         }
-        unreadable.map_or(Ok(()), |sentence| Err(Stop::Wrong(sentence)))
+        unreadable.map_or(Ok(()), |sentence| Err(Unfinished::Usage(sentence)))
     }
 
     fn are_bytes(&self, input: &str) -> bool {
         self.bus == BusKind::Rs485
-            && !self.binary
+            && !self.arguments.binary
             && text::rs485::parse_line(input).is_ok_and(|bytes| !bytes.is_empty())
     }
 
     /// Standard input, a frame or a file.
-    fn input(&mut self, input: &str) -> Result<(), Stop> {
+    fn input(&mut self, input: &str) -> Outcome {
         if input == "-" {
             return self.source(io::stdin().lock(), "standard input");
         }
@@ -136,15 +121,15 @@ impl<W: Write> Decoder<W> {
         }
         match File::open(&path) {
             Ok(file) => self.source(BufReader::new(file), input),
-            Err(error) => Err(Stop::Wrong(format!(
+            Err(error) => Err(Unfinished::Usage(format!(
                 "\"{input}\" is neither a frame on {} nor a file that can be read: {error}",
                 self.bus
             ))),
         }
     }
 
-    fn source(&mut self, mut source: impl BufRead, name: &str) -> Result<(), Stop> {
-        if !self.binary {
+    fn source(&mut self, mut source: impl BufRead, name: &str) -> Outcome {
+        if !self.arguments.binary {
             return self.text(source, name);
         }
         let mut stream = Rs485Stream::new(self.explainer);
@@ -160,12 +145,12 @@ impl<W: Write> Decoder<W> {
         self.tell(stream.finish())
     }
 
-    fn lines(&mut self, text: &[u8]) -> Result<(), Stop> {
+    fn lines(&mut self, text: &[u8]) -> Outcome {
         self.text(text, "the arguments")
     }
 
     /// Text, line by line: a live bus is explained as it goes.
-    fn text(&mut self, source: impl BufRead, name: &str) -> Result<(), Stop> {
+    fn text(&mut self, source: impl BufRead, name: &str) -> Outcome {
         let mut stream = Rs485Stream::new(self.explainer);
         for line in source.split(b'\n') {
             let line = line.map_err(|error| unreadable(name, &error))?;
@@ -206,19 +191,20 @@ impl<W: Write> Decoder<W> {
         Explanation { stamp, ..explanation }
     }
 
-    fn tell(&mut self, explanations: impl IntoIterator<Item = Explanation>) -> Result<(), Stop> {
+    fn tell(&mut self, explanations: impl IntoIterator<Item = Explanation>) -> Outcome {
         for explanation in explanations {
             self.all_decoded &= explanation.is_decoded();
-            let line =
-                if self.json { explanation.to_json().to_string() } else { explanation.to_string() };
-            if !print_line(&mut self.out, &line)? {
-                return Err(Stop::Closed);
-            }
+            let line = if self.arguments.json {
+                explanation.to_json().to_string()
+            } else {
+                explanation.to_string()
+            };
+            print_line(&line)?;
         }
         Ok(())
     }
 }
 
-fn unreadable(name: &str, error: &io::Error) -> Stop {
-    Stop::Wrong(format!("cannot read {name}: {error}"))
+fn unreadable(name: &str, error: &io::Error) -> Unfinished {
+    Unfinished::Usage(format!("cannot read {name}: {error}"))
 }

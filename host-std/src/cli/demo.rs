@@ -3,7 +3,6 @@
 use std::error::Error;
 use std::f32::consts::TAU;
 use std::io::{self, StdoutLock, Write};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use clap::Args;
 use myactuator_host_std::BusKind;
@@ -19,7 +18,7 @@ use myactuator_protocol_core::master::{Bus, Config, Event, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
-use super::{DONE, FAILED, names, tell};
+use super::{Outcome, Unfinished, names};
 
 const MOTORS: u8 = 4;
 /// Of either bus.
@@ -36,48 +35,41 @@ pub(super) struct Arguments {
     bus: BusKind,
 }
 
-type Outcome<T = ()> = Result<T, Box<dyn Error>>;
+type Told<T = ()> = Result<T, Box<dyn Error>>;
 
-/// Runs the demonstration.
-pub(super) fn run(arguments: &Arguments) -> u8 {
-    match Tour::start(arguments.bus).and_then(Tour::run) {
-        Ok(()) => DONE,
-        // Nobody is left to tell: `… | head`.
-        Err(error) if is_broken_pipe(&*error) => DONE,
-        Err(error) => {
-            tell("error", format_args!("the demonstration ended early: {error}"));
-            FAILED
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    Tour::start(arguments.bus).and_then(Tour::run).map_err(|error| {
+        let io_error = error.downcast_ref::<io::Error>();
+        match io_error.map(io::Error::kind) {
+            Some(io::ErrorKind::BrokenPipe) => Unfinished::ReaderLeft,
+            _ => Unfinished::Failed(format!("the demonstration ended early: {error}")),
         }
-    }
-}
-
-fn is_broken_pipe(error: &(dyn Error + 'static)) -> bool {
-    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+    })
 }
 
 /// A master, what is known about the wire under it, and where to tell.
 struct Tour {
     bus: BusKind,
     master: AnyMaster<8>,
-    traffic: Traffic,
+    means: Means,
     out: StdoutLock<'static>,
 }
 
 impl Tour {
-    fn start(bus: BusKind) -> Outcome<Self> {
+    fn start(bus: BusKind) -> Told<Self> {
         let min = Duration::from_micros(RESPONSE.as_micros() - RESPONSE_SPREAD.as_micros());
         let fleet = Fleet::new(MOTORS).response(min, RESPONSE + RESPONSE_SPREAD);
         let mut out = io::stdout().lock();
-        let (master, traffic, name) = match bus {
+        let (master, means, name) = match bus {
             BusKind::Can => {
                 let fleet = fleet.on_can(BIT_RATE)?;
-                let traffic = Traffic::watch(&fleet.world);
-                (AnyMaster::SimulatedCan(fleet.master()), traffic, "a CAN bus")
+                let means = means(&fleet.world);
+                (AnyMaster::SimulatedCan(fleet.master()), means, "a CAN bus")
             }
             BusKind::Rs485 => {
                 let fleet = fleet.on_rs485(BIT_RATE)?;
-                let traffic = Traffic::watch(&fleet.world);
-                (AnyMaster::SimulatedRs485(fleet.master()), traffic, "an RS485 line")
+                let means = means(&fleet.world);
+                (AnyMaster::SimulatedRs485(fleet.master()), means, "an RS485 line")
             }
         };
         writeln!(
@@ -85,10 +77,10 @@ impl Tour {
             "{MOTORS} simulated drives on {name} at {} Mbit/s, in virtual time.",
             BIT_RATE / 1_000_000
         )?;
-        Ok(Self { bus, master, traffic, out })
+        Ok(Self { bus, master, means, out })
     }
 
-    fn run(mut self) -> Outcome {
+    fn run(mut self) -> Told {
         let motors = self.find()?;
         self.identify(motors)?;
         self.go()?;
@@ -102,7 +94,7 @@ impl Tour {
         self.shut_down(motors)
     }
 
-    fn find(&mut self) -> Outcome<MotorSet> {
+    fn find(&mut self) -> Told<MotorSet> {
         let start = self.master.now();
         let motors = bring_up::scan(&mut self.master, MotorSet::ALL, |_, _| {})?;
         let (span, count) = (self.seconds_since(start), motors.len());
@@ -110,7 +102,7 @@ impl Tour {
         Ok(motors)
     }
 
-    fn identify(&mut self, motors: MotorSet) -> Outcome {
+    fn identify(&mut self, motors: MotorSet) -> Told {
         writeln!(self.out)?;
         for motor in motors.iter() {
             let is = bring_up::identify(&mut self.master, motor)?;
@@ -131,7 +123,7 @@ impl Tour {
     }
 
     /// Moves motor 1 to an angle and watches it arrive.
-    fn go(&mut self) -> Outcome {
+    fn go(&mut self) -> Told {
         const TARGET_DEG: f32 = 90.0;
         const NEAR_DEG: f32 = 0.1;
         const LONGEST: Duration = Duration::from_secs(5);
@@ -162,7 +154,7 @@ impl Tour {
     }
 
     /// Gives every motor its next set-point as soon as it has answered the last, for two seconds.
-    fn stream(&mut self, motors: MotorSet) -> Outcome {
+    fn stream(&mut self, motors: MotorSet) -> Told {
         const SPAN: Duration = Duration::from_secs(2);
         let mut centres = [0.0_f32; MotorId::COUNT];
         for motor in motors.iter() {
@@ -170,7 +162,7 @@ impl Tour {
             centres[motor.index()] = angle.degrees().to_radians();
         }
         let start = self.master.now();
-        self.traffic.restart();
+        (self.means)();
         let mut answers = 0_u32;
         let (mut lowest, mut highest) = (f32::INFINITY, f32::NEG_INFINITY);
         for motor in motors.iter() {
@@ -193,7 +185,7 @@ impl Tour {
         let span = f64::from((self.master.now() - start).as_secs_f32());
         let count = motors.len();
         let rate = f64::from(answers) / count as f64 / span;
-        let means = self.traffic.means();
+        let means = (self.means)();
         let (title, bound) = match self.bus {
             BusKind::Can => ("Motion mode", bound_on_can(motors, means)),
             BusKind::Rs485 => ("Position", bound_on_rs485(motors, means)),
@@ -210,7 +202,7 @@ impl Tour {
 
     /// The next set-point of a swing of ±0.5 rad, one a second, around where a motor is: by motion mode
     /// where it exists, else by absolute positions.
-    fn swing(&mut self, motor: MotorId, centre_rad: f32, time: f32) -> Outcome {
+    fn swing(&mut self, motor: MotorId, centre_rad: f32, time: f32) -> Told {
         let phase = TAU * time;
         let position_rad = centre_rad + 0.5 * phase.sin();
         match self.bus {
@@ -229,7 +221,7 @@ impl Tour {
         Ok(())
     }
 
-    fn shut_down(mut self, motors: MotorSet) -> Outcome {
+    fn shut_down(mut self, motors: MotorSet) -> Told {
         let start = self.master.now();
         let unconfirmed = self.master.stop_all(StopKind::Off, motors);
         if !unconfirmed.is_empty() {
@@ -252,7 +244,7 @@ impl Tour {
         (self.master.now() - start).as_micros() as f64 / 1e6
     }
 
-    fn wait_until(&mut self, until: Instant) -> Outcome {
+    fn wait_until(&mut self, until: Instant) -> Told {
         while self.master.now() < until {
             if self.master.poll()?.is_none() {
                 self.master.idle(until);
@@ -270,38 +262,25 @@ fn measured_deg(reply: &AnyReply) -> f32 {
     }
 }
 
-/// How long commands, and replies, have been on the wire: nanoseconds in all, and how many they were.
-#[derive(Clone, Default)]
-struct Traffic(Arc<Mutex<[(u64, u64); 2]>>);
+/// Gives how long commands, and replies, have been on the wire since it was asked last: the means, in
+/// seconds.
+type Means = Box<dyn Fn() -> [f64; 2]>;
 
-impl Traffic {
-    fn watch<B: Medium>(world: &World<B>) -> Self {
-        let traffic = Self::default();
-        let notes = traffic.clone();
-        world.observe(move |record| {
+fn means<B: Medium>(world: &World<B>) -> Means {
+    let log = world.log();
+    Box::new(move || {
+        let mut sums = [(0, 0_u32); 2];
+        for record in log.take() {
             if let trace::Event::Carried { started_ns, .. } = record.event {
                 // The drives are attached first, the master last.
                 let is_reply = record.station.index() < usize::from(MOTORS);
-                let (ns, count) = &mut notes.lock()[usize::from(is_reply)];
+                let (ns, count) = &mut sums[usize::from(is_reply)];
                 *ns += record.at_ns - started_ns;
                 *count += 1;
             }
-        });
-        traffic
-    }
-
-    fn lock(&self) -> MutexGuard<'_, [(u64, u64); 2]> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn restart(&self) {
-        *self.lock() = Default::default();
-    }
-
-    /// The means in seconds.
-    fn means(&self) -> [f64; 2] {
-        self.lock().map(|(ns, count)| ns as f64 / 1e9 / count.max(1) as f64)
-    }
+        }
+        sums.map(|(ns, count)| ns as f64 / 1e9 / f64::from(count.max(1)))
+    })
 }
 
 /// A motor's next command follows its reply, and the wire carries one frame at a time with a pause of

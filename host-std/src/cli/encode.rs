@@ -1,23 +1,16 @@
 //! `myactuator encode`: a command as the bytes that carry it.
 
-use std::io;
-
 use myactuator_host_std::protocol::Target;
 use myactuator_host_std::{BusKind, text};
 
 use super::arguments::{self as parse, Revision};
 use super::from_table::FromTable;
-use super::{DONE, names, print_line, wrong_usage};
+use super::{Outcome, names, print_line};
 
 /// Print the frame of a command: 141#A400F401A08C0000 (as candump and cansend write it), or RS485
 /// bytes in hexadecimal.
 #[derive(Debug, clap::Args)]
-#[command(
-    subcommand_value_name = "COMMAND",
-    subcommand_help_heading = "Commands",
-    disable_help_subcommand = true,
-    arg_required_else_help = false
-)]
+#[command(arg_required_else_help = false)]
 pub(super) struct Arguments {
     /// The bus that the frame is for.
     #[arg(long, global = true, value_parser = names::bus(), default_value = BusKind::Can.name())]
@@ -31,19 +24,7 @@ pub(super) struct Arguments {
     command: FromTable,
 }
 
-/// Prints the frame, or one sentence about why there is none.
-pub(super) fn run(arguments: &Arguments) -> u8 {
-    let line = match frame(arguments) {
-        Ok(line) => line,
-        Err(sentence) => return wrong_usage(&sentence),
-    };
-    match print_line(&mut io::stdout().lock(), &line) {
-        Ok(_) => DONE,
-        Err(error) => wrong_usage(&format!("cannot write: {error}")),
-    }
-}
-
-fn frame(arguments: &Arguments) -> Result<String, String> {
+pub(super) fn run(arguments: &Arguments) -> Outcome {
     let Arguments { bus, id, revision, command } = arguments;
     let opcode = command.opcode();
     parse::check_firmware(opcode, revision.firmware)?;
@@ -51,5 +32,7 @@ fn frame(arguments: &Arguments) -> Result<String, String> {
     let target = parse::whom(opcode.into(), *id)?;
     let command = command.command(revision.motion_ranges().as_ref())?;
     let packet = command.packet(target).map_err(|error| format!("--id: {error}"))?;
-    text::packet(*bus, &packet).ok_or_else(|| format!("{opcode} has no frame on RS485"))
+    let frame = text::packet(*bus, &packet);
+    let frame = frame.ok_or_else(|| format!("{opcode} has no frame on RS485"))?;
+    Ok(print_line(&frame)?)
 }

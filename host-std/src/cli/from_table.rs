@@ -12,8 +12,8 @@ use super::arguments as parse;
 #[derive(Clone, Debug)]
 pub(super) struct FromTable {
     opcode: Opcode,
-    /// Flags and values.
-    given: Vec<(String, String)>,
+    /// Values by their flags.
+    given: ArgMatches,
 }
 
 impl FromTable {
@@ -27,22 +27,23 @@ impl FromTable {
         if self.opcode == Opcode::Motion && ranges.is_none() {
             return Err(parse::RANGES_ARE_MISSING.to_owned());
         }
-        let mut unused: Vec<&str> = self.given.iter().map(|(flag, _)| flag.as_str()).collect();
-        for field in self.opcode.command_fields() {
+        let fields = self.opcode.command_fields();
+        let mut used = Vec::new();
+        for field in fields {
             if !field.is_in(&data) {
                 continue;
             }
             let flag = flag(field);
-            let typed = self.given.iter().find(|(given, _)| *given == flag);
-            let Some((_, text)) = typed else {
+            let Some(text) = self.given.get_one::<String>(&flag) else {
                 return Err(format!("--{flag} is missing: {}", hint(field)));
             };
-            unused.retain(|given| *given != flag);
             let named = |sentence| format!("--{flag}: {sentence}");
             let raw = parse::field(text, field, ranges).map_err(named)?;
             field.put(&mut data, raw).map_err(|error| named(error.to_string()))?;
+            used.push(flag);
         }
-        match unused.first() {
+        let mut given = fields.iter().map(flag).filter(|flag| self.given.contains_id(flag));
+        match given.find(|flag| !used.contains(flag)) {
             Some(flag) => Err(format!("--{flag}: this form of {} takes none", self.opcode)),
             None => AnyCommand::decode_as(self.opcode, &data).map_err(|error| error.to_string()),
         }
@@ -98,7 +99,12 @@ impl clap::Subcommand for FromTable {
             }
             row
         };
-        command.subcommand_required(true).subcommands(Opcode::ALL.iter().map(row))
+        command
+            .subcommand_value_name("COMMAND")
+            .subcommand_help_heading("Commands")
+            .disable_help_subcommand(true)
+            .subcommand_required(true)
+            .subcommands(Opcode::ALL.iter().map(row))
     }
 
     fn augment_subcommands_for_update(command: Command) -> Command {
@@ -115,18 +121,7 @@ impl clap::FromArgMatches for FromTable {
         let missing = || clap::Error::raw(clap::error::ErrorKind::MissingSubcommand, "no command");
         let (name, matches) = matches.subcommand().ok_or_else(missing)?;
         let opcode: Opcode = name.parse().map_err(|_| missing())?;
-        let mut given = Vec::new();
-        for field in opcode.command_fields() {
-            let flag = flag(field);
-            let text = matches.get_one::<String>(&flag);
-            match text {
-                Some(text) if !given.iter().any(|(known, _)| *known == flag) => {
-                    given.push((flag, text.clone()));
-                }
-                _ => {}
-            }
-        }
-        Ok(Self { opcode, given })
+        Ok(Self { opcode, given: matches.clone() })
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {

@@ -8,26 +8,16 @@ mod encode;
 mod from_table;
 mod motors;
 mod names;
+mod outcome;
 mod sim;
 
 use std::error::Error as _;
-use std::fmt::Display;
-use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::Parser;
 use clap::error::{ContextKind, ErrorKind};
 
-/// Everything was done.
-const DONE: u8 = 0;
-/// Some frames were not understood.
-const NOT_ALL_DECODED: u8 = 1;
-/// What was asked for could not be done.
-const FAILED: u8 = 1;
-/// The program was used wrongly.
-const WRONG_USAGE: u8 = 2;
-/// Ctrl-C, or the like, ended what was under way.
-const INTERRUPTED: u8 = 130;
+use outcome::{FAILED, Outcome, Unfinished, WRONG_USAGE, print_line, printable, tell};
 
 /// Talk to MyActuator servo motors (protocol V4.3), and explain what is on their bus.
 #[derive(Debug, Parser)]
@@ -48,61 +38,33 @@ enum Subcommand {
     Motors(motors::Subcommand),
 }
 
-/// Runs the program with the arguments that it was started with.
 pub(crate) fn run() -> ExitCode {
-    ExitCode::from(match Cli::try_parse() {
-        Ok(cli) => match cli.subcommand {
-            Subcommand::Demo(arguments) => demo::run(&arguments),
-            Subcommand::Encode(arguments) => encode::run(&arguments),
-            Subcommand::Decode(arguments) => decode::run(&arguments),
-            Subcommand::Dbc(arguments) => dbc::run(&arguments),
-            Subcommand::Sim(arguments) => sim::run(&arguments),
-            Subcommand::Motors(subcommand) => motors::run(&subcommand),
-        },
-        Err(error) => stop_parsing(&error),
-    })
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return ExitCode::from(stop_parsing(&error)),
+    };
+    ExitCode::from(outcome::end(match cli.subcommand {
+        Subcommand::Demo(arguments) => demo::run(&arguments),
+        Subcommand::Encode(arguments) => encode::run(&arguments),
+        Subcommand::Decode(arguments) => decode::run(&arguments),
+        Subcommand::Dbc(arguments) => dbc::run(&arguments),
+        Subcommand::Sim(arguments) => sim::run(&arguments),
+        Subcommand::Motors(subcommand) => motors::run(&subcommand),
+    }))
 }
 
-/// Prints help where it was asked for, else one sentence about what is wrong.
+/// Prints help where it was asked for, else one sentence about what is wrong. Gives the exit status.
 fn stop_parsing(error: &clap::Error) -> u8 {
     match error.kind() {
-        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
+        ErrorKind::DisplayHelp
+        | ErrorKind::DisplayVersion
+        | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
             // Nobody is left to tell if the terminal is gone.
             let _ = error.print();
-            DONE
+            if error.use_stderr() { WRONG_USAGE } else { 0 }
         }
-        ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
-            let _ = error.print();
-            WRONG_USAGE
-        }
-        _ => wrong_usage(&parse_sentence(error)),
+        _ => outcome::end(Err(Unfinished::Usage(parse_sentence(error)))),
     }
-}
-
-/// Tells that the program was used wrongly, and how.
-fn wrong_usage(sentence: &str) -> u8 {
-    tell("error", sentence);
-    WRONG_USAGE
-}
-
-/// Prints one sentence beside the output: an `error` or a `note`.
-fn tell(kind: &str, sentence: impl Display) {
-    // Nobody is left to tell if that fails.
-    let _ = writeln!(io::stderr(), "{kind}: {}", printable(&sentence.to_string()));
-}
-
-/// A line without control characters, which may come from whatever is decoded or named, and could
-/// steer a terminal. They are written as in JSON, so that JSON keeps its meaning.
-fn printable(line: &str) -> String {
-    let mut shown = String::with_capacity(line.len());
-    for character in line.chars() {
-        if character.is_control() {
-            shown.push_str(&format!("\\u{:04x}", u32::from(character)));
-        } else {
-            shown.push(character);
-        }
-    }
-    shown
 }
 
 /// What the parser found, without the usage that it prints below.
@@ -119,15 +81,6 @@ fn parse_sentence(error: &clap::Error) -> String {
     let told = told.split("\n\nFor more information").next().unwrap_or(told);
     let words: Vec<&str> = told.split_whitespace().collect();
     words.join(" ").trim_start_matches("error: ").replace(" tip: ", "; ")
-}
-
-/// Prints a line. `Ok(false)` if whoever reads it has left, which is no error: `… | head`.
-fn print_line(out: &mut impl Write, line: &str) -> io::Result<bool> {
-    match writeln!(out, "{}", printable(line)).and_then(|()| out.flush()) {
-        Ok(()) => Ok(true),
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
-        Err(error) => Err(error),
-    }
 }
 
 #[cfg(test)]

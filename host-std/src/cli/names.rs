@@ -2,9 +2,8 @@
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use myactuator_host_std::BusKind;
-use myactuator_host_std::explain::Sender;
+use myactuator_host_std::explain::FrameDirection;
 
-/// A bus by its name.
 pub(super) fn bus() -> impl TypedValueParser<Value = BusKind> {
     let named = BusKind::ALL.map(|bus| {
         PossibleValue::new(bus.name()).help(match bus {
@@ -15,13 +14,14 @@ pub(super) fn bus() -> impl TypedValueParser<Value = BusKind> {
     PossibleValuesParser::new(named).try_map(|name| name.parse())
 }
 
-/// A sender by the name of what it sends.
-pub(super) fn sender() -> impl TypedValueParser<Value = Sender> {
-    let named = Sender::ALL.map(|sender| {
-        PossibleValue::new(sender.name()).help(match sender {
-            Sender::Master => "The master: it is a command",
-            Sender::Motor => "A motor: it is a reply",
-        })
-    });
-    PossibleValuesParser::new(named).try_map(|name| name.parse())
+pub(super) fn direction() -> impl TypedValueParser<Value = FrameDirection> {
+    let named = [
+        (FrameDirection::Command, "The master: it is a command"),
+        (FrameDirection::Reply, "A motor: it is a reply"),
+    ];
+    let values = named.map(|(direction, help)| PossibleValue::new(direction.name()).help(help));
+    PossibleValuesParser::new(values).map(move |name| {
+        let known = named.iter().find(|(direction, _)| direction.name() == name);
+        known.map_or(FrameDirection::Either, |(direction, _)| *direction)
+    })
 }

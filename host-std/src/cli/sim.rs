@@ -23,9 +23,8 @@ use myactuator_protocol_core::{Firmware, MotorId};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::arguments as parse;
-use super::{DONE, FAILED, print_line, tell, wrong_usage};
+use super::{FAILED, Outcome, Unfinished, print_line, tell};
 use folders::{Links, MemoryFolder};
-use options::Quirk;
 use places::Place;
 
 /// How likely an adapter with `echo-noise` hears a byte that nobody sent, each time it switches.
@@ -92,7 +91,7 @@ pub(super) struct Arguments {
     brakes: bool,
     /// Behaviour beside the manual, see below; as often as you like
     #[arg(long = "quirk", value_name = "NAME", value_parser = options::quirk)]
-    quirks: Vec<Quirk>,
+    quirks: Vec<String>,
     /// What goes wrong, see below; as often as you like
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<PlannedFault>,
@@ -136,31 +135,19 @@ enum Way {
 type Failure = Box<dyn Error>;
 
 /// Serves until it is told to stop.
-pub(super) fn run(arguments: &Arguments) -> u8 {
-    if let Err(sentence) = check(arguments) {
-        return wrong_usage(&sentence);
-    }
-    match serve(arguments) {
-        Ok(()) => DONE,
-        Err(error) => {
-            tell("error", error);
-            FAILED
-        }
-    }
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    check(arguments)?;
+    serve(arguments).map_err(|error| Unfinished::Failed(error.to_string()))
 }
 
 fn check(arguments: &Arguments) -> Result<(), String> {
     match (arguments.only, &arguments.can) {
-        (Some(Way::Can), None) => {
-            return Err("--only can needs --can with the interface's name".into());
-        }
+        (Some(Way::Can), None) => Err("--only can needs --can with the interface's name"),
         (Some(Way::Rs485 | Way::Slcan), Some(_)) => {
-            return Err(
-                "--can serves an interface, but --only leaves it out: drop one of them".into()
-            );
+            Err("--can serves an interface, but --only leaves it out: drop one of them")
         }
-        _ => {}
-    }
+        _ => Ok(()),
+    }?;
     let has_ranges = |firmware: Firmware| firmware.motion_ranges().or(arguments.ranges).is_some();
     if !arguments.firmware.is_none_or(has_ranges) {
         return Err(parse::RANGES_ARE_MISSING.into());
@@ -209,11 +196,7 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
         let adapter = transceiver(&arguments.quirks);
         let path = server.serve_line(&line, adapter)?;
         let link = links.add("rs485", &path)?;
-        let address = BusAddress::Rs485 {
-            path: link.clone().unwrap_or_else(|| path.clone()),
-            bit_rate,
-            echo: adapter.echo,
-        };
+        let address = |path| BusAddress::Rs485 { path, bit_rate, echo: adapter.echo };
         places.push(Place::on_terminal(address, path, link, bit_rate));
     }
     let interface = arguments.can.as_ref().filter(|_| wanted(Way::Can));
@@ -225,8 +208,7 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
         if wanted(Way::Slcan) {
             let path = server.serve_adapter(&bus)?;
             let link = links.add("slcan", &path)?;
-            let address =
-                BusAddress::Slcan { path: link.clone().unwrap_or_else(|| path.clone()), rate };
+            let address = |path| BusAddress::Slcan { path, rate };
             places.push(Place::on_terminal(address, path, link, bit_rate));
         }
         if let Some(interface) = interface {
@@ -235,11 +217,11 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
         }
     }
     let motors = MotorId::all().take(arguments.count.into()).collect();
-    let out = &mut io::stdout();
     for line in places::lines(&places, motors, arguments.json) {
-        // Whoever reads may leave; the drives stay.
-        if !print_line(out, &line)? {
-            break;
+        match print_line(&line) {
+            // Whoever reads may leave; the drives stay.
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => break,
+            printed => printed?,
         }
     }
     server.run(stop, |notice| {
@@ -254,10 +236,11 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-fn transceiver(quirks: &[Quirk]) -> TransceiverConfig {
-    let has_noise = quirks.contains(&Quirk::EchoNoise);
+fn transceiver(quirks: &[String]) -> TransceiverConfig {
+    let has = |name: &str| quirks.iter().any(|quirk| quirk == name);
+    let has_noise = has(options::ECHO_NOISE);
     TransceiverConfig {
-        echo: has_noise || quirks.contains(&Quirk::Echo),
+        echo: has_noise || has(options::ECHO),
         switch_noise: if has_noise { ECHO_NOISE } else { 0.0 },
         ..TransceiverConfig::default()
     }

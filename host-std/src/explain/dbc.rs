@@ -1,6 +1,6 @@
 //! The table of commands as a DBC file, which tools of other makers read: [`Dbc`].
 
-use std::fmt;
+use std::fmt::{self, Write as _};
 use std::ops::RangeInclusive;
 
 use myactuator_protocol_core::command::{Field, MotionRanges, When};
@@ -139,12 +139,9 @@ impl fmt::Display for Dbc {
         write!(f, "BU_: master")?;
         self.motors().try_for_each(|id| write!(f, " motor_{id}"))?;
         writeln!(f, "\n")?;
-        let messages = self.messages();
-        messages.iter().try_for_each(|message| message.write_layout(f))?;
-        messages.iter().try_for_each(|message| message.write_comments(f))?;
-        messages.iter().try_for_each(|message| message.write_names(f))?;
-        messages.iter().try_for_each(|message| message.write_floats(f))?;
-        messages.iter().try_for_each(|message| message.write_selections(f))
+        let mut sections = [const { String::new() }; 5];
+        self.messages().iter().try_for_each(|message| message.write(&mut sections))?;
+        f.write_str(&sections.concat())
     }
 }
 
@@ -237,7 +234,10 @@ impl Condition {
             return Some(Self { selector, values: vec![byte..=byte], word: "" });
         };
         let (values, word) = match when {
-            When::Byte(_, code) => (vec![code..=code], name_of(selecting, code)),
+            When::Byte(_, code) => {
+                let name = selecting.quantity.name_of(code.into());
+                (vec![code..=code], name.unwrap_or(OTHER))
+            }
             When::NoneOf(_, codes) => (all_but(codes), OTHER),
             When::Always => return None,
         };
@@ -248,10 +248,6 @@ impl Condition {
 
 /// What values without a name are called.
 const OTHER: &str = "other";
-
-fn name_of(field: &Field, code: u8) -> &'static str {
-    field.quantity.name_of(code.into()).unwrap_or(OTHER)
-}
 
 /// The bytes that are none of these, in as few ranges as can be.
 fn all_but(codes: &[u8]) -> Vec<RangeInclusive<u8>> {
@@ -345,7 +341,7 @@ struct Signal {
 }
 
 impl Signal {
-    fn write_layout(&self, f: &mut fmt::Formatter<'_>, receiver: &str) -> fmt::Result {
+    fn write_layout(&self, f: &mut String, receiver: &str) -> fmt::Result {
         write!(f, " SG_ {}", self.name)?;
         let first = self.condition.as_ref().and_then(|condition| condition.values.first());
         match (first, self.selects) {
@@ -376,16 +372,16 @@ struct Message {
 }
 
 impl Message {
-    fn id(&self) -> u16 {
-        identifier(self.channel)
-    }
-
-    fn write_layout(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    /// Writes to each section of the file what it has of this message.
+    fn write(
+        &self,
+        [layouts, comments, names, floats, selections]: &mut [String; 5],
+    ) -> fmt::Result {
         const NOBODY_IN_PARTICULAR: &str = "Vector__XXX";
         let master = || "master".to_owned();
         let nobody = || NOBODY_IN_PARTICULAR.to_owned();
         let motor = |id: MotorId| format!("motor_{id}");
-        let (name, sender, receiver) = match self.channel {
+        let (message, sender, receiver) = match self.channel {
             Channel::Command(Target::All) => ("all_motors_command".to_owned(), master(), nobody()),
             Channel::Command(Target::Motor(id)) => {
                 (format!("motor_{id}_command"), master(), motor(id))
@@ -395,49 +391,31 @@ impl Message {
             Channel::Motion(id) => (format!("motor_{id}_motion_command"), master(), motor(id)),
             Channel::MotionReply(id) => (format!("motor_{id}_motion_reply"), motor(id), master()),
         };
-        writeln!(f, "BO_ {} {name}: 8 {sender}", self.id())?;
-        self.signals.iter().try_for_each(|signal| signal.write_layout(f, &receiver))?;
-        writeln!(f)
-    }
-
-    fn write_comments(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "CM_ BO_ {} \"{}\";", self.id(), self.channel)?;
-        for Signal { name, comment, .. } in &self.signals {
-            writeln!(f, "CM_ SG_ {} {name} \"{}\";", self.id(), ascii(comment))?;
-        }
-        Ok(())
-    }
-
-    fn write_names(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for signal in self.signals.iter().filter(|signal| !signal.values.names.is_empty()) {
-            write!(f, "VAL_ {} {}", self.id(), signal.name)?;
-            for (value, name) in &signal.values.names {
-                write!(f, " {value} \"{name}\"")?;
+        let id = identifier(self.channel);
+        writeln!(layouts, "BO_ {id} {message}: 8 {sender}")?;
+        writeln!(comments, "CM_ BO_ {id} \"{}\";", self.channel)?;
+        // Where several signals select, each signal has to say which one selects it.
+        let several_select = self.signals.iter().filter(|signal| signal.selects).count() > 1;
+        for signal in &self.signals {
+            signal.write_layout(layouts, &receiver)?;
+            let Signal { name, condition, values, comment, .. } = signal;
+            writeln!(comments, "CM_ SG_ {id} {name} \"{}\";", ascii(comment))?;
+            if !values.names.is_empty() {
+                let each = values.names.iter().map(|(value, name)| format!(" {value} \"{name}\""));
+                writeln!(names, "VAL_ {id} {name}{} ;", each.collect::<String>())?;
             }
-            writeln!(f, " ;")?;
-        }
-        Ok(())
-    }
-
-    fn write_floats(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut floats = self.signals.iter().filter(|signal| signal.values.is_float);
-        floats.try_for_each(|signal| writeln!(f, "SIG_VALTYPE_ {} {} : 1;", self.id(), signal.name))
-    }
-
-    /// Where several signals select, each signal has to say which one selects it.
-    fn write_selections(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.signals.iter().filter(|signal| signal.selects).count() < 2 {
-            return Ok(());
-        }
-        for Signal { name, condition, .. } in &self.signals {
-            if let Some(Condition { selector, values, .. }) = condition {
-                let ranges =
-                    values.iter().map(|range| format!("{}-{}", range.start(), range.end()));
-                let ranges = ranges.collect::<Vec<_>>().join(", ");
-                writeln!(f, "SG_MUL_VAL_ {} {name} {selector} {ranges};", self.id())?;
+            if values.is_float {
+                writeln!(floats, "SIG_VALTYPE_ {id} {name} : 1;")?;
+            }
+            if let Some(Condition { selector, values, .. }) = condition
+                && several_select
+            {
+                let each = values.iter().map(|range| format!("{}-{}", range.start(), range.end()));
+                let ranges = each.collect::<Vec<_>>().join(", ");
+                writeln!(selections, "SG_MUL_VAL_ {id} {name} {selector} {ranges};")?;
             }
         }
-        Ok(())
+        writeln!(layouts)
     }
 }
 
@@ -501,13 +479,7 @@ mod tests {
 
     #[test]
     fn motion_mode_has_the_scale_that_was_given_or_none() {
-        let limits = MotionLimits {
-            position_rad: 12.5,
-            velocity_rad_s: 45.0,
-            kp: 500.0,
-            kd: 5.0,
-            torque_nm: 60.0,
-        };
+        let limits = MotionLimits { torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
         let ranges = MotionRanges::new(limits).ok();
         let file = Dbc { ranges, ..Dbc::new(Firmware::V4_4) }.to_string();
         // 120/4095 a step.
@@ -601,16 +573,6 @@ mod tests {
                 } else {
                     assert_eq!((at(0x141), at(0x280)), (has, has), "{opcode}");
                     assert_eq!(at(0x241), has && opcode.has_reply(), "{opcode}");
-                }
-            }
-            for &opcode in Opcode::ALL {
-                for fields in [opcode.command_fields(), opcode.reply_fields()] {
-                    let fields: Vec<&Field> = fields.iter().collect();
-                    for field in &fields {
-                        let word =
-                            Condition::of(field.when, opcode, &fields).map_or("", |of| of.word);
-                        assert_eq!(word.is_empty(), field.when == When::Always, "{field:?}");
-                    }
                 }
             }
             // Fields, of which those of a text are seven.

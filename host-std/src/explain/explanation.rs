@@ -18,7 +18,7 @@ pub enum FrameDirection {
     Command,
     /// From a motor.
     Reply,
-    /// The bytes cannot tell.
+    /// The one or the other: the bytes cannot tell.
     Either,
 }
 
@@ -85,15 +85,6 @@ pub struct Decoded {
     pub canonical: String,
 }
 
-/// What is known of a frame's kind.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrameKind {
-    /// The firmware has it.
-    Known(Opcode),
-    /// The firmware knows no such command byte.
-    Raw(u8),
-}
-
 /// A frame, or bytes that are none, and what is known about it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Explanation {
@@ -108,8 +99,10 @@ pub struct Explanation {
     pub id: Option<Target>,
     /// Which way it went, where that is known or at least a question.
     pub direction: Option<FrameDirection>,
-    /// The kind of frame, where there is one.
-    pub kind: Option<FrameKind>,
+    /// What it is, where the firmware has that.
+    pub opcode: Option<Opcode>,
+    /// Its command byte, where it has one.
+    pub byte: Option<u8>,
     /// What it says, or one sentence about why it says nothing.
     pub outcome: Result<Decoded, String>,
 }
@@ -123,7 +116,8 @@ impl Explanation {
             bus,
             id: None,
             direction: None,
-            kind: None,
+            opcode: None,
+            byte: None,
             outcome: Err(sentence.into()),
         }
     }
@@ -151,13 +145,8 @@ impl Explanation {
             Target::All => "all".into(),
         });
         object["direction"] = self.direction.map(FrameDirection::name).into();
-        let (name, byte) = match self.kind {
-            Some(FrameKind::Known(opcode)) => (Some(opcode.name()), opcode.byte()),
-            Some(FrameKind::Raw(byte)) => (None, Some(byte)),
-            None => (None, None),
-        };
-        object["name"] = name.into();
-        object["opcode"] = byte.map(|byte| format!("0x{byte:02X}")).into();
+        object["name"] = self.opcode.map(Opcode::name).into();
+        object["opcode"] = self.byte.map(|byte| format!("0x{byte:02X}")).into();
         match &self.outcome {
             Ok(decoded) => {
                 object["fields"] = decoded.reading.values().into();
@@ -194,15 +183,15 @@ impl fmt::Display for Explanation {
             Ok(decoded) => decoded,
             Err(sentence) => return write!(f, "  error: {sentence}"),
         };
-        match self.kind {
-            Some(FrameKind::Known(opcode)) => write!(f, "  {opcode}")?,
-            Some(FrameKind::Raw(byte)) => {
+        match (self.opcode, self.byte) {
+            (Some(opcode), _) => write!(f, "  {opcode}")?,
+            (None, Some(byte)) => {
                 write!(f, "  raw: command byte 0x{byte:02X} is not known")?;
                 if byte == LOST_MASTER_BYTE {
                     f.write_str(LOST_MASTER)?;
                 }
             }
-            None => {}
+            (None, None) => {}
         }
         let nothing = if decoded.reading.is_empty() {
             ": no values"
@@ -213,7 +202,7 @@ impl fmt::Display for Explanation {
         if let Some(reply) = &decoded.if_reply {
             write!(f, "{nothing}; if it is a reply: {reply}")?;
         }
-        if self.kind == Some(FrameKind::Known(Opcode::Motion)) && decoded.reading.ranges.is_none() {
+        if self.opcode == Some(Opcode::Motion) && decoded.reading.ranges.is_none() {
             f.write_str(" (the ranges of this firmware depend on the motor: give them)")?;
         }
         if decoded.canonical != self.raw {

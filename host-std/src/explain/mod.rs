@@ -28,7 +28,7 @@ mod stream;
 mod values;
 
 pub use dbc::Dbc;
-pub use explanation::{Decoded, Explanation, FrameDirection, FrameKind, Reading};
-pub use reading::{Explainer, Sender};
+pub use explanation::{Decoded, Explanation, FrameDirection, Reading};
+pub use reading::Explainer;
 pub use stream::Rs485Stream;
 pub use values::{Values, values};

@@ -1,9 +1,7 @@
 //! Reads a frame as a command, as a reply, or as whichever it must be.
 
-use std::str::FromStr;
-
 use embedded_can::Frame as _;
-use myactuator_protocol_core::command::{AnyCommand, AnyReply, MotionRanges};
+use myactuator_protocol_core::command::{AnyCommand, AnyReply, Field, MotionRanges};
 use myactuator_protocol_core::opcode::LOST_MASTER_BYTE;
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::Frame;
@@ -11,39 +9,8 @@ use myactuator_protocol_core::{
     Channel, Data, DecodeError, Firmware, Kind, Opcode, Packet, Target,
 };
 
-use super::explanation::{Decoded, Explanation, FrameDirection, FrameKind, LOST_MASTER, Reading};
-use crate::{BusKind, Unexpected, text};
-
-/// Who sent a frame, for those who know.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Sender {
-    /// The master: it is a command.
-    Master,
-    /// A motor: it is a reply.
-    Motor,
-}
-
-impl Sender {
-    /// Both of them.
-    pub const ALL: [Self; 2] = [Self::Master, Self::Motor];
-
-    /// What its frames are called in tools: `"command"` or `"reply"`.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Master => FrameDirection::Command.name(),
-            Self::Motor => FrameDirection::Reply.name(),
-        }
-    }
-}
-
-impl FromStr for Sender {
-    type Err = Unexpected;
-
-    fn from_str(text: &str) -> Result<Self, Unexpected> {
-        let known = Self::ALL.into_iter().find(|sender| sender.name() == text);
-        known.ok_or_else(|| Unexpected::new("command or reply", text))
-    }
-}
+use super::explanation::{Decoded, Explanation, FrameDirection, LOST_MASTER, Reading};
+use crate::{BusKind, text};
 
 /// What is known of the motors whose frames are explained.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,14 +19,14 @@ pub struct Explainer {
     pub firmware: Firmware,
     /// The scales of their motion mode; without them its values are steps.
     pub ranges: Option<MotionRanges>,
-    /// Who sends what is explained: settles frames that may go either way.
-    pub sender: Option<Sender>,
+    /// Which way frames went whose bytes cannot tell.
+    pub direction: FrameDirection,
 }
 
 impl Explainer {
     /// For motors of this firmware, with its own scales where it has them.
     pub const fn new(firmware: Firmware) -> Self {
-        Self { firmware, ranges: firmware.motion_ranges(), sender: None }
+        Self { firmware, ranges: firmware.motion_ranges(), direction: FrameDirection::Either }
     }
 
     /// What a CAN frame says. All identifiers but 0x300 settle which way it goes.
@@ -67,7 +34,7 @@ impl Explainer {
         let raw = text::can::frame(frame);
         let none = |sentence| Explanation::no_frame(BusKind::Can, raw.clone(), sentence);
         match can::decode(frame) {
-            Received::Packet(packet) => self.possible(raw, BusKind::Can, self.by_channel(packet)),
+            Received::Packet(packet) => self.by_channel(raw, BusKind::Can, packet),
             Received::WrongLength { channel, length, first } => {
                 let lost_master = if first == Some(LOST_MASTER_BYTE) { LOST_MASTER } else { "" };
                 let bytes = if length == 1 { "byte" } else { "bytes" };
@@ -100,112 +67,97 @@ impl Explainer {
     }
 
     /// What an RS485 frame says. On RS485 a command and its reply look the same, so that its bytes may
-    /// not settle which it is; the sender does. What goes to all motors is a command, as no drive
-    /// answers to all, except for the bus id.
+    /// not settle which it is. What goes to all motors is a command, as no drive answers to all, except
+    /// for the bus id.
     pub fn rs485_frame(&self, frame: &Frame) -> Explanation {
         let raw = text::rs485::bytes(&frame.encode());
-        let possible = match frame.as_reply() {
-            Some(reply) => Possible::by(self.sender, frame.as_command(), reply),
-            None => Possible::Command(frame.as_command()),
+        let command = frame.as_command();
+        let (direction, reply) = match frame.as_reply() {
+            Some(reply) => (self.direction, reply),
+            None => (FrameDirection::Command, command),
         };
-        self.possible(raw, BusKind::Rs485, possible)
+        self.explain(raw, BusKind::Rs485, direction, &command, &reply)
     }
 
     /// What a packet says, as the frame that carries it on this bus; `None` where that has none for it.
     pub fn packet(&self, bus: BusKind, packet: &Packet) -> Option<Explanation> {
-        Some(self.possible(text::packet(bus, packet)?, bus, self.by_channel(*packet)))
+        Some(self.by_channel(text::packet(bus, packet)?, bus, *packet))
     }
 
-    fn by_channel(&self, packet: Packet) -> Possible {
-        match packet.channel {
-            Channel::Command(_) | Channel::Motion(_) => Possible::Command(packet),
-            Channel::Reply(_) | Channel::MotionReply(_) => Possible::Reply(packet),
-            Channel::BusId => Possible::by(self.sender, packet, packet),
-        }
-    }
-
-    /// Explains a packet by its possible readings.
-    fn possible(&self, raw: String, bus: BusKind, possible: Possible) -> Explanation {
-        let packet = *possible.packet();
-        let (id, _) = addressed(packet.channel);
-        let kind = match packet.channel {
-            Channel::Motion(_) | Channel::MotionReply(_) => FrameKind::Known(Opcode::Motion),
-            _ => match Opcode::of_firmware(self.firmware, packet.data[0]) {
-                Some(opcode) => FrameKind::Known(opcode),
-                None => FrameKind::Raw(packet.data[0]),
-            },
+    fn by_channel(&self, raw: String, bus: BusKind, packet: Packet) -> Explanation {
+        let direction = match addressed(packet.channel) {
+            (_, FrameDirection::Either) => self.direction,
+            (_, known) => known,
         };
-        let (direction, outcome) = match possible {
-            Possible::Command(packet) => (FrameDirection::Command, self.command(&packet)),
-            Possible::Reply(packet) => (FrameDirection::Reply, self.reply(&packet)),
-            Possible::Both { command, reply } => {
-                likelier(self.command(&command), self.reply(&reply))
+        self.explain(raw, bus, direction, &packet, &packet)
+    }
+
+    /// Explains a packet by what it is as a command, as a reply, or as the likelier of them.
+    fn explain(
+        &self,
+        raw: String,
+        bus: BusKind,
+        direction: FrameDirection,
+        command: &Packet,
+        reply: &Packet,
+    ) -> Explanation {
+        let Packet { channel, data } = *command;
+        let opcode = match channel {
+            Channel::Motion(_) | Channel::MotionReply(_) => Some(Opcode::Motion),
+            _ => Opcode::of_firmware(self.firmware, data[0]),
+        };
+        let (direction, decoded) = match direction {
+            FrameDirection::Command => (direction, self.command(bus, command)),
+            FrameDirection::Reply => (direction, self.reply(bus, reply)),
+            FrameDirection::Either => {
+                likelier(opcode, self.command(bus, command), self.reply(bus, reply))
             }
         };
-        let outcome = match (outcome, kind) {
+        let outcome = match (decoded, opcode) {
             (Err(error), _) => Err(sentence(&error)),
-            (Ok(_), FrameKind::Known(opcode))
+            (Ok(_), Some(opcode))
                 if bus == BusKind::Rs485 && Kind::from(opcode).check_on_rs485().is_err() =>
             {
                 Err(format!("{opcode} exists on CAN only"))
             }
-            (Ok(read), _) => {
-                let again = Packet { channel: packet.channel, data: read.again };
-                // There is a text for whatever came in on this bus.
-                let canonical = text::packet(bus, &again).unwrap_or_default();
-                Ok(Decoded { reading: read.reading, if_reply: read.if_reply, canonical })
-            }
+            (Ok(decoded), _) => Ok(decoded),
         };
-        let stamp = text::can::Stamp::default();
         Explanation {
-            stamp,
+            stamp: text::can::Stamp::default(),
             raw,
             bus,
-            id: Some(id),
+            id: Some(addressed(channel).0),
             direction: Some(direction),
-            kind: Some(kind),
+            opcode,
+            byte: opcode.map_or(Some(data[0]), Opcode::byte),
             outcome,
         }
     }
 
-    fn command(&self, packet: &Packet) -> Result<Read, DecodeError> {
+    fn command(&self, bus: BusKind, packet: &Packet) -> Result<Decoded, DecodeError> {
         let command = AnyCommand::decode(packet, self.firmware)?;
         let fields = command.opcode().map_or(&[][..], Opcode::command_fields);
-        let reading = Reading { fields, data: packet.data, ranges: self.ranges };
-        Ok(Read::new(command.opcode(), reading, command.encode()))
+        Ok(self.decoded(bus, packet, fields, command.encode()))
     }
 
-    fn reply(&self, packet: &Packet) -> Result<Read, DecodeError> {
+    fn reply(&self, bus: BusKind, packet: &Packet) -> Result<Decoded, DecodeError> {
         let reply = AnyReply::decode(packet, self.firmware)?;
         let fields = reply.opcode().map_or(&[][..], Opcode::reply_fields);
+        Ok(self.decoded(bus, packet, fields, reply.encode()))
+    }
+
+    /// A packet that has these fields and is encoded as `again`.
+    fn decoded(
+        &self,
+        bus: BusKind,
+        packet: &Packet,
+        fields: &'static [Field],
+        again: Data,
+    ) -> Decoded {
         let reading = Reading { fields, data: packet.data, ranges: self.ranges };
-        Ok(Read::new(reply.opcode(), reading, reply.encode()))
-    }
-}
-
-/// What a frame can be, by its address and its sender.
-enum Possible {
-    Command(Packet),
-    Reply(Packet),
-    Both { command: Packet, reply: Packet },
-}
-
-impl Possible {
-    fn by(sender: Option<Sender>, command: Packet, reply: Packet) -> Self {
-        match sender {
-            Some(Sender::Master) => Self::Command(command),
-            Some(Sender::Motor) => Self::Reply(reply),
-            None => Self::Both { command, reply },
-        }
-    }
-
-    /// The packet, as a command where it can be one.
-    const fn packet(&self) -> &Packet {
-        match self {
-            Self::Command(packet) | Self::Reply(packet) | Self::Both { command: packet, .. } => {
-                packet
-            }
-        }
+        // There is a text for whatever came in on this bus.
+        let canonical = text::packet(bus, &Packet { data: again, ..*packet }).unwrap_or_default();
+        Decoded { reading, if_reply: None, canonical }
     }
 }
 
@@ -218,37 +170,24 @@ fn addressed(channel: Channel) -> (Target, FrameDirection) {
     }
 }
 
-/// One way to read a frame.
-struct Read {
-    reading: Reading,
-    if_reply: Option<Reading>,
-    /// What was read, encoded again.
-    again: Data,
-    /// No byte is set that means nothing.
-    exact: bool,
-}
-
-impl Read {
-    fn new(opcode: Option<Opcode>, reading: Reading, again: Data) -> Self {
-        let exact = opcode.is_none_or(|opcode| reading.is_exact(opcode));
-        Self { reading, if_reply: None, again, exact }
-    }
-}
-
 /// Takes the likelier reading. One that sets bytes which mean nothing is unlikely; where both are
 /// as good, the direction stays open.
 fn likelier(
-    command: Result<Read, DecodeError>,
-    reply: Result<Read, DecodeError>,
-) -> (FrameDirection, Result<Read, DecodeError>) {
+    opcode: Option<Opcode>,
+    command: Result<Decoded, DecodeError>,
+    reply: Result<Decoded, DecodeError>,
+) -> (FrameDirection, Result<Decoded, DecodeError>) {
     use FrameDirection as D;
+    let is_exact = |decoded: &Decoded| opcode.is_none_or(|opcode| decoded.reading.is_exact(opcode));
     match (command, reply) {
-        (Ok(command), Ok(reply)) if command.exact && reply.exact => {
+        (Ok(command), Ok(reply)) if is_exact(&reply) => {
+            if !is_exact(&command) {
+                return (D::Reply, Ok(reply));
+            }
             let differs = reply.reading.values() != command.reading.values();
             let if_reply = differs.then_some(reply.reading);
-            (D::Either, Ok(Read { if_reply, ..command }))
+            (D::Either, Ok(Decoded { if_reply, ..command }))
         }
-        (Ok(command), Ok(reply)) if reply.exact && !command.exact => (D::Reply, Ok(reply)),
         (Ok(command), _) => (D::Command, Ok(command)),
         (Err(_), Ok(reply)) => (D::Reply, Ok(reply)),
         (Err(error), Err(_)) => (D::Either, Err(error)),
@@ -277,9 +216,10 @@ mod tests {
         Explainer::new(Firmware::V4_3).can_frame(&text::can::parse_line(line).unwrap())
     }
 
-    fn on_rs485(data: [u8; 8], sender: Option<Sender>) -> Explanation {
+    fn on_rs485(data: [u8; 8], direction: FrameDirection) -> Explanation {
         let address = Target::Motor(MotorId::new(1).unwrap());
-        Explainer { sender, ..Explainer::new(Firmware::V4_3) }.rs485_frame(&Frame { address, data })
+        Explainer { direction, ..Explainer::new(Firmware::V4_3) }
+            .rs485_frame(&Frame { address, data })
     }
 
     fn direction(explanation: &Explanation) -> &'static str {
@@ -289,17 +229,20 @@ mod tests {
     #[test]
     fn rs485_bytes_tell_the_direction_where_they_can() {
         // A NULL byte of the command is set: only the reply holds that (2.21.4).
-        let reply = on_rs485([0xA4, 0x32, 0x64, 0, 0xF4, 1, 0x2D, 0], None);
+        let reply = on_rs485([0xA4, 0x32, 0x64, 0, 0xF4, 1, 0x2D, 0], FrameDirection::Either);
         assert_eq!(direction(&reply), "reply");
         assert_eq!(reply.outcome.unwrap().reading.values()["angle_deg"], 45.0);
         // Reset has no reply.
-        assert_eq!(direction(&on_rs485([0x76, 0, 0, 0, 0, 0, 0, 0], None)), "command");
+        assert_eq!(
+            direction(&on_rs485([0x76, 0, 0, 0, 0, 0, 0, 0], FrameDirection::Either)),
+            "command"
+        );
         // An echo is the same both ways.
-        let echo = on_rs485([0x80, 0, 0, 0, 0, 0, 0, 0], None);
+        let echo = on_rs485([0x80, 0, 0, 0, 0, 0, 0, 0], FrameDirection::Either);
         assert_eq!(direction(&echo), "either");
         assert_eq!(echo.outcome.unwrap().if_reply, None);
         // A read, or a reply of all zeros.
-        let read = on_rs485([0x92, 0, 0, 0, 0, 0, 0, 0], None);
+        let read = on_rs485([0x92, 0, 0, 0, 0, 0, 0, 0], FrameDirection::Either);
         assert_eq!(direction(&read), "either");
         let decoded = read.outcome.unwrap();
         assert!(decoded.reading.is_empty());
@@ -309,10 +252,10 @@ mod tests {
     #[test]
     fn the_sender_settles_it() {
         let zeros = [0x92, 0, 0, 0, 0, 0, 0, 0];
-        let command = on_rs485(zeros, Some(Sender::Master));
+        let command = on_rs485(zeros, FrameDirection::Command);
         assert_eq!(direction(&command), "command");
         assert_eq!(command.outcome.unwrap().if_reply, None);
-        let reply = on_rs485(zeros, Some(Sender::Motor));
+        let reply = on_rs485(zeros, FrameDirection::Reply);
         assert_eq!(direction(&reply), "reply");
         assert_eq!(reply.outcome.unwrap().reading.values()["angle_deg"], 0.0);
         // No drive answers to all.
@@ -323,7 +266,7 @@ mod tests {
     #[test]
     fn with_no_exact_reading_the_command_is_taken() {
         // 0x80 has no fields, yet a byte is set.
-        let odd = on_rs485([0x80, 1, 0, 0, 0, 0, 0, 0], None);
+        let odd = on_rs485([0x80, 1, 0, 0, 0, 0, 0, 0], FrameDirection::Either);
         assert_eq!(direction(&odd), "command");
         assert!(odd.outcome.unwrap().canonical.starts_with("3E 01 08 80 00"));
     }
@@ -361,12 +304,10 @@ mod tests {
         let short = on_can("241#F1");
         assert_eq!(short.id, Some(Target::Motor(MotorId::new(1).unwrap())));
         assert_eq!(direction(&short), "reply");
+        assert_eq!(on_can("7DF#0000000000000000").id, None);
+        assert_eq!(on_can("141#4300000063000000").opcode, Some(Opcode::WriteAcceleration));
         assert_eq!(
-            on_can("141#4300000063000000").kind,
-            Some(FrameKind::Known(Opcode::WriteAcceleration))
-        );
-        assert_eq!(
-            on_rs485([0xB6, 0x60, 1, 1, 0, 0, 0, 0], None).outcome,
+            on_rs485([0xB6, 0x60, 1, 1, 0, 0, 0, 0], FrameDirection::Either).outcome,
             Err("active-reply (0xB6) exists on CAN only".to_owned())
         );
     }

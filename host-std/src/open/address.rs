@@ -151,11 +151,10 @@ impl FromStr for BusAddress {
     fn from_str(text: &str) -> Result<Self, Unexpected> {
         let not_a_bus = || Unexpected::new(format!("a bus such as {EXAMPLES}"), text);
         match text.split_once(':') {
-            None if text.is_empty() => Err(not_a_bus()),
             None if text == SIMULATED => {
                 Ok(Self::Simulated { motors: USUAL_MOTORS, kind: BusKind::Can })
             }
-            None if text.contains('/') => Err(not_a_bus()),
+            None if text.is_empty() || text.contains('/') => Err(not_a_bus()),
             None => socket_can(text),
             Some((SIMULATED, motors)) => simulated(motors),
             Some(("can", interface)) => socket_can(interface),
@@ -167,23 +166,15 @@ impl FromStr for BusAddress {
 }
 
 fn simulated(motors: &str) -> Result<BusAddress, Unexpected> {
-    let (motors, kind) = match motors.split_once(',') {
-        None => (motors, BusKind::Can),
-        Some((motors, "rs485")) => (motors, BusKind::Rs485),
-        Some((_, found)) => {
-            return Err(not_an_option("rs485", found));
-        }
-    };
+    let (motors, is_rs485) = option(motors, "rs485")?;
+    let kind = if is_rs485 { BusKind::Rs485 } else { BusKind::Can };
     let wrong = || {
         let count = format!("a number of simulated motors from 1 to {MOST_MOTORS} behind \"sim:\"");
         Unexpected::new(count, motors)
     };
-    let motors = decimal(motors).and_then(|motors| u8::try_from(motors).ok()).ok_or_else(wrong)?;
-    if (1..=MOST_MOTORS).contains(&motors) {
-        Ok(BusAddress::Simulated { motors, kind })
-    } else {
-        Err(wrong())
-    }
+    let motors = decimal(motors).and_then(|motors| u8::try_from(motors).ok());
+    let motors = motors.filter(|motors| (1..=MOST_MOTORS).contains(motors)).ok_or_else(wrong)?;
+    Ok(BusAddress::Simulated { motors, kind })
 }
 
 /// As the kernel judges names.
@@ -210,13 +201,7 @@ fn slcan(port: &str) -> Result<BusAddress, Unexpected> {
 
 fn rs485(port: &str) -> Result<BusAddress, Unexpected> {
     let (path, rate) = path_and_rate("rs485", "115200", port)?;
-    let (rate, echo) = match rate.split_once(',') {
-        None => (rate, false),
-        Some((rate, "echo")) => (rate, true),
-        Some((_, found)) => {
-            return Err(not_an_option("echo", found));
-        }
-    };
+    let (rate, echo) = option(rate, "echo")?;
     let bit_rate = BusAddress::line_rate(rate)?;
     Ok(BusAddress::Rs485 { path: path.into(), bit_rate, echo })
 }
@@ -236,8 +221,15 @@ fn path_and_rate<'a>(
     }
 }
 
-fn not_an_option(known: &str, found: &str) -> Unexpected {
-    Unexpected::new(format!("\"{known}\" or no comma"), format!(",{found}"))
+/// What stands before a comma, and whether this option stands behind it.
+fn option<'a>(text: &'a str, known: &str) -> Result<(&'a str, bool), Unexpected> {
+    match text.split_once(',') {
+        None => Ok((text, false)),
+        Some((before, found)) if found == known => Ok((before, true)),
+        Some((_, found)) => {
+            Err(Unexpected::new(format!("\"{known}\" or no comma"), format!(",{found}")))
+        }
+    }
 }
 
 /// Digits only: `u32`'s own parser takes a plus sign as well.
@@ -280,19 +272,21 @@ mod tests {
     }
 
     #[test]
-    fn what_is_printed_is_read_again() {
-        for text in [
-            "sim:4",
-            "sim:2,rs485",
-            "can0",
-            "can:sim",
-            "slcan:/dev/ttyACM0@1000000",
-            "rs485:/dev/ttyUSB0@115200",
-            "rs485:/dev/ttyUSB0@115200,echo",
+    fn each_bus_is_printed_as_it_is_read_and_tells_its_kind_and_rate() {
+        for (text, kind, rate) in [
+            ("sim:4", BusKind::Can, Some(1_000_000)),
+            ("sim:2,rs485", BusKind::Rs485, Some(115_200)),
+            ("can0", BusKind::Can, None),
+            ("can:sim", BusKind::Can, None),
+            ("slcan:/dev/ttyACM0@500000", BusKind::Can, Some(500_000)),
+            ("rs485:/dev/ttyUSB0@115200", BusKind::Rs485, Some(115_200)),
+            ("rs485:/dev/ttyUSB0@2500000,echo", BusKind::Rs485, Some(2_500_000)),
         ] {
-            assert_eq!(parse(text).unwrap().to_string(), text);
+            let bus = parse(text).unwrap();
+            assert_eq!(bus.to_string(), text);
+            assert_eq!((bus.kind(), bus.bit_rate()), (kind, rate), "{text}");
+            assert_eq!(bus.is_simulated(), text.starts_with("sim"));
         }
-        assert_eq!(parse("sim").unwrap().to_string(), "sim:4");
         assert_eq!(parse("can:can0").unwrap().to_string(), "can0");
     }
 
@@ -326,7 +320,8 @@ mod tests {
             ("slcan:/dev/ttyACM0@1500000", CAN_RATE, "1500000"),
             ("slcan:/dev/ttyACM0@500000,echo", CAN_RATE, "500000,echo"),
             ("rs485:/dev/ttyUSB0@", LINE_RATE, ""),
-            ("rs485:/dev/ttyUSB0@0", LINE_RATE, "0"),
+            ("rs485:/dev/ttyUSB0@1199", LINE_RATE, "1199"),
+            ("rs485:/dev/ttyUSB0@12000001", LINE_RATE, "12000001"),
             ("rs485:/dev/ttyUSB0@115200 ", LINE_RATE, "115200 "),
             ("rs485:/dev/ttyUSB0@115200,", "\"echo\" or no comma", ","),
             ("rs485:/dev/ttyUSB0@115200,8n1", "\"echo\" or no comma", ",8n1"),
@@ -334,29 +329,6 @@ mod tests {
             let error = parse(text).unwrap_err();
             assert!(error.expected.starts_with(expected), "{text:?}: {error}");
             assert_eq!(error.found, found, "{text:?}");
-        }
-    }
-
-    #[test]
-    fn the_rate_of_a_line_is_read_alone_as_in_an_address() {
-        assert_eq!(BusAddress::line_rate("115200"), Ok(115_200));
-        for text in ["115200,echo", "fast", "1199", "12000001", ""] {
-            assert_eq!(BusAddress::line_rate(text).unwrap_err().found, text);
-        }
-    }
-
-    #[test]
-    fn each_bus_tells_its_kind_and_rate() {
-        for (text, kind, rate) in [
-            ("sim:4", BusKind::Can, Some(1_000_000)),
-            ("sim:4,rs485", BusKind::Rs485, Some(115_200)),
-            ("can0", BusKind::Can, None),
-            ("slcan:/dev/ttyACM0@500000", BusKind::Can, Some(500_000)),
-            ("rs485:/dev/ttyUSB0@2500000", BusKind::Rs485, Some(2_500_000)),
-        ] {
-            let bus = parse(text).unwrap();
-            assert_eq!((bus.kind(), bus.bit_rate()), (kind, rate), "{text}");
-            assert_eq!(bus.is_simulated(), text.starts_with("sim"));
         }
     }
 }

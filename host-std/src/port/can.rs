@@ -93,12 +93,9 @@ impl SocketCan {
     }
 
     fn note(&mut self, report: ErrorCause) {
-        match verdict(report) {
-            Some(Verdict::BusOff) => self.outage.begin(PortError::BusOff(self.interface.clone())),
-            Some(Verdict::NotAcknowledged) => {
-                self.outage.begin(PortError::NotAcknowledged(self.interface.clone()));
-            }
-            Some(Verdict::Recovered) => self.outage.end(),
+        match verdict(report, &self.interface) {
+            Some(Err(why)) => self.outage.begin(why),
+            Some(Ok(())) => self.outage.end(),
             None => {}
         }
     }
@@ -152,26 +149,19 @@ impl Can for SocketCan {
     }
 }
 
-/// What a report says about the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
-    BusOff,
-    NotAcknowledged,
-    Recovered,
-}
-
-fn verdict(report: ErrorCause) -> Option<Verdict> {
+/// What a report says about the bus: that it carries frames again, or why it carries none.
+fn verdict(report: ErrorCause, interface: &str) -> Option<Result<(), PortError>> {
     match report {
-        ErrorCause::BusOff => Some(Verdict::BusOff),
-        ErrorCause::NoAck | ErrorCause::TransmitTimeout => Some(Verdict::NotAcknowledged),
+        ErrorCause::BusOff => Some(Err(PortError::BusOff(interface.to_owned()))),
+        ErrorCause::NoAck | ErrorCause::TransmitTimeout => {
+            Some(Err(PortError::NotAcknowledged(interface.to_owned())))
+        }
         // Missing acknowledgements alone bring a controller to this state and no further.
         ErrorCause::Controller(state) if state.contains(ControllerProblems::TX_PASSIVE) => {
-            Some(Verdict::NotAcknowledged)
+            Some(Err(PortError::NotAcknowledged(interface.to_owned())))
         }
-        ErrorCause::Controller(state) if state.contains(ControllerProblems::ACTIVE) => {
-            Some(Verdict::Recovered)
-        }
-        ErrorCause::Restarted => Some(Verdict::Recovered),
+        ErrorCause::Controller(state) if state.contains(ControllerProblems::ACTIVE) => Some(Ok(())),
+        ErrorCause::Restarted => Some(Ok(())),
         _ => None,
     }
 }
@@ -198,18 +188,29 @@ mod tests {
     #[test]
     fn reports_tell_a_dead_bus_from_a_bad_one() {
         let state = |bits| ErrorCause::Controller(ControllerProblems::from_bits_truncate(bits));
-        assert_eq!(verdict(ErrorCause::BusOff), Some(Verdict::BusOff));
-        assert_eq!(verdict(ErrorCause::NoAck), Some(Verdict::NotAcknowledged));
-        // linux/can/error.h: 0x01 receive overflow, 0x08 warning, 0x10 and 0x20 passive while
-        // receiving and sending, 0x40 active again.
-        assert_eq!(verdict(state(0x20)), Some(Verdict::NotAcknowledged));
-        assert_eq!(verdict(state(0x30)), Some(Verdict::NotAcknowledged));
-        assert_eq!(verdict(state(0x10)), None);
-        assert_eq!(verdict(state(0x08)), None);
-        assert_eq!(verdict(state(0x01)), None);
-        assert_eq!(verdict(state(0x40)), Some(Verdict::Recovered));
-        assert_eq!(verdict(ErrorCause::Restarted), Some(Verdict::Recovered));
-        assert_eq!(verdict(ErrorCause::LostArbitration(3)), None);
+        for (report, told) in [
+            (ErrorCause::BusOff, "bus off"),
+            (ErrorCause::NoAck, "not acknowledged"),
+            // linux/can/error.h: 0x01 receive overflow, 0x08 warning, 0x10 and 0x20 passive while
+            // receiving and sending, 0x40 active again.
+            (state(0x20), "not acknowledged"),
+            (state(0x30), "not acknowledged"),
+            (state(0x10), "nothing"),
+            (state(0x08), "nothing"),
+            (state(0x01), "nothing"),
+            (state(0x40), "recovered"),
+            (ErrorCause::Restarted, "recovered"),
+            (ErrorCause::LostArbitration(3), "nothing"),
+        ] {
+            let verdict = match verdict(report, "can7") {
+                Some(Err(PortError::BusOff(_))) => "bus off",
+                Some(Err(PortError::NotAcknowledged(_))) => "not acknowledged",
+                Some(Err(other)) => panic!("{report}: {other}"),
+                Some(Ok(())) => "recovered",
+                None => "nothing",
+            };
+            assert_eq!(verdict, told, "{report}");
+        }
     }
 
     #[test]

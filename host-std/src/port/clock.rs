@@ -117,7 +117,9 @@ mod tests {
         let (end, mut other) = UnixStream::pair().unwrap();
         let clock = HostClock::for_port(&end).unwrap();
         other.write_all(&[1]).unwrap();
-        clock.idle(clock.now() + NEVER);
+        for until in [clock.now() + NEVER, Instant::from_micros(u64::MAX)] {
+            clock.idle(until);
+        }
     }
 
     #[test]
@@ -127,12 +129,5 @@ mod tests {
         let clock = HostClock::with_backlog(&end, backlog.clone()).unwrap();
         backlog.set(true);
         clock.idle(clock.now() + NEVER);
-    }
-
-    #[test]
-    fn an_endless_wait_is_no_error() {
-        let (end, mut other) = UnixStream::pair().unwrap();
-        other.write_all(&[1]).unwrap();
-        HostClock::for_port(&end).unwrap().idle(Instant::from_micros(u64::MAX));
     }
 }

@@ -1,5 +1,6 @@
 //! SLCAN adapters on serial ports of this machine.
 
+use std::collections::VecDeque;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -41,9 +42,8 @@ const READS_A_CALL: usize = 16;
 pub struct Slcan {
     tty: Tty,
     codec: Codec,
-    chunk: Box<[u8; CHUNK]>,
-    /// The bytes of `chunk` that are still to be looked at.
-    unread: std::ops::Range<usize>,
+    /// What has arrived and is still to be looked at.
+    unread: VecDeque<u8>,
     /// The rest of a line that the port has not taken yet.
     unsent: Vec<u8>,
     stalled_since: Option<Instant>,
@@ -62,9 +62,8 @@ impl Slcan {
     pub fn open(path: impl AsRef<Path>, rate: Rate) -> Result<Self, PortError> {
         let mut slcan = Self {
             tty: Tty::open(path.as_ref(), LINE_RATE)?,
-            codec: Codec::new(),
-            chunk: Box::new([0; CHUNK]),
-            unread: 0..0,
+            codec: Codec::default(),
+            unread: VecDeque::new(),
             unsent: Vec::new(),
             stalled_since: None,
             outage: Outage::default(),
@@ -77,8 +76,8 @@ impl Slcan {
         // Answers to what an earlier program said last may still be on their way.
         slcan.read_until_quiet()?;
         slcan.tty.discard_input()?;
-        slcan.unread = 0..0;
-        slcan.codec = Codec::new();
+        slcan.unread.clear();
+        slcan.codec = Codec::default();
         for command in [AdapterCommand::SetRate(rate), AdapterCommand::Open] {
             if slcan.tell(command)? == Some(Answer::Refused) {
                 return Err(PortError::Refused(slcan.tty.name().to_owned()));
@@ -155,13 +154,14 @@ impl Slcan {
     /// The next answer among what has arrived.
     fn next_answer(&mut self) -> Result<Option<Answer>, PortError> {
         for _ in 0..READS_A_CALL {
-            for place in self.unread.by_ref() {
-                if let Some(answer) = self.codec.feed(self.chunk[place]) {
+            while let Some(byte) = self.unread.pop_front() {
+                if let Some(answer) = self.codec.feed(byte) {
                     return Ok(Some(answer));
                 }
             }
-            match self.tty.read(&mut *self.chunk)? {
-                Some(length) => self.unread = 0..length,
+            let mut chunk = [0; CHUNK];
+            match self.tty.read(&mut chunk)? {
+                Some(length) => self.unread.extend(&chunk[..length]),
                 None => break,
             }
         }

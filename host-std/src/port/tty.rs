@@ -3,10 +3,11 @@
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::FlockOperation;
-use rustix::io::Errno;
+use rustix::io::{Errno, retry_on_intr};
 use serial2::{KeepSettings, SerialPort};
 
 use crate::port::PortError;
@@ -47,27 +48,21 @@ impl Tty {
 
     /// What has arrived; `None` if nothing has.
     pub(super) fn read(&self, buffer: &mut [u8]) -> Result<Option<usize>, PortError> {
-        loop {
-            match rustix::io::read(&self.port, &mut *buffer) {
-                Ok(0) | Err(Errno::IO) => return Err(PortError::PortGone(self.name.clone())),
-                Ok(length) => return Ok(Some(length)),
-                Err(Errno::AGAIN) => return Ok(None),
-                Err(Errno::INTR) => {}
-                Err(error) => return Err(explain(&self.name, error.into())),
-            }
+        match retry_on_intr(|| rustix::io::read(&self.port, &mut *buffer)) {
+            Ok(0) | Err(Errno::IO) => Err(PortError::PortGone(self.name.clone())),
+            Ok(length) => Ok(Some(length)),
+            Err(Errno::AGAIN) => Ok(None),
+            Err(error) => Err(explain(&self.name, error.into())),
         }
     }
 
     /// How many of these bytes are taken: none if there is no room.
     pub(super) fn write(&self, bytes: &[u8]) -> Result<usize, PortError> {
-        loop {
-            match rustix::io::write(&self.port, bytes) {
-                Ok(length) => return Ok(length),
-                Err(Errno::AGAIN) => return Ok(0),
-                Err(Errno::INTR) => {}
-                Err(Errno::IO) => return Err(PortError::PortGone(self.name.clone())),
-                Err(error) => return Err(explain(&self.name, error.into())),
-            }
+        match retry_on_intr(|| rustix::io::write(&self.port, bytes)) {
+            Ok(length) => Ok(length),
+            Err(Errno::AGAIN) => Ok(0),
+            Err(Errno::IO) => Err(PortError::PortGone(self.name.clone())),
+            Err(error) => Err(explain(&self.name, error.into())),
         }
     }
 
@@ -76,39 +71,29 @@ impl Tty {
     pub(super) fn wait(
         &self,
         flags: PollFlags,
-        timeout: Option<std::time::Duration>,
+        timeout: Option<Duration>,
     ) -> Result<bool, PortError> {
-        let deadline = timeout.map(|timeout| std::time::Instant::now() + timeout);
-        loop {
+        let deadline = timeout.map(|timeout| Instant::now() + timeout);
+        let ready = retry_on_intr(|| {
             let left = deadline.map(|deadline| {
-                let left = deadline.saturating_duration_since(std::time::Instant::now());
+                let left = deadline.saturating_duration_since(Instant::now());
                 Timespec::try_from(left).unwrap_or_default()
             });
-            match poll(&mut [PollFd::new(&self.port, flags)], left.as_ref()) {
-                Ok(ready) => return Ok(ready > 0),
-                Err(Errno::INTR) => {}
-                Err(error) => return Err(explain(&self.name, error.into())),
-            }
-        }
+            poll(&mut [PollFd::new(&self.port, flags)], left.as_ref())
+        });
+        ready.map(|ready| ready > 0).map_err(|error| explain(&self.name, error.into()))
     }
 
     /// Waits until the last byte has left the port.
     pub(super) fn drain(&self) -> Result<(), PortError> {
-        loop {
-            match rustix::termios::tcdrain(&self.port) {
-                Ok(()) => return Ok(()),
-                Err(Errno::INTR) => {}
-                Err(error) => return Err(explain(&self.name, error.into())),
-            }
-        }
+        retry_on_intr(|| rustix::termios::tcdrain(&self.port))
+            .map_err(|error| explain(&self.name, error.into()))
     }
 
-    /// Throws away what is not sent yet.
     pub(super) fn discard_output(&self) -> Result<(), PortError> {
         self.port.discard_output_buffer().map_err(|error| explain(&self.name, error))
     }
 
-    /// Throws away what has arrived.
     pub(super) fn discard_input(&self) -> Result<(), PortError> {
         self.port.discard_input_buffer().map_err(|error| explain(&self.name, error))
     }

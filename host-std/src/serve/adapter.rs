@@ -1,9 +1,15 @@
-//! What an SLCAN adapter does with what it is told.
+//! The CAN bus behind an SLCAN adapter on a pseudo-terminal.
 
-use embedded_can::{Frame as _, nb::Can};
+use std::collections::VecDeque;
+use std::os::fd::{AsFd, BorrowedFd};
+use std::time::Duration;
+
+use embedded_can::{Frame as _, nb::Can as _};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
-use crate::sim::bus::can::{ControllerStatus, ErrorState};
+use super::pty::Pty;
+use super::{End, Notice, ServeError};
+use crate::sim::bus::can::{CanPort, ControllerStatus, ErrorState};
 use crate::text::slcan::{AdapterCodec, AdapterCommand, Answer, Rate};
 
 /// Hardware version 1.0, software version 1.3: what widespread adapters tell.
@@ -14,65 +20,105 @@ const WARNING_FROM: u16 = 96;
 /// Time stamps start again after so many milliseconds.
 const STAMPS_MS: u64 = 60_000;
 
+/// A serial port at one end, an adapter on the simulated bus at the other.
+#[derive(Debug)]
+pub(super) struct AdapterEnd {
+    pty: Pty,
+    adapter: Adapter,
+    /// Written by a program, and not yet looked at.
+    unread: VecDeque<u8>,
+}
+
+impl AdapterEnd {
+    pub(super) fn new(pty: Pty, port: CanPort, bit_rate: u32) -> Self {
+        Self { pty, adapter: Adapter::new(port, bit_rate), unread: VecDeque::new() }
+    }
+
+    /// The next byte from the program.
+    fn next(&mut self) -> Result<Option<u8>, ServeError> {
+        if self.unread.is_empty() {
+            let mut chunk = [0; 256];
+            let length = self.pty.read(&mut chunk)?;
+            self.unread.extend(chunk.iter().take(length));
+        }
+        Ok(self.unread.pop_front())
+    }
+}
+
+impl End for AdapterEnd {
+    fn source(&self) -> Option<BorrowedFd<'_>> {
+        self.adapter.waiting.is_none().then(|| self.pty.as_fd())
+    }
+
+    fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
+        self.pty.admit_all()?;
+        while self.adapter.is_ready()
+            && let Some(byte) = self.next()?
+        {
+            if let Some(asked) = self.adapter.feed(byte) {
+                notify(Notice::WrongRate { asked, bit_rate: self.adapter.bit_rate });
+            }
+        }
+        self.adapter.receive();
+        Ok(self.pty.write(&std::mem::take(&mut self.adapter.answers))?)
+    }
+
+    fn patience(&mut self) -> Option<Duration> {
+        (self.adapter.status().received > 0).then_some(Duration::ZERO)
+    }
+}
+
 /// Whether the adapter takes part in the bus.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Channel {
-    #[default]
     Closed,
     Open,
     Listening,
 }
 
-/// What was left to do of a byte.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Outcome {
-    /// Nothing.
-    Done,
-    /// The bus takes no more frames: [`send`](Adapter::send) this one before the next byte.
-    Waiting(SimpleFrame),
-    /// A program asked for a bit rate that the bus does not have.
-    WrongRate(Rate),
-}
-
-/// An SLCAN adapter on a CAN controller. Answers are appended to `out`.
+/// What an adapter does with what it is told.
 #[derive(Debug)]
-pub(super) struct Adapter {
+struct Adapter {
+    port: CanPort,
+    /// What the bus runs at, in bit/s.
+    bit_rate: u32,
     codec: AdapterCodec,
     channel: Channel,
     has_stamps: bool,
-    /// What the bus runs at, in bit/s.
-    bit_rate: u32,
+    /// A frame that the controller has no room for.
+    waiting: Option<SimpleFrame>,
+    /// What is to be told to the program.
+    answers: Vec<u8>,
 }
 
 impl Adapter {
-    pub(super) fn new(bit_rate: u32) -> Self {
-        Self { codec: AdapterCodec::new(), channel: Channel::Closed, has_stamps: false, bit_rate }
+    fn new(port: CanPort, bit_rate: u32) -> Self {
+        Self {
+            port,
+            bit_rate,
+            codec: AdapterCodec::default(),
+            channel: Channel::Closed,
+            has_stamps: false,
+            waiting: None,
+            answers: Vec::new(),
+        }
     }
 
-    /// Takes a byte from the program.
-    pub(super) fn feed<C: Can<Frame = SimpleFrame>>(
-        &mut self,
-        byte: u8,
-        controller: &mut C,
-        status: impl FnOnce() -> ControllerStatus,
-        out: &mut Vec<u8>,
-    ) -> Outcome {
-        let Some(command) = self.codec.feed(byte) else { return Outcome::Done };
+    /// Takes a byte from the program, if it [can](Self::is_ready). Gives the bit rate that the program
+    /// asked for if the bus does not have it.
+    fn feed(&mut self, byte: u8) -> Option<Rate> {
+        let command = self.codec.feed(byte)?;
+        let mut wrong_rate = None;
         let answer = match (command, self.channel) {
             (AdapterCommand::Nothing, _) => Answer::Done,
             (AdapterCommand::Transmit(frame), Channel::Open) => {
-                return if self.send(&frame, controller, out) {
-                    Outcome::Done
-                } else {
-                    Outcome::Waiting(frame)
-                };
+                self.waiting = Some(frame);
+                self.is_ready();
+                return None;
             }
             (AdapterCommand::SetRate(rate), Channel::Closed) => {
-                if rate.bits_per_second() != self.bit_rate {
-                    Answer::Refused.encode(out);
-                    return Outcome::WrongRate(rate);
-                }
-                Answer::Done
+                wrong_rate = Some(rate).filter(|rate| rate.bits_per_second() != self.bit_rate);
+                if wrong_rate.is_none() { Answer::Done } else { Answer::Refused }
             }
             (AdapterCommand::Open, Channel::Closed) => self.turn(Channel::Open),
             (AdapterCommand::Listen, Channel::Closed) => self.turn(Channel::Listening),
@@ -84,14 +130,16 @@ impl Adapter {
                 Answer::Done
             }
             (AdapterCommand::ReadStatus, Channel::Open | Channel::Listening) => {
-                Answer::Status(flags(&status()))
+                let status = self.status();
+                let errors = status.transmit_errors.max(status.receive_errors);
+                Answer::Status(flags(errors, status.state))
             }
             (AdapterCommand::ReadVersion, _) => Answer::Version(VERSION),
             (AdapterCommand::ReadSerialNumber, _) => Answer::SerialNumber(SERIAL_NUMBER),
             _ => Answer::Refused,
         };
-        answer.encode(out);
-        Outcome::Done
+        answer.encode(&mut self.answers);
+        wrong_rate
     }
 
     fn turn(&mut self, channel: Channel) -> Answer {
@@ -99,99 +147,81 @@ impl Adapter {
         Answer::Done
     }
 
-    /// Gives a frame to the controller; false if that has no room now.
-    pub(super) fn send<C: Can<Frame = SimpleFrame>>(
-        &self,
-        frame: &SimpleFrame,
-        controller: &mut C,
-        out: &mut Vec<u8>,
-    ) -> bool {
-        let answer = match controller.transmit(frame) {
+    fn status(&self) -> ControllerStatus {
+        self.port.world().controller(self.port.station())
+    }
+
+    /// Whether nothing waits: gives a frame that does to the controller, if that has room now.
+    fn is_ready(&mut self) -> bool {
+        let Some(frame) = self.waiting else { return true };
+        let answer = match self.port.transmit(&frame) {
             Ok(_) => Answer::Accepted { is_extended: frame.is_extended() },
             Err(nb::Error::WouldBlock) => return false,
             Err(nb::Error::Other(_)) => Answer::Refused,
         };
-        answer.encode(out);
+        answer.encode(&mut self.answers);
+        self.waiting = None;
         true
     }
 
-    /// Tells the program of a frame from the bus, which came so many milliseconds after the start.
-    pub(super) fn receive(&self, frame: SimpleFrame, at_ms: u64, out: &mut Vec<u8>) {
-        if self.channel == Channel::Closed {
-            return;
-        }
-        Answer::Frame(frame).encode(out);
-        if self.has_stamps
-            && let Some(end) = out.pop()
-        {
-            out.extend_from_slice(format!("{:04X}", at_ms % STAMPS_MS).as_bytes());
-            out.push(end);
+    /// Tells the program of the frames from the bus.
+    fn receive(&mut self) {
+        while let Ok(frame) = self.port.receive() {
+            if self.channel == Channel::Closed {
+                continue;
+            }
+            Answer::Frame(frame).encode(&mut self.answers);
+            if self.has_stamps
+                && let Some(end) = self.answers.pop()
+            {
+                let at_ms = self.port.world().now().as_micros() / 1_000;
+                self.answers.extend(format!("{:04X}", at_ms % STAMPS_MS).into_bytes());
+                self.answers.push(end);
+            }
         }
     }
 }
 
 /// 0x04 warning, 0x20 error-passive, 0x80 bus error.
-fn flags(status: &ControllerStatus) -> u8 {
-    let is_warning = status.transmit_errors.max(status.receive_errors) >= WARNING_FROM;
-    let state = match status.state {
+fn flags(errors: u16, state: ErrorState) -> u8 {
+    let state = match state {
         ErrorState::Active => 0,
         ErrorState::Passive => 0x20,
         ErrorState::BusOff => 0xA0,
     };
-    state | if is_warning { 0x04 } else { 0 }
+    state | if errors >= WARNING_FROM { 0x04 } else { 0 }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::bus::can::{CanWorld, ControllerConfig};
     use crate::text::can;
+    use myactuator_protocol_core::time::{Duration, Instant};
 
-    /// A controller with room for so many frames.
-    struct Room(usize, Vec<SimpleFrame>);
-
-    impl Can for Room {
-        type Frame = SimpleFrame;
-        type Error = embedded_can::ErrorKind;
-
-        fn transmit(
-            &mut self,
-            frame: &SimpleFrame,
-        ) -> nb::Result<Option<SimpleFrame>, embedded_can::ErrorKind> {
-            if self.1.len() == self.0 {
-                return Err(nb::Error::WouldBlock);
-            }
-            self.1.push(*frame);
-            Ok(None)
-        }
-
-        fn receive(&mut self) -> nb::Result<SimpleFrame, embedded_can::ErrorKind> {
-            Err(nb::Error::WouldBlock)
-        }
+    /// An adapter with room for so many frames, and another station on its bus.
+    fn adapter(bit_rate: u32, transmit_queue: usize) -> (CanWorld, Adapter, CanPort) {
+        let world = CanWorld::new(bit_rate, 1);
+        let controller = ControllerConfig { transmit_queue, ..ControllerConfig::SOCKETCAN };
+        let adapter = Adapter::new(world.port_with(controller), bit_rate);
+        (world.clone(), adapter, world.port())
     }
 
-    fn healthy() -> ControllerStatus {
-        ControllerStatus {
-            transmit_errors: 0,
-            receive_errors: 0,
-            state: ErrorState::Active,
-            queued: 0,
-            received: 0,
-            overflows: 0,
-        }
+    fn told(adapter: &mut Adapter) -> String {
+        String::from_utf8(std::mem::take(&mut adapter.answers)).unwrap()
     }
 
-    fn told(adapter: &mut Adapter, room: &mut Room, line: &str) -> (String, Outcome) {
-        let (mut out, mut last) = (Vec::new(), Outcome::Done);
-        for byte in line.bytes().chain([b'\r']) {
-            last = adapter.feed(byte, room, healthy, &mut out);
-        }
-        (String::from_utf8(out).unwrap(), last)
+    /// The answer to a line, and the bit rate that it asks for in vain.
+    fn say(adapter: &mut Adapter, line: &str) -> (String, Option<Rate>) {
+        let bytes = line.bytes().chain([b'\r']);
+        let wrong = bytes.filter_map(|byte| adapter.feed(byte)).last();
+        (told(adapter), wrong)
     }
 
     /// Answers as Lawicel's adapters give them: CR is done, BEL is refused.
     #[test]
     fn an_adapter_is_opened_used_and_closed() {
-        let (mut adapter, mut room) = (Adapter::new(500_000), Room(9, Vec::new()));
+        let (world, mut adapter, mut other) = adapter(500_000, 9);
         let dialogue = [
             ("", "\r"),
             ("C", "\x07"),
@@ -215,63 +245,58 @@ mod tests {
             ("t14189C00000000000000", "\x07"),
         ];
         for (line, answer) in dialogue {
-            assert_eq!(
-                told(&mut adapter, &mut room, line),
-                (answer.into(), Outcome::Done),
-                "{line}"
-            );
+            assert_eq!(say(&mut adapter, line), (answer.into(), None), "{line}");
         }
-        let sent: Vec<String> = room.1.iter().map(can::frame).collect();
+        world.run_for(Duration::from_millis(2));
+        let sent: Vec<_> =
+            std::iter::from_fn(|| other.receive().ok()).map(|frame| can::frame(&frame)).collect();
         assert_eq!(sent, ["141#9C00000000000000", "1FFFFFFF#A55A", "141#R8"]);
     }
 
     #[test]
     fn another_bit_rate_is_refused_and_told() {
-        let (mut adapter, mut room) = (Adapter::new(1_000_000), Room(9, Vec::new()));
-        let (answer, outcome) = told(&mut adapter, &mut room, "S6");
-        assert_eq!((answer.as_str(), outcome), ("\x07", Outcome::WrongRate(Rate::Kbit500)));
-        assert_eq!(told(&mut adapter, &mut room, "S8").0, "\r");
+        let (_, mut adapter, _) = adapter(1_000_000, 9);
+        assert_eq!(say(&mut adapter, "S6"), ("\x07".into(), Some(Rate::Kbit500)));
+        assert_eq!(say(&mut adapter, "S8"), ("\r".into(), None));
     }
 
     #[test]
     fn a_frame_waits_for_room() {
-        let (mut adapter, mut room) = (Adapter::new(1_000_000), Room(0, Vec::new()));
-        told(&mut adapter, &mut room, "O");
-        let (answer, outcome) = told(&mut adapter, &mut room, "t1410");
-        let Outcome::Waiting(frame) = outcome else { panic!("{outcome:?}") };
-        assert_eq!((answer.as_str(), can::frame(&frame).as_str()), ("", "141#"));
-        let mut out = Vec::new();
-        assert!(!adapter.send(&frame, &mut room, &mut out));
-        room.0 = 1;
-        assert!(adapter.send(&frame, &mut room, &mut out));
-        assert_eq!((out.as_slice(), room.1.len()), (&b"z\r"[..], 1));
+        let (world, mut adapter, _other) = adapter(1_000_000, 1);
+        say(&mut adapter, "O");
+        assert_eq!(say(&mut adapter, "t1410").0, "z\r");
+        assert_eq!(say(&mut adapter, "t1420").0, "");
+        assert!(!adapter.is_ready());
+        world.run_for(Duration::from_millis(1));
+        assert!(adapter.is_ready() && adapter.waiting.is_none());
+        assert_eq!(told(&mut adapter), "z\r");
+        assert_eq!(adapter.status().queued, 1);
     }
 
     #[test]
     fn received_frames_are_told_while_open_with_time_stamps_if_wanted() {
-        let (mut adapter, mut room) = (Adapter::new(1_000_000), Room(9, Vec::new()));
-        let frame = can::parse_line("241#9C3264").unwrap();
-        let mut out = Vec::new();
-        adapter.receive(frame, 5, &mut out);
-        assert_eq!(out, b"");
-        told(&mut adapter, &mut room, "O");
-        adapter.receive(frame, 5, &mut out);
-        told(&mut adapter, &mut room, "C");
-        told(&mut adapter, &mut room, "Z1");
-        told(&mut adapter, &mut room, "L");
+        let (world, mut adapter, mut other) = adapter(1_000_000, 9);
+        let mut hear_until = |adapter: &mut Adapter, at_ms| {
+            other.transmit(&can::parse_line("241#9C3264").unwrap()).unwrap();
+            world.run_until(Instant::ZERO + Duration::from_millis(at_ms));
+            adapter.receive();
+            told(adapter)
+        };
+        assert_eq!(hear_until(&mut adapter, 5), "");
+        say(&mut adapter, "O");
+        assert_eq!(hear_until(&mut adapter, 10), "t24139C3264\r");
+        for line in ["C", "Z1", "L"] {
+            say(&mut adapter, line);
+        }
         // 61.234 s: 1234 ms into the second minute.
-        adapter.receive(frame, 61_234, &mut out);
-        assert_eq!(String::from_utf8(out).unwrap(), "t24139C3264\rt24139C326404D2\r");
+        assert_eq!(hear_until(&mut adapter, 61_234), "t24139C326404D2\r");
     }
 
     #[test]
     fn status_flags_follow_the_controller() {
-        let with = |transmit_errors, state| {
-            flags(&ControllerStatus { transmit_errors, state, ..healthy() })
-        };
-        assert_eq!(with(95, ErrorState::Active), 0x00);
-        assert_eq!(with(96, ErrorState::Active), 0x04);
-        assert_eq!(with(128, ErrorState::Passive), 0x24);
-        assert_eq!(with(256, ErrorState::BusOff), 0xA4);
+        assert_eq!(flags(95, ErrorState::Active), 0x00);
+        assert_eq!(flags(96, ErrorState::Active), 0x04);
+        assert_eq!(flags(128, ErrorState::Passive), 0x24);
+        assert_eq!(flags(256, ErrorState::BusOff), 0xA4);
     }
 }

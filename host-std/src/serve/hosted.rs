@@ -1,26 +1,27 @@
 //! A simulated bus with its drives in real time.
 
+use std::fmt::Debug;
 use std::time::Duration;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::drive::Event;
 
-use crate::sim::DriveHandle;
 use crate::sim::bus::faults::{Babble, Direction, FaultPlan};
 use crate::sim::bus::{Medium, World};
+use crate::sim::{BusFleet, DriveHandle};
 
 use super::planned_fault::{FaultKind, PlannedFault};
 
 const DIRECTIONS: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
 
 /// A bus of either kind that is being served.
-pub(super) trait Hosted {
+pub(super) trait Hosted: Debug {
     /// Has time go on with the wall clock from now on, whatever has passed.
     fn follow_wall_clock(&self);
 
-    /// When something happens next by itself: a clock that counts down to it.
-    fn next_event(&self) -> NextEvent<'_>;
+    /// How long it still is until something happens by itself; `None` for nothing ever.
+    fn until_next_event(&self) -> Option<Duration>;
 
     /// Lets something go wrong.
     fn strike(&mut self, fault: &PlannedFault);
@@ -28,9 +29,6 @@ pub(super) trait Hosted {
     /// Takes the supply from all drives, which store what they save then. Gives those that could not.
     fn power_off(&self) -> Vec<MotorId>;
 }
-
-/// Tells how long it still is until something happens on a bus; `None` for nothing ever.
-pub(super) type NextEvent<'a> = Box<dyn Fn() -> Option<Duration> + 'a>;
 
 /// A bus, its drives, and what is wrong with them.
 #[derive(Debug)]
@@ -44,9 +42,13 @@ pub(super) struct Host<B: Medium> {
 }
 
 impl<B: Medium> Host<B> {
-    pub(super) fn new(world: World<B>, drives: Vec<DriveHandle>) -> Self {
-        let own = vec![[None; 2]; drives.len()];
-        Self { world, drives, common: [FaultPlan::NONE; 2], own }
+    pub(super) fn new(fleet: &BusFleet<B>) -> Self {
+        Self {
+            world: fleet.world.clone(),
+            drives: fleet.drives.clone(),
+            common: [FaultPlan::NONE; 2],
+            own: vec![[None; 2]; fleet.drives.len()],
+        }
     }
 
     /// Changes what chance does, and leaves what it did so far.
@@ -78,11 +80,8 @@ impl<B: Medium> Hosted for Host<B> {
         self.world.clone().in_real_time();
     }
 
-    fn next_event(&self) -> NextEvent<'_> {
-        let next = self.world.next_event();
-        Box::new(move || {
-            next.map(|next| Duration::from_micros((next - self.world.now()).as_micros()))
-        })
+    fn until_next_event(&self) -> Option<Duration> {
+        Some((self.world.next_event()? - self.world.now()).into())
     }
 
     fn strike(&mut self, fault: &PlannedFault) {
@@ -96,7 +95,7 @@ impl<B: Medium> Hosted for Host<B> {
             match fault.kind {
                 FaultKind::Chance(_) => {}
                 FaultKind::Babble(interval) => {
-                    world.babble(station, Some(Babble::Random { interval }));
+                    world.babble(station, Some(Babble { interval, frame: None }));
                 }
                 FaultKind::Slow(by) => world.slow_down(station, by),
                 FaultKind::Cut => world.cut(station),
@@ -139,7 +138,7 @@ mod tests {
     /// Two drives under virtual time, what hosts them, and whether each of them answers.
     fn answers(faults: &[&str]) -> [bool; 2] {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
-        let mut host = Host::new(fleet.world.clone(), fleet.drives.clone());
+        let mut host = Host::new(&fleet);
         for fault in faults {
             host.strike(&fault.parse().unwrap());
         }
@@ -170,7 +169,7 @@ mod tests {
     #[test]
     fn errors_come_and_go() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let mut host = Host::new(fleet.world.clone(), fleet.drives.clone());
+        let mut host = Host::new(&fleet);
         let mut master = fleet.master::<1>();
         let mut named = |fault: &str| {
             host.strike(&fault.parse().unwrap());

@@ -9,8 +9,7 @@ use embedded_can::nb::Can as _;
 use myactuator_protocol_core::wire::can::SimpleFrame;
 use socketcan::CanFrame;
 
-use super::end::End;
-use super::{Notice, ServeError};
+use super::{End, Notice, ServeError};
 use crate::port::SocketCan;
 use crate::sim::bus::can::CanPort;
 

@@ -5,9 +5,8 @@ use std::time::Duration;
 
 use embedded_io::{Read as _, ReadReady as _, Write as _, WriteReady as _};
 
-use super::end::End;
 use super::pty::Pty;
-use super::{Notice, ServeError};
+use super::{End, Notice, ServeError};
 use crate::sim::bus::rs485::SerialPort;
 
 /// An RS485 adapter: a serial port at one end, a transceiver on the simulated line at the other.

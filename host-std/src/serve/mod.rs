@@ -19,8 +19,6 @@
 //! meanwhile.
 
 mod adapter;
-mod adapter_end;
-mod end;
 mod hosted;
 mod interface_end;
 mod line_end;
@@ -28,7 +26,7 @@ mod planned_fault;
 mod pty;
 
 use std::collections::VecDeque;
-use std::fmt;
+use std::fmt::Debug;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::net::UnixStream;
@@ -45,8 +43,7 @@ use crate::sim::bus::rs485::{SerialError, TransceiverConfig};
 use crate::sim::{CanFleet, LineFleet};
 use crate::text::slcan::Rate;
 
-use adapter_end::AdapterEnd;
-use end::End;
+use adapter::AdapterEnd;
 use hosted::{Host, Hosted};
 use interface_end::InterfaceEnd;
 use line_end::LineEnd;
@@ -62,8 +59,20 @@ const LONGEST_LAG: Duration = Duration::from_millis(500);
 /// How many frames a simulated USB adapter keeps for the bus.
 const ADAPTER_QUEUE: usize = 64;
 
+/// A way between a port of a simulated bus and a program outside.
+trait End: Debug {
+    /// What to wait for, while more is wanted from outside.
+    fn source(&self) -> Option<BorrowedFd<'_>>;
+
+    /// Carries all that waits, both ways.
+    fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError>;
+
+    /// When to pump again at the latest, whatever else happens; `None` for not by itself.
+    fn patience(&mut self) -> Option<Duration>;
+}
+
 /// Serves fleets of simulated drives to other programs. See the [module](self).
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Server {
     hosts: Vec<Box<dyn Hosted>>,
     ends: Vec<Box<dyn End>>,
@@ -71,22 +80,22 @@ pub struct Server {
     faults: VecDeque<PlannedFault>,
 }
 
-impl fmt::Debug for Server {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Server")
-            .field("buses", &self.hosts.len())
-            .field("ways", &self.ends.len())
-            .field("faults", &self.faults)
-            .finish()
-    }
-}
-
 /// What the person in front of a server should know.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, thiserror::Error)]
 pub enum Notice {
     /// The process was stopped or the computer was busy: simulated time has left out so much.
+    #[error(
+        "simulated time stood still for {:.1} s: the program was stopped, or the computer is too slow \
+         for so many drives",
+        .0.as_secs_f64()
+    )]
     LeftOut(Duration),
     /// A program asked the SLCAN adapter for another bit rate than the bus has, and was refused.
+    #[error(
+        "a program asked the SLCAN adapter for {} bit/s, but the simulated bus runs at {bit_rate}: set \
+         the program to that",
+        asked.bits_per_second()
+    )]
     WrongRate {
         /// What it asked for.
         asked: Rate,
@@ -94,27 +103,8 @@ pub enum Notice {
         bit_rate: u32,
     },
     /// The CAN interface's bus carries nothing, so the drives' frames are lost.
+    #[error("replies are lost: {0}")]
     Outage(PortError),
-}
-
-impl fmt::Display for Notice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::LeftOut(span) => write!(
-                f,
-                "simulated time stood still for {:.1} s: the program was stopped, or the computer \
-                 is too slow for so many drives",
-                span.as_secs_f64()
-            ),
-            Self::WrongRate { asked, bit_rate } => write!(
-                f,
-                "a program asked the SLCAN adapter for {} bit/s, but the simulated bus runs at \
-                 {bit_rate}: set the program to that",
-                asked.bits_per_second()
-            ),
-            Self::Outage(error) => write!(f, "replies are lost: {error}"),
-        }
-    }
 }
 
 /// Why drives cannot be served, or not any more.
@@ -177,14 +167,14 @@ impl Server {
 
     fn add_line(&mut self, fleet: &LineFleet, transceiver: TransceiverConfig, pty: Pty) {
         let port = fleet.world.port_with(transceiver);
-        self.hosts.push(Box::new(Host::new(fleet.world.clone(), fleet.drives.clone())));
+        self.hosts.push(Box::new(Host::new(fleet)));
         self.ends.push(Box::new(LineEnd { pty, port, waiting: Vec::new() }));
     }
 
     /// Takes drives on a CAN bus, to serve them by adapters and interfaces. They live without as
     /// well.
     pub fn host_can(&mut self, fleet: &CanFleet) {
-        self.hosts.push(Box::new(Host::new(fleet.world.clone(), fleet.drives.clone())));
+        self.hosts.push(Box::new(Host::new(fleet)));
     }
 
     /// Serves [hosted](Self::host_can) drives by an SLCAN adapter. Gives the path of its serial port.
@@ -215,7 +205,7 @@ impl Server {
         let queues =
             ControllerConfig { transmit_queue: ADAPTER_QUEUE, ..ControllerConfig::SOCKETCAN };
         let port = fleet.world.port_with(queues);
-        self.ends.push(Box::new(AdapterEnd::new(pty, port, fleet.bit_rate())));
+        self.ends.push(Box::new(AdapterEnd::new(pty, port, fleet.bit_rate)));
     }
 
     /// Serves [hosted](Self::host_can) drives on a CAN interface. On a real one they answer next to
@@ -299,9 +289,8 @@ impl Server {
     /// How long to wait for programs at most.
     fn patience(&mut self, passed: Duration) -> Duration {
         // In this order: what a port gets after it was asked is an event before the next one known.
-        let events: Vec<_> = self.hosts.iter().map(|host| host.next_event()).collect();
+        let events = self.hosts.iter().filter_map(|host| host.until_next_event()).min();
         let ends = self.ends.iter_mut().filter_map(|end| end.patience()).min();
-        let events = events.iter().filter_map(|next| next()).min();
         let fault =
             self.faults.front().map(|fault| Duration::from(fault.after).saturating_sub(passed));
         [ends, events, fault].into_iter().flatten().fold(LONGEST_WAIT, Duration::min)

@@ -336,12 +336,11 @@ mod tests {
     #[test]
     fn chances_add_up_in_one_plan() {
         let mut plan = FaultPlan::NONE;
-        for text in ["lose=0.1", "corrupt=0.2", "undetected=0.3", "duplicate=0.4", "reorder=0.6"] {
+        let texts = "lose=0.1 corrupt=0.2 undetected=0.3 duplicate=0.4 delay=0.5:7ms reorder=0.6";
+        for text in texts.split(' ') {
             let FaultKind::Chance(chance) = fault(text).kind else { panic!("{text}") };
             chance.add_to(&mut plan);
         }
-        let FaultKind::Chance(chance) = fault("delay=0.5:7ms").kind else { panic!() };
-        chance.add_to(&mut plan);
         let late = Duration::from_millis(7);
         let expected = FaultPlan {
             lose: 0.1,

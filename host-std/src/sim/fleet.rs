@@ -1,21 +1,22 @@
 //! Several simulated drives on one bus.
 
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use myactuator_protocol_core::command::{BaudCode, ModelName, MotionRanges, VersionDate};
 use myactuator_protocol_core::drive::{Bus, Drive, FaultLimits, Gains, Parameters, Quirks};
 use myactuator_protocol_core::io::{CanMaster, SerialMaster};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{Firmware, MotorId};
 
-use crate::sim::Seat;
-use crate::sim::bus::can::{CanBus, CanConfig, CanPort, ControllerConfig};
-use crate::sim::bus::rs485::{LineConfig, Rs485Line, SerialPort, TransceiverConfig};
+use crate::sim::bus::can::{CanBus, CanPort, ControllerConfig};
+use crate::sim::bus::rs485::{Rs485Line, SerialPort, TransceiverConfig};
 use crate::sim::bus::{Medium, Node, SimClock, StationId, World};
 use crate::sim::memory::{DriveMemory, StoreError};
 use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
+use crate::sim::seat::Seat;
 
 /// A drive with its physics and its memory.
 pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;
@@ -138,7 +139,7 @@ impl Fleet {
     /// # Errors
     /// [`FleetError`]: the model's figures make no motor, or a memory file cannot be read.
     pub fn on_can(&self, bit_rate: u32) -> Result<CanFleet, FleetError> {
-        let world = World::<CanBus>::new(CanConfig { bit_rate }, self.seed);
+        let world = World::<CanBus>::new(bit_rate, self.seed);
         self.put_on(world, ControllerConfig::MAILBOXES, Bus::Can, bit_rate)
     }
 
@@ -147,11 +148,11 @@ impl Fleet {
     /// # Errors
     /// As [`on_can`](Self::on_can).
     pub fn on_rs485(&self, bit_rate: u32) -> Result<LineFleet, FleetError> {
-        let world = World::<Rs485Line>::new(LineConfig { bit_rate }, self.seed);
+        let world = World::<Rs485Line>::new(bit_rate, self.seed);
         self.put_on(world, TransceiverConfig::default(), Bus::Rs485, bit_rate)
     }
 
-    fn put_on<B: Medium<Attachment: Copy>>(
+    fn put_on<B: Medium>(
         &self,
         world: World<B>,
         attachment: B::Attachment,
@@ -159,7 +160,7 @@ impl Fleet {
         bit_rate: u32,
     ) -> Result<BusFleet<B>, FleetError>
     where
-        Seat<SimulatedMotor, DriveMemory>: Node<B::Frame>,
+        Seat: Node<B::Frame>,
     {
         let model = self.made_model()?;
         let mut drives = Vec::new();
@@ -185,14 +186,9 @@ impl Fleet {
         Ok(model)
     }
 
-    fn seat(
-        &self,
-        model: &MotorParameters,
-        motor: MotorId,
-        bus: Bus,
-    ) -> Result<Seat<SimulatedMotor, DriveMemory>, FleetError> {
+    fn seat(&self, model: &MotorParameters, motor: MotorId, bus: Bus) -> Result<Seat, FleetError> {
         let memory = match &self.memory_folder {
-            Some(folder) => DriveMemory::in_file(folder.join(format!("motor-{motor}.json"))),
+            Some(folder) => DriveMemory::File(folder.join(format!("motor-{motor}.json"))),
             None => DriveMemory::Process(None),
         };
         // A stream of chance of its own for each drive.
@@ -211,25 +207,26 @@ impl Fleet {
             ..of_model
         };
         let plant = SimulatedMotor::new(model.clone())?;
-        Ok(Seat::new(Drive::new(parameters, plant, memory, Instant::ZERO)?))
+        let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
+        Ok(Seat { drive, receiver: Receiver::new() })
     }
 }
 
 /// A drive's parameters for a motor of this model: its firmware, limits, scales and factory gains.
-///
-/// # Errors
-/// [`ParameterError::NoMotionRanges`].
-pub fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterError> {
+fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterError> {
     let rating = &model.rating;
     let peak_a = rating.peak_current_a as f32;
     let no_load_dps = (rating.no_load_speed_rpm * 6.0) as f32;
     let supply_a = (rating.peak_torque_nm * rating.speed_rpm * std::f64::consts::TAU
         / 60.0
         / rating.voltage_v) as f32;
+    // A date that leads to no firmware where none is known of the model's.
+    let dates = model.firmware.version_dates();
+    let version_date = dates.first().copied().unwrap_or(VersionDate::from_raw(0));
     Ok(Parameters {
         model: model_name(&model.name),
         firmware: model.firmware,
-        version_date: model.firmware.version_dates().first().copied().unwrap_or(DATELESS),
+        version_date,
         motion_ranges: model.motion_ranges()?,
         baud_rate: BaudCode::CAN_1M_RS485_500K,
         encoder_bits: model.encoder.bits,
@@ -271,11 +268,8 @@ fn model_name(name: &str) -> ModelName {
 pub struct DriveHandle {
     motor: MotorId,
     station: StationId,
-    seat: Arc<Mutex<Seat<SimulatedMotor, DriveMemory>>>,
+    seat: Arc<Mutex<Seat>>,
 }
-
-/// What drives of a firmware report of which no version date is known: it leads to none.
-const DATELESS: VersionDate = VersionDate::from_raw(0);
 
 impl DriveHandle {
     /// The id that the drive started with.
@@ -291,11 +285,7 @@ impl DriveHandle {
     /// Works on the drive: raise an error, push the shaft, look at the physics. Not while the world
     /// runs in this thread.
     pub fn with<T>(&self, work: impl FnOnce(&mut SimulatedDrive) -> T) -> T {
-        work(&mut self.lock().drive)
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Seat<SimulatedMotor, DriveMemory>> {
-        self.seat.lock().unwrap_or_else(PoisonError::into_inner)
+        work(&mut self.seat.lock().unwrap_or_else(PoisonError::into_inner).drive)
     }
 }
 
@@ -306,8 +296,9 @@ pub struct BusFleet<B: Medium> {
     pub world: World<B>,
     /// The drives, in the order of their ids.
     pub drives: Vec<DriveHandle>,
+    /// Bits per second.
+    pub bit_rate: u32,
     firmware: Firmware,
-    bit_rate: u32,
 }
 
 /// Drives on a CAN bus.
@@ -315,13 +306,6 @@ pub type CanFleet = BusFleet<CanBus>;
 
 /// Drives on an RS485 line.
 pub type LineFleet = BusFleet<Rs485Line>;
-
-impl<B: Medium> BusFleet<B> {
-    /// Bits per second.
-    pub const fn bit_rate(&self) -> u32 {
-        self.bit_rate
-    }
-}
 
 impl CanFleet {
     /// A master on this bus.
@@ -334,17 +318,8 @@ impl CanFleet {
 impl LineFleet {
     /// A master on this line.
     pub fn master<const N: usize>(&self) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        self.master_with(TransceiverConfig::default())
-    }
-
-    /// A master on this line, by an adapter with these properties.
-    pub fn master_with<const N: usize>(
-        &self,
-        transceiver: TransceiverConfig,
-    ) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        let firmware = self.firmware;
-        let config = Config { firmware, ..Config::rs485(self.bit_rate, transceiver.echo) };
-        SerialMaster::new(self.world.port_with(transceiver), self.world.clock(), config)
+        let config = Config { firmware: self.firmware, ..Config::rs485(self.bit_rate, false) };
+        SerialMaster::new(self.world.port(), self.world.clock(), config)
     }
 }
 

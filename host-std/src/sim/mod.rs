@@ -32,7 +32,4 @@ pub mod memory;
 pub mod plant;
 mod seat;
 
-pub use fleet::{
-    BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive, parameters_of,
-};
-pub use seat::Seat;
+pub use fleet::{BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive};

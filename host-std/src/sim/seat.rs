@@ -1,29 +1,23 @@
 //! A drive's seat on a simulated bus.
 
-use myactuator_protocol_core::drive::{Drive, Memory, Plant};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
 
-use crate::sim::bus::Node;
+use super::SimulatedDrive;
+use super::bus::Node;
 
 /// How long a drive is without power when its node is reset.
 const POWER_CYCLE: Duration = Duration::from_millis(1);
 
-/// A drive and what it has received of a frame so far.
+/// A drive and, on RS485, what it has received of a frame so far.
 #[derive(Debug)]
-pub struct Seat<P, M> {
-    /// The drive.
-    pub drive: Drive<P, M>,
-    receiver: Receiver,
+pub(super) struct Seat {
+    pub(super) drive: SimulatedDrive,
+    pub(super) receiver: Receiver,
 }
 
-impl<P: Plant, M: Memory> Seat<P, M> {
-    /// A seat for this drive.
-    pub fn new(drive: Drive<P, M>) -> Self {
-        Self { drive, receiver: Receiver::new() }
-    }
-
+impl Seat {
     /// Lets the drive's own time go on to `now`, however far that is.
     fn catch_up(&mut self, now: Instant) {
         loop {
@@ -36,12 +30,13 @@ impl<P: Plant, M: Memory> Seat<P, M> {
     }
 
     fn power_cycle(&mut self, now: Instant) {
+        self.receiver.reset();
         self.drive.power_off(now);
         self.drive.power_on(now + POWER_CYCLE);
     }
 }
 
-impl<P: Plant + Send, M: Memory + Send> Node<SimpleFrame> for Seat<P, M> {
+impl Node<SimpleFrame> for Seat {
     fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
         // Real drives ignore short, remote and foreign frames.
         if let can::Received::Packet(packet) = can::decode(frame) {
@@ -67,7 +62,7 @@ impl<P: Plant + Send, M: Memory + Send> Node<SimpleFrame> for Seat<P, M> {
     }
 }
 
-impl<P: Plant + Send, M: Memory + Send> Node<Vec<u8>> for Seat<P, M> {
+impl Node<Vec<u8>> for Seat {
     fn handle_frame(&mut self, bytes: &Vec<u8>, now: Instant) {
         for &byte in bytes {
             if let Fed::Frame(frame) = self.receiver.feed(byte) {
@@ -91,7 +86,6 @@ impl<P: Plant + Send, M: Memory + Send> Node<Vec<u8>> for Seat<P, M> {
     }
 
     fn reset(&mut self, now: Instant) {
-        self.receiver.reset();
         self.power_cycle(now);
     }
 }

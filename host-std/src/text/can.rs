@@ -40,14 +40,19 @@ pub enum NotAFrame {
 
 /// A frame in candump's notation: `141#A400F401A08C0000`, `141#R` for a remote frame.
 pub fn frame(frame: &SimpleFrame) -> String {
-    let id = match frame.id() {
-        Id::Standard(id) => format!("{:03X}", id.as_raw()),
-        Id::Extended(id) => format!("{:08X}", id.as_raw()),
-    };
+    let id = digits(frame.id());
     match (frame.is_remote_frame(), frame.dlc()) {
         (false, _) => format!("{id}#{}", super::joined_hex(frame.data(), "")),
         (true, 0) => format!("{id}#R"),
         (true, length) => format!("{id}#R{length}"),
+    }
+}
+
+/// An identifier: three digits if it is a standard one, eight if it is extended.
+pub(super) fn digits(id: Id) -> String {
+    match id {
+        Id::Standard(id) => format!("{:03X}", id.as_raw()),
+        Id::Extended(id) => format!("{:08X}", id.as_raw()),
     }
 }
 
@@ -64,12 +69,9 @@ pub struct Stamp {
 /// As `candump -L` writes it: `(1436509052.249713) can0`.
 impl fmt::Display for Stamp {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match (&self.time, &self.interface) {
-            (Some(time), Some(interface)) => write!(f, "({time}) {interface}"),
-            (Some(time), None) => write!(f, "({time})"),
-            (None, Some(interface)) => f.write_str(interface),
-            (None, None) => Ok(()),
-        }
+        let between = if self.time.is_some() && self.interface.is_some() { " " } else { "" };
+        let time = self.time.as_ref().map_or(String::new(), |time| format!("({time})"));
+        write!(f, "{time}{between}{}", self.interface.as_deref().unwrap_or_default())
     }
 }
 
@@ -201,7 +203,8 @@ fn from_columns(id: &str, length: &str, data: &[&str]) -> Result<SimpleFrame, No
     SimpleFrame::new(id, &bytes).ok_or(NotAFrame::Notation)
 }
 
-fn identifier(text: &str) -> Result<Id, NotAFrame> {
+/// What [`digits`] writes.
+pub(super) fn identifier(text: &str) -> Result<Id, NotAFrame> {
     let wrong = || NotAFrame::Identifier(text.to_owned());
     if !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
         return Err(wrong());
@@ -218,9 +221,9 @@ fn identifier(text: &str) -> Result<Id, NotAFrame> {
 
 /// Bytes of two hexadecimal digits each without anything between.
 pub(super) fn hex_bytes(text: &str) -> Option<Vec<u8>> {
-    let digits: Option<Vec<u8>> =
-        text.chars().map(|c| c.to_digit(16).and_then(|digit| u8::try_from(digit).ok())).collect();
-    let (pairs, rest) = digits.as_ref()?.as_chunks::<2>();
+    let digits: Vec<u8> =
+        text.chars().map(|c| Some(c.to_digit(16)? as u8)).collect::<Option<_>>()?;
+    let (pairs, rest) = digits.as_chunks::<2>();
     rest.is_empty().then(|| pairs.iter().map(|[high, low]| high << 4 | low).collect())
 }
 

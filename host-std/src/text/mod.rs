@@ -10,7 +10,8 @@ pub mod rs485;
 pub mod slcan;
 
 use myactuator_protocol_core::Packet;
-use myactuator_protocol_core::wire::{can as can_wire, rs485::Frame};
+use myactuator_protocol_core::wire::can::SimpleFrame;
+use myactuator_protocol_core::wire::rs485::Frame;
 
 use crate::BusKind;
 
@@ -30,11 +31,7 @@ use crate::BusKind;
 /// ```
 pub fn packet(bus: BusKind, packet: &Packet) -> Option<String> {
     match bus {
-        BusKind::Can => Some(format!(
-            "{:03X}#{}",
-            can_wire::identifier(packet.channel),
-            joined_hex(&packet.data, "")
-        )),
+        BusKind::Can => Some(can::frame(&SimpleFrame::from_packet(packet))),
         BusKind::Rs485 => Frame::from_packet(packet).map(|frame| rs485::bytes(&frame.encode())),
     }
 }

@@ -9,14 +9,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::JoinHandle;
 
-use drive::{answer, ask_and_stop, motor};
+use drive::{answer, ask_and_stop, motor, open};
 use embedded_can::nb::Can as _;
 use embedded_can::{Frame as _, StandardId};
-use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+use myactuator_host_std::open::BusError;
 use myactuator_host_std::port::{HostClock, PortError, SocketCan};
 use myactuator_protocol_core::command::{self, ReadMultiTurnAngle};
 use myactuator_protocol_core::io::{Clock as _, Runner};
-use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Current;
 use myactuator_protocol_core::wire::can::{self, Received};
@@ -121,18 +120,6 @@ impl Drives {
     }
 }
 
-fn master(interface: &str) -> AnyMaster<2> {
-    let address: BusAddress = interface.parse().unwrap();
-    // Forgives a computer that is emulated; the drives here answer at once.
-    let config = Config {
-        reply_timeout: Duration::from_millis(250),
-        attempts: 15,
-        shortest_response: Duration::ZERO,
-        ..address.config()
-    };
-    AnyMaster::open_with(&address, config).unwrap()
-}
-
 fn what_cannot_be_opened_is_told() {
     let error = |interface| SocketCan::open(interface).unwrap_err();
     assert!(matches!(error("can9"), PortError::NoSuchInterface(_)), "{}", error("can9"));
@@ -149,7 +136,7 @@ fn what_cannot_be_opened_is_told() {
 
 fn a_master_asks(here: &str, there: &str) {
     let drives = Drives::on(there);
-    let mut master = master(here);
+    let mut master = open(here).unwrap();
     ask_and_stop(&mut master, 100);
     drives.end();
 }
@@ -213,7 +200,7 @@ fn a_dead_bus_gets_nothing_that_moves() {
 
 fn a_master_drops_motion_on_a_dead_bus() {
     let drives = Drives::on("vcan0");
-    let mut master = master("vcan0");
+    let mut master = open("vcan0").unwrap();
     let torque = command::Torque { current: Current::from_raw(100) };
     master.ask(motor(1), ReadMultiTurnAngle).unwrap();
     let report = reporter();

@@ -1,83 +1,15 @@
-//! A master on a serial port, with drives at the other end of the line.
+//! A serial port. Masters ask on one in `tests/program/sim_serve.rs`.
 
-use std::fs::File;
 use std::io::{Read, Write};
-use std::path::Path;
-use std::thread::JoinHandle;
 
 use embedded_io::{Read as _, ReadReady as _, Write as _};
-use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+use myactuator_host_std::open::BusError;
 use myactuator_host_std::port::{PortError, Rs485};
-use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadVersionDate};
+use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
 
-use crate::drive::{answer, ask_and_stop, motor};
+use crate::drive::{self, motor};
 use crate::pty;
-
-/// How the line behaves.
-#[derive(Clone, Copy, Default)]
-struct Line {
-    /// What is sent comes back.
-    echo: bool,
-    /// Bytes before every answer that are none of it.
-    noise: &'static [u8],
-}
-
-/// Plays the drives until the port is closed; gives the number of commands heard.
-fn play(mut line: File, how: Line) -> JoinHandle<usize> {
-    std::thread::spawn(move || {
-        let mut receiver = Receiver::new();
-        let (mut chunk, mut heard) = ([0; 64], 0);
-        while let Ok(length @ 1..) = line.read(&mut chunk) {
-            for &byte in &chunk[..length] {
-                if how.echo {
-                    line.write_all(&[byte]).unwrap();
-                }
-                let Fed::Frame(frame) = receiver.feed(byte) else { continue };
-                heard += 1;
-                if let Some(reply) = answer(&frame.as_command()) {
-                    line.write_all(how.noise).unwrap();
-                    line.write_all(&Frame::from_packet(&reply).unwrap().encode()).unwrap();
-                }
-            }
-        }
-        heard
-    })
-}
-
-fn open(path: &Path, options: &str) -> Result<AnyMaster<2>, BusError> {
-    let address: BusAddress = format!("rs485:{}@2500000{options}", path.display()).parse().unwrap();
-    AnyMaster::open_with(&address, pty::forgiving(address.config()))
-}
-
-fn asks_and_gets_answers(how: Line) {
-    let (line, path) = pty::open();
-    let drives = play(line, how);
-    let mut master = open(&path, if how.echo { ",echo" } else { "" }).unwrap();
-    for _ in 0..20 {
-        let version = master.ask(motor(1), ReadVersionDate).unwrap();
-        assert_eq!(version.version_date.year_month_day(), Some((2022, 2, 6)));
-    }
-    ask_and_stop(&mut master, 20);
-    drop(master);
-    assert!(drives.join().unwrap() >= 62);
-}
-
-#[test]
-fn a_master_asks_over_a_serial_port() {
-    asks_and_gets_answers(Line::default());
-}
-
-#[test]
-fn an_echo_is_no_answer() {
-    asks_and_gets_answers(Line { echo: true, ..Line::default() });
-}
-
-#[test]
-fn noise_before_an_answer_does_no_harm() {
-    asks_and_gets_answers(Line { noise: &[0x00, 0x3E, 0xFF], ..Line::default() });
-}
 
 #[test]
 fn a_port_belongs_to_one_program() {
@@ -130,7 +62,7 @@ fn what_is_no_serial_port_is_told() {
 #[test]
 fn an_adapter_that_is_pulled_out_is_told() {
     let (line, path) = pty::open();
-    let mut master = open(&path, "").unwrap();
+    let mut master = drive::open(&format!("rs485:{}@2500000", path.display())).unwrap();
     drop(line);
     let error = master.ask(motor(1), ReadMultiTurnAngle).unwrap_err();
     let CallError::Bus(error) = error else { panic!("{error}") };

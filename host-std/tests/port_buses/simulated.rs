@@ -1,24 +1,15 @@
-//! Simulated buses, opened by the same string as real ones.
+//! Simulated buses, opened by the same string as real ones. Which motors they have, `scan` tells in
+//! `tests/program/motors.rs`.
 
 use myactuator_host_std::open::{AnyMaster, BusAddress};
 use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus1};
-use myactuator_protocol_core::io::{CallError, Runner, bring_up};
-use myactuator_protocol_core::master::{Failure, MotorSet};
+use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::master::Failure;
 
 use crate::drive::motor;
 
 #[test]
-fn a_simulated_bus_has_the_motors_that_its_address_names() {
-    for (bus, motors) in [("sim", 4), ("sim:1", 1), ("sim:32", 32), ("sim:3,rs485", 3)] {
-        let mut arm = AnyMaster::<32>::open(&bus.parse().unwrap()).unwrap();
-        let found = bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}).unwrap();
-        let expected: MotorSet = (1..=motors).map(motor).collect();
-        assert_eq!(found, expected, "{bus}");
-    }
-}
-
-#[test]
-fn it_answers_in_virtual_time_with_the_configuration_of_its_kind() {
+fn they_answer_in_virtual_time_with_the_configuration_of_their_kind() {
     for bus in ["sim:2", "sim:2,rs485"] {
         let address: BusAddress = bus.parse().unwrap();
         let mut arm = AnyMaster::<4>::open_with(&address, address.config()).unwrap();

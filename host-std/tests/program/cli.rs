@@ -3,6 +3,9 @@
 use std::process::{Output, Stdio};
 
 use assert_cmd::assert::OutputAssertExt;
+use myactuator_host_std::explain::Dbc;
+use myactuator_protocol_core::command::{MotionLimits, MotionRanges};
+use myactuator_protocol_core::{Firmware, MotorId};
 use serde_json::Value;
 
 use crate::run::{lines, myactuator, objects, rows, run, run_words, text, vectors};
@@ -56,7 +59,7 @@ fn same_fields(told: &Value, expected: &Value) -> bool {
 }
 
 /// Decodes rows of one direction at once, and compares all but the direction.
-fn decode_rows(rows: &[&Value], arguments: &[&str]) -> Vec<Value> {
+fn decode_rows(rows: &[Value], arguments: &[&str]) -> Vec<Value> {
     let input: Vec<&str> = rows.iter().map(|row| string(row, "frame")).collect();
     let output = run_on(input.join("\n"), &[&["decode", "--json"], arguments].concat());
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stdout));
@@ -73,45 +76,16 @@ fn decode_rows(rows: &[&Value], arguments: &[&str]) -> Vec<Value> {
     told
 }
 
-#[test]
-fn every_can_example_of_the_manual_is_explained() {
-    for direction in ["command", "reply"] {
-        let rows = vectors("can");
-        let rows: Vec<&Value> = rows.iter().filter(|row| row["direction"] == direction).collect();
-        for (told, row) in decode_rows(&rows, &["--direction", direction]).iter().zip(&rows) {
-            assert_eq!(told["direction"], direction, "{row}");
-            assert!(same_fields(&told["fields"], &row["fields"]), "{told}\n{row}");
-        }
-    }
-}
-
-#[test]
-fn can_identifiers_tell_the_direction() {
-    let rows = vectors("can");
-    let rows: Vec<&Value> = rows.iter().collect();
-    for (told, row) in decode_rows(&rows, &[]).iter().zip(&rows) {
-        if string(row, "frame").starts_with("300#") {
-            continue; // both ways
-        }
-        assert_eq!(told["direction"], row["direction"]);
-        assert!(same_fields(&told["fields"], &row["fields"]), "{told}\n{row}");
-    }
-    // Only the reply to a read of the bus id holds an identifier.
-    let told = objects(&run(&["decode", "--json", "300#7900010000004202"]));
-    assert_eq!(told[0]["direction"], "reply");
-    assert_eq!(told[0]["fields"]["motor_id"], 2);
-    // A write and its echo are the same bytes.
-    let told = objects(&run(&["decode", "--json", "300#7900000000000002"]));
-    assert_eq!(told[0]["direction"], "either");
-}
-
 /// Frames, and the direction, id and fields that they are decoded to.
 const READINGS: &str = r#"
 # An id in either byte (7.3 and 7.4) makes it a reply, on either bus.
 300#7900010000000200 => reply "all" {"access":"read","access_raw":1,"motor_id":2}
 300#7900010000000002 => reply "all" {"access":"read","access_raw":1,"motor_id":2}
 3E CD 08 79 00 01 00 00 00 02 00 F9 F5 => reply "all" {"access":"read","access_raw":1,"motor_id":2}
+300#7900010000004202 => reply "all" {"access":"read","access_raw":1,"motor_id":2}
 3E CD 08 79 00 01 00 00 00 00 02 79 54 => reply "all" {"access":"read","access_raw":1,"motor_id":2}
+# A write and its echo are the same bytes.
+300#7900000000000002 => either "all" {"access":"write","access_raw":0,"motor_id":2}
 # An acceleration of 0 is no planning (2.20.2).
 141#4303000000000000 => command 1 {"index":"speed-deceleration","index_raw":3,"acceleration_dps2":0}
 # What no firmware knows, is raw.
@@ -141,25 +115,26 @@ fn frames_that_are_easily_misread_are_read_right() {
 }
 
 #[test]
-fn every_rs485_example_of_the_manual_is_explained() {
-    for direction in ["command", "reply"] {
-        let rows = vectors("rs485");
-        let rows: Vec<&Value> = rows.iter().filter(|row| row["direction"] == direction).collect();
-        let told = decode_rows(&rows, &["--bus", "rs485", "--direction", direction]);
+fn every_example_of_the_manual_is_explained() {
+    for (bus, direction) in
+        [("can", "command"), ("can", "reply"), ("rs485", "command"), ("rs485", "reply")]
+    {
+        let mut rows = vectors(bus);
+        rows.retain(|row| row["direction"] == direction);
+        let told = decode_rows(&rows, &["--bus", bus, "--direction", direction]);
         for (told, row) in told.iter().zip(&rows) {
             assert_eq!(told["direction"], direction, "{row}");
             assert!(same_fields(&told["fields"], &row["fields"]), "{told}\n{row}");
         }
-        // Without being told, it is right or leaves the direction open.
-        for (told, row) in decode_rows(&rows, &["--bus", "rs485"]).iter().zip(&rows) {
-            let (first, second) = (&told["fields"], told.get("fields_if_reply"));
-            match told["direction"].as_str() {
-                Some("either") if direction == "reply" => {
-                    assert!(same_fields(second.unwrap_or(first), &row["fields"]), "{told}\n{row}");
-                }
-                Some("either") => assert!(same_fields(first, &row["fields"]), "{told}\n{row}"),
-                told => assert_eq!(told, Some(direction), "{row}"),
-            }
+        // Without being told, it is right or leaves the direction open: never where a CAN identifier
+        // settles it.
+        for (told, row) in decode_rows(&rows, &["--bus", bus]).iter().zip(&rows) {
+            let is_open = told["direction"] == "either";
+            let may_be_open = bus == "rs485" || string(row, "frame").starts_with("300#");
+            assert!(told["direction"] == direction || is_open && may_be_open, "{told}\n{row}");
+            let as_reply = told.get("fields_if_reply").filter(|_| direction == "reply");
+            let fields = as_reply.unwrap_or(&told["fields"]);
+            assert!(same_fields(fields, &row["fields"]), "{told}\n{row}");
         }
     }
 }
@@ -225,6 +200,8 @@ set-baud-rate --baud-rate 255 => 141#B4000000000000FF
 communication-loss-protection --timeout-ms 4294967295 => 141#B3000000FFFFFFFF
 active-reply --command 0x9A --enable true --interval-ms 655350 => 141#B69A01FFFF000000
 set-encoder-zero --offset-pulses -2147483648 => 141#6300000000000080
+# -0.1 as a single: 0xBDCCCCCD.
+write-pid-ram --index 7 --value -0.1 => 141#31070000CDCCCCBD
 ";
 
 #[test]
@@ -267,6 +244,7 @@ stop => --id is missing: say which motor, 1 to 32, or all
 --id 1 active-reply --command 0x60 --enable on --interval 4 => --interval-ms: report interval must be 0 to 655350 ms in steps of 10 ms, but 4 ms was given
 --id 1 active-reply --command 0x60 --enable on --interval 655360 => --interval-ms: report interval must be 0 to 655350 ms, but 655360 ms was given
 --id 1 set-encoder-zero --offset-pulses 2147483648 => --offset-pulses: encoder position must be -2147483648 to 2147483647 pulses, but 2147483648 pulses was given
+--id 1 write-pid-ram --index 7 --value inf => --value: gain must be a finite number, but inf was given
 --id 1 set-baud-rate --baud-rate 256 => --baud-rate: baud code must be can-500k-rs485-115200 (0), can-1m-rs485-500k (1), rs485-1m (2) or another number up to 255, but "256" was given
 --id 1 read-acceleration --index 256 => --index: acceleration index must be position-acceleration (0), position-deceleration (1), speed-acceleration (2), speed-deceleration (3) or another number up to 255, but "256" was given
 --id 1 read-acceleration --index fast => --index: acceleration index must be position-acceleration (0), position-deceleration (1), speed-acceleration (2), speed-deceleration (3) or another number up to 255, but "fast" was given
@@ -339,42 +317,11 @@ fn a_firmware_has_its_own_layouts_and_commands() {
 }
 
 #[test]
-fn gains_write_their_exact_single() {
-    let output = run(&["encode", "--id", "1", "write-pid-ram", "--index", "7", "--value", "-0.1"]);
-    assert_eq!(lines(&output), ["141#31070000CDCCCCBD"]); // 0xBDCCCCCD
-    let sentence =
-        refusal(&["encode", "--id", "1", "write-pid-ram", "--index", "7", "--value", "inf"]);
-    assert!(sentence.starts_with("--value: gain must be "), "{sentence}");
-}
-
-#[test]
-fn every_notation_of_a_can_log_is_read() {
+fn a_can_log_is_explained_with_times_and_interfaces_whatever_it_holds() {
     let log = "\
-# what follows is one frame in every notation
+# a comment, and an empty line
 
-141#A400F401A08C0000
-  can0  141   [8]  A4 00 F4 01 A0 8C 00 00
- (1436509052.249713)  can0  141   [8]  A4 00 F4 01 A0 8C 00 00   '........'
-(1436509052.249713) can0 141#A400F401A08C0000
-(1436509052.249713) can0 141#A400F401A08C0000 R
-";
-    let output = run_on(log, &["decode"]);
-    assert_eq!(output.status.code(), Some(0));
-    let line = "141#A400F401A08C0000  motor 1  command  absolute-position (0xA4): max speed 500 dps, angle 360 deg";
-    let stamps = [
-        "",
-        "can0 ",
-        "(1436509052.249713) can0 ",
-        "(1436509052.249713) can0 ",
-        "(1436509052.249713) can0 ",
-    ];
-    assert_eq!(lines(&output), stamps.map(|stamp| format!("{stamp}{line}")));
-}
-
-#[test]
-fn time_and_interface_of_a_can_log_are_kept() {
-    let log = "\
-141#8100000000000000
+141#8100000000000000\r
   can0  141   [8]  81 00 00 00 00 00 00 00
 (0000000012.000345) vcan1 141#8100000000000000
  (2015-07-10 06:57:32.249713)  can0  141   [8]  81 00 00 00 00 00 00 00
@@ -383,7 +330,14 @@ fn time_and_interface_of_a_can_log_are_kept() {
  (1436509053.000001)  can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME
 (1436509052.249713) can0 nonsense
 ";
-    let told = objects(&run_on(log, &["decode", "--json"]));
+    let output = run_on(log, &["decode", "--json", "-"]);
+    assert_eq!(output.status.code(), Some(1));
+    let told = objects(&output);
+    let (stops, errors) = told.split_at(4);
+    assert!(stops.iter().all(|object| object["name"] == "stop" && object["error"].is_null()));
+    for object in errors {
+        assert!(object["error"].is_string() && object["canonical"].is_null(), "{object}");
+    }
     let kept: Vec<[Option<&str>; 3]> = told
         .iter()
         .map(|object| ["time", "interface", "raw"].map(|key| object.get(key)?.as_str()))
@@ -410,8 +364,11 @@ fn time_and_interface_of_a_can_log_are_kept() {
         ]
     );
     let output = run_on(log, &["decode"]);
+    let told = lines(&output);
+    let stop = "141#8100000000000000  motor 1  command  stop (0x81)";
+    assert_eq!(told[..2], [stop.to_owned(), format!("can0 {stop}")]);
     let sentence = "this is a CAN FD frame, and the protocol uses classic CAN frames only";
-    assert_eq!(lines(&output)[5], format!("(1436509052.249713) can0 141##1A4  error: {sentence}"));
+    assert_eq!(told[5], format!("(1436509052.249713) can0 141##1A4  error: {sentence}"));
 }
 
 /// What is read may not steer the terminal that it is shown on.
@@ -446,27 +403,6 @@ fn control_characters_are_shown_not_sent() {
         assert!(sentence.contains(r"\u001b\u007f\u000a"), "{arguments:?}: {told:?}");
         assert!(!sentence.contains(char::is_control), "{arguments:?}: {told:?}");
     }
-}
-
-#[test]
-fn what_is_not_understood_is_told_and_the_rest_still_is() {
-    let log = "241#F1\r\nhello\n141##1A4\n00000141#00\n141#R\n7DF#0000000000000000\n141#8100000000000000\n";
-    let output = run_on(log, &["decode", "--json", "-"]);
-    assert_eq!(output.status.code(), Some(1));
-    let told = objects(&output);
-    assert_eq!(told.len(), 7);
-    for object in &told[..6] {
-        assert!(object["error"].is_string(), "{object}");
-        assert_eq!(object.get("canonical"), None);
-    }
-    assert_eq!((&told[0]["id"], &told[0]["direction"]), (&1.into(), &"reply".into()));
-    assert_eq!(told[1]["raw"], "hello");
-    assert_eq!(told[5]["id"], Value::Null);
-    assert_eq!(told[6]["name"], "stop");
-    // An unreadable file is wrong usage, but what can be read is.
-    let output = run(&["decode", "no-such-file", "141#8100000000000000"]);
-    assert_eq!(output.status.code(), Some(2));
-    assert_eq!(lines(&output), ["141#8100000000000000  motor 1  command  stop (0x81)"]);
 }
 
 #[test]
@@ -516,17 +452,19 @@ fn noise_between_rs485_frames_is_told() {
 }
 
 #[test]
-fn files_are_read() {
+fn files_are_read_also_beside_one_that_cannot_be() {
     let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("decode.log");
     std::fs::write(&path, "141#8100000000000000\n").unwrap();
-    let output = run(&["decode", path.to_str().unwrap(), "142#8000000000000000"]);
-    assert_eq!(
-        lines(&output),
-        [
-            "141#8100000000000000  motor 1  command  stop (0x81)",
-            "142#8000000000000000  motor 2  command  shutdown (0x80)",
-        ]
-    );
+    let inputs = ["no-such-file", path.to_str().unwrap(), "142#8000000000000000"];
+    let told = [
+        "141#8100000000000000  motor 1  command  stop (0x81)",
+        "142#8000000000000000  motor 2  command  shutdown (0x80)",
+    ];
+    for (inputs, status) in [(&inputs[..], 2), (&inputs[1..], 0)] {
+        let output = run(&[&["decode"], inputs].concat());
+        assert_eq!(lines(&output), told);
+        assert_eq!(output.status.code(), Some(status));
+    }
 }
 
 #[test]
@@ -548,21 +486,18 @@ fn a_reader_that_leaves_is_no_error() {
 
 #[test]
 fn a_dbc_file_is_for_one_motor_or_all_and_for_a_firmware() {
-    let messages = |arguments: &[&str]| {
-        let output = run(arguments);
-        let heads = lines(&output).iter().filter(|line| line.starts_with("BO_ ")).count();
-        let motion = lines(&output).into_iter().find(|line| line.starts_with(" SG_ motion_torque"));
-        let motion = motion.unwrap().to_owned();
-        output.assert().code(0).stderr("");
-        (heads, motion)
-    };
-    let (all, scaled) = messages(&["dbc"]);
-    assert_eq!(all, 130);
-    assert!(scaled.ends_with(r#"[-24|24] "N.m" motor_1"#), "{scaled}");
-    let (one, stronger) = messages(&["dbc", "--id", "3", "--ranges", "12.5,45,500,5,60"]);
-    assert_eq!(one, 6);
-    assert!(stronger.ends_with(r#"[-60|60] "N.m" motor_3"#), "{stronger}");
-    let (_, steps) = messages(&["dbc", "--firmware", "v4.4"]);
-    assert!(steps.ends_with(r#"[0|4095] "" motor_1"#), "{steps}");
+    let all = Dbc::new(Firmware::V4_3);
+    let limits = MotionLimits { torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
+    let ranges = MotionRanges::new(limits).ok();
+    for (arguments, file) in [
+        ("dbc", all),
+        (
+            "dbc --id 3 --ranges 12.5,45,500,5,60",
+            Dbc { ranges, motor: MotorId::new(3).ok(), ..all },
+        ),
+        ("dbc --firmware v4.4", Dbc::new(Firmware::V4_4)),
+    ] {
+        run_words(arguments).assert().code(0).stderr("").stdout(file.to_string());
+    }
     assert_eq!(refusal(&["dbc", "--id", "33"]), "--id: motor id must be 1 to 32, but 33 was given");
 }

@@ -342,7 +342,7 @@ impl<const N: usize> App<N> {
             _ => self.setup.stop,
         };
         // Those that the master has no place for stay unconfirmed.
-        let _ = at.master.stop_all(kind, all, at.now);
+        let _ = at.master.stop_all(kind, all);
         let waiting: MotorSet = at.master.motors();
         let unconfirmed = all.without(waiting);
         let until = at.now + LONGEST_STOP;

@@ -49,22 +49,21 @@ impl Question {
         motor: MotorId,
         setup: &Setup,
         master: &mut Master<N>,
-        now: Instant,
     ) -> Result<TicketId, RequestError> {
         match self {
-            Self::VersionDate => master.request(motor, ReadVersionDate, now).map(|t| t.id()),
-            Self::Model => master.request(motor, ReadModel, now).map(|t| t.id()),
-            Self::Errors => master.request(motor, ReadStatus1, now).map(|t| t.id()),
+            Self::VersionDate => master.request(motor, ReadVersionDate).map(|t| t.id()),
+            Self::Model => master.request(motor, ReadModel).map(|t| t.id()),
+            Self::Errors => master.request(motor, ReadStatus1).map(|t| t.id()),
             Self::Protection => {
                 // Written to ROM each time, but to the same value, so a second time does no harm.
                 let command = CommunicationLossProtection { timeout: setup.protection };
                 let patience = Patience { reply_timeout: ROM_TIMEOUT, attempts: 3 };
-                master.request_with(motor, command, patience, now).map(|t| t.id())
+                master.request_with(motor, command, patience).map(|t| t.id())
             }
-            Self::ReleaseBrake => master.request(motor, ReleaseBrake, now).map(|t| t.id()),
-            Self::Angle => master.request(motor, ReadMultiTurnAngle, now).map(|t| t.id()),
-            Self::RunTime => master.request(motor, ReadRunTime, now).map(|t| t.id()),
-            Self::LockBrake => master.request(motor, LockBrake, now).map(|t| t.id()),
+            Self::ReleaseBrake => master.request(motor, ReleaseBrake).map(|t| t.id()),
+            Self::Angle => master.request(motor, ReadMultiTurnAngle).map(|t| t.id()),
+            Self::RunTime => master.request(motor, ReadRunTime).map(|t| t.id()),
+            Self::LockBrake => master.request(motor, LockBrake).map(|t| t.id()),
         }
     }
 
@@ -158,7 +157,7 @@ impl Script {
         }
         let Some(motor) = self.left.iter().next() else { return Step::Over };
         let Some(question) = self.questions.get(self.next) else { return Step::Over };
-        match question.ask(motor, setup, master, now) {
+        match question.ask(motor, setup, master) {
             Ok(ticket) => {
                 self.asked = Some(ticket);
                 Step::Waiting

@@ -41,7 +41,7 @@ impl Watch {
         let joint = &joints[self.turn / QUESTIONS.len()];
         let question = QUESTIONS[self.turn % QUESTIONS.len()];
         // A motor that is busy is asked in its next turn.
-        if let Ok(ticket) = question.ask(joint.motor, setup, master, now) {
+        if let Ok(ticket) = question.ask(joint.motor, setup, master) {
             self.asked = Some((ticket, question));
         }
         self.next = now + INTERVAL;

@@ -112,10 +112,8 @@ impl Field {
             _ => raw >= 0 && raw as u64 >> (self.place.bits() % 64) == 0,
         };
         if !fits || !self.quantity.allows(raw) {
-            return Err(OutOfRange {
-                quantity: self.quantity,
-                given: self.quantity.amount(raw).into(),
-            });
+            let given = self.quantity.amount(raw).into();
+            return Err(OutOfRange { quantity: self.quantity, given });
         }
         let bits = match self.quantity.form {
             Form::ReplyIdentifier => 0x240 + raw as u64,

@@ -35,11 +35,9 @@ macro_rules! command {
         command!(@impl $name {});
         command!(@reply $name $reply);
     };
-    ($(#[$attr:meta])* $name:ident -> $reply:ident {
-        $($(#[doc = $doc:literal])+ $field:ident: $type:ty => $at:literal,)+
-    }) => {
-        fields!(@struct $(#[$attr])* $name { $($(#[doc = $doc])+ $field: $type => $at,)+ });
-        command!(@impl $name { $($(#[doc = $doc])+ $field: $type => $at,)+ });
+    ($(#[$attr:meta])* $name:ident -> $reply:ident { $($fields:tt)+ }) => {
+        fields!(@struct $(#[$attr])* $name { $($fields)+ });
+        command!(@impl $name { $($fields)+ });
         command!(@reply $name $reply);
     };
     (@impl $name:ident { $($(#[doc = $doc:literal])+ $field:ident: $type:ty => $at:literal,)* }) => {

@@ -179,7 +179,7 @@ const fn scaled(
 
 /// A drive's answer to a motion mode command as it is on the bus (5.3), at CAN identifier
 /// 0x500 + id, big-endian.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct RawMotionFeedback {

@@ -100,20 +100,9 @@ const fn gain_step(value: f32, max: f32) -> i32 {
     (value * (LAST_12 / max) + BELOW_HALF) as i32
 }
 
-#[inline(always)]
 const fn refused(scale: usize, (min, max): (f32, f32), given: f32) -> MotionOutOfRange {
-    const NAMES: [(&str, &str); 5] = {
-        let mut names = [("", ""); 5];
-        let mut row = 0;
-        while row < names.len() {
-            let quantity = MotionScale::ALL[row].quantity();
-            names[row] = (quantity.name, quantity.unit.symbol());
-            row += 1;
-        }
-        names
-    };
-    let (name, unit) = NAMES[scale];
-    MotionOutOfRange { name, unit, min, max, given }
+    let quantity = MotionScale::ALL[scale].quantity();
+    MotionOutOfRange { name: quantity.name, unit: quantity.unit.symbol(), min, max, given }
 }
 
 #[inline(always)]

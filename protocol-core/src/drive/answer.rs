@@ -5,8 +5,7 @@ use crate::data::Data;
 use crate::drive::control::SetPoint;
 use crate::drive::encoder::saturated;
 use crate::drive::protection::{Heard, STEADY_COMMANDS, STEADY_COMMANDS_SEEN};
-use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings, brake};
-use crate::error::DecodeError;
+use crate::drive::{Bus, Drive, Event, IgnoreReason, Memory, NotRunReason, Plant, Settings};
 use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
@@ -21,12 +20,8 @@ use run::LockedBrake;
 /// For so long after it took a bus id, a drive takes the same command for another drive's reply.
 const ANOTHERS_REPLY: Duration = Duration::from_millis(20);
 
-/// What becomes of a command.
-pub(super) enum Answer {
-    Data(Data),
-    None,
-    Ignored(IgnoreReason),
-}
+/// The data field that a command is answered with, if it is, or why it has no effect.
+pub(super) type Answer = Result<Option<Data>, IgnoreReason>;
 
 impl<P: Plant, M: Memory> Drive<P, M> {
     /// Does what the command says.
@@ -38,106 +33,98 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             Heard::Recovered => self.events.push(Event::ProtectionRecovered),
             Heard::Unsteady { first: true } if quirks.lost_master_heartbeat => {
                 self.not_run(opcode, NotRunReason::CommunicationLost);
-                return Answer::Data(packet.data);
+                return Ok(Some(packet.data));
             }
             Heard::Steady | Heard::Unsteady { .. } => {}
         }
         if self.reporting.reports(opcode) {
-            return Answer::Ignored(IgnoreReason::ReportedActively(opcode));
+            return Err(IgnoreReason::ReportedActively(opcode));
         }
-        let answer = self.carry_out(opcode, &packet.data, now);
-        answer.unwrap_or_else(|error| Answer::Ignored(IgnoreReason::Malformed(error)))
+        self.carry_out(opcode, &packet.data, now)
     }
 
     /// The reply to a read that names nothing, which the drive reports by itself.
     pub(super) fn report(&mut self, opcode: Opcode, now: Instant) -> Option<Data> {
-        match self.carry_out(opcode, &with_opcode(opcode), now) {
-            Ok(Answer::Data(reply)) => Some(reply),
-            _ => None,
-        }
+        self.carry_out(opcode, &with_opcode(opcode), now).ok().flatten()
     }
 
     /// Each kind stands here, so that the compiler asks for a new one. (It asks for a row's command in
     /// the same round, as this is a match of kinds and not of commands.)
-    fn carry_out(
-        &mut self,
-        opcode: Opcode,
-        data: &Data,
-        now: Instant,
-    ) -> Result<Answer, DecodeError> {
-        let echo = Answer::Data(*data);
-        let unknown = Answer::Ignored(IgnoreReason::UnknownCode(opcode));
+    fn carry_out(&mut self, opcode: Opcode, data: &Data, now: Instant) -> Answer {
+        let echo = Some(*data);
+        let unknown = Err(IgnoreReason::UnknownCode(opcode));
         let (m, encoder) = (&self.measurement, &self.encoder);
         let stall_a = self.parameters.stall_current_a;
         Ok(match opcode {
             Opcode::ReadPid => {
                 let ReadPid { index } = ReadPid::decode(data)?;
-                match self.active.gains.get(index) {
-                    Some(value) => Answer::Data(PidGain { index, value }.encode(opcode)),
-                    None => unknown,
-                }
+                let Some(value) = self.active.gains.get(index) else { return unknown };
+                Some(PidGain { index, value }.encode(opcode))
             }
             Opcode::WritePidRam => {
                 let WritePidRam { index, value } = WritePidRam::decode(data)?;
-                if self.active.gains.set(index, value) { echo } else { unknown }
+                if !self.active.gains.set(index, value) {
+                    return unknown;
+                }
+                echo
             }
             Opcode::WritePidRom => {
                 let WritePidRom { index, value } = WritePidRom::decode(data)?;
                 if self.active.gains.get(index).is_none() {
-                    return Ok(unknown);
+                    return unknown;
                 }
-                self.write_rom(opcode, echo, |settings| {
+                self.write_rom(opcode, *data, |settings| {
                     settings.gains.set(index, value);
                 })
             }
             Opcode::ReadAcceleration => {
                 let ReadAcceleration { index } = ReadAcceleration::decode(data)?;
-                let Some(held) = self.active.accelerations.get(index) else { return Ok(unknown) };
+                let Some(held) = self.active.accelerations.get(index) else { return unknown };
                 let acceleration = ReportedAcceleration::from_raw(held.raw());
-                Answer::Data(AccelerationReading { index, acceleration }.encode(opcode))
+                Some(AccelerationReading { index, acceleration }.encode(opcode))
             }
             Opcode::WriteAcceleration => {
                 let WriteAcceleration { index, acceleration } = WriteAcceleration::decode(data)?;
                 if self.active.accelerations.get(index).is_none() {
-                    return Ok(unknown);
+                    return unknown;
                 }
-                self.write_rom(opcode, echo, |settings| {
+                self.write_rom(opcode, *data, |settings| {
                     settings.accelerations.set(index, acceleration);
                 })
             }
             Opcode::ReadMultiTurnEncoder => {
                 let position = encoder.position_reading();
-                Answer::Data(MultiTurnEncoder { position }.encode(opcode))
+                Some(MultiTurnEncoder { position }.encode(opcode))
             }
             Opcode::ReadMultiTurnEncoderRaw => {
-                Answer::Data(MultiTurnEncoderRaw { raw: encoder.raw_reading() }.encode(opcode))
+                Some(MultiTurnEncoderRaw { raw: encoder.raw_reading() }.encode(opcode))
             }
             Opcode::ReadMultiTurnEncoderOffset => {
                 let offset = encoder.offset_reading();
-                Answer::Data(MultiTurnEncoderOffset { offset }.encode(opcode))
+                Some(MultiTurnEncoderOffset { offset }.encode(opcode))
             }
             Opcode::SetEncoderZero => {
                 let set = SetEncoderZero::decode(data)?;
-                self.keep(Settings { zero_offset: set.offset, ..self.stored }, echo)
+                self.keep(Settings { zero_offset: set.offset, ..self.stored }, *data)
             }
             Opcode::SetCurrentPositionZero => {
                 let offset = encoder.raw_reading();
                 let reply = MultiTurnEncoderOffset { offset }.encode(opcode);
-                self.keep(Settings { zero_offset: offset, ..self.stored }, Answer::Data(reply))
+                self.keep(Settings { zero_offset: offset, ..self.stored }, reply)
             }
             Opcode::ReadSingleTurnEncoder => {
                 let [position, raw, offset] = encoder.single_turn();
-                Answer::Data(SingleTurnEncoder { position, raw, offset }.encode(opcode))
+                Some(SingleTurnEncoder { position, raw, offset }.encode(opcode))
             }
             Opcode::ReadMultiTurnAngle => {
-                Answer::Data(MultiTurnAngle { angle: encoder.angle_reading() }.encode(opcode))
+                Some(MultiTurnAngle { angle: encoder.angle_reading() }.encode(opcode))
             }
             Opcode::ReadSingleTurnAngle => {
-                Answer::Data(SingleTurnAngle { angle: encoder.single_turn_angle() }.encode(opcode))
+                Some(SingleTurnAngle { angle: encoder.single_turn_angle() }.encode(opcode))
             }
             Opcode::ReadSingleTurnAngleV4_4 => {
                 let angle = encoder.half_turn_angle();
-                Answer::Data(SingleTurnAngleV4_4 { angle }.encode(opcode))
+                Some(SingleTurnAngleV4_4 { angle }.encode(opcode))
             }
             Opcode::ReadStatus1 => {
                 let status = Status1 {
@@ -147,7 +134,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                     voltage: Voltage::saturating_from_volts(m.supply_voltage_v).unwrap_or_default(),
                     errors: self.faults.all(),
                 };
-                Answer::Data(status.encode(opcode))
+                Some(status.encode(opcode))
             }
             Opcode::ReadStatus2 => self.feedback_to(opcode),
             Opcode::ReadStatus3 => {
@@ -156,51 +143,49 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 let temperature = celsius(m.motor_temperature_c);
                 let status =
                     Status3 { temperature, phase_a_current, phase_b_current, phase_c_current };
-                Answer::Data(status.encode(opcode))
+                Some(status.encode(opcode))
             }
             Opcode::ReadRunningMode => {
-                Answer::Data(RunningMode { mode: self.controller.mode() }.encode(opcode))
+                Some(RunningMode { mode: self.controller.mode() }.encode(opcode))
             }
             Opcode::ReadRunTime => {
                 let millis = self.run_time(self.clock).as_millis();
                 let run_time = Milliseconds::from_raw(u32::try_from(millis).unwrap_or(u32::MAX));
-                Answer::Data(RunTime { run_time }.encode(opcode))
+                Some(RunTime { run_time }.encode(opcode))
             }
             Opcode::ReadVersionDate => {
                 let version_date = self.parameters.version_date;
-                Answer::Data(Version { version_date }.encode(opcode))
+                Some(Version { version_date }.encode(opcode))
             }
-            Opcode::ReadModel => {
-                Answer::Data(Model { model: self.parameters.model }.encode(opcode))
-            }
-            Opcode::FunctionControl => self.function(FunctionControl::decode(data)?, echo),
+            Opcode::ReadModel => Some(Model { model: self.parameters.model }.encode(opcode)),
+            Opcode::FunctionControl => self.function(FunctionControl::decode(data)?, *data)?,
             Opcode::BusId => match BusId::decode(data)? {
                 BusId::Read => {
                     let [.., low, high] = *data;
                     if (low, high) != (0, 0) {
-                        return Ok(Answer::Ignored(IgnoreReason::AnothersReply));
+                        return Err(IgnoreReason::AnothersReply);
                     }
                     let id = self.active.id;
                     let reply = match self.parameters.bus {
                         Bus::Can => BusIdReply::OnCan(id),
                         Bus::Rs485 => BusIdReply::OnRs485(id),
                     };
-                    Answer::Data(reply.encode(opcode))
+                    Some(reply.encode(opcode))
                 }
                 BusId::Write(id) => {
                     let heard = self
                         .id_taken
                         .is_some_and(|(taken, at)| taken == id && now - at < ANOTHERS_REPLY);
                     if heard {
-                        return Ok(Answer::Ignored(IgnoreReason::AnothersReply));
+                        return Err(IgnoreReason::AnothersReply);
                     }
                     self.id_taken = Some((id, now));
-                    self.keep(Settings { id, ..self.stored }, echo)
+                    self.keep(Settings { id, ..self.stored }, *data)
                 }
             },
             Opcode::CommunicationLossProtection => {
                 let set = CommunicationLossProtection::decode(data)?;
-                let answer = self.write_rom(opcode, echo, |settings| {
+                let answer = self.write_rom(opcode, *data, |settings| {
                     settings.protection_timeout = set.timeout;
                 });
                 if set.timeout.raw() == 0 && self.protection.forgive() {
@@ -215,12 +200,12 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                     Bus::Rs485 => set.baud_rate.rs485_bits_per_second(),
                 };
                 if rate.is_none() {
-                    return Ok(unknown);
+                    return unknown;
                 }
                 let [a, b, c, d] = self.random.next().to_le_bytes();
                 let [e, f, g, _] = self.random.next().to_le_bytes();
                 let before = self.active.baud_rate;
-                let garbage = Answer::Data([data[0], a, b, c, d, e, f, g]);
+                let garbage = [data[0], a, b, c, d, e, f, g];
                 let answer = self.write_rom(opcode, garbage, |settings| {
                     settings.baud_rate = set.baud_rate;
                 });
@@ -231,24 +216,23 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             }
             Opcode::ActiveReply => {
                 let set = ActiveReply::decode(data)?;
-                let Some(reported) = set.command.opcode() else { return Ok(unknown) };
+                let Some(reported) = set.command.opcode() else { return unknown };
                 if set.enable.is_on() {
                     self.reporting.enable(reported, set.interval, now);
                 } else {
                     self.reporting.disable(reported);
                 }
-                Answer::None
+                None
             }
             Opcode::Reset => {
                 self.restart(now);
-                Answer::None
+                None
             }
             Opcode::ReleaseBrake => {
                 if self.protection.is_tripped() {
                     self.not_run(opcode, NotRunReason::CommunicationLost);
                 } else {
-                    let quirks = self.parameters.quirks;
-                    let at = brake::opening_time(now, &quirks, &mut self.random);
+                    let at = self.brake_opens_at(now);
                     self.brake.release(at);
                 }
                 echo
@@ -291,12 +275,12 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             Opcode::SingleTurnPosition => {
                 let position = SingleTurnPosition::decode(data)?;
                 if !self.run_single_turn(&position) {
-                    return Ok(unknown);
+                    return unknown;
                 }
                 let Feedback { temperature, current, speed, .. } = self.feedback();
                 let [encoder, _, _] = self.encoder.single_turn();
                 let feedback = SingleTurnFeedback { temperature, current, speed, encoder };
-                Answer::Data(feedback.encode(opcode))
+                Some(feedback.encode(opcode))
             }
             Opcode::IncrementalPosition => {
                 let by = IncrementalPosition::decode(data)?;
@@ -314,13 +298,13 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 let motion = RawMotion::decode(data);
                 let set_point = SetPoint::Motion(self.parameters.motion_ranges.set_point(&motion));
                 self.run(opcode, set_point, LockedBrake::Forbids);
-                Answer::Data(self.motion_feedback().encode())
+                Some(self.motion_feedback().encode())
             }
         })
     }
 
-    fn feedback_to(&self, opcode: Opcode) -> Answer {
-        Answer::Data(self.feedback().encode(opcode))
+    fn feedback_to(&self, opcode: Opcode) -> Option<Data> {
+        Some(self.feedback().encode(opcode))
     }
 
     fn feedback(&self) -> Feedback {
@@ -342,28 +326,22 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             torque_nm: number(m.current_a * self.parameters.torque_constant_nm_per_a),
         };
         // Only what is no number is refused, and no such thing is left.
-        self.parameters.motion_ranges.quantise_feedback(id, &feedback).unwrap_or(
-            RawMotionFeedback {
-                id_byte: id.get(),
-                position: 0,
-                velocity: U12::default(),
-                torque: U12::default(),
-            },
-        )
+        let steps = self.parameters.motion_ranges.quantise_feedback(id, &feedback);
+        steps.unwrap_or(RawMotionFeedback { id_byte: id.get(), ..RawMotionFeedback::default() })
     }
 
-    fn function(&mut self, function: FunctionControl, echo: Answer) -> Answer {
+    fn function(&mut self, function: FunctionControl, echo: Data) -> Answer {
         let opcode = Opcode::FunctionControl;
         if self.parameters.quirks.rom_needs_shutdown && !self.controller.is_off() {
             self.not_run(opcode, NotRunReason::NotShutDown);
-            return echo;
+            return Ok(Some(echo));
         }
-        match function {
+        Ok(match function {
             FunctionControl::ClearMultiTurn => {
                 let zero = self.encoder.raw_within_turn();
                 let stored = Settings { zero_offset: saturated(zero), ..self.stored };
                 let answer = self.keep(stored, echo);
-                if matches!(answer, Answer::Data(_)) {
+                if answer.is_some() {
                     self.turns_to_clear = self.encoder.raw().saturating_sub(zero);
                 }
                 answer
@@ -373,14 +351,14 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             }
             FunctionControl::ErrorReporting(on) => {
                 self.reporting.set_errors_wanted(on.is_on());
-                echo
+                Some(echo)
             }
             FunctionControl::SaveMultiTurn(on) => {
                 self.keep(Settings { save_multi_turn: on.is_on(), ..self.stored }, echo)
             }
             FunctionControl::SetCanId(id) => {
                 let answer = self.keep(Settings { id, ..self.stored }, echo);
-                if self.parameters.quirks.silent_id_change { Answer::None } else { answer }
+                if self.parameters.quirks.silent_id_change { None } else { answer }
             }
             FunctionControl::MaxPositiveAngle(angle) => {
                 let angle = Some(crate::units::Angle::from_raw(angle));
@@ -390,36 +368,34 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 let angle = Some(crate::units::Angle::from_raw(angle));
                 self.write_rom(opcode, echo, |settings| settings.max_negative_angle = angle)
             }
-            FunctionControl::Other(_) => Answer::Ignored(IgnoreReason::UnknownCode(opcode)),
-        }
+            FunctionControl::Other(_) => return Err(IgnoreReason::UnknownCode(opcode)),
+        })
     }
 
     /// Changes what is stored and what acts. `answer` is what a drive says if that worked.
     fn write_rom(
         &mut self,
         opcode: Opcode,
-        answer: Answer,
+        answer: Data,
         change: impl Fn(&mut Settings),
-    ) -> Answer {
+    ) -> Option<Data> {
         let needs_shutdown = self.parameters.quirks.rom_needs_shutdown
             && matches!(opcode, Opcode::WritePidRom | Opcode::SetBaudRate);
         if needs_shutdown && !self.controller.is_off() {
             self.not_run(opcode, NotRunReason::NotShutDown);
-            return answer;
+            return Some(answer);
         }
         let mut stored = self.stored;
         change(&mut stored);
-        if self.store(stored) {
+        self.store(stored).then(|| {
             change(&mut self.active);
             answer
-        } else {
-            Answer::None
-        }
+        })
     }
 
     /// Changes what is stored only: it acts after a restart.
-    fn keep(&mut self, stored: Settings, answer: Answer) -> Answer {
-        if self.store(stored) { answer } else { Answer::None }
+    fn keep(&mut self, stored: Settings, answer: Data) -> Option<Data> {
+        self.store(stored).then_some(answer)
     }
 
     fn not_run(&mut self, opcode: Opcode, reason: NotRunReason) {

@@ -1,9 +1,8 @@
 //! The holding brake (manual 2.27, 2.28, 2.19.1), as [`decisions`](super::decisions) says.
 
 use crate::command::BrakeCommand;
-use crate::drive::quirks::Quirks;
-use crate::drive::random::Random;
-use crate::time::{Duration, Instant};
+use crate::drive::{Drive, Quirks};
+use crate::time::Instant;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
@@ -65,14 +64,15 @@ impl Brake {
     }
 }
 
-/// When a brake that gets its command to open now begins to let the shaft go.
-pub(super) fn opening_time(now: Instant, quirks: &Quirks, random: &mut Random) -> Instant {
-    let takes = if quirks.slow_brake {
-        random.between(Quirks::SLOW_BRAKE_MIN, Quirks::SLOW_BRAKE_MAX)
-    } else {
-        Duration::ZERO
-    };
-    now + takes
+impl<P, M> Drive<P, M> {
+    /// When the brake begins to let the shaft go if it gets its command to open now.
+    pub(super) fn brake_opens_at(&mut self, now: Instant) -> Instant {
+        if self.parameters.quirks.slow_brake {
+            now + self.random.between(Quirks::SLOW_BRAKE_MIN, Quirks::SLOW_BRAKE_MAX)
+        } else {
+            now
+        }
+    }
 }
 
 #[cfg(test)]

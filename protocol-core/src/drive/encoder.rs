@@ -54,7 +54,7 @@ impl Encoder {
     }
 
     /// The raw position without its turns, 0 to less than one turn of the output shaft.
-    pub(super) const fn raw_within_turn(&self) -> i64 {
+    pub(super) fn raw_within_turn(&self) -> i64 {
         remainder(self.raw(), self.output_turn)
     }
 
@@ -118,11 +118,8 @@ impl Encoder {
 }
 
 /// The part of `pulses` within a turn, 0 to less than `turn`.
-const fn remainder(pulses: i64, turn: i64) -> i64 {
-    match pulses.checked_rem_euclid(turn) {
-        Some(within) => within,
-        None => 0,
-    }
+fn remainder(pulses: i64, turn: i64) -> i64 {
+    pulses.checked_rem_euclid(turn).unwrap_or(0)
 }
 
 /// The nearest that four bytes hold.

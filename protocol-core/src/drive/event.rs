@@ -72,6 +72,12 @@ pub enum IgnoreReason {
     ReportedActively(Opcode),
 }
 
+impl From<DecodeError> for IgnoreReason {
+    fn from(error: DecodeError) -> Self {
+        Self::Malformed(error)
+    }
+}
+
 /// Why a command was answered but not carried out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -79,7 +79,6 @@ use crate::opcode::{Buses, LOST_MASTER_BYTE, Opcode};
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
-use answer::Answer;
 use brake::Brake;
 use control::{Controller, Input};
 use encoder::Encoder;
@@ -217,9 +216,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             _ => Channel::Reply(self.active.id),
         };
         match self.answer(opcode, packet, now) {
-            Answer::Data(data) => self.reply(Packet { channel, data }, now),
-            Answer::None => {}
-            Answer::Ignored(reason) => self.ignore(packet, reason),
+            Ok(Some(data)) => self.reply(Packet { channel, data }, now),
+            Ok(None) => {}
+            Err(reason) => self.ignore(packet, reason),
         }
         self.follow_reports(now);
     }

@@ -73,17 +73,11 @@ impl Reporting {
 
     /// Takes over what lasts: whether there is an error, whether the master is lost.
     pub(super) fn follow(&mut self, error: bool, master_lost: bool, now: Instant) {
-        let every = |interval| Timer { due: now, interval };
-        match (error && self.errors_wanted, self.errors) {
-            (true, None) => self.errors = Some(every(ERROR_INTERVAL)),
-            (false, Some(_)) => self.errors = None,
-            _ => {}
-        }
-        match (master_lost, self.heartbeat) {
-            (true, None) => self.heartbeat = Some(every(HEARTBEAT_INTERVAL)),
-            (false, Some(_)) => self.heartbeat = None,
-            _ => {}
-        }
+        let keep = |lasts: bool, timer: Option<Timer>, interval| {
+            lasts.then(|| timer.unwrap_or(Timer { due: now, interval }))
+        };
+        self.errors = keep(error && self.errors_wanted, self.errors, ERROR_INTERVAL);
+        self.heartbeat = keep(master_lost, self.heartbeat, HEARTBEAT_INTERVAL);
     }
 
     /// What is due, errors first.

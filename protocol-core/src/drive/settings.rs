@@ -36,7 +36,7 @@ impl Gains {
     /// with which the motor does not move.
     pub fn tuned(inertia_kg_m2: f32, torque_constant_nm_per_a: f32, bandwidth_rad_s: f32) -> Self {
         let positive = |x: f32| if x.is_finite() && x > 0.0 { x } else { 0.0 };
-        let gain = |x: f32| Gain::new(x).unwrap_or(NO_GAIN);
+        let gain = |x: f32| Gain::new(x).unwrap_or(Gain::ZERO);
         let bandwidth = positive(bandwidth_rad_s);
         let speed_kp = positive(inertia_kg_m2) * bandwidth / torque_constant_nm_per_a;
         let speed_kp = positive(speed_kp.to_radians());
@@ -46,8 +46,8 @@ impl Gains {
             speed_kp: gain(speed_kp),
             speed_ki: gain(speed_kp * bandwidth / 10.0),
             position_kp: gain(bandwidth / 4.0),
-            position_ki: NO_GAIN,
-            position_kd: NO_GAIN,
+            position_ki: Gain::ZERO,
+            position_kd: Gain::ZERO,
         }
     }
 
@@ -82,12 +82,6 @@ const fn set<T: Copy>(place: Option<&mut T>, value: T) -> bool {
     }
     is_known
 }
-
-/// Decided while compiling: 0 is a gain.
-const NO_GAIN: Gain = match Gain::new(0.0) {
-    Ok(gain) => gain,
-    Err(_) => unreachable!(),
-};
 
 /// The four planning accelerations (2.4.4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -216,18 +210,6 @@ pub trait Memory {
     fn store(&mut self, settings: &Settings) -> Result<(), Self::Error>;
 }
 
-impl<M: Memory + ?Sized> Memory for &mut M {
-    type Error = M::Error;
-
-    fn load(&mut self) -> Result<Option<Settings>, M::Error> {
-        (**self).load()
-    }
-
-    fn store(&mut self, settings: &Settings) -> Result<(), M::Error> {
-        (**self).store(settings)
-    }
-}
-
 /// A memory that outlives a simulated power-off, and nothing more.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -284,8 +266,8 @@ mod tests {
         assert!((gains.speed_kp.value() - core::f32::consts::PI / 180.0).abs() < 1e-7);
         assert_eq!(gains.position_kp.value(), 25.0);
         for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-            assert_eq!(Gains::tuned(bad, 2.0, 100.0).speed_kp, NO_GAIN);
-            assert_eq!(Gains::tuned(0.02, bad, 100.0).speed_kp, NO_GAIN);
+            assert_eq!(Gains::tuned(bad, 2.0, 100.0).speed_kp, Gain::ZERO);
+            assert_eq!(Gains::tuned(0.02, bad, 100.0).speed_kp, Gain::ZERO);
         }
     }
 }

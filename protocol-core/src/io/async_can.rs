@@ -9,7 +9,7 @@ use embedded_can::Frame;
 
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
-use crate::io::stuck::StuckWatch;
+use crate::io::runner::STUCK_AFTER;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
 use crate::wire::can;
@@ -17,36 +17,7 @@ use crate::wire::can;
 /// An async CAN controller: what embedded-can has no trait for.
 ///
 /// The drivers of the HALs have these two functions under other names, often on two halves.
-/// [`CanHalves`] makes them one of these; for a driver in one piece it is a few lines:
-///
-/// ```
-/// # mod hal {
-/// #     pub use myactuator_protocol_core::wire::can::SimpleFrame as Frame;
-/// #     pub struct Envelope { pub frame: Frame }
-/// #     pub struct Can;
-/// #     impl Can {
-/// #         pub async fn write(&mut self, _: &Frame) {}
-/// #         pub async fn read(&mut self) -> Result<Envelope, u8> { Err(0) }
-/// #     }
-/// # }
-/// use myactuator_protocol_core::io::AsyncCan;
-///
-/// struct Bus(hal::Can);
-///
-/// impl AsyncCan for Bus {
-///     type Frame = hal::Frame;
-///     type Error = u8; // the HAL's
-///
-///     async fn transmit(&mut self, frame: &hal::Frame) -> Result<(), u8> {
-///         self.0.write(frame).await;
-///         Ok(())
-///     }
-///
-///     async fn receive(&mut self) -> Result<hal::Frame, u8> {
-///         Ok(self.0.read().await?.frame)
-///     }
-/// }
-/// ```
+/// [`CanHalves`] makes them one of these.
 ///
 /// The futures need not be `Send`: one task runs one bus.
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
@@ -69,19 +40,6 @@ pub trait AsyncCan {
     /// It is dropped and called anew all the time. Dropping must lose no frame: one that arrives
     /// later, or has arrived, is for the next call.
     async fn receive(&mut self) -> Result<Self::Frame, Self::Error>;
-}
-
-impl<C: AsyncCan + ?Sized> AsyncCan for &mut C {
-    type Frame = C::Frame;
-    type Error = C::Error;
-
-    async fn transmit(&mut self, frame: &C::Frame) -> Result<(), C::Error> {
-        (**self).transmit(frame).await
-    }
-
-    async fn receive(&mut self) -> Result<C::Frame, C::Error> {
-        (**self).receive().await
-    }
 }
 
 /// An [`AsyncCan`] from the two halves of a driver, whatever they are called.
@@ -155,19 +113,6 @@ const RETRY_AFTER: Duration = Duration::from_millis(1);
 
 /// Runs a [`Master`] on an async CAN controller.
 ///
-/// ```no_run
-/// # use myactuator_protocol_core::io::{AsyncCan, AsyncCanMaster, AsyncClock, AsyncRunner};
-/// # use myactuator_protocol_core::command::ReadMultiTurnAngle;
-/// # use myactuator_protocol_core::{MotorId, master::Config};
-/// # async fn firmware(can: impl AsyncCan<Error = core::convert::Infallible>, clock: impl AsyncClock)
-/// # -> Result<(), Box<dyn std::error::Error>> {
-/// let mut arm = AsyncCanMaster::<_, _, 8>::new(can, clock, Config::CAN);
-/// let elbow = MotorId::new(3)?;
-/// let reading = arm.ask(elbow, ReadMultiTurnAngle).await?;
-/// let degrees = reading.angle.degrees();
-/// # let _ = degrees; Ok(()) }
-/// ```
-///
 /// It gives the controller frames for as long as it takes them at once, and looks for a received one
 /// after each, so that a controller with few places for received frames loses none.
 #[derive(Debug)]
@@ -175,7 +120,8 @@ pub struct AsyncCanMaster<C, K, const N: usize> {
     can: C,
     clock: K,
     master: Master<N>,
-    stuck: StuckWatch,
+    /// Since when the bus has not taken what is offered to it.
+    stuck_since: Option<Instant>,
     /// The event of a frame, until somebody takes it. Here rather than in a future, which may be
     /// dropped.
     told: Option<Event>,
@@ -184,7 +130,7 @@ pub struct AsyncCanMaster<C, K, const N: usize> {
 impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock.
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        Self { can, clock, master: Master::new(config), stuck: StuckWatch::new(), told: None }
+        Self { can, clock, master: Master::new(config), stuck_since: None, told: None }
     }
 
     /// The controller and the clock back.
@@ -225,15 +171,15 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
             let Some(packet) = self.master.poll_transmit(now) else { return Ok(None) };
             // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
             let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(None) };
-            let busy_until = self.stuck.offered(now);
+            let busy_until = *self.stuck_since.get_or_insert(now) + STUCK_AFTER;
             let patience = self.clock.wait_until(busy_until);
             match select(self.can.transmit(&frame), patience).await {
                 Either::First(Ok(())) => {
-                    self.stuck.clear();
+                    self.stuck_since = None;
                     self.master.handle_transmitted(self.clock.now());
                 }
                 Either::First(Err(error)) => {
-                    self.stuck.clear();
+                    self.stuck_since = None;
                     self.master.handle_bus_down(self.clock.now());
                     return Err(error);
                 }

@@ -7,7 +7,7 @@ use embassy_futures::yield_now;
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::runner::{CallError, StopWatch, request};
+use crate::io::runner::{CallError, StopWatch};
 use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;
 
@@ -46,8 +46,7 @@ pub trait AsyncRunner<const N: usize> {
         }
     }
 
-    /// Sends a command to one motor and waits for its answer; `None` for commands without one.
-    /// `on_event` gets everything else that happens meanwhile.
+    /// As [`Runner::call_with`](crate::io::Runner::call_with).
     ///
     /// # Errors
     /// [`CallError`].
@@ -58,8 +57,7 @@ pub trait AsyncRunner<const N: usize> {
         patience: Option<Patience>,
         mut on_event: impl FnMut(Event),
     ) -> Result<Option<C::Reply>, CallError<Self::Error>> {
-        let now = self.now();
-        let ticket = request(self.master(), motor, command, patience, now)?;
+        let ticket = self.master().put_request(motor, command, patience)?;
         loop {
             let event = self.next_event().await.map_err(CallError::Bus)?;
             match ticket.outcome(&event) {
@@ -69,8 +67,7 @@ pub trait AsyncRunner<const N: usize> {
         }
     }
 
-    /// Sends a command to one motor and waits for its answer; `None` for commands without one. Other
-    /// events are passed over.
+    /// As [`Runner::call`](crate::io::Runner::call).
     ///
     /// # Errors
     /// [`CallError`].
@@ -82,10 +79,10 @@ pub trait AsyncRunner<const N: usize> {
         self.call_with(motor, command, None, |_| {}).await
     }
 
-    /// Asks a motor for something whose reply cannot be missing, and waits for it.
+    /// As [`Runner::ask`](crate::io::Runner::ask).
     ///
     /// # Errors
-    /// [`CallError`]; [`Failure::NoReply`] also for a command that has no reply.
+    /// As there.
     async fn ask<C: Command>(
         &mut self,
         motor: MotorId,

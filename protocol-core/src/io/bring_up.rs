@@ -24,7 +24,7 @@ use crate::units::{Angle, EncoderPulses, Milliseconds};
 pub enum BringUpError<E> {
     /// A call on the way has no answer.
     #[error("{0}")]
-    Call(CallError<E>),
+    Call(#[from] CallError<E>),
     /// The motor did not answer within the time given.
     #[error("motor {0} does not answer")]
     NotThere(MotorId),
@@ -50,12 +50,6 @@ pub enum BringUpError<E> {
     /// The drive does not return release as its brake's last command.
     #[error("the brake was told to release and says {0}")]
     BrakeNotReleased(BrakeCommand),
-}
-
-impl<E> From<CallError<E>> for BringUpError<E> {
-    fn from(error: CallError<E>) -> Self {
-        Self::Call(error)
-    }
 }
 
 impl<E> From<RequestError> for BringUpError<E> {
@@ -96,8 +90,7 @@ pub fn scan<R: Runner<N>, const N: usize>(
     let (mut waiting, mut asked, mut found) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
     while !(waiting.is_empty() && asked.is_empty()) {
         for motor in waiting.iter() {
-            let now = runner.now();
-            match runner.master().request_with(motor, ReadStatus1, QUICK, now) {
+            match runner.master().request_with(motor, ReadStatus1, QUICK) {
                 Ok(_ticket) => {
                     waiting.remove(motor);
                     asked.insert(motor);
@@ -238,8 +231,7 @@ pub fn change_id<R: Runner<N>, const N: usize>(
     if there != MotorSet::from(from) {
         return Err(BringUpError::NotAlone(there));
     }
-    let now = runner.now();
-    runner.master().broadcast(BusId::Write(to), to.into(), now)?;
+    runner.master().broadcast(BusId::Write(to), to.into())?;
     // The reply is not needed: what counts is who answers after the restart.
     run_until(runner, None, |event| matches!(event, Event::BroadcastDone { .. }))?;
     restart(runner, from, to)?;

@@ -3,8 +3,7 @@
 use embedded_can::{Error as _, ErrorKind, blocking, nb};
 
 use crate::io::clock::Clock;
-use crate::io::runner::Runner;
-use crate::io::stuck::StuckWatch;
+use crate::io::runner::{Runner, STUCK_AFTER};
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 use crate::wire::can;
@@ -31,13 +30,14 @@ pub struct CanMaster<C, K, const N: usize> {
     can: C,
     clock: K,
     master: Master<N>,
-    stuck: StuckWatch,
+    /// Since when the bus has not taken what is offered to it.
+    stuck_since: Option<Instant>,
 }
 
 impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock.
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        Self { can, clock, master: Master::new(config), stuck: StuckWatch::new() }
+        Self { can, clock, master: Master::new(config), stuck_since: None }
     }
 
     /// The controller and the clock back.
@@ -75,17 +75,17 @@ impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
                 // A frame that a more urgent one pushed out of its mailbox is lost for the drive; its
                 // request times out like any other loss.
                 Ok(_pushed_out) => {
-                    self.stuck.clear();
+                    self.stuck_since = None;
                     self.master.handle_transmitted(now);
                 }
                 Err(::nb::Error::WouldBlock) => {
-                    if now > self.stuck.offered(now) {
+                    if now - *self.stuck_since.get_or_insert(now) > STUCK_AFTER {
                         self.master.handle_bus_down(now);
                     }
                     return Ok(());
                 }
                 Err(::nb::Error::Other(error)) => {
-                    self.stuck.clear();
+                    self.stuck_since = None;
                     self.master.handle_bus_down(now);
                     return Err(error);
                 }

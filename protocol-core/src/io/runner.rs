@@ -5,7 +5,7 @@ use core::fmt;
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind, Ticket};
+use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 
 /// Why a call has no answer.
@@ -29,6 +29,9 @@ pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
 /// How long [`Runner::call`] sleeps at most between two looks at the bus.
 pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
+
+/// A bus that takes nothing for so long counts as down.
+pub(super) const STUCK_AFTER: Duration = Duration::from_millis(20);
 
 /// A loop that runs a [`Master`] on a bus.
 pub trait Runner<const N: usize> {
@@ -64,12 +67,8 @@ pub trait Runner<const N: usize> {
         command: C,
         patience: Option<Patience>,
         mut on_event: impl FnMut(Event),
-    ) -> Result<Option<C::Reply>, CallError<Self::Error>>
-    where
-        Self: Sized,
-    {
-        let now = self.now();
-        let ticket = request(self.master(), motor, command, patience, now)?;
+    ) -> Result<Option<C::Reply>, CallError<Self::Error>> {
+        let ticket = self.master().put_request(motor, command, patience)?;
         loop {
             match self.poll().map_err(CallError::Bus)? {
                 Some(event) => match ticket.outcome(&event) {
@@ -90,10 +89,7 @@ pub trait Runner<const N: usize> {
         &mut self,
         motor: MotorId,
         command: C,
-    ) -> Result<Option<C::Reply>, CallError<Self::Error>>
-    where
-        Self: Sized,
-    {
+    ) -> Result<Option<C::Reply>, CallError<Self::Error>> {
         self.call_with(motor, command, None, |_| {})
     }
 
@@ -105,10 +101,7 @@ pub trait Runner<const N: usize> {
         &mut self,
         motor: MotorId,
         command: C,
-    ) -> Result<C::Reply, CallError<Self::Error>>
-    where
-        Self: Sized,
-    {
+    ) -> Result<C::Reply, CallError<Self::Error>> {
         self.call(motor, command)?.ok_or(CallError::Failed(Failure::NoReply))
     }
 
@@ -124,10 +117,7 @@ pub trait Runner<const N: usize> {
     /// Stops all motors and waits until each has confirmed, or not; see [`Master::stop_all`]. Gives
     /// those that have not: **cut their power**. An error of the bus does not end it; it goes on for up
     /// to [`LONGEST_STOP`], in the hope that the bus comes back.
-    fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet
-    where
-        Self: Sized,
-    {
+    fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
         let now = self.now();
         let mut stop = StopWatch::begin(self.master(), kind, also, now);
         while !stop.is_over(self.now()) {
@@ -137,20 +127,6 @@ pub trait Runner<const N: usize> {
             }
         }
         stop.unconfirmed()
-    }
-}
-
-/// A request with a patience of its own, or the master's.
-pub(super) fn request<C: Command, const N: usize>(
-    master: &mut Master<N>,
-    motor: MotorId,
-    command: C,
-    patience: Option<Patience>,
-    now: Instant,
-) -> Result<Ticket<C>, RequestError> {
-    match patience {
-        Some(patience) => master.request_with(motor, command, patience, now),
-        None => master.request(motor, command, now),
     }
 }
 
@@ -170,7 +146,7 @@ impl StopWatch {
         now: Instant,
     ) -> Self {
         // Those that the master has no place for are not stopped, which their absence below tells.
-        let _ = master.stop_all(kind, also, now);
+        let _ = master.stop_all(kind, also);
         let running = master.motors();
         Self { running, unconfirmed: also.without(running), end: now + LONGEST_STOP }
     }

@@ -3,7 +3,7 @@
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
-use crate::master::ticks::{CoarseTick, Earliest, LONGEST_COARSE_GAP, Span, Tick};
+use crate::master::schedule::Earliest;
 use crate::master::{Master, MotorSet};
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
@@ -23,7 +23,8 @@ pub(super) struct Broadcast {
     data: Data,
     expected: MotorSet,
     answered: MotorSet,
-    deadline: Tick,
+    sent: Instant,
+    deadline: Instant,
     state: State,
     /// The last one that was sent may still be answered by those who are not in `heard`.
     is_echoing: bool,
@@ -31,7 +32,7 @@ pub(super) struct Broadcast {
     sent_byte: u8,
     heard: MotorSet,
     /// While `is_echoing`: until when.
-    echo_until: CoarseTick,
+    echo_until: Instant,
 }
 
 impl Broadcast {
@@ -71,15 +72,16 @@ impl Broadcast {
         (self.kind, self.data)
     }
 
-    pub(super) fn was_sent(&mut self, now: Instant, timeout: Span, late_window: Duration) {
+    pub(super) fn was_sent(&mut self, now: Instant, timeout: Duration, late_window: Duration) {
         let has_reply = self.kind.is_some_and(Kind::has_reply);
         let awaits_reply = has_reply && !self.expected.is_empty();
         self.state = if awaits_reply { State::InFlight } else { State::Done };
-        self.deadline = Tick::after(now, timeout);
+        self.sent = now;
+        self.deadline = now + timeout;
         self.is_echoing = has_reply;
         self.sent_byte = self.data[0];
         self.heard = MotorSet::EMPTY;
-        self.echo_until = CoarseTick::after(now, timeout.duration() + late_window);
+        self.echo_until = self.deadline + late_window;
     }
 
     /// Whether the answer of one of `motors` to the last broadcast may still come, expected or not,
@@ -102,12 +104,11 @@ impl Broadcast {
         &mut self,
         motor: MotorId,
         data: &Data,
-        timeout: Span,
         shortest: Duration,
         now: Instant,
     ) -> bool {
         // What comes sooner is a reply from before, doubled.
-        if self.is_in_flight() && self.deadline.minus(timeout).elapsed(now) < shortest {
+        if self.is_in_flight() && now - self.sent < shortest {
             return false;
         }
         if self.is_echoing && data[0] == self.sent_byte {
@@ -126,22 +127,15 @@ impl Broadcast {
         answers
     }
 
-    pub(super) fn poll_at(&self, now: Instant, earliest: &mut Earliest) {
+    pub(super) fn poll_at(&self, earliest: &mut Earliest) {
         if self.is_in_flight() {
-            earliest.take(self.deadline.instant(now));
+            earliest.take(self.deadline);
         }
     }
 
     /// Until when something may have to wait for late answers.
-    pub(super) fn echo_until(&self, now: Instant) -> Option<Instant> {
-        self.is_echoing.then(|| self.echo_until.instant(now))
-    }
-
-    pub(super) fn bridge_gap(&mut self, before: Instant, now: Instant) {
-        self.deadline = Tick::at(now);
-        if now - before > LONGEST_COARSE_GAP {
-            self.is_echoing = false;
-        }
+    pub(super) fn echo_until(&self) -> Option<Instant> {
+        self.is_echoing.then_some(self.echo_until)
     }
 
     /// The silent ones of a broadcast that is over, once.
@@ -160,17 +154,17 @@ impl Broadcast {
 impl<const N: usize> Master<N> {
     /// Ends a broadcast whose time is up. The silent ones may still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
-        if self.broadcast.is_echoing && self.broadcast.echo_until.is_reached(now) {
+        if self.broadcast.echo_until <= now {
             self.broadcast.is_echoing = false;
         }
-        if !self.broadcast.is_in_flight() || !self.broadcast.deadline.is_reached(now) {
+        if !self.broadcast.is_in_flight() || self.broadcast.deadline > now {
             return;
         }
         self.broadcast.state = State::Done;
         let silent = self.broadcast.silent();
-        for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
+        for lane in &mut self.lanes {
             if lane.motor.is_some_and(|motor| silent.contains(motor)) {
-                lane.missed(tally);
+                lane.missed();
             }
         }
     }

@@ -1,6 +1,8 @@
 //! What a master assumes about its bus, and how patient it is.
 
 use crate::firmware::Firmware;
+use crate::kind::Kind;
+use crate::opcode::{Opcode, Repeat};
 use crate::time::Duration;
 
 /// The bus that a master speaks on.
@@ -36,8 +38,7 @@ pub struct Config {
     /// Which revision of the protocol the motors speak, for what comes without a typed request:
     /// feedback, reports, answers to broadcasts.
     pub firmware: Firmware,
-    /// How long to wait for a reply after a command is sent, 1 to 261 ms. On a full bus replies
-    /// queue behind other motors' frames, so this is longer than a drive takes.
+    /// How long to wait for a reply after a command is sent. On a full bus replies queue behind other motors' frames, so this is longer than a drive takes.
     pub reply_timeout: Duration,
     /// How often at most a request is sent whose repetition is harmless, 1 to 15.
     pub attempts: u8,
@@ -52,14 +53,14 @@ pub struct Config {
     /// while another's older one may still be waiting to be answered: until this time is over and the
     /// bus was quiet, or the motor was silent before. RS485 does not use it.
     pub longest_response: Duration,
-    /// For how long after its command a late reply may still come, up to 30 s. Until then no other
+    /// For how long after its command a late reply may still come. Until then no other
     /// request goes to that motor, so that the late reply cannot be taken for its answer.
     pub late_window: Duration,
-    /// A set-point that has waited longer than this is dropped, up to 30 s.
+    /// A set-point that has waited longer than this is dropped.
     pub set_point_max_age: Duration,
-    /// How long a motor is left alone after its restart (0x76), up to 30 s.
+    /// How long a motor is left alone after its restart (0x76).
     pub restart_time: Duration,
-    /// How long a motor is left alone after another command without reply, 1 to 261 ms.
+    /// How long a motor is left alone after another command without reply.
     pub settle_time: Duration,
 }
 
@@ -103,6 +104,23 @@ impl Config {
             ..Self::CAN
         }
     }
+
+    pub(super) const fn is_rs485(&self) -> bool {
+        matches!(self.bus, Bus::Rs485 { .. })
+    }
+
+    pub(super) fn patience(&self, kind: Kind) -> Patience {
+        let attempts = match kind.repeat() {
+            Repeat::Harmless => self.attempts,
+            Repeat::Stale | Repeat::ActsAgain => 1,
+        };
+        Patience { reply_timeout: self.reply_timeout, attempts }
+    }
+
+    /// How long a motor is left alone after a command without reply.
+    pub(super) fn hold_after(&self, kind: Kind) -> Duration {
+        if kind == Kind::Known(Opcode::Reset) { self.restart_time } else { self.settle_time }
+    }
 }
 
 /// How one request is to be treated, where the master's [`Config`] does not fit.
@@ -110,7 +128,7 @@ impl Config {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Patience {
-    /// How long to wait for a reply, 1 to 261 ms.
+    /// How long to wait for a reply.
     pub reply_timeout: Duration,
     /// How often at most to send it, 1 to 15. More than once is for commands that act again with
     /// each sending only if that does no harm here: the caller must know.

@@ -25,7 +25,7 @@ pub enum Presence {
 pub struct Health {
     /// Whether it is there.
     pub presence: Presence,
-    /// When anything was last heard of it, to 1 ms; `None` for never and for more than 30 s ago.
+    /// When anything was last heard of it; `None` for never.
     pub last_seen: Option<Instant>,
     /// Time from a command's sending to its reply, averaged over some eight replies.
     pub round_trip: Duration,
@@ -41,45 +41,24 @@ pub struct Health {
 
 const SILENT_AFTER: u8 = 3;
 
-/// The counters behind [`Health`].
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Tally {
-    answered: u32,
-    pub(super) lost: u16,
-    pub(super) stray: u16,
-    pub(super) superseded: u16,
-    /// In steps of 4 µs, so up to 262 ms.
-    round_trip: u16,
-}
-
-impl Tally {
-    pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
+impl Health {
+    /// A reply came in time. How long it took is not known where several attempts were under way.
+    pub(super) fn count_answer(&mut self, round_trip: Option<Duration>) {
+        self.presence = Presence::Present;
         self.answered = self.answered.saturating_add(1);
-        if let Some(span) = round_trip {
-            let measured = u16::try_from(span.as_micros() >> 2).unwrap_or(u16::MAX);
-            self.round_trip = match self.round_trip {
-                0 => measured,
-                average => average - average / 8 + measured / 8,
+        if let Some(measured) = round_trip {
+            let average = match self.round_trip.as_micros() {
+                0 => measured.as_micros(),
+                average => average - average / 8 + measured.as_micros() / 8,
             };
+            self.round_trip = Duration::from_micros(average);
         }
     }
 
-    pub(super) fn health(&self, misses: u8, last_seen: Option<Instant>) -> Health {
-        let presence = match misses {
-            0 if self.answered == 0 => Presence::Unknown,
-            0 => Presence::Present,
-            1..SILENT_AFTER => Presence::Late,
-            _ => Presence::Silent,
-        };
-        Health {
-            presence,
-            last_seen,
-            round_trip: Duration::from_micros(u64::from(self.round_trip) << 2),
-            answered: self.answered,
-            lost: self.lost,
-            stray: self.stray,
-            superseded: self.superseded,
-        }
+    /// No reply came in time, so often in a row.
+    pub(super) fn count_miss(&mut self, in_a_row: u8) {
+        self.presence = if in_a_row < SILENT_AFTER { Presence::Late } else { Presence::Silent };
+        self.lost = self.lost.saturating_add(1);
     }
 }
 
@@ -89,8 +68,8 @@ mod tests {
 
     #[test]
     fn the_first_round_trip_is_the_mean() {
-        let mut tally = Tally::default();
-        tally.answered(Some(Duration::from_micros(1000)));
-        assert_eq!(tally.health(0, None).round_trip, Duration::from_micros(1000));
+        let mut health = Health::default();
+        health.count_answer(Some(Duration::from_micros(1000)));
+        assert_eq!(health.round_trip, Duration::from_micros(1000));
     }
 }

@@ -6,8 +6,8 @@ use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::config::Patience;
-use crate::master::health::{Health, Tally};
-use crate::master::ticks::{CoarseTick, Earliest, LONGEST_COARSE_GAP, Span, Tick};
+use crate::master::health::Health;
+use crate::master::schedule::Earliest;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
@@ -61,8 +61,6 @@ bitflags! {
         const OVERDUE = 1 << 14;
         /// The motor restarts, or settles after another command without reply: it gets nothing.
         const SETTLING = 1 << 13;
-        /// Anything was heard of the motor within the last 30 s.
-        const SEEN = 1 << 12;
         /// Feedback of a set-point that was given up may still come: no request of its kind may go.
         const SET_POINT_LATE = 1 << 15;
     }
@@ -87,7 +85,7 @@ pub(super) struct Lane {
     misses: u8,
     /// Replies that may still come, look like a stop's confirmation, and belong to an earlier command.
     doubts: u8,
-    pub(super) timeout: Span,
+    timeout: Duration,
     /// Which reports (0xB6) are on, a bit each.
     pub(super) reported: u8,
     /// What the request is, or the last one was.
@@ -95,14 +93,14 @@ pub(super) struct Lane {
     pub(super) request_data: Data,
     pub(super) set_point: Data,
     /// When the last command was sent.
-    pub(super) sent: Tick,
+    pub(super) sent: Instant,
     /// How many commands it was sent, wrapping, put forward to the others' after a rest.
     pub(super) round: u8,
     /// When the waiting set-point is too old.
-    pub(super) set_point_expiry: CoarseTick,
+    pub(super) set_point_expiry: Instant,
     /// While [`Flags::HELD`] or [`Flags::SET_POINT_LATE`]: until when.
-    held_until: CoarseTick,
-    last_seen: CoarseTick,
+    held_until: Instant,
+    pub(super) health: Health,
 }
 
 impl Lane {
@@ -121,18 +119,12 @@ impl Lane {
         self.request = RequestState::Waiting;
         self.request_kind = Some(kind);
         self.request_data = data;
-        self.timeout = Span::from_duration(patience.reply_timeout);
+        self.timeout = patience.reply_timeout;
         self.attempts_left = patience.attempts.clamp(1, 15);
     }
 
     /// Puts a stop in the place of whatever waits. What is in flight stays owed.
-    pub(super) fn put_stop(
-        &mut self,
-        kind: Kind,
-        data: Data,
-        timeout: Duration,
-        tally: &mut Tally,
-    ) {
+    pub(super) fn put_stop(&mut self, kind: Kind, data: Data, timeout: Duration) {
         // Also one whose outcome is not told yet: each request has one.
         let had_request = self.request != RequestState::Idle;
         if had_request && !self.flags.contains(Flags::STOP) {
@@ -141,20 +133,14 @@ impl Lane {
         let answers_something_else =
             self.request == RequestState::InFlight && self.request_kind != Some(kind);
         self.doubts = self.owed.saturating_sub(u8::from(answers_something_else));
-        self.drop_set_point(tally);
+        self.drop_set_point();
         self.flags.insert(Flags::STOP);
         self.put_request(kind, data, Patience { reply_timeout: timeout, attempts: STOP_ATTEMPTS });
     }
 
-    pub(super) fn put_set_point(
-        &mut self,
-        kind: Kind,
-        data: Data,
-        expiry: CoarseTick,
-        tally: &mut Tally,
-    ) {
+    pub(super) fn put_set_point(&mut self, kind: Kind, data: Data, expiry: Instant) {
         if self.flags.contains(Flags::SET_POINT_WAITING) {
-            tally.superseded = tally.superseded.saturating_add(1);
+            self.health.superseded = self.health.superseded.saturating_add(1);
         }
         self.flags.insert(Flags::SET_POINT_WAITING);
         self.flags.set(Flags::SET_POINT_MOTION, kind.is_motion());
@@ -163,11 +149,11 @@ impl Lane {
     }
 
     #[inline(never)]
-    pub(super) fn drop_set_point(&mut self, tally: &mut Tally) {
+    pub(super) fn drop_set_point(&mut self) {
         if self.flags.contains(Flags::SET_POINT_WAITING) {
             self.flags.remove(Flags::SET_POINT_WAITING);
             self.flags.insert(Flags::TELL_DROPPED);
-            tally.superseded = tally.superseded.saturating_add(1);
+            self.health.superseded = self.health.superseded.saturating_add(1);
         }
     }
 
@@ -215,7 +201,7 @@ impl Lane {
         self.flags.insert(Flags::TELL_UNANSWERED | Flags::SET_POINT_LATE);
         // A hold goes on as it is, so that lost set-points cannot keep requests back for ever.
         if !self.flags.contains(Flags::HELD) {
-            self.held_until = CoarseTick::after(now, late_window);
+            self.held_until = now + late_window;
         }
     }
 
@@ -233,7 +219,7 @@ impl Lane {
 
     pub(super) fn request_was_sent(&mut self, now: Instant, awaits_reply: bool, hold: Duration) {
         self.flags.remove(Flags::SET_POINT_LAST | Flags::OVERDUE);
-        self.sent = Tick::not_before(now);
+        self.sent = now;
         self.round = self.round.wrapping_add(1);
         self.attempts_left = self.attempts_left.saturating_sub(1);
         if awaits_reply {
@@ -249,16 +235,16 @@ impl Lane {
     }
 
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
-        self.sent = Tick::not_before(now);
+        self.sent = now;
         self.round = self.round.wrapping_add(1);
         self.flags.remove(Flags::SET_POINT_WAITING | Flags::OVERDUE);
         self.flags.insert(Flags::SET_POINT_IN_FLIGHT | Flags::SET_POINT_LAST);
     }
 
     /// When what is in flight counts as lost; a set-point after `set_point_timeout`.
-    pub(super) fn deadline(&self, set_point_timeout: Span) -> Tick {
+    pub(super) fn deadline(&self, set_point_timeout: Duration) -> Instant {
         let is_request = self.request == RequestState::InFlight;
-        self.sent.plus(if is_request { self.timeout } else { set_point_timeout })
+        self.sent + if is_request { self.timeout } else { set_point_timeout }
     }
 
     /// Whether a reply of this motor may be waiting for the bus. Not one that did not answer last
@@ -271,13 +257,12 @@ impl Lane {
     #[inline(never)]
     pub(super) fn hold(&mut self, now: Instant, span: Duration) {
         self.flags.insert(Flags::HELD);
-        self.held_until = CoarseTick::after(now, span);
+        self.held_until = now + span;
     }
 
     /// As [`hold`](Self::hold), but never shortens what holds already.
     pub(super) fn hold_longer(&mut self, now: Instant, span: Duration) {
-        let ends = self.held_until.instant(now);
-        if !self.flags.contains(Flags::HELD) || ends < now + span {
+        if !self.flags.contains(Flags::HELD) || self.held_until < now + span {
             self.hold(now, span);
         }
     }
@@ -308,8 +293,7 @@ impl Lane {
     /// Whether something was heard of the motor just before `now`, so that what comes now may be the
     /// same once more.
     pub(super) fn was_just_seen(&self, now: Instant) -> bool {
-        let ended = CoarseTick::after(self.last_seen.instant(now), DOUBLED_WITHIN);
-        self.flags.contains(Flags::SEEN) && !ended.is_reached(now)
+        self.health.last_seen.is_some_and(|seen| now < seen + DOUBLED_WITHIN)
     }
 
     /// Whether this reply to a stop may be one to an earlier command. Then the next one counts.
@@ -334,48 +318,30 @@ impl Lane {
         }
     }
 
-    pub(super) fn missed(&mut self, tally: &mut Tally) {
-        tally.lost = tally.lost.saturating_add(1);
+    pub(super) fn missed(&mut self) {
         self.misses = self.misses.saturating_add(1);
+        self.health.count_miss(self.misses);
     }
 
-    pub(super) fn answered(&mut self, tally: &mut Tally, round_trip: Option<Duration>) {
+    pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
         self.misses = 0;
-        tally.answered(round_trip);
+        self.health.count_answer(round_trip);
     }
 
-    pub(super) fn seen(&mut self, now: Instant) {
-        self.flags.insert(Flags::SEEN);
-        self.last_seen = CoarseTick::at(now);
-    }
-
-    /// Forgets what its ticks can soon no longer tell, and ends a hold that is over.
+    /// Ends a hold that is over.
     pub(super) fn age(&mut self, now: Instant, late_window: Duration) {
-        if self.flags.contains(Flags::HELD) && self.held_until.is_reached(now) {
+        if self.held_until > now {
+            return;
+        }
+        if self.flags.contains(Flags::HELD) {
             self.flags.remove(Flags::HELD | Flags::SETTLING);
             // What was given up meanwhile has its own time from here on.
-            self.held_until = CoarseTick::after(now, late_window);
+            self.held_until = now + late_window;
             if self.request != RequestState::InFlight {
                 self.owed = 0;
             }
-        } else if self.flags.contains(Flags::SET_POINT_LATE) && self.held_until.is_reached(now) {
+        } else {
             self.flags.remove(Flags::SET_POINT_LATE);
-        }
-        if self.flags.contains(Flags::SEEN)
-            && now - self.last_seen.instant(now) > LONGEST_COARSE_GAP
-        {
-            self.flags.remove(Flags::SEEN);
-        }
-    }
-
-    /// After a gap in which ticks lost their meaning: what was in flight is overdue, and after a long
-    /// one everything else is over too.
-    pub(super) fn bridge_gap(&mut self, before: Instant, now: Instant) {
-        self.sent = Tick::long_before(now);
-        if now - before > LONGEST_COARSE_GAP {
-            self.set_point_expiry = CoarseTick::at(now);
-            self.held_until = CoarseTick::at(now);
-            self.flags.remove(Flags::SEEN);
         }
     }
 
@@ -397,29 +363,24 @@ impl Lane {
     }
 
     /// While a broadcast waits for this motor: until when, if time ends that.
-    pub(super) fn keeps_broadcast_until(&self, now: Instant) -> Option<Instant> {
+    pub(super) fn keeps_broadcast_until(&self) -> Option<Instant> {
         let held = self.flags.contains(Flags::HELD) && self.keeps_broadcast_back();
-        held.then(|| self.held_until.instant(now))
+        held.then_some(self.held_until)
     }
 
     /// Tells when this motor has something to do by itself.
-    pub(super) fn poll_at(&self, now: Instant, set_point_timeout: Span, earliest: &mut Earliest) {
+    pub(super) fn poll_at(&self, set_point_timeout: Duration, earliest: &mut Earliest) {
         if self.is_in_flight() {
-            earliest.take(self.deadline(set_point_timeout).instant(now));
+            earliest.take(self.deadline(set_point_timeout));
         }
         let waits =
             self.request == RequestState::Waiting || self.flags.contains(Flags::SET_POINT_WAITING);
         if waits && self.flags.contains(Flags::HELD) {
-            earliest.take(self.held_until.instant(now));
+            earliest.take(self.held_until);
         }
         if self.flags.contains(Flags::SET_POINT_WAITING) {
-            earliest.take(self.set_point_expiry.instant(now));
+            earliest.take(self.set_point_expiry);
         }
-    }
-
-    pub(super) fn health(&self, tally: &Tally, now: Instant) -> Health {
-        let seen = self.flags.contains(Flags::SEEN).then(|| self.last_seen.instant(now));
-        tally.health(self.misses, seen)
     }
 }
 

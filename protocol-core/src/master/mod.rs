@@ -28,7 +28,6 @@
 //! motor keeps the line for [`Config::reply_timeout`].
 
 mod broadcast;
-mod compact;
 mod config;
 mod event;
 mod health;
@@ -38,7 +37,6 @@ mod receive;
 mod schedule;
 #[cfg(test)]
 mod tests;
-mod ticks;
 
 pub use config::{Bus, Config, Patience};
 pub use event::{Event, Failure, Ticket, TicketId};
@@ -54,10 +52,8 @@ use crate::opcode::{Opcode, Usage};
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 use broadcast::Broadcast;
-use compact::{Compact, Wire};
-use health::Tally;
 use lane::{Flags, Lane, RequestState};
-use ticks::{CoarseTick, Earliest, LONGEST_GAP};
+use schedule::Earliest;
 
 /// How motors are to be stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -104,7 +100,7 @@ enum Offer {
 ///
 /// let elbow = MotorId::new(1)?;
 /// let mut master = Master::<8>::new(Config::CAN);
-/// let ticket = master.request(elbow, ReadMultiTurnAngle, Instant::from_millis(0))?;
+/// let ticket = master.request(elbow, ReadMultiTurnAngle)?;
 ///
 /// // The bus takes the command.
 /// let command = master.poll_transmit(Instant::from_millis(0)).unwrap();
@@ -124,9 +120,8 @@ enum Offer {
 #[derive(Clone, Debug)]
 pub struct Master<const N: usize> {
     lanes: [Lane; N],
-    tallies: [Tally; N],
     broadcast: Broadcast,
-    config: Compact,
+    config: Config,
     offer: Option<Offer>,
     stopped: bool,
     /// RS485: bytes of the echo that are still to come.
@@ -136,8 +131,6 @@ pub struct Master<const N: usize> {
     /// Until when the frames that were sent keep the bus busy, or when one was last received. On
     /// RS485: when the line may be used again.
     busy_until: Instant,
-    /// The latest time that a caller gave.
-    now: Instant,
 }
 
 impl<const N: usize> Master<N> {
@@ -148,15 +141,13 @@ impl<const N: usize> Master<N> {
         const { Self::CAPACITY };
         Self {
             lanes: [Lane::default(); N],
-            tallies: [Tally::default(); N],
             broadcast: Broadcast::default(),
-            config: Compact::new(&config),
+            config,
             offer: None,
             stopped: false,
             echo_left: 0,
             pace: 0,
             busy_until: Instant::ZERO,
-            now: Instant::ZERO,
         }
     }
 
@@ -171,9 +162,8 @@ impl<const N: usize> Master<N> {
         &mut self,
         motor: MotorId,
         command: C,
-        now: Instant,
     ) -> Result<Ticket<C>, RequestError> {
-        self.put_request(motor, command, None, now)
+        self.put_request(motor, command, None)
     }
 
     /// As [`request`](Self::request), with a patience of its own.
@@ -185,24 +175,23 @@ impl<const N: usize> Master<N> {
         motor: MotorId,
         command: C,
         patience: Patience,
-        now: Instant,
     ) -> Result<Ticket<C>, RequestError> {
-        self.put_request(motor, command, Some(patience), now)
+        self.put_request(motor, command, Some(patience))
     }
 
-    fn put_request<C: Command>(
+    /// As [`request`](Self::request), with a patience of its own or the configuration's.
+    pub(crate) fn put_request<C: Command>(
         &mut self,
         motor: MotorId,
         command: C,
         patience: Option<Patience>,
-        now: Instant,
     ) -> Result<Ticket<C>, RequestError> {
         let data = command.encode();
         let kind = command.kind().of_bytes(&data);
         self.check(kind, motor.into())?;
         let patience = patience.unwrap_or_else(|| self.config.patience(kind));
         let pace = self.pace;
-        let (lane, _) = self.lane_for(motor)?;
+        let lane = self.lane_for(motor)?;
         if lane.request != RequestState::Idle || lane.flags.contains(Flags::TELL_STOPPED) {
             return Err(RequestError::Busy);
         }
@@ -217,9 +206,7 @@ impl<const N: usize> Master<N> {
         lane.join(pace);
         lane.put_request(kind, data, patience);
         lane.generation = lane.generation.wrapping_add(1);
-        let id = TicketId { motor, generation: lane.generation };
-        self.advance(now);
-        Ok(Ticket::new(id))
+        Ok(Ticket::new(TicketId { motor, generation: lane.generation }))
     }
 
     /// Puts a set-point in a motor's stream. One that still waits is replaced and counted, never
@@ -243,17 +230,16 @@ impl<const N: usize> Master<N> {
             }
             _ => {}
         }
-        let expiry = CoarseTick::after(now, Duration::from_millis(self.config.max_age_ms.into()));
+        let expiry = now + self.config.set_point_max_age;
         // What was offered is older than this.
         self.offer = None;
         let pace = self.pace;
-        let (lane, tally) = self.lane_for(motor)?;
+        let lane = self.lane_for(motor)?;
         if lane.request != RequestState::Idle && lane.request_kind == Some(kind) {
             return Err(RequestError::Busy);
         }
         lane.join(pace);
-        lane.put_set_point(kind, data, expiry, tally);
-        self.advance(now);
+        lane.put_set_point(kind, data, expiry);
         Ok(())
     }
 
@@ -273,7 +259,6 @@ impl<const N: usize> Master<N> {
         &mut self,
         command: C,
         expected: MotorSet,
-        now: Instant,
     ) -> Result<(), RequestError> {
         let data = command.encode();
         let kind = command.kind().of_bytes(&data);
@@ -282,7 +267,6 @@ impl<const N: usize> Master<N> {
             return Err(RequestError::Busy);
         }
         self.broadcast.put(kind, data, expected);
-        self.advance(now);
         Ok(())
     }
 
@@ -296,17 +280,11 @@ impl<const N: usize> Master<N> {
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
     /// stopped all the same.
-    pub fn stop_all(
-        &mut self,
-        kind: StopKind,
-        also: MotorSet,
-        now: Instant,
-    ) -> Result<(), RequestError> {
+    pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
         let (command, data) = match kind {
             StopKind::Hold => (Kind::Known(Opcode::Stop), Stop.encode()),
             StopKind::Off => (Kind::Known(Opcode::Shutdown), Shutdown.encode()),
         };
-        self.advance(now);
         self.stopped = true;
         self.offer = None;
         self.broadcast.cancel();
@@ -314,10 +292,10 @@ impl<const N: usize> Master<N> {
         for motor in also.iter() {
             result = result.and(self.lane_for(motor).map(|_| ()));
         }
-        let timeout = self.config.timeout.duration();
-        for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
+        let timeout = self.config.reply_timeout;
+        for lane in &mut self.lanes {
             if lane.motor.is_some() {
-                lane.put_stop(command, data, timeout, tally);
+                lane.put_stop(command, data, timeout);
             }
         }
         result
@@ -328,15 +306,9 @@ impl<const N: usize> Master<N> {
         self.stopped = false;
     }
 
-    /// Whether the motors were stopped and the stop is not lifted.
-    pub const fn is_stopped(&self) -> bool {
-        self.stopped
-    }
-
     /// What to send next. It counts as sent only after [`handle_transmitted`](Self::handle_transmitted);
     /// until then each call chooses anew, so that what was offered is never staler than what waits.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Packet> {
-        self.advance(now);
         self.offer = None;
         if self.config.is_rs485() && (self.is_anything_in_flight() || self.busy_until > now) {
             return None;
@@ -349,7 +321,6 @@ impl<const N: usize> Master<N> {
     /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its
     /// last byte has left.
     pub fn handle_transmitted(&mut self, now: Instant) {
-        self.advance(now);
         let config = self.config;
         let mut told_without_reply = false;
         match self.offer.take() {
@@ -377,48 +348,43 @@ impl<const N: usize> Master<N> {
                 for lane in &mut self.lanes {
                     note_report(lane, kind, &data);
                 }
-                self.broadcast.was_sent(now, config.timeout, config.late_window());
+                self.broadcast.was_sent(now, config.reply_timeout, config.late_window);
             }
             None => return,
         }
         if !config.is_rs485() {
             self.bus_is_busy(now);
         } else {
-            self.echo_left = if config.wire == Wire::EchoingRs485 {
+            self.echo_left = if matches!(config.bus, Bus::Rs485 { echo: true, .. }) {
                 crate::wire::rs485::FRAME_LENGTH as u8
             } else {
                 0
             };
             // An answer that nobody waits for may come all the same, and must not meet a command.
-            let silence =
-                if told_without_reply { config.settle.duration() } else { Duration::ZERO };
+            let silence = if told_without_reply { config.settle_time } else { Duration::ZERO };
             self.line_is_free_after_turnaround(now + silence);
         }
     }
 
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
     pub fn handle_timeout(&mut self, now: Instant) {
-        self.advance(now);
-        let (late_window, timeout) = (self.config.late_window(), self.config.timeout);
+        let Config { late_window, reply_timeout, longest_response, .. } = self.config;
         let is_quiet = self.quiet_at() <= now;
-        let longest = Duration::from_micros(self.config.longest_us.into());
-        for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
+        for lane in &mut self.lanes {
             if lane.motor.is_none() {
                 continue;
             }
             lane.age(now, late_window);
-            if lane.flags.contains(Flags::SET_POINT_WAITING)
-                && lane.set_point_expiry.is_reached(now)
-            {
-                lane.drop_set_point(tally);
+            if lane.flags.contains(Flags::SET_POINT_WAITING) && lane.set_point_expiry <= now {
+                lane.drop_set_point();
             }
-            if is_quiet && lane.is_in_flight() && lane.sent.elapsed(now) >= longest {
+            if is_quiet && lane.is_in_flight() && now - lane.sent >= longest_response {
                 lane.flags.insert(Flags::OVERDUE);
             }
-            if !lane.is_in_flight() || !lane.deadline(timeout).is_reached(now) {
+            if !lane.is_in_flight() || lane.deadline(reply_timeout) > now {
                 continue;
             }
-            lane.missed(tally);
+            lane.missed();
             if lane.request != RequestState::InFlight {
                 lane.give_set_point_up(now, late_window);
             } else if lane.attempts_left > 0 {
@@ -439,14 +405,13 @@ impl<const N: usize> Master<N> {
     /// waits is dropped, so that nothing moves when the bus comes back and nobody waits for ever. Only
     /// stops go on waiting.
     pub fn handle_bus_down(&mut self, now: Instant) {
-        self.advance(now);
         self.offer = None;
         if self.broadcast.is_waiting() {
             self.broadcast.cancel();
         }
-        let late_window = self.config.late_window();
-        for (lane, tally) in self.lanes.iter_mut().zip(&mut self.tallies) {
-            lane.drop_set_point(tally);
+        let late_window = self.config.late_window;
+        for lane in &mut self.lanes {
+            lane.drop_set_point();
             // What is stuck on the way comes later than the window allows: it begins anew.
             if lane.is_late_reply_due() {
                 lane.hold_longer(now, late_window);
@@ -469,10 +434,9 @@ impl<const N: usize> Master<N> {
     /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) have
     /// something to do by themselves; `None` while only a frame or a request can change anything.
     pub fn poll_at(&self) -> Option<Instant> {
-        let now = self.now;
         let mut earliest = Earliest::default();
         for lane in &self.lanes {
-            lane.poll_at(now, self.config.timeout, &mut earliest);
+            lane.poll_at(self.config.reply_timeout, &mut earliest);
         }
         if self.config.is_rs485() {
             if !self.is_anything_in_flight() && self.choose().is_some() {
@@ -481,17 +445,15 @@ impl<const N: usize> Master<N> {
         } else if let Some(end) = self.courtesy_ends() {
             earliest.take(end);
         }
-        self.broadcast.poll_at(now, &mut earliest);
-        self.broadcast_wait(now, &mut earliest);
+        self.broadcast.poll_at(&mut earliest);
+        self.broadcast_wait(&mut earliest);
         earliest.0
     }
 
     /// How well a motor answers.
     pub fn health(&self, motor: MotorId) -> Health {
-        let known = self.place_of(Some(motor)).and_then(|place| {
-            Some(self.lanes.get(place)?.health(self.tallies.get(place)?, self.now))
-        });
-        known.unwrap_or_default()
+        let lane = self.lanes.iter().find(|lane| lane.motor == Some(motor));
+        lane.map(|lane| lane.health).unwrap_or_default()
     }
 
     /// The motors that have a place.
@@ -506,10 +468,10 @@ impl<const N: usize> Master<N> {
     /// A late reply that may still come is no longer guarded against: leave the motor alone for
     /// [`Config::late_window`] after a request that was not answered.
     pub fn forget(&mut self, motor: MotorId) -> bool {
-        let Some((lane, tally)) = self.lane_of(motor) else { return false };
+        let Some(lane) = self.lane_of(motor) else { return false };
         let idle = lane.is_idle();
         if idle {
-            (*lane, *tally) = (Lane::default(), Tally::default());
+            *lane = Lane::default();
         }
         idle
     }
@@ -531,38 +493,20 @@ impl<const N: usize> Master<N> {
         }
     }
 
+    /// The lane of a motor; for one that has none, a free one.
     #[inline(never)]
-    fn lane_for(&mut self, motor: MotorId) -> Result<(&mut Lane, &mut Tally), RequestError> {
-        let place = self.place_of(Some(motor)).or_else(|| self.place_of(None));
-        let found = place.and_then(|place| self.lane_at(place));
-        let (lane, tally) = found.ok_or(RequestError::TooManyMotors { capacity: N })?;
+    fn lane_for(&mut self, motor: MotorId) -> Result<&mut Lane, RequestError> {
+        let place_of = |motor| self.lanes.iter().position(|lane| lane.motor == motor);
+        let place = place_of(Some(motor)).or_else(|| place_of(None));
+        let found = place.and_then(|place| self.lanes.get_mut(place));
+        let lane = found.ok_or(RequestError::TooManyMotors { capacity: N })?;
         lane.motor = Some(motor);
-        Ok((lane, tally))
+        Ok(lane)
     }
 
-    /// The place of a motor, or the first free one.
     #[inline(never)]
-    fn place_of(&self, motor: Option<MotorId>) -> Option<usize> {
-        self.lanes.iter().position(|lane| lane.motor == motor)
-    }
-
-    fn lane_at(&mut self, place: usize) -> Option<(&mut Lane, &mut Tally)> {
-        Some((self.lanes.get_mut(place)?, self.tallies.get_mut(place)?))
-    }
-
-    /// The lane of a motor that has one.
-    fn lane_of(&mut self, motor: MotorId) -> Option<(&mut Lane, &mut Tally)> {
-        self.lane_at(self.place_of(Some(motor))?)
-    }
-
-    /// Notes the time. After a gap that the ticks cannot bridge, nothing in flight is waited for.
-    fn advance(&mut self, now: Instant) {
-        if now - self.now > LONGEST_GAP {
-            self.lanes.iter_mut().for_each(|lane| lane.bridge_gap(self.now, now));
-            self.broadcast.bridge_gap(self.now, now);
-            self.busy_until = now;
-        }
-        self.now = self.now.max(now);
+    fn lane_of(&mut self, motor: MotorId) -> Option<&mut Lane> {
+        self.lanes.iter_mut().find(|lane| lane.motor == Some(motor))
     }
 }
 

@@ -7,14 +7,13 @@ use crate::master::lane::{Flags, RequestState};
 use crate::master::{Event, Master, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat, Usage};
 use crate::packet::{Channel, Packet};
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 use crate::wire::{can, rs485};
 
 impl<const N: usize> Master<N> {
     /// Takes a frame from the CAN bus. Commands of other masters, foreign frames and frames of a
     /// wrong length complete nothing.
     pub fn handle_frame(&mut self, frame: &can::Received, now: Instant) -> Option<Event> {
-        self.advance(now);
         self.frame_has_come(now);
         match frame {
             can::Received::Packet(packet) => self.handle_packet(packet, now),
@@ -34,7 +33,6 @@ impl<const N: usize> Master<N> {
     /// With an echoing adapter the first frame after a sending, or thirteen bytes that are none, are
     /// the echo: see [`Bus::Rs485`](crate::master::Bus::Rs485).
     pub fn handle_line(&mut self, fed: &rs485::Fed, now: Instant) -> Option<Event> {
-        self.advance(now);
         match *fed {
             rs485::Fed::Wanting => None,
             rs485::Fed::Discarded { bytes, .. } => {
@@ -95,15 +93,14 @@ impl<const N: usize> Master<N> {
         now: Instant,
     ) -> Option<Option<Event>> {
         let config = self.config;
-        let shortest = Duration::from_micros(config.shortest_us.into());
         let data = &packet.data;
         let is_motion = matches!(packet.channel, Channel::MotionReply(_));
-        let (lane, tally) = self.lane_of(motor)?;
-        lane.seen(now);
+        let lane = self.lane_of(motor)?;
+        lane.health.last_seen = Some(now);
 
         let is_request = lane.request == RequestState::InFlight;
-        let round_trip = lane.sent.elapsed(now);
-        if !lane.is_in_flight() || round_trip < shortest {
+        let round_trip = now - lane.sent;
+        if !lane.is_in_flight() || round_trip < config.shortest_response {
             return None;
         }
         if !is_request {
@@ -116,7 +113,7 @@ impl<const N: usize> Master<N> {
             if lane.is_ignored(&sent, data) {
                 return Some(Some(Event::SetPointUnanswered { motor }));
             }
-            lane.answered(tally, Some(round_trip));
+            lane.answered(Some(round_trip));
             return Some(Some(Event::Feedback { motor, reply }));
         }
 
@@ -134,15 +131,15 @@ impl<const N: usize> Master<N> {
             if lane.attempts_left > 0 && kind.repeat() == Repeat::Harmless {
                 lane.request = RequestState::Waiting;
             } else {
-                lane.finish_request(RequestState::NotExecuted, now, config.late_window());
+                lane.finish_request(RequestState::NotExecuted, now, config.late_window);
             }
             return Some(None);
         }
         // With more than one attempt under way nobody knows which one this answers.
-        lane.answered(tally, (!lane.is_owed()).then_some(round_trip));
+        lane.answered((!lane.is_owed()).then_some(round_trip));
         let is_stop = lane.flags.contains(Flags::STOP);
         let ticket = TicketId { motor, generation: lane.generation };
-        lane.finish_request(RequestState::Idle, now, config.late_window());
+        lane.finish_request(RequestState::Idle, now, config.late_window);
         Some(Some(if is_stop {
             Event::StopConfirmed { motor }
         } else {
@@ -152,17 +149,15 @@ impl<const N: usize> Master<N> {
 
     /// Whether this reply of `motor` answers the broadcast.
     fn answers_broadcast(&mut self, motor: MotorId, data: &Data, now: Instant) -> bool {
-        let shortest = Duration::from_micros(self.config.shortest_us.into());
-        self.broadcast.take_reply(motor, data, self.config.timeout, shortest, now)
+        self.broadcast.take_reply(motor, data, self.config.shortest_response, now)
     }
 
     /// Whether a reply that nothing waits for is surely the late one of a request, and not doubled,
     /// feedback of a lost set-point, a broadcast's answer or an error report.
     fn may_be_late_reply(&self, motor: MotorId, packet: &Packet, now: Instant) -> bool {
         let byte = packet.data[0];
-        let Some(lane) = self.place_of(Some(motor)).and_then(|place| self.lanes.get(place)) else {
-            return false;
-        };
+        let mut lanes = self.lanes.iter();
+        let Some(lane) = lanes.find(|lane| lane.motor == Some(motor)) else { return false };
         let is_feedback = matches!(packet.channel, Channel::MotionReply(_)) || is_control(byte);
         let is_something_else = lane.was_just_seen(now)
             || is_feedback && lane.flags.contains(Flags::SET_POINT_LATE)
@@ -182,7 +177,7 @@ impl<const N: usize> Master<N> {
         let reply = AnyReply::decode(packet, self.config.firmware);
         // Motion mode has no command byte: its first byte is the drive's id and says nothing.
         if let Channel::MotionReply(_) = packet.channel {
-            if let (true, Some((lane, _))) = (may_be_late, self.lane_of(motor)) {
+            if let (true, Some(lane)) = (may_be_late, self.lane_of(motor)) {
                 lane.late_reply_has_come();
             }
             return self.stray(motor, &packet.data);
@@ -194,8 +189,7 @@ impl<const N: usize> Master<N> {
             _ => {}
         }
         let reported = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
-        let lane = self.lane_of(motor).map(|(lane, _)| lane);
-        let is_report = match (lane, &reply) {
+        let is_report = match (self.lane_of(motor), &reply) {
             (Some(lane), _) if lane.reported & reported != 0 => true,
             (Some(lane), Ok(AnyReply::ReadStatus1(_))) => !lane.is_late_reply_due(),
             (Some(lane), _) => {
@@ -213,8 +207,8 @@ impl<const N: usize> Master<N> {
     }
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {
-        if let Some((lane, _)) = self.lane_of(motor) {
-            lane.seen(now);
+        if let Some(lane) = self.lane_of(motor) {
+            lane.health.last_seen = Some(now);
             lane.flags.insert(Flags::LOST_MASTER);
         }
         Some(Event::LostMaster { motor })
@@ -226,8 +220,8 @@ impl<const N: usize> Master<N> {
     }
 
     fn count_stray(&mut self, motor: MotorId) {
-        if let Some((_, tally)) = self.lane_of(motor) {
-            tally.stray = tally.stray.saturating_add(1);
+        if let Some(lane) = self.lane_of(motor) {
+            lane.health.stray = lane.health.stray.saturating_add(1);
         }
     }
 }

@@ -1,10 +1,22 @@
 //! Whose turn it is on the bus, and when.
 
 use crate::master::lane::{Flags, Lane, RequestState};
-use crate::master::ticks::Earliest;
-use crate::master::{Master, MotorSet, Offer};
+use crate::master::{Bus, Master, MotorSet, Offer};
 use crate::packet::Packet;
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
+
+/// The earliest of several points in time.
+#[derive(Debug, Default)]
+pub(super) struct Earliest(pub(super) Option<Instant>);
+
+impl Earliest {
+    #[inline(never)]
+    pub(super) fn take(&mut self, at: Instant) {
+        if self.0.is_none_or(|earliest| at < earliest) {
+            self.0 = Some(at);
+        }
+    }
+}
 
 impl<const N: usize> Master<N> {
     /// The round of the motor that is furthest behind of those whose reply may wait for the bus.
@@ -22,31 +34,29 @@ impl<const N: usize> Master<N> {
     /// Notes one more frame on the bus: behind what is queued already, or right now.
     #[inline(never)]
     pub(super) fn bus_is_busy(&mut self, now: Instant) {
-        self.busy_until = self.busy_until.max(now) + self.frame_time();
+        self.busy_until = self.busy_until.max(now) + self.config.frame_time;
     }
 
     /// RS485: the drives turn around before the next command.
     pub(super) fn line_is_free_after_turnaround(&mut self, now: Instant) {
-        self.busy_until = now + Duration::from_micros(self.config.turnaround_us.into());
+        if let Bus::Rs485 { turnaround, .. } = self.config.bus {
+            self.busy_until = now + turnaround;
+        }
     }
 
     /// When the bus has been quiet for so long that a reply which only waited for it must have come.
     #[inline(never)]
     pub(super) fn quiet_at(&self) -> Instant {
-        self.busy_until + self.frame_time().times(2)
-    }
-
-    pub(super) fn frame_time(&self) -> Duration {
-        Duration::from_micros(self.config.frame_us.into())
+        self.busy_until + self.config.frame_time.times(2)
     }
 
     /// When waiting for motors that may be answering ends. On RS485 only one is asked at a time.
     pub(super) fn courtesy_ends(&self) -> Option<Instant> {
         let mut first_sent = Earliest::default();
         for lane in self.lanes.iter().filter(|lane| lane.may_be_answering()) {
-            first_sent.take(lane.sent.instant(self.now));
+            first_sent.take(lane.sent);
         }
-        let due = first_sent.0? + Duration::from_micros(self.config.longest_us.into());
+        let due = first_sent.0? + self.config.longest_response;
         Some(due.max(self.quiet_at()))
     }
 
@@ -101,17 +111,16 @@ impl<const N: usize> Master<N> {
     }
 
     /// Tells when a broadcast, or a request that waits because of one, may go.
-    pub(super) fn broadcast_wait(&self, now: Instant, earliest: &mut Earliest) {
+    pub(super) fn broadcast_wait(&self, earliest: &mut Earliest) {
         let echo_matters = if self.broadcast.is_waiting() {
-            for held in self.lanes.iter().filter_map(|lane| lane.keeps_broadcast_until(now)) {
-                earliest.take(held);
-            }
+            let held = self.lanes.iter().filter_map(Lane::keeps_broadcast_until);
+            held.for_each(|until| earliest.take(until));
             !self.broadcast.may_go(self.motors())
         } else {
             self.lanes.iter().any(|lane| lane.may_send_request() && self.is_confusable(lane))
         };
         if echo_matters {
-            if let Some(end) = self.broadcast.echo_until(now) {
+            if let Some(end) = self.broadcast.echo_until() {
                 earliest.take(end);
             }
         }

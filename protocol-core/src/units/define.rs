@@ -11,22 +11,63 @@ macro_rules! quantity {
     (
         $(#[$attr:meta])*
         $name:ident($raw:ident $put:ident $get:ident) $what:literal $unit:ident, step $numerator:literal/$denominator:literal
-        $(, zero $zero:literal)?
+        $(, zero $zero:literal)? $(, in $min:literal..=$max:literal)?
         $(; floats $($floats:ident)+)?
         $(; doubles $($doubles:ident)+)?
         $(; radians $($radians:ident)+)?
         $(; signed $arithmetic:ident)?
     ) => {
-        quantity!(@type $(#[$attr])* $name $raw);
-        quantity!(@default $name $($zero)?);
-        quantity!(@range $name($raw) $what $unit, $numerator/$denominator,
-            quantity!(@min $raw $($zero)?), $raw::MAX, quantity!(@zero $($zero)?));
+        $(#[$attr])*
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        pub struct $name($raw);
+
+        impl $name {
+            const MIN_RAW: $raw = quantity!(@min $raw [$($zero)?] [$($min)?]);
+            const MAX_RAW: $raw = quantity!(@max $raw [$($max)?]);
+            const ZERO: Option<&'static str> = quantity!(@zero $($zero)?);
+            const STEPS: Steps = Steps {
+                min: Self::MIN_RAW as i64,
+                max: Self::MAX_RAW as i64,
+                zero: Self::ZERO,
+                numerator: $numerator,
+                denominator: $denominator,
+            };
+            /// Name, unit, scale and allowed range.
+            pub const QUANTITY: Quantity =
+                Quantity { name: $what, unit: Unit::$unit, form: Form::Steps(Self::STEPS) };
+            /// The smallest amount.
+            pub const MIN: Self = Self(Self::MIN_RAW);
+            /// The largest amount.
+            pub const MAX: Self = Self(Self::MAX_RAW);
+        }
+
+        quantity!(@default $name [$($zero)?] [$($min)?]);
+        quantity!(@raw $name $raw [$($min)?]);
         quantity!(@wire $name($raw $put $get));
         $(quantity!(@floats $name $raw f32 round_f32 $unit $($floats)+);)?
         $(quantity!(@floats $name $raw f64 round_f64 $unit $($doubles)+);)?
         $(quantity!(@radians $name $($radians)+);)?
         $(quantity!(@$arithmetic $name);)?
-
+    };
+    (@zero) => { None };
+    (@zero $zero:literal) => { Some($zero) };
+    (@min $raw:ident [] []) => { $raw::MIN };
+    (@min $raw:ident [$zero:literal] []) => { 1 };
+    (@min $raw:ident [$($zero:literal)?] [$min:literal]) => { $min };
+    (@max $raw:ident []) => { $raw::MAX };
+    (@max $raw:ident [$max:literal]) => { $max };
+    (@default $name:ident [] []) => {
+        /// Nothing: 0.
+        impl Default for $name {
+            fn default() -> Self {
+                Self(0)
+            }
+        }
+    };
+    // A 0 that means "no limit" is nobody's default.
+    (@default $name:ident [$($zero:literal)?] [$($min:literal)?]) => {};
+    (@raw $name:ident $raw:ident []) => {
         impl $name {
             /// The quantity with this integer on the wire.
             #[inline]
@@ -40,19 +81,7 @@ macro_rules! quantity {
             }
         }
     };
-    (
-        $(#[$attr:meta])*
-        $name:ident($raw:ident $put:ident $get:ident) $what:literal $unit:ident, step $numerator:literal/$denominator:literal
-        $(, zero $zero:literal)?, in $min:literal..=$max:literal
-        ; floats $($floats:ident)+
-        $(; radians $($radians:ident)+)?
-    ) => {
-        quantity!(@type $(#[$attr])* $name $raw);
-        quantity!(@range $name($raw) $what $unit, $numerator/$denominator, $min, $max, quantity!(@zero $($zero)?));
-        quantity!(@wire $name($raw $put $get));
-        quantity!(@floats $name $raw f32 round_f32 $unit $($floats)+);
-        $(quantity!(@radians $name $($radians)+);)?
-
+    (@raw $name:ident $raw:ident [$min:literal]) => {
         impl $name {
             /// The quantity with this integer on the wire.
             ///
@@ -85,48 +114,6 @@ macro_rules! quantity {
             fn from(quantity: $name) -> $raw {
                 quantity.0
             }
-        }
-    };
-    // A 0 that means "no limit" is nobody's default.
-    (@default $name:ident $zero:literal) => {};
-    (@default $name:ident) => {
-        /// Nothing: 0.
-        impl Default for $name {
-            fn default() -> Self {
-                Self(0)
-            }
-        }
-    };
-    (@zero) => { None };
-    (@zero $zero:literal) => { Some($zero) };
-    (@min $raw:ident) => { $raw::MIN };
-    (@min $raw:ident $zero:literal) => { 1 };
-    (@type $(#[$attr:meta])* $name:ident $raw:ident) => {
-        $(#[$attr])*
-        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-        pub struct $name($raw);
-    };
-    (@range $name:ident($raw:ident) $what:literal $unit:ident, $numerator:literal/$denominator:literal,
-        $min:expr, $max:expr, $zero:expr) => {
-        impl $name {
-            const MIN_RAW: $raw = $min;
-            const MAX_RAW: $raw = $max;
-            const ZERO: Option<&'static str> = $zero;
-            const STEPS: Steps = Steps {
-                min: Self::MIN_RAW as i64,
-                max: Self::MAX_RAW as i64,
-                zero: Self::ZERO,
-                numerator: $numerator,
-                denominator: $denominator,
-            };
-            /// Name, unit, scale and allowed range.
-            pub const QUANTITY: Quantity =
-                Quantity { name: $what, unit: Unit::$unit, form: Form::Steps(Self::STEPS) };
-            /// The smallest amount.
-            pub const MIN: Self = Self(Self::MIN_RAW);
-            /// The largest amount.
-            pub const MAX: Self = Self(Self::MAX_RAW);
         }
     };
     (@wire $name:ident($raw:ident $put:ident $get:ident)) => {

@@ -202,6 +202,8 @@ impl Gain {
     /// Name and allowed range.
     pub const QUANTITY: Quantity = Quantity { name: "gain", unit: Unit::None, form: Form::Float };
     pub(crate) const BYTES: u8 = 4;
+    /// No gain.
+    pub const ZERO: Self = Self(0.0);
 
     /// A gain from its value.
     ///

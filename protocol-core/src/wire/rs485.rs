@@ -308,25 +308,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_same_bytes_are_a_command_or_a_reply() {
-        let id = MotorId::new(1).unwrap();
-        let frame = Frame { address: id.into(), data: [0x30, 1, 0, 0, 0, 0, 0, 0] };
-        assert_eq!(frame.as_command().channel, Channel::Command(Target::Motor(id)));
-        assert_eq!(frame.as_reply().unwrap().channel, Channel::Reply(id));
-        let bus_id = Frame { address: Target::All, data: [0x79, 0, 1, 0, 0, 0, 0, 0] };
-        assert_eq!(bus_id.as_command().channel, Channel::BusId);
-        assert_eq!(bus_id.as_reply().unwrap().channel, Channel::BusId);
+    fn no_drive_sends_a_command_to_all() {
         let to_all = Frame { address: Target::All, data: [0x80, 0, 0, 0, 0, 0, 0, 0] };
+        assert_eq!(to_all.as_command().channel, Channel::Command(Target::All));
         assert_eq!(to_all.as_reply(), None);
-        assert_eq!(
-            Frame::from_packet(&Packet { channel: Channel::Motion(id), data: [0; 8] }),
-            None
-        );
-        // Nothing at 0x300 becomes a command to all motors.
-        let torque = Packet { channel: Channel::BusId, data: [0xA1, 0, 0, 0, 9, 0, 0, 0] };
-        assert_eq!(Frame::from_packet(&torque), None);
-        let report = [0xB6, 0x60, 1, 1, 0, 0, 0, 0];
-        let packet = Packet { channel: Channel::Command(id.into()), data: report };
-        assert_eq!(Frame::from_packet(&packet), None);
     }
 }

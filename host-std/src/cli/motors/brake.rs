@@ -4,7 +4,8 @@ use clap::ValueEnum;
 use myactuator_protocol_core::command::{BrakeCommand, LockBrake, ReadStatus1};
 use myactuator_protocol_core::io::bring_up;
 
-use super::session::{OneMotor, Outcome, Session, Unfinished, say};
+use super::session::{OneMotor, Session, say};
+use crate::cli::{Outcome, Unfinished};
 
 /// Release or lock a motor's brake
 ///

@@ -1,7 +1,8 @@
 //! `myactuator stop` and `myactuator shutdown`: what must work without thinking.
 //!
 //! Nothing is asked, and nobody is looked for first: the command itself goes to every id, and those
-//! that confirm are told.
+//! that confirm are told. Exit status: 0 if the motor, or any motor if all are meant, has confirmed,
+//! else 1.
 
 use myactuator_protocol_core::command::{Command, Shutdown, Stop};
 use myactuator_protocol_core::io::Runner;
@@ -9,8 +10,9 @@ use myactuator_protocol_core::master::{MotorSet, Patience, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
-use super::moving::hold_still;
-use super::session::{Motors, Outcome, Session, say};
+use super::moving::{hold_still, named};
+use super::session::{Motors, Session, nobody_on, say};
+use crate::cli::Outcome;
 
 /// How often ids are tried that do not confirm.
 const ROUNDS: usize = 3;
@@ -18,32 +20,23 @@ const ROUNDS: usize = 3;
 const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
 const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
-/// Exit status: 0 if the motor, or any motor if all are meant, has confirmed, else 1.
-#[derive(Debug, clap::Args)]
-pub(in crate::cli) struct Arguments {
-    #[command(flatten)]
-    motors: Motors,
+pub(super) fn stop(arguments: &Motors) -> Outcome {
+    say(&hold_still(halt(arguments, StopKind::Hold)?))
 }
 
-pub(super) fn stop(arguments: &Arguments) -> Outcome {
-    let motors = halt(arguments, StopKind::Hold)?;
-    say(&hold_still(motors))
-}
-
-pub(super) fn shut_down(arguments: &Arguments) -> Outcome {
+pub(super) fn shut_down(arguments: &Motors) -> Outcome {
     let motors = halt(arguments, StopKind::Off)?;
-    say(&match motors.len() {
-        1 => format!("motor {motors} is off (0x80): its shaft is free unless a brake holds it"),
-        _ => {
-            format!("motors {motors} are off (0x80): their shafts are free unless brakes hold them")
-        }
-    })
+    let are = match motors.len() {
+        1 => "is off (0x80): its shaft is free unless a brake holds it",
+        _ => "are off (0x80): their shafts are free unless brakes hold them",
+    };
+    say(&format!("{} {are}", named(motors)))
 }
 
 /// Gives the motors that have confirmed.
-fn halt(arguments: &Arguments, kind: StopKind) -> Outcome<MotorSet> {
-    let mut session = Session::open(&arguments.motors.on)?;
-    match (arguments.motors.id, kind) {
+fn halt(arguments: &Motors, kind: StopKind) -> Outcome<MotorSet> {
+    let mut session = Session::open(&arguments.on)?;
+    match (arguments.id, kind) {
         (Target::Motor(motor), _) => {
             session.stop(kind, motor.into())?;
             Ok(motor.into())
@@ -61,7 +54,7 @@ fn tell_all<C: Command + Copy>(session: &mut Session, command: C) -> Outcome<Mot
             confirmed.insert(motor);
         }
     }
-    if confirmed.is_empty() { Err(session.nobody()) } else { Ok(confirmed) }
+    if confirmed.is_empty() { Err(nobody_on(&session.address)) } else { Ok(confirmed) }
 }
 
 /// Sends a command once to each of these ids and gives those that have answered.
@@ -74,7 +67,7 @@ fn once<C: Command + Copy>(
     let now = session.master.now();
     let mut waiting = Vec::with_capacity(MotorId::COUNT);
     for motor in motors.iter() {
-        let ticket = session.master.master().request_with(motor, command, patience, now);
+        let ticket = session.master.master().request_with(motor, command, patience);
         waiting.push((motor, ticket.map_err(myactuator_protocol_core::io::CallError::from)?));
     }
     let mut answered = MotorSet::EMPTY;

@@ -7,7 +7,6 @@ mod brake;
 mod change_id;
 mod group;
 mod halt;
-mod info;
 mod motion;
 mod move_to;
 mod moving;
@@ -24,7 +23,7 @@ mod status;
 mod torque;
 mod zero;
 
-use super::DONE;
+use super::Outcome;
 
 /// What can be done with motors.
 #[derive(Debug, clap::Subcommand)]
@@ -39,21 +38,20 @@ pub(super) enum Subcommand {
     Torque(torque::Arguments),
     Motion(motion::Arguments),
     /// Stop motors at once (0x81): they hold still
-    Stop(halt::Arguments),
+    Stop(session::Motors),
     /// Switch motors off at once (0x80): their shafts are free unless brakes hold them
-    Shutdown(halt::Arguments),
+    Shutdown(session::Motors),
     Brake(brake::Arguments),
     Zero(zero::Arguments),
     Id(change_id::Arguments),
     Send(send::Arguments),
 }
 
-/// Does it, and gives the exit status.
-pub(super) fn run(subcommand: &Subcommand) -> u8 {
-    let outcome = match subcommand {
+pub(super) fn run(subcommand: &Subcommand) -> Outcome {
+    match subcommand {
         Subcommand::Scan(arguments) => scan::run(arguments),
-        Subcommand::Info(arguments) => info::run(arguments),
-        Subcommand::Status(arguments) => status::run(arguments),
+        Subcommand::Info(arguments) => status::info(arguments),
+        Subcommand::Status(arguments) => status::status(arguments),
         Subcommand::Move(arguments) => move_to::run(arguments),
         Subcommand::Speed(arguments) => speed::run(arguments),
         Subcommand::Torque(arguments) => torque::run(arguments),
@@ -64,9 +62,5 @@ pub(super) fn run(subcommand: &Subcommand) -> u8 {
         Subcommand::Zero(arguments) => zero::run(arguments),
         Subcommand::Id(arguments) => change_id::run(arguments),
         Subcommand::Send(arguments) => send::run(arguments),
-    };
-    match outcome {
-        Ok(()) => DONE,
-        Err(unfinished) => unfinished.tell(),
     }
 }

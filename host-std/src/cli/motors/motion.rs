@@ -6,8 +6,8 @@ use myactuator_protocol_core::master::StopKind;
 
 use super::revision::MotorRevision;
 use super::run_for::{self, Run, Span};
-use super::session::{Outcome, Session, Unfinished};
-use crate::cli::arguments as parse;
+use super::session::Session;
+use crate::cli::{Outcome, arguments as parse};
 
 /// Run a motor in motion (MIT) mode at one set-point for a while, then stop it (0x81); CAN only
 ///
@@ -39,30 +39,20 @@ pub(in crate::cli) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let bus = arguments.span.motor.on.bus.kind();
-    parse::check_bus(Opcode::Motion.into(), bus).map_err(Unfinished::Usage)?;
+    parse::check_bus(Opcode::Motion.into(), bus)?;
     run_on(&mut arguments.span.motor.open_to_change()?, arguments)
 }
 
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
-    let set_point = MotionSetPoint {
-        position_rad: arguments.position_rad,
-        velocity_rad_s: arguments.velocity_rad_s,
-        kp: arguments.kp,
-        kd: arguments.kd,
-        torque_nm: arguments.torque_nm,
-    };
+    let &Arguments { position_rad, velocity_rad_s, kp, kd, torque_nm, .. } = arguments;
+    let set_point = MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm };
     let ranges = arguments.revision.scales(session, arguments.span.motor.id)?;
-    let command =
-        ranges.quantise(&set_point).map_err(|error| Unfinished::Usage(error.to_string()))?;
+    let command = ranges.quantise(&set_point).map_err(|error| error.to_string())?;
     let run = Run {
         command,
         does: format!(
-            "run in motion mode to {} rad at {} rad/s (kp {}, kd {}, {} N·m)",
-            arguments.position_rad,
-            arguments.velocity_rad_s,
-            arguments.kp,
-            arguments.kd,
-            arguments.torque_nm
+            "run in motion mode to {position_rad} rad at {velocity_rad_s} rad/s (kp {kp}, kd {kd}, \
+             {torque_nm} N·m)"
         ),
         needs_open_brake: true,
         end: StopKind::Hold,
@@ -79,71 +69,59 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::{MotionLimits, MotionRanges, VersionDate};
+    use myactuator_protocol_core::command::VersionDate;
     use myactuator_protocol_core::{Channel, Firmware, MotorId};
 
-    use super::super::simulated::{sent, span};
+    use super::super::simulated::{sent, typed};
     use super::*;
+    use crate::cli::Unfinished;
 
-    /// Scales of a large motor with firmware V4.4.
-    const LARGE: MotionLimits =
-        MotionLimits { position_rad: 12.566, torque_nm: 60.0, ..MotionRanges::V4_3.limits() };
-
-    /// Half a radian on, as this revision of the protocol. Gives how it ended, how far the shaft is
-    /// then, and whether motion frames were sent.
-    fn to_half_a_radian(fleet: &Fleet, revision: MotorRevision) -> (Outcome, f64, bool) {
+    /// Half a radian on, with these options. Gives how it ended, how far the shaft is then, and whether
+    /// motion frames were sent.
+    fn to_half_a_radian(fleet: &Fleet, options: &str) -> (Outcome, f64, bool) {
         let fleet = fleet.on_can(1_000_000).unwrap();
         let log = fleet.world.log();
-        let arguments = Arguments {
-            span: span(),
-            position_rad: 0.5,
-            velocity_rad_s: 0.0,
-            kp: 40.0,
-            kd: 2.0,
-            torque_nm: 0.0,
-            revision,
-        };
+        let arguments = typed(&format!("--id 1 --position-rad 0.5 --kp 40 --kd 2 {options}"));
         let outcome = run_on(&mut Session::on(&fleet), &arguments);
         let moved = sent(&log).iter().any(|p| p.channel == Channel::Motion(MotorId::MIN));
         let degrees = fleet.drives[0].with(|drive| drive.plant().output_angle_deg());
         (outcome, degrees, moved)
     }
 
-    fn refused(fleet: &Fleet, revision: MotorRevision) -> String {
-        match to_half_a_radian(fleet, revision) {
+    fn refused(fleet: &Fleet, options: &str) -> String {
+        match to_half_a_radian(fleet, options) {
             (Err(Unfinished::Failed(sentence)), 0.0, false) => sentence,
             other => panic!("{other:?}"),
         }
     }
 
-    fn runs(fleet: &Fleet, revision: MotorRevision) {
-        let (outcome, degrees, _) = to_half_a_radian(fleet, revision);
+    fn runs(fleet: &Fleet, options: &str) {
+        let (outcome, degrees, _) = to_half_a_radian(fleet, options);
         assert_eq!(outcome, Ok(()));
         assert!((degrees - 28.6).abs() < 1.0, "{degrees}");
     }
 
-    const UNTOLD: MotorRevision = MotorRevision { firmware: None, ranges: None };
-    const V4_3: MotorRevision = MotorRevision { firmware: Some(Firmware::V4_3), ranges: None };
-
     #[test]
     fn scales_that_depend_on_the_motor_must_be_given() {
-        let ranges = MotionRanges::new(LARGE).unwrap();
-        let fleet = Fleet::new(1).firmware(Firmware::V4_4).motion_ranges(ranges);
-        let told = refused(&fleet, UNTOLD);
+        // Those of a large motor.
+        let ranges = "12.566,45,500,5,60";
+        let fleet = Fleet::new(1).firmware(Firmware::V4_4);
+        let fleet = fleet.motion_ranges(parse::ranges(ranges).unwrap());
+        let told = refused(&fleet, "--for-s 1");
         assert!(told.starts_with("motor 1 speaks v4.4: --ranges is missing: "), "{told}");
         // Whoever takes it for a V4.3 is contradicted.
-        let told = refused(&fleet, V4_3);
+        let told = refused(&fleet, "--firmware v4.3");
         assert!(told.contains("version date 2026042402, which is v4.4's"), "{told}");
-        runs(&fleet, MotorRevision { ranges: Some(ranges), ..UNTOLD });
+        runs(&fleet, &format!("--ranges {ranges}"));
     }
 
     #[test]
     fn a_motor_of_unknown_firmware_gets_no_motion_frame() {
         // A build that was met on real motors; no report says which protocol it speaks.
         let fleet = Fleet::new(1).version_date(VersionDate::from_raw(2_025_070_202));
-        let told = refused(&fleet, UNTOLD);
+        let told = refused(&fleet, "--for-s 1");
         assert!(told.contains("version date 2025070202, and which firmware that is"), "{told}");
-        runs(&fleet, V4_3);
-        runs(&fleet, MotorRevision { ranges: Some(MotionRanges::V4_3), ..UNTOLD });
+        runs(&fleet, "--firmware v4.3");
+        runs(&fleet, "--ranges 12.5,45,500,5,24");
     }
 }

@@ -1,5 +1,7 @@
 //! `myactuator move`: to an angle, watched until the motor is there.
 
+use std::ops::Range;
+
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
     AbsolutePosition, Command, ForcePosition, IncrementalPosition, ReadMultiTurnAngle, ReadStatus1,
@@ -11,8 +13,9 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
 
 use super::progress::Progress;
-use super::session::{OneMotor, Outcome, Session, Unfinished, healthy, say};
-use crate::cli::arguments as parse;
+use super::run_for::seconds;
+use super::session::{OneMotor, Session, healthy, say};
+use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// So near counts as arrived, degrees.
 const NEAR_DEG: f64 = 0.2;
@@ -52,15 +55,6 @@ pub(in crate::cli) struct Arguments {
     /// How long it may take, s [default: 5 s and three times what the way takes at full speed].
     #[arg(long, value_parser = parse::seconds, allow_hyphen_values = true)]
     timeout_s: Option<Duration>,
-}
-
-/// A way to go, in degrees.
-#[derive(Clone, Copy, Debug)]
-struct Way {
-    motor: MotorId,
-    from: f64,
-    to: f64,
-    time: Duration,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
@@ -105,11 +99,10 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 send(session, motor, IncrementalPosition { max_speed, angle }, 1)
             }
         }?;
-        watch(session, Way { motor, from, to, time })
+        watch(session, motor, from..to, time)
     })
 }
 
-/// Where the way ends.
 fn target(arguments: &Arguments, here: Angle) -> Outcome<Angle> {
     if !arguments.relative {
         return Ok(arguments.angle_deg);
@@ -142,11 +135,11 @@ fn send<C: Command>(session: &mut Session, motor: MotorId, command: C, attempts:
     Ok(())
 }
 
-/// Looks at the motor until it has arrived.
-fn watch(session: &mut Session, way: Way) -> Outcome {
-    let Way { motor, from, to, time } = way;
+/// Looks at the motor until it has gone this way, in degrees.
+fn watch(session: &mut Session, motor: MotorId, way: Range<f64>, time: Duration) -> Outcome {
+    let Range { start: from, end: to } = way;
     let start = session.master.now();
-    let seconds = |session: &Session| (session.master.now() - start).as_micros() as f64 / 1e6;
+    let seconds = |session: &Session| seconds(session.master.now() - start);
     let mut progress = Progress::new(start);
     for look in 0.. {
         session.wait_until(start + LOOK_EVERY.times(look))?;

@@ -8,7 +8,8 @@ use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-use super::session::{Outcome, Session, Unfinished};
+use super::session::Session;
+use crate::cli::{Outcome, Unfinished};
 
 /// How long to wait at the most before looking whether the user interrupts.
 const LONGEST_WAIT: Duration = Duration::from_millis(10);
@@ -67,12 +68,19 @@ impl Session {
     }
 }
 
+/// Motors in a sentence: "motor 1" or "motors 1 2".
+pub(super) fn named(motors: MotorSet) -> String {
+    let noun = if motors.len() == 1 { "motor" } else { "motors" };
+    format!("{noun} {motors}")
+}
+
 /// That these motors have confirmed the stop.
 pub(super) fn hold_still(motors: MotorSet) -> String {
-    match motors.len() {
-        1 => format!("motor {motors} is stopped and holds still (0x81)"),
-        _ => format!("motors {motors} are stopped and hold still (0x81)"),
-    }
+    let are = match motors.len() {
+        1 => "is stopped and holds still (0x81)",
+        _ => "are stopped and hold still (0x81)",
+    };
+    format!("{} {are}", named(motors))
 }
 
 /// Why the work ended, and that the motors have stopped, or not.

@@ -5,7 +5,8 @@ use std::io::{self, IsTerminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use myactuator_protocol_core::time::{Duration, Instant};
 
-use super::session::{Outcome, say};
+use super::session::say;
+use crate::cli::Outcome;
 
 /// How often a line is printed where there is no terminal.
 const LINE_EVERY: Duration = Duration::from_millis(200);

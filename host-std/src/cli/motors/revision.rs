@@ -4,8 +4,8 @@
 use myactuator_protocol_core::command::{MotionRanges, ReadVersionDate, VersionDate};
 use myactuator_protocol_core::{Firmware, MotorId, Opcode};
 
-use super::session::{Outcome, Session, Unfinished};
-use crate::cli::{arguments as parse, tell};
+use super::session::Session;
+use crate::cli::{Outcome, Unfinished, arguments as parse, tell};
 
 /// What the user says of a motor.
 #[derive(Clone, Copy, Debug, clap::Args)]

@@ -10,8 +10,8 @@ use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
 
 use super::progress::Progress;
-use super::session::{OneMotor, Outcome, Session, Unfinished, healthy, say};
-use crate::cli::arguments as parse;
+use super::session::{OneMotor, Session, healthy, say};
+use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// How often the command is sent.
 const SEND_EVERY: Duration = Duration::from_millis(10);
@@ -40,7 +40,6 @@ pub(super) struct Run<C> {
     pub(super) does: String,
     /// Whether a locked brake must be released first: torque does nothing against it (2.19.1).
     pub(super) needs_open_brake: bool,
-    /// How it ends.
     pub(super) end: StopKind,
 }
 
@@ -140,22 +139,19 @@ fn repeat<C: Command + Copy>(
     Ok(())
 }
 
-fn seconds(span: Duration) -> f64 {
+pub(super) fn seconds(span: Duration) -> f64 {
     span.as_micros() as f64 / 1e6
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-    use std::sync::atomic::Ordering;
-
     use myactuator_host_std::sim::bus::trace::Log;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{ErrorFlags, Speed, Torque};
     use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
-    use super::super::simulated::{sent, span};
+    use super::super::simulated::{sent, typed};
     use super::*;
 
     const TURN: Speed =
@@ -168,7 +164,7 @@ mod tests {
     /// Turns the motor and calls `then` at the first reply. Gives how it ended.
     fn turn(session: &mut Session, then: impl Fn()) -> Unfinished {
         let outcome = session.moving(MotorId::MIN, |session| {
-            repeat(session, &span(), TURN, |_| {
+            repeat(session, &typed("--id 1"), TURN, |_| {
                 then();
                 String::new()
             })
@@ -182,24 +178,12 @@ mod tests {
     }
 
     #[test]
-    fn an_interrupted_run_stops_the_motor() {
-        let fleet = fleet();
-        let mut session = Session::on(&fleet);
-        let log = fleet.world.log();
-        let flag = Arc::clone(&session.interrupted);
-        let why = turn(&mut session, || flag.store(true, Ordering::Relaxed));
-        let told = "interrupted; motor 1 is stopped and holds still (0x81)".to_owned();
-        assert_eq!(why, Unfinished::Interrupted(told));
-        assert_eq!(commands(&log).last(), Some(&0x81));
-    }
-
-    #[test]
     fn a_brake_is_locked_on_a_shaft_that_stands_and_before_the_output_goes_off() {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         bring_up::release_brake(&mut session.master, MotorId::MIN).unwrap();
         let torque = Torque { current: Current::from_raw(50) };
-        repeat(&mut session, &span(), torque, |_| String::new()).unwrap();
+        repeat(&mut session, &typed("--id 1"), torque, |_| String::new()).unwrap();
         assert!(session.standing(MotorId::MIN).is_err());
         let log = fleet.world.log();
         put_down(&mut session, MotorId::MIN).unwrap();

@@ -9,7 +9,8 @@ use myactuator_protocol_core::io::{CallError, Runner, bring_up};
 use myactuator_protocol_core::master::{Failure, MotorSet};
 
 use super::group::Group;
-use super::session::{OnBus, Outcome, Session, Unfinished, say};
+use super::session::{OnBus, Session, nobody_on, say};
+use crate::cli::{Outcome, Unfinished};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
 const LINE_RATES: [u32; 5] = [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000];
@@ -32,12 +33,8 @@ pub(in crate::cli) struct Arguments {
     json: bool,
 }
 
-/// What one address brought.
-enum Found {
-    Motors(MotorSet),
-    /// The bus carries nothing at this rate.
-    Outage(BusError),
-}
+/// Who was found, or that the bus carries nothing at this rate.
+type Found = Result<MotorSet, BusError>;
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let addresses = if arguments.all_rates {
@@ -46,7 +43,6 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         vec![arguments.on.bus.clone()]
     };
     let mut anybody = false;
-    let mut last = None;
     for bus in addresses {
         let mut session = Session::open(&OnBus { bus })?;
         let found = look(&mut session)?;
@@ -54,21 +50,20 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             say(&told_of_rate(&session.address, &found))?;
         }
         match found {
-            Found::Motors(motors) => {
+            Ok(motors) => {
                 anybody |= !motors.is_empty();
                 for motor in motors.iter() {
                     describe(&mut session, motor, arguments.json)?;
                 }
             }
-            Found::Outage(error) if !arguments.all_rates => return Err(error.into()),
-            Found::Outage(_) => {}
+            Err(error) if !arguments.all_rates => return Err(error.into()),
+            Err(_) => {}
         }
-        last = Some(session);
     }
-    match last {
-        _ if anybody => Ok(()),
-        Some(session) if !arguments.all_rates => Err(session.nobody()),
-        _ => Err(Unfinished::Failed(
+    match (anybody, arguments.all_rates) {
+        (true, _) => Ok(()),
+        (false, false) => Err(nobody_on(&arguments.on.bus)),
+        (false, true) => Err(Unfinished::Failed(
             "no motor answers at any bit rate: check the motors' power and the wiring".to_owned(),
         )),
     }
@@ -83,23 +78,22 @@ fn look(session: &mut Session) -> Outcome<Found> {
     let found = bring_up::scan(&mut session.master, MotorSet::ALL, |_, _| bar.inc(1));
     bar.finish_and_clear();
     match found {
-        Ok(motors) => Ok(Found::Motors(motors)),
-        Err(CallError::Bus(error)) if error.is_outage() => Ok(Found::Outage(error)),
+        Ok(motors) => Ok(Ok(motors)),
+        Err(CallError::Bus(error)) if error.is_outage() => Ok(Err(error)),
         Err(error) => Err(error.into()),
     }
 }
 
 fn told_of_rate(address: &BusAddress, found: &Found) -> String {
-    let rate = address.bit_rate().unwrap_or_default();
-    match found {
-        Found::Motors(motors) if motors.is_empty() => format!("{rate} bit/s: no motor"),
-        Found::Motors(motors) if motors.len() == 1 => format!("{rate} bit/s: 1 motor"),
-        Found::Motors(motors) => format!("{rate} bit/s: {} motors", motors.len()),
-        Found::Outage(_) => format!("{rate} bit/s: no motor, the bus carries nothing"),
-    }
+    let told = match found.as_ref().map(|motors| motors.len()) {
+        Ok(0) => "no motor",
+        Ok(1) => "1 motor",
+        Ok(count) => &format!("{count} motors"),
+        Err(_) => "no motor, the bus carries nothing",
+    };
+    format!("{} bit/s: {told}", address.bit_rate().unwrap_or_default())
 }
 
-/// A line about one motor.
 fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome {
     let read = session.ask(motor, ReadStatus1).and_then(|status| {
         // Firmware V4.4 does not answer this.

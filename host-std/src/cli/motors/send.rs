@@ -1,7 +1,7 @@
 //! `myactuator send`: one command, known or not, and what is answered.
 
 use clap::ValueEnum;
-use myactuator_host_std::explain::{Explainer, Sender};
+use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
 use myactuator_host_std::text;
 use myactuator_protocol_core::command::{AnyCommand, BusId, MotionRanges, Phrase, RawCommand};
@@ -11,10 +11,11 @@ use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule, Usage};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
+use super::moving::named;
 use super::revision::MotorRevision;
-use super::session::{Consent, OnBus, Outcome, Session, Unfinished, say};
-use crate::cli::arguments as parse;
+use super::session::{Consent, OnBus, Session, say};
 use crate::cli::from_table::FromTable;
+use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// How long to sleep at most between two looks at the bus.
 const LONGEST_IDLE: Duration = Duration::from_millis(10);
@@ -26,12 +27,7 @@ const LONGEST_IDLE: Duration = Duration::from_millis(10);
 /// (0x81). To all goes one frame that all hear. Exit status: 0 if it was sent and answered by each motor that had
 /// to, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
-#[command(
-    subcommand_value_name = "COMMAND",
-    subcommand_help_heading = "Commands",
-    disable_help_subcommand = true,
-    arg_required_else_help = false
-)]
+#[command(arg_required_else_help = false)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,
@@ -102,38 +98,7 @@ impl Raw {
     }
 }
 
-/// What is to be sent.
-enum Planned<'a> {
-    Whole(AnyCommand),
-    /// A motion mode command, for which the scales must be known.
-    Motion(&'a FromTable),
-}
-
-impl Planned<'_> {
-    fn kind(&self) -> Kind {
-        match self {
-            Self::Whole(command) => command.kind(),
-            Self::Motion(_) => Opcode::Motion.into(),
-        }
-    }
-
-    fn command(&self, ranges: Option<&MotionRanges>) -> Outcome<AnyCommand> {
-        match self {
-            Self::Whole(command) => Ok(*command),
-            Self::Motion(table) => table.command(ranges).map_err(Unfinished::Usage),
-        }
-    }
-}
-
 impl Wanted {
-    fn plan(&self) -> Result<Planned<'_>, String> {
-        match self {
-            Self::Raw(raw) => Ok(Planned::Whole(raw.command()?.into())),
-            Self::Table(table) if table.opcode() == Opcode::Motion => Ok(Planned::Motion(table)),
-            Self::Table(table) => table.command(None).map(Planned::Whole),
-        }
-    }
-
     /// The row of the table, unless it is raw.
     const fn opcode(&self) -> Option<Opcode> {
         match self {
@@ -141,16 +106,32 @@ impl Wanted {
             Self::Table(table) => Some(table.opcode()),
         }
     }
+
+    /// What is to be sent; motion mode needs scales.
+    fn command(&self, ranges: Option<&MotionRanges>) -> Result<AnyCommand, String> {
+        match self {
+            Self::Raw(raw) => Ok(raw.command()?.into()),
+            Self::Table(table) => table.command(ranges),
+        }
+    }
+
+    /// What can be said of it before the scales are known.
+    fn kind(&self) -> Result<Kind, String> {
+        match self.opcode() {
+            Some(Opcode::Motion) => Ok(Opcode::Motion.into()),
+            _ => Ok(self.command(None)?.kind()),
+        }
+    }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let kind = arguments.command.plan().map_err(Unfinished::Usage)?.kind();
-    parse::check_bus(kind, arguments.on.bus.kind()).map_err(Unfinished::Usage)?;
-    parse::whom(kind, arguments.id).map_err(Unfinished::Usage)?;
+    let kind = arguments.command.kind()?;
+    parse::check_bus(kind, arguments.on.bus.kind())?;
+    parse::whom(kind, arguments.id)?;
     if let (Some(opcode), Some(firmware)) =
         (arguments.command.opcode(), arguments.revision.firmware)
     {
-        parse::check_firmware(opcode, firmware).map_err(Unfinished::Usage)?;
+        parse::check_firmware(opcode, firmware)?;
     }
     if needs_consent(kind) {
         arguments.consent.check(&arguments.on)?;
@@ -171,7 +152,6 @@ fn read_as(arguments: &Arguments) -> Firmware {
     arguments.revision.firmware.or_else(first).unwrap_or(Firmware::V4_3)
 }
 
-/// Whether the user is asked first.
 fn needs_consent(kind: Kind) -> bool {
     kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain
 }
@@ -184,11 +164,9 @@ fn sets_in_motion(kind: Kind) -> bool {
     }
 }
 
-/// Asks, sends and tells the replies.
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
-    let plan = arguments.command.plan().map_err(Unfinished::Usage)?;
-    let kind = plan.kind();
-    let target = parse::whom(kind, arguments.id).map_err(Unfinished::Usage)?;
+    let kind = arguments.command.kind()?;
+    let target = parse::whom(kind, arguments.id)?;
     let motors = session.meant(target)?;
     let mut ranges = arguments.revision.ranges;
     for motor in motors.iter() {
@@ -199,9 +177,10 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
             ranges = Some(arguments.revision.scales(session, motor)?);
         }
     }
-    let explainer = Explainer { firmware: read_as(arguments), ranges, sender: Some(Sender::Motor) };
-    let sending =
-        Sending { command: plan.command(ranges.as_ref())?, explainer, json: arguments.json };
+    let direction = FrameDirection::Reply;
+    let explainer = Explainer { firmware: read_as(arguments), ranges, direction };
+    let command = arguments.command.command(ranges.as_ref())?;
+    let sending = Sending { command, explainer, json: arguments.json };
     if needs_consent(kind) {
         session.confirm(&sending.question(motors))?;
     }
@@ -232,7 +211,6 @@ impl Sending {
         }
     }
 
-    /// The command in words.
     fn words(&self) -> String {
         match self.command {
             AnyCommand::Motion(motion) => {
@@ -244,7 +222,6 @@ impl Sending {
         }
     }
 
-    /// What the user is asked.
     fn question(&self, motors: MotorSet) -> String {
         let who = if motors.len() == 1 { "Motor" } else { "Motors" };
         let then = match (self.kind(), self.command) {
@@ -275,7 +252,6 @@ impl Sending {
         }
     }
 
-    /// Why a motor has not answered.
     fn failure(&self, motor: MotorId, error: CallError<BusError>) -> Unfinished {
         match (self.kind(), error) {
             (Kind::Raw { byte, .. }, CallError::Failed(Failure::NoReply)) => {
@@ -296,8 +272,7 @@ impl Sending {
             AnyCommand::BusId(BusId::Write(id)) => id.into(),
             _ => motors,
         };
-        let now = session.master.now();
-        let sent = session.master.master().broadcast(self.as_raw(), expected, now);
+        let sent = session.master.master().broadcast(self.as_raw(), expected);
         sent.map_err(CallError::from)?;
         let silent = loop {
             session.check_interrupted()?;
@@ -319,14 +294,14 @@ impl Sending {
         if silent.is_empty() {
             return Ok(());
         }
-        let who = if silent.len() == 1 { "motor" } else { "motors" };
         let unknown = match self.kind() {
             Kind::Known(_) => "",
             Kind::Raw { .. } => "firmware may not know the command byte; ",
         };
         Err(Unfinished::Failed(format!(
-            "no reply from {who} {silent}: {unknown}on CAN a motor whose id filter is on (function 2) \
-             does not hear what goes to all, on RS485 the replies to it collide"
+            "no reply from {}: {unknown}on CAN a motor whose id filter is on (function 2) \
+             does not hear what goes to all, on RS485 the replies to it collide",
+            named(silent)
         )))
     }
 
@@ -335,8 +310,7 @@ impl Sending {
         if self.json {
             return Ok(());
         }
-        let who = if motors.len() == 1 { "motor" } else { "motors" };
-        say(&format!("{who} {motors}: sent {}; no reply is awaited", self.words()))
+        say(&format!("{}: sent {}; no reply is awaited", named(motors), self.words()))
     }
 
     /// Tells a reply, as `decode` does.
@@ -357,23 +331,15 @@ impl Sending {
 
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::command::{MotionLimits, VersionDate};
 
-    use super::super::simulated::{sent, with};
+    use super::super::simulated::{sent, typed, with};
     use super::*;
-
-    #[derive(Parser)]
-    struct Line {
-        #[command(flatten)]
-        arguments: Arguments,
-    }
 
     /// Sends on these drives. Gives how it ended, and the packets that were sent.
     fn send(fleet: &Fleet, line: &str) -> (Outcome, Vec<Packet>) {
-        let words = ["send"].into_iter().chain(line.split(' '));
-        let arguments = Line::try_parse_from(words).unwrap().arguments;
+        let arguments: Arguments = typed(line);
         let fleet = fleet.on_can(1_000_000).unwrap();
         let log = fleet.world.log();
         let config = Config { firmware: read_as(&arguments), ..Config::CAN };
@@ -396,9 +362,9 @@ mod tests {
     #[test]
     fn what_no_drive_knows_is_sent_once_and_its_silence_told() {
         let (told, packets) = failed(&Fleet::new(1), "--id 1 raw C0 01 2 3,4 0x5 0607");
-        assert!(
-            told.starts_with("motor 1: no reply to command byte 0xC0: its firmware may"),
-            "{told}"
+        assert_eq!(
+            told,
+            "motor 1: no reply to command byte 0xC0: its firmware may not know it, or not answer it (--reply none); or is the motor not powered, or this not its id?"
         );
         let channel = Channel::Command(Target::Motor(MotorId::MIN));
         assert_eq!(packets, [Packet { channel, data: C0 }]);
@@ -421,30 +387,10 @@ mod tests {
     }
 
     #[test]
-    fn bytes_are_hexadecimal_and_eight() {
-        let (outcome, packets) = send(&Fleet::new(1), "--id 1 raw 92 0 0 0 0 0 0 0");
-        assert_eq!((outcome, packets[0].data[0]), (Ok(()), 0x92));
-        for (bytes, told) in [
-            ("92", "expected eight bytes, found 1"),
-            ("92 0 0 0 0 0 0 0 0", "expected eight bytes, found 9"),
-            ("G2 0 0 0 0 0 0 0", "found \"0xG2\""),
-        ] {
-            let Err(Unfinished::Usage(sentence)) =
-                send(&Fleet::new(1), &format!("--id 1 raw {bytes}")).0
-            else {
-                panic!("{bytes}")
-            };
-            assert!(sentence.ends_with(told), "{sentence}");
-        }
-    }
-
-    #[test]
     fn the_user_is_asked_with_what_is_at_stake() {
         let question = |line: &str| {
-            let words = ["send"].into_iter().chain(line.split(' '));
-            let arguments = Line::try_parse_from(words).unwrap().arguments;
             let ranges = Some(MotionRanges::V4_3);
-            let command = arguments.command.plan().unwrap().command(ranges.as_ref()).unwrap();
+            let command = typed::<Arguments>(line).command.command(ranges.as_ref()).unwrap();
             let explainer = Explainer { ranges, ..Explainer::new(Firmware::V4_3) };
             let sending = Sending { command, explainer, json: false };
             needs_consent(sending.kind()).then(|| sending.question(MotorId::MIN.into()))

@@ -15,7 +15,7 @@ use myactuator_protocol_core::master::{Config, MotorSet};
 use myactuator_protocol_core::{MotorId, Target};
 
 use crate::cli::arguments as parse;
-use crate::cli::{DONE, FAILED, INTERRUPTED, WRONG_USAGE, print_line, printable, tell};
+use crate::cli::{Outcome, Unfinished, print_line, printable, tell};
 
 /// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
 const STILL_DPS: f32 = 2.0;
@@ -58,7 +58,7 @@ impl OneMotor {
 
 /// Which motors.
 #[derive(Debug, clap::Args)]
-pub(super) struct Motors {
+pub(in crate::cli) struct Motors {
     #[command(flatten)]
     pub(super) on: OnBus,
     /// The motor, 1 to 32, or all.
@@ -79,21 +79,6 @@ impl Consent {
     }
 }
 
-/// Why a command did not come to its end.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) enum Unfinished {
-    /// It was asked for wrongly.
-    Usage(String),
-    /// It could not be done.
-    Failed(String),
-    /// It failed, and has told why.
-    FailedAndTold,
-    /// Ctrl-C, or the like, ended it.
-    Interrupted(String),
-    /// Nobody reads what it prints.
-    ReaderLeft,
-}
-
 impl Unfinished {
     /// A failure that is this motor's.
     pub(super) fn of_motor(motor: MotorId) -> impl Fn(CallError<BusError>) -> Self {
@@ -101,19 +86,6 @@ impl Unfinished {
             CallError::Bus(error) => error.into(),
             error => Self::Failed(format!("motor {motor}: {error}")),
         }
-    }
-
-    /// Tells the sentence, and gives the exit status.
-    pub(super) fn tell(self) -> u8 {
-        let (sentence, status) = match self {
-            Self::Usage(sentence) => (sentence, WRONG_USAGE),
-            Self::Failed(sentence) => (sentence, FAILED),
-            Self::FailedAndTold => return FAILED,
-            Self::Interrupted(sentence) => (sentence, INTERRUPTED),
-            Self::ReaderLeft => return DONE,
-        };
-        tell("error", sentence);
-        status
     }
 }
 
@@ -138,17 +110,15 @@ impl From<CallError<BusError>> for Unfinished {
     }
 }
 
-impl From<io::Error> for Unfinished {
-    fn from(error: io::Error) -> Self {
-        Self::Failed(format!("cannot write: {error}"))
-    }
+pub(super) fn say(line: &str) -> Outcome {
+    print_line(line).map_err(|error| match error.kind() {
+        io::ErrorKind::BrokenPipe => Unfinished::ReaderLeft,
+        _ => unwritten(error),
+    })
 }
 
-pub(super) type Outcome<T = ()> = Result<T, Unfinished>;
-
-/// Prints a line for the user.
-pub(super) fn say(line: &str) -> Outcome {
-    if print_line(&mut io::stdout().lock(), line)? { Ok(()) } else { Err(Unfinished::ReaderLeft) }
+fn unwritten(error: io::Error) -> Unfinished {
+    Unfinished::Failed(format!("cannot write: {error}"))
 }
 
 /// A bus in use.
@@ -208,10 +178,9 @@ impl Session {
             return Ok(());
         }
         let mut ask = io::stderr().lock();
-        write!(ask, "{} Go on? [y/N] ", printable(what))?;
-        ask.flush()?;
+        write!(ask, "{} Go on? [y/N] ", printable(what)).map_err(unwritten)?;
         let mut answer = String::new();
-        io::stdin().lock().read_line(&mut answer)?;
+        io::stdin().lock().read_line(&mut answer).map_err(unwritten)?;
         if matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes") {
             Ok(())
         } else {
@@ -219,7 +188,6 @@ impl Session {
         }
     }
 
-    /// Asks a motor for something.
     pub(super) fn ask<C: Command>(&mut self, motor: MotorId, command: C) -> Outcome<C::Reply> {
         self.master.ask(motor, command).map_err(Unfinished::of_motor(motor))
     }
@@ -230,17 +198,9 @@ impl Session {
             Target::Motor(motor) => Ok(motor.into()),
             Target::All => {
                 let found = bring_up::scan(&mut self.master, MotorSet::ALL, |_, _| {})?;
-                if found.is_empty() { Err(self.nobody()) } else { Ok(found) }
+                if found.is_empty() { Err(nobody_on(&self.address)) } else { Ok(found) }
             }
         }
-    }
-
-    /// That no motor answers, and what to look at.
-    pub(super) fn nobody(&self) -> Unfinished {
-        Unfinished::Failed(format!(
-            "no motor answers on {}: check the motors' power, the wiring and the bit rate ('scan --all-rates' tries the others)",
-            self.address
-        ))
     }
 
     /// Reads a motor's state, and refuses one that reports errors.
@@ -250,7 +210,6 @@ impl Session {
         Ok(status)
     }
 
-    /// Refuses a motor that turns.
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
         let speed = self.ask(motor, ReadStatus2)?.speed;
         if speed.dps().abs() <= STILL_DPS {
@@ -259,6 +218,13 @@ impl Session {
             Err(Unfinished::Failed(format!("motor {motor} turns at {speed}: stop it first")))
         }
     }
+}
+
+/// That no motor answers, and what to look at.
+pub(super) fn nobody_on(bus: &BusAddress) -> Unfinished {
+    Unfinished::Failed(format!(
+        "no motor answers on {bus}: check the motors' power, the wiring and the bit rate ('scan --all-rates' tries the others)"
+    ))
 }
 
 /// Refuses errors, and tells what to do about them.

@@ -5,12 +5,10 @@ use myactuator_host_std::sim::CanFleet;
 use myactuator_host_std::sim::bus::trace::{Event, Log};
 use myactuator_protocol_core::io::CanMaster;
 use myactuator_protocol_core::master::Config;
-use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
-use myactuator_protocol_core::{Channel, MotorId, Packet};
+use myactuator_protocol_core::{Channel, Packet};
 
-use super::run_for::Span;
-use super::session::{Consent, OnBus, OneMotor, Session};
+use super::session::Session;
 
 /// A session on these drives by a master of this configuration, with the user's consent.
 pub(super) fn with(fleet: &CanFleet, config: Config) -> Session {
@@ -18,16 +16,11 @@ pub(super) fn with(fleet: &CanFleet, config: Config) -> Session {
     Session { master: AnyMaster::SimulatedCan(master), ..Session::on(fleet) }
 }
 
-/// Motor 1, for a second.
-pub(super) fn span() -> Span {
-    Span {
-        motor: OneMotor {
-            on: OnBus { bus: "sim:1".parse().unwrap() },
-            id: MotorId::MIN,
-            consent: Consent { yes: true },
-        },
-        for_s: Duration::from_secs(1),
-    }
+/// The arguments of a subcommand, typed like this.
+pub(super) fn typed<A: clap::Args>(line: &str) -> A {
+    let words = ["typed"].into_iter().chain(line.split(' '));
+    let matches = A::augment_args(clap::Command::new("typed")).get_matches_from(words);
+    A::from_arg_matches(&matches).unwrap()
 }
 
 /// What masters have sent, and what is on the channel of bus ids.

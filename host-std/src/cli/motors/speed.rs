@@ -5,8 +5,7 @@ use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 
 use super::run_for::{self, Run, Span};
-use super::session::Outcome;
-use crate::cli::arguments as parse;
+use crate::cli::{Outcome, arguments as parse};
 
 /// Turn a motor at a speed for a while, then stop it: it holds still (0x81)
 ///

@@ -1,13 +1,15 @@
-//! `myactuator status`: how motors do.
+//! `myactuator info`: what motors are. `myactuator status`: how they do.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
-    ReadMultiTurnAngle, ReadRunningMode, ReadStatus1, ReadStatus2, ReadStatus3,
+    Model, ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadRunningMode, ReadStatus1,
+    ReadStatus2, ReadStatus3, RunTime, RunningMode, Version,
 };
+use myactuator_protocol_core::io::bring_up;
 
 use super::group::Group;
-use super::session::{Motors, Outcome, Session, Unfinished, say};
-use crate::cli::tell;
+use super::session::{Motors, Session, say};
+use crate::cli::{Outcome, Unfinished, tell};
 
 /// Exit status: 0 if every motor was read, else 1.
 #[derive(Debug, clap::Args)]
@@ -19,11 +21,27 @@ pub(in crate::cli) struct Arguments {
     json: bool,
 }
 
-pub(super) fn run(arguments: &Arguments) -> Outcome {
-    tell_each(arguments, read)
+pub(super) fn info(arguments: &Arguments) -> Outcome {
+    tell_each(arguments, what_it_is)
 }
 
-fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
+pub(super) fn status(arguments: &Arguments) -> Outcome {
+    tell_each(arguments, how_it_does)
+}
+
+fn what_it_is(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
+    let is = bring_up::identify(&mut session.master, motor).map_err(Unfinished::of_motor(motor))?;
+    let zero = session.ask(motor, ReadMultiTurnEncoderOffset)?;
+    let model = is.model.map_or(Group::default(), |model| Group::default().and(&Model { model }));
+    let made = model.and(&Version { version_date: is.version });
+    let runs = Group::default()
+        .and(&RunTime { run_time: is.run_time })
+        .and(&RunningMode { mode: is.mode })
+        .and(&zero);
+    Ok(vec![made, runs, Group::default().and(&is.status)])
+}
+
+fn how_it_does(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
     let feedback = session.ask(motor, ReadStatus2)?;
     let mode = session.ask(motor, ReadRunningMode)?;
     let phases = session.ask(motor, ReadStatus3)?;
@@ -37,7 +55,7 @@ fn read(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
 }
 
 /// Reads each motor that is meant, and tells it in groups of fields: a line each, or one object.
-pub(super) fn tell_each(
+fn tell_each(
     arguments: &Arguments,
     read: impl Fn(&mut Session, MotorId) -> Outcome<Vec<Group>>,
 ) -> Outcome {

@@ -5,9 +5,8 @@ use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::units::Current;
 
 use super::run_for::{self, Run, Span};
-use super::session::Outcome;
 use super::speed::told;
-use crate::cli::arguments as parse;
+use crate::cli::{Outcome, arguments as parse};
 
 /// Run a motor at a torque current for a while, then switch it off (0x80)
 ///

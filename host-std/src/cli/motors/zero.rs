@@ -1,10 +1,10 @@
 //! `myactuator zero`: the present position becomes the zero, and stays it.
 
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::bring_up;
 
-use super::session::{OneMotor, Outcome, Session, say};
+use super::session::{OneMotor, say};
+use crate::cli::Outcome;
 
 /// Make a motor's present position its zero, and check that it is kept
 ///
@@ -25,46 +25,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     session.confirm(&format!(
         "Motor {motor} will be switched off, make its present position ({before}) the zero in its ROM, and restart: hold the shaft if a load pulls at it."
     ))?;
-    say(&make(&mut session, motor)?)
-}
-
-/// Makes it, and tells the zero.
-fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
+    // It may have been turned while the user was asked.
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
     let offset = bring_up::zero_here(&mut session.master, motor)?;
     let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
-    Ok(format!(
+    say(&format!(
         "motor {motor}: what was {before} is the zero (offset {offset}); after its restart the motor reads {after}"
     ))
-}
-
-#[cfg(test)]
-mod tests {
-    use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::{AbsolutePosition, ReadStatus2};
-    use myactuator_protocol_core::io::Runner;
-    use myactuator_protocol_core::time::Duration;
-    use myactuator_protocol_core::units::{Angle, MaxSpeed};
-
-    use super::*;
-
-    #[test]
-    fn where_the_motor_stands_is_its_zero_afterwards() {
-        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let mut session = Session::on(&fleet);
-        let motor = MotorId::MIN;
-        let go = AbsolutePosition {
-            max_speed: MaxSpeed::from_raw(360),
-            angle: Angle::from_degrees(30.0).unwrap(),
-        };
-        session.ask(motor, go).unwrap();
-        let arrived = session.master.now() + Duration::from_secs(2);
-        session.wait_until(arrived).unwrap();
-        let told = make(&mut session, motor).unwrap();
-        // It arrives within 0.1 degrees, and stays there while its output is off.
-        assert!(told.contains("what was 30 deg") || told.contains("what was 30.0"), "{told}");
-        let angle = session.ask(motor, ReadMultiTurnAngle).unwrap().angle;
-        assert!(angle.degrees().abs() < 0.1, "{angle}");
-        assert_eq!(session.ask(motor, ReadStatus2).unwrap().angle.raw(), 0);
-    }
 }

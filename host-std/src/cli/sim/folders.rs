@@ -18,9 +18,8 @@ pub(super) struct MemoryFolder {
 impl MemoryFolder {
     /// Opens the folder, and makes it if need be.
     pub(super) fn open(path: &Path) -> Result<Self, String> {
-        let told = |error: io::Error| format!("the folder {} fails: {error}", path.display());
-        fs::create_dir_all(path).map_err(told)?;
-        let folder = File::open(path).map_err(told)?;
+        make(path)?;
+        let folder = File::open(path).map_err(|error| fails(path, &error))?;
         flock(&folder, FlockOperation::NonBlockingLockExclusive).map_err(|_| {
             format!(
                 "another simulation keeps its drives' memories in {}: end it, or take another folder",
@@ -33,10 +32,17 @@ impl MemoryFolder {
     /// The part of the drives on this bus.
     pub(super) fn of(&self, bus: &str) -> Result<PathBuf, String> {
         let path = self.path.join(bus);
-        fs::create_dir_all(&path)
-            .map_err(|error| format!("the folder {} fails: {error}", path.display()))?;
+        make(&path)?;
         Ok(path)
     }
+}
+
+fn make(folder: &Path) -> Result<(), String> {
+    fs::create_dir_all(folder).map_err(|error| fails(folder, &error))
+}
+
+fn fails(folder: &Path, error: &io::Error) -> String {
+    format!("the folder {} fails: {error}", folder.display())
 }
 
 /// Links to pseudo-terminals. They go with this.
@@ -50,10 +56,7 @@ pub(super) struct Links {
 impl Links {
     /// Will make links in this folder, and makes it if need be; none without.
     pub(super) fn in_folder(folder: Option<&Path>) -> Result<Self, String> {
-        if let Some(folder) = folder {
-            fs::create_dir_all(folder)
-                .map_err(|error| format!("the folder {} fails: {error}", folder.display()))?;
-        }
+        folder.map_or(Ok(()), make)?;
         Ok(Self { folder: folder.map(Path::to_owned), made: Vec::new() })
     }
 

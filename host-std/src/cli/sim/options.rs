@@ -6,52 +6,31 @@ use myactuator_host_std::sim::plant::MotorParameters;
 use myactuator_protocol_core::drive::Quirks;
 use serde_json::{Map, Value};
 
-/// Behaviour beside the manual.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Quirk {
-    /// The drives', by the name of its field in [`Quirks`].
-    Drive(String),
-    /// The RS485 adapter's echo.
-    Echo,
-    /// The RS485 adapter's echo, with noise.
-    EchoNoise,
-}
+/// The RS485 adapter's quirks: it hands back what is sent, without noise or with it.
+pub(super) const ECHO: &str = "echo";
+pub(super) const ECHO_NOISE: &str = "echo-noise";
 
-const ECHO: &str = "echo";
-const ECHO_NOISE: &str = "echo-noise";
-
-/// The drives' quirks as they are called in files.
-fn fields() -> Vec<String> {
-    match serde_json::to_value(Quirks::default()) {
-        Ok(Value::Object(fields)) => fields.into_iter().map(|(name, _)| name).collect(),
-        _ => Vec::new(),
-    }
-}
-
-/// All quirks, as they are called on the command line.
+/// All quirks: those of drives are the fields of [`Quirks`].
 pub(super) fn quirk_names() -> Vec<String> {
-    let fields = fields().into_iter().map(|field| field.replace('_', "-"));
-    fields.chain([ECHO.to_owned(), ECHO_NOISE.to_owned()]).collect()
+    let fields = match serde_json::to_value(Quirks::default()) {
+        Ok(Value::Object(fields)) => fields,
+        _ => Map::new(),
+    };
+    let of_drives = fields.keys().map(|field| field.replace('_', "-"));
+    of_drives.chain([ECHO.to_owned(), ECHO_NOISE.to_owned()]).collect()
 }
 
-pub(super) fn quirk(text: &str) -> Result<Quirk, String> {
-    match text {
-        ECHO => Ok(Quirk::Echo),
-        ECHO_NOISE => Ok(Quirk::EchoNoise),
-        _ if quirk_names().iter().any(|name| name == text) => {
-            Ok(Quirk::Drive(text.replace('-', "_")))
-        }
-        _ => Err(format!("expected one of {}, found \"{text}\"", quirk_names().join(", "))),
-    }
+pub(super) fn quirk(text: &str) -> Result<String, String> {
+    let names = quirk_names();
+    let known = names.iter().find(|name| *name == text).cloned();
+    known.ok_or_else(|| format!("expected one of {}, found \"{text}\"", names.join(", ")))
 }
 
 /// The drives' quirks among these.
-pub(super) fn drives_quirks(quirks: &[Quirk]) -> serde_json::Result<Quirks> {
-    let fields = quirks.iter().filter_map(|quirk| match quirk {
-        Quirk::Drive(field) => Some((field.clone(), Value::Bool(true))),
-        Quirk::Echo | Quirk::EchoNoise => None,
-    });
-    serde_json::from_value(Value::Object(fields.collect::<Map<_, _>>()))
+pub(super) fn drives_quirks(quirks: &[String]) -> serde_json::Result<Quirks> {
+    let of_drives = quirks.iter().filter(|name| *name != ECHO && *name != ECHO_NOISE);
+    let fields = of_drives.map(|name| (name.replace('-', "_"), Value::Bool(true)));
+    serde_json::from_value(Value::Object(fields.collect()))
 }
 
 /// The model of this name, or in this file.

@@ -4,27 +4,26 @@ use std::path::PathBuf;
 
 use myactuator_host_std::open::BusAddress;
 use myactuator_protocol_core::master::MotorSet;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 /// A place where drives are served.
 #[derive(Debug)]
 pub(super) struct Place {
     /// As other subcommands take it.
     address: BusAddress,
-    /// The pseudo-terminal.
     path: Option<PathBuf>,
-    /// A link to it.
     link: Option<PathBuf>,
     bit_rate: u32,
 }
 
 impl Place {
-    pub(super) const fn on_terminal(
-        address: BusAddress,
+    pub(super) fn on_terminal(
+        address: impl FnOnce(PathBuf) -> BusAddress,
         path: PathBuf,
         link: Option<PathBuf>,
         bit_rate: u32,
     ) -> Self {
+        let address = address(link.as_ref().unwrap_or(&path).clone());
         Self { address, path: Some(path), link, bit_rate }
     }
 
@@ -58,26 +57,23 @@ impl Place {
     }
 
     fn json(&self, motors: MotorSet) -> Value {
-        let mut object = Map::new();
-        let mut put = |key: &str, value| object.insert(key.to_owned(), value);
-        put("kind", json!(self.kind().0));
+        let mut object = json!({ "kind": self.kind().0 });
         if let Some(path) = &self.path {
-            put("path", json!(path));
+            object["path"] = json!(path);
         }
         if let Some(link) = &self.link {
-            put("link", json!(link));
+            object["link"] = json!(link);
         }
         if let BusAddress::SocketCan { interface } = &self.address {
-            put("interface", json!(interface));
+            object["interface"] = json!(interface);
         }
-        put("bit_rate", json!(self.bit_rate));
-        put("motors", motors.iter().map(|motor| motor.get()).collect());
-        put("bus", json!(self.address.to_string()));
-        Value::Object(object)
+        object["bit_rate"] = json!(self.bit_rate);
+        object["motors"] = motors.iter().map(|motor| motor.get()).collect();
+        object["bus"] = json!(self.address.to_string());
+        object
     }
 }
 
-/// What to print.
 pub(super) fn lines(places: &[Place], motors: MotorSet, json: bool) -> Vec<String> {
     if json {
         return places.iter().map(|place| place.json(motors).to_string()).collect();
@@ -100,21 +96,17 @@ pub(super) fn lines(places: &[Place], motors: MotorSet, json: bool) -> Vec<Strin
 #[cfg(test)]
 mod tests {
     use super::*;
+    use myactuator_host_std::text::slcan::Rate;
     use myactuator_protocol_core::MotorId;
 
     fn told(json: bool) -> Vec<String> {
         let motors = MotorId::all().take(2).collect();
-        let place = |address: &str, link: Option<&str>, bit_rate| {
-            Place::on_terminal(
-                address.parse().unwrap(),
-                "/dev/pts/7".into(),
-                link.map(PathBuf::from),
-                bit_rate,
-            )
-        };
+        let line = |path| BusAddress::Rs485 { path, bit_rate: 115_200, echo: true };
+        let adapter = |path| BusAddress::Slcan { path, rate: Rate::Kbit500 };
+        let (path, link) = (PathBuf::from("/dev/pts/7"), PathBuf::from("here/slcan"));
         let places = [
-            place("rs485:/dev/pts/7@115200,echo", None, 115_200),
-            place("slcan:here/slcan@500000", Some("here/slcan"), 500_000),
+            Place::on_terminal(line, path.clone(), None, 115_200),
+            Place::on_terminal(adapter, path, Some(link), 500_000),
             Place::on_interface("vcan0", 500_000),
         ];
         lines(&places, motors, json)

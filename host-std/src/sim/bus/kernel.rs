@@ -1,8 +1,6 @@
 //! The chain of events: what is due when, and who is told.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fmt;
-use std::task::Waker;
 
 use myactuator_protocol_core::time::Duration;
 
@@ -10,7 +8,7 @@ use super::faults::{Babble, Fate, Injector};
 use super::medium::{Arrival, Medium, Part, Surroundings};
 use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
 use super::node::Node;
-use super::trace::{Event, Fault, Trace};
+use super::trace::{Event, Fault};
 
 const MICROSECOND: Nanos = 1_000;
 
@@ -32,9 +30,10 @@ struct Station<F> {
     received: VecDeque<F>,
     receive_queue: usize,
     overflows: u64,
+    /// What happens to the message that is on its way to it.
+    fate: Fate,
     /// Somebody waits to send.
     wants_room: bool,
-    wakers: Vec<Waker>,
     /// Nothing may arrive before this: it would overtake what is late.
     not_before: Nanos,
     /// What waits for the next message to overtake it.
@@ -69,19 +68,10 @@ pub(crate) struct Kernel<B: Medium> {
     /// What is still to arrive.
     late: LateArrivals<B::Frame>,
     sequence: u64,
-    timers: Vec<(Nanos, Waker)>,
     /// What has come to the ports so far: received units, and room where it was missed.
     pub(crate) arrivals: u64,
-    /// The message whose fates are drawn, and those fates by receiver.
+    /// The message whose fates are drawn.
     message: u64,
-    fates: Vec<Fate>,
-}
-
-impl<B: Medium> fmt::Debug for Kernel<B> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut out = f.debug_struct("Kernel");
-        out.field("now", &self.around.now).field("bus", &self.bus).finish_non_exhaustive()
-    }
 }
 
 impl<B: Medium> Kernel<B> {
@@ -91,24 +81,22 @@ impl<B: Medium> Kernel<B> {
             around: Surroundings {
                 now: 0,
                 injector: Injector::new(seed),
-                trace: Trace::new(),
+                observers: Vec::new(),
                 arrivals: Vec::new(),
                 freed: Vec::new(),
             },
             stations: Vec::new(),
             late: BTreeMap::new(),
             sequence: 0,
-            timers: Vec::new(),
             arrivals: 0,
             message: 0,
-            fates: Vec::new(),
         }
     }
 
     pub(crate) fn attach(
         &mut self,
         node: Option<Box<dyn Node<B::Frame>>>,
-        how: B::How,
+        how: B::Attachment,
         receive_queue: usize,
     ) -> usize {
         self.bus.attach(how);
@@ -127,13 +115,12 @@ impl<B: Medium> Kernel<B> {
             received: VecDeque::new(),
             receive_queue,
             overflows: 0,
+            fate: Fate::default(),
             wants_room: false,
-            wakers: Vec::new(),
             not_before: 0,
             held: VecDeque::new(),
             held_message: 0,
         });
-        self.fates.push(Fate::default());
         self.stations.len() - 1
     }
 
@@ -141,8 +128,7 @@ impl<B: Medium> Kernel<B> {
     pub(crate) fn next_event(&self) -> Nanos {
         let stations = self.stations.iter().map(Station::due).min().unwrap_or(NEVER);
         let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
-        let timers = self.timers.iter().map(|(at, _)| *at).min().unwrap_or(NEVER);
-        let next = stations.min(late).min(timers).min(self.bus.next_event());
+        let next = stations.min(late).min(self.bus.next_event());
         if next == NEVER { NEVER } else { next.max(self.around.now) }
     }
 
@@ -182,10 +168,6 @@ impl<B: Medium> Kernel<B> {
         }
         self.bus.start(&mut self.around);
         self.spread();
-        let now = self.around.now;
-        for (_, waker) in self.timers.extract_if(.., |(at, _)| *at <= now) {
-            waker.wake();
-        }
     }
 
     /// Passes on what the bus has done.
@@ -203,51 +185,39 @@ impl<B: Medium> Kernel<B> {
             if std::mem::take(&mut state.wants_room) {
                 self.arrivals += 1;
             }
-            for waker in self.stations[station].wakers.drain(..) {
-                waker.wake();
-            }
         }
     }
 
     /// Brings what is complete on the wire to everyone who hears it.
     fn arrive(&mut self, arrival: Arrival<B::Frame>) {
-        let quiet = self.around.injector.is_quiet();
-        let draws = arrival.part.as_ref().filter(|part| !quiet && part.message != self.message);
-        if let Some(part) = draws {
-            self.message = part.message;
-            for receiver in 0..self.stations.len() {
-                if self.bus.hears(receiver, &arrival) && receiver != arrival.sender {
-                    self.fates[receiver] = self.around.injector.fate(
-                        arrival.sender,
-                        receiver,
-                        part.of,
-                        B::DELIVERS_CORRUPTED,
-                    );
-                } else {
-                    self.fates[receiver] = Fate::default();
-                }
+        let Arrival { sender, .. } = arrival;
+        // Nothing can befall what a collision left.
+        let part = arrival.part.as_ref().filter(|_| !self.around.injector.is_quiet());
+        let is_new = part.is_some_and(|part| part.message != self.message);
+        for receiver in 0..self.stations.len() {
+            let hears = self.bus.hears(receiver, &arrival);
+            let strikes = part.filter(|_| hears && receiver != sender);
+            if is_new {
+                self.stations[receiver].fate = strikes.map_or(Fate::default(), |part| {
+                    self.around.injector.fate(sender, receiver, part.of, B::DELIVERS_CORRUPTED)
+                });
+            }
+            match part {
+                _ if !hears => {}
+                Some(part) => self.arrive_by_fate(receiver, &arrival, part),
+                None => self.deliver_in_order(receiver, &arrival.unit, 0),
             }
         }
-        for receiver in 0..self.stations.len() {
-            if !self.bus.hears(receiver, &arrival) {
-                continue;
-            }
-            match &arrival.part {
-                Some(part) if !quiet && self.message == part.message => {
-                    self.arrive_by_fate(receiver, &arrival, part);
-                }
-                // A message that had begun before there were faults, or what a collision left.
-                _ => self.deliver_in_order(receiver, &arrival.unit, 0),
-            }
+        if let Some(part) = part {
+            self.message = part.message;
         }
     }
 
     fn arrive_by_fate(&mut self, to: usize, arrival: &Arrival<B::Frame>, part: &Part<B::Frame>) {
-        let fate = self.fates[to];
+        let fate = self.stations[to].fate;
         let now = self.around.now;
         let from = super::StationId(arrival.sender);
-        let trace = &mut self.around.trace;
-        let mut note = |fault| trace.record(now, to, || Event::Faulted { from, fault });
+        let mut note = |fault| self.around.record(to, || Event::Faulted { from, fault });
         let is_first = part.index == 0;
         if fate.lost {
             if is_first {
@@ -324,13 +294,10 @@ impl<B: Medium> Kernel<B> {
         }
         if state.received.len() >= state.receive_queue {
             state.overflows += 1;
-            self.around.trace.record(now, to, || Event::Overflowed { frame: unit.clone() });
+            self.around.record(to, || Event::Overflowed { frame: unit.clone() });
             return;
         }
         state.received.push_back(unit.clone());
-        for waker in state.wakers.drain(..) {
-            waker.wake();
-        }
         self.arrivals += 1;
     }
 
@@ -348,13 +315,9 @@ impl<B: Medium> Kernel<B> {
         if state.babble_at <= now
             && let Some(babble) = &state.babble
         {
-            let (interval, frame) = match babble {
-                Babble::Random { interval } => {
-                    (interval, B::garbage(&mut self.around.injector.babble))
-                }
-                Babble::Fixed { interval, frame } => (interval, frame.clone()),
-            };
-            state.babble_at = now + from_duration(*interval).max(MICROSECOND);
+            let random = &mut self.around.injector.babble;
+            let frame = babble.frame.clone().unwrap_or_else(|| B::garbage(random));
+            state.babble_at = now + from_duration(babble.interval).max(MICROSECOND);
             // A full queue loses it: there is more where it came from.
             self.bus.submit(station, frame, now);
         }
@@ -414,32 +377,17 @@ impl<B: Medium> Kernel<B> {
         (state.received.len(), state.overflows)
     }
 
-    /// Has `waker` woken when something arrives at a port or leaves it.
-    pub(crate) fn wake_on_change(&mut self, station: usize, waker: &Waker) {
-        let wakers = &mut self.stations[station].wakers;
-        if !wakers.iter().any(|known| known.will_wake(waker)) {
-            wakers.push(waker.clone());
-        }
-    }
-
-    pub(crate) fn wake_at(&mut self, at: Nanos, waker: &Waker) {
-        let known = |(time, known): &(Nanos, Waker)| *time == at && known.will_wake(waker);
-        if !self.timers.iter().any(known) {
-            self.timers.push((at, waker.clone()));
-        }
-    }
-
     pub(crate) fn cut(&mut self, station: usize, is_cut: bool) {
         self.bus.cut(station, is_cut, &mut self.around);
         let event = if is_cut { Event::Cut } else { Event::Mended };
-        self.around.trace.record(self.around.now, station, || event);
+        self.around.record(station, || event);
         self.spread();
     }
 
     pub(crate) fn reset(&mut self, station: usize) {
         self.bus.reset(station, &mut self.around);
         let now = self.around.now;
-        self.around.trace.record(now, station, || Event::Reset);
+        self.around.record(station, || Event::Reset);
         let state = &mut self.stations[station];
         state.backlog.clear();
         state.is_backlog_stuck = false;

@@ -1,22 +1,14 @@
 //! What the two buses have in common.
 
-use std::fmt;
-
+use super::StationId;
 use super::faults::Injector;
 use super::nanos::Nanos;
 use super::random::Random;
-use super::trace::Trace;
+use super::trace::{Event, Observer, Record};
 
 /// A kind of bus: [`CanBus`](super::can::CanBus) or [`Rs485Line`](super::rs485::Rs485Line). Only
 /// this library can define one.
-pub trait Medium:
-    sealed::Bus<Carries = <Self as Medium>::Frame, How = <Self as Medium>::Attachment>
-{
-    /// What it carries.
-    type Frame: Clone + fmt::Debug + PartialEq + Send + 'static;
-    /// How a station is attached to it.
-    type Attachment;
-}
+pub trait Medium: sealed::Bus {}
 
 /// Something complete on the wire: a CAN frame, or a byte of a message on the line.
 #[derive(Debug)]
@@ -54,15 +46,29 @@ pub(crate) enum Wire {
 }
 
 /// What a bus acts on besides itself.
-#[derive(Debug)]
+#[expect(missing_debug_implementations, reason = "nobody outside can reach it")]
 pub struct Surroundings<F> {
     pub(crate) now: Nanos,
     pub(crate) injector: Injector,
-    pub(crate) trace: Trace<F>,
+    /// Whoever watches.
+    pub(crate) observers: Vec<Observer<F>>,
     /// What has become complete, for the receivers.
     pub(crate) arrivals: Vec<Arrival<F>>,
     /// Whose queue has got room.
     pub(crate) freed: Vec<usize>,
+}
+
+impl<F> Surroundings<F> {
+    /// Tells whoever watches what happens now. The event is made only if somebody does.
+    pub(crate) fn record(&mut self, station: usize, event: impl FnOnce() -> Event<F>) {
+        if self.observers.is_empty() {
+            return;
+        }
+        let record = Record { at_ns: self.now, station: StationId(station), event: event() };
+        for observer in &mut self.observers {
+            observer(&record);
+        }
+    }
 }
 
 pub(crate) mod sealed {
@@ -72,32 +78,34 @@ pub(crate) mod sealed {
 
     /// The events of a bus. Stations are counted from 0 in the order of attaching.
     pub trait Bus: fmt::Debug + Send + 'static {
-        type Carries;
-        type How;
+        /// What it carries.
+        type Frame: Clone + fmt::Debug + PartialEq + Send + 'static;
+        /// How a station is attached to it.
+        type Attachment: Copy;
 
         /// Whether corrupted bytes arrive as they are, and not as an error on the wire.
         const DELIVERS_CORRUPTED: bool;
 
-        fn attach(&mut self, how: Self::How);
+        fn attach(&mut self, how: Self::Attachment);
         /// When something happens next by itself, `NEVER` for not at all.
         fn next_event(&self) -> Nanos;
         /// Does what ends now.
-        fn finish(&mut self, around: &mut Surroundings<Self::Carries>);
+        fn finish(&mut self, around: &mut Surroundings<Self::Frame>);
         /// Does what begins now, after everyone has had their say.
-        fn start(&mut self, around: &mut Surroundings<Self::Carries>);
+        fn start(&mut self, around: &mut Surroundings<Self::Frame>);
         /// How many more frames a station can queue.
         fn room(&self, station: usize) -> usize;
         /// Takes a frame if there is room.
-        fn submit(&mut self, station: usize, frame: Self::Carries, now: Nanos) -> bool;
-        fn hears(&self, station: usize, arrival: &Arrival<Self::Carries>) -> bool;
+        fn submit(&mut self, station: usize, frame: Self::Frame, now: Nanos) -> bool;
+        fn hears(&self, station: usize, arrival: &Arrival<Self::Frame>) -> bool;
         /// Cuts or mends a wire.
-        fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<Self::Carries>);
+        fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<Self::Frame>);
         /// Empties a station's controller.
-        fn reset(&mut self, station: usize, around: &mut Surroundings<Self::Carries>);
+        fn reset(&mut self, station: usize, around: &mut Surroundings<Self::Frame>);
 
-        fn flip_bit(frame: &mut Self::Carries, bit: u64);
-        fn garbage(random: &mut Random) -> Self::Carries;
+        fn flip_bit(frame: &mut Self::Frame, bit: u64);
+        fn garbage(random: &mut Random) -> Self::Frame;
         /// The units that arrive one by one.
-        fn units(frame: &Self::Carries) -> Vec<Self::Carries>;
+        fn units(frame: &Self::Frame) -> Vec<Self::Frame>;
     }
 }

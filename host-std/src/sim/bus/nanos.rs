@@ -36,17 +36,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn thirteen_bytes_at_115200_last_1128_472_microseconds() {
-        // 130 bits / 115200 bit/s = 1128472.2 ns
+    fn bits_and_whole_microseconds_are_rounded_up() {
+        assert_eq!(bits(111, 500_000), 222_000);
+        // 13 bytes: 130 bits / 115200 bit/s = 1128472.2 ns.
         assert_eq!(bits(130, 115_200), 1_128_473);
         assert_eq!(to_instant(1_128_473), Instant::from_micros(1_129));
         assert_eq!(to_instant(1_129_000), Instant::from_micros(1_129));
-    }
-
-    #[test]
-    fn bits_at_the_buses_usual_rates() {
-        assert_eq!(bits(1, 1_000_000), 1_000);
-        assert_eq!(bits(111, 500_000), 222_000);
-        assert_eq!(bits(10, 2_500_000), 4_000);
     }
 }

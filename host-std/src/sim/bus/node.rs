@@ -1,6 +1,5 @@
 //! Who is on a bus.
 
-use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use myactuator_protocol_core::time::Instant;
@@ -74,11 +73,5 @@ impl StationId {
     /// The place as a number.
     pub const fn index(self) -> usize {
         self.0
-    }
-}
-
-impl fmt::Display for StationId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "station {}", self.0)
     }
 }

@@ -1,9 +1,8 @@
 //! What really happened on a bus.
 
-use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::nanos::{Nanos, to_instant};
+use super::nanos::to_instant;
 use super::node::StationId;
 use myactuator_protocol_core::time::Instant;
 
@@ -89,57 +88,13 @@ pub enum Fault {
     Reordered,
 }
 
-type Observer<F> = Box<dyn FnMut(&Record<F>) + Send>;
-
-/// Whoever watches. Records are made only if somebody does.
-pub(crate) struct Trace<F> {
-    observers: Vec<Observer<F>>,
-}
-
-impl<F> fmt::Debug for Trace<F> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Trace").field("observers", &self.observers.len()).finish()
-    }
-}
-
-impl<F> Trace<F> {
-    pub(crate) const fn new() -> Self {
-        Self { observers: Vec::new() }
-    }
-
-    pub(crate) fn observe(&mut self, observer: Observer<F>) {
-        self.observers.push(observer);
-    }
-
-    pub(crate) fn record(
-        &mut self,
-        at_ns: Nanos,
-        station: usize,
-        event: impl FnOnce() -> Event<F>,
-    ) {
-        if self.observers.is_empty() {
-            return;
-        }
-        let record = Record { at_ns, station: StationId(station), event: event() };
-        for observer in &mut self.observers {
-            observer(&record);
-        }
-    }
-}
+pub(crate) type Observer<F> = Box<dyn FnMut(&Record<F>) + Send>;
 
 /// A list of all that happens from its making on. Clones share the list.
 #[derive(Clone, Debug)]
-pub struct Log<F>(Arc<Mutex<Vec<Record<F>>>>);
+pub struct Log<F>(pub(super) Arc<Mutex<Vec<Record<F>>>>);
 
-impl<F: Clone> Log<F> {
-    pub(crate) fn new() -> Self {
-        Self(Arc::new(Mutex::new(Vec::new())))
-    }
-
-    pub(crate) fn push(&self, record: &Record<F>) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(record.clone());
-    }
-
+impl<F> Log<F> {
     /// Hands over what was noted so far and starts anew.
     pub fn take(&self) -> Vec<Record<F>> {
         std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))

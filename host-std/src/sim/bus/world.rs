@@ -1,11 +1,8 @@
 //! The world: a clock, a bus and all that is on it.
 
 use std::fmt;
-use std::future::Future;
-use std::pin::pin;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::task::{Context, Poll, Wake, Waker};
 
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -13,32 +10,20 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use super::faults::{Babble, Direction, FaultPlan};
 use super::kernel::Kernel;
 use super::medium::Medium;
-use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
+use super::nanos::{NEVER, Nanos, from_instant, to_instant};
 use super::node::{Node, StationId};
 use super::trace::{Log, Record};
 
-/// The longest sleep in real time: a waker that is called from outside the world may fall between
-/// looking and sleeping.
-const LONGEST_SLEEP: std::time::Duration = std::time::Duration::from_millis(10);
-
-/// What makes time go on.
-#[derive(Clone, Copy, Debug)]
-enum TimeBase {
-    /// Whoever waits.
-    Virtual,
-    /// The wall clock: time 0 was then.
-    Wall(std::time::Instant),
-}
-
 struct State<B: Medium> {
     kernel: Kernel<B>,
-    base: TimeBase,
+    /// Time 0 on the wall clock; `None` in virtual time, which goes on by whoever waits.
+    wall_zero: Option<std::time::Instant>,
 }
 
 impl<B: Medium> State<B> {
     /// In real time, lets everything up to now happen.
     fn catch_up(&mut self) {
-        if let TimeBase::Wall(zero) = self.base {
+        if let Some(zero) = self.wall_zero {
             let wall = u64::try_from(zero.elapsed().as_nanos()).unwrap_or(NEVER);
             self.kernel.run_until(wall);
         }
@@ -55,9 +40,9 @@ struct Shared<B: Medium> {
 /// world.
 ///
 /// In virtual time, which is the default, nothing happens between calls: the world goes on only in
-/// [`run_until`](Self::run_until), [`step`](Self::step) and [`block_on`](Self::block_on), in
-/// [`SimClock::idle`](Clock::idle), and in the ports' blocking calls. Several masters may share it,
-/// in one thread: if several threads wait, each drives time on for all.
+/// [`run_until`](Self::run_until) and [`step`](Self::step), in [`SimClock::idle`](Clock::idle), and in
+/// the blocking calls of serial ports. Several masters may share it, in one thread: if several threads
+/// wait, each drives time on for all.
 ///
 /// After [`in_real_time`](Self::in_real_time) it follows the wall clock, is caught up to it in every
 /// call, and may be used from any number of threads.
@@ -73,13 +58,13 @@ impl<B: Medium> Clone for World<B> {
 
 impl<B: Medium> fmt::Debug for World<B> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("World").field(&self.lock().kernel).finish()
+        f.debug_struct("World").field("bus", &self.lock().kernel.bus).finish_non_exhaustive()
     }
 }
 
 impl<B: Medium> World<B> {
     pub(super) fn with_medium(bus: B, seed: u64) -> Self {
-        let state = State { kernel: Kernel::new(bus, seed), base: TimeBase::Virtual };
+        let state = State { kernel: Kernel::new(bus, seed), wall_zero: None };
         Self(Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() }))
     }
 
@@ -113,22 +98,22 @@ impl<B: Medium> World<B> {
                 return Some(result);
             }
             let next = state.kernel.next_event();
-            match state.base {
-                TimeBase::Virtual if next > until || next == NEVER => {
+            match state.wall_zero {
+                None if next > until || next == NEVER => {
                     if until != NEVER {
                         state.kernel.run_until(until);
                     }
                     return None;
                 }
-                TimeBase::Virtual => state.kernel.step(next),
-                TimeBase::Wall(zero) => {
+                None => state.kernel.step(next),
+                Some(zero) => {
                     if state.kernel.around.now >= until {
                         return None;
                     }
                     let wake = next.min(until);
                     let ahead =
                         std::time::Duration::from_nanos(wake).saturating_sub(zero.elapsed());
-                    let sleep = self.0.changed.wait_timeout(state, ahead.min(LONGEST_SLEEP));
+                    let sleep = self.0.changed.wait_timeout(state, ahead);
                     (state, _) = sleep.unwrap_or_else(PoisonError::into_inner);
                 }
             }
@@ -140,7 +125,7 @@ impl<B: Medium> World<B> {
         let mut state = self.lock();
         let passed = std::time::Duration::from_nanos(state.kernel.around.now);
         let now = std::time::Instant::now();
-        state.base = TimeBase::Wall(now.checked_sub(passed).unwrap_or(now));
+        state.wall_zero = Some(now.checked_sub(passed).unwrap_or(now));
         drop(state);
         self
     }
@@ -172,29 +157,13 @@ impl<B: Medium> World<B> {
         self.run_until(self.now() + span);
     }
 
-    /// Lets virtual time go on by `span`; real time does that by itself.
-    pub(super) fn pass(&self, span: Duration) {
-        let mut state = self.lock();
-        if let TimeBase::Virtual = state.base {
-            let until = state.kernel.around.now.saturating_add(from_duration(span));
-            state.kernel.run_until(until);
-        }
-    }
-
     /// Goes on to the next event. False if there is none. In real time this sleeps.
     pub fn step(&self) -> bool {
         let next = self.with(|kernel| kernel.next_event());
-        if next == NEVER {
-            return false;
-        }
-        let mut state = self.lock();
-        if let TimeBase::Virtual = state.base {
-            state.kernel.step(next);
-        } else {
-            drop(state);
+        if next != NEVER {
             self.wait(next, |_| None::<()>);
         }
-        true
+        next != NEVER
     }
 
     /// A clock for masters in this world.
@@ -257,64 +226,17 @@ impl<B: Medium> World<B> {
     /// Calls `observer` for everything that happens from now on. It must not touch the world, which
     /// is in the middle of something.
     pub fn observe(&self, observer: impl FnMut(&Record<B::Frame>) + Send + 'static) {
-        self.with(|kernel| kernel.around.trace.observe(Box::new(observer)));
+        self.with(|kernel| kernel.around.observers.push(Box::new(observer)));
     }
 
     /// Notes everything that happens from now on.
     pub fn log(&self) -> Log<B::Frame> {
-        let log = Log::new();
-        let notes = log.clone();
-        self.observe(move |record| notes.push(record));
+        let records = Arc::new(Mutex::new(Vec::new()));
+        let log = Log(Arc::clone(&records));
+        self.observe(move |record| {
+            records.lock().unwrap_or_else(PoisonError::into_inner).push(record.clone());
+        });
         log
-    }
-
-    /// Runs a future of this world's ports and clocks to its end, and lets time go on while it
-    /// waits. `None` if it waits for something that cannot come: nothing will ever happen in a world
-    /// in virtual time.
-    pub fn block_on<F: Future>(&self, future: F) -> Option<F::Output> {
-        let mut future = pin!(future);
-        let flag = Arc::new(Flag { woken: AtomicBool::new(true), shared: Arc::downgrade(&self.0) });
-        let waker = Waker::from(Arc::clone(&flag));
-        loop {
-            if flag.woken.swap(false, Ordering::SeqCst)
-                && let Poll::Ready(output) = future.as_mut().poll(&mut Context::from_waker(&waker))
-            {
-                return Some(output);
-            }
-            self.wait(NEVER, |_| flag.woken.load(Ordering::SeqCst).then_some(()))?;
-        }
-    }
-
-    /// Waits for `done` in a future: it is asked whenever something changes at `station`.
-    pub(super) fn until_change<T>(
-        &self,
-        station: StationId,
-        mut done: impl FnMut(&mut Kernel<B>) -> Option<T>,
-    ) -> impl Future<Output = T> {
-        std::future::poll_fn(move |context| {
-            self.with(|kernel| match done(kernel) {
-                Some(result) => Poll::Ready(result),
-                None => {
-                    kernel.wake_on_change(station.0, context.waker());
-                    Poll::Pending
-                }
-            })
-        })
-    }
-}
-
-/// Wakes [`World::block_on`].
-struct Flag<B: Medium> {
-    woken: AtomicBool,
-    shared: std::sync::Weak<Shared<B>>,
-}
-
-impl<B: Medium> Wake for Flag<B> {
-    fn wake(self: Arc<Self>) {
-        self.woken.store(true, Ordering::SeqCst);
-        if let Some(shared) = self.shared.upgrade() {
-            shared.changed.notify_all();
-        }
     }
 }
 
@@ -322,36 +244,12 @@ impl<B: Medium> Wake for Flag<B> {
 ///
 /// In virtual time [`idle`](Clock::idle) lets the world go on; in real time it sleeps. Both end early
 /// as soon as something arrives at one of the world's ports, or one of them has room again for what
-/// it had refused, since this clock last looked. Each master has a clock of its own; a clone is one
-/// that has seen as much.
+/// it had refused, since this clock last looked. Each master has a clock of its own.
 #[derive(Debug)]
 pub struct SimClock<B: Medium> {
     world: World<B>,
     /// What had come to the ports when it last looked.
     seen: AtomicU64,
-}
-
-impl<B: Medium> Clone for SimClock<B> {
-    fn clone(&self) -> Self {
-        let seen = AtomicU64::new(self.seen.load(Ordering::Relaxed));
-        Self { world: self.world.clone(), seen }
-    }
-}
-
-impl<B: Medium> SimClock<B> {
-    /// Waits in a future until `at`.
-    pub fn wait_until(&self, at: Instant) -> impl Future<Output = ()> {
-        let at = from_instant(at);
-        std::future::poll_fn(move |context| {
-            self.world.with(|kernel| {
-                if kernel.around.now >= at {
-                    return Poll::Ready(());
-                }
-                kernel.wake_at(at, context.waker());
-                Poll::Pending
-            })
-        })
-    }
 }
 
 impl<B: Medium> Clock for SimClock<B> {

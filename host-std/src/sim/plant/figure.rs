@@ -1,8 +1,28 @@
 //! What a figure of the physics may be.
 
-/// Name, unit and allowed range of a figure.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Figure {
+use std::ops::RangeInclusive;
+
+/// The figure, if it is a number in this range.
+pub(super) fn check(
+    name: &'static str,
+    unit: &'static str,
+    allowed: RangeInclusive<f64>,
+    given: f64,
+) -> Result<f64, ImpossibleFigure> {
+    if allowed.contains(&given) {
+        return Ok(given);
+    }
+    let (min, max) = allowed.into_inner();
+    Err(ImpossibleFigure { name, unit, min, max, given })
+}
+
+/// A figure that cannot be, or that is not a number.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "{name} must be {min} to {max}{space}{unit}, but {given}{space}{unit} was given",
+    space = if unit.is_empty() { "" } else { " " }
+)]
+pub struct ImpossibleFigure {
     /// What it is: `"supply voltage"`.
     pub name: &'static str,
     /// Its unit; empty for a bare number.
@@ -11,28 +31,6 @@ pub struct Figure {
     pub min: f64,
     /// The largest allowed.
     pub max: f64,
-}
-
-impl Figure {
-    pub(super) fn check(&'static self, given: f64) -> Result<f64, ImpossibleFigure> {
-        if given >= self.min && given <= self.max {
-            Ok(given)
-        } else {
-            Err(ImpossibleFigure { figure: self, given })
-        }
-    }
-}
-
-/// A figure that cannot be, or that is not a number.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "{} must be {} to {}{space}{}, but {given}{space}{} was given",
-    figure.name, figure.min, figure.max, figure.unit, figure.unit,
-    space = if figure.unit.is_empty() { "" } else { " " }
-)]
-pub struct ImpossibleFigure {
-    /// What is allowed.
-    pub figure: &'static Figure,
-    /// What was given, in the figure's unit.
+    /// What was given.
     pub given: f64,
 }

@@ -1,6 +1,6 @@
 //! What the output shaft carries.
 
-use super::figure::{Figure, ImpossibleFigure};
+use super::figure::{ImpossibleFigure, check};
 use serde::{Deserialize, Serialize};
 
 /// What is fixed to the output shaft: any of its parts may be there, all at once too.
@@ -38,11 +38,6 @@ pub struct SpringStop {
     pub stiffness_nm_per_rad: f64,
 }
 
-const TORQUE: Figure = Figure { name: "load torque", unit: "N·m", min: -1e6, max: 1e6 };
-const INERTIA: Figure = Figure { name: "load inertia", unit: "kg·m²", min: 0.0, max: 1e6 };
-const STOP_ANGLE: Figure = Figure { name: "stop angle", unit: "deg", min: -1e9, max: 1e9 };
-const STIFFNESS: Figure = Figure { name: "stop stiffness", unit: "N·m/rad", min: 0.0, max: 1e9 };
-
 impl Load {
     /// A bare shaft.
     pub const NONE: Self =
@@ -60,17 +55,6 @@ impl Load {
         torque_nm
     }
 
-    /// Energy in the springs at `angle_rad`, J.
-    pub fn spring_energy_j(&self, angle_rad: f64) -> f64 {
-        let energy = |stop: Option<SpringStop>, side: f64| {
-            stop.map_or(0.0, |stop| {
-                let depth = (side * (angle_rad - stop.at_rad())).max(0.0);
-                0.5 * stop.stiffness_nm_per_rad * depth * depth
-            })
-        };
-        energy(self.upper_stop, 1.0) + energy(self.lower_stop, -1.0)
-    }
-
     /// Stiffness of the stiffest stop, N·m/rad; 0 without one.
     pub(super) fn max_stiffness_nm_per_rad(&self) -> f64 {
         let stiffness = |stop: Option<SpringStop>| stop.map_or(0.0, |s| s.stiffness_nm_per_rad);
@@ -78,11 +62,11 @@ impl Load {
     }
 
     pub(super) fn check(&self) -> Result<(), ImpossibleFigure> {
-        TORQUE.check(self.torque_nm)?;
-        INERTIA.check(self.inertia_kg_m2)?;
+        check("load torque", "N·m", -1e6..=1e6, self.torque_nm)?;
+        check("load inertia", "kg·m²", 0.0..=1e6, self.inertia_kg_m2)?;
         for stop in [self.upper_stop, self.lower_stop].into_iter().flatten() {
-            STOP_ANGLE.check(stop.at_deg)?;
-            STIFFNESS.check(stop.stiffness_nm_per_rad)?;
+            check("stop angle", "deg", -1e9..=1e9, stop.at_deg)?;
+            check("stop stiffness", "N·m/rad", 0.0..=1e9, stop.stiffness_nm_per_rad)?;
         }
         Ok(())
     }
@@ -97,20 +81,6 @@ impl SpringStop {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn stops_push_back_only_when_touched() {
-        let stop = |at_deg| SpringStop { at_deg, stiffness_nm_per_rad: 100.0 };
-        let load =
-            Load { upper_stop: Some(stop(30.0)), lower_stop: Some(stop(-30.0)), ..Load::NONE };
-        assert_eq!(load.torque_at(0.0), 0.0);
-        assert_eq!(load.spring_energy_j(0.5), 0.0);
-        let deep = 30_f64.to_radians() + 0.1;
-        assert!((load.torque_at(deep) + 10.0).abs() < 1e-9);
-        assert!((load.torque_at(-deep) - 10.0).abs() < 1e-9);
-        assert!((load.spring_energy_j(deep) - 0.5).abs() < 1e-9);
-        assert!((load.spring_energy_j(-deep) - 0.5).abs() < 1e-9);
-    }
 
     #[test]
     fn impossible_loads_are_refused() {

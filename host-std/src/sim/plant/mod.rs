@@ -10,7 +10,7 @@
 //! | load | a constant torque, an inertia, springs against stops | [`Load`] |
 //! | electrics | torque current limited by voltage and back-EMF, phase currents, electronics' own power | [`SimulatedMotor`] |
 //! | supply | a source with internal resistance and a capacitor; feedback raises the voltage | [`Supply`] |
-//! | heat | the winding and the output stage, each cooling to ambient | [`ThermalNode`] |
+//! | heat | the winding and the output stage, each cooling to ambient | [`SimulatedMotor`] |
 //!
 //! Everything is reckoned at the output shaft, in SI units and f64. The step is fixed,
 //! [`STEP`]; nothing reads a clock or a random number, so the same calls give the same bits.
@@ -34,7 +34,7 @@ mod parameters;
 mod supply;
 mod thermal;
 
-pub use figure::{Figure, ImpossibleFigure};
+pub use figure::ImpossibleFigure;
 pub use load::{Load, SpringStop};
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{
@@ -43,4 +43,3 @@ pub use parameters::{
     WindingParameters,
 };
 pub use supply::Supply;
-pub use thermal::ThermalNode;

@@ -2,13 +2,13 @@
 
 use std::f64::consts::TAU;
 
-use super::figure::Figure;
-use super::figure::ImpossibleFigure;
 use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
 use myactuator_protocol_core::time::Duration;
 
+use super::figure::{ImpossibleFigure, check};
 use super::supply::{Link, check_voltage};
-use super::{Load, MotorParameters, ParameterError, Supply, ThermalNode};
+use super::thermal::ThermalNode;
+use super::{Load, MotorParameters, ParameterError, Supply};
 
 /// The simulation's step. Time that is left over is carried to the next call.
 pub const STEP: Duration = Duration::from_micros(100);
@@ -27,11 +27,9 @@ const MAX_SPRING_RATE_PER_S: f64 = 0.2 / STEP_S;
 
 const HALF_SQRT_3: f64 = 0.866_025_403_784_438_6;
 
-const TORQUE: Figure = Figure { name: "external torque", unit: "N·m", min: -1e6, max: 1e6 };
-const TEMPERATURE: Figure =
-    Figure { name: "temperature", unit: "°C", min: -273.15, max: 10_000.0 };
-const ANGLE: Figure = Figure { name: "output angle", unit: "deg", min: -1e9, max: 1e9 };
-const SPEED: Figure = Figure { name: "output speed", unit: "deg/s", min: -1e6, max: 1e6 };
+fn check_temperature(celsius: f64) -> Result<f64, ImpossibleFigure> {
+    check("temperature", "°C", -273.15..=10_000.0, celsius)
+}
 
 /// A motor with gearbox, load, brake, encoder and supply, in software.
 ///
@@ -92,7 +90,9 @@ impl Coefficients {
         let x = viscous * STEP_S / inertia;
         let mean_kept = if x > 0.0 { -(-x).exp_m1() / x } else { 1.0 };
 
-        let air_gap_nm_per_a = parameters.air_gap_constant_nm_per_a();
+        // Before any loss: the power that becomes mechanical is this times current times speed.
+        let air_gap_nm_per_a =
+            parameters.motor.torque_constant_nm_per_a / parameters.gear.efficiency;
         let amplitude_per_a = parameters.motor.current_scale.amplitude_per_ampere();
         // Power balance: 3/2 of EMF amplitude times current amplitude is torque times speed.
         let emf_v_s_per_rad = air_gap_nm_per_a / (1.5 * amplitude_per_a);
@@ -141,6 +141,8 @@ impl SimulatedMotor {
         parameters.check()?;
         let coefficients = Coefficients::new(&parameters, &Load::NONE)?;
         let thermal = &parameters.thermal;
+        let node =
+            |capacity, resistance| ThermalNode::new(REFERENCE_C, capacity, resistance, STEP_S);
         Ok(Self {
             coefficients,
             load: Load::NONE,
@@ -149,18 +151,8 @@ impl SimulatedMotor {
             current_a: 0.0,
             supply_current_a: 0.0,
             link: Link::new(Supply::battery(parameters.rating.voltage_v), STEP_S),
-            winding: ThermalNode::new(
-                REFERENCE_C,
-                thermal.winding_capacity_j_per_k,
-                thermal.winding_resistance_k_per_w,
-                STEP_S,
-            ),
-            mos: ThermalNode::new(
-                REFERENCE_C,
-                thermal.mos_capacity_j_per_k,
-                thermal.mos_resistance_k_per_w,
-                STEP_S,
-            ),
+            winding: node(thermal.winding_capacity_j_per_k, thermal.winding_resistance_k_per_w),
+            mos: node(thermal.mos_capacity_j_per_k, thermal.mos_resistance_k_per_w),
             ambient_c: REFERENCE_C,
             carried_us: 0,
             external_torque_nm: 0.0,
@@ -172,11 +164,6 @@ impl SimulatedMotor {
     /// What the motor is like.
     pub const fn parameters(&self) -> &MotorParameters {
         &self.parameters
-    }
-
-    /// What the output shaft carries.
-    pub const fn load(&self) -> &Load {
-        &self.load
     }
 
     /// Angle of the output shaft, degrees, turns included.
@@ -220,7 +207,7 @@ impl SimulatedMotor {
     /// # Errors
     /// [`ImpossibleFigure`] beyond ±10⁹ degrees.
     pub fn set_output_angle_deg(&mut self, angle_deg: f64) -> Result<(), ImpossibleFigure> {
-        self.angle_rad = ANGLE.check(angle_deg)?.to_radians();
+        self.angle_rad = check("output angle", "deg", -1e9..=1e9, angle_deg)?.to_radians();
         self.speed_rad_s = 0.0;
         Ok(())
     }
@@ -230,7 +217,7 @@ impl SimulatedMotor {
     /// # Errors
     /// [`ImpossibleFigure`] beyond ±10⁶ degrees per second.
     pub fn set_output_speed_dps(&mut self, speed_dps: f64) -> Result<(), ImpossibleFigure> {
-        self.speed_rad_s = SPEED.check(speed_dps)?.to_radians();
+        self.speed_rad_s = check("output speed", "deg/s", -1e6..=1e6, speed_dps)?.to_radians();
         Ok(())
     }
 
@@ -239,7 +226,7 @@ impl SimulatedMotor {
     /// # Errors
     /// [`ImpossibleFigure`] beyond ±10⁶ N·m.
     pub fn set_external_torque_nm(&mut self, torque_nm: f64) -> Result<(), ImpossibleFigure> {
-        self.external_torque_nm = TORQUE.check(torque_nm)?;
+        self.external_torque_nm = check("external torque", "N·m", -1e6..=1e6, torque_nm)?;
         Ok(())
     }
 
@@ -248,7 +235,7 @@ impl SimulatedMotor {
     /// # Errors
     /// [`ImpossibleFigure`] below absolute zero.
     pub fn set_ambient_c(&mut self, ambient_c: f64) -> Result<(), ImpossibleFigure> {
-        self.ambient_c = TEMPERATURE.check(ambient_c)?;
+        self.ambient_c = check_temperature(ambient_c)?;
         Ok(())
     }
 
@@ -272,7 +259,7 @@ impl SimulatedMotor {
         &mut self,
         held_c: Option<f64>,
     ) -> Result<(), ImpossibleFigure> {
-        self.winding.hold_c(held_c.map(|held_c| TEMPERATURE.check(held_c)).transpose()?);
+        self.winding.hold_c(held_c.map(check_temperature).transpose()?);
         Ok(())
     }
 
@@ -281,7 +268,7 @@ impl SimulatedMotor {
     /// # Errors
     /// [`ImpossibleFigure`] below absolute zero.
     pub fn force_mos_temperature_c(&mut self, held_c: Option<f64>) -> Result<(), ImpossibleFigure> {
-        self.mos.hold_c(held_c.map(|held_c| TEMPERATURE.check(held_c)).transpose()?);
+        self.mos.hold_c(held_c.map(check_temperature).transpose()?);
         Ok(())
     }
 
@@ -313,7 +300,11 @@ impl SimulatedMotor {
             self.coefficients;
         self.angle_rad += self.speed_rad_s * HALF_STEP_S;
 
-        let winding_ohm = self.winding_resistance_ohm();
+        let motor = &self.parameters.motor;
+        let warmer_k = self.winding.temperature_c() - REFERENCE_C;
+        // No conductor loses its resistance in the cold.
+        let warmth = (1.0 + motor.resistance_coefficient_per_k * warmer_k).max(0.1);
+        let winding_ohm = motor.phase_resistance_ohm * warmth;
         let mos_ohm = self.parameters.inverter.mos_resistance_ohm;
         self.current_a = if actuation.output_on {
             let limit_v = self.parameters.inverter.modulation_limit * self.link.voltage_v();
@@ -355,13 +346,6 @@ impl SimulatedMotor {
         let brake_nm = if brake_released { 0.0 } else { self.parameters.brake.holding_torque_nm };
         let most_taken = (dry_nm + brake_nm + gear_loss * motor_nm.abs()) * speed_per_torque;
         if freely.abs() <= most_taken { 0.0 } else { freely - most_taken.copysign(freely) }
-    }
-
-    fn winding_resistance_ohm(&self) -> f64 {
-        let warmer_k = self.winding.temperature_c() - REFERENCE_C;
-        let motor = &self.parameters.motor;
-        // No conductor loses its resistance in the cold.
-        motor.phase_resistance_ohm * (1.0 + motor.resistance_coefficient_per_k * warmer_k).max(0.1)
     }
 
     fn measure(&self) -> Measurement {
@@ -472,6 +456,6 @@ mod tests {
         let stop = super::super::SpringStop { at_deg: 0.0, stiffness_nm_per_rad: 1e7 };
         let error = motor.set_load(Load { upper_stop: Some(stop), ..Load::NONE }).unwrap_err();
         assert!(error.to_string().contains("stiffness"), "{error}");
-        assert_eq!(motor.load(), &Load::NONE);
+        assert_eq!(motor.load, Load::NONE);
     }
 }

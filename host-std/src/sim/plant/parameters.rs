@@ -1,6 +1,6 @@
 //! What a motor is like: the figures of a data sheet, from a TOML file, checked.
 
-use super::figure::{Figure, ImpossibleFigure};
+use super::figure::{ImpossibleFigure, check};
 use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::command::MotionRanges;
 use serde::{Deserialize, Serialize};
@@ -42,11 +42,9 @@ macro_rules! table {
         impl $name {
             fn check(&self) -> Result<(), ParameterError> {
                 $(
-                    check(
-                        concat!($key, ".", stringify!($field)),
-                        &Figure { name: $what, unit: $unit, min: $min as f64, max: $max as f64 },
-                        Into::<f64>::into(self.$field),
-                    )?;
+                    let key = concat!($key, ".", stringify!($field));
+                    check($what, $unit, $min..=$max, self.$field.into())
+                        .map_err(|error| ParameterError::OutOfRange { key, error })?;
                 )*
                 Ok(())
             }
@@ -299,20 +297,6 @@ impl MotorParameters {
         self.motor.rotor_inertia_kg_m2 * self.gear.ratio * self.gear.ratio
             + self.gear.output_inertia_kg_m2
     }
-
-    /// Torque in the air gap per ampere of torque current, at the output shaft before any loss,
-    /// N·m/A. It is the back-EMF constant too: the power that becomes mechanical is this times
-    /// current times speed.
-    pub fn air_gap_constant_nm_per_a(&self) -> f64 {
-        self.motor.torque_constant_nm_per_a / self.gear.efficiency
-    }
-}
-
-fn check(key: &'static str, allowed: &'static Figure, given: f64) -> Result<(), ParameterError> {
-    match allowed.check(given) {
-        Ok(_) => Ok(()),
-        Err(error) => Err(ParameterError::OutOfRange { key, error }),
-    }
 }
 
 fn at_most(
@@ -354,7 +338,7 @@ pub enum ParameterError {
     },
     /// A load, a supply or the like that cannot be.
     #[error("{0}")]
-    Setting(ImpossibleFigure),
+    Setting(#[from] ImpossibleFigure),
     /// Two figures that cannot both be.
     #[error("{low_key} must be at most {high_key}, but they are {low} and {high}: change either")]
     Contradiction {
@@ -388,12 +372,6 @@ pub enum ParameterError {
     },
 }
 
-impl From<ImpossibleFigure> for ParameterError {
-    fn from(error: ImpossibleFigure) -> Self {
-        Self::Setting(error)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -405,18 +383,28 @@ mod tests {
     }
 
     #[test]
-    fn every_model_loads_under_its_name() {
+    fn every_model_loads_under_its_name_and_reads_back_as_it_is_written() {
         for model in MODELS {
             let parameters = MotorParameters::named(&model.name.to_lowercase()).unwrap();
             assert!(parameters.name.starts_with(model.name), "{}", parameters.name);
+            let text = toml::to_string(&parameters).unwrap();
+            assert_eq!(MotorParameters::from_toml(&text), Ok(parameters));
         }
     }
 
     #[test]
-    fn an_unknown_key_is_refused_and_named() {
-        let error = edited("ratio = 19.612", "ratio = 19.612\nteeth = 12").unwrap_err();
-        let text = error.to_string();
-        assert!(text.contains("teeth") && text.contains("ratio"), "{text}");
+    fn what_is_wrong_with_a_key_is_told() {
+        let ratio = "ratio = 19.612";
+        for (wrong, told) in [
+            ("ratio = 19.612\nteeth = 12", &["teeth", "ratio"][..]),
+            ("", &["missing field `ratio`"]),
+            ("ratio = \"twenty\"", &["ratio", "f64", "twenty"]),
+        ] {
+            let text = edited(ratio, wrong).unwrap_err().to_string();
+            assert!(told.iter().all(|word| text.contains(word)), "{text}");
+        }
+        // Whole numbers are figures too.
+        assert_eq!(edited(ratio, "ratio = 20").unwrap().gear.ratio, 20.0);
     }
 
     #[test]
@@ -447,73 +435,41 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_missing_key_is_named() {
-        let text = edited("ratio = 19.612", "").unwrap_err().to_string();
-        assert!(text.contains("missing field `ratio`"), "{text}");
-    }
-
-    #[test]
-    fn a_wrong_type_says_what_was_expected_and_found() {
-        let text = edited("ratio = 19.612", "ratio = \"twenty\"").unwrap_err().to_string();
-        assert!(
-            text.contains("ratio") && text.contains("f64") && text.contains("twenty"),
-            "{text}"
-        );
-    }
-
-    #[test]
-    fn whole_numbers_are_figures_too() {
-        assert_eq!(edited("ratio = 19.612", "ratio = 20").unwrap().gear.ratio, 20.0);
-    }
-
-    #[test]
-    fn figures_out_of_range_are_refused() {
-        let (ratio, inertia) = ("ratio = 19.612", "rotor_inertia_kg_m2 = 6.6e-5");
-        for (figure, value, table) in [
-            (ratio, "0", "gear"),
-            (ratio, "nan", "gear"),
-            (ratio, "inf", "gear"),
-            (inertia, "0", "motor"),
-            (inertia, "-6.6e-5", "motor"),
-            ("bits = 17", "40", "encoder"),
-        ] {
-            let name = figure.split(' ').next().unwrap();
-            let (wrong, full) = (format!("{name} = {value}"), format!("{table}.{name}"));
-            let error = edited(figure, &wrong).unwrap_err();
-            assert!(
-                matches!(error, ParameterError::OutOfRange { key, .. } if key == full),
-                "{wrong}: {error}"
-            );
-            assert!(error.to_string().starts_with(&full), "{error}");
-        }
-    }
-
     /// No figure of the file is taken unchecked.
     #[test]
     fn every_figure_has_a_range() {
         let whole: toml::Table = MODELS[0].toml.parse().unwrap();
+        let refuses = |table: &str, key: &str, wrong: toml::Value| {
+            let mut changed = whole.clone();
+            changed[table][key] = wrong;
+            let error = MotorParameters::from_toml(&changed.to_string()).unwrap_err();
+            let full = format!("{table}.{key}");
+            assert!(
+                matches!(error, ParameterError::OutOfRange { key, .. } if key == full),
+                "{changed}: {error}"
+            );
+            assert!(error.to_string().starts_with(&full), "{error}");
+        };
         let mut figures = 0;
         for (table, keys) in
             whole.iter().filter_map(|(name, value)| Some((name, value.as_table()?)))
         {
             for (key, value) in keys.iter().filter(|(_, value)| !value.is_str()) {
-                let too_low = match value {
-                    toml::Value::Integer(_) if key == "pole_pairs" || key == "bits" => 0.into(),
-                    _ => toml::Value::Float(-1.0),
+                let wrong: &[toml::Value] = match value {
+                    toml::Value::Integer(_) if key == "pole_pairs" || key == "bits" => {
+                        &[0.into(), 127.into()]
+                    }
+                    _ => &[(-1.0).into(), f64::NAN.into(), f64::INFINITY.into()],
                 };
-                let mut changed = whole.clone();
-                changed[table][key] = too_low;
-                let error = MotorParameters::from_toml(&changed.to_string()).unwrap_err();
-                let full = format!("{table}.{key}");
-                assert!(
-                    matches!(error, ParameterError::OutOfRange { key: found, .. } if found == full),
-                    "{full}: {error}"
-                );
+                for wrong in wrong {
+                    refuses(table, key, wrong.clone());
+                }
                 figures += 1;
             }
         }
         assert_eq!(figures, 31);
+        refuses("gear", "ratio", 0.0.into());
+        refuses("motor", "rotor_inertia_kg_m2", 0.0.into());
     }
 
     #[test]
@@ -525,14 +481,5 @@ mod tests {
         );
         assert!(edited("min_voltage_v = 24", "min_voltage_v = 50").is_err());
         assert!(edited("peak_current_a = 29.1", "peak_current_a = 9.4").is_err());
-    }
-
-    #[test]
-    fn what_is_written_reads_back_the_same() {
-        for model in MODELS {
-            let parameters = MotorParameters::named(model.name).unwrap();
-            let text = toml::to_string(&parameters).unwrap();
-            assert_eq!(MotorParameters::from_toml(&text), Ok(parameters));
-        }
     }
 }

@@ -1,6 +1,6 @@
 //! Where the power comes from, and where it goes when the motor feeds back.
 
-use super::figure::{Figure, ImpossibleFigure};
+use super::figure::{ImpossibleFigure, check};
 use serde::{Deserialize, Serialize};
 
 /// A voltage source behind a resistance, with the capacitor at the drive's input.
@@ -21,12 +21,6 @@ pub struct Supply {
     pub capacitance_f: f64,
 }
 
-const VOLTAGE: Figure = Figure { name: "supply voltage", unit: "V", min: 0.0, max: 1000.0 };
-const RESISTANCE: Figure =
-    Figure { name: "supply resistance", unit: "Ω", min: 0.000_1, max: 1_000_000.0 };
-const CAPACITANCE: Figure =
-    Figure { name: "input capacitance", unit: "F", min: 0.000_1, max: 100.0 };
-
 impl Supply {
     /// A battery: 50 mΩ both ways. The capacitor of this and of [`bench`](Self::bench) is the
     /// 1000 µF that the maker's X-series manual (V1.1, 5.1) asks for.
@@ -45,16 +39,17 @@ impl Supply {
     }
 
     pub(super) fn check(&self) -> Result<(), ImpossibleFigure> {
-        VOLTAGE.check(self.voltage_v)?;
-        RESISTANCE.check(self.resistance_ohm)?;
-        RESISTANCE.check(self.feedback_resistance_ohm)?;
-        CAPACITANCE.check(self.capacitance_f)?;
+        check_voltage(self.voltage_v)?;
+        for resistance_ohm in [self.resistance_ohm, self.feedback_resistance_ohm] {
+            check("supply resistance", "Ω", 0.000_1..=1_000_000.0, resistance_ohm)?;
+        }
+        check("input capacitance", "F", 0.000_1..=100.0, self.capacitance_f)?;
         Ok(())
     }
 }
 
 pub(super) fn check_voltage(voltage_v: f64) -> Result<f64, ImpossibleFigure> {
-    VOLTAGE.check(voltage_v)
+    check("supply voltage", "V", 0.0..=1000.0, voltage_v)
 }
 
 /// The voltage at the drive's input as time goes on.

@@ -5,7 +5,7 @@
 /// Its step is exact for a loss that is constant over the step: the way to the steady temperature
 /// is exponential with the time constant capacity times resistance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ThermalNode {
+pub(super) struct ThermalNode {
     temperature_c: f64,
     is_held: bool,
     resistance_k_per_w: f64,
@@ -16,7 +16,7 @@ pub struct ThermalNode {
 impl ThermalNode {
     /// A body at `temperature_c` that is stepped every `step_s` seconds. Capacity in J/K,
     /// resistance in K/W.
-    pub fn new(
+    pub(super) fn new(
         temperature_c: f64,
         capacity_j_per_k: f64,
         resistance_k_per_w: f64,
@@ -27,7 +27,7 @@ impl ThermalNode {
     }
 
     /// One step with `loss_w` watts of heating in air of `ambient_c`, unless it is held.
-    pub fn step(&mut self, loss_w: f64, ambient_c: f64) {
+    pub(super) fn step(&mut self, loss_w: f64, ambient_c: f64) {
         if self.is_held {
             return;
         }
@@ -36,37 +36,15 @@ impl ThermalNode {
     }
 
     /// The temperature, °C.
-    pub const fn temperature_c(&self) -> f64 {
+    pub(super) const fn temperature_c(&self) -> f64 {
         self.temperature_c
     }
 
     /// Holds the body at a temperature, °C; `None` lets it go on from there.
-    pub const fn hold_c(&mut self, held_c: Option<f64>) {
+    pub(super) const fn hold_c(&mut self, held_c: Option<f64>) {
         self.is_held = held_c.is_some();
         if let Some(held_c) = held_c {
             self.temperature_c = held_c;
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// 10 W into 2 K/W ends 20 K above the air; after one time constant 63.2 % of it is done.
-    #[test]
-    fn heats_exponentially() {
-        let mut node = ThermalNode::new(25.0, 50.0, 2.0, 0.01);
-        for _ in 0..10_000 {
-            node.step(10.0, 25.0);
-        }
-        assert!((node.temperature_c() - (25.0 + 20.0 * 0.632_120_558_8)).abs() < 1e-6);
-    }
-
-    #[test]
-    fn stays_at_ambient_without_loss() {
-        let mut node = ThermalNode::new(25.0, 50.0, 2.0, 0.01);
-        node.step(0.0, 25.0);
-        assert_eq!(node.temperature_c(), 25.0);
     }
 }

@@ -3,7 +3,8 @@
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
 use super::Rate;
-use super::line::{BELL, END, Gathered, Line, hexadecimal, parse_frame, write_frame};
+use super::line::{BELL, END, Line, parse_frame, write_frame};
+use crate::text::can::hex_bytes;
 
 /// A line to an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -128,9 +129,12 @@ impl Answer {
             [b'Z'] => Self::Accepted { is_extended: true },
             [b'V', a, b, c, d] => Self::Version([a, b, c, d]),
             [b'N', a, b, c, d] => Self::SerialNumber([a, b, c, d]),
-            [b'F', high, low] => hexadecimal(&[high, low])
-                .and_then(|flags| u8::try_from(flags).ok())
-                .map_or(Self::Junk, Self::Status),
+            [b'F', ref digits @ ..] => {
+                match str::from_utf8(digits).ok().and_then(hex_bytes).as_deref() {
+                    Some(&[flags]) => Self::Status(flags),
+                    _ => Self::Junk,
+                }
+            }
             // Some adapters put the acknowledgement of a sending right before the next frame.
             [b'z' | b'Z', ref frame @ ..] => parse_frame(frame).map_or(Self::Junk, Self::Frame),
             ref frame => parse_frame(frame).map_or(Self::Junk, Self::Frame),
@@ -143,7 +147,7 @@ impl Answer {
 /// ```
 /// use myactuator_host_std::text::slcan::{Answer, Codec};
 ///
-/// let mut codec = Codec::new();
+/// let mut codec = Codec::default();
 /// let answers: Vec<Answer> =
 ///     b"\rt24189C32640032000A00\r\x07".iter().filter_map(|&byte| codec.feed(byte)).collect();
 /// assert!(matches!(answers[..], [Answer::Done, Answer::Frame(_), Answer::Refused]));
@@ -154,22 +158,13 @@ pub struct Codec {
 }
 
 impl Codec {
-    /// One that has heard nothing.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Takes the next byte. BEL counts wherever it stands, and ends a line that had begun.
     pub fn feed(&mut self, byte: u8) -> Option<Answer> {
         if byte == BELL {
             self.line.clear();
             return Some(Answer::Refused);
         }
-        match self.line.feed(byte) {
-            Gathered::Partly => None,
-            Gathered::Line(line) => Some(Answer::parse(line)),
-            Gathered::TooLong => Some(Answer::Junk),
-        }
+        self.line.feed(byte).map(|line| Answer::parse(&line))
     }
 }
 
@@ -180,18 +175,9 @@ pub struct AdapterCodec {
 }
 
 impl AdapterCodec {
-    /// One that has heard nothing.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Takes the next byte.
     pub fn feed(&mut self, byte: u8) -> Option<AdapterCommand> {
-        match self.line.feed(byte) {
-            Gathered::Partly => None,
-            Gathered::Line(line) => Some(AdapterCommand::parse(line)),
-            Gathered::TooLong => Some(AdapterCommand::Unknown),
-        }
+        self.line.feed(byte).map(|line| AdapterCommand::parse(&line))
     }
 }
 
@@ -205,12 +191,12 @@ mod tests {
     }
 
     fn answers(bytes: &[u8]) -> Vec<Answer> {
-        let mut codec = Codec::new();
+        let mut codec = Codec::default();
         bytes.iter().filter_map(|&byte| codec.feed(byte)).collect()
     }
 
     fn commands(bytes: &[u8]) -> Vec<AdapterCommand> {
-        let mut codec = AdapterCodec::new();
+        let mut codec = AdapterCodec::default();
         bytes.iter().filter_map(|&byte| codec.feed(byte)).collect()
     }
 
@@ -269,6 +255,8 @@ mod tests {
         assert_eq!(answers(b"t24189C32640032000A00E1F3\r"), [feedback]); // time stamp
         assert_eq!(answers(b"zt24189C32640032000A00\r"), [feedback]); // acknowledgement before it
         assert_eq!(answers(b"t24189C32640032000A00\r\n"), [feedback]);
+        let longest = Answer::Frame(frame("1FFFFFFF#9C32640032000A00"));
+        assert_eq!(answers(b"ZT1FFFFFFF89C32640032000A00E1F3\r"), [longest]);
         assert_eq!(answers(b"r2418BEEF\r"), [Answer::Frame(frame("241#R8"))]);
     }
 

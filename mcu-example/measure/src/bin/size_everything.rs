@@ -24,9 +24,9 @@ use myactuator_protocol_core::{
 fn use_master(motor: MotorId) {
     let now = Instant::from_micros(black_box(0));
     let mut master = Master::<32>::new(*black_box(&Config::CAN));
-    let ticket = master.request(motor, ReadMultiTurnAngle, now);
+    let ticket = master.request(motor, ReadMultiTurnAngle);
     let _ = black_box(master.set_point(motor, Torque { current: Current::from_raw(10) }, now));
-    let _ = black_box(master.broadcast(ReadStatus1, MotorSet::from(motor), now));
+    let _ = black_box(master.broadcast(ReadStatus1, MotorSet::from(motor)));
     while let Some(packet) = master.poll_transmit(now) {
         let frame: Option<SimpleFrame> = can::encode(&packet);
         let line = Frame::from_packet(&packet).map(|frame| frame.encode());
@@ -44,7 +44,7 @@ fn use_master(motor: MotorId) {
     master.handle_timeout(now);
     master.handle_bus_down(now);
     black_box((master.poll_at(), master.health(motor)));
-    let _ = black_box(master.stop_all(StopKind::Off, MotorSet::from(motor), now));
+    let _ = black_box(master.stop_all(StopKind::Off, MotorSet::from(motor)));
     master.lift_stop();
     while let Some(event) = master.poll_event() {
         black_box(event);

@@ -3,7 +3,7 @@
 
 use crate::command::{Direction, SingleTurnPosition, Speed};
 use crate::drive::control::SetPoint;
-use crate::drive::{Drive, Memory, NotRunReason, Plant, brake};
+use crate::drive::{Drive, Memory, NotRunReason, Plant};
 use crate::opcode::Opcode;
 use crate::units::{MaxSpeed, MaxTorque};
 
@@ -89,8 +89,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             return self.not_run(opcode, reason);
         }
         if locked_brake == LockedBrake::Opens && self.brake.holds() {
-            let quirks = self.parameters.quirks;
-            let at = brake::opening_time(self.clock, &quirks, &mut self.random);
+            let at = self.brake_opens_at(self.clock);
             self.brake.release_for_motion(at);
         }
         let input = self.input();

@@ -83,8 +83,8 @@ fn on_rs485_the_async_loop_does_what_the_polling_one_does() {
 fn nothing_is_lost_or_sent_twice_when_futures_are_dropped() {
     for most in 1..40 {
         let (bus, clock, mut arm) = can();
-        let read = arm.master().request(id(1), ReadMultiTurnAngle, clock.now()).unwrap();
-        let _step = arm.master().request(id(2), step(), clock.now()).unwrap();
+        let read = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+        let _step = arm.master().request(id(2), step()).unwrap();
         bus.state().full_until = 300;
         let mut events = Vec::new();
         while clock.micros() < 60_000 {
@@ -103,9 +103,9 @@ fn nothing_is_lost_or_sent_twice_when_futures_are_dropped() {
 #[test]
 fn a_serial_frame_whose_sending_is_dropped_counts_as_sent() {
     for most in 1..40 {
-        let (port, clock, mut arm) = serial();
+        let (port, _, mut arm) = serial();
         port.state().at_most = 1;
-        let ticket = arm.master().request(id(1), step(), clock.now()).unwrap();
+        let ticket = arm.master().request(id(1), step()).unwrap();
         assert!(polls(arm.next_event(), most).is_none_or(|event| event.is_ok()), "{most}");
         let cut_off = port.written().len();
         let event = block_on(arm.run(Some(Instant::from_millis(50)))).unwrap();
@@ -138,8 +138,7 @@ fn what_waits_is_dropped_on_a_bus_that_takes_nothing() {
         let (bus, clock, mut arm) = can();
         bus.state().full_until = 100_000;
         arm.set_point(id(1), torque()).unwrap();
-        let now = clock.now();
-        let read = arm.master().request(id(3), ReadMultiTurnAngle, now).unwrap();
+        let read = arm.master().request(id(3), ReadMultiTurnAngle).unwrap();
         let mut dropped_at = None;
         while let Some(left) = 101_000u64.checked_sub(clock.micros()).filter(|&left| left > 0) {
             let until = clock.now() + Duration::from_micros(left);

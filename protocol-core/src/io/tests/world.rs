@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use std::rc::Rc;
 use std::vec::Vec;
 
-use embedded_can::Frame as _;
+use embedded_can::{Frame as _, nb};
 
 use crate::Data;
 use crate::id::Target;
@@ -148,37 +148,6 @@ impl TestCan {
     pub(super) fn sent(&self) -> Vec<Data> {
         self.state.borrow().sent.iter().map(|frame| frame.data().try_into().unwrap()).collect()
     }
-
-    fn try_transmit(&self, frame: &SimpleFrame) -> nb::Result<(), Broken> {
-        let mut state = self.state.borrow_mut();
-        if state.transmit_fails {
-            return Err(nb::Error::Other(Broken));
-        }
-        if self.clock.micros() < state.full_until {
-            return Err(nb::Error::WouldBlock);
-        }
-        state.sent.push(*frame);
-        if let Received::Packet(command) = can::decode(frame)
-            && let Some(reply) = answer(&command)
-        {
-            state.replies.push_back((self.clock.micros() + RESPONSE, can::encode(&reply).unwrap()));
-        }
-        Ok(())
-    }
-
-    fn try_receive(&self) -> nb::Result<SimpleFrame, Broken> {
-        let mut state = self.state.borrow_mut();
-        if state.receive_fails {
-            return Err(nb::Error::Other(Broken));
-        }
-        match state.replies.front() {
-            Some(&(at, frame)) if at <= self.clock.micros() => {
-                state.replies.pop_front();
-                Ok(frame)
-            }
-            _ => Err(nb::Error::WouldBlock),
-        }
-    }
 }
 
 impl embedded_can::Error for Broken {
@@ -187,24 +156,43 @@ impl embedded_can::Error for Broken {
     }
 }
 
-impl embedded_can::nb::Can for TestCan {
+impl nb::Can for TestCan {
     type Frame = SimpleFrame;
     type Error = Broken;
 
-    fn transmit(&mut self, frame: &SimpleFrame) -> nb::Result<Option<SimpleFrame>, Broken> {
-        self.try_transmit(frame).map(|()| None)
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        let mut state = self.state.borrow_mut();
+        if state.transmit_fails {
+            return Err(::nb::Error::Other(Broken));
+        }
+        if self.clock.micros() < state.full_until {
+            return Err(::nb::Error::WouldBlock);
+        }
+        state.sent.push(*frame);
+        if let Received::Packet(command) = can::decode(frame)
+            && let Some(reply) = answer(&command)
+        {
+            state.replies.push_back((self.clock.micros() + RESPONSE, can::encode(&reply).unwrap()));
+        }
+        Ok(None)
     }
 
-    fn receive(&mut self) -> nb::Result<SimpleFrame, Broken> {
-        self.try_receive()
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        let mut state = self.state.borrow_mut();
+        if state.receive_fails {
+            return Err(::nb::Error::Other(Broken));
+        }
+        let now = self.clock.micros();
+        let reply = state.replies.pop_front_if(|&mut (at, _)| at <= now);
+        reply.map(|(_, frame)| frame).ok_or(::nb::Error::WouldBlock)
     }
 }
 
-fn pending<T>(result: nb::Result<T, Broken>) -> Poll<Result<T, Broken>> {
+fn pending<T>(result: ::nb::Result<T, Broken>) -> Poll<Result<T, Broken>> {
     match result {
         Ok(value) => Poll::Ready(Ok(value)),
-        Err(nb::Error::WouldBlock) => Poll::Pending,
-        Err(nb::Error::Other(error)) => Poll::Ready(Err(error)),
+        Err(::nb::Error::WouldBlock) => Poll::Pending,
+        Err(::nb::Error::Other(error)) => Poll::Ready(Err(error)),
     }
 }
 
@@ -213,11 +201,11 @@ impl AsyncCan for TestCan {
     type Error = Broken;
 
     async fn transmit(&mut self, frame: &SimpleFrame) -> Result<(), Broken> {
-        poll_fn(|_| pending(self.try_transmit(frame))).await
+        poll_fn(|_| pending(nb::Can::transmit(self, frame))).await.map(|_| ())
     }
 
     async fn receive(&mut self) -> Result<SimpleFrame, Broken> {
-        poll_fn(|_| pending(self.try_receive())).await
+        poll_fn(|_| pending(nb::Can::receive(self))).await
     }
 }
 
@@ -267,51 +255,9 @@ impl TestSerial {
         state.flushed == state.written.len()
     }
 
-    fn try_write(&self, buf: &[u8]) -> Result<usize, Broken> {
-        let mut state = self.state.borrow_mut();
-        if state.write_fails {
-            return Err(Broken);
-        }
-        if state.takes_nothing {
-            return Ok(0);
-        }
-        let length = if state.at_most == 0 { buf.len() } else { buf.len().min(state.at_most) };
-        for &byte in &buf[..length] {
-            state.written.push(byte);
-            if let Fed::Frame(frame) = state.receiver.feed(byte)
-                && let Some(reply) = answer(&frame.as_command())
-            {
-                let at = self.clock.micros() + RESPONSE;
-                let line = Frame::from_packet(&reply).unwrap().encode();
-                state.to_read.extend(line.map(|byte| (at, byte)));
-            }
-        }
-        Ok(length)
-    }
-
     fn is_ready(&self) -> bool {
         let state = self.state.borrow();
         state.closed || state.to_read.front().is_some_and(|&(at, _)| at <= self.clock.micros())
-    }
-
-    fn try_read(&self, buf: &mut [u8]) -> usize {
-        let mut state = self.state.borrow_mut();
-        let limit = if state.at_most == 0 { buf.len() } else { buf.len().min(state.at_most) };
-        let mut length = 0;
-        while length < limit
-            && let Some(&(at, byte)) = state.to_read.front()
-            && at <= self.clock.micros()
-        {
-            buf[length] = byte;
-            length += 1;
-            state.to_read.pop_front();
-        }
-        length
-    }
-
-    fn do_flush(&self) {
-        let mut state = self.state.borrow_mut();
-        state.flushed = state.written.len();
     }
 }
 
@@ -342,17 +288,47 @@ impl embedded_io::ReadReady for TestSerial {
 impl embedded_io::Read for TestSerial {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, Broken> {
         assert!(self.is_ready(), "a blocking read would wait");
-        Ok(self.try_read(buf))
+        let mut state = self.state.borrow_mut();
+        let limit = if state.at_most == 0 { buf.len() } else { buf.len().min(state.at_most) };
+        let mut length = 0;
+        while length < limit
+            && let Some(&(at, byte)) = state.to_read.front()
+            && at <= self.clock.micros()
+        {
+            buf[length] = byte;
+            length += 1;
+            state.to_read.pop_front();
+        }
+        Ok(length)
     }
 }
 
 impl embedded_io::Write for TestSerial {
     fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
-        self.try_write(buf)
+        let mut state = self.state.borrow_mut();
+        if state.write_fails {
+            return Err(Broken);
+        }
+        if state.takes_nothing {
+            return Ok(0);
+        }
+        let length = if state.at_most == 0 { buf.len() } else { buf.len().min(state.at_most) };
+        for &byte in &buf[..length] {
+            state.written.push(byte);
+            if let Fed::Frame(frame) = state.receiver.feed(byte)
+                && let Some(reply) = answer(&frame.as_command())
+            {
+                let at = self.clock.micros() + RESPONSE;
+                let line = Frame::from_packet(&reply).unwrap().encode();
+                state.to_read.extend(line.map(|byte| (at, byte)));
+            }
+        }
+        Ok(length)
     }
 
     fn flush(&mut self) -> Result<(), Broken> {
-        self.do_flush();
+        let mut state = self.state.borrow_mut();
+        state.flushed = state.written.len();
         Ok(())
     }
 }
@@ -360,7 +336,7 @@ impl embedded_io::Write for TestSerial {
 impl embedded_io_async::Read for TestSerial {
     async fn read(&mut self, buf: &mut [u8]) -> Result<usize, Broken> {
         poll_fn(|_| if self.is_ready() { Poll::Ready(()) } else { Poll::Pending }).await;
-        Ok(self.try_read(buf))
+        embedded_io::Read::read(self, buf)
     }
 }
 
@@ -374,12 +350,11 @@ impl embedded_io_async::Write for TestSerial {
     async fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
         a_moment().await;
         poll_fn(|_| if self.state.borrow().stalls { Poll::Pending } else { Poll::Ready(()) }).await;
-        self.try_write(buf)
+        embedded_io::Write::write(self, buf)
     }
 
     async fn flush(&mut self) -> Result<(), Broken> {
         a_moment().await;
-        self.do_flush();
-        Ok(())
+        embedded_io::Write::flush(self)
     }
 }

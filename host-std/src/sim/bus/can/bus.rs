@@ -3,9 +3,8 @@
 use embedded_can::{Frame, StandardId};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
-use super::CanConfig;
-use super::controller::{Controller, ControllerConfig, ControllerStatus, ErrorState, Recovery};
-use super::timing::{AFTER_ACKNOWLEDGE, INTERMISSION, frame_bits, line_bits};
+use super::controller::{Controller, ControllerConfig, ErrorState, RECOVERY_SEQUENCES, Recovery};
+use super::timing::{AFTER_ACKNOWLEDGE, INTERMISSION, frame_bits};
 use crate::sim::bus::faults::Disturbance;
 use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, Wire, sealed::Bus};
 use crate::sim::bus::nanos::{NEVER, Nanos, bits};
@@ -23,10 +22,11 @@ const SEQUENCE: u32 = 11;
 
 /// How a frame on the wire will end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Ending {
-    Good,
-    /// With this data bit flipped.
-    Falsified(u64),
+pub(super) enum Ending {
+    /// Whole, and maybe with a data bit flipped that nobody notices.
+    Sent {
+        flipped: Option<u64>,
+    },
     Unacknowledged,
     /// With an error frame.
     Broken,
@@ -34,9 +34,8 @@ enum Ending {
 
 #[derive(Debug)]
 struct Transmission {
-    /// All that send with its identifier, those of this very frame first.
+    /// All that send this very frame.
     senders: Vec<usize>,
-    /// What is on the wire: the frame that goes through against the others.
     frame: SimpleFrame,
     started: Nanos,
     ending: Ending,
@@ -61,10 +60,9 @@ enum Phase {
 #[derive(Debug)]
 pub struct CanBus {
     bit_rate: u32,
-    controllers: Vec<Controller>,
+    pub(super) controllers: Vec<Controller>,
     /// The common wire, then each station's stub.
     wires: Vec<Phase>,
-    cut_off: usize,
     messages: u64,
 }
 
@@ -76,12 +74,11 @@ const fn place(wire: Wire) -> usize {
 }
 
 impl CanBus {
-    pub(super) fn new(config: CanConfig) -> Self {
+    pub(super) fn new(bit_rate: u32) -> Self {
         Self {
-            bit_rate: config.bit_rate,
+            bit_rate,
             controllers: Vec::new(),
             wires: vec![Phase::Idle { since: 0 }],
-            cut_off: 0,
             messages: 0,
         }
     }
@@ -91,17 +88,10 @@ impl CanBus {
     }
 
     /// The wires with somebody on them.
-    fn wires(&self) -> impl Iterator<Item = Wire> + use<> {
-        let stubs: Vec<Wire> = if self.cut_off == 0 {
-            Vec::new()
-        } else {
-            self.controllers
-                .iter()
-                .map(|controller| controller.wire)
-                .filter(|&wire| wire != Wire::Common)
-                .collect()
-        };
-        std::iter::once(Wire::Common).chain(stubs)
+    fn wires(&self) -> Vec<Wire> {
+        let stubs = self.controllers.iter().map(|controller| controller.wire);
+        let stubs = stubs.filter(|&wire| wire != Wire::Common);
+        std::iter::once(Wire::Common).chain(stubs).collect()
     }
 
     fn on(&self, wire: Wire) -> impl Iterator<Item = (usize, &Controller)> {
@@ -163,56 +153,30 @@ impl CanBus {
             let (from, key) = controller.wants_bus()?;
             (from <= now).then_some((key, station))
         };
-        let Some((key, first)) = self.on(wire).filter_map(waiting).min() else { return };
-        let winners: Vec<usize> = self
+        let Some((_, first)) = self.on(wire).filter_map(waiting).min() else { return };
+        let Some(frame) = self.controllers[first].next_frame() else { return };
+        let senders: Vec<usize> = self
             .on(wire)
+            .filter(|(_, controller)| controller.next_frame() == Some(frame))
             .filter_map(waiting)
-            .filter(|&(other, _)| other == key)
             .map(|(_, station)| station)
             .collect();
         self.end_silence(wire, now);
-        let mut frames = Vec::with_capacity(winners.len());
-        for &station in &winners {
-            if let Some(frame) = self.controllers[station].begin() {
-                frames.push((station, frame));
-            }
+        for &station in &senders {
+            self.controllers[station].begin();
         }
-        let Some(&(_, mut frame)) = frames.first() else { return };
-        let mut clash = None;
-        if frames.iter().any(|(_, other)| *other != frame) {
-            let lines: Vec<_> = frames.iter().map(|(_, frame)| line_bits(frame)).collect();
-            // Dominant, false, goes through.
-            let best = (0..lines.len()).min_by(|&a, &b| lines[a].cmp(&lines[b])).unwrap_or(0);
-            frame = frames[best].1;
-            let differs = |line: &Vec<bool>| {
-                lines[best].iter().zip(line).position(|(a, b)| a != b).unwrap_or(0) + 1
-            };
-            // The first error-active station that sees its recessive bit overruled speaks up; those
-            // that are error-passive give in.
-            let is_active =
-                |station: usize| self.controllers[station].state() == ErrorState::Active;
-            clash = frames
-                .iter()
-                .zip(&lines)
-                .filter(|((station, other), _)| *other != frame && is_active(*station))
-                .map(|(_, line)| differs(line) as u32)
-                .min();
-            frames.sort_by_key(|(_, other)| *other != frame);
-        }
-        let senders: Vec<usize> = frames.iter().map(|(station, _)| *station).collect();
         let length = frame_bits(&frame);
         let disturbance = around.injector.disturbance(first, length - INTERMISSION);
         let alone = !self
             .on(wire)
             .any(|(station, controller)| !controller.is_bus_off() && !senders.contains(&station));
-        let (ending, taken) = match (clash, disturbance) {
-            (Some(bit), _) => (Ending::Broken, bit),
-            (None, Some(Disturbance::Detected(bit))) => (Ending::Broken, bit),
+        let (ending, taken) = match disturbance {
+            Some(Disturbance::Detected(bit)) => (Ending::Broken, bit),
             _ if alone => (Ending::Unacknowledged, length - INTERMISSION - AFTER_ACKNOWLEDGE),
-            (None, Some(Disturbance::Undetected(bit))) => {
-                (Ending::Falsified(bit), length - INTERMISSION)
+            Some(Disturbance::Undetected(bit)) => {
+                (Ending::Sent { flipped: Some(bit) }, length - INTERMISSION)
             }
-            (None, None) => (Ending::Good, length - INTERMISSION),
+            None => (Ending::Sent { flipped: None }, length - INTERMISSION),
         };
         let transmission = Transmission { senders, frame, started: now, ending };
         let until = now + self.bits(taken);
@@ -247,7 +211,7 @@ impl CanBus {
             if due {
                 self.controllers[station].recover();
                 around.freed.push(station);
-                around.trace.record(around.now, station, || Event::Recovered);
+                around.record(station, || Event::Recovered);
             }
         }
     }
@@ -260,9 +224,8 @@ impl CanBus {
     ) {
         let Transmission { senders, frame, started: started_ns, ending } = transmission;
         let now = around.now;
-        let sent = matches!(ending, Ending::Good | Ending::Falsified(_));
         let gap = match ending {
-            Ending::Good | Ending::Falsified(_) => INTERMISSION,
+            Ending::Sent { .. } => INTERMISSION,
             Ending::Unacknowledged => LONE_ERROR_FRAME + INTERMISSION,
             Ending::Broken => ERROR_FRAME + INTERMISSION,
         };
@@ -271,46 +234,33 @@ impl CanBus {
         self.begin_silence(wire, free_at);
         let suspended_until = free_at + self.bits(SUSPEND);
         for (station, controller) in self.on_mut(wire) {
-            if senders.contains(&station) {
-                match ending {
-                    _ if !controller.sends(&frame) => controller.count_transmit_error(),
-                    Ending::Good | Ending::Falsified(_) => controller.count_sent(),
-                    Ending::Unacknowledged => controller.count_unacknowledged(),
-                    Ending::Broken => controller.count_transmit_error(),
-                }
-            } else if !controller.is_bus_off() {
-                match ending {
-                    Ending::Good | Ending::Falsified(_) => controller.count_received(),
-                    Ending::Broken => controller.count_receive_error(),
-                    Ending::Unacknowledged => {}
-                }
+            let is_sender = senders.contains(&station);
+            if is_sender || !controller.is_bus_off() {
+                controller.count(ending, is_sender);
             }
         }
         for &station in &senders {
             let controller = &mut self.controllers[station];
-            let own = sent && controller.sends(&frame);
-            controller.end(own);
+            controller.end(ending);
             match controller.state() {
                 ErrorState::Active => {}
                 ErrorState::Passive => controller.suspended_until = suspended_until,
                 ErrorState::BusOff => {
-                    controller.leave_bus(free_at);
-                    around.trace.record(now, station, || Event::BusOff);
+                    controller.recovery =
+                        Some(Recovery { wanted: RECOVERY_SEQUENCES, since: free_at });
+                    around.record(station, || Event::BusOff);
                 }
             }
-            if own {
-                around.freed.push(station);
-            }
-            around.trace.record(now, station, || match ending {
-                _ if !own && sent => Event::Broken { frame, started_ns },
-                Ending::Good | Ending::Falsified(_) => Event::Carried { frame, started_ns },
+            around.record(station, || match ending {
+                Ending::Sent { .. } => Event::Carried { frame, started_ns },
                 Ending::Unacknowledged => Event::Unacknowledged { frame, started_ns },
                 Ending::Broken => Event::Broken { frame, started_ns },
             });
         }
-        if sent {
+        if let Ending::Sent { flipped } = ending {
+            around.freed.extend(&senders);
             let mut unit = frame;
-            if let Ending::Falsified(bit) = ending {
+            if let Some(bit) = flipped {
                 Self::flip_bit(&mut unit, bit);
             }
             self.messages += 1;
@@ -331,51 +281,23 @@ impl CanBus {
     fn break_off(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {
         let wire = self.controllers[station].wire;
         let Phase::Sending { transmission, until } = &mut self.wires[place(wire)] else { return };
-        let Transmission { senders, frame, ending, .. } = transmission;
-        let goes_on = |&other: &usize| {
-            other != station && (*ending == Ending::Broken || self.controllers[other].sends(frame))
-        };
-        if !senders.contains(&station) || senders.iter().any(goes_on) {
-            // The wire sees no change.
-            senders.retain(|&sender| sender != station);
-            self.controllers[station].end(false);
-        } else {
-            *ending = Ending::Broken;
+        if transmission.senders == [station] {
+            transmission.ending = Ending::Broken;
             *until = around.now;
             self.finish_on(wire, around);
+        } else {
+            // The wire sees no change.
+            transmission.senders.retain(|&sender| sender != station);
+            self.controllers[station].end(Ending::Broken);
         }
-    }
-
-    pub(super) fn displace(&mut self, station: usize, by: &SimpleFrame) -> Option<SimpleFrame> {
-        self.controllers[station].displace(by)
-    }
-
-    /// All but what the port knows of received frames.
-    pub(super) fn status(&self, station: usize) -> ControllerStatus {
-        let controller = &self.controllers[station];
-        ControllerStatus {
-            transmit_errors: controller.transmit_errors,
-            receive_errors: controller.receive_errors,
-            state: controller.state(),
-            queued: controller.queued(),
-            received: 0,
-            overflows: 0,
-        }
-    }
-
-    pub(super) fn is_bus_off(&self, station: usize) -> bool {
-        self.controllers[station].is_bus_off()
     }
 }
 
-impl Medium for CanBus {
-    type Frame = SimpleFrame;
-    type Attachment = ControllerConfig;
-}
+impl Medium for CanBus {}
 
 impl Bus for CanBus {
-    type Carries = SimpleFrame;
-    type How = ControllerConfig;
+    type Frame = SimpleFrame;
+    type Attachment = ControllerConfig;
 
     const DELIVERS_CORRUPTED: bool = false;
 
@@ -385,7 +307,7 @@ impl Bus for CanBus {
     }
 
     fn next_event(&self) -> Nanos {
-        self.wires().map(|wire| self.next_on(wire)).min().unwrap_or(NEVER)
+        self.wires().into_iter().map(|wire| self.next_on(wire)).min().unwrap_or(NEVER)
     }
 
     fn finish(&mut self, around: &mut Surroundings<SimpleFrame>) {
@@ -424,7 +346,6 @@ impl Bus for CanBus {
             return;
         }
         self.break_off(station, around);
-        self.cut_off = if is_cut { self.cut_off + 1 } else { self.cut_off - 1 };
         self.controllers[station].wire = wire;
         self.controllers[station].joined = around.now;
         if is_cut {

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
+use super::bus::Ending;
 use super::timing::arbitration_key;
 use crate::sim::bus::medium::Wire;
 use crate::sim::bus::nanos::Nanos;
@@ -13,7 +14,7 @@ const PASSIVE: u16 = 128;
 /// Above this transmit error count a controller leaves the bus.
 const BUS_OFF_ABOVE: u16 = 255;
 /// How many times eleven recessive bits end bus-off.
-const RECOVERY_SEQUENCES: u64 = 128;
+pub(super) const RECOVERY_SEQUENCES: u64 = 128;
 
 /// Which frame of a transmit queue goes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,18 +37,15 @@ pub struct ControllerConfig {
     /// How many frames can wait to be read. What comes then is lost, and counted. A
     /// [`Node`](crate::sim::bus::Node) takes its frames at once and needs no such queue.
     pub receive_queue: usize,
-    /// Whether the controller returns by itself after bus-off, once it has seen eleven recessive
-    /// bits 128 times.
-    pub recovers: bool,
 }
 
 impl ControllerConfig {
     /// Linux's usual CAN interface: ten frames in order.
     pub const SOCKETCAN: Self =
-        Self { transmit_queue: 10, order: QueueOrder::Fifo, receive_queue: 1024, recovers: true };
+        Self { transmit_queue: 10, order: QueueOrder::Fifo, receive_queue: 1024 };
     /// A microcontroller's: three mailboxes by priority.
     pub const MAILBOXES: Self =
-        Self { transmit_queue: 3, order: QueueOrder::Priority, receive_queue: 64, recovers: true };
+        Self { transmit_queue: 3, order: QueueOrder::Priority, receive_queue: 64 };
 }
 
 /// How a controller stands towards the bus (fault confinement of ISO 11898-1).
@@ -100,8 +98,6 @@ pub(super) struct Recovery {
 pub(super) struct Controller {
     config: ControllerConfig,
     queue: VecDeque<Pending>,
-    /// Where the frame is that goes first.
-    head: Option<usize>,
     pub(super) transmit_errors: u16,
     pub(super) receive_errors: u16,
     /// An error-passive sender waits until then.
@@ -117,7 +113,6 @@ impl Controller {
         Self {
             config,
             queue: VecDeque::new(),
-            head: None,
             transmit_errors: 0,
             receive_errors: 0,
             suspended_until: 0,
@@ -141,8 +136,16 @@ impl Controller {
         self.transmit_errors > BUS_OFF_ABOVE
     }
 
-    pub(super) fn queued(&self) -> usize {
-        self.queue.len()
+    /// How it stands, with what its port knows of received frames.
+    pub(super) fn status(&self, (received, overflows): (usize, u64)) -> ControllerStatus {
+        ControllerStatus {
+            transmit_errors: self.transmit_errors,
+            receive_errors: self.receive_errors,
+            state: self.state(),
+            queued: self.queue.len(),
+            received,
+            overflows,
+        }
     }
 
     pub(super) fn room(&self) -> usize {
@@ -154,7 +157,7 @@ impl Controller {
         if self.is_bus_off() {
             return None;
         }
-        let pending = self.queue.get(self.head?)?;
+        let pending = self.queue.get(self.head()?)?;
         Some((pending.since.max(self.suspended_until), pending.key))
     }
 
@@ -164,7 +167,6 @@ impl Controller {
         }
         let key = arbitration_key(&frame);
         self.queue.push_back(Pending { frame, key, since: now, on_wire: false });
-        self.choose_head();
         true
     }
 
@@ -179,82 +181,64 @@ impl Controller {
         let (place, _) = waiting
             .filter(|(_, pending)| pending.key > key)
             .max_by_key(|(_, pending)| pending.key)?;
-        let displaced = self.queue.remove(place)?;
-        self.choose_head();
-        Some(displaced.frame)
+        Some(self.queue.remove(place)?.frame)
+    }
+
+    /// The frame that goes first.
+    pub(super) fn next_frame(&self) -> Option<SimpleFrame> {
+        Some(self.queue.get(self.head()?)?.frame)
     }
 
     /// Puts the first frame on the wire.
-    pub(super) fn begin(&mut self) -> Option<SimpleFrame> {
-        let pending = self.queue.get_mut(self.head?)?;
-        pending.on_wire = true;
-        Some(pending.frame)
-    }
-
-    /// Whether this is the frame that it has on the wire.
-    pub(super) fn sends(&self, frame: &SimpleFrame) -> bool {
-        self.queue.iter().any(|pending| pending.on_wire && pending.frame == *frame)
+    pub(super) fn begin(&mut self) {
+        if let Some(pending) = self.head().and_then(|head| self.queue.get_mut(head)) {
+            pending.on_wire = true;
+        }
     }
 
     /// The frame on the wire is done; a failed one stays for the next try.
-    pub(super) fn end(&mut self, sent: bool) {
+    pub(super) fn end(&mut self, ending: Ending) {
         if let Some(place) = self.queue.iter().position(|pending| pending.on_wire) {
-            if sent {
-                self.queue.remove(place);
-            } else {
-                self.queue[place].on_wire = false;
+            match ending {
+                Ending::Sent { .. } => drop(self.queue.remove(place)),
+                Ending::Unacknowledged | Ending::Broken => self.queue[place].on_wire = false,
             }
         }
-        self.choose_head();
     }
 
     pub(super) fn clear(&mut self) {
         self.queue.clear();
-        self.head = None;
         self.recover();
     }
 
-    fn choose_head(&mut self) {
-        self.head = match self.config.order {
-            QueueOrder::Fifo => (!self.queue.is_empty()).then_some(0),
+    /// Where the frame is that goes first.
+    fn head(&self) -> Option<usize> {
+        match self.config.order {
+            QueueOrder::Fifo => Some(0),
             QueueOrder::Priority => {
                 let keys = self.queue.iter().enumerate();
                 keys.min_by_key(|(_, pending)| pending.key).map(|(place, _)| place)
             }
-        };
-    }
-
-    /// Counts a failed transmission, which may be one too many.
-    pub(super) fn count_transmit_error(&mut self) {
-        self.transmit_errors = self.transmit_errors.saturating_add(8);
-    }
-
-    /// Counts a frame that nobody acknowledged. An error-passive sender does not count those, so
-    /// silence alone leads to error-passive and never to bus-off.
-    pub(super) fn count_unacknowledged(&mut self) {
-        if self.state() != ErrorState::Passive {
-            self.count_transmit_error();
         }
     }
 
-    pub(super) fn count_sent(&mut self) {
-        self.transmit_errors = self.transmit_errors.saturating_sub(1);
-    }
-
-    pub(super) fn count_receive_error(&mut self) {
-        // More tells nothing: the state is the same from 128 on.
-        self.receive_errors = (self.receive_errors + 1).min(PASSIVE);
-    }
-
-    pub(super) fn count_received(&mut self) {
-        self.receive_errors = self.receive_errors.min(PASSIVE).saturating_sub(1);
-    }
-
-    pub(super) fn leave_bus(&mut self, idle_from: Nanos) {
-        self.recovery = self
-            .config
-            .recovers
-            .then_some(Recovery { wanted: RECOVERY_SEQUENCES, since: idle_from });
+    /// Counts what became of a frame.
+    pub(super) fn count(&mut self, ending: Ending, is_sender: bool) {
+        match ending {
+            // Silence alone leads to error-passive and never to bus-off.
+            Ending::Unacknowledged if !is_sender || self.state() == ErrorState::Passive => {}
+            Ending::Sent { .. } if is_sender => {
+                self.transmit_errors = self.transmit_errors.saturating_sub(1);
+            }
+            Ending::Sent { .. } => self.receive_errors = self.receive_errors.saturating_sub(1),
+            Ending::Unacknowledged | Ending::Broken if is_sender => {
+                self.transmit_errors = self.transmit_errors.saturating_add(8);
+            }
+            // More tells nothing: the state is the same from 128 on.
+            Ending::Unacknowledged | Ending::Broken => {
+                self.receive_errors = (self.receive_errors + 1).min(PASSIVE);
+            }
+        }
     }
 
     pub(super) fn recover(&mut self) {

@@ -6,11 +6,8 @@
 //!   frame, three bits of intermission before the bus is free again.
 //! - Arbitration among whatever waits at the moment the bus is free: the bits of the arbitration
 //!   field decide, so the lowest identifier wins and the others try again after the frame.
-//! - Two stations that send the same identifier at once: if the frames are equal to the last bit,
-//!   nobody can notice; they are one frame on the wire, and both have sent theirs. If they differ,
-//!   the one that sends the first recessive bit against a dominant one sees a bit error. If it is
-//!   error-active, its error frame destroys both, both count it, and both try again (and collide
-//!   again, until they are error-passive). If it is error-passive, the other's frame goes through.
+//! - Two stations that send frames at once that are equal to the last bit: nobody can notice; they are
+//!   one frame on the wire, and both have sent theirs.
 //! - Errors. A disturbance is seen by all: an error frame of 20 bits (flag and its echo 12, delimiter
 //!   8) and the intermission, the sender's count up by 8, the receivers' by 1, and the frame is sent
 //!   again. A frame that nobody acknowledges is sent again too; its sender's count stays at 128 then,
@@ -18,7 +15,9 @@
 //!   it has queued waits until 128 sequences of 11 recessive bits have passed.
 //! - A station never receives what it sends.
 //!
-//! Not modelled: CAN FD, overload frames, disturbances seen by some stations only, one-shot mode.
+//! Not modelled: CAN FD, overload frames, disturbances seen by some stations only, one-shot mode; bit
+//! errors of two stations that send one identifier with different data at once: they go one after the
+//! other.
 
 mod bus;
 mod controller;
@@ -37,24 +36,11 @@ pub use timing::frame_bits;
 /// A world with a CAN bus.
 pub type CanWorld = World<CanBus>;
 
-/// A CAN bus's properties.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CanConfig {
-    /// Bits per second.
-    pub bit_rate: u32,
-}
-
-impl Default for CanConfig {
-    /// 1 Mbit/s.
-    fn default() -> Self {
-        Self { bit_rate: 1_000_000 }
-    }
-}
-
 impl World<CanBus> {
-    /// A world with an empty bus, at time 0. All chance in it comes from `seed`.
-    pub fn new(config: CanConfig, seed: u64) -> Self {
-        Self::with_medium(CanBus::new(config), seed)
+    /// A world with an empty bus of this bit rate in bit/s, at time 0. All chance in it comes from
+    /// `seed`.
+    pub fn new(bit_rate: u32, seed: u64) -> Self {
+        Self::with_medium(CanBus::new(bit_rate), seed)
     }
 
     /// Attaches a node with a microcontroller's usual controller.
@@ -74,9 +60,7 @@ impl World<CanBus> {
 
     /// How a station's controller stands.
     pub fn controller(&self, station: StationId) -> ControllerStatus {
-        self.with(|kernel| {
-            let (received, overflows) = kernel.received(station.0);
-            ControllerStatus { received, overflows, ..kernel.bus.status(station.0) }
-        })
+        let station = station.0;
+        self.with(|kernel| kernel.bus.controllers[station].status(kernel.received(station)))
     }
 }

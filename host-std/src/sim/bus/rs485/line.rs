@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::{LineConfig, TransceiverConfig};
+use super::TransceiverConfig;
 use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, Wire, sealed::Bus};
 use crate::sim::bus::nanos::{NEVER, Nanos, bits, from_duration};
 use crate::sim::bus::random::{Random, Stream};
@@ -65,6 +65,12 @@ struct Heard {
     is_garbled: bool,
 }
 
+/// A byte that nobody but this station hears.
+fn for_itself(station: usize, started: Nanos, byte: u8) -> Arrival<Vec<u8>> {
+    let (deaf, unit) = (Vec::new(), vec![byte]);
+    Arrival { sender: station, deaf, started, on: Wire::Stub(station), unit, part: None }
+}
+
 /// An RS485 line and the stations on it.
 #[derive(Debug)]
 pub struct Rs485Line {
@@ -76,9 +82,9 @@ pub struct Rs485Line {
 }
 
 impl Rs485Line {
-    pub(super) fn new(config: LineConfig, seed: u64) -> Self {
+    pub(super) fn new(bit_rate: u32, seed: u64) -> Self {
         Self {
-            bit_rate: config.bit_rate,
+            bit_rate,
             stations: Vec::new(),
             heard: None,
             messages: 0,
@@ -86,14 +92,12 @@ impl Rs485Line {
         }
     }
 
-    fn driver_is_on(&self, station: usize) -> bool {
-        let station = &self.stations[station];
-        !station.is_cut
-            && matches!(station.driver, Driver::Sending { .. } | Driver::SwitchingOff { .. })
-    }
-
     fn others_drive(&self, station: usize) -> bool {
-        (0..self.stations.len()).any(|other| other != station && self.driver_is_on(other))
+        self.stations.iter().enumerate().any(|(other, state)| {
+            let is_on =
+                matches!(state.driver, Driver::Sending { .. } | Driver::SwitchingOff { .. });
+            other != station && is_on && !state.is_cut
+        })
     }
 
     /// Puts the next byte of a station on the line. It must have one.
@@ -158,7 +162,10 @@ impl Rs485Line {
             heard.byte = self.random.byte();
             heard.part = None;
         }
-        let deaf = (0..self.stations.len()).filter(|&station| self.is_deaf(station)).collect();
+        let is_deaf = |state: &Station| state.driver != Driver::Off && !state.config.echo;
+        let stations = self.stations.iter().enumerate();
+        let deaf =
+            stations.filter(|(_, state)| is_deaf(state)).map(|(station, _)| station).collect();
         around.arrivals.push(Arrival {
             sender: heard.sender,
             deaf,
@@ -167,12 +174,6 @@ impl Rs485Line {
             unit: vec![heard.byte],
             part: heard.part,
         });
-    }
-
-    /// Whether its receiver is off.
-    fn is_deaf(&self, station: usize) -> bool {
-        let station = &self.stations[station];
-        station.driver != Driver::Off && !station.config.echo
     }
 
     /// After a collision receivers may fall into the middle of a byte.
@@ -205,20 +206,13 @@ impl Rs485Line {
             && state.config.echo
             && let Some(message) = state.queue.front()
         {
-            around.arrivals.push(Arrival {
-                sender: station,
-                deaf: Vec::new(),
-                started: now,
-                on: Wire::Stub(station),
-                unit: vec![message.bytes[message.begun - 1]],
-                part: None,
-            });
+            around.arrivals.push(for_itself(station, now, message.bytes[message.begun - 1]));
         }
         if state.queue.front().is_some_and(|message| message.begun == message.bytes.len())
             && let Some(message) = state.queue.pop_front()
         {
             let Message { bytes: frame, started: started_ns, is_garbled, .. } = message;
-            around.trace.record(now, station, || {
+            around.record(station, || {
                 if is_garbled {
                     Event::Broken { frame, started_ns }
                 } else {
@@ -235,14 +229,7 @@ impl Rs485Line {
     /// A direction switch may be heard.
     fn switch(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
         if self.random.chance(self.stations[station].config.switch_noise) {
-            around.arrivals.push(Arrival {
-                sender: station,
-                deaf: Vec::new(),
-                started: around.now,
-                on: Wire::Stub(station),
-                unit: vec![self.random.byte()],
-                part: None,
-            });
+            around.arrivals.push(for_itself(station, around.now, self.random.byte()));
         }
     }
 
@@ -260,14 +247,11 @@ impl Rs485Line {
     }
 }
 
-impl Medium for Rs485Line {
-    type Frame = Vec<u8>;
-    type Attachment = TransceiverConfig;
-}
+impl Medium for Rs485Line {}
 
 impl Bus for Rs485Line {
-    type Carries = Vec<u8>;
-    type How = TransceiverConfig;
+    type Frame = Vec<u8>;
+    type Attachment = TransceiverConfig;
 
     const DELIVERS_CORRUPTED: bool = true;
 

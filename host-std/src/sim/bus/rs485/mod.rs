@@ -28,20 +28,6 @@ pub use port::{SerialError, SerialPort};
 /// A world with an RS485 line.
 pub type SerialWorld = World<Rs485Line>;
 
-/// An RS485 line's properties.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LineConfig {
-    /// Bits per second.
-    pub bit_rate: u32,
-}
-
-impl Default for LineConfig {
-    /// 115200 bit/s.
-    fn default() -> Self {
-        Self { bit_rate: 115_200 }
-    }
-}
-
 /// A station's transceiver and buffers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TransceiverConfig {
@@ -77,9 +63,10 @@ impl Default for TransceiverConfig {
 }
 
 impl World<Rs485Line> {
-    /// A world with an empty line, at time 0. All chance in it comes from `seed`.
-    pub fn new(config: LineConfig, seed: u64) -> Self {
-        Self::with_medium(Rs485Line::new(config, seed), seed)
+    /// A world with an empty line of this bit rate in bit/s, at time 0. All chance in it comes from
+    /// `seed`.
+    pub fn new(bit_rate: u32, seed: u64) -> Self {
+        Self::with_medium(Rs485Line::new(bit_rate, seed), seed)
     }
 
     /// Attaches a node that switches direction at once.

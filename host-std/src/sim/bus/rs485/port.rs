@@ -6,24 +6,21 @@ use myactuator_protocol_core::time::Duration;
 use super::Rs485Line;
 use crate::sim::bus::kernel::Kernel;
 use crate::sim::bus::medium::sealed::Bus as _;
-use crate::sim::bus::nanos::{Nanos, from_duration};
+use crate::sim::bus::nanos::from_duration;
 use crate::sim::bus::{StationId, World};
 
-/// How long blocking calls wait unless told otherwise.
+/// How long calls wait.
 const GIVE_UP: Duration = Duration::from_secs(1);
 
 /// What a port's calls can fail with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SerialError {
-    /// A blocking call waited as long as it may.
+    /// Nothing came, or nothing went, for a second.
     #[error(
-        "expected bytes on the line, found none within {after}: check that somebody answers, or wait \
+        "expected bytes on the line, found none within {GIVE_UP}: check that somebody answers, or wait \
          longer"
     )]
-    TimedOut {
-        /// How long that was.
-        after: Duration,
-    },
+    TimedOut,
 }
 
 impl embedded_io::Error for SerialError {
@@ -37,57 +34,23 @@ impl embedded_io::Error for SerialError {
 /// What one call of `write` takes is one message, which faults strike as a whole. Messages that are
 /// written before the line is idle again follow each other without a gap.
 ///
-/// The blocking calls let time go on until they have what they want, but not longer than
-/// [a limit](Self::set_give_up), 1 s unless set. The asynchronous ones wait without a limit, in
-/// [`World::block_on`]; dropped while waiting, they have taken and sent nothing.
+/// Its calls let time go on until they have what they want, but not longer than a second.
 ///
 /// A clone is the same port.
 #[derive(Clone, Debug)]
 pub struct SerialPort {
     world: World<Rs485Line>,
     station: StationId,
-    give_up: Duration,
-}
-
-fn read(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &mut [u8]) -> Option<usize> {
-    let mut count = 0;
-    while count < buf.len()
-        && let Some(unit) = kernel.read(station)
-    {
-        // Units are single bytes.
-        for byte in unit {
-            buf[count] = byte;
-        }
-        count += 1;
-    }
-    (count > 0 || buf.is_empty()).then_some(count)
-}
-
-fn write(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &[u8]) -> Option<usize> {
-    let count = buf.len().min(kernel.bus.room(station));
-    // Without room this notes that somebody waits for some. Nothing finds room always.
-    let message = if count == 0 { buf } else { &buf[..count] };
-    kernel.submit(station, message.to_vec()).then_some(count)
 }
 
 impl SerialPort {
     pub(super) const fn new(world: World<Rs485Line>, station: StationId) -> Self {
-        Self { world, station, give_up: GIVE_UP }
+        Self { world, station }
     }
 
     /// Its place on the line.
     pub const fn station(&self) -> StationId {
         self.station
-    }
-
-    /// The world that it is in.
-    pub const fn world(&self) -> &World<Rs485Line> {
-        &self.world
-    }
-
-    /// How long blocking calls wait at most.
-    pub fn set_give_up(&mut self, after: Duration) {
-        self.give_up = after;
     }
 
     /// How many received bytes were lost because nobody had read those before.
@@ -99,8 +62,8 @@ impl SerialPort {
         &self,
         done: impl FnMut(&mut Kernel<Rs485Line>) -> Option<T>,
     ) -> Result<T, SerialError> {
-        let until: Nanos = self.world.now_ns().saturating_add(from_duration(self.give_up));
-        self.world.wait(until, done).ok_or(SerialError::TimedOut { after: self.give_up })
+        let until = self.world.now_ns().saturating_add(from_duration(GIVE_UP));
+        self.world.wait(until, done).ok_or(SerialError::TimedOut)
     }
 }
 
@@ -122,39 +85,34 @@ impl WriteReady for SerialPort {
 
 impl Read for SerialPort {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, SerialError> {
-        self.wait(|kernel| read(kernel, self.station.0, buf))
+        let station = self.station.0;
+        self.wait(|kernel| {
+            let mut count = 0;
+            while count < buf.len()
+                && let Some(unit) = kernel.read(station)
+            {
+                // Units are single bytes.
+                buf[count] = unit[0];
+                count += 1;
+            }
+            (count > 0 || buf.is_empty()).then_some(count)
+        })
     }
 }
 
 impl Write for SerialPort {
     fn write(&mut self, buf: &[u8]) -> Result<usize, SerialError> {
-        self.wait(|kernel| write(kernel, self.station.0, buf))
+        let station = self.station.0;
+        self.wait(|kernel| {
+            let count = buf.len().min(kernel.bus.room(station));
+            // Without room this notes that somebody waits for some. Nothing finds room always.
+            let message = if count == 0 { buf } else { &buf[..count] };
+            kernel.submit(station, message.to_vec()).then_some(count)
+        })
     }
 
     /// Waits until the last byte has left and the station listens again.
     fn flush(&mut self) -> Result<(), SerialError> {
         self.wait(|kernel| kernel.bus.is_drained(self.station.0).then_some(()))
-    }
-}
-
-impl embedded_io_async::Read for SerialPort {
-    async fn read(&mut self, buf: &mut [u8]) -> Result<usize, SerialError> {
-        let station = self.station;
-        Ok(self.world.until_change(station, |kernel| read(kernel, station.0, buf)).await)
-    }
-}
-
-impl embedded_io_async::Write for SerialPort {
-    async fn write(&mut self, buf: &[u8]) -> Result<usize, SerialError> {
-        let station = self.station;
-        Ok(self.world.until_change(station, |kernel| write(kernel, station.0, buf)).await)
-    }
-
-    async fn flush(&mut self) -> Result<(), SerialError> {
-        let station = self.station;
-        let drained =
-            |kernel: &mut Kernel<Rs485Line>| kernel.bus.is_drained(station.0).then_some(());
-        self.world.until_change(station, drained).await;
-        Ok(())
     }
 }
