@@ -30,6 +30,8 @@ static WRAPS: AtomicU32 = AtomicU32::new(0);
 /// Something has happened since this was last looked at, so that there may be something to do.
 static HAS_HAPPENED: AtomicBool = AtomicBool::new(false);
 
+defmt::timestamp!("{=u64:us}", io::Clock::now(&Clock(())).as_micros());
+
 /// Microseconds since the start, from timer 0; timer 1 ends the sleep in [`idle`](io::Clock::idle).
 ///
 /// It never goes back. It would lose 134 seconds if interrupts were off for as long as that; the
