@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use myactuator_host_std::sim::bus::faults::FaultPlan;
 
-use super::running::{PATIENCE, Program, WATCHED, go, millis, moving, on};
+use super::running::{PATIENCE, Program, WATCHED, go, millis, moving, on, stops_for};
 
 on! {
     MPS2_RS485 as mps2_rs485, MPS2_CAN as mps2_can, NETDUINO_RS485 as netduino_rs485:
@@ -78,7 +78,7 @@ fn a_bus_that_is_cut_for_a_second_stops_all_until_the_button(program: Program) {
     let mut firmware = moving(program);
     let cut = firmware.drives().now();
     firmware.drives().cut(firmware.drives().handles());
-    firmware.wait_for("Trouble(", PATIENCE);
+    stops_for(&mut firmware, "");
     thread::sleep(millis(1_000));
     firmware.drives().mend(firmware.drives().handles());
     firmware.wait_for("State(Stopped)", PATIENCE);

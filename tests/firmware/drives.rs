@@ -5,7 +5,9 @@ use std::time::Duration;
 
 use myactuator_protocol_core::command::{ErrorFlags, VersionDate};
 
-use super::running::{PATIENCE, Program, WATCHED, go, millis, moving, on, stopped};
+use myactuator_tests::emulator::truth::Look;
+
+use super::running::{PATIENCE, Program, WATCHED, go, millis, moving, on, stopped, stops_for};
 
 on! {
     MPS2_RS485 as mps2_rs485, MPS2_CAN as mps2_can:
@@ -27,11 +29,12 @@ fn one_that_is_unplugged_stops_all(program: Program) {
     let unplugged = firmware.drives().now();
     let motor_3 = firmware.drive(3).clone();
     firmware.drives().cut(std::slice::from_ref(&motor_3));
-    firmware.wait_for("Trouble(Silent { motor: motor 3 })", PATIENCE);
+    stops_for(&mut firmware, "Silent { motor: motor 3 }");
     // A set of motors is told as bits, from motor 1 on.
     firmware.wait_for("Stopped { unconfirmed: MotorSet(4) }", PATIENCE);
     firmware.wait_for("State(Stopped)", PATIENCE);
     thread::sleep(PROTECTION_STOPS);
+    assert!(!Look::at(&motor_3).is_output_on, "it goes on without a master");
     firmware.drives().mend(std::slice::from_ref(&motor_3));
     firmware.check_stays_stopped(WATCHED);
     let mut moved_for = firmware.truth.moved_for(unplugged);
@@ -46,7 +49,7 @@ fn one_that_restarts_stops_all(program: Program) {
     let mut firmware = moving(program);
     let restarted = firmware.drives().now();
     firmware.drives().restart(firmware.drive(2));
-    let told = firmware.wait_for("Trouble(", PATIENCE);
+    let told = stops_for(&mut firmware, "");
     // It may be missed before it is asked how long it has run.
     let is_known = told.text.contains("Restarted") || told.text.contains("Silent");
     assert!(is_known && told.number("motor") == Some(2.0), "{told}");
@@ -61,13 +64,13 @@ fn one_with_an_error_stops_all_until_that_is_gone(program: Program) {
     let struck = firmware.drives().now();
     let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
     firmware.drive(4).with(|drive| drive.raise_fault(flags));
-    firmware.wait_for("Trouble(Errors { motor: motor 4,", PATIENCE);
+    stops_for(&mut firmware, "Errors { motor: motor 4,");
     firmware.wait_for("State(Stopped)", PATIENCE);
     firmware.check_stays_stopped(WATCHED);
     firmware.check_still(struck, ERROR_STOPS);
 
     firmware.press();
-    firmware.wait_for("Trouble(Errors { motor: motor 4,", PATIENCE);
+    stops_for(&mut firmware, "Errors { motor: motor 4,");
     firmware.wait_for("State(Stopped)", PATIENCE);
     firmware.check_stays_stopped(millis(300));
     firmware.check_still(struck, ERROR_STOPS);
@@ -84,7 +87,7 @@ fn one_with_another_firmware_keeps_all_from_moving(program: Program) {
         firmware.fail(&error.to_string());
     }
     firmware.press();
-    let told = firmware.wait_for("Trouble(OtherFirmware { motor: motor 2,", PATIENCE);
+    let told = stops_for(&mut firmware, "OtherFirmware { motor: motor 2,");
     assert!(told.text.contains("20231201"), "{told}");
     firmware.wait_for("State(Stopped)", PATIENCE);
     firmware.check_stays_stopped(WATCHED);

@@ -9,7 +9,9 @@ use myactuator_protocol_core::{Channel, MotorId, Target};
 use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::panel::Breakage;
 
-use super::running::{DRIVES, NETDUINO_RS485, PATIENCE, Program, WATCHED, go, millis, moving, on};
+use super::running::{
+    DRIVES, NETDUINO_RS485, PATIENCE, Program, WATCHED, go, millis, moving, on, stops_for,
+};
 
 on! {
     MPS2_RS485 as mps2_rs485, MPS2_CAN as mps2_can, NETDUINO_RS485 as netduino_rs485:
@@ -38,7 +40,7 @@ fn a_button_that_is_held_stops_and_starts_nothing(program: Program) {
     let mut firmware = moving(program);
     let held = firmware.drives().now();
     firmware.hold();
-    firmware.wait_for("Trouble(Button)", PATIENCE);
+    stops_for(&mut firmware, "Button");
     firmware.wait_for("Stopped { unconfirmed: MotorSet(0) }", PATIENCE);
     firmware.wait_for("State(Stopped)", PATIENCE);
     firmware.check_stays_stopped(WATCHED);
@@ -94,10 +96,8 @@ fn check_stops(firmware: &Firmware, since: Instant, within: Duration) {
 /// QEMU gives that machine no watchdog: the drives look after themselves.
 #[test]
 fn a_hang_without_a_watchdog_ends_by_the_drives_protection() {
-    let firmware = moving(NETDUINO_RS485);
-    let broken = firmware.drives().now();
-    let mut firmware = firmware;
-    firmware.break_it(Breakage::Hang);
+    let mut firmware = moving(NETDUINO_RS485);
+    let broken = firmware.break_it(Breakage::Hang);
     thread::sleep(PROTECTION_STOPS + millis(300));
     firmware.check_still(broken, PROTECTION_STOPS);
     for look in firmware.looks() {

@@ -5,6 +5,7 @@ use std::time::Duration;
 use myactuator_host_std::sim::Fleet;
 use myactuator_tests::emulator::board::Board;
 use myactuator_tests::emulator::firmware::Firmware;
+use myactuator_tests::emulator::log::Line;
 
 /// How many drives there are.
 pub(crate) const DRIVES: u8 = 4;
@@ -66,4 +67,16 @@ pub(crate) fn go(firmware: &mut Firmware) {
     firmware.press();
     firmware.wait_for("State(Running)", PATIENCE);
     firmware.wait_until_moving(UNDER_WAY_DPS);
+}
+
+/// Waits for the trouble that begins so, for which the application stops the motors at once. Gives what it
+/// says of it.
+#[track_caller]
+pub(crate) fn stops_for(firmware: &mut Firmware, trouble: &str) -> Line {
+    let told = firmware.wait_for(&format!("Trouble({trouble}"), PATIENCE);
+    let then = firmware.wait_for("", PATIENCE);
+    if then.text != "State(Stopping)" {
+        firmware.fail(&format!("{told}, then {then}"));
+    }
+    told
 }
