@@ -292,20 +292,14 @@ fn a_value_becomes_its_nearest_step() {
 
 #[test]
 fn the_manuals_example_is_rounded_not_cut() {
+    let quantise =
+        |point| steps(&MotionRanges::V4_3.quantise(&set_point(point)).expect("in range"));
     // 5.4: 10 rad lies at 58981.5, kp 10 at 81.9, kd 1 at 819, 10 N·m at 2900.6.
     // 1 rad/s lies at 46 · 4095 / 90 = 2093.0. The manual prints 2094, which is 1.022 rad/s: a
     // misprint, or another speed than the one that its text works out.
-    let raw = MotionRanges::V4_3.quantise(&set_point([10.0, 1.0, 10.0, 1.0, 10.0]));
-    let raw = raw.expect("within the ranges");
-    assert_eq!(steps(&raw), [58_982, 2_093, 82, 819, 2_901]);
-    assert_eq!(raw.encode(), command_bits([58_982, 2_093, 82, 819, 2_901]));
-}
-
-#[test]
-fn a_symmetric_scale_has_no_step_at_zero() {
-    let still = MotionRanges::V4_3.quantise(&MotionSetPoint::default()).expect("within");
-    // 32767.5 and 2047.5: ties, which go up.
-    assert_eq!(still.encode(), command_bits([32_768, 2_048, 0, 0, 2_048]));
+    assert_eq!(quantise([10.0, 1.0, 10.0, 1.0, 10.0]), [58_982, 2_093, 82, 819, 2_901]);
+    // A symmetric scale has no step at zero: 32767.5 and 2047.5 are ties, which go up.
+    assert_eq!(quantise([0.0; 5]), [32_768, 2_048, 0, 0, 2_048]);
 }
 
 #[test]
