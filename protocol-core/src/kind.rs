@@ -89,6 +89,12 @@ impl Kind {
         }
     }
 
+    /// Whether it ends motion: 0x80, 0x81, 0x78 and 0x76. Set-points that are older never follow it.
+    pub const fn ends_motion(self) -> bool {
+        use Opcode::{LockBrake, Reset, Shutdown, Stop};
+        matches!(self, Self::Known(Shutdown | Stop | LockBrake | Reset))
+    }
+
     /// Whether it is a motion mode command, which travels on a channel of its own.
     pub const fn is_motion(self) -> bool {
         matches!(self, Self::Known(Opcode::Motion))
