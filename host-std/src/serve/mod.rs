@@ -11,6 +11,9 @@
 //! | [`serve_adapter`](Server::serve_adapter) | a pseudo-terminal that is an SLCAN adapter |
 //! | [`serve_interface`](Server::serve_interface) | the drives on a CAN interface of Linux |
 //!
+//! A socket stands in for either pseudo-terminal where an emulator has the other end:
+//! [`serve_line_on`](Server::serve_line_on), [`serve_adapter_on`](Server::serve_adapter_on).
+//!
 //! An adapter and an interface lead to the same CAN bus: what is sent on one is heard on the other.
 //! Pseudo-terminals have no bit rate, so bytes take their time on the simulated bus alone, and a
 //! program may set what it likes.
@@ -312,10 +315,15 @@ impl Server {
 
 #[cfg(test)]
 mod tests {
+    use std::io::{Read as _, Write as _};
+
     use super::*;
     use crate::sim::Fleet;
+    use myactuator_protocol_core::MotorId;
     use myactuator_protocol_core::command::ErrorFlags;
+    use myactuator_protocol_core::command::ReadMultiTurnAngle;
     use myactuator_protocol_core::drive::Event;
+    use myactuator_protocol_core::wire::rs485::Frame;
 
     #[test]
     fn planned_faults_come_in_their_time_on_all_buses() {
@@ -341,5 +349,25 @@ mod tests {
         assert_eq!(at(1.0), both(&[Event::FaultRaised(ErrorFlags::OVER_SPEED)]));
         let errors = ErrorFlags::OVER_VOLTAGE | ErrorFlags::OVER_SPEED;
         assert_eq!(at(3.0), both(&[Event::FaultCleared(errors)]));
+    }
+
+    #[test]
+    fn a_socket_stands_in_for_a_serial_port_until_it_is_closed() {
+        let line = Fleet::new(1).on_rs485(1_000_000).unwrap();
+        let (mut program, device) = UnixStream::pair().unwrap();
+        let mut server = Server::new();
+        server.serve_line_on(&line, TransceiverConfig::default(), device).unwrap();
+        let asking = std::thread::spawn(move || {
+            let ask = Frame::from_packet(&ReadMultiTurnAngle.packet(MotorId::MIN)).unwrap();
+            program.write_all(&ask.encode()).unwrap();
+            let mut answer = [0; 13];
+            program.read_exact(&mut answer).unwrap();
+            Frame::decode(&answer).unwrap().data
+        });
+        let (_nobody_stops_it, stop) = UnixStream::pair().unwrap();
+        let end = server.run(stop, |_| {}).unwrap_err();
+        let ServeError::Terminal(error) = end else { panic!("{end}") };
+        assert_eq!(error.kind(), io::ErrorKind::UnexpectedEof);
+        assert_eq!(asking.join().unwrap()[0], 0x92);
     }
 }
