@@ -1,6 +1,5 @@
 //! First contact, motion, shutdown; and that it goes on like that.
 
-use std::thread;
 use std::time::Duration;
 
 use myactuator_protocol_core::command::{BrakeCommand, Stop};
@@ -10,7 +9,7 @@ use myactuator_tests::emulator::board::Wire;
 use myactuator_tests::fleet::state;
 
 use super::running::{
-    DRIVES, MPS2_CAN, NETDUINO_RS485, PATIENCE, Program, WATCHED, millis, on, stopped, stops_for,
+    DRIVES, MPS2_CAN, NETDUINO_RS485, PATIENCE, Program, WATCHED, on, stopped, stops_for,
 };
 
 on! {
@@ -167,6 +166,5 @@ fn nothing_is_lost(program: Program, seconds: u32) {
             println!("{program:?} after {seconds} s, {excused} lost replies excused: {told:?}");
         }
     }
-    thread::sleep(millis(10));
     firmware.check_log();
 }
