@@ -345,12 +345,13 @@ impl<W: Wire> Session<W> {
         // Not everyone who answers is expected to.
         let expected = self.rig.motors().filter(|motor| motor.get() % 3 != 0).collect();
         let master = self.rig.runner.master();
-        if self.dice.below(2) == 0 {
+        let begun = if self.dice.below(2) == 0 {
             master.broadcast(angle(token), expected)
         } else {
-            master.broadcast(with_token(ReadPid { index: PidIndex::SPEED_KP }, token), expected)
-        }
-        .expect("there is no other broadcast");
+            let index = PidIndex::SPEED_KP;
+            master.broadcast(with_token(ReadPid { index }, token), expected)
+        };
+        begun.expect("there is no other broadcast");
         self.broadcast = Some(token);
     }
 

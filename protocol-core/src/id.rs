@@ -1,6 +1,6 @@
 //! Which motor is meant: [`MotorId`] and [`Target`].
 
-use core::fmt;
+use core::fmt::{self, Write as _};
 use core::num::NonZeroU8;
 use core::str::FromStr;
 
@@ -131,8 +131,12 @@ impl From<MotorId> for Target {
 impl fmt::Display for Target {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Target::Motor(id) => write!(f, "motor {id}"),
-            Target::All => f.write_str("all motors"),
+            Target::Motor(id) => {
+                let mut text = heapless::String::<8>::new();
+                write!(text, "motor {id}")?;
+                f.pad(&text)
+            }
+            Target::All => f.pad("all motors"),
         }
     }
 }

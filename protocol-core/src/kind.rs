@@ -78,15 +78,21 @@ impl Kind {
     /// Whether it may set the motor in motion, let its load fall, or change the drive for good: while
     /// the motors are stopped, it is refused ([`RequestError::Stopped`]).
     ///
-    /// Of the table these are the set-points, 0x77, and whatever [acts again](Repeat::ActsAgain) with
-    /// each sending: 0xA8, the restart, writes to ROM, 0x20, 0x79 (its read too), 0xB3, 0xB4 and
-    /// 0xB6. All others pass: reads, 0x31, 0x78, 0x80 and 0x81. Of a raw one its caller has said it.
+    /// Of the table these are 0x77 and all whose repeat is not [harmless](Repeat::Harmless): set-points,
+    /// 0xA8, the restart, writes to ROM, 0x20, 0x79 (its read too), 0xB3, 0xB4 and 0xB6. All others pass:
+    /// reads, and 0x31, 0x78, 0x80 and 0x81, for example. Of a raw one its caller has said it.
     pub const fn is_refused_while_stopped(self) -> bool {
         match self {
             Self::Known(Opcode::ReleaseBrake) => true,
             Self::Known(opcode) => !matches!(opcode.repeat(), Repeat::Harmless),
             Self::Raw { moves, .. } => moves,
         }
+    }
+
+    /// Whether it ends motion: 0x80, 0x81, 0x78 and 0x76. Set-points that are older never follow it.
+    pub const fn ends_motion(self) -> bool {
+        use Opcode::{LockBrake, Reset, Shutdown, Stop};
+        matches!(self, Self::Known(Shutdown | Stop | LockBrake | Reset))
     }
 
     /// Whether it is a motion mode command, which travels on a channel of its own.
@@ -154,15 +160,22 @@ impl fmt::Display for Kind {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::opcode::Usage;
 
     #[test]
     fn a_stop_lets_pass_what_its_documentation_says() {
-        let is_read = |opcode: Opcode| opcode.name().starts_with("read-");
-        let passing =
-            || Opcode::ALL.iter().copied().filter(|&o| !Kind::Known(o).is_refused_while_stopped());
-        let all = Opcode::ALL.iter().copied();
-        assert!(all.filter(|&o| is_read(o)).eq(passing().filter(|&o| is_read(o))));
-        let rest = passing().filter(|&o| !is_read(o)).filter_map(Opcode::byte);
-        assert!(rest.eq([0x31, 0x78, 0x80, 0x81]));
+        let passes = |opcode: Opcode| !Kind::Known(opcode).is_refused_while_stopped();
+        for &opcode in Opcode::ALL {
+            if opcode.name().starts_with("read-") {
+                assert!(passes(opcode), "{opcode}");
+            }
+            if opcode.usage() == Usage::SetPoint || opcode.repeat() == Repeat::ActsAgain {
+                assert!(!passes(opcode), "{opcode}");
+            }
+        }
+        let of_byte = |byte| Opcode::from_byte(byte).unwrap();
+        assert!([0x31, 0x78, 0x80, 0x81].map(of_byte).into_iter().all(passes));
+        let refused = [0x77, 0xA8, 0x76, 0x32, 0x43, 0x63, 0x64, 0x20, 0x79, 0xB3, 0xB4, 0xB6];
+        assert!(!refused.map(of_byte).into_iter().any(passes));
     }
 }

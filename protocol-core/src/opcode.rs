@@ -1,6 +1,6 @@
 //! The table of frame kinds: one row each, and everything that follows from the kind alone.
 
-use core::fmt;
+use core::fmt::{self, Write as _};
 use core::str::FromStr;
 
 use crate::firmware::Firmware;
@@ -186,13 +186,11 @@ macro_rules! opcodes {
         /// and its identifier alone says what it is. `any`: every [`Firmware`] that is known here.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
         #[non_exhaustive]
         pub enum Opcode {
             $(
                 $(#[doc = $doc])+
                 #[doc = concat!("Manual ", $section, ".")]
-                #[cfg_attr(feature = "serde", serde(rename = $kebab))]
                 $name,
             )+
         }
@@ -376,9 +374,38 @@ impl FromStr for Opcode {
 impl fmt::Display for Opcode {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.byte() {
-            Some(byte) => write!(f, "{} (0x{byte:02X})", self.name()),
-            None => f.write_str(self.name()),
+            Some(byte) => {
+                let mut text = heapless::String::<48>::new();
+                write!(text, "{} (0x{byte:02X})", self.name())?;
+                f.pad(&text)
+            }
+            None => f.pad(self.name()),
         }
+    }
+}
+
+/// By its name in every format: a place in the table would mean another command once a row is added.
+#[cfg(feature = "serde")]
+impl serde::Serialize for Opcode {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}
+
+#[cfg(feature = "serde")]
+impl<'de> serde::Deserialize<'de> for Opcode {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Visitor;
+        impl serde::de::Visitor<'_> for Visitor {
+            type Value = Opcode;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a command's name")
+            }
+            fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Opcode, E> {
+                name.parse().map_err(E::custom)
+            }
+        }
+        deserializer.deserialize_str(Visitor)
     }
 }
 

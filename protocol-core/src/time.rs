@@ -3,7 +3,7 @@
 //! The state machines read no clock: whoever runs them says what time it is. Any clock will do that
 //! counts microseconds from any start and never runs backwards.
 
-use core::fmt;
+use core::fmt::{self, Write as _};
 use core::ops::{Add, AddAssign, Sub};
 
 /// A span of time in microseconds.
@@ -156,13 +156,27 @@ mod with_fugit {
 impl fmt::Display for Duration {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (millis, micros) = (self.0 / 1_000, self.0 % 1_000);
-        if micros == 0 { write!(f, "{millis} ms") } else { write!(f, "{millis}.{micros:03} ms") }
+        let mut text = heapless::String::<32>::new();
+        if micros == 0 {
+            write!(text, "{millis} ms")?
+        } else {
+            write!(text, "{millis}.{micros:03} ms")?
+        }
+        f.pad(&text)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::format;
+
     use super::*;
+
+    #[test]
+    fn a_duration_fills_its_column() {
+        assert_eq!(format!("[{:>8}]", Duration::from_millis(3)), "[    3 ms]");
+        assert_eq!(format!("[{:<10}]", Duration::from_micros(1_020)), "[1.020 ms  ]");
+    }
     use std::string::ToString;
 
     #[test]

@@ -404,6 +404,28 @@ fn a_shaft_that_was_held_back_does_not_jump() {
     }
 }
 
+/// 2.21.1: with a position acceleration the drive plans the motion: accelerations and maxSpeed hold.
+#[test]
+fn an_absolute_position_is_planned() {
+    let mut bench = Bench::default();
+    plan(&mut bench, AccelerationIndex::POSITION_ACCELERATION, 2_000);
+    plan(&mut bench, AccelerationIndex::POSITION_DECELERATION, 1_000);
+    bench.ask(go_to(360.0, 500));
+    assert_eq!(bench.ask(ReadRunningMode).mode, Mode::POSITION);
+    let (mut fastest, mut farthest, mut speeds) = (0.0_f32, 0.0_f64, Vec::new());
+    bench.watch(millis(1_600), |state| {
+        fastest = fastest.max(state.measurement.speed_dps);
+        farthest = farthest.max(state.angle_deg);
+        speeds.push(state.measurement.speed_dps);
+    });
+    // 250 ms up, 500 ms down, and 172.5 degrees at 500 dps between: 1095 ms.
+    assert!((bench.angle() - 360.0).abs() < 0.02, "{}", bench.angle());
+    assert!((490.0..510.0).contains(&fastest), "{fastest}");
+    assert!(farthest < 360.5, "{farthest}");
+    assert!((speeds[115] - 250.0).abs() < 20.0, "{}", speeds[115]); // 125 ms after the command
+    assert!((speeds[835] - 250.0).abs() < 20.0, "{}", speeds[835]); // 250 ms before the end
+}
+
 /// 2.4.4: the deceleration is its own; where it is 0, the acceleration serves for both.
 #[test]
 fn a_deceleration_of_zero_is_the_accelerations() {

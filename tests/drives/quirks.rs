@@ -34,10 +34,6 @@ fn slow_boot() {
     assert!(bench.send(ReadStatus2).is_some());
     let run_time = bench.ask(ReadRunTime).run_time.raw();
     assert!((1_105..=1_120).contains(&run_time), "since the restart: {run_time}");
-
-    let mut bench = with(Quirks::default());
-    bench.restart();
-    assert!(bench.send(ReadStatus2).is_some());
 }
 
 /// The brake opens 50 to 150 ms after 0x77; the drive, which has answered at once, does not wait.

@@ -31,7 +31,7 @@ fn one_that_is_unplugged_stops_all(program: Program) {
     firmware.drives().cut(std::slice::from_ref(&motor_3));
     stops_for(&mut firmware, "Silent { motor: motor 3 }");
     // A set of motors is told as bits, from motor 1 on.
-    firmware.wait_for("Stopped { unconfirmed: MotorSet(4) }", PATIENCE);
+    firmware.wait_for("Stopped { unconfirmed: [3] }", PATIENCE);
     firmware.wait_for("State(Stopped)", PATIENCE);
     thread::sleep(PROTECTION_STOPS);
     assert!(!Look::at(&motor_3).is_output_on, "it goes on without a master");

@@ -41,7 +41,7 @@ fn a_button_that_is_held_stops_and_starts_nothing(program: Program) {
     let held = firmware.drives().now();
     firmware.hold();
     stops_for(&mut firmware, "Button");
-    firmware.wait_for("Stopped { unconfirmed: MotorSet(0) }", PATIENCE);
+    firmware.wait_for("Stopped { unconfirmed: [] }", PATIENCE);
     firmware.wait_for("State(Stopped)", PATIENCE);
     firmware.check_stays_stopped(WATCHED);
     firmware.check_still(held, BUTTON_STOPS);

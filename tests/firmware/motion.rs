@@ -112,7 +112,7 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
     let pressed = firmware.drives().now();
     firmware.press();
     stops_for(&mut firmware, "Button");
-    firmware.wait_for("Stopped { unconfirmed: MotorSet(0) }", PATIENCE);
+    firmware.wait_for("Stopped { unconfirmed: [] }", PATIENCE);
     firmware.wait_for("State(Stopped)", PATIENCE);
     firmware.check_stays_stopped(WATCHED);
     firmware.check_still(pressed, BUTTON_STOPS);

@@ -7,7 +7,7 @@ use std::collections::{BTreeSet, HashMap};
 use myactuator_protocol_core::opcode::{Buses, ReplyRule, UnknownOpcode};
 use myactuator_protocol_core::wire::{can, rs485};
 use myactuator_protocol_core::{
-    AnyCommand, Channel, Firmware, Kind, MotorId, Opcode, Packet, RequestError, Target,
+    AnyCommand, Channel, Firmware, Kind, MotorId, Opcode, RequestError, Target,
 };
 use myactuator_tests::vectors::{Bus, Direction, Entry, Row, entries, rows, sections};
 
@@ -247,10 +247,5 @@ fn a_types_kind_is_the_tables() {
         }
         let on_rs485 = rs485::Frame::from_packet(&packet);
         assert_eq!(on_rs485.is_some(), opcode.buses() == Buses::Both, "{opcode}");
-    }
-    // 2.34.4, which has no RS485 frame.
-    let report = [0xB6, 0x60, 1, 1, 0, 0, 0, 0];
-    for channel in [Channel::Command(MotorId::MIN.into()), Channel::Reply(MotorId::MIN)] {
-        assert_eq!(rs485::Frame::from_packet(&Packet { channel, data: report }), None);
     }
 }

@@ -6,7 +6,7 @@ use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_mcu_example::{
     App, Board, Moment, Movement, Report, RestartCause, Setup, StateName, Trouble, cycle,
 };
-use myactuator_protocol_core::command::{ErrorFlags, MotionRanges, VersionDate};
+use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags, MotionRanges, VersionDate};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::time::Duration;
@@ -28,6 +28,14 @@ on_both_buses! {
     a_dead_bus_is_told_and_only_the_button_ends_that
     a_long_press_shuts_down
     a_motor_that_is_not_seen_does_not_feed_the_watchdog
+    a_contact_that_bounces_at_the_stop_starts_nothing
+    a_contact_that_bounces_at_the_start_starts_once
+    a_press_while_stopping_starts_nothing
+    a_motor_that_missed_its_stop_is_stopped_when_it_is_back
+    a_shutdown_locks_the_brakes_of_the_others_when_one_is_silent
+    a_motor_that_restarts_at_once_stops_all
+    a_motor_that_restarts_while_getting_ready_is_not_moved
+    a_firmware_that_has_restarted_keeps_its_motors_holding
 }
 
 /// How the motors of a bus are moved.
@@ -95,10 +103,14 @@ struct Firmware<'a, B: Moved> {
 
 impl<'a, B: Moved> Firmware<'a, B> {
     fn start(bus: &'a BusFleet<B>, panel: Panel) -> Self {
+        Self::start_with(bus, panel, B::setup())
+    }
+
+    fn start_with(bus: &'a BusFleet<B>, panel: Panel, setup: Setup) -> Self {
         let (mut runner, mut panel) = (master(bus), panel);
         let now = runner.now();
         let at = &mut Moment { now, master: runner.master(), board: &mut panel };
-        let app = App::start(B::setup(), RestartCause::Power, at);
+        let app = App::start(setup, RestartCause::Power, at);
         Self { bus, runner, app, panel }
     }
 
@@ -340,8 +352,154 @@ fn a_motor_that_is_not_seen_does_not_feed_the_watchdog<B: Moved>() {
     let mut firmware = Firmware::running(&bus);
     firmware.run_for(millis(500));
     let fed = firmware.panel.fed;
-    unplug(&bus, &bus.drives[0]);
+    // Not one that is being asked for its status just now: that would be missed sooner.
+    unplug(&bus, &bus.drives[2]);
     firmware.run_for(millis(95));
     let fed = firmware.panel.fed - fed;
     assert!((45..=60).contains(&fed), "{fed}");
+}
+
+/// The button goes down, and bounces: closed for a millisecond, open for one, then held.
+fn bounce_down<B: Moved>(firmware: &mut Firmware<'_, B>) {
+    for is_down in [true, false, true] {
+        firmware.panel.is_button_down = is_down;
+        firmware.run_for(millis(1));
+    }
+}
+
+fn a_contact_that_bounces_at_the_stop_starts_nothing<B: Moved>() {
+    let bus = B::drives(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(300));
+    firmware.forget();
+    bounce_down(&mut firmware);
+    firmware.run_for(millis(300));
+    firmware.panel.is_button_down = false;
+    firmware.run_for(millis(1_500));
+    assert_eq!(firmware.troubles(), [Trouble::Button]);
+    assert!(
+        !firmware.panel.reports.contains(&Report::State(StateName::Finding)),
+        "the press that stopped started: {:?}",
+        firmware.panel.reports
+    );
+}
+
+fn a_contact_that_bounces_at_the_start_starts_once<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    firmware.run_for(millis(1_500));
+    firmware.panel.is_button_down = true;
+    firmware.run_for(millis(100));
+    for is_down in [false, true, false] {
+        firmware.panel.is_button_down = is_down;
+        firmware.run_for(millis(1));
+    }
+    firmware.run_for(millis(2_000));
+    assert_eq!(firmware.troubles(), []);
+}
+
+fn a_press_while_stopping_starts_nothing<B: Moved>() {
+    let bus = B::drives(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(300));
+    unplug(&bus, &bus.drives[2]);
+    firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(3) }), millis(200));
+    firmware.forget();
+    // Somebody sees it and hits the button, too.
+    firmware.panel.is_button_down = true;
+    firmware.run_until(Report::State(StateName::Stopped), millis(1_100));
+    firmware.panel.is_button_down = false;
+    firmware.run_for(millis(1_500));
+    assert!(
+        !firmware.panel.reports.contains(&Report::State(StateName::Finding)),
+        "it started: {:?}",
+        firmware.panel.reports
+    );
+}
+
+fn a_motor_that_missed_its_stop_is_stopped_when_it_is_back<B: Moved>() {
+    let bus = B::drives(&Fleet::new(4)).unwrap();
+    // So slow that it is a long way behind its set-points.
+    let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(5) });
+    let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+    firmware.run_for(millis(1_500));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+    firmware.run_for(millis(900));
+    let cut = firmware.runner.now();
+    unplug(&bus, &bus.drives[2]);
+    firmware.run_until(Report::State(StateName::Stopped), millis(1_300));
+    let gone = firmware.runner.now() - cut;
+    assert!(gone < millis(450), "its protection would have ended it: {gone}");
+    bus.world.mend(bus.drives[2].station());
+    firmware.run_for(millis(1_000));
+    let state = state(&bus.drives[2]);
+    assert!(
+        !firmware.is_anything_running(),
+        "gone for {gone}, back for 1 s, still moving, {:?}, {state:?}, {:?}",
+        speed_dps(&bus.drives[2]),
+        firmware.panel.reports.last()
+    );
+}
+
+fn a_shutdown_locks_the_brakes_of_the_others_when_one_is_silent<B: Moved>() {
+    let bus = B::drives(&Fleet::new(4).brakes(true)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.press(millis(50));
+    firmware.run_for(millis(500));
+    unplug(&bus, &bus.drives[0]);
+    firmware.press(millis(1_100));
+    firmware.run_for(millis(300));
+    for drive in &bus.drives[1..] {
+        let state = state(drive);
+        assert!(
+            state.output_on || state.brake == BrakeCommand::LOCK,
+            "off, and its brake is open: {state:?}"
+        );
+    }
+}
+
+fn a_motor_that_restarts_at_once_stops_all<B: Moved>() {
+    let bus = B::drives(&Fleet::new(4)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    let now = firmware.runner.now();
+    bus.drives[3].with(|drive| {
+        drive.power_off(now);
+        drive.power_on(now);
+    });
+    firmware.run_for(millis(2_000));
+    assert_eq!(firmware.troubles().len(), 1, "it was not noticed: {:?}", firmware.panel.reports);
+}
+
+fn a_motor_that_restarts_while_getting_ready_is_not_moved<B: Moved>() {
+    let bus = B::drives(&Fleet::new(4).brakes(true)).unwrap();
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    firmware.run_for(millis(1_500));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Preparing), millis(1_000));
+    firmware.run_for(millis(150));
+    let now = firmware.runner.now();
+    assert_eq!(state(&bus.drives[3]).brake, BrakeCommand::RELEASE);
+    bus.drives[3].with(|drive| {
+        drive.power_off(now);
+        drive.power_on(now);
+    });
+    firmware.run_for(millis(2_000));
+    let state = state(&bus.drives[3]);
+    assert!(
+        !firmware.panel.reports.contains(&Report::State(StateName::Running)),
+        "it is driven, its brake is {:?}, troubles {:?}",
+        state.brake,
+        firmware.troubles()
+    );
+}
+
+fn a_firmware_that_has_restarted_keeps_its_motors_holding<B: Moved>() {
+    let bus = B::drives(&Fleet::new(4)).unwrap();
+    drop(Firmware::running(&bus));
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    firmware.run_for(millis(2_500));
+    for drive in &bus.drives {
+        assert!(state(drive).output_on, "{:?}", state(drive));
+    }
 }

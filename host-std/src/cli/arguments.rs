@@ -13,6 +13,9 @@ use myactuator_host_std::protocol::{Firmware, Kind, MotorId, Opcode, Target};
 /// A value, or one sentence about what is allowed.
 type Parsed<T> = Result<T, String>;
 
+/// Why motion mode is not encoded for a firmware that nobody named.
+pub(super) const SCALES_ARE_NOT_GUESSED: &str = "--firmware or --ranges is missing: the scales of motion \
+     mode differ between firmwares, and the wrong ones multiply the torque";
 pub(super) const RANGES_ARE_MISSING: &str =
     "--ranges is missing: the scales of this firmware's motion mode depend on the motor";
 

@@ -10,6 +10,7 @@ mod motors;
 mod names;
 mod outcome;
 mod sim;
+mod wanted;
 
 use std::error::Error as _;
 use std::process::ExitCode;

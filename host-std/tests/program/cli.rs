@@ -161,7 +161,8 @@ fn every_command_of_the_manual_is_encoded_from_its_fields() {
         for row in commands {
             let id = row["id"].as_str().map_or_else(|| row["id"].to_string(), str::to_owned);
             let flags = flags(row);
-            let mut arguments = vec!["encode", "--bus", bus, "--id", &id, string(row, "name")];
+            let mut arguments = vec!["encode", "--firmware", "v4.3", "--bus", bus, "--id", &id];
+            arguments.push(string(row, "name"));
             arguments.extend(flags.iter().map(String::as_str));
             let output = run(&arguments);
             assert_eq!(text(&output.stderr), "", "{arguments:?}");
@@ -257,14 +258,16 @@ bus-id --access write => --motor-id is missing: The new id. 1 to 32.
 bus-id --access read --motor-id 2 => --motor-id: this form of bus-id (0x79) takes none
 bus-id --access 2 => access must be 0 to 1, but 2 was given
 --id 1 bus-id --access read => --id: bus-id (0x79) reaches every motor that is connected and names none: send it to all
---id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 24.1 => --torque-nm: torque must be -24 to 24 N·m, but 24.1 N·m was given
---id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm x => --torque-nm: torque must be -24 to 24 N·m, but "x" is no number
+--id 1 --firmware v4.3 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 24.1 => --torque-nm: torque must be -24 to 24 N·m, but 24.1 N·m was given
+--id 1 --firmware v4.3 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm x => --torque-nm: torque must be -24 to 24 N·m, but "x" is no number
 --id all motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --id: motion goes to one motor only: name its id
 --firmware v4.4 bus-id --access read => --firmware: v4.4 has no bus-id (0x79)
 --id 1 read-single-turn-angle-v4.4 => --firmware: v4.3 has no read-single-turn-angle-v4.4 (0x94): take read-single-turn-angle
 --id 1 --firmware v4.5 stop => --firmware: firmware must be one of v4.3 v4.4, but "v4.5" was given
+--id 1 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --firmware or --ranges is missing: the scales of motion mode differ between firmwares, and the wrong ones multiply the torque
+--id 1 raw C0 01 => expected eight bytes, found 2
 --id 1 --firmware v4.4 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --ranges is missing: the scales of this firmware's motion mode depend on the motor
---id 1 --bus rs485 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --bus: motion exists on CAN only
+--id 1 --firmware v4.3 --bus rs485 motion --position-rad 0 --velocity-rad-s 0 --kp 0 --kd 0 --torque-nm 0 => --bus: motion exists on CAN only
 --id 1 --bus rs485 active-reply --command 0x60 --enable on --interval 10 => --bus: active-reply (0xB6) exists on CAN only
 "#;
 

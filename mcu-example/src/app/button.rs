@@ -12,20 +12,23 @@ const LONG: Duration = Duration::from_secs(1);
 pub(super) enum Press {
     /// The contact has just closed: soon enough for a stop, too soon for anything else.
     Down,
-    /// It came up again.
+    /// It came up again, and stays open.
     Short,
     /// It is held.
     Long,
 }
 
+/// A press under way: since when, or no more to be reported of it.
+type Pressed = Option<Instant>;
+
 #[derive(Clone, Copy, Debug)]
 enum Contact {
-    /// Open; a press that came before is over.
+    /// Open, and settled.
     Open,
-    /// Closed since then.
-    Closed { since: Instant },
-    /// Still closed, and no more to be reported of it.
-    UsedUp,
+    /// Closed.
+    Closed(Pressed),
+    /// Open since then: the press is over unless the contact bounces.
+    Opening { since: Instant, pressed: Pressed },
 }
 
 /// Looks at a contact again and again.
@@ -37,27 +40,30 @@ pub(super) struct Button {
 impl Button {
     /// A button that is down at the start counts only after it was up: a jammed one starts nothing.
     pub(super) const fn new() -> Self {
-        Self { contact: Contact::UsedUp }
+        Self { contact: Contact::Closed(None) }
     }
 
     /// Nothing more is reported until the button was up.
     pub(super) fn use_up(&mut self) {
-        self.contact = Contact::UsedUp;
+        if let Contact::Closed(pressed) | Contact::Opening { pressed, .. } = &mut self.contact {
+            *pressed = None;
+        }
     }
 
     /// What the contact, seen now, adds to what it was before.
     pub(super) fn look(&mut self, is_down: bool, now: Instant) -> Option<Press> {
         let (contact, press) = match (self.contact, is_down) {
-            (Contact::Open, true) => (Contact::Closed { since: now }, Some(Press::Down)),
-            (Contact::Closed { since }, true) if now - since >= LONG => {
-                (Contact::UsedUp, Some(Press::Long))
+            (Contact::Open, true) => (Contact::Closed(Some(now)), Some(Press::Down)),
+            (Contact::Closed(Some(since)), true) if now - since >= LONG => {
+                (Contact::Closed(None), Some(Press::Long))
             }
-            (Contact::Closed { since }, false) => {
-                let press = (now - since >= SETTLED_AFTER).then_some(Press::Short);
-                (Contact::Open, press)
+            (Contact::Closed(pressed), false) => (Contact::Opening { since: now, pressed }, None),
+            (Contact::Opening { pressed, .. }, true) => (Contact::Closed(pressed), None),
+            (Contact::Opening { since, pressed }, false) if now - since >= SETTLED_AFTER => {
+                let is_press = pressed.is_some_and(|pressed| since - pressed >= SETTLED_AFTER);
+                (Contact::Open, is_press.then_some(Press::Short))
             }
-            (_, false) => (Contact::Open, None),
-            (contact, true) => (contact, None),
+            (contact, _) => (contact, None),
         };
         self.contact = contact;
         press

@@ -22,10 +22,10 @@ use self::watch::Watch;
 use crate::board::{Board, RestartCause};
 use crate::report::{Report, StateName, Trouble};
 
-/// How long a brake takes to open at the most: 50 to 150 ms were seen.
-const BRAKE_OPENS: Duration = Duration::from_millis(200);
 /// How long a stop is waited for before whoever has not confirmed it is told.
 const LONGEST_STOP: Duration = Duration::from_secs(1);
+/// How often a stop is repeated for motors that have not confirmed it: they may come back, still moving.
+const STOP_AGAIN: Duration = Duration::from_millis(500);
 /// A running motor that was not heard for so long has gone.
 const SILENT_AFTER: Duration = Duration::from_millis(100);
 /// If none at all was heard for so long when one has gone, it is the bus that has.
@@ -37,8 +37,8 @@ const SECOND: Duration = Duration::from_secs(1);
 /// The state, with what belongs to it.
 #[derive(Debug)]
 enum State {
-    Stopping { waiting: MotorSet, unconfirmed: MotorSet, until: Instant },
-    Stopped,
+    Stopping { kind: StopKind, waiting: MotorSet, unconfirmed: MotorSet, until: Instant },
+    Stopped { kind: StopKind, unconfirmed: MotorSet, again: Instant },
     Finding(Script),
     Preparing(Script),
     Running { since: Instant, cycles: u32, overruns: u32, next_second: Instant },
@@ -49,7 +49,7 @@ impl State {
     fn name(&self) -> StateName {
         match self {
             Self::Stopping { .. } => StateName::Stopping,
-            Self::Stopped => StateName::Stopped,
+            Self::Stopped { .. } => StateName::Stopped,
             Self::Finding(_) => StateName::Finding,
             Self::Preparing(_) => StateName::Preparing,
             Self::Running { .. } => StateName::Running,
@@ -88,13 +88,13 @@ impl<const N: usize> App<N> {
         at.board.log(&Report::Started { cause });
         let mut app = Self {
             setup,
-            state: State::Stopped,
+            state: State::Stopped { kind: setup.stop, unconfirmed: MotorSet::EMPTY, again: at.now },
             joints: Vec::new(),
             watch: Watch::new(at.now),
             button: Button::new(),
             next_cycle: at.now,
         };
-        app.stop(at);
+        app.stop(setup.stop, at);
         app
     }
 
@@ -153,19 +153,20 @@ impl<const N: usize> App<N> {
 
     fn pressed(&mut self, press: Press, at: &mut Moment<'_, N, impl Board>) {
         match (&self.state, press) {
-            (State::Stopped, Press::Short) => {
+            (State::Stopped { .. }, Press::Down) => {}
+            (State::Stopped { .. }, Press::Short) => {
                 for joint in self.joints.iter() {
                     at.master.forget(joint.motor);
                 }
                 self.joints.clear();
                 self.enter(State::Finding(Script::find(self.setup.search, at.now)), at);
             }
-            (State::Stopped, Press::Long) => {
+            (State::Stopped { .. }, Press::Long) => {
                 let all = self.motors();
                 self.enter(State::ShuttingDown(Script::shut_down(all, at.now)), at);
             }
-            (State::Stopped | State::Stopping { .. }, _) => {}
-            // The press that stops is used up: letting go does not start anything.
+            // The press that stops, or comes while motors are being stopped, is used up: letting go does
+            // not start anything.
             _ => {
                 self.button.use_up();
                 self.trouble(Trouble::Button, at);
@@ -175,14 +176,24 @@ impl<const N: usize> App<N> {
 
     fn go_on(&mut self, is_late: bool, at: &mut Moment<'_, N, impl Board>) {
         match &mut self.state {
-            State::Stopping { waiting, unconfirmed, until } => {
+            State::Stopping { kind, waiting, unconfirmed, until } => {
                 if waiting.is_empty() || at.now >= *until {
                     let unconfirmed = waiting.iter().chain(unconfirmed.iter()).collect();
+                    let (kind, again) = (*kind, at.now + STOP_AGAIN);
                     at.board.log(&Report::Stopped { unconfirmed });
-                    self.enter(State::Stopped, at);
+                    self.enter(State::Stopped { kind, unconfirmed, again }, at);
                 }
             }
-            State::Stopped => self.watch.ask(&self.joints, &self.setup, at.master, at.now),
+            State::Stopped { kind, unconfirmed, again } => {
+                let (silent, kind) = (*unconfirmed, *kind);
+                if !silent.is_empty() && at.now >= *again {
+                    *again = at.now + STOP_AGAIN;
+                    // Those that the master has no place for stay unconfirmed.
+                    let _ = at.master.stop_all(kind, silent);
+                }
+                // Also to those whose firmware nobody has asked for yet: a motor that hears nothing lets go.
+                self.watch.ask(self.known().without(silent), &self.setup, at.master, at.now);
+            }
             State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
                 match script.go_on(&self.setup, at.master, at.now) {
                     Step::Waiting => {}
@@ -208,18 +219,17 @@ impl<const N: usize> App<N> {
                 at.master.lift_stop();
                 self.enter(State::Preparing(Script::prepare(self.motors(), at.now)), at);
             }
-            State::Preparing(script) if !script.is_about_angles() => {
-                self.state = State::Preparing(Script::angles(self.motors(), at.now + BRAKE_OPENS));
-            }
-            State::ShuttingDown(_) => self.stop(at),
-            _ => {
-                self.joints.iter_mut().for_each(|joint| joint.begin(at.now));
-                let next_second = at.now + SECOND;
-                self.enter(
-                    State::Running { since: at.now, cycles: 0, overruns: 0, next_second },
-                    at,
-                );
-            }
+            State::ShuttingDown(_) => self.stop(StopKind::Off, at),
+            State::Preparing(script) => match script.next_of_preparing(self.motors(), at.now) {
+                Some(next) => self.state = State::Preparing(next),
+                None => {
+                    self.joints.iter_mut().for_each(|joint| joint.begin(at.now));
+                    let (since, next_second) = (at.now, at.now + SECOND);
+                    let running = State::Running { since, cycles: 0, overruns: 0, next_second };
+                    self.enter(running, at);
+                }
+            },
+            _ => {}
         }
     }
 
@@ -238,7 +248,7 @@ impl<const N: usize> App<N> {
                 return self.trouble(Trouble::Refused { motor }, at);
             }
         }
-        self.watch.ask(&self.joints, &self.setup, at.master, at.now);
+        self.watch.ask(self.motors(), &self.setup, at.master, at.now);
         if is_second {
             self.tell_second(at);
         }
@@ -328,33 +338,33 @@ impl<const N: usize> App<N> {
     /// Tells what is wrong and stops all motors. What is wrong while they are stopped already changes
     /// nothing.
     fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
-        if !matches!(self.state, State::Stopping { .. } | State::Stopped) {
+        if !matches!(self.state, State::Stopping { .. } | State::Stopped { .. }) {
             at.board.log(&Report::Trouble(trouble));
-            self.stop(at);
+            // Also while they are being shut down: with a brake that is not locked, off is no stop.
+            self.stop(self.setup.stop, at);
         }
     }
 
-    fn stop(&mut self, at: &mut Moment<'_, N, impl Board>) {
-        let all = if self.joints.is_empty() { self.setup.search } else { self.motors() };
-        // Once the brakes are being locked, holding on would be no shutdown.
-        let kind = match self.state {
-            State::ShuttingDown(_) => StopKind::Off,
-            _ => self.setup.stop,
-        };
+    fn stop(&mut self, kind: StopKind, at: &mut Moment<'_, N, impl Board>) {
+        let all = self.known();
         // Those that the master has no place for stay unconfirmed.
         let _ = at.master.stop_all(kind, all);
         let waiting: MotorSet = at.master.motors();
         let unconfirmed = all.without(waiting);
         let until = at.now + LONGEST_STOP;
-        self.enter(State::Stopping { waiting, unconfirmed, until }, at);
+        self.enter(State::Stopping { kind, waiting, unconfirmed, until }, at);
     }
 
     fn stop_is_over(&mut self, stopped: MotorId, is_confirmed: bool) {
-        if let State::Stopping { waiting, unconfirmed, .. } = &mut self.state {
-            waiting.remove(stopped);
-            if !is_confirmed {
-                unconfirmed.insert(stopped);
+        match &mut self.state {
+            State::Stopping { waiting, unconfirmed, .. } => {
+                waiting.remove(stopped);
+                if !is_confirmed {
+                    unconfirmed.insert(stopped);
+                }
             }
+            State::Stopped { unconfirmed, .. } if is_confirmed => unconfirmed.remove(stopped),
+            _ => {}
         }
     }
 
@@ -384,6 +394,11 @@ impl<const N: usize> App<N> {
         self.joints.iter_mut().find(|joint| joint.motor == motor)
     }
 
+    /// All that may be there.
+    fn known(&self) -> MotorSet {
+        if self.joints.is_empty() { self.setup.search } else { self.motors() }
+    }
+
     fn motors(&self) -> MotorSet {
         self.joints.iter().map(|joint| joint.motor).collect()
     }
@@ -394,7 +409,7 @@ impl<const N: usize> App<N> {
             |half_period_ms: u64| (now.as_micros() / (half_period_ms * 1_000)).is_multiple_of(2);
         match self.state {
             State::Running { .. } => true,
-            State::Stopped => blink(500),
+            State::Stopped { .. } => blink(500),
             _ => blink(100),
         }
     }

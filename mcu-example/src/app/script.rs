@@ -93,6 +93,15 @@ impl Question {
     }
 }
 
+const FIND: &[Question] =
+    &[Question::VersionDate, Question::Model, Question::Errors, Question::RunTime];
+const PROTECT: &[Question] = &[Question::Protection];
+const RELEASE: &[Question] = &[Question::ReleaseBrake];
+const LOOK: &[Question] = &[Question::RunTime, Question::Angle];
+
+/// How long a brake takes to open at the most: 50 to 150 ms were seen.
+const BRAKE_OPENS: Duration = Duration::from_millis(200);
+
 /// How far a script is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Step {
@@ -118,17 +127,23 @@ pub(super) struct Script {
 impl Script {
     /// Who is there, with what, and how is it?
     pub(super) const fn find(motors: MotorSet, now: Instant) -> Self {
-        Self::new(&[Question::VersionDate, Question::Model, Question::Errors], motors, now)
+        Self::new(FIND, motors, now)
     }
 
-    /// What has to be done before a motor may run.
+    /// What has to be done before a motor may run; [`next`](Self::next_of_preparing) says how it goes on.
+    /// One thing for all before the next for any: none waits for longer than its protection allows.
     pub(super) const fn prepare(motors: MotorSet, now: Instant) -> Self {
-        Self::new(&[Question::Protection, Question::ReleaseBrake], motors, now)
+        Self::new(PROTECT, motors, now)
     }
 
-    /// Where are they, once their brakes are open? Asked last, for a shaft may sink when its brake opens.
-    pub(super) const fn angles(motors: MotorSet, not_before: Instant) -> Self {
-        Self::new(&[Question::Angle], motors, not_before)
+    /// What comes next in preparing these motors. Where they are is asked last, once their brakes are
+    /// open, for a shaft may sink then; and whether none has restarted meanwhile, which closes its brake.
+    pub(super) fn next_of_preparing(&self, motors: MotorSet, now: Instant) -> Option<Self> {
+        match self.questions {
+            PROTECT => Some(Self::new(RELEASE, motors, now)),
+            RELEASE => Some(Self::new(LOOK, motors, now + BRAKE_OPENS)),
+            _ => None,
+        }
     }
 
     /// Lock the brakes, before the outputs are switched off: without power the shafts are free.
@@ -138,11 +153,6 @@ impl Script {
 
     const fn new(questions: &'static [Question], motors: MotorSet, not_before: Instant) -> Self {
         Self { questions, next: 0, left: motors, asked: None, not_before }
-    }
-
-    /// Whether this is the last part of getting ready.
-    pub(super) fn is_about_angles(&self) -> bool {
-        self.questions == [Question::Angle]
     }
 
     /// Asks the next question if nobody is being asked.

@@ -1,11 +1,10 @@
 //! One status in turn: of each motor its errors, its run time and its angle, beside the set-points.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::master::{Event, Master, TicketId};
+use myactuator_protocol_core::master::{Event, Master, MotorSet, TicketId};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::Setup;
-use super::joint::Joint;
 use super::script::{Answer, Question};
 
 /// How often a question is asked.
@@ -26,22 +25,22 @@ impl Watch {
         Self { turn: 0, asked: None, next: now }
     }
 
-    /// Asks the next question if it is time and nobody is being asked.
+    /// Asks one of these motors the next question if it is time and nobody is being asked.
     pub(super) fn ask<const N: usize>(
         &mut self,
-        joints: &[Joint],
+        motors: MotorSet,
         setup: &Setup,
         master: &mut Master<N>,
         now: Instant,
     ) {
-        if self.asked.is_some() || now < self.next || joints.is_empty() {
+        if self.asked.is_some() || now < self.next || motors.is_empty() {
             return;
         }
-        self.turn = (self.turn + 1) % (joints.len() * QUESTIONS.len());
-        let joint = &joints[self.turn / QUESTIONS.len()];
+        self.turn = (self.turn + 1) % (motors.len() * QUESTIONS.len());
+        let Some(motor) = motors.iter().nth(self.turn / QUESTIONS.len()) else { return };
         let question = QUESTIONS[self.turn % QUESTIONS.len()];
         // A motor that is busy is asked in its next turn.
-        if let Ok(ticket) = question.ask(joint.motor, setup, master) {
+        if let Ok(ticket) = question.ask(motor, setup, master) {
             self.asked = Some((ticket, question));
         }
         self.next = now + INTERVAL;

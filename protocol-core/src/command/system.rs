@@ -154,7 +154,6 @@ reply! {
 
 /// A model's name, up to seven ASCII characters (2.33.3). Shorter ones are filled up with zeros.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(transparent))]
 pub struct ModelName([u8; 7]);
 
@@ -201,6 +200,16 @@ impl ModelName {
 }
 
 /// The characters, with a point for whatever is not printable.
+#[cfg(feature = "defmt")]
+impl defmt::Format for ModelName {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        match self.as_str() {
+            Some(name) => defmt::write!(f, "{=str}", name),
+            None => defmt::write!(f, "{=[u8]:02x}", self.0),
+        }
+    }
+}
+
 impl fmt::Display for ModelName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.as_str() {

@@ -42,6 +42,19 @@ pub trait AsyncCan {
     async fn receive(&mut self) -> Result<Self::Frame, Self::Error>;
 }
 
+impl<C: AsyncCan + ?Sized> AsyncCan for &mut C {
+    type Frame = C::Frame;
+    type Error = C::Error;
+
+    async fn transmit(&mut self, frame: &C::Frame) -> Result<(), C::Error> {
+        (**self).transmit(frame).await
+    }
+
+    async fn receive(&mut self) -> Result<C::Frame, C::Error> {
+        (**self).receive().await
+    }
+}
+
 /// An [`AsyncCan`] from the two halves of a driver, whatever they are called.
 ///
 /// ```

@@ -23,7 +23,7 @@ use crate::units::{Angle, EncoderPulses, Milliseconds};
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum BringUpError<E> {
     /// A call on the way has no answer.
-    #[error("{0}")]
+    #[error(transparent)]
     Call(#[from] CallError<E>),
     /// The motor did not answer within the time given.
     #[error("motor {0} does not answer")]

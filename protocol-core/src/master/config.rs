@@ -38,7 +38,8 @@ pub struct Config {
     /// Which revision of the protocol the motors speak, for what comes without a typed request:
     /// feedback, reports, answers to broadcasts.
     pub firmware: Firmware,
-    /// How long to wait for a reply after a command is sent. On a full bus replies queue behind other motors' frames, so this is longer than a drive takes.
+    /// How long to wait for a reply after a command is sent, at least 1 ms. On a full bus replies queue
+    /// behind other motors' frames, so this is longer than a drive takes.
     pub reply_timeout: Duration,
     /// How often at most a request is sent whose repetition is harmless, 1 to 15.
     pub attempts: u8,

@@ -39,6 +39,8 @@ pub struct Health {
     pub superseded: u16,
 }
 
+/// What took longer counts as this: it was the caller who did not look.
+const LONGEST_ROUND_TRIP: Duration = Duration::from_millis(250);
 const SILENT_AFTER: u8 = 3;
 
 impl Health {
@@ -46,7 +48,7 @@ impl Health {
     pub(super) fn count_answer(&mut self, round_trip: Option<Duration>) {
         self.presence = Presence::Present;
         self.answered = self.answered.saturating_add(1);
-        if let Some(measured) = round_trip {
+        if let Some(measured) = round_trip.map(|span| span.min(LONGEST_ROUND_TRIP)) {
             let average = match self.round_trip.as_micros() {
                 0 => measured.as_micros(),
                 average => average - average / 8 + measured.as_micros() / 8,

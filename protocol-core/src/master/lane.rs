@@ -68,6 +68,8 @@ bitflags! {
 
 /// How many stop frames a motor gets before it counts as not stopped.
 const STOP_ATTEMPTS: u8 = 15;
+/// No reply comes sooner than that.
+const SHORTEST_TIMEOUT: Duration = Duration::from_millis(1);
 /// A doubled frame comes so soon after the first.
 const DOUBLED_WITHIN: Duration = Duration::from_millis(1);
 
@@ -119,7 +121,7 @@ impl Lane {
         self.request = RequestState::Waiting;
         self.request_kind = Some(kind);
         self.request_data = data;
-        self.timeout = patience.reply_timeout;
+        self.timeout = patience.reply_timeout.max(SHORTEST_TIMEOUT);
         self.attempts_left = patience.attempts.clamp(1, 15);
     }
 

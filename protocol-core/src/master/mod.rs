@@ -66,6 +66,9 @@ pub enum StopKind {
     Off,
 }
 
+/// How long a stop's confirmation is waited for at the most before the stop is sent once more.
+const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
+
 /// What [`Master::poll_transmit`] has offered last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Offer {
@@ -152,7 +155,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// Sends one motor a command and waits for its reply, where it has one, with the configuration's
-    /// patience.
+    /// patience. A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point.
     ///
     /// # Errors
     /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
@@ -191,6 +194,8 @@ impl<const N: usize> Master<N> {
         self.check(kind, motor.into())?;
         let patience = patience.unwrap_or_else(|| self.config.patience(kind));
         let pace = self.pace;
+        // What was offered may be a set-point that this ends.
+        self.offer = None;
         let lane = self.lane_for(motor)?;
         if lane.request != RequestState::Idle || lane.flags.contains(Flags::TELL_STOPPED) {
             return Err(RequestError::Busy);
@@ -202,6 +207,9 @@ impl<const N: usize> Master<N> {
             if lane.is_streamed(kind) {
                 return Err(RequestError::Streamed(opcode));
             }
+        }
+        if kind.ends_motion() {
+            lane.drop_set_point();
         }
         lane.join(pace);
         lane.put_request(kind, data, patience);
@@ -275,7 +283,9 @@ impl<const N: usize> Master<N> {
     /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a
     /// restart and writes to ROM, for example, but not reads.
     ///
-    /// Each motor's confirmation, or its absence, comes as an event.
+    /// Each motor gets its first stop before any gets its second. Its confirmation, or its absence, comes
+    /// as an event; a stop that is not confirmed within 50 ms is repeated, however long
+    /// [`Config::reply_timeout`] is.
     ///
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
@@ -292,7 +302,7 @@ impl<const N: usize> Master<N> {
         for motor in also.iter() {
             result = result.and(self.lane_for(motor).map(|_| ()));
         }
-        let timeout = self.config.reply_timeout;
+        let timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
         for lane in &mut self.lanes {
             if lane.motor.is_some() {
                 lane.put_stop(command, data, timeout);

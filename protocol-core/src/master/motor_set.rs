@@ -14,7 +14,6 @@ use crate::id::MotorId;
 /// assert_eq!(arm.to_string(), "1 2 3");
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(transparent))]
 pub struct MotorSet(u32);
 
@@ -72,6 +71,17 @@ impl FromIterator<MotorId> for MotorSet {
 impl From<MotorId> for MotorSet {
     fn from(motor: MotorId) -> Self {
         Self(1 << motor.index())
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for MotorSet {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "[");
+        for (place, motor) in self.iter().enumerate() {
+            defmt::write!(f, "{=str}{=u8}", if place == 0 { "" } else { " " }, motor.get());
+        }
+        defmt::write!(f, "]");
     }
 }
 

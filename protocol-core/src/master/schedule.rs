@@ -1,5 +1,7 @@
 //! Whose turn it is on the bus, and when.
 
+use core::cmp::Reverse;
+
 use crate::master::lane::{Flags, Lane, RequestState};
 use crate::master::{Bus, Master, MotorSet, Offer};
 use crate::packet::Packet;
@@ -63,9 +65,11 @@ impl<const N: usize> Master<N> {
     /// Stops first, then a broadcast that is due, then the motor that has waited longest.
     pub(super) fn choose(&self) -> Option<(Offer, Packet)> {
         let lanes = || self.lanes.iter().enumerate();
-        let stop = lanes().find(|(_, lane)| {
+        let stops = lanes().filter(|(_, lane)| {
             lane.flags.contains(Flags::STOP) && lane.request == RequestState::Waiting
         });
+        // Whoever was sent fewest: a motor that is not there keeps the others waiting for one stop only.
+        let stop = stops.min_by_key(|(_, lane)| Reverse(lane.attempts_left));
         if let Some((place, lane)) = stop {
             return Some((Offer::Request(place as u8), lane.request_packet()?));
         }

@@ -6,8 +6,8 @@ use std::vec::Vec;
 use super::*;
 use crate::command::{
     AbsolutePosition, ActiveReply, AnyReply, BaudCode, BusId, FunctionControl, IncrementalPosition,
-    PidIndex, RawCommand, RawMotion, RawReply, ReadModel, ReadMultiTurnAngle, ReadPid, ReadStatus1,
-    ReportedCommand, Reset, SetBaudRate, Switch, Torque,
+    LockBrake, PidIndex, RawCommand, RawMotion, RawReply, ReadModel, ReadMultiTurnAngle, ReadPid,
+    ReadStatus1, ReportedCommand, Reset, SetBaudRate, Switch, Torque,
 };
 use crate::opcode::ReplyRule;
 use crate::packet::{Channel, Packet};
@@ -588,6 +588,62 @@ fn a_stop_goes_before_everything_and_keeps_motion_away() {
     assert_eq!(events(&mut master, ms(now)), [Event::StopUnconfirmed { motor: id(7) }]);
     master.lift_stop();
     assert!(master.set_point(id(1), torque(1.0), ms(now)).is_ok());
+}
+
+#[test]
+fn every_motor_gets_its_first_stop_before_any_gets_its_second() {
+    let slow = Config { reply_timeout: Duration::from_secs(2), ..Config::rs485(115_200, false) };
+    let mut master = Master::<4>::new(slow);
+    master.stop_all(StopKind::Hold, [id(1), id(2), id(3)].into_iter().collect()).unwrap();
+    // Nobody answers; a stop waits for 50 ms at the most.
+    let told = |at| sent(&mut master, ms(at)).pop().map(|packet| packet.channel);
+    let to = |motor| Some(Channel::Command(Target::Motor(id(motor))));
+    assert_eq!([0, 50, 100, 150].map(told), [to(1), to(2), to(3), to(1)]);
+}
+
+#[test]
+fn no_older_set_point_follows_what_ends_motion() {
+    fn never<C: Command + Copy>(end: C) {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+        let _offered = master.poll_transmit(ms(0));
+        let ticket = master.request(id(1), end).unwrap();
+        // What was offered before does not count as sent.
+        master.handle_transmitted(ms(0));
+        assert_eq!(sent(&mut master, ms(1))[0].data, end.encode());
+        let answer = reply(&mut master, 1, end.encode(), ms(2));
+        let told: Vec<Event> = answer.into_iter().chain(events(&mut master, ms(2))).collect();
+        assert!(told.iter().any(|event| matches!(ticket.outcome(event), Some(Ok(_)))));
+        assert!(told.contains(&Event::SetPointDropped { motor: id(1) }));
+        assert_eq!(sent(&mut master, ms(3_000)), []);
+    }
+    never(Shutdown);
+    never(Stop);
+    never(LockBrake);
+    never(Reset);
+}
+
+#[test]
+fn a_timeout_of_nothing_still_lets_a_reply_come() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { reply_timeout: Duration::ZERO, attempts: 1 };
+    let ticket = master.request_with(id(1), ReadModel, once).unwrap();
+    sent(&mut master, ms(1));
+    assert_eq!(events(&mut master, ms(1)), []);
+    let now = ms(1) + Duration::from_micros(700);
+    let event = reply(&mut master, 1, *b"\xB5X8S2V10", now).unwrap();
+    assert!(ticket.outcome(&event).is_some_and(|outcome| outcome.is_ok()));
+}
+
+#[test]
+fn a_gap_does_not_spoil_the_mean_round_trip() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for (asked, came) in [(0, 1), (10, 60_010)] {
+        let _ticket = ask(&mut master, 1, ReadModel, ms(asked));
+        reply(&mut master, 1, *b"\xB5X8S2V10", ms(came)).unwrap();
+    }
+    // 1 ms, then an eighth of 250 ms.
+    assert_eq!(master.health(id(1)).round_trip, Duration::from_micros(875 + 31_250));
 }
 
 #[test]

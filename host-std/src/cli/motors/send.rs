@@ -1,10 +1,8 @@
 //! `myactuator send`: one command, known or not, and what is answered.
 
-use clap::ValueEnum;
 use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
-use myactuator_host_std::text;
-use myactuator_protocol_core::command::{AnyCommand, BusId, MotionRanges, Phrase, RawCommand};
+use myactuator_protocol_core::command::{AnyCommand, BusId, Phrase, RawCommand};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
 use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule, Usage};
@@ -14,7 +12,7 @@ use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, P
 use super::moving::named;
 use super::revision::MotorRevision;
 use super::session::{Consent, OnBus, Session, say};
-use crate::cli::from_table::FromTable;
+use crate::cli::wanted::Wanted;
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// How long to sleep at most between two looks at the bus.
@@ -43,85 +41,6 @@ pub(in crate::cli) struct Arguments {
     consent: Consent,
     #[command(subcommand)]
     command: Wanted,
-}
-
-#[derive(Debug, clap::Subcommand)]
-enum Wanted {
-    Raw(Raw),
-    #[command(flatten)]
-    Table(FromTable),
-}
-
-/// Eight bytes of your own, the command byte first, for what this program does not know
-///
-/// They are sent once, whatever comes. Where the table has the command byte, what it says of answers
-/// and of motion holds. A reply is explained by --firmware, else as one of v4.3.
-#[derive(Debug, clap::Args)]
-struct Raw {
-    /// The bytes, hexadecimal, with spaces or commas or without: C0 01 00 00 00 00 00 00.
-    #[arg(value_name = "BYTES", required = true)]
-    bytes: Vec<String>,
-    /// How a motor answers.
-    #[arg(long, value_enum, default_value_t = Answer::Values)]
-    reply: Answer,
-    /// It may set the motor in motion, or let its load fall.
-    #[arg(long)]
-    moves: bool,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum Answer {
-    /// With values under the same command byte
-    Values,
-    /// With the same bytes
-    Echo,
-    /// Not at all
-    None,
-}
-
-impl Raw {
-    fn command(&self) -> Result<RawCommand, String> {
-        // Said to be hexadecimal, no byte is taken for a decimal one.
-        let pieces = self.bytes.iter().flat_map(|piece| piece.split([' ', ',']));
-        let digits = pieces.map(|piece| piece.strip_prefix("0x").unwrap_or(piece));
-        let digits = digits.filter(|digits| !digits.is_empty());
-        let line: String = digits.map(|digits| format!("0x{digits} ")).collect();
-        let bytes = text::rs485::parse_line(&line).map_err(|error| error.to_string())?;
-        let data = Data::try_from(bytes)
-            .map_err(|bytes| format!("expected eight bytes, found {}", bytes.len()))?;
-        let reply = match self.reply {
-            Answer::Values => ReplyRule::Values,
-            Answer::Echo => ReplyRule::Same,
-            Answer::None => ReplyRule::Silent,
-        };
-        Ok(RawCommand::new(data, reply, self.moves))
-    }
-}
-
-impl Wanted {
-    /// The row of the table, unless it is raw.
-    const fn opcode(&self) -> Option<Opcode> {
-        match self {
-            Self::Raw(_) => None,
-            Self::Table(table) => Some(table.opcode()),
-        }
-    }
-
-    /// What is to be sent; motion mode needs scales.
-    fn command(&self, ranges: Option<&MotionRanges>) -> Result<AnyCommand, String> {
-        match self {
-            Self::Raw(raw) => Ok(raw.command()?.into()),
-            Self::Table(table) => table.command(ranges),
-        }
-    }
-
-    /// What can be said of it before the scales are known.
-    fn kind(&self) -> Result<Kind, String> {
-        match self.opcode() {
-            Some(Opcode::Motion) => Ok(Opcode::Motion.into()),
-            _ => Ok(self.command(None)?.kind()),
-        }
-    }
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
@@ -332,7 +251,7 @@ impl Sending {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::{MotionLimits, VersionDate};
+    use myactuator_protocol_core::command::{MotionLimits, MotionRanges, VersionDate};
 
     use super::super::simulated::{sent, typed, with};
     use super::*;

@@ -1,9 +1,10 @@
 //! `myactuator zero`: the present position becomes the zero, and stays it.
 
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::bring_up;
 
-use super::session::{OneMotor, say};
+use super::session::{OneMotor, Session, say};
 use crate::cli::Outcome;
 
 /// Make a motor's present position its zero, and check that it is kept
@@ -25,11 +26,43 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     session.confirm(&format!(
         "Motor {motor} will be switched off, make its present position ({before}) the zero in its ROM, and restart: hold the shaft if a load pulls at it."
     ))?;
-    // It may have been turned while the user was asked.
+    say(&make(&mut session, motor)?)
+}
+
+/// Makes it, and tells the zero.
+fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
     let offset = bring_up::zero_here(&mut session.master, motor)?;
     let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
-    say(&format!(
+    Ok(format!(
         "motor {motor}: what was {before} is the zero (offset {offset}); after its restart the motor reads {after}"
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::AbsolutePosition;
+    use myactuator_protocol_core::io::Runner;
+    use myactuator_protocol_core::time::Duration;
+    use myactuator_protocol_core::units::{Angle, MaxSpeed};
+
+    use super::*;
+
+    #[test]
+    fn where_the_motor_stands_is_its_zero_afterwards() {
+        let mut session = Session::on(&Fleet::new(1).on_can(1_000_000).unwrap());
+        let (max_speed, angle) = (MaxSpeed::from_raw(360), Angle::from_raw(3_000));
+        session.ask(MotorId::MIN, AbsolutePosition { max_speed, angle }).unwrap();
+        let arrived = session.master.now() + Duration::from_secs(2);
+        session.wait_until(arrived).unwrap();
+        let told = make(&mut session, MotorId::MIN).unwrap();
+        // It arrives within 0.1 degrees, and stays there while its output is off.
+        let degrees = |behind| -> f64 {
+            let (_, rest) = told.split_once(behind).unwrap();
+            rest.split(' ').next().unwrap().parse().unwrap()
+        };
+        assert!((degrees("what was ") - 30.0).abs() < 0.1, "{told}");
+        assert!(degrees("the motor reads ").abs() < 0.1, "{told}");
+    }
 }
