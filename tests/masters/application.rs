@@ -6,12 +6,14 @@ use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_mcu_example::{
     App, Board, Moment, Movement, Report, RestartCause, Setup, StateName, Trouble, cycle,
 };
-use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags, MotionRanges, VersionDate};
+use myactuator_protocol_core::command::{
+    AnyReply, BrakeCommand, ErrorFlags, MotionRanges, Status1, VersionDate,
+};
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::master::{Event, MotorSet};
 use myactuator_protocol_core::time::Duration;
-use myactuator_protocol_core::units::MaxSpeed;
-use myactuator_tests::fleet::{master, state};
+use myactuator_protocol_core::units::{Angle, MaxSpeed, Temperature, Voltage};
+use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 use myactuator_tests::wire::Wire;
@@ -36,6 +38,9 @@ on_both_buses! {
     a_motor_that_restarts_at_once_stops_all
     a_motor_that_restarts_while_getting_ready_is_not_moved
     a_firmware_that_has_restarted_keeps_its_motors_holding
+    whatever_is_wrong_while_motors_run_stops_them
+    a_late_cycle_is_counted_and_does_not_feed_the_watchdog
+    a_motor_that_cannot_go_the_whole_way_is_not_moved
 }
 
 /// How the motors of a bus are moved.
@@ -210,8 +215,12 @@ fn a_button_that_is_down_at_the_start_starts_nothing<B: Moved>() {
 }
 
 fn motors_are_named_and_reach_both_ends<B: Moved>() {
-    let bus = B::drives(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(4).brakes(true)).unwrap();
+    for (drive, degrees) in bus.drives.iter().zip([0.0, 40.0, -70.0, 120.0]) {
+        turn_to(drive, degrees);
+    }
     let mut firmware = Firmware::running(&bus);
+    assert!(bus.drives.iter().all(|drive| state(drive).brake == BrakeCommand::RELEASE));
     let told =
         |wanted: fn(&Report) -> bool| firmware.panel.reports.iter().filter(|r| wanted(r)).count();
     assert_eq!(told(|report| matches!(report, Report::Found { .. })), 4);
@@ -502,4 +511,73 @@ fn a_firmware_that_has_restarted_keeps_its_motors_holding<B: Moved>() {
     for drive in &bus.drives {
         assert!(state(drive).output_on, "{:?}", state(drive));
     }
+}
+
+/// What no simulated bus brings about by itself is told to the application directly.
+fn whatever_is_wrong_while_motors_run_stops_them<B: Moved>() {
+    let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
+    let hot = Status1 {
+        temperature: Temperature::from_raw(90),
+        mosfet_temperature: Temperature::from_raw(60),
+        brake: BrakeCommand::RELEASE,
+        voltage: Voltage::from_raw(480),
+        errors: flags,
+    };
+    let motor = id(2);
+    let cases = [
+        (Some(Event::LostMaster { motor }), Trouble::LostMaster { motor }),
+        (
+            Some(Event::Report { motor, reply: AnyReply::ReadStatus1(hot) }),
+            Trouble::Errors { motor, flags },
+        ),
+        (None, Trouble::BusDown),
+    ];
+    for (event, trouble) in cases {
+        let bus = B::drives(&Fleet::new(2)).unwrap();
+        let mut firmware = Firmware::running(&bus);
+        let Firmware { runner, app, panel, .. } = &mut firmware;
+        let now = runner.now();
+        let at = &mut Moment { now, master: runner.master(), board: panel };
+        match event {
+            Some(event) => app.handle_event(&event, at),
+            None => app.handle_bus_error(at),
+        }
+        assert_eq!(firmware.troubles(), [trouble]);
+        firmware.stays_stopped();
+    }
+}
+
+fn a_late_cycle_is_counted_and_does_not_feed_the_watchdog<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    for (late_us, fed) in [(400, 1), (600, 0), (3_000, 0), (0, 1)] {
+        let Firmware { runner, app, panel, .. } = &mut firmware;
+        let (before, due) = (panel.fed, app.next_cycle());
+        let now = due + Duration::from_micros(late_us);
+        app.begin_cycle(&mut Moment { now, master: runner.master(), board: panel });
+        assert_eq!(panel.fed - before, fed, "{late_us} us late");
+        // The one after begins a cycle later, however late this one was.
+        let next = if fed == 1 { due } else { now } + millis(1);
+        assert_eq!(app.next_cycle(), next);
+    }
+    firmware.run_for(millis(1_100));
+    let told = firmware.panel.reports.iter().find_map(|report| match report {
+        Report::Second { overruns, .. } => Some(*overruns),
+        _ => None,
+    });
+    assert_eq!(told, Some(2));
+}
+
+fn a_motor_that_cannot_go_the_whole_way_is_not_moved<B: Moved>() {
+    // Motion mode reaches 12.5 rad, or 716 degrees; positions reach 21 million.
+    let setup = Setup { amplitude: Angle::from_raw(72_000), ..B::setup() };
+    let bus = B::drives(&Fleet::new(1)).unwrap();
+    let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+    firmware.run_for(millis(1_500));
+    firmware.press(millis(50));
+    firmware.run_for(millis(1_500));
+    let is_motion = matches!(B::setup().movement, Movement::Motion { .. });
+    let expected: &[Trouble] =
+        if is_motion { &[Trouble::OutOfRange { motor: id(1) }] } else { &[] };
+    assert_eq!(firmware.troubles(), expected);
 }
