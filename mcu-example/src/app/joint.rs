@@ -137,3 +137,24 @@ impl Joint {
         self.home.raw().checked_add(way).map(Angle::from_raw)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_velocity_that_is_fed_forward_is_the_position_s() {
+        let (ranges, kp, kd) = (MotionRanges::V4_3, 50.0, 2.0);
+        let setup = Setup::new(Movement::Motion { ranges, kp, kd });
+        let joint = Joint::new(MotorId::MIN, VersionDate::from_raw(0));
+        for ms in [100, 900, 1_100, 1_900] {
+            let [now, then] = [ms, ms + 1].map(|ms| {
+                let place = place(Duration::from_millis(ms), setup.period);
+                joint.motion(&setup, place.part, place.per_second, kp, kd)
+            });
+            let turned_rad_s = (then.position_rad - now.position_rad) * 1_000.0;
+            let mean_rad_s = (now.velocity_rad_s + then.velocity_rad_s) / 2.0;
+            assert!((turned_rad_s - mean_rad_s).abs() < 0.01, "{turned_rad_s} {mean_rad_s}");
+        }
+    }
+}
