@@ -25,6 +25,8 @@ const FETCH_MICROS: u32 = 50_000;
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
+    // First, so that a second panic can only come from here.
+    cortex_m::interrupt::disable();
     if !PANICS.swap(true, Ordering::Relaxed) {
         stop_motors(RestartCause::Panic);
         defmt::error!("{}", Display2Format(info));
