@@ -63,6 +63,9 @@ enum fed { FED_NOTHING, FED_FRAME, FED_BROKEN };
 
 enum fed c_feed(struct receiver *receiver, uint8_t byte);
 
+/* What feeding is compared to: takes the byte and asks for more. */
+enum fed c_want(struct receiver *receiver, uint8_t byte);
+
 /* What the others are compared to: a call and a return. */
 void c_nothing(const void *input, void *output);
 

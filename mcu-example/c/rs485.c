@@ -61,6 +61,13 @@ enum fed c_feed(struct receiver *receiver, uint8_t byte)
     return begin_anew(receiver, is_whole ? FED_FRAME : FED_BROKEN);
 }
 
+enum fed c_want(struct receiver *receiver, uint8_t byte)
+{
+    (void)receiver;
+    (void)byte;
+    return FED_NOTHING;
+}
+
 void c_nothing(const void *input, void *output)
 {
     (void)input;

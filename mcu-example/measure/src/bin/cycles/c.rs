@@ -69,6 +69,7 @@ mod linked {
         pub(super) fn c_decode_motion(data: *const [u8; 8], feedback: *mut MotionFeedback);
         pub(super) fn c_encode_line(id: u8, data: *const [u8; 8], line: *mut [u8; 13]);
         pub(super) fn c_feed(receiver: *mut Receiver, byte: u8) -> u8;
+        pub(super) fn c_want(receiver: *mut Receiver, byte: u8) -> u8;
         pub(super) fn c_nothing(input: *const c_void, output: *mut c_void);
     }
 }
@@ -105,6 +106,12 @@ pub(crate) fn encode_line(id: u8, data: &[u8; 8], line: &mut [u8; 13]) {
 #[inline(always)]
 pub(crate) fn feed(receiver: &mut Receiver, byte: u8) -> u8 {
     unsafe { linked::c_feed(receiver, byte) }
+}
+
+/// Takes the byte and asks for more.
+#[inline(always)]
+pub(crate) fn want(receiver: &mut Receiver, byte: u8) -> u8 {
+    unsafe { linked::c_want(receiver, byte) }
 }
 
 /// A call and a return.
