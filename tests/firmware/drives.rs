@@ -30,7 +30,6 @@ fn one_that_is_unplugged_stops_all(program: Program) {
     let motor_3 = firmware.drive(3).clone();
     firmware.drives().cut(std::slice::from_ref(&motor_3));
     stops_for(&mut firmware, "Silent { motor: motor 3 }");
-    // A set of motors is told as bits, from motor 1 on.
     firmware.wait_for("Stopped { unconfirmed: [3] }", PATIENCE);
     firmware.wait_for("State(Stopped)", PATIENCE);
     thread::sleep(PROTECTION_STOPS);

@@ -75,8 +75,7 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
         let found = firmware.wait_for("Found", PATIENCE);
         assert_eq!(found.number("motor"), Some(id.into()), "{found}");
         // RMD-X8-PRO, without the maker's part.
-        let name: Vec<String> = b"X8-PRO\0".iter().map(u8::to_string).collect();
-        assert!(found.text.contains(&name.join(", ")), "{found}");
+        assert!(found.text.contains("X8-PRO"), "{found}");
         assert!(found.text.contains("20250512"), "{found}");
     }
     for id in 1..=DRIVES {

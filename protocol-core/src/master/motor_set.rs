@@ -79,7 +79,10 @@ impl defmt::Format for MotorSet {
     fn format(&self, f: defmt::Formatter<'_>) {
         defmt::write!(f, "[");
         for (place, motor) in self.iter().enumerate() {
-            defmt::write!(f, "{=str}{=u8}", if place == 0 { "" } else { " " }, motor.get());
+            if place > 0 {
+                defmt::write!(f, " ");
+            }
+            defmt::write!(f, "{=u8}", motor.get());
         }
         defmt::write!(f, "]");
     }
