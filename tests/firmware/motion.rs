@@ -6,6 +6,7 @@ use myactuator_protocol_core::command::{BrakeCommand, Stop};
 use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::{Channel, MotorId, Target};
 use myactuator_tests::emulator::board::Wire;
+use myactuator_tests::emulator::drives::Heard;
 use myactuator_tests::fleet::state;
 
 use super::running::{
@@ -61,10 +62,14 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
     let mut firmware = stopped(program);
     firmware.check_stays_stopped(WATCHED);
     let heard = firmware.drives().heard_since(Instant::ZERO);
-    assert!(heard.iter().all(|heard| heard.packet.data == Stop.encode()), "{heard:?}");
+    // Stops, and questions: angle, errors, run time.
+    let harmless = [0x81, 0x92, 0x9A, 0xB1];
+    let is_harmless = |heard: &Heard| harmless.contains(&heard.packet.data[0]);
+    assert_eq!(heard.iter().find(|heard| !is_harmless(heard)), None);
     for motor in MotorId::all().take(DRIVES.into()) {
         let channel = Channel::Command(Target::Motor(motor));
-        assert!(heard.iter().any(|heard| heard.packet.channel == channel), "{heard:?}");
+        let first = heard.iter().find(|heard| heard.packet.channel == channel);
+        assert_eq!(first.map(|heard| heard.packet.data), Some(Stop.encode()), "{motor}");
     }
     for look in firmware.looks() {
         assert!(look.angle_deg.abs() < 0.1, "{look:?}");
@@ -146,12 +151,11 @@ fn nothing_is_lost(program: Program, seconds: u32) {
     let mut firmware = stopped(program);
     firmware.press();
     firmware.wait_for("State(Running)", PATIENCE);
-    let before = firmware.stalls.excused();
     let mut stack = 0;
     for second in 1..=seconds {
         let told = firmware.wait_for_second();
         // Where the machine had something else to do, a reply may be late.
-        let excused = firmware.stalls.excused() - before;
+        let excused = firmware.stalls.excused();
         if told.lost as usize > excused {
             firmware.fail(&format!("{told:?}: a reply was lost on a clean bus"));
         }
