@@ -10,7 +10,8 @@ use myactuator_tests::emulator::drives::Heard;
 use myactuator_tests::fleet::state;
 
 use super::running::{
-    DRIVES, MPS2_CAN, NETDUINO_RS485, PATIENCE, Program, WATCHED, on, stopped, stops_for,
+    DRIVES, MPS2_CAN, MPS2_CAN_ASYNC, MPS2_RS485, MPS2_RS485_ASYNC, NETDUINO_RS485, PATIENCE,
+    Program, WATCHED, on, stopped, stops_for,
 };
 
 on! {
@@ -124,20 +125,19 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
     firmware.check_log();
 }
 
-// By hand, for time here is real time: with netduinoplus2 a reply was late in one run of two whenever the
-// firmware told its second.
-#[test]
-#[ignore = "takes two minutes of a machine that does nothing else"]
-fn nothing_is_lost_in_a_minute() {
-    nothing_is_lost(MPS2_CAN, 60);
-    nothing_is_lost(NETDUINO_RS485, 60);
+on! {
+    MPS2_CAN as a_minute_of_mps2_can, NETDUINO_RS485 as a_minute_of_netduino_rs485:
+    nothing_is_lost_in_a_minute
+}
+fn nothing_is_lost_in_a_minute(program: Program) {
+    nothing_is_lost(program, 60);
 }
 
 #[test]
-#[ignore = "takes twenty minutes"]
+#[ignore = "takes fifty minutes"]
 fn nothing_is_lost_in_ten_minutes() {
-    nothing_is_lost(MPS2_CAN, 600);
-    nothing_is_lost(NETDUINO_RS485, 600);
+    let all = [MPS2_RS485, MPS2_RS485_ASYNC, MPS2_CAN, MPS2_CAN_ASYNC, NETDUINO_RS485];
+    all.into_iter().for_each(|program| nothing_is_lost(program, 600));
 }
 
 fn nothing_is_lost(program: Program, seconds: u32) {

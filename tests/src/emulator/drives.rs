@@ -20,8 +20,8 @@ use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::{Fed, Receiver};
 
-use super::Failure;
 use super::board::Wire;
+use super::{Failure, urgency};
 
 /// Bits per second, on either wire: what the boards' programs are set to.
 const BIT_RATE: u32 = 1_000_000;
@@ -80,6 +80,7 @@ impl Drives {
         let (bus, notices) = (Arc::clone(&self.bus), Arc::clone(&self.notices));
         // A server stays in the thread that made it.
         let thread = thread::spawn(move || {
+            urgency::take();
             let mut server = Server::new();
             let served = bus
                 .serve(&mut server, stream)

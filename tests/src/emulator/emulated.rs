@@ -4,13 +4,13 @@ use std::path::Path;
 
 use tempfile::TempDir;
 
+use super::Failure;
 use super::board::{Board, Wire};
 use super::drives::Drives;
 use super::log::{Line, Log};
 use super::panel::Panel;
 use super::qemu::Qemu;
 use super::socket::Waiting;
-use super::{Failure, urgency};
 
 /// A board that runs, and the drives that it moves. All end when this is dropped.
 #[derive(Debug)]
@@ -48,7 +48,6 @@ impl Emulated {
         };
         drives.serve(connect(bus_end)?)?;
         let panel = Panel::new(connect(panel_end)?);
-        urgency::take();
         Ok(Self { log, panel, drives, qemu, _folder: folder })
     }
 }

@@ -8,6 +8,8 @@ use std::time::Duration;
 use myactuator_host_std::sim::DriveHandle;
 use myactuator_protocol_core::time::Instant;
 
+use super::urgency;
+
 /// How often the shafts are looked at.
 const INTERVAL: Duration = Duration::from_millis(2);
 /// A shaft that turns slower than this stands still, degrees per second: a held shaft trembles within
@@ -59,6 +61,7 @@ impl Truth {
         let is_over = Arc::<AtomicBool>::default();
         let (all, until) = (Arc::clone(&looks), Arc::clone(&is_over));
         let observer = thread::spawn(move || {
+            urgency::take();
             while !until.load(Ordering::Relaxed) {
                 {
                     let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);

@@ -4,26 +4,26 @@
 //! Emulator and simulation have to answer each other within a millisecond, and both are threads among
 //! others, on a machine that may be a guest among others.
 
-use std::process::{self, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use rustix::thread::{CpuSet, gettid, sched_getaffinity, sched_setaffinity};
 
 /// A thread that wakes so late was kept waiting.
-const LATE: Duration = Duration::from_millis(2);
+const LATE: Duration = Duration::from_millis(15);
 /// A master asks the next time when no reply has come for so long, so that a wait costs one reply for each
 /// of these, and one for what is left.
-const REPLY_TIMEOUT: Duration = Duration::from_millis(5);
+const REPLY_TIMEOUT: Duration = Duration::from_millis(25);
 
-/// Puts all threads of this process before all ordinary ones, if that is allowed. What it starts from
-/// now on is ordinary.
+/// Puts this thread before all ordinary ones, if that is allowed. What it starts from now on is
+/// ordinary.
 pub(super) fn take() {
     let changed = Command::new("chrt")
-        .args(["--all-tasks", "--reset-on-fork", "--rr", "--pid", "1"])
-        .arg(process::id().to_string())
+        .args(["--reset-on-fork", "--rr", "--pid", "1"])
+        .arg(gettid().as_raw_nonzero().to_string())
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::null())
@@ -77,6 +77,7 @@ impl Found {
         alone.set(processor);
         // Where that is not allowed, it observes whatever it runs on.
         let _ = sched_setaffinity(None, &alone);
+        take();
         let pause = Duration::from_millis(1);
         while !self.is_over.load(Ordering::Relaxed) {
             let asleep = Instant::now();

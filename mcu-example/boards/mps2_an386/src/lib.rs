@@ -23,7 +23,6 @@ mod uart;
 mod watchdog;
 
 use cortex_m::singleton;
-use defmt_semihosting as _; // defmt's logger
 use myactuator_mcu_example::{RestartCause, Setup};
 
 pub use board::Mps2;

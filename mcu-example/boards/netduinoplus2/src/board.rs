@@ -1,7 +1,6 @@
 //! Clock, line and panel.
 
 use board_stm32f4::{Line, TimeBase, TimerClocks, open_line};
-use defmt_semihosting as _; // The log's way out.
 use myactuator_mcu_example::{Board, Report, RestartCause};
 use stm32f4xx_hal::pac;
 use stm32f4xx_hal::prelude::*;

@@ -20,20 +20,21 @@ const MAX_SPEED: MaxSpeed = MaxSpeed::from_raw(100);
 /// Runs the application on the line for ever.
 pub fn run_rs485(
     line: Line,
-    bit_rate: u32,
+    config: Config,
     time: TimeBase,
     board: &mut impl Board,
     cause: RestartCause,
 ) -> ! {
-    let mut bus = SerialMaster::<_, _, MOTORS>::new(line, time, Config::rs485(bit_rate, false));
     let movement = Movement::Position { max_speed: MAX_SPEED };
-    let setup = Setup { cycle: cycle(bit_rate), ..Setup::new(movement) };
+    let setup = Setup { cycle: cycle(&config), ..Setup::new(movement) };
+    let mut bus = SerialMaster::<_, _, MOTORS>::new(line, time, config);
     run(&mut bus, board, setup, cause)
 }
 
 /// The loop stands still while a frame is sent, and a cycle that begins half a cycle late was missed.
-const fn cycle(bit_rate: u32) -> Duration {
-    if bit_rate < 500_000 { Duration::from_millis(5) } else { Duration::from_millis(1) }
+fn cycle(config: &Config) -> Duration {
+    let is_slow = config.frame_time > Duration::from_micros(300);
+    if is_slow { Duration::from_millis(5) } else { Duration::from_millis(1) }
 }
 
 /// What a panic handler has to do: stops the motors, tells why, and restarts.

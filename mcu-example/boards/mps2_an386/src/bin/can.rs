@@ -2,6 +2,7 @@
 #![no_std]
 #![no_main]
 
+use board_emulated::patient;
 use cortex_m_rt::entry;
 use mps2_an386::{Bus, Parts, SLCAN_LINE_RATE, Slcan, start};
 use myactuator_mcu_example::{Movement, Setup, run};
@@ -16,6 +17,6 @@ fn main() -> ! {
     let setup = Setup::new(movement);
     let Parts { cause, clock, uart, mut board } = start(Bus::Slcan, SLCAN_LINE_RATE, &setup);
     let can = Slcan::open(uart, clock);
-    let mut bus = CanMaster::<_, _, 8>::new(can, clock, Config::CAN);
+    let mut bus = CanMaster::<_, _, 8>::new(can, clock, patient(Config::CAN));
     run(&mut bus, &mut board, setup, cause)
 }

@@ -2,6 +2,7 @@
 #![no_std]
 #![no_main]
 
+use board_emulated::patient;
 use embassy_executor::Spawner;
 use mps2_an386::{Bus, Parts, SLCAN_LINE_RATE, Slcan, sleep, start};
 use myactuator_mcu_example::{Movement, Setup, run_async};
@@ -17,6 +18,6 @@ async fn main(spawner: Spawner) -> ! {
     let Parts { cause, clock, uart, mut board } = start(Bus::Slcan, SLCAN_LINE_RATE, &setup);
     spawner.spawn(sleep().expect("spawned once"));
     let can = Slcan::open(uart, clock);
-    let mut bus = AsyncCanMaster::<_, _, 8>::new(can, clock, Config::CAN);
+    let mut bus = AsyncCanMaster::<_, _, 8>::new(can, clock, patient(Config::CAN));
     run_async(&mut bus, &mut board, setup, cause).await
 }

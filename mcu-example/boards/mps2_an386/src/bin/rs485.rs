@@ -2,6 +2,7 @@
 #![no_std]
 #![no_main]
 
+use board_emulated::patient;
 use cortex_m_rt::entry;
 use mps2_an386::{Bus, Parts, start};
 use myactuator_mcu_example::{Movement, Setup, run};
@@ -16,6 +17,7 @@ fn main() -> ! {
     // Twice what the movement needs at its fastest.
     let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(60) });
     let Parts { cause, clock, uart, mut board } = start(Bus::Rs485, BIT_RATE, &setup);
-    let mut bus = SerialMaster::<_, _, 8>::new(uart, clock, Config::rs485(BIT_RATE, false));
+    let mut bus =
+        SerialMaster::<_, _, 8>::new(uart, clock, patient(Config::rs485(BIT_RATE, false)));
     run(&mut bus, &mut board, setup, cause)
 }

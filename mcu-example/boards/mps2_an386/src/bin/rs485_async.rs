@@ -2,6 +2,7 @@
 #![no_std]
 #![no_main]
 
+use board_emulated::patient;
 use embassy_executor::Spawner;
 use mps2_an386::{Bus, Parts, sleep, start};
 use myactuator_mcu_example::{Movement, Setup, run_async};
@@ -17,6 +18,7 @@ async fn main(spawner: Spawner) -> ! {
     let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(60) });
     let Parts { cause, clock, uart, mut board } = start(Bus::Rs485, BIT_RATE, &setup);
     spawner.spawn(sleep().expect("spawned once"));
-    let mut bus = AsyncSerialMaster::<_, _, 8>::new(uart, clock, Config::rs485(BIT_RATE, false));
+    let mut bus =
+        AsyncSerialMaster::<_, _, 8>::new(uart, clock, patient(Config::rs485(BIT_RATE, false)));
     run_async(&mut bus, &mut board, setup, cause).await
 }

@@ -4,14 +4,16 @@
 
 use core::panic::PanicInfo;
 
+use board_emulated::patient;
 use board_stm32f4::{fault_on_rs485, panic_on_rs485, run_rs485};
 use cortex_m_rt::entry;
+use myactuator_protocol_core::master::Config;
 use netduinoplus2::{BIT_RATE, Hardware, start};
 
 #[entry]
 fn main() -> ! {
     let Hardware { line, time, mut panel, cause } = start();
-    run_rs485(line, BIT_RATE, time, &mut panel, cause)
+    run_rs485(line, patient(Config::rs485(BIT_RATE, false)), time, &mut panel, cause)
 }
 
 board_shared::on_fresh_stack!(HardFault => fault_on_rs485);

@@ -6,13 +6,14 @@ use core::panic::PanicInfo;
 
 use board_stm32f4::{fault_on_rs485, open_line, panic_on_rs485, run_rs485};
 use cortex_m_rt::entry;
+use myactuator_protocol_core::master::Config;
 use nucleo_f446re::{BIT_RATE, Hardware, start};
 
 #[entry]
 fn main() -> ! {
     let Hardware { mut rcc, time, mut board, cause, usart: (usart, pins), .. } = start();
     let line = open_line(usart, pins, BIT_RATE, &mut rcc, time).expect("90 MHz carry the bit rate");
-    run_rs485(line, BIT_RATE, time, &mut board, cause)
+    run_rs485(line, Config::rs485(BIT_RATE, false), time, &mut board, cause)
 }
 
 board_shared::on_fresh_stack!(HardFault => fault_on_rs485);
