@@ -245,7 +245,7 @@ fn motors_are_named_and_reach_both_ends<B: Moved>() {
     });
     let (cycles, overruns, slowest, lost) = last.expect("six seconds");
     assert!((4_990..=6_010).contains(&cycles), "{cycles}");
-    // Four motors share one line or bus: the watch's questions take their part of it.
+    // Four motors share one line or bus: the questions of the rounds take their part of it.
     assert!(slowest > 180, "{slowest}");
     assert_eq!((overruns, lost), (0, 0));
     assert!(firmware.panel.is_light_on);

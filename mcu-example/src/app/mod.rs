@@ -1,11 +1,11 @@
 //! What happens in each cycle.
 
 mod button;
-mod joint;
+mod motor;
 mod path;
+mod rounds;
 mod script;
 mod setup;
-mod watch;
 
 use heapless::Vec;
 use myactuator_protocol_core::MotorId;
@@ -15,10 +15,10 @@ use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use self::button::{Button, Press};
-use self::joint::Joint;
+use self::motor::Motor;
+use self::rounds::Rounds;
 use self::script::{Answer, Script, Step};
 pub use self::setup::{Movement, Setup};
-use self::watch::Watch;
 use crate::board::{Board, RestartCause};
 use crate::report::{Report, StateName, Trouble};
 
@@ -75,8 +75,8 @@ pub struct Moment<'a, const N: usize, B> {
 pub struct App<const N: usize> {
     setup: Setup,
     state: State,
-    joints: Vec<Joint, N>,
-    watch: Watch,
+    motors: Vec<Motor, N>,
+    rounds: Rounds,
     button: Button,
     next_cycle: Instant,
 }
@@ -89,8 +89,8 @@ impl<const N: usize> App<N> {
         let mut app = Self {
             setup,
             state: State::Stopped { kind: setup.stop, unconfirmed: MotorSet::EMPTY, again: at.now },
-            joints: Vec::new(),
-            watch: Watch::new(at.now),
+            motors: Vec::new(),
+            rounds: Rounds::new(at.now),
             button: Button::new(),
             next_cycle: at.now,
         };
@@ -113,8 +113,8 @@ impl<const N: usize> App<N> {
                     Movement::Motion { ranges, .. } => Some(ranges),
                     Movement::Position { .. } => None,
                 };
-                if let Some(joint) = self.joint(motor) {
-                    joint.feedback(&reply, ranges, at.now);
+                if let Some(motor) = self.motor(motor) {
+                    motor.feedback(&reply, ranges, at.now);
                 }
             }
             Event::Report { motor, reply: AnyReply::ReadStatus1(status) }
@@ -122,7 +122,7 @@ impl<const N: usize> App<N> {
             {
                 self.trouble(Trouble::Errors { motor, flags: status.errors }, at);
             }
-            Event::LostMaster { motor } if self.joint(motor).is_some() => {
+            Event::LostMaster { motor } if self.motor(motor).is_some() => {
                 self.trouble(Trouble::LostMaster { motor }, at);
             }
             _ => self.handle_answer(event, at),
@@ -155,14 +155,14 @@ impl<const N: usize> App<N> {
         match (&self.state, press) {
             (State::Stopped { .. }, Press::Down) => {}
             (State::Stopped { .. }, Press::Short) => {
-                for joint in self.joints.iter() {
-                    at.master.forget(joint.motor);
+                for motor in &self.motors {
+                    at.master.forget(motor.id);
                 }
-                self.joints.clear();
+                self.motors.clear();
                 self.enter(State::Finding(Script::find(self.setup.search, at.now)), at);
             }
             (State::Stopped { .. }, Press::Long) => {
-                let all = self.motors();
+                let all = self.found();
                 self.enter(State::ShuttingDown(Script::shut_down(all, at.now)), at);
             }
             // The press that stops, or comes while motors are being stopped, is used up: letting go does
@@ -192,7 +192,7 @@ impl<const N: usize> App<N> {
                     let _ = at.master.stop_all(kind, silent);
                 }
                 // Also to those whose firmware nobody has asked for yet: a motor that hears nothing lets go.
-                self.watch.ask(self.known().without(silent), &self.setup, at.master, at.now);
+                self.rounds.ask(self.known().without(silent), &self.setup, at.master, at.now);
             }
             State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
                 match script.go_on(&self.setup, at.master, at.now) {
@@ -211,19 +211,19 @@ impl<const N: usize> App<N> {
 
     fn script_is_over(&mut self, at: &mut Moment<'_, N, impl Board>) {
         match &self.state {
-            State::Finding(_) if self.joints.is_empty() => {
+            State::Finding(_) if self.motors.is_empty() => {
                 self.trouble(Trouble::NoMotor, at);
             }
             State::Finding(_) => {
                 // Nothing moves yet; but opening a brake is refused while a stop is in force.
                 at.master.lift_stop();
-                self.enter(State::Preparing(Script::prepare(self.motors(), at.now)), at);
+                self.enter(State::Preparing(Script::prepare(self.found(), at.now)), at);
             }
             State::ShuttingDown(_) => self.stop(StopKind::Off, at),
-            State::Preparing(script) => match script.next_of_preparing(self.motors(), at.now) {
+            State::Preparing(script) => match script.next_of_preparing(self.found(), at.now) {
                 Some(next) => self.state = State::Preparing(next),
                 None => {
-                    self.joints.iter_mut().for_each(|joint| joint.begin(at.now));
+                    self.motors.iter_mut().for_each(|motor| motor.begin(at.now));
                     let (since, next_second) = (at.now, at.now + SECOND);
                     let running = State::Running { since, cycles: 0, overruns: 0, next_second };
                     self.enter(running, at);
@@ -242,13 +242,13 @@ impl<const N: usize> App<N> {
         }
         let State::Running { since, next_second, .. } = &self.state else { return };
         let (since, is_second) = (*since, at.now >= *next_second);
-        for joint in &self.joints {
-            if !joint.put_set_point(&self.setup, at.now - since, at.master, at.now) {
-                let motor = joint.motor;
+        for motor in &self.motors {
+            if !motor.put_set_point(&self.setup, at.now - since, at.master, at.now) {
+                let motor = motor.id;
                 return self.trouble(Trouble::Refused { motor }, at);
             }
         }
-        self.watch.ask(self.motors(), &self.setup, at.master, at.now);
+        self.rounds.ask(self.found(), &self.setup, at.master, at.now);
         if is_second {
             self.tell_second(at);
         }
@@ -258,18 +258,18 @@ impl<const N: usize> App<N> {
         let State::Running { cycles, overruns, next_second, .. } = &mut self.state else { return };
         *next_second += SECOND;
         let (cycles, overruns) = (*cycles, *overruns);
-        let lost = self.joints.iter().map(|j| u32::from(at.master.health(j.motor).lost)).sum();
-        let slowest = self.joints.iter_mut().map(Joint::take_answered).min().unwrap_or(0);
+        let lost = self.motors.iter().map(|motor| u32::from(at.master.health(motor.id).lost)).sum();
+        let slowest = self.motors.iter_mut().map(Motor::take_answered).min().unwrap_or(0);
         let stack = at.board.stack_used().unwrap_or(0);
         at.board.log(&Report::Second { cycles, overruns, slowest, lost, stack });
-        for joint in &self.joints {
-            at.board.log(&Report::Measured { motor: joint.motor, angle: joint.angle });
+        for motor in &self.motors {
+            at.board.log(&Report::Measured { motor: motor.id, angle: motor.angle });
         }
     }
 
-    /// The outcome of a request: the watch's or the script's.
+    /// The outcome of a request: that of the rounds or the script's.
     fn handle_answer(&mut self, event: &Event, at: &mut Moment<'_, N, impl Board>) {
-        let answer = self.watch.take(event).or_else(|| match &mut self.state {
+        let answer = self.rounds.take(event).or_else(|| match &mut self.state {
             State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
                 script.take(event)
             }
@@ -290,7 +290,7 @@ impl<const N: usize> App<N> {
     ) -> Option<Trouble> {
         match answer {
             Answer::None
-                if matches!(self.state, State::Finding(_)) && self.joint(motor).is_none() =>
+                if matches!(self.state, State::Finding(_)) && self.motor(motor).is_none() =>
             {
                 // Nobody has this id.
                 at.master.forget(motor);
@@ -300,28 +300,27 @@ impl<const N: usize> App<N> {
             Answer::Done => None,
             Answer::Version(version_date) => {
                 let is_known = Firmware::of_version_date(version_date) == Some(self.setup.firmware);
-                let joint = Joint::new(motor, version_date);
-                match self.joints.push(joint) {
+                match self.motors.push(Motor::new(motor, version_date)) {
                     _ if !is_known => Some(Trouble::OtherFirmware { motor, version_date }),
                     Err(_) => Some(Trouble::Refused { motor }),
                     Ok(()) => None,
                 }
             }
             Answer::Model(model) => {
-                let version_date = self.joint(motor)?.version_date;
+                let version_date = self.motor(motor)?.version_date;
                 at.board.log(&Report::Found { motor, model, version_date });
                 None
             }
             Answer::Errors(flags) if flags.is_empty() => None,
             Answer::Errors(flags) => Some(Trouble::Errors { motor, flags }),
             Answer::RunTime(run_time) => {
-                let has_restarted = self.joint(motor)?.has_restarted(run_time);
+                let has_restarted = self.motor(motor)?.has_restarted(run_time);
                 has_restarted.then_some(Trouble::Restarted { motor })
             }
             Answer::Angle(angle) => {
                 let is_preparing = matches!(self.state, State::Preparing(_));
                 let setup = self.setup;
-                let joint = self.joint(motor)?;
+                let joint = self.motor(motor)?;
                 joint.angle = angle;
                 if is_preparing {
                     joint.home = angle;
@@ -379,28 +378,28 @@ impl<const N: usize> App<N> {
 
     /// The motor that was not heard for longest, and for how long.
     fn longest_silence(&self, now: Instant) -> (Option<MotorId>, Duration) {
-        let silences = self.joints.iter().map(|joint| (Some(joint.motor), joint.silence(now)));
+        let silences = self.motors.iter().map(|motor| (Some(motor.id), motor.silence(now)));
         silences.max_by_key(|&(_, silence)| silence).unwrap_or((None, Duration::ZERO))
     }
 
     /// What it means that this motor is not heard.
     fn silent(&self, motor: MotorId, now: Instant) -> Trouble {
         let is_bus = self.is_running()
-            && self.joints.iter().all(|joint| joint.silence(now) > BUS_SILENT_AFTER);
+            && self.motors.iter().all(|motor| motor.silence(now) > BUS_SILENT_AFTER);
         if is_bus { Trouble::BusDown } else { Trouble::Silent { motor } }
     }
 
-    fn joint(&mut self, motor: MotorId) -> Option<&mut Joint> {
-        self.joints.iter_mut().find(|joint| joint.motor == motor)
+    fn motor(&mut self, id: MotorId) -> Option<&mut Motor> {
+        self.motors.iter_mut().find(|motor| motor.id == id)
     }
 
     /// All that may be there.
     fn known(&self) -> MotorSet {
-        if self.joints.is_empty() { self.setup.search } else { self.motors() }
+        if self.motors.is_empty() { self.setup.search } else { self.found() }
     }
 
-    fn motors(&self) -> MotorSet {
-        self.joints.iter().map(|joint| joint.motor).collect()
+    fn found(&self) -> MotorSet {
+        self.motors.iter().map(|motor| motor.id).collect()
     }
 
     /// On while the motors run, blinking fast while it is busy, slowly while it waits.

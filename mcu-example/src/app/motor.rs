@@ -13,8 +13,8 @@ use super::{Movement, Setup};
 
 /// A motor that was found.
 #[derive(Debug)]
-pub(super) struct Joint {
-    pub(super) motor: MotorId,
+pub(super) struct Motor {
+    pub(super) id: MotorId,
     pub(super) version_date: VersionDate,
     /// Where it was when it got ready: it moves around that.
     pub(super) home: Angle,
@@ -28,11 +28,11 @@ pub(super) struct Joint {
     answered: u16,
 }
 
-impl Joint {
-    pub(super) const fn new(motor: MotorId, version_date: VersionDate) -> Self {
+impl Motor {
+    pub(super) const fn new(id: MotorId, version_date: VersionDate) -> Self {
         let zero = Angle::from_raw(0);
         Self {
-            motor,
+            id,
             version_date,
             home: zero,
             angle: zero,
@@ -104,12 +104,12 @@ impl Joint {
             Movement::Motion { ranges, kp, kd } => {
                 let wanted = self.motion(setup, place.part, place.per_second, kp, kd);
                 let raw = ranges.quantise(&wanted);
-                raw.is_ok_and(|raw| master.set_point(self.motor, raw, now).is_ok())
+                raw.is_ok_and(|raw| master.set_point(self.id, raw, now).is_ok())
             }
             Movement::Position { max_speed } => self
                 .target(setup, place.part)
                 .map(|angle| AbsolutePosition { max_speed, angle })
-                .is_some_and(|wanted| master.set_point(self.motor, wanted, now).is_ok()),
+                .is_some_and(|wanted| master.set_point(self.id, wanted, now).is_ok()),
         }
     }
 
@@ -146,11 +146,11 @@ mod tests {
     fn the_velocity_that_is_fed_forward_is_the_position_s() {
         let (ranges, kp, kd) = (MotionRanges::V4_3, 50.0, 2.0);
         let setup = Setup::new(Movement::Motion { ranges, kp, kd });
-        let joint = Joint::new(MotorId::MIN, VersionDate::from_raw(0));
+        let motor = Motor::new(MotorId::MIN, VersionDate::from_raw(0));
         for ms in [100, 900, 1_100, 1_900] {
             let [now, then] = [ms, ms + 1].map(|ms| {
                 let place = place(Duration::from_millis(ms), setup.period);
-                joint.motion(&setup, place.part, place.per_second, kp, kd)
+                motor.motion(&setup, place.part, place.per_second, kp, kd)
             });
             let turned_rad_s = (then.position_rad - now.position_rad) * 1_000.0;
             let mean_rad_s = (now.velocity_rad_s + then.velocity_rad_s) / 2.0;

@@ -1,4 +1,4 @@
-//! One status in turn: of each motor its errors, its run time and its angle, beside the set-points.
+//! Goes round the motors: of each its errors, its run time and its angle, one question at a time.
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, TicketId};
@@ -13,14 +13,14 @@ const QUESTIONS: [Question; 3] = [Question::Errors, Question::RunTime, Question:
 
 /// Whose turn it is.
 #[derive(Debug)]
-pub(super) struct Watch {
+pub(super) struct Rounds {
     /// Counts the questions: all of one motor's, then the next motor's.
     turn: usize,
     asked: Option<(TicketId, Question)>,
     next: Instant,
 }
 
-impl Watch {
+impl Rounds {
     pub(super) const fn new(now: Instant) -> Self {
         Self { turn: 0, asked: None, next: now }
     }
