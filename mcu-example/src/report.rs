@@ -111,7 +111,7 @@ pub enum Trouble {
         /// The motor.
         motor: MotorId,
     },
-    /// The bus driver reports an error, or no motor at all is heard any more.
+    /// The bus driver reports an error, or none of several motors is heard any more.
     BusDown,
 }
 

@@ -1,5 +1,7 @@
 //! The application of the example firmware against simulated drives, on both buses.
 
+mod heard;
+
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};

@@ -382,9 +382,11 @@ impl<const N: usize> App<N> {
         silences.max_by_key(|&(_, silence)| silence).unwrap_or((None, Duration::ZERO))
     }
 
-    /// What it means that this motor is not heard.
+    /// What it means that this motor is not heard. With it alone nobody can tell a bus from a motor that
+    /// is gone: whoever looks begins at the motor.
     fn silent(&self, motor: MotorId, now: Instant) -> Trouble {
         let is_bus = self.is_running()
+            && self.motors.len() > 1
             && self.motors.iter().all(|motor| motor.silence(now) > BUS_SILENT_AFTER);
         if is_bus { Trouble::BusDown } else { Trouble::Silent { motor } }
     }
