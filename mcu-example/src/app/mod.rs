@@ -76,6 +76,8 @@ pub struct App<const N: usize> {
     setup: Setup,
     state: State,
     motors: Vec<Motor, N>,
+    /// Whoever has answered anything since the start.
+    heard: MotorSet,
     rounds: Rounds,
     button: Button,
     next_cycle: Instant,
@@ -90,6 +92,7 @@ impl<const N: usize> App<N> {
             setup,
             state: State::Stopped { kind: setup.stop, unconfirmed: MotorSet::EMPTY, again: at.now },
             motors: Vec::new(),
+            heard: MotorSet::EMPTY,
             rounds: Rounds::new(at.now),
             button: Button::new(),
             next_cycle: at.now,
@@ -185,14 +188,11 @@ impl<const N: usize> App<N> {
                 }
             }
             State::Stopped { kind, unconfirmed, again } => {
-                let (silent, kind) = (*unconfirmed, *kind);
-                if !silent.is_empty() && at.now >= *again {
+                if !unconfirmed.is_empty() && at.now >= *again {
                     *again = at.now + STOP_AGAIN;
                     // Those that the master has no place for stay unconfirmed.
-                    let _ = at.master.stop_all(kind, silent);
+                    let _ = at.master.stop_all(*kind, *unconfirmed);
                 }
-                // Also to those whose firmware nobody has asked for yet: a motor that hears nothing lets go.
-                self.rounds.ask(self.known().without(silent), &self.setup, at.master, at.now);
             }
             State::Finding(script) | State::Preparing(script) | State::ShuttingDown(script) => {
                 match script.go_on(&self.setup, at.master, at.now) {
@@ -207,6 +207,9 @@ impl<const N: usize> App<N> {
                 self.control(at);
             }
         }
+        // In every state, and also to those whose firmware nobody has asked for yet: a motor that hears
+        // nothing lets go.
+        self.rounds.ask(self.attended(), &self.setup, at.master, at.now);
     }
 
     fn script_is_over(&mut self, at: &mut Moment<'_, N, impl Board>) {
@@ -248,7 +251,6 @@ impl<const N: usize> App<N> {
                 return self.trouble(Trouble::Refused { motor }, at);
             }
         }
-        self.rounds.ask(self.found(), &self.setup, at.master, at.now);
         if is_second {
             self.tell_second(at);
         }
@@ -299,6 +301,7 @@ impl<const N: usize> App<N> {
             Answer::None => Some(self.silent(motor, at.now)),
             Answer::Done => None,
             Answer::Version(version_date) => {
+                self.heard.insert(motor);
                 let is_known = Firmware::of_version_date(version_date) == Some(self.setup.firmware);
                 match self.motors.push(Motor::new(motor, version_date)) {
                     _ if !is_known => Some(Trouble::OtherFirmware { motor, version_date }),
@@ -318,17 +321,15 @@ impl<const N: usize> App<N> {
                 has_restarted.then_some(Trouble::Restarted { motor })
             }
             Answer::Angle(angle) => {
-                let is_preparing = matches!(self.state, State::Preparing(_));
+                self.motor(motor)?.angle = angle;
+                None
+            }
+            Answer::Home(angle) => {
                 let setup = self.setup;
-                let joint = self.motor(motor)?;
-                joint.angle = angle;
-                if is_preparing {
-                    joint.home = angle;
-                    if !joint.can_reach(&setup) {
-                        return Some(Trouble::OutOfRange { motor });
-                    }
-                    at.board.log(&Report::Ready { motor, angle });
+                if !self.motor(motor)?.can_begin_at(angle, &setup) {
+                    return Some(Trouble::OutOfRange { motor });
                 }
+                at.board.log(&Report::Ready { motor, angle });
                 None
             }
         }
@@ -355,6 +356,9 @@ impl<const N: usize> App<N> {
     }
 
     fn stop_is_over(&mut self, stopped: MotorId, is_confirmed: bool) {
+        if is_confirmed {
+            self.heard.insert(stopped);
+        }
         match &mut self.state {
             State::Stopping { waiting, unconfirmed, .. } => {
                 waiting.remove(stopped);
@@ -398,6 +402,17 @@ impl<const N: usize> App<N> {
     /// All that may be there.
     fn known(&self) -> MotorSet {
         if self.motors.is_empty() { self.setup.search } else { self.found() }
+    }
+
+    /// Those that the rounds go to: all that were heard, less those whose stop is repeated.
+    fn attended(&self) -> MotorSet {
+        match self.state {
+            State::Stopping { waiting, unconfirmed, .. } => {
+                self.heard.without(waiting).without(unconfirmed)
+            }
+            State::Stopped { unconfirmed, .. } => self.heard.without(unconfirmed),
+            _ => self.heard,
+        }
     }
 
     fn found(&self) -> MotorSet {

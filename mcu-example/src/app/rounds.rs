@@ -14,7 +14,8 @@ const QUESTIONS: [Question; 3] = [Question::Errors, Question::RunTime, Question:
 /// Whose turn it is.
 #[derive(Debug)]
 pub(super) struct Rounds {
-    /// Counts the questions: all of one motor's, then the next motor's.
+    /// Counts the questions: one to each motor, then the next one to each, so that none waits for long
+    /// until it hears something.
     turn: usize,
     asked: Option<(TicketId, Question)>,
     next: Instant,
@@ -37,8 +38,8 @@ impl Rounds {
             return;
         }
         self.turn = (self.turn + 1) % (motors.len() * QUESTIONS.len());
-        let Some(motor) = motors.iter().nth(self.turn / QUESTIONS.len()) else { return };
-        let question = QUESTIONS[self.turn % QUESTIONS.len()];
+        let Some(motor) = motors.iter().nth(self.turn % motors.len()) else { return };
+        let question = QUESTIONS[self.turn / motors.len()];
         // A motor that is busy is asked in its next turn.
         if let Ok(ticket) = question.ask(motor, setup, master) {
             self.asked = Some((ticket, question));

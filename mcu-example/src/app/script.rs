@@ -24,6 +24,8 @@ pub(super) enum Question {
     Protection,
     ReleaseBrake,
     Angle,
+    /// Where it is, and is to begin.
+    Home,
     RunTime,
     LockBrake,
 }
@@ -39,6 +41,7 @@ pub(super) enum Answer {
     Model(ModelName),
     Errors(ErrorFlags),
     Angle(Angle),
+    Home(Angle),
     RunTime(Milliseconds),
 }
 
@@ -61,7 +64,7 @@ impl Question {
                 master.request_with(motor, command, patience).map(|t| t.id())
             }
             Self::ReleaseBrake => master.request(motor, ReleaseBrake).map(|t| t.id()),
-            Self::Angle => master.request(motor, ReadMultiTurnAngle).map(|t| t.id()),
+            Self::Angle | Self::Home => master.request(motor, ReadMultiTurnAngle).map(|t| t.id()),
             Self::RunTime => master.request(motor, ReadRunTime).map(|t| t.id()),
             Self::LockBrake => master.request(motor, LockBrake).map(|t| t.id()),
         }
@@ -86,6 +89,7 @@ impl Question {
             Self::Model => Answer::Model(ReadModel::decode_reply(data).ok()?.model),
             Self::Errors => Answer::Errors(ReadStatus1::decode_reply(data).ok()?.errors),
             Self::Angle => Answer::Angle(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
+            Self::Home => Answer::Home(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::RunTime => Answer::RunTime(ReadRunTime::decode_reply(data).ok()?.run_time),
             Self::Protection | Self::ReleaseBrake | Self::LockBrake => Answer::Done,
         };
@@ -97,7 +101,7 @@ const FIND: &[Question] =
     &[Question::VersionDate, Question::Model, Question::Errors, Question::RunTime];
 const PROTECT: &[Question] = &[Question::Protection];
 const RELEASE: &[Question] = &[Question::ReleaseBrake];
-const LOOK: &[Question] = &[Question::RunTime, Question::Angle];
+const LOOK: &[Question] = &[Question::RunTime, Question::Home];
 
 /// How long a brake takes to open at the most: 50 to 150 ms were seen.
 const BRAKE_OPENS: Duration = Duration::from_millis(200);
@@ -131,7 +135,7 @@ impl Script {
     }
 
     /// What has to be done before a motor may run; [`next`](Self::next_of_preparing) says how it goes on.
-    /// One thing for all before the next for any: none waits for longer than its protection allows.
+    /// One thing for all before the next for any, so that all brakes open at one time.
     pub(super) const fn prepare(motors: MotorSet, now: Instant) -> Self {
         Self::new(PROTECT, motors, now)
     }
