@@ -36,9 +36,16 @@ pub enum Report {
     },
     /// What made the application stop the motors, or not start them.
     Trouble(Trouble),
+    /// Nobody has confirmed the stop at these ids, and nobody has answered there since the start: as far as
+    /// is known, nobody has them. Only if a motor with one of them may have moved before the start, as
+    /// after a crash: cut its power.
+    Unheard {
+        /// The ids.
+        motors: MotorSet,
+    },
     /// The stop is over.
     Stopped {
-        /// The motors that have not confirmed it: cut their power.
+        /// The motors that are there and have not confirmed it: cut their power.
         unconfirmed: MotorSet,
     },
     /// Every second while the motors run.
@@ -91,7 +98,8 @@ pub enum Trouble {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor does not answer, or what it answers cannot be read.
+    /// A motor that is required, or has answered before, does not answer, or what it answers cannot be
+    /// read. One that was taken away on purpose is forgotten when the board is switched off and on.
     Silent {
         /// The motor.
         motor: MotorId,

@@ -200,7 +200,8 @@ fn nothing_moves_before_the_button<B: Moved>() {
         [
             Report::Started { cause: RestartCause::Power },
             Report::State(StateName::Stopping),
-            Report::Stopped { unconfirmed: nobody },
+            Report::Unheard { motors: nobody },
+            Report::Stopped { unconfirmed: MotorSet::EMPTY },
             Report::State(StateName::Stopped),
         ]
     );

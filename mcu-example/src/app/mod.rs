@@ -76,8 +76,9 @@ pub struct App<const N: usize> {
     setup: Setup,
     state: State,
     motors: Vec<Motor, N>,
-    /// Whoever has answered anything since the start.
-    heard: MotorSet,
+    /// Those that are missed when they do not answer: the required ones, and whoever has answered anything
+    /// since the start.
+    expected: MotorSet,
     rounds: Rounds,
     button: Button,
     next_cycle: Instant,
@@ -92,7 +93,7 @@ impl<const N: usize> App<N> {
             setup,
             state: State::Stopped { kind: setup.stop, unconfirmed: MotorSet::EMPTY, again: at.now },
             motors: Vec::new(),
-            heard: MotorSet::EMPTY,
+            expected: setup.required,
             rounds: Rounds::new(at.now),
             button: Button::new(),
             next_cycle: at.now,
@@ -162,10 +163,11 @@ impl<const N: usize> App<N> {
                     at.master.forget(motor.id);
                 }
                 self.motors.clear();
-                self.enter(State::Finding(Script::find(self.setup.search, at.now)), at);
+                let all = self.known();
+                self.enter(State::Finding(Script::find(all, at.now)), at);
             }
             (State::Stopped { .. }, Press::Long) => {
-                let all = self.found();
+                let all = self.expected;
                 self.enter(State::ShuttingDown(Script::shut_down(all, at.now)), at);
             }
             // The press that stops, or comes while motors are being stopped, is used up: letting go does
@@ -181,9 +183,14 @@ impl<const N: usize> App<N> {
         match &mut self.state {
             State::Stopping { kind, waiting, unconfirmed, until } => {
                 if waiting.is_empty() || at.now >= *until {
-                    let unconfirmed = waiting.iter().chain(unconfirmed.iter()).collect();
+                    let unconfirmed = both(*waiting, *unconfirmed);
                     let (kind, again) = (*kind, at.now + STOP_AGAIN);
-                    at.board.log(&Report::Stopped { unconfirmed });
+                    let unheard = unconfirmed.without(self.expected);
+                    if !unheard.is_empty() {
+                        at.board.log(&Report::Unheard { motors: unheard });
+                    }
+                    at.board.log(&Report::Stopped { unconfirmed: unconfirmed.without(unheard) });
+                    // The unheard get their stop again, too: one whose replies are lost may hear it.
                     self.enter(State::Stopped { kind, unconfirmed, again }, at);
                 }
             }
@@ -291,9 +298,7 @@ impl<const N: usize> App<N> {
         at: &mut Moment<'_, N, impl Board>,
     ) -> Option<Trouble> {
         match answer {
-            Answer::None
-                if matches!(self.state, State::Finding(_)) && self.motor(motor).is_none() =>
-            {
+            Answer::None if !self.expected.contains(motor) => {
                 // Nobody has this id.
                 at.master.forget(motor);
                 None
@@ -301,7 +306,7 @@ impl<const N: usize> App<N> {
             Answer::None => Some(self.silent(motor, at.now)),
             Answer::Done => None,
             Answer::Version(version_date) => {
-                self.heard.insert(motor);
+                self.expected.insert(motor);
                 let is_known = Firmware::of_version_date(version_date) == Some(self.setup.firmware);
                 match self.motors.push(Motor::new(motor, version_date)) {
                     _ if !is_known => Some(Trouble::OtherFirmware { motor, version_date }),
@@ -357,7 +362,7 @@ impl<const N: usize> App<N> {
 
     fn stop_is_over(&mut self, stopped: MotorId, is_confirmed: bool) {
         if is_confirmed {
-            self.heard.insert(stopped);
+            self.expected.insert(stopped);
         }
         match &mut self.state {
             State::Stopping { waiting, unconfirmed, .. } => {
@@ -399,19 +404,19 @@ impl<const N: usize> App<N> {
         self.motors.iter_mut().find(|motor| motor.id == id)
     }
 
-    /// All that may be there.
+    /// All that may be there: the expected ones, and before any was found whoever is looked for.
     fn known(&self) -> MotorSet {
-        if self.motors.is_empty() { self.setup.search } else { self.found() }
+        if self.motors.is_empty() { both(self.expected, self.setup.search) } else { self.expected }
     }
 
-    /// Those that the rounds go to: all that were heard, less those whose stop is repeated.
+    /// Those that the rounds go to: all that are expected, less those whose stop is repeated.
     fn attended(&self) -> MotorSet {
         match self.state {
             State::Stopping { waiting, unconfirmed, .. } => {
-                self.heard.without(waiting).without(unconfirmed)
+                self.expected.without(waiting).without(unconfirmed)
             }
-            State::Stopped { unconfirmed, .. } => self.heard.without(unconfirmed),
-            _ => self.heard,
+            State::Stopped { unconfirmed, .. } => self.expected.without(unconfirmed),
+            _ => self.expected,
         }
     }
 
@@ -429,6 +434,10 @@ impl<const N: usize> App<N> {
             _ => blink(100),
         }
     }
+}
+
+fn both(some: MotorSet, others: MotorSet) -> MotorSet {
+    some.iter().chain(others.iter()).collect()
 }
 
 const fn half(span: Duration) -> Duration {

@@ -31,6 +31,10 @@ pub enum Movement {
 pub struct Setup {
     /// Where motors are looked for.
     pub search: MotorSet,
+    /// Motors that must be there for any to run; they are looked for, too. Whoever has answered anything
+    /// since the firmware started must be there as well, whether it is named here or not; but after a
+    /// restart nothing else is known, and then an arm whose joint is missing starts unless this names it.
+    pub required: MotorSet,
     /// The firmware that all of them must have.
     pub firmware: Firmware,
     /// How they are moved.
@@ -48,11 +52,12 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// Motors 1 to 8 of firmware V4.3, moved to and fro by 20 degrees within 2 s, 1000 set-points a
+    /// Motors 1 to 8, those that are there, of firmware V4.3, moved to and fro by 20 degrees within 2 s, 1000 set-points a
     /// second; stopped, they hold still.
     pub fn new(movement: Movement) -> Self {
         Self {
             search: MotorId::all().take(8).collect(),
+            required: MotorSet::EMPTY,
             firmware: Firmware::V4_3,
             movement,
             amplitude: Angle::from_raw(2_000),

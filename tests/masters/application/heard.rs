@@ -3,6 +3,7 @@
 use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_mcu_example::{Report, Setup, StateName, Trouble};
 use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
 use myactuator_protocol_core::drive::Event;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::MotorSet;
@@ -17,6 +18,11 @@ on_both_buses! {
     the_only_motor_is_named_when_it_is_silent
     motors_hear_enough_while_others_write_slowly
     motors_hear_enough_while_others_are_looked_for
+    a_motor_that_ran_and_is_missing_keeps_the_others_from_starting
+    a_motor_that_was_heard_once_must_be_found
+    a_required_motor_must_be_found_wherever_is_searched
+    ids_that_nobody_answered_at_are_told_apart
+    a_shutdown_after_a_search_that_failed_is_one_of_all
 }
 
 fn the_only_motor_is_named_when_it_is_silent<B: Moved>() {
@@ -71,4 +77,86 @@ fn motors_hear_enough_while_others_are_looked_for<B: Moved>() {
     firmware.press(millis(50));
     firmware.run_until(Report::State(StateName::Running), millis(6_000));
     assert_eq!(lost_their_master(&bus), []);
+}
+
+fn a_motor_that_ran_and_is_missing_keeps_the_others_from_starting<B: Moved>() {
+    let bus = B::drives(&Fleet::new(3)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.press(millis(50));
+    firmware.run_for(millis(1_000));
+    unplug(&bus, &bus.drives[2]);
+    firmware.forget();
+    firmware.press(millis(50));
+    firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(3) }), millis(500));
+    assert!(!firmware.panel.reports.contains(&Report::State(StateName::Preparing)));
+    firmware.run_until(Report::Stopped { unconfirmed: id(3).into() }, millis(1_100));
+    firmware.stays_stopped();
+    bus.world.mend(bus.drives[2].station());
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+}
+
+/// It confirmed the stop at the start: it is there, although no search has found it yet.
+fn a_motor_that_was_heard_once_must_be_found<B: Moved>() {
+    let bus = B::drives(&Fleet::new(3)).unwrap();
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    firmware.run_for(millis(1_500));
+    unplug(&bus, &bus.drives[0]);
+    firmware.press(millis(50));
+    firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(1) }), millis(500));
+    assert!(!firmware.panel.reports.contains(&Report::State(StateName::Preparing)));
+    firmware.stays_stopped();
+}
+
+fn a_required_motor_must_be_found_wherever_is_searched<B: Moved>() {
+    for required in [2, 9] {
+        let bus = B::drives(&Fleet::new(1)).unwrap();
+        let setup = Setup { required: id(required).into(), ..B::setup() };
+        let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+        firmware.run_until(Report::Stopped { unconfirmed: id(required).into() }, millis(1_500));
+        firmware.press(millis(50));
+        let silent = Trouble::Silent { motor: id(required) };
+        firmware.run_until(Report::Trouble(silent), millis(1_500));
+        firmware.stays_stopped();
+    }
+}
+
+/// They get their stop again all the same, and whoever confirms it is expected from then on.
+fn ids_that_nobody_answered_at_are_told_apart<B: Moved>() {
+    let bus = B::drives(&Fleet::new(4)).unwrap();
+    unplug(&bus, &bus.drives[1]);
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    firmware.run_for(millis(1_500));
+    let told = |motors: &[u8]| motors.iter().map(|&motor| id(motor)).collect::<MotorSet>();
+    let stopped = Report::Stopped { unconfirmed: MotorSet::EMPTY };
+    assert_eq!(
+        firmware.panel.reports[2..4],
+        [Report::Unheard { motors: told(&[2, 5, 6, 7, 8]) }, stopped]
+    );
+    bus.world.mend(bus.drives[1].station());
+    // Long enough for the next stop to be sent.
+    firmware.run_for(millis(600));
+    unplug(&bus, &bus.drives[1]);
+    firmware.forget();
+    firmware.press(millis(50));
+    firmware.run_until(Report::Stopped { unconfirmed: told(&[2]) }, millis(1_500));
+    let is_unheard =
+        |report: &Report| matches!(report, Report::Unheard { motors } if motors.contains(id(2)));
+    assert!(!firmware.panel.reports.iter().any(is_unheard));
+}
+
+fn a_shutdown_after_a_search_that_failed_is_one_of_all<B: Moved>() {
+    let bus = B::drives(&Fleet::new(3).brakes(true)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.press(millis(50));
+    firmware.run_for(millis(1_000));
+    bus.drives[1].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Stopped), millis(1_000));
+    firmware.press(millis(1_100));
+    firmware.run_for(millis(300));
+    for drive in &bus.drives {
+        let state = state(drive);
+        assert!(!state.output_on && state.brake == BrakeCommand::LOCK, "{state:?}");
+    }
 }
