@@ -133,7 +133,7 @@ pub enum StateName {
     Stopped,
     /// Asks for each motor's firmware, model and errors.
     Finding,
-    /// Sets protections, opens brakes, reads where the shafts are.
+    /// Sets protections and error reports, opens brakes, reads where the shafts are.
     Preparing,
     /// Moves the motors.
     Running,

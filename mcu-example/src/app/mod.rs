@@ -230,15 +230,17 @@ impl<const N: usize> App<N> {
                 self.enter(State::Preparing(Script::prepare(self.found(), at.now)), at);
             }
             State::ShuttingDown(_) => self.stop(StopKind::Off, at),
-            State::Preparing(script) => match script.next_of_preparing(self.found(), at.now) {
-                Some(next) => self.state = State::Preparing(next),
-                None => {
-                    self.motors.iter_mut().for_each(|motor| motor.begin(at.now));
-                    let (since, next_second) = (at.now, at.now + SECOND);
-                    let running = State::Running { since, cycles: 0, overruns: 0, next_second };
-                    self.enter(running, at);
+            State::Preparing(script) => {
+                match script.next_of_preparing(&self.setup, self.found(), at.now) {
+                    Some(next) => self.state = State::Preparing(next),
+                    None => {
+                        self.motors.iter_mut().for_each(|motor| motor.begin(at.now));
+                        let (since, next_second) = (at.now, at.now + SECOND);
+                        let running = State::Running { since, cycles: 0, overruns: 0, next_second };
+                        self.enter(running, at);
+                    }
                 }
-            },
+            }
             _ => {}
         }
     }

@@ -1,8 +1,9 @@
 //! Questions that are put to one motor after the other.
 
 use myactuator_protocol_core::command::{
-    Command, CommunicationLossProtection, ErrorFlags, LockBrake, ModelName, ReadModel,
-    ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadVersionDate, ReleaseBrake, VersionDate,
+    Command, CommunicationLossProtection, ErrorFlags, FunctionControl, LockBrake, ModelName,
+    ReadModel, ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadVersionDate, ReleaseBrake, Switch,
+    VersionDate,
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, Patience, TicketId};
@@ -12,8 +13,8 @@ use myactuator_protocol_core::{Data, MotorId};
 
 use super::Setup;
 
-/// How long a write to ROM is waited for.
-const ROM_TIMEOUT: Duration = Duration::from_millis(50);
+/// How long a write, which may be one to ROM, is waited for. A second time does no harm here.
+const WRITE: Patience = Patience { reply_timeout: Duration::from_millis(50), attempts: 3 };
 
 /// What a motor is asked or told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +23,7 @@ pub(super) enum Question {
     Model,
     Errors,
     Protection,
+    ErrorReports,
     ReleaseBrake,
     Angle,
     /// Where it is, and is to begin.
@@ -58,10 +60,14 @@ impl Question {
             Self::Model => master.request(motor, ReadModel).map(|t| t.id()),
             Self::Errors => master.request(motor, ReadStatus1).map(|t| t.id()),
             Self::Protection => {
-                // Written to ROM each time, but to the same value, so a second time does no harm.
+                // Written to ROM each time, but to the same value.
                 let command = CommunicationLossProtection { timeout: setup.protection };
-                let patience = Patience { reply_timeout: ROM_TIMEOUT, attempts: 3 };
-                master.request_with(motor, command, patience).map(|t| t.id())
+                master.request_with(motor, command, WRITE).map(|t| t.id())
+            }
+            Self::ErrorReports => {
+                // Nothing reads whether it is on, nor says that it is saved: so each time anew.
+                let command = FunctionControl::ErrorReporting(Switch::On);
+                master.request_with(motor, command, WRITE).map(|t| t.id())
             }
             Self::ReleaseBrake => master.request(motor, ReleaseBrake).map(|t| t.id()),
             Self::Angle | Self::Home => master.request(motor, ReadMultiTurnAngle).map(|t| t.id()),
@@ -91,7 +97,9 @@ impl Question {
             Self::Angle => Answer::Angle(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::Home => Answer::Home(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::RunTime => Answer::RunTime(ReadRunTime::decode_reply(data).ok()?.run_time),
-            Self::Protection | Self::ReleaseBrake | Self::LockBrake => Answer::Done,
+            Self::Protection | Self::ErrorReports | Self::ReleaseBrake | Self::LockBrake => {
+                Answer::Done
+            }
         };
         Some(answer)
     }
@@ -100,6 +108,7 @@ impl Question {
 const FIND: &[Question] =
     &[Question::VersionDate, Question::Model, Question::Errors, Question::RunTime];
 const PROTECT: &[Question] = &[Question::Protection];
+const REPORT_ERRORS: &[Question] = &[Question::ErrorReports];
 const RELEASE: &[Question] = &[Question::ReleaseBrake];
 const LOOK: &[Question] = &[Question::RunTime, Question::Home];
 
@@ -142,9 +151,15 @@ impl Script {
 
     /// What comes next in preparing these motors. Where they are is asked last, once their brakes are
     /// open, for a shaft may sink then; and whether none has restarted meanwhile, which closes its brake.
-    pub(super) fn next_of_preparing(&self, motors: MotorSet, now: Instant) -> Option<Self> {
+    pub(super) fn next_of_preparing(
+        &self,
+        setup: &Setup,
+        motors: MotorSet,
+        now: Instant,
+    ) -> Option<Self> {
         match self.questions {
-            PROTECT => Some(Self::new(RELEASE, motors, now)),
+            PROTECT if setup.error_reports => Some(Self::new(REPORT_ERRORS, motors, now)),
+            PROTECT | REPORT_ERRORS => Some(Self::new(RELEASE, motors, now)),
             RELEASE => Some(Self::new(LOOK, motors, now + BRAKE_OPENS)),
             _ => None,
         }

@@ -47,13 +47,17 @@ pub struct Setup {
     pub cycle: Duration,
     /// After how long without a command a motor cuts its output by itself (0xB3).
     pub protection: Milliseconds,
+    /// Whether motors are told to report errors by themselves (0x20, function 3), which tells sooner than
+    /// asking them in turn does. Only on CAN: on RS485 such a report meets whatever else is on the line.
+    pub error_reports: bool,
     /// How motors are stopped.
     pub stop: StopKind,
 }
 
 impl Setup {
     /// Motors 1 to 8, those that are there, of firmware V4.3, moved to and fro by 20 degrees within 2 s, 1000 set-points a
-    /// second; stopped, they hold still.
+    /// second; stopped, they hold still. They report errors by themselves in motion mode, which is on CAN; who
+    /// moves them by positions on CAN may set that, too.
     pub fn new(movement: Movement) -> Self {
         Self {
             search: MotorId::all().take(8).collect(),
@@ -64,6 +68,7 @@ impl Setup {
             period: Duration::from_secs(2),
             cycle: Duration::from_millis(1),
             protection: Milliseconds::from_raw(500),
+            error_reports: matches!(movement, Movement::Motion { .. }),
             stop: StopKind::Hold,
         }
     }

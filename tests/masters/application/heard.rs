@@ -1,7 +1,7 @@
 //! Which motors must be heard, which must hear enough, and what is told of the others.
 
 use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
-use myactuator_mcu_example::{Report, Setup, StateName, Trouble};
+use myactuator_mcu_example::{Movement, Report, Setup, StateName, Trouble};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
 use myactuator_protocol_core::drive::Event;
@@ -23,6 +23,7 @@ on_both_buses! {
     a_required_motor_must_be_found_wherever_is_searched
     ids_that_nobody_answered_at_are_told_apart
     a_shutdown_after_a_search_that_failed_is_one_of_all
+    an_error_is_noticed_at_once_where_motors_report_it
 }
 
 fn the_only_motor_is_named_when_it_is_silent<B: Moved>() {
@@ -159,4 +160,22 @@ fn a_shutdown_after_a_search_that_failed_is_one_of_all<B: Moved>() {
         let state = state(drive);
         assert!(!state.output_on && state.brake == BrakeCommand::LOCK, "{state:?}");
     }
+}
+
+/// On CAN each motor reports its errors by itself; on RS485 they wait until they are asked.
+fn an_error_is_noticed_at_once_where_motors_report_it<B: Moved>() {
+    let is_can = matches!(B::setup().movement, Movement::Motion { .. });
+    let taken = (0..8).map(|index| {
+        let bus = B::drives(&Fleet::new(8)).unwrap();
+        let mut firmware = Firmware::running(&bus);
+        firmware.run_for(millis(300));
+        let flags = ErrorFlags::MOTOR_OVER_TEMPERATURE;
+        let raised = firmware.runner.now();
+        bus.drives[index].with(|drive| drive.raise_fault(flags));
+        let motor = bus.drives[index].motor();
+        firmware.run_until(Report::Trouble(Trouble::Errors { motor, flags }), millis(300));
+        firmware.runner.now() - raised
+    });
+    let slowest = taken.max().unwrap();
+    assert_eq!(slowest < millis(5), is_can, "{slowest}");
 }
