@@ -22,8 +22,10 @@ pub use self::setup::{Movement, Setup};
 use crate::board::{Board, RestartCause};
 use crate::report::{Report, StateName, Trouble};
 
-/// How long a stop is waited for before whoever has not confirmed it is told.
-const LONGEST_STOP: Duration = Duration::from_secs(1);
+/// How long a stop is waited for before whoever has not confirmed it is told, and all are told to stop once
+/// more. It is shorter than a protection: on RS485 the stops to motors that do not answer leave room for
+/// nothing else that the others could hear.
+const LONGEST_STOP: Duration = Duration::from_millis(400);
 /// How often a stop is repeated for motors that have not confirmed it: they may come back, still moving.
 const STOP_AGAIN: Duration = Duration::from_millis(500);
 /// A running motor that was not heard for so long has gone.
@@ -184,7 +186,7 @@ impl<const N: usize> App<N> {
             State::Stopping { kind, waiting, unconfirmed, until } => {
                 if waiting.is_empty() || at.now >= *until {
                     let unconfirmed = both(*waiting, *unconfirmed);
-                    let (kind, again) = (*kind, at.now + STOP_AGAIN);
+                    let (kind, again) = (*kind, at.now);
                     let unheard = unconfirmed.without(self.expected);
                     if !unheard.is_empty() {
                         at.board.log(&Report::Unheard { motors: unheard });
@@ -411,12 +413,10 @@ impl<const N: usize> App<N> {
         if self.motors.is_empty() { both(self.expected, self.setup.search) } else { self.expected }
     }
 
-    /// Those that the rounds go to: all that are expected, less those whose stop is repeated.
+    /// Those that the rounds go to: all that are expected, less those that are being stopped.
     fn attended(&self) -> MotorSet {
         match self.state {
-            State::Stopping { waiting, unconfirmed, .. } => {
-                self.expected.without(waiting).without(unconfirmed)
-            }
+            State::Stopping { .. } => MotorSet::EMPTY,
             State::Stopped { unconfirmed, .. } => self.expected.without(unconfirmed),
             _ => self.expected,
         }

@@ -24,6 +24,8 @@ on_both_buses! {
     ids_that_nobody_answered_at_are_told_apart
     a_shutdown_after_a_search_that_failed_is_one_of_all
     an_error_is_noticed_at_once_where_motors_report_it
+    motors_hear_enough_beside_stops_to_nobody
+    a_motor_that_stops_late_is_kept_holding
 }
 
 fn the_only_motor_is_named_when_it_is_silent<B: Moved>() {
@@ -124,7 +126,7 @@ fn a_required_motor_must_be_found_wherever_is_searched<B: Moved>() {
 
 /// They get their stop again all the same, and whoever confirms it is expected from then on.
 fn ids_that_nobody_answered_at_are_told_apart<B: Moved>() {
-    let bus = B::drives(&Fleet::new(4)).unwrap();
+    let bus = B::drives(&Fleet::new(2)).unwrap();
     unplug(&bus, &bus.drives[1]);
     let mut firmware = Firmware::start(&bus, Panel::default());
     firmware.run_for(millis(1_500));
@@ -132,11 +134,11 @@ fn ids_that_nobody_answered_at_are_told_apart<B: Moved>() {
     let stopped = Report::Stopped { unconfirmed: MotorSet::EMPTY };
     assert_eq!(
         firmware.panel.reports[2..4],
-        [Report::Unheard { motors: told(&[2, 5, 6, 7, 8]) }, stopped]
+        [Report::Unheard { motors: told(&[2, 3, 4, 5, 6, 7, 8]) }, stopped]
     );
     bus.world.mend(bus.drives[1].station());
-    // Long enough for the next stop to be sent.
-    firmware.run_for(millis(600));
+    // One of the seven gets its stop every half a second.
+    firmware.run_for(millis(4_000));
     unplug(&bus, &bus.drives[1]);
     firmware.forget();
     firmware.press(millis(50));
@@ -178,4 +180,28 @@ fn an_error_is_noticed_at_once_where_motors_report_it<B: Moved>() {
     });
     let slowest = taken.max().unwrap();
     assert_eq!(slowest < millis(5), is_can, "{slowest}");
+}
+
+/// Seven ids that nobody has: on RS485 the stops to them leave room for nothing else.
+fn motors_hear_enough_beside_stops_to_nobody<B: Moved>() {
+    let bus = B::drives(&Fleet::new(1)).unwrap();
+    drop(Firmware::running(&bus));
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    for tenth in 0..50 {
+        firmware.run_for(millis(100));
+        assert_eq!(lost_their_master(&bus), [], "after {tenth} tenths of a second");
+    }
+}
+
+fn a_motor_that_stops_late_is_kept_holding<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    unplug(&bus, &bus.drives[1]);
+    firmware.run_until(Report::Stopped { unconfirmed: id(2).into() }, millis(1_500));
+    bus.world.mend(bus.drives[1].station());
+    firmware.run_for(millis(1_000));
+    lost_their_master(&bus);
+    firmware.run_for(millis(3_000));
+    assert_eq!(lost_their_master(&bus), []);
+    assert!(bus.drives.iter().all(|drive| !state(drive).communication_lost));
 }
