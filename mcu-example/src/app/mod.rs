@@ -161,8 +161,8 @@ impl<const N: usize> App<N> {
         match (&self.state, press) {
             (State::Stopped { .. }, Press::Down) => {}
             (State::Stopped { .. }, Press::Short) => {
-                for motor in &self.motors {
-                    at.master.forget(motor.id);
+                for motor in self.expected.iter() {
+                    at.master.forget(motor);
                 }
                 self.motors.clear();
                 let all = self.known();
@@ -236,7 +236,9 @@ impl<const N: usize> App<N> {
                 match script.next_of_preparing(&self.setup, self.found(), at.now) {
                     Some(next) => self.state = State::Preparing(next),
                     None => {
-                        self.motors.iter_mut().for_each(|motor| motor.begin(at.now));
+                        for motor in &mut self.motors {
+                            motor.begin(at.master.health(motor.id), at.now);
+                        }
                         let (since, next_second) = (at.now, at.now + SECOND);
                         let running = State::Running { since, cycles: 0, overruns: 0, next_second };
                         self.enter(running, at);
@@ -271,7 +273,7 @@ impl<const N: usize> App<N> {
         let State::Running { cycles, overruns, next_second, .. } = &mut self.state else { return };
         *next_second += SECOND;
         let (cycles, overruns) = (*cycles, *overruns);
-        let lost = self.motors.iter().map(|motor| u32::from(at.master.health(motor.id).lost)).sum();
+        let lost = self.motors.iter().map(|motor| motor.lost(at.master.health(motor.id))).sum();
         let slowest = self.motors.iter_mut().map(Motor::take_answered).min().unwrap_or(0);
         let stack = at.board.stack_used().unwrap_or(0);
         at.board.log(&Report::Second { cycles, overruns, slowest, lost, stack });

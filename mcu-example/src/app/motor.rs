@@ -4,7 +4,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
     AbsolutePosition, AnyReply, MotionRanges, MotionSetPoint, VersionDate,
 };
-use myactuator_protocol_core::master::Master;
+use myactuator_protocol_core::master::{Health, Master};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, Milliseconds};
 
@@ -26,6 +26,8 @@ pub(super) struct Motor {
     run_time: Milliseconds,
     /// Set-points that were answered since they were last counted.
     answered: u16,
+    /// Commands that were lost before it began to move.
+    lost_before: u16,
 }
 
 impl Motor {
@@ -39,11 +41,14 @@ impl Motor {
             heard: Instant::ZERO,
             run_time: Milliseconds::from_raw(0),
             answered: 0,
+            lost_before: 0,
         }
     }
 
-    /// The motion begins now.
-    pub(super) fn begin(&mut self, now: Instant) {
+    /// The motion begins now. What was lost before is not this motion's: a stop takes the place of a
+    /// question under way.
+    pub(super) fn begin(&mut self, health: Health, now: Instant) {
+        self.lost_before = health.lost;
         self.heard = now;
         self.answered = 0;
     }
@@ -73,6 +78,11 @@ impl Motor {
     /// How many set-points were answered since this was last asked.
     pub(super) fn take_answered(&mut self) -> u16 {
         core::mem::take(&mut self.answered)
+    }
+
+    /// Commands without a reply in time since it began to move.
+    pub(super) fn lost(&self, health: Health) -> u32 {
+        health.lost.saturating_sub(self.lost_before).into()
     }
 
     /// Whether its run time says that it has started anew.
