@@ -161,8 +161,8 @@ impl<const N: usize> App<N> {
         match (&self.state, press) {
             (State::Stopped { .. }, Press::Down) => {}
             (State::Stopped { .. }, Press::Short) => {
-                for motor in self.expected.iter() {
-                    at.master.forget(motor);
+                for motor in &self.motors {
+                    at.master.forget(motor.id);
                 }
                 self.motors.clear();
                 let all = self.known();

@@ -93,7 +93,7 @@ impl Motor {
 
     /// It begins here. Whether the whole way from here lies within what its commands can say.
     pub(super) fn can_begin_at(&mut self, home: Angle, setup: &Setup) -> bool {
-        (self.home, self.angle) = (home, home);
+        self.home = home;
         [0.0, 1.0].into_iter().all(|part| match setup.movement {
             Movement::Motion { ranges, kp, kd } => {
                 ranges.quantise(&self.motion(setup, part, 0.0, kp, kd)).is_ok()

@@ -12,7 +12,7 @@ use myactuator_tests::fleet::{happened, state};
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
-use super::{Firmware, Moved, Panel, unplug};
+use super::{Firmware, Moved, Panel, told_by, unplug};
 
 on_both_buses! {
     the_only_motor_is_named_when_it_is_silent
@@ -26,6 +26,8 @@ on_both_buses! {
     an_error_is_noticed_at_once_where_motors_report_it
     motors_hear_enough_beside_stops_to_nobody
     a_motor_that_stops_late_is_kept_holding
+    a_motor_that_was_found_once_must_be_found_again
+    two_motors_that_are_silent_are_a_dead_bus
 }
 
 fn the_only_motor_is_named_when_it_is_silent<B: Moved>() {
@@ -179,6 +181,7 @@ fn an_error_is_noticed_at_once_where_motors_report_it<B: Moved>() {
         firmware.runner.now() - raised
     });
     let slowest = taken.max().unwrap();
+    assert_eq!(B::setup().error_reports, is_can);
     assert_eq!(slowest < millis(5), is_can, "{slowest}");
 }
 
@@ -201,7 +204,37 @@ fn a_motor_that_stops_late_is_kept_holding<B: Moved>() {
     bus.world.mend(bus.drives[1].station());
     firmware.run_for(millis(1_000));
     lost_their_master(&bus);
+    let asked = firmware.runner.master().health(id(2)).answered;
     firmware.run_for(millis(3_000));
     assert_eq!(lost_their_master(&bus), []);
+    let asked = firmware.runner.master().health(id(2)).answered - asked;
+    assert!(asked > 100, "it is stopped again and again, and asked nothing: {asked}");
     assert!(bus.drives.iter().all(|drive| !state(drive).communication_lost));
+}
+
+/// It was plugged in after the last stop: only the search has heard it.
+fn a_motor_that_was_found_once_must_be_found_again<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    unplug(&bus, &bus.drives[1]);
+    let setup = Setup { search: MotorId::all().take(2).collect(), ..B::setup() };
+    let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+    // Until no repeated stop is under way.
+    firmware.run_for(millis(1_700));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Finding), millis(100));
+    bus.world.mend(bus.drives[1].station());
+    firmware.run_until(Report::State(StateName::Running), millis(3_000));
+    unplug(&bus, &bus.drives[1]);
+    firmware.run_until(Report::Stopped { unconfirmed: id(2).into() }, millis(1_000));
+    firmware.press(millis(50));
+    firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(2) }), millis(500));
+    assert_eq!(told_by(&firmware, |report| *report == Report::State(StateName::Preparing)), 1);
+}
+
+fn two_motors_that_are_silent_are_a_dead_bus<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(300));
+    bus.drives.iter().for_each(|drive| unplug(&bus, drive));
+    firmware.run_until(Report::Trouble(Trouble::BusDown), millis(200));
 }
