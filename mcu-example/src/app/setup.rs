@@ -57,9 +57,9 @@ pub struct Setup {
 }
 
 impl Setup {
-    /// Motors 1 to 8, those that are there, of firmware V4.3, moved to and fro by 20 degrees within 2 s, 1000 set-points a
-    /// second; stopped, they hold still. They report errors by themselves in motion mode, which is on CAN; who
-    /// moves them by positions on CAN may set that, too.
+    /// Motors 1 to 8, those of them that are there, of firmware V4.3, moved to and fro by 20 degrees within
+    /// 2 s, 1000 set-points a second; stopped, they hold still. In motion mode, which is on CAN, they report
+    /// errors by themselves; who moves them by positions on CAN may set that, too.
     pub fn new(movement: Movement) -> Self {
         Self {
             search: MotorId::all().take(8).collect(),
