@@ -33,7 +33,7 @@ impl Board for Mps2 {
             Some(b'B') => self.is_button_down = true,
             Some(b'b') => self.is_button_down = false,
             Some(b'p') => panic!("the panel asked for it"),
-            Some(b'f') => cortex_m::asm::udf(),
+            Some(b'f') => board_emulated::fault(),
             Some(b'h') => cortex_m::interrupt::free(|_| {
                 loop {
                     cortex_m::asm::nop();

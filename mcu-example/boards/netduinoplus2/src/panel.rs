@@ -35,7 +35,7 @@ impl Panel {
                 b'B' => self.is_down = true,
                 b'b' => self.is_down = false,
                 b'p' => panic!("the panel asked for it"),
-                b'f' => cortex_m::asm::udf(),
+                b'f' => board_emulated::fault(),
                 b'h' => hang(),
                 b'o' => overflow(0),
                 _ => {}

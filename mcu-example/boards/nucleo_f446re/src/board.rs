@@ -3,6 +3,7 @@
 use board_stm32f4::{TimeBase, TimerClocks};
 use defmt_rtt as _; // The log's way out.
 use myactuator_mcu_example::{Board, Report, RestartCause};
+use panic_probe as _; // Tells a panic by it, and ends in a fault.
 use stm32f4xx_hal::gpio::{Input, Output, PA5, PA8, PA9, PA10, PB8, PB9, PC13};
 use stm32f4xx_hal::pac::{self, CAN1, RCC, USART1};
 use stm32f4xx_hal::prelude::*;

@@ -1,29 +1,25 @@
-//! The end of a firmware that panics, whatever its bus.
+//! The end of a firmware that panics or faults, whatever its bus.
 
-use core::panic::PanicInfo;
-use core::sync::atomic::{AtomicBool, Ordering};
-
-use board_shared::say_last_words;
-use cortex_m::peripheral::SCB;
-use myactuator_mcu_example::RestartCause;
+use board_shared::{cause_of_end, restart};
 use myactuator_protocol_core::Packet;
 
 use crate::motors;
 use crate::time::Countdown;
 
-/// What a debugger needs to fetch the message: the restart begins a new log. With the last words before
-/// it, still less than what makes a watchdog bite.
+/// What a debugger needs to fetch the end of the log: the restart begins a new one. With the last words
+/// before it, still less than what makes a watchdog bite.
 const FETCH_MICROS: u32 = 50_000;
 
-/// Stops the motors, tells where it panicked, and restarts. `send` is as [`say_last_words`] wants it.
-pub fn panic(info: &PanicInfo<'_>, send: impl FnMut(&Packet)) -> ! {
-    static PANICS: AtomicBool = AtomicBool::new(false);
+/// What is to be done on a panic, a fault and whatever else nobody has expected: takes the bus, stops the
+/// motors on it, and restarts. `at` is what [`board_shared::on_fresh_stack`] gives; `take` and `send` look
+/// at registers only, for there are no interrupts any more.
+pub fn end<B>(at: u32, take: impl FnOnce() -> B, mut send: impl FnMut(&mut B, &Packet)) -> ! {
     cortex_m::interrupt::disable();
-    // The log panics if it is what panicked; all else is done by then.
-    if !PANICS.swap(true, Ordering::Relaxed) {
-        say_last_words(RestartCause::Panic, motors(), send);
-        defmt::error!("{}", defmt::Display2Format(info));
-        Countdown::of_micros(FETCH_MICROS).wait_unless(|| false);
-    }
-    SCB::sys_reset()
+    let mut bus = take();
+    restart(
+        cause_of_end(at),
+        motors(),
+        |packet| send(&mut bus, packet),
+        || Countdown::of_micros(FETCH_MICROS).wait_unless(|| false),
+    )
 }
