@@ -19,7 +19,7 @@ use self::joint::Joint;
 use self::script::{Answer, Script, Step};
 pub use self::setup::{Movement, Setup};
 use self::watch::Watch;
-use crate::board::{Board, RestartCause};
+use crate::board::{Board, RestartCause, Usage};
 use crate::report::{Report, StateName, Trouble};
 
 /// How long a stop is waited for before whoever has not confirmed it is told.
@@ -260,8 +260,9 @@ impl<const N: usize> App<N> {
         let (cycles, overruns) = (*cycles, *overruns);
         let lost = self.joints.iter().map(|j| u32::from(at.master.health(j.motor).lost)).sum();
         let slowest = self.joints.iter_mut().map(Joint::take_answered).min().unwrap_or(0);
-        let stack = at.board.stack_used().unwrap_or(0);
-        at.board.log(&Report::Second { cycles, overruns, slowest, lost, stack });
+        let Usage { stack, queued, dropped } = at.board.usage();
+        let second = Report::Second { cycles, overruns, slowest, lost, stack, queued, dropped };
+        at.board.log(&second);
         for joint in &self.joints {
             at.board.log(&Report::Measured { motor: joint.motor, angle: joint.angle });
         }

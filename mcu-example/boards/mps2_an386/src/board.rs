@@ -2,9 +2,10 @@
 
 use core::hint::black_box;
 
-use myactuator_mcu_example::{Board, Report};
+use myactuator_mcu_example::{Board, Report, Usage};
 
-use crate::uart::Uart;
+use crate::device::UartId;
+use crate::uart::{Uart, received_on};
 use crate::watchdog::Watchdog;
 
 /// The board around the bus. Button and light are a panel on UART 2, a byte for each change: `B` the
@@ -15,14 +16,15 @@ use crate::watchdog::Watchdog;
 #[derive(Debug)]
 pub struct Mps2 {
     panel: Uart,
+    bus: UartId,
     watchdog: Watchdog,
     is_button_down: bool,
     is_light_on: bool,
 }
 
 impl Mps2 {
-    pub(crate) const fn new(panel: Uart, watchdog: Watchdog) -> Self {
-        Self { panel, watchdog, is_button_down: false, is_light_on: false }
+    pub(crate) const fn new(panel: Uart, bus: UartId, watchdog: Watchdog) -> Self {
+        Self { panel, bus, watchdog, is_button_down: false, is_light_on: false }
     }
 }
 
@@ -62,8 +64,9 @@ impl Board for Mps2 {
         defmt::info!("{}", report);
     }
 
-    fn stack_used(&mut self) -> Option<u32> {
-        Some(board_shared::stack_used())
+    fn usage(&mut self) -> Usage {
+        let (queued, dropped) = received_on(self.bus);
+        Usage { stack: board_shared::stack_used(), queued, dropped }
     }
 }
 

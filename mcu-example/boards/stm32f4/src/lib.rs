@@ -18,7 +18,7 @@ mod rs485;
 mod time;
 
 pub use end::end;
-pub use line::{Line, LineErrors, Port, open_line, take_line_errors};
+pub use line::{Line, LineErrors, Port, line_usage, open_line, take_line_errors};
 pub use log::log;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::MotorSet;
