@@ -2,6 +2,7 @@
 
 use core::hint::black_box;
 
+use cortex_m::peripheral::SCB;
 use myactuator_mcu_example::{Board, Report, Usage};
 
 use crate::device::UartId;
@@ -11,8 +12,8 @@ use crate::watchdog::Watchdog;
 /// The board around the bus. Button and light are a panel on UART 2, a byte for each change: `B` the
 /// button goes down, `b` it comes up; `L` the light is on, `l` it is off.
 ///
-/// Four more bytes do what a broken firmware does: `p` panics, `f` faults, `h` hangs with interrupts
-/// off, `o` overflows the stack.
+/// More bytes do what a broken firmware does: `p` panics, `f` faults, `h` hangs with interrupts off, `o`
+/// overflows the stack, `x` raises an exception that nobody handles.
 #[derive(Debug)]
 pub struct Mps2 {
     panel: Uart,
@@ -44,6 +45,7 @@ impl Board for Mps2 {
             Some(b'o') => {
                 overflow(0);
             }
+            Some(b'x') => SCB::set_pendsv(),
             _ => {}
         }
         self.is_button_down
