@@ -20,16 +20,15 @@ pub(super) struct Carrier {
 
 struct Port {
     carrier: Mutex<RefCell<Option<Carrier>>>,
-    /// The most received bytes that have waited.
-    most: AtomicU32,
     /// Received bytes that nobody took in time.
     lost: AtomicU32,
 }
 
-static PORTS: [Port; 3] = [const {
-    let carrier = Mutex::new(RefCell::new(None));
-    Port { carrier, most: AtomicU32::new(0), lost: AtomicU32::new(0) }
-}; 3];
+static PORTS: [Port; 3] =
+    [const { Port { carrier: Mutex::new(RefCell::new(None)), lost: AtomicU32::new(0) } }; 3];
+
+/// The most received bytes that have waited on each port: not the interrupts' affair.
+static MOST: [AtomicU32; 3] = [const { AtomicU32::new(0) }; 3];
 
 const fn port(id: UartId) -> &'static Port {
     &PORTS[id as usize]
@@ -82,12 +81,12 @@ fn with(id: UartId, act: impl FnOnce(&mut Carrier)) {
 
 /// So many received bytes wait. Whoever takes them calls it first, for that costs the interrupt nothing.
 pub(super) fn note_waiting(id: UartId, count: usize) {
-    port(id).most.fetch_max(count as u32, Ordering::Relaxed);
+    MOST[id as usize].fetch_max(count as u32, Ordering::Relaxed);
 }
 
 /// The most received bytes that have waited.
 pub(super) fn most_waiting(id: UartId) -> u32 {
-    port(id).most.load(Ordering::Relaxed)
+    MOST[id as usize].load(Ordering::Relaxed)
 }
 
 /// How many received bytes were lost.
