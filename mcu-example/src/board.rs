@@ -20,8 +20,21 @@ pub trait Board {
     /// Tells whoever listens.
     fn log(&mut self, report: &Report);
 
-    /// The deepest that the stack has been since the start, in bytes, where the board can tell.
-    fn stack_used(&mut self) -> Option<u32>;
+    /// How the board itself has done since the start.
+    fn usage(&mut self) -> Usage;
+}
+
+/// How a board has done since the start. What it cannot tell is 0.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Usage {
+    /// The deepest that the stack has been, in bytes.
+    pub stack: u32,
+    /// The most that has waited at once for the loop to take it: bytes of a serial port, frames of a CAN
+    /// controller.
+    pub queued: u32,
+    /// What came from the bus and was lost before the loop could take it, in bytes or frames: it found no
+    /// place, or was disturbed on its way.
+    pub dropped: u32,
 }
 
 /// Why the firmware started.

@@ -30,7 +30,7 @@ mod report;
 mod run;
 
 pub use app::{App, Moment, Movement, Setup};
-pub use board::{Board, RestartCause};
+pub use board::{Board, RestartCause, Usage};
 pub use last_words::last_words;
 pub use report::{Report, StateName, Trouble};
 pub use run::{cycle, cycle_async, run, run_async};

@@ -48,7 +48,8 @@ pub enum Report {
         /// The motors that are there and have not confirmed it: cut their power.
         unconfirmed: MotorSet,
     },
-    /// Every second while the motors run.
+    /// Every second while the motors run. What the board cannot tell is 0: see
+    /// [`Usage`](crate::Usage).
     Second {
         /// Cycles since the motors run.
         cycles: u32,
@@ -58,8 +59,12 @@ pub enum Report {
         slowest: u16,
         /// Commands without a reply in time since the start, of all motors.
         lost: u32,
-        /// The deepest that the stack has been since the start, in bytes; 0 if the board cannot tell.
+        /// The deepest that the stack has been since the start, in bytes.
         stack: u32,
+        /// The most that has waited at once for the loop since the start: bytes or frames.
+        queued: u32,
+        /// What came from the bus and was lost on the board since the start: bytes or frames.
+        dropped: u32,
     },
     /// Every second while the motors run, for each.
     Measured {

@@ -19,6 +19,7 @@ on! {
     a_panic_stops_all_and_is_told
     a_fault_stops_all_and_is_told
     a_stack_that_overflows_stops_all_and_is_told
+    an_exception_that_nobody_handles_stops_all_and_is_told
 }
 on! {
     MPS2_RS485 as mps2_rs485_hangs, MPS2_CAN as mps2_can_hangs:
@@ -60,6 +61,10 @@ fn a_stack_that_overflows_stops_all_and_is_told(program: Program) {
     ends(program, Breakage::Overflow, "Fault", LAST_WORDS_STOP);
 }
 
+fn an_exception_that_nobody_handles_stops_all_and_is_told(program: Program) {
+    ends(program, Breakage::Unexpected, "Fault", LAST_WORDS_STOP);
+}
+
 fn a_hang_ends_by_the_watchdog_which_is_told(program: Program) {
     ends(program, Breakage::Hang, "Watchdog", WATCHDOG_STOPS);
 }
@@ -69,6 +74,10 @@ fn a_hang_ends_by_the_watchdog_which_is_told(program: Program) {
 fn ends(program: Program, how: Breakage, cause: &str, within: Duration) {
     let mut firmware = moving(program);
     let broken = firmware.break_it(how);
+    if how == Breakage::Panic {
+        let told = firmware.wait_for("panicked at", PATIENCE);
+        assert!(told.text.ends_with("the panel asked for it"), "{told}");
+    }
     firmware.wait_for(&format!("Started {{ cause: {cause} }}"), PATIENCE);
     check_stops(&firmware, broken, within);
     firmware.wait_for("State(Stopped)", PATIENCE);

@@ -32,6 +32,11 @@ const BUTTON_STOPS: Duration = Duration::from_millis(100);
 const INTERRUPT_BYTES: u32 = 256;
 /// The stack that the boards' memory.x has.
 const STACK_BYTES: u32 = 8 * 1024;
+/// Bytes that the boards' receive queues hold.
+const QUEUE_BYTES: u32 = 256;
+/// So many more may wait than in the first seconds, for once: a reply of each drive, as the CAN adapter's
+/// lines, the longest.
+const REPLIES_BYTES: u32 = 22 * DRIVES as u32;
 
 /// What the emulator takes to hand a byte to the firmware or to take one from it, more than the some 30 µs
 /// that were seen.
@@ -144,19 +149,25 @@ fn nothing_is_lost(program: Program, seconds: u32) {
     let mut firmware = stopped(program);
     firmware.press();
     firmware.wait_for("State(Running)", PATIENCE);
-    let mut stack = 0;
+    let (mut stack, mut queued) = (0, 0);
     for second in 1..=seconds {
         let told = firmware.wait_for_second();
+        if told.dropped > 0 {
+            firmware.fail(&format!("{told:?}: bytes were lost on the board"));
+        }
         // Where the machine had something else to do, a reply may be late.
         let excused = firmware.stalls.excused();
         if told.lost as usize > excused {
             firmware.fail(&format!("{told:?}: a reply was lost on a clean bus"));
         }
         if second <= 5 {
-            stack = told.stack;
+            (stack, queued) = (told.stack, told.queued);
         }
         if told.stack > stack + INTERRUPT_BYTES || told.stack > STACK_BYTES * 3 / 4 {
             firmware.fail(&format!("{told:?}: the stack grows, it was {stack}"));
+        }
+        if told.queued > queued + REPLIES_BYTES || told.queued > QUEUE_BYTES * 3 / 4 {
+            firmware.fail(&format!("{told:?}: more and more bytes wait, {queued} at first"));
         }
         if second == seconds {
             println!("{program:?} after {seconds} s, {excused} lost replies excused: {told:?}");

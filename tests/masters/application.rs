@@ -8,7 +8,7 @@ use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_mcu_example::{
-    App, Board, Moment, Movement, Report, RestartCause, Setup, StateName, Trouble, cycle,
+    App, Board, Moment, Movement, Report, RestartCause, Setup, StateName, Trouble, Usage, cycle,
 };
 use myactuator_protocol_core::command::{
     AnyReply, BrakeCommand, ErrorFlags, MotionRanges, Status1, VersionDate,
@@ -89,8 +89,8 @@ impl Board for Panel {
         self.reports.push(*report);
     }
 
-    fn stack_used(&mut self) -> Option<u32> {
-        None
+    fn usage(&mut self) -> Usage {
+        Usage { stack: 1_736, queued: 26, dropped: 3 }
     }
 }
 
@@ -245,7 +245,8 @@ fn motors_are_named_and_reach_both_ends<B: Moved>() {
     }
     assert!(farthest.iter().all(|&way| way > 18.0), "{farthest:?}");
     let last = firmware.panel.reports.iter().rev().find_map(|report| match *report {
-        Report::Second { cycles, overruns, slowest, lost, .. } => {
+        Report::Second { cycles, overruns, slowest, lost, stack, queued, dropped } => {
+            assert_eq!((stack, queued, dropped), (1_736, 26, 3));
             Some((cycles, overruns, slowest, lost))
         }
         _ => None,

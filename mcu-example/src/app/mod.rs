@@ -19,7 +19,7 @@ use self::motor::Motor;
 use self::rounds::Rounds;
 use self::script::{Answer, Script, Step};
 pub use self::setup::{Movement, Setup};
-use crate::board::{Board, RestartCause};
+use crate::board::{Board, RestartCause, Usage};
 use crate::report::{Report, StateName, Trouble};
 
 /// How long a stop is waited for before whoever has not confirmed it is told, and all are told to stop once
@@ -275,8 +275,9 @@ impl<const N: usize> App<N> {
         let (cycles, overruns) = (*cycles, *overruns);
         let lost = self.motors.iter().map(|motor| motor.lost(at.master.health(motor.id))).sum();
         let slowest = self.motors.iter_mut().map(Motor::take_answered).min().unwrap_or(0);
-        let stack = at.board.stack_used().unwrap_or(0);
-        at.board.log(&Report::Second { cycles, overruns, slowest, lost, stack });
+        let Usage { stack, queued, dropped } = at.board.usage();
+        let second = Report::Second { cycles, overruns, slowest, lost, stack, queued, dropped };
+        at.board.log(&second);
         for motor in &self.motors {
             at.board.log(&Report::Measured { motor: motor.id, angle: motor.angle });
         }

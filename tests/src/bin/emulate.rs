@@ -21,7 +21,8 @@ const DRIVES: u8 = 4;
 
 const KEYS: &str = "\
 Enter presses the button: nothing moves before. \"long\" and Enter is a long press: it shuts the
-motors down when they are stopped. \"panic\", \"fault\", \"hang\" and \"overflow\" break the firmware.
+motors down when they are stopped. \"panic\", \"fault\", \"hang\", \"overflow\" and \"unexpected\" break the
+firmware.
 Ctrl-C ends all.";
 
 /// What comes from outside.
@@ -76,6 +77,7 @@ fn obey(line: &str, panel: &mut Panel) -> Result<(), Failure> {
         "fault" => panel.break_it(Breakage::Fault),
         "hang" => panel.break_it(Breakage::Hang),
         "overflow" => panel.break_it(Breakage::Overflow),
+        "unexpected" => panel.break_it(Breakage::Unexpected),
         _ => {
             println!("{KEYS}");
             Ok(())

@@ -44,6 +44,10 @@ pub struct Second {
     pub lost: u32,
     /// The deepest stack since the start, in bytes.
     pub stack: u32,
+    /// The most that has waited for the loop since the start, in bytes.
+    pub queued: u32,
+    /// What was lost on the board since the start, in bytes.
+    pub dropped: u32,
 }
 
 impl Line {
@@ -67,6 +71,8 @@ impl Line {
             slowest: number("slowest")?,
             lost: number("lost")?,
             stack: number("stack")?,
+            queued: number("queued")?,
+            dropped: number("dropped")?,
         })
     }
 }
@@ -216,8 +222,17 @@ mod tests {
         assert_eq!(measured.number("angle"), Some(-1_250.0));
         assert_eq!(measured.number("speed"), None);
         assert_eq!(measured.second(), None);
-        let told = "Second { cycles: 3000, overruns: 2, slowest: 214, lost: 1, stack: 1736 }";
-        let expected = Second { cycles: 3_000, overruns: 2, slowest: 214, lost: 1, stack: 1_736 };
+        let told = "Second { cycles: 3000, overruns: 2, slowest: 214, lost: 1, stack: 1736, \
+                    queued: 26, dropped: 3 }";
+        let expected = Second {
+            cycles: 3_000,
+            overruns: 2,
+            slowest: 214,
+            lost: 1,
+            stack: 1_736,
+            queued: 26,
+            dropped: 3,
+        };
         assert_eq!(line(told).second(), Some(expected));
     }
 }

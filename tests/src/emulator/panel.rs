@@ -23,6 +23,8 @@ pub enum Breakage {
     Hang,
     /// It uses up its stack.
     Overflow,
+    /// An exception comes that nobody handles.
+    Unexpected,
 }
 
 /// Whoever stands in front of the board.
@@ -69,6 +71,7 @@ impl Panel {
             Breakage::Fault => b'f',
             Breakage::Hang => b'h',
             Breakage::Overflow => b'o',
+            Breakage::Unexpected => b'x',
         })
     }
 

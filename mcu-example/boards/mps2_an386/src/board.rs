@@ -2,27 +2,30 @@
 
 use core::hint::black_box;
 
-use myactuator_mcu_example::{Board, Report};
+use cortex_m::peripheral::SCB;
+use myactuator_mcu_example::{Board, Report, Usage};
 
-use crate::uart::Uart;
+use crate::device::UartId;
+use crate::uart::{Uart, received_on};
 use crate::watchdog::Watchdog;
 
 /// The board around the bus. Button and light are a panel on UART 2, a byte for each change: `B` the
 /// button goes down, `b` it comes up; `L` the light is on, `l` it is off.
 ///
-/// Four more bytes do what a broken firmware does: `p` panics, `f` faults, `h` hangs with interrupts
-/// off, `o` overflows the stack.
+/// More bytes do what a broken firmware does: `p` panics, `f` faults, `h` hangs with interrupts off, `o`
+/// overflows the stack, `x` raises an exception that nobody handles.
 #[derive(Debug)]
 pub struct Mps2 {
     panel: Uart,
+    bus: UartId,
     watchdog: Watchdog,
     is_button_down: bool,
     is_light_on: bool,
 }
 
 impl Mps2 {
-    pub(crate) const fn new(panel: Uart, watchdog: Watchdog) -> Self {
-        Self { panel, watchdog, is_button_down: false, is_light_on: false }
+    pub(crate) const fn new(panel: Uart, bus: UartId, watchdog: Watchdog) -> Self {
+        Self { panel, bus, watchdog, is_button_down: false, is_light_on: false }
     }
 }
 
@@ -33,7 +36,7 @@ impl Board for Mps2 {
             Some(b'B') => self.is_button_down = true,
             Some(b'b') => self.is_button_down = false,
             Some(b'p') => panic!("the panel asked for it"),
-            Some(b'f') => cortex_m::asm::udf(),
+            Some(b'f') => board_emulated::fault(),
             Some(b'h') => cortex_m::interrupt::free(|_| {
                 loop {
                     cortex_m::asm::nop();
@@ -42,6 +45,7 @@ impl Board for Mps2 {
             Some(b'o') => {
                 overflow(0);
             }
+            Some(b'x') => SCB::set_pendsv(),
             _ => {}
         }
         self.is_button_down
@@ -62,8 +66,9 @@ impl Board for Mps2 {
         defmt::info!("{}", report);
     }
 
-    fn stack_used(&mut self) -> Option<u32> {
-        Some(board_shared::stack_used())
+    fn usage(&mut self) -> Usage {
+        let (queued, dropped) = received_on(self.bus);
+        Usage { stack: board_shared::stack_used(), queued, dropped }
     }
 }
 

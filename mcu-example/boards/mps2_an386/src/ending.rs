@@ -1,9 +1,8 @@
 //! The last words, and the exceptions that lead to them.
 
 use core::cell::Cell;
-use core::panic::PanicInfo;
 
-use board_shared::on_fresh_stack;
+use board_shared::{cause_of_end, on_fresh_stack, restart};
 use critical_section::Mutex;
 use myactuator_mcu_example::RestartCause;
 use myactuator_protocol_core::Packet;
@@ -64,10 +63,10 @@ pub(crate) fn prepare_last_words(bus: Bus, motors: MotorSet, clock: Clock) {
 fn end(cause: RestartCause) -> ! {
     let words = critical_section::with(|cs| LAST_WORDS.borrow(cs).get());
     let Some(LastWords { bus, motors, clock }) = words else {
-        board_shared::restart(cause, MotorSet::EMPTY, |_| {});
+        restart(cause, MotorSet::EMPTY, |_| {}, || {});
     };
     let mut voice = Voice::new(bus, clock);
-    board_shared::restart(cause, motors, |packet| voice.say(packet))
+    restart(cause, motors, |packet| voice.say(packet), || {})
 }
 
 /// Sends without interrupts.
@@ -130,19 +129,15 @@ impl Voice {
     }
 }
 
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    end(RestartCause::Panic)
-}
-
-extern "C" fn fault() -> ! {
-    end(RestartCause::Fault)
+/// After a panic, which panic-probe has told, a fault, and whatever else nobody has expected.
+extern "C" fn unexpected(at: u32) -> ! {
+    end(cause_of_end(at))
 }
 
 /// The watchdog's first end is the non-maskable interrupt.
-extern "C" fn not_fed() -> ! {
+extern "C" fn not_fed(_: u32) -> ! {
     end(RestartCause::Watchdog)
 }
 
-on_fresh_stack!(HardFault => fault);
+on_fresh_stack!(HardFault, DefaultHandler => unexpected);
 on_fresh_stack!(NonMaskableInt => not_fed);

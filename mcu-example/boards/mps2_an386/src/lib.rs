@@ -67,5 +67,5 @@ pub fn start(bus: Bus, bit_rate: u32, setup: &Setup) -> Parts {
     let queues = singleton!(: Queues = Queues::new()).expect("called once");
     let panel = Uart::start(UartId::Uart2, PANEL_RATE, clock, queues);
     ending::prepare_last_words(bus, setup.search, clock);
-    Parts { cause, clock, uart, board: Mps2::new(panel, Watchdog::start()) }
+    Parts { cause, clock, uart, board: Mps2::new(panel, bus.uart(), Watchdog::start()) }
 }

@@ -113,6 +113,7 @@ impl Uart {
 
     /// The next received byte, without waiting.
     pub fn try_read(&mut self) -> Option<u8> {
+        carrier::note_waiting(self.id, self.received.len());
         self.received.dequeue()
     }
 
@@ -123,6 +124,7 @@ impl Uart {
 
     /// Takes what was received and fits, without waiting.
     fn take_received(&mut self, buf: &mut [u8]) -> usize {
+        carrier::note_waiting(self.id, self.received.len());
         let bytes = core::iter::from_fn(|| self.received.dequeue());
         buf.iter_mut().zip(bytes).map(|(place, byte)| *place = byte).count()
     }
@@ -145,6 +147,11 @@ impl Uart {
         }
         Ok(())
     }
+}
+
+/// The most received bytes that have waited, and how many were lost.
+pub(crate) fn received_on(id: UartId) -> (u32, u32) {
+    (carrier::most_waiting(id), carrier::lost(id))
 }
 
 impl fmt::Debug for Uart {

@@ -1,7 +1,7 @@
 //! Clock, line and panel.
 
-use board_stm32f4::{Line, TimeBase, TimerClocks, open_line};
-use myactuator_mcu_example::{Board, Report, RestartCause};
+use board_stm32f4::{Line, TimeBase, TimerClocks, line_usage, open_line};
+use myactuator_mcu_example::{Board, Report, RestartCause, Usage};
 use stm32f4xx_hal::pac;
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::Config;
@@ -60,7 +60,7 @@ impl Board for Panel {
         board_stm32f4::log(report);
     }
 
-    fn stack_used(&mut self) -> Option<u32> {
-        Some(board_shared::stack_used())
+    fn usage(&mut self) -> Usage {
+        Usage { stack: board_shared::stack_used(), ..line_usage() }
     }
 }

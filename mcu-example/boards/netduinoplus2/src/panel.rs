@@ -2,6 +2,7 @@
 
 use core::hint::black_box;
 
+use cortex_m::peripheral::SCB;
 use stm32f4xx_hal::gpio::{PA2, PA3};
 use stm32f4xx_hal::pac::USART2;
 use stm32f4xx_hal::prelude::*;
@@ -11,7 +12,7 @@ use stm32f4xx_hal::serial::{Config, Serial};
 /// A button, a light, and ways to break the firmware.
 ///
 /// From outside: `B` the button goes down, `b` it comes up; `p` panic, `f` fault, `h` hang with interrupts
-/// off, `o` overflow the stack. To outside: `L` the light goes on, `l` it goes off.
+/// off, `o` overflow the stack, `x` an exception that nobody handles. To outside: `L` the light goes on, `l` it goes off.
 #[expect(missing_debug_implementations, reason = "the HAL's USART has none")]
 pub struct Panel {
     serial: Serial<USART2>,
@@ -35,9 +36,10 @@ impl Panel {
                 b'B' => self.is_down = true,
                 b'b' => self.is_down = false,
                 b'p' => panic!("the panel asked for it"),
-                b'f' => cortex_m::asm::udf(),
+                b'f' => board_emulated::fault(),
                 b'h' => hang(),
                 b'o' => overflow(0),
+                b'x' => SCB::set_pendsv(),
                 _ => {}
             }
         }

@@ -1,15 +1,16 @@
 //! Clock and pins, button, light and watchdog.
 
-use board_stm32f4::{TimeBase, TimerClocks};
+use board_stm32f4::{TimeBase, TimerClocks, line_usage};
 use defmt_rtt as _; // The log's way out.
-use myactuator_mcu_example::{Board, Report, RestartCause};
+use myactuator_mcu_example::{Board, Report, RestartCause, Usage};
+use panic_probe as _; // Tells a panic by it, and ends in a fault.
 use stm32f4xx_hal::gpio::{Input, Output, PA5, PA8, PA9, PA10, PB8, PB9, PC13};
 use stm32f4xx_hal::pac::{self, CAN1, RCC, USART1};
 use stm32f4xx_hal::prelude::*;
 use stm32f4xx_hal::rcc::{Config, Rcc};
 use stm32f4xx_hal::watchdog::IndependentWatchdog;
 
-use crate::can::take_can_errors;
+use crate::can::{can_usage, take_can_errors};
 
 /// Bit rate of the RS485 line, bit/s.
 pub const BIT_RATE: u32 = 115_200;
@@ -107,7 +108,13 @@ impl Board for Nucleo {
         }
     }
 
-    fn stack_used(&mut self) -> Option<u32> {
-        Some(board_shared::stack_used())
+    /// Of the bus that is open; the other has nothing to tell.
+    fn usage(&mut self) -> Usage {
+        let (line, can) = (line_usage(), can_usage());
+        Usage {
+            stack: board_shared::stack_used(),
+            queued: line.queued + can.queued,
+            dropped: line.dropped + can.dropped,
+        }
     }
 }

@@ -13,4 +13,4 @@ mod board;
 mod can;
 
 pub use board::{BIT_RATE, Hardware, Nucleo, start};
-pub use can::{CanError, CanPort, fault_on_can, open_can, panic_on_can, run_can};
+pub use can::{CanError, CanPort, end_on_can, open_can, run_can};

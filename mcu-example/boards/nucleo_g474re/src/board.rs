@@ -6,7 +6,9 @@ use embassy_stm32::Peri;
 use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
 use embassy_stm32::peripherals::{IWDG, PA5, PC13};
 use embassy_stm32::wdg::IndependentWatchdog;
-use myactuator_mcu_example::{Board, Report};
+use myactuator_mcu_example::{Board, Report, Usage};
+
+use crate::{fdcan, serial};
 
 /// The watchdog's patience. The oscillator that times it is off by up to a twentieth.
 const WATCHDOG_MICROS: u32 = 200_000;
@@ -59,7 +61,13 @@ impl Board for Nucleo {
         defmt::info!("{}", report);
     }
 
-    fn stack_used(&mut self) -> Option<u32> {
-        Some(board_shared::stack_used())
+    /// Of the bus that is open; the other has nothing to tell.
+    fn usage(&mut self) -> Usage {
+        let can = fdcan::usage();
+        Usage {
+            stack: board_shared::stack_used(),
+            queued: can.queued,
+            dropped: can.dropped + serial::dropped(),
+        }
     }
 }

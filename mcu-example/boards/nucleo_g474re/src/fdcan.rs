@@ -1,7 +1,7 @@
 //! CAN: FDCAN1 on PA11 and PA12, 1 Mbit/s, classic frames.
 
 use core::fmt;
-use core::sync::atomic::{AtomicBool, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use embassy_stm32::can::config::TxBufferMode;
 use embassy_stm32::can::{
@@ -10,6 +10,7 @@ use embassy_stm32::can::{
 use embassy_stm32::peripherals::{FDCAN1, PA11, PA12};
 use embassy_stm32::{Peri, bind_interrupts, pac};
 use embassy_time::{Duration, with_timeout};
+use myactuator_mcu_example::Usage;
 use myactuator_protocol_core::io::AsyncCan;
 
 /// Bits a second.
@@ -95,9 +96,35 @@ impl AsyncCan for FdCan {
             }
             // An error is the driver's note of one disturbed frame, which whoever sent it sends again.
             if let Ok(envelope) = self.can.read().await {
+                note_received();
                 return Ok(envelope.frame);
             }
         }
+    }
+}
+
+/// The most frames that have waited in the controller, which has three places for them, and how often it
+/// had none.
+static MOST: AtomicU32 = AtomicU32::new(0);
+static DROPPED: AtomicU32 = AtomicU32::new(0);
+
+/// A frame was taken from the controller.
+fn note_received() {
+    let left: u32 = pac::FDCAN1.rxfs(0).read().ffl().into();
+    MOST.fetch_max(left + 1, Ordering::Relaxed);
+    if pac::FDCAN1.ir().read().rfl(0) {
+        // Cleared by writing 1.
+        pac::FDCAN1.ir().write(|w| w.set_rfl(0, true));
+        DROPPED.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// The controller's part of what the board tells of itself: frames.
+pub(crate) fn usage() -> Usage {
+    Usage {
+        queued: MOST.load(Ordering::Relaxed),
+        dropped: DROPPED.load(Ordering::Relaxed),
+        ..Usage::default()
     }
 }
 

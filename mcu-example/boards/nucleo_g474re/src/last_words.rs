@@ -1,51 +1,29 @@
 //! What a firmware that cannot go on still says on its bus, by looking at registers: no interrupt, no
 //! lock, no heap, and in a bounded time.
 
-use core::panic::PanicInfo;
-use core::sync::atomic::{AtomicBool, Ordering};
+use core::sync::atomic::Ordering;
 
-use board_shared::{on_fresh_stack, say_last_words};
+use board_shared::{cause_of_end, on_fresh_stack, restart};
 use cortex_m::asm;
-use cortex_m::peripheral::SCB;
-use defmt::Display2Format;
 use embassy_stm32::pac;
 use embedded_can::{Frame as _, Id};
-use myactuator_mcu_example::RestartCause;
 use myactuator_protocol_core::wire::{can, rs485};
 use myactuator_protocol_core::{MotorId, Packet};
 
 use crate::start::CORE_HZ;
 use crate::{MOTORS, fdcan, serial};
 
-/// Set by the first panic: one that comes of telling it only restarts.
-static PANICS: AtomicBool = AtomicBool::new(false);
-
-/// What a debugger needs to fetch the message: the restart begins a new log.
+/// What a debugger needs to fetch the end of the log: the restart begins a new one.
 const FETCH_MICROS: u32 = 50_000;
 
-#[panic_handler]
-fn panic(info: &PanicInfo<'_>) -> ! {
-    // First, so that a second panic can only come from here.
-    cortex_m::interrupt::disable();
-    if !PANICS.swap(true, Ordering::Relaxed) {
-        stop_motors(RestartCause::Panic);
-        defmt::error!("{}", Display2Format(info));
-        pause(FETCH_MICROS);
-    }
-    SCB::sys_reset()
-}
+// A panic is told by panic-probe, and ends in a fault. Two errors in one word of the flash are a
+// non-maskable interrupt, which nobody handles.
+on_fresh_stack!(HardFault, DefaultHandler => end);
 
-on_fresh_stack!(HardFault => fault);
-
-extern "C" fn fault() -> ! {
-    stop_motors(RestartCause::Fault);
-    SCB::sys_reset()
-}
-
-fn stop_motors(cause: RestartCause) {
+extern "C" fn end(at: u32) -> ! {
     let mut mouth = Mouth::Closed;
     let motors = MotorId::all().take(MOTORS).collect();
-    say_last_words(cause, motors, |packet| mouth.say(packet));
+    restart(cause_of_end(at), motors, |packet| mouth.say(packet), || pause(FETCH_MICROS))
 }
 
 /// Where the last words go.

@@ -21,6 +21,8 @@ mod start;
 
 // The log: over the debug probe.
 use defmt_rtt as _;
+// Tells a panic by it, and ends in a fault.
+use panic_probe as _;
 
 pub use board::Nucleo;
 pub use clock::EmbassyClock;

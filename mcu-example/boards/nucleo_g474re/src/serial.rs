@@ -1,11 +1,12 @@
 //! RS485: USART1 on PA9 and PA10, with PA12 as the transceiver's direction.
 
-use core::sync::atomic::{AtomicBool, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use embassy_stm32::gpio::Pull;
+use embassy_stm32::interrupt::{self, typelevel::Handler};
 use embassy_stm32::peripherals::{PA9, PA10, PA12, USART1};
 use embassy_stm32::usart::{BufferedInterruptHandler, BufferedUart, Config, ConfigError};
-use embassy_stm32::{Peri, bind_interrupts};
+use embassy_stm32::{Peri, bind_interrupts, pac};
 use static_cell::StaticCell;
 
 /// Bits a second: what drives are delivered with.
@@ -19,9 +20,29 @@ const TO_SEND: usize = 32;
 /// Whether the port is set up, so that last words may be sent by it.
 pub(crate) static IS_SET_UP: AtomicBool = AtomicBool::new(false);
 
+/// Bytes that came before the one before them was taken, or were disturbed. The driver passes them over.
+/// It does not tell how many wait, nor how many find its buffer full.
+static DROPPED: AtomicU32 = AtomicU32::new(0);
+
+/// How many received bytes were lost, as far as that is known.
+pub(crate) fn dropped() -> u32 {
+    DROPPED.load(Ordering::Relaxed)
+}
+
 bind_interrupts!(struct Irqs {
-    USART1 => BufferedInterruptHandler<USART1>;
+    // In this order: the driver clears what is counted.
+    USART1 => CountErrors, BufferedInterruptHandler<USART1>;
 });
+
+struct CountErrors;
+
+impl Handler<interrupt::typelevel::USART1> for CountErrors {
+    unsafe fn on_interrupt() {
+        let status = pac::USART1.isr().read();
+        let is_lost = status.ore() || status.fe() || status.ne();
+        DROPPED.fetch_add(is_lost.into(), Ordering::Relaxed);
+    }
+}
 
 /// Opens the port. Interrupts fill its buffer, so that a `read` may be dropped at any time; the USART
 /// itself switches the direction. Call it once.

@@ -19,17 +19,19 @@
 //! rest in three lines:
 //!
 //! ```ignore
-//! board_shared::on_fresh_stack!(HardFault => fault);
-//! extern "C" fn fault() -> ! { board_shared::restart(RestartCause::Fault, motors, send) }
+//! board_shared::on_fresh_stack!(HardFault, DefaultHandler => end);
+//! extern "C" fn end(at: u32) -> ! { board_shared::restart(cause_of_end(at), motors, send, linger) }
 //! let cause = board_shared::take_note().unwrap_or(RestartCause::Power);
 //! ```
 #![no_std]
 
+mod cause;
 mod fresh_stack;
 mod note;
 mod restart;
 mod stack;
 
+pub use cause::cause_of_end;
 pub use note::take_note;
-pub use restart::{restart, say_last_words};
+pub use restart::restart;
 pub use stack::{guard_stack, stack_size, stack_used};

@@ -7,24 +7,24 @@ use myactuator_protocol_core::master::MotorSet;
 
 use crate::note::leave_note;
 
-/// [Says the last words](say_last_words) and resets.
-pub fn restart(cause: RestartCause, motors: MotorSet, send: impl FnMut(&Packet)) -> ! {
-    say_last_words(cause, motors, send);
-    SCB::sys_reset()
-}
-
-/// Leaves a note of the cause, and sends the last words to these motors. What may go wrong itself, as a
-/// log may, comes after it, and then a reset.
+/// Leaves a note of the cause, sends the last words to these motors, and resets.
 ///
 /// From here on there are no interrupts. `send` is called with one packet after the other: it has to
 /// poll the controller's registers, to give up on a bus that takes nothing, and to wait as long as a
-/// motor needs to answer where answers and commands share a line.
+/// motor needs to answer where answers and commands share a line. `linger` comes last, before the reset.
 ///
 /// The note comes first: should the rest go wrong too, it is there when the watchdog bites.
-pub fn say_last_words(cause: RestartCause, motors: MotorSet, mut send: impl FnMut(&Packet)) {
+pub fn restart(
+    cause: RestartCause,
+    motors: MotorSet,
+    mut send: impl FnMut(&Packet),
+    linger: impl FnOnce(),
+) -> ! {
     cortex_m::interrupt::disable();
     leave_note(cause);
     for packet in last_words(motors) {
         send(&packet);
     }
+    linger();
+    SCB::sys_reset()
 }

@@ -1,29 +1,35 @@
-//! The end of a firmware that panics, whatever its bus.
+//! The end of a firmware that panics or faults, whatever its bus.
 
-use core::panic::PanicInfo;
-use core::sync::atomic::{AtomicBool, Ordering};
-
-use board_shared::say_last_words;
-use cortex_m::peripheral::SCB;
-use myactuator_mcu_example::RestartCause;
+use board_shared::{cause_of_end, restart};
 use myactuator_protocol_core::Packet;
+use stm32f4xx_hal::pac::{IWDG, iwdg};
 
 use crate::motors;
 use crate::time::Countdown;
 
-/// What a debugger needs to fetch the message: the restart begins a new log. With the last words before
-/// it, still less than what makes a watchdog bite.
+/// What a debugger needs to fetch the end of the log: the restart begins a new one. With the last words
+/// before it, still less than what makes a watchdog bite.
 const FETCH_MICROS: u32 = 50_000;
 
-/// Stops the motors, tells where it panicked, and restarts. `send` is as [`say_last_words`] wants it.
-pub fn panic(info: &PanicInfo<'_>, send: impl FnMut(&Packet)) -> ! {
-    static PANICS: AtomicBool = AtomicBool::new(false);
+/// What is to be done on a panic, a fault and whatever else nobody has expected: takes the bus, stops the
+/// motors on it, and restarts. `at` is what [`board_shared::on_fresh_stack`] gives; `take` and `send` look
+/// at registers only, for there are no interrupts any more.
+pub fn end<B>(at: u32, take: impl FnOnce() -> B, mut send: impl FnMut(&mut B, &Packet)) -> ! {
     cortex_m::interrupt::disable();
-    // The log panics if it is what panicked; all else is done by then.
-    if !PANICS.swap(true, Ordering::Relaxed) {
-        say_last_words(RestartCause::Panic, motors(), send);
-        defmt::error!("{}", defmt::Display2Format(info));
-        Countdown::of_micros(FETCH_MICROS).wait_unless(|| false);
-    }
-    SCB::sys_reset()
+    // What is left of its time may be less than the last words take.
+    feed_watchdog();
+    let mut bus = take();
+    restart(
+        cause_of_end(at),
+        motors(),
+        |packet| send(&mut bus, packet),
+        || Countdown::of_micros(FETCH_MICROS).wait_unless(|| false),
+    )
+}
+
+/// Begins the independent watchdog's time again, if it runs.
+fn feed_watchdog() {
+    // SAFETY: the registers are there at all times, and who else feeds it does the same.
+    let watchdog: &iwdg::RegisterBlock = unsafe { &*IWDG::ptr() };
+    watchdog.kr().write(|w| w.key().feed());
 }

@@ -4,9 +4,9 @@
 //! |---|---|
 //! | `time` | [`TimeBase`]: the clock of the loops, from timer TIM2 |
 //! | `line` | [`open_line`]: the RS485 line, received by interrupt |
-//! | `rs485` | [`run_rs485`]: the application on it; what to do on a panic and a fault |
+//! | `rs485` | [`run_rs485`]: the application on it; [`end_on_rs485`]: its end |
 //! | `last_line` | the line of a firmware that cannot go on |
-//! | `end` | [`panic`](panic()), for any bus |
+//! | `end` | [`end`](end()), for any bus |
 //! | `log` | [`log`](log()): the log |
 #![no_std]
 
@@ -17,12 +17,12 @@ mod log;
 mod rs485;
 mod time;
 
-pub use end::panic;
-pub use line::{Line, LineErrors, Port, open_line, take_line_errors};
+pub use end::end;
+pub use line::{Line, LineErrors, Port, line_usage, open_line, take_line_errors};
 pub use log::log;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::MotorSet;
-pub use rs485::{fault_on_rs485, panic_on_rs485, run_rs485};
+pub use rs485::{end_on_rs485, run_rs485};
 pub use time::{Countdown, TimeBase, TimerClocks, wake};
 
 /// How many motors may be on the bus, with ids from 1.

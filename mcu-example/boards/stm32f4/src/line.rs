@@ -8,6 +8,7 @@ use cortex_m::interrupt::{Mutex, free};
 use cortex_m::peripheral::NVIC;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use heapless::Deque;
+use myactuator_mcu_example::Usage;
 use myactuator_protocol_core::io::HalfDuplex;
 use stm32f4xx_hal::gpio::{Output, PA8, PA9, PA10, Pull};
 use stm32f4xx_hal::nb;
@@ -42,7 +43,8 @@ pub fn open_line(
     let config = Config::default().baudrate(bit_rate.bps());
     let (tx, mut rx) = Serial::new(usart, (tx, rx), config, rcc).ok()?.split();
     rx.listen();
-    let receiver = Receiver { rx, queue: Deque::new(), errors: LineErrors::default() };
+    let receiver =
+        Receiver { rx, queue: Deque::new(), errors: LineErrors::default(), most: 0, dropped: 0 };
     free(|cs| RECEIVER.borrow(cs).replace(Some(receiver)));
     // SAFETY: no critical section relies on this interrupt being masked.
     unsafe { NVIC::unmask(pac::Interrupt::USART1) };
@@ -69,13 +71,12 @@ impl LineErrors {
         *self == Self::default()
     }
 
-    fn count(&mut self, error: Error) {
-        let counter = match error {
+    fn of(&mut self, error: Error) -> &mut u32 {
+        match error {
             Error::Overrun => &mut self.overruns,
             Error::Noise => &mut self.noise,
             _ => &mut self.framing,
-        };
-        *counter = counter.saturating_add(1);
+        }
     }
 }
 
@@ -84,11 +85,25 @@ pub fn take_line_errors() -> LineErrors {
     with_receiver(|receiver| mem::take(&mut receiver.errors)).unwrap_or_default()
 }
 
+/// The line's part of what a board tells of itself: bytes. A disturbed one counts as dropped.
+pub fn line_usage() -> Usage {
+    let usage = |receiver: &mut Receiver| Usage {
+        queued: receiver.most as u32,
+        dropped: receiver.dropped,
+        ..Usage::default()
+    };
+    with_receiver(usage).unwrap_or_default()
+}
+
 /// What the interrupt works on.
 struct Receiver {
     rx: Rx<USART1>,
     queue: Deque<u8, QUEUE>,
     errors: LineErrors,
+    /// The most bytes that have waited.
+    most: usize,
+    /// All errors there ever were.
+    dropped: u32,
 }
 
 static RECEIVER: Mutex<RefCell<Option<Receiver>>> = Mutex::new(RefCell::new(None));
@@ -101,16 +116,15 @@ fn with_receiver<T>(work: impl FnOnce(&mut Receiver) -> T) -> Option<T> {
 fn USART1() {
     with_receiver(|receiver| {
         loop {
-            match receiver.rx.read() {
-                Ok(byte) => {
-                    if receiver.queue.push_back(byte).is_err() {
-                        receiver.errors.dropped = receiver.errors.dropped.saturating_add(1);
-                    }
-                }
+            let counter = match receiver.rx.read() {
+                Ok(byte) if receiver.queue.push_back(byte).is_ok() => continue,
+                Ok(_) => &mut receiver.errors.dropped,
                 // Reading has cleared it.
-                Err(nb::Error::Other(error)) => receiver.errors.count(error),
+                Err(nb::Error::Other(error)) => receiver.errors.of(error),
                 Err(nb::Error::WouldBlock) => break,
-            }
+            };
+            *counter = counter.saturating_add(1);
+            receiver.dropped = receiver.dropped.saturating_add(1);
         }
     });
     wake();
@@ -138,6 +152,7 @@ impl Read for Port {
         loop {
             let mut count = 0;
             with_receiver(|receiver| {
+                receiver.most = receiver.most.max(receiver.queue.len());
                 for place in buffer.iter_mut() {
                     let Some(byte) = receiver.queue.pop_front() else { break };
                     *place = byte;

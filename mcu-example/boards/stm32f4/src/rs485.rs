@@ -1,18 +1,16 @@
 //! The application on the RS485 line, and its end.
 
-use core::panic::PanicInfo;
-
 use myactuator_mcu_example::{Board, Movement, RestartCause, Setup, run};
 use myactuator_protocol_core::io::SerialMaster;
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::MaxSpeed;
 
-use crate::end;
+use crate::MOTORS;
+use crate::end::end;
 use crate::last_line::LastLine;
 use crate::line::Line;
 use crate::time::TimeBase;
-use crate::{MOTORS, motors};
 
 /// The fastest turning, in degrees a second.
 const MAX_SPEED: MaxSpeed = MaxSpeed::from_raw(100);
@@ -37,14 +35,8 @@ fn cycle(config: &Config) -> Duration {
     if is_slow { Duration::from_millis(5) } else { Duration::from_millis(1) }
 }
 
-/// What a panic handler has to do: stops the motors, tells why, and restarts.
-pub fn panic_on_rs485(info: &PanicInfo<'_>) -> ! {
-    let mut line = LastLine::take();
-    end::panic(info, |packet| line.send(packet))
-}
-
-/// What is to be done on a fault: stops the motors, and restarts.
-pub extern "C" fn fault_on_rs485() -> ! {
-    let mut line = LastLine::take();
-    board_shared::restart(RestartCause::Fault, motors(), |packet| line.send(packet))
+/// What is to be done on a panic, a fault and whatever else nobody has expected: stops the motors, and
+/// restarts.
+pub extern "C" fn end_on_rs485(at: u32) -> ! {
+    end(at, LastLine::take, LastLine::send)
 }

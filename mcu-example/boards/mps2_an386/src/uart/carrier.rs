@@ -27,6 +27,9 @@ struct Port {
 static PORTS: [Port; 3] =
     [const { Port { carrier: Mutex::new(RefCell::new(None)), lost: AtomicU32::new(0) } }; 3];
 
+/// The most received bytes that have waited on each port: not the interrupts' affair.
+static MOST: [AtomicU32; 3] = [const { AtomicU32::new(0) }; 3];
+
 const fn port(id: UartId) -> &'static Port {
     &PORTS[id as usize]
 }
@@ -74,6 +77,16 @@ fn with(id: UartId, act: impl FnOnce(&mut Carrier)) {
             act(carrier);
         }
     });
+}
+
+/// So many received bytes wait. Whoever takes them calls it first, for that costs the interrupt nothing.
+pub(super) fn note_waiting(id: UartId, count: usize) {
+    MOST[id as usize].fetch_max(count as u32, Ordering::Relaxed);
+}
+
+/// The most received bytes that have waited.
+pub(super) fn most_waiting(id: UartId) -> u32 {
+    MOST[id as usize].load(Ordering::Relaxed)
 }
 
 /// How many received bytes were lost.

@@ -2,10 +2,8 @@
 #![no_std]
 #![no_main]
 
-use core::panic::PanicInfo;
-
 use board_emulated::patient;
-use board_stm32f4::{fault_on_rs485, panic_on_rs485, run_rs485};
+use board_stm32f4::{end_on_rs485, run_rs485};
 use cortex_m_rt::entry;
 use myactuator_protocol_core::master::Config;
 use netduinoplus2::{BIT_RATE, Hardware, start};
@@ -16,9 +14,4 @@ fn main() -> ! {
     run_rs485(line, patient(Config::rs485(BIT_RATE, false)), time, &mut panel, cause)
 }
 
-board_shared::on_fresh_stack!(HardFault => fault_on_rs485);
-
-#[panic_handler]
-fn panic(info: &PanicInfo<'_>) -> ! {
-    panic_on_rs485(info)
-}
+board_shared::on_fresh_stack!(HardFault, DefaultHandler => end_on_rs485);

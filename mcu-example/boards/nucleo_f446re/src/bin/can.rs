@@ -2,10 +2,8 @@
 #![no_std]
 #![no_main]
 
-use core::panic::PanicInfo;
-
 use cortex_m_rt::entry;
-use nucleo_f446re::{Hardware, fault_on_can, open_can, panic_on_can, run_can, start};
+use nucleo_f446re::{Hardware, end_on_can, open_can, run_can, start};
 
 #[entry]
 fn main() -> ! {
@@ -14,9 +12,4 @@ fn main() -> ! {
     run_can(port, time, &mut board, cause)
 }
 
-board_shared::on_fresh_stack!(HardFault => fault_on_can);
-
-#[panic_handler]
-fn panic(info: &PanicInfo<'_>) -> ! {
-    panic_on_can(info)
-}
+board_shared::on_fresh_stack!(HardFault, DefaultHandler => end_on_can);

@@ -13,8 +13,8 @@ mod receive;
 mod run;
 
 pub use port::{CanError, CanPort};
-pub(crate) use receive::take_can_errors;
-pub use run::{fault_on_can, panic_on_can, run_can};
+pub(crate) use receive::{can_usage, take_can_errors};
+pub use run::{end_on_can, run_can};
 
 use board_stm32f4::TimeBase;
 use bxcan::{Fifo, Interrupt, filter::Mask32};

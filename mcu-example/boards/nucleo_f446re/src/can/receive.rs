@@ -8,6 +8,7 @@ use bxcan::{Frame, Rx0};
 use cortex_m::interrupt::{Mutex, free};
 use cortex_m::peripheral::NVIC;
 use heapless::Deque;
+use myactuator_mcu_example::Usage;
 use stm32f4xx_hal::can::Can;
 use stm32f4xx_hal::pac::{self, CAN1, interrupt};
 
@@ -35,6 +36,10 @@ struct Receiver {
     fifo: Rx0<Can<CAN1>>,
     queue: Deque<Frame, QUEUE>,
     errors: CanErrors,
+    /// The most frames that have waited.
+    most: usize,
+    /// All that were ever lost.
+    dropped: u32,
 }
 
 static RECEIVER: Mutex<RefCell<Option<Receiver>>> = Mutex::new(RefCell::new(None));
@@ -45,7 +50,8 @@ fn with_receiver<T>(work: impl FnOnce(&mut Receiver) -> T) -> Option<T> {
 
 /// From now on frames are received.
 pub(super) fn begin(fifo: Rx0<Can<CAN1>>) {
-    let receiver = Receiver { fifo, queue: Deque::new(), errors: CanErrors::default() };
+    let receiver =
+        Receiver { fifo, queue: Deque::new(), errors: CanErrors::default(), most: 0, dropped: 0 };
     free(|cs| RECEIVER.borrow(cs).replace(Some(receiver)));
     // SAFETY: no critical section relies on this interrupt being masked.
     unsafe { NVIC::unmask(pac::Interrupt::CAN1_RX0) };
@@ -53,7 +59,11 @@ pub(super) fn begin(fifo: Rx0<Can<CAN1>>) {
 
 /// The next frame.
 pub(super) fn take() -> Option<Frame> {
-    with_receiver(|receiver| receiver.queue.pop_front()).flatten()
+    with_receiver(|receiver| {
+        receiver.most = receiver.most.max(receiver.queue.len());
+        receiver.queue.pop_front()
+    })
+    .flatten()
 }
 
 /// What was lost since the last call.
@@ -61,21 +71,31 @@ pub(crate) fn take_can_errors() -> CanErrors {
     with_receiver(|receiver| mem::take(&mut receiver.errors)).unwrap_or_default()
 }
 
+/// The controller's part of what the board tells of itself: frames.
+pub(crate) fn can_usage() -> Usage {
+    let usage = |receiver: &mut Receiver| Usage {
+        queued: receiver.most as u32,
+        dropped: receiver.dropped,
+        ..Usage::default()
+    };
+    with_receiver(usage).unwrap_or_default()
+}
+
 #[interrupt]
 fn CAN1_RX0() {
     with_receiver(|receiver| {
-        let errors = &mut receiver.errors;
         loop {
-            match receiver.fifo.receive() {
-                Ok(frame) => {
-                    if receiver.queue.push_back(frame).is_err() {
-                        errors.dropped = errors.dropped.saturating_add(1);
-                    }
-                }
+            let counter = match receiver.fifo.receive() {
+                Ok(frame) => match receiver.queue.push_back(frame) {
+                    Ok(()) => continue,
+                    Err(_) => &mut receiver.errors.dropped,
+                },
                 // Reading has cleared it.
-                Err(nb::Error::Other(_)) => errors.overruns = errors.overruns.saturating_add(1),
+                Err(nb::Error::Other(_)) => &mut receiver.errors.overruns,
                 Err(nb::Error::WouldBlock) => break,
-            }
+            };
+            *counter = counter.saturating_add(1);
+            receiver.dropped = receiver.dropped.saturating_add(1);
         }
     });
     wake();

@@ -1,8 +1,6 @@
 //! The application on CAN, and its end.
 
-use core::panic::PanicInfo;
-
-use board_stm32f4::{Countdown, MOTORS, TimeBase, motors};
+use board_stm32f4::{Countdown, MOTORS, TimeBase, end};
 use bxcan::Frame;
 use myactuator_mcu_example::{Board, Movement, RestartCause, Setup, run};
 use myactuator_protocol_core::command::MotionRanges;
@@ -23,16 +21,10 @@ pub fn run_can(port: CanPort, time: TimeBase, board: &mut impl Board, cause: Res
     run(&mut bus, board, Setup::new(movement), cause)
 }
 
-/// What a panic handler has to do: stops the motors, tells why, and restarts.
-pub fn panic_on_can(info: &PanicInfo<'_>) -> ! {
-    let mut mailboxes = take_bus();
-    board_stm32f4::panic(info, |packet| say(&mut mailboxes, packet))
-}
-
-/// What is to be done on a fault: stops the motors, and restarts.
-pub extern "C" fn fault_on_can() -> ! {
-    let mut mailboxes = take_bus();
-    board_shared::restart(RestartCause::Fault, motors(), |packet| say(&mut mailboxes, packet))
+/// What is to be done on a panic, a fault and whatever else nobody has expected: stops the motors, and
+/// restarts.
+pub extern "C" fn end_on_can(at: u32) -> ! {
+    end(at, take_bus, say)
 }
 
 /// The bus, without what was about to be sent: it may be a set-point.

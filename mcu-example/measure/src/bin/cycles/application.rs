@@ -2,7 +2,7 @@
 
 use cortex_m_semihosting::hprintln;
 use myactuator_mcu_example::{
-    App, Board, Moment, Movement, Report, RestartCause, Setup, StateName,
+    App, Board, Moment, Movement, Report, RestartCause, Setup, StateName, Usage,
 };
 use myactuator_protocol_core::command::MotionRanges;
 use myactuator_protocol_core::firmware::Firmware;
@@ -45,8 +45,8 @@ impl Board for Panel {
             _ => {}
         }
     }
-    fn stack_used(&mut self) -> Option<u32> {
-        None
+    fn usage(&mut self) -> Usage {
+        Usage::default()
     }
 }
 
