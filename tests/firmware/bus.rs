@@ -13,18 +13,15 @@ use super::running::{
 };
 
 on! {
-    MPS2_RS485 as mps2_rs485, MPS2_CAN as mps2_can, NETDUINO_RS485 as netduino_rs485:
+    every program:
     noise_moves_nothing_wrongly
-    a_bus_that_is_cut_for_a_second_stops_all_until_the_button
-}
-on! {
-    MPS2_RS485 as mps2_rs485_frames, MPS2_CAN as mps2_can_frames:
     lost_frames_move_nothing_wrongly
     doubled_frames_move_nothing_wrongly
+    a_bus_that_is_cut_for_a_second_stops_all_until_the_button
 }
 
 /// How long a bus is disturbed.
-const DISTURBED: Duration = Duration::from_secs(3);
+const DISTURBED: Duration = Duration::from_secs(2);
 /// How far from the way to and fro a shaft may be, degrees, with what it takes to come to rest.
 const OFF_THE_WAY_DEG: f32 = 3.0;
 /// How far the way is, degrees.

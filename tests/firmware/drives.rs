@@ -10,7 +10,7 @@ use myactuator_tests::emulator::truth::Look;
 use super::running::{PATIENCE, Program, WATCHED, go, millis, moving, on, stopped, stops_for};
 
 on! {
-    MPS2_RS485 as mps2_rs485, MPS2_CAN as mps2_can:
+    every program:
     one_that_is_unplugged_stops_all
     one_that_restarts_stops_all
     one_with_an_error_stops_all_until_that_is_gone

@@ -14,7 +14,7 @@ use super::running::{
 };
 
 on! {
-    MPS2_RS485 as mps2_rs485, MPS2_CAN as mps2_can, NETDUINO_RS485 as netduino_rs485:
+    every program:
     a_button_that_is_held_stops_and_starts_nothing
     a_panic_stops_all_and_is_told
     a_fault_stops_all_and_is_told
@@ -22,7 +22,7 @@ on! {
     an_exception_that_nobody_handles_stops_all_and_is_told
 }
 on! {
-    MPS2_RS485 as mps2_rs485_hangs, MPS2_CAN as mps2_can_hangs:
+    every watchdog:
     a_hang_ends_by_the_watchdog_which_is_told
 }
 

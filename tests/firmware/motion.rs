@@ -15,8 +15,7 @@ use super::running::{
 };
 
 on! {
-    MPS2_RS485 as mps2_rs485, MPS2_RS485_ASYNC as mps2_rs485_async, MPS2_CAN as mps2_can,
-    MPS2_CAN_ASYNC as mps2_can_async, NETDUINO_RS485 as netduino_rs485:
+    every program:
     motors_are_found_moved_and_shut_down
 }
 

@@ -25,8 +25,21 @@ pub(crate) const MPS2_RS485_ASYNC: Program = (Board::Mps2An386, "rs485_async");
 pub(crate) const MPS2_CAN_ASYNC: Program = (Board::Mps2An386, "can_async");
 pub(crate) const NETDUINO_RS485: Program = (Board::NetduinoPlus2, "rs485");
 
-/// Makes a test of each function for each program.
+/// Makes a test of each function for each program: of every board, or of those whose board has a
+/// watchdog.
 macro_rules! on {
+    (every program: $($name:ident)+) => {
+        $crate::firmware::running::on! {
+            MPS2_RS485 as mps2_rs485, MPS2_RS485_ASYNC as mps2_rs485_async, MPS2_CAN as mps2_can,
+            MPS2_CAN_ASYNC as mps2_can_async, NETDUINO_RS485 as netduino_rs485: $($name)+
+        }
+    };
+    (every watchdog: $($name:ident)+) => {
+        $crate::firmware::running::on! {
+            MPS2_RS485 as watched_mps2_rs485, MPS2_RS485_ASYNC as watched_mps2_rs485_async,
+            MPS2_CAN as watched_mps2_can, MPS2_CAN_ASYNC as watched_mps2_can_async: $($name)+
+        }
+    };
     ($($program:ident as $module:ident),+: $($name:ident)+) => {
         $crate::firmware::running::on!(@all [$($program as $module),+] [$($name)+]);
     };
@@ -35,7 +48,7 @@ macro_rules! on {
     };
     (@one $program:ident $module:ident [$($name:ident)+]) => {
         mod $module {
-            $(#[test] fn $name() { super::$name(super::super::running::$program); })+
+            $(#[test] fn $name() { super::$name($crate::firmware::running::$program); })+
         }
     };
 }
