@@ -7,7 +7,7 @@ use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, Milliseconds};
 
-/// How the motors are moved: to and fro, each around the place where it was found.
+/// How the motors are moved: there and back, each from the place where it is when it gets ready.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Movement {
     /// In motion mode, which only CAN has.
@@ -40,7 +40,7 @@ pub struct Setup {
     pub firmware: Firmware,
     /// How they are moved.
     pub movement: Movement,
-    /// How far they turn away from where they were found.
+    /// How far they turn away from where they are when they get ready; to the other side if it is negative.
     pub amplitude: Angle,
     /// How long it takes there and back.
     pub period: Duration,
