@@ -31,6 +31,7 @@ on_both_buses! {
     a_motor_that_restarts_stops_all
     a_motor_with_an_error_stops_all
     a_motor_of_another_firmware_is_not_moved
+    a_motor_of_a_firmware_that_was_tried_is_moved
     a_dead_bus_is_told_and_only_the_button_ends_that
     a_long_press_shuts_down
     a_motor_that_is_not_seen_does_not_feed_the_watchdog
@@ -337,6 +338,16 @@ fn a_motor_of_another_firmware_is_not_moved<B: Moved>() {
     firmware.run_until(Report::Trouble(trouble), millis(1_000));
     firmware.run_for(millis(3_000));
     assert!(bus.drives.iter().all(|drive| angle_deg(drive).abs() < 0.1));
+}
+
+fn a_motor_of_a_firmware_that_was_tried_is_moved<B: Moved>() {
+    let version_date = VersionDate::from_raw(20_251_101);
+    let bus = B::drives(&Fleet::new(2).version_date(version_date)).unwrap();
+    let setup = Setup { tried_version: Some(version_date), ..B::setup() };
+    let mut firmware = Firmware::start_with(&bus, Panel::default(), setup);
+    firmware.run_for(millis(1_500));
+    firmware.press(millis(50));
+    firmware.run_until(Report::State(StateName::Running), millis(2_000));
 }
 
 fn a_dead_bus_is_told_and_only_the_button_ends_that<B: Moved>() {

@@ -10,7 +10,6 @@ mod setup;
 use heapless::Vec;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::AnyReply;
-use myactuator_protocol_core::firmware::Firmware;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
@@ -314,7 +313,7 @@ impl<const N: usize> App<N> {
             Answer::Done => None,
             Answer::Version(version_date) => {
                 self.expected.insert(motor);
-                let is_known = Firmware::of_version_date(version_date) == Some(self.setup.firmware);
+                let is_known = self.setup.accepts(version_date);
                 match self.motors.push(Motor::new(motor, version_date)) {
                     _ if !is_known => Some(Trouble::OtherFirmware { motor, version_date }),
                     Err(_) => Some(Trouble::Refused { motor }),

@@ -1,7 +1,7 @@
 //! What a product would set.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::MotionRanges;
+use myactuator_protocol_core::command::{MotionRanges, VersionDate};
 use myactuator_protocol_core::firmware::Firmware;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
@@ -38,6 +38,9 @@ pub struct Setup {
     pub required: MotorSet,
     /// The firmware that all of them must have.
     pub firmware: Firmware,
+    /// A version date (0xB2) that is not known to be that firmware's, and that whoever makes the product has
+    /// tried with everything that stands here: the scales of motion mode above all.
+    pub tried_version: Option<VersionDate>,
     /// How they are moved.
     pub movement: Movement,
     /// How far they turn away from where they are when they get ready; to the other side if it is negative.
@@ -57,6 +60,12 @@ pub struct Setup {
 }
 
 impl Setup {
+    /// Whether a motor with software of this date may be moved.
+    pub(super) fn accepts(&self, version_date: VersionDate) -> bool {
+        Firmware::of_version_date(version_date) == Some(self.firmware)
+            || self.tried_version == Some(version_date)
+    }
+
     /// Motors 1 to 8, those of them that are there, of firmware V4.3, moved to and fro by 20 degrees within
     /// 2 s, 1000 set-points a second; stopped, they hold still. In motion mode, which is on CAN, they report
     /// errors by themselves; who moves them by positions on CAN may set that, too.
@@ -65,6 +74,7 @@ impl Setup {
             search: MotorId::all().take(8).collect(),
             required: MotorSet::EMPTY,
             firmware: Firmware::V4_3,
+            tried_version: None,
             movement,
             amplitude: Angle::from_raw(2_000),
             period: Duration::from_secs(2),

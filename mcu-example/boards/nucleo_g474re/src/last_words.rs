@@ -7,11 +7,11 @@ use board_shared::{cause_of_end, on_fresh_stack, restart};
 use cortex_m::asm;
 use embassy_stm32::pac;
 use embedded_can::{Frame as _, Id};
+use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::wire::{can, rs485};
-use myactuator_protocol_core::{MotorId, Packet};
 
 use crate::start::CORE_HZ;
-use crate::{MOTORS, fdcan, serial};
+use crate::{fdcan, motors, serial};
 
 /// What a debugger needs to fetch the end of the log: the restart begins a new one.
 const FETCH_MICROS: u32 = 50_000;
@@ -22,8 +22,7 @@ on_fresh_stack!(HardFault, DefaultHandler => end);
 
 extern "C" fn end(at: u32) -> ! {
     let mut mouth = Mouth::Closed;
-    let motors = MotorId::all().take(MOTORS).collect();
-    restart(cause_of_end(at), motors, |packet| mouth.say(packet), || pause(FETCH_MICROS))
+    restart(cause_of_end(at), motors(), |packet| mouth.say(packet), || pause(FETCH_MICROS))
 }
 
 /// Where the last words go.

@@ -27,8 +27,15 @@ use panic_probe as _;
 pub use board::Nucleo;
 pub use clock::EmbassyClock;
 pub use fdcan::{BIT_RATE as CAN_BIT_RATE, BusDown, FdCan};
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::master::MotorSet;
 pub use serial::{BIT_RATE as RS485_BIT_RATE, rs485};
 pub use start::start;
 
 /// How many motors there are at the most: ids 1 to this.
 pub const MOTORS: usize = 8;
+
+/// The motors that are looked for, and that a firmware stops when it ends.
+pub fn motors() -> MotorSet {
+    MotorId::all().take(MOTORS).collect()
+}

@@ -6,11 +6,11 @@ use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::MaxSpeed;
 
-use crate::MOTORS;
 use crate::end::end;
 use crate::last_line::LastLine;
 use crate::line::Line;
 use crate::time::TimeBase;
+use crate::{MOTORS, motors};
 
 /// The fastest turning, in degrees a second.
 const MAX_SPEED: MaxSpeed = MaxSpeed::from_raw(100);
@@ -24,7 +24,7 @@ pub fn run_rs485(
     cause: RestartCause,
 ) -> ! {
     let movement = Movement::Position { max_speed: MAX_SPEED };
-    let setup = Setup { cycle: cycle(&config), ..Setup::new(movement) };
+    let setup = Setup { search: motors(), cycle: cycle(&config), ..Setup::new(movement) };
     let mut bus = SerialMaster::<_, _, MOTORS>::new(line, time, config);
     run(&mut bus, board, setup, cause)
 }

@@ -1,6 +1,6 @@
 //! The application on CAN, and its end.
 
-use board_stm32f4::{Countdown, MOTORS, TimeBase, end};
+use board_stm32f4::{Countdown, MOTORS, TimeBase, end, motors};
 use bxcan::Frame;
 use myactuator_mcu_example::{Board, Movement, RestartCause, Setup, run};
 use myactuator_protocol_core::command::MotionRanges;
@@ -18,7 +18,8 @@ const FRAME_MICROS: u32 = 2_000;
 pub fn run_can(port: CanPort, time: TimeBase, board: &mut impl Board, cause: RestartCause) -> ! {
     let mut bus = CanMaster::<_, _, MOTORS>::new(port, time, Config::CAN);
     let movement = Movement::Motion { ranges: MotionRanges::V4_3, kp: 50.0, kd: 2.0 };
-    run(&mut bus, board, Setup::new(movement), cause)
+    let setup = Setup { search: motors(), ..Setup::new(movement) };
+    run(&mut bus, board, setup, cause)
 }
 
 /// What is to be done on a panic, a fault and whatever else nobody has expected: stops the motors, and
