@@ -1,5 +1,6 @@
 //! The application of the example firmware against simulated drives, on both buses.
 
+mod brakes;
 mod heard;
 mod panel;
 mod refused;
