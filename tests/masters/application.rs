@@ -4,6 +4,7 @@ mod brakes;
 mod heard;
 mod panel;
 mod refused;
+mod states;
 
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
