@@ -1,10 +1,13 @@
 //! The button and what is wrong, in every state in which something is under way.
 
+use std::mem;
+
 use myactuator_host_std::sim::Fleet;
-use myactuator_mcu_example::{Moment, Report, StateName, Trouble};
+use myactuator_mcu_example::{Moment, Report, StateName, Trouble, cycle};
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::Event;
+use myactuator_protocol_core::master::{Event, Master};
+use myactuator_protocol_core::time::Instant;
 use myactuator_tests::on_both_buses;
 use myactuator_tests::values::{id, millis};
 
@@ -16,6 +19,7 @@ on_both_buses! {
     a_motor_that_lost_its_master_while_getting_ready_is_not_moved
     no_brake_opens_while_a_motor_has_an_error
     replies_that_are_lost_are_counted
+    what_the_driver_reports_reaches_the_application
 }
 
 const UNDER_WAY: [StateName; 4] =
@@ -102,4 +106,39 @@ fn replies_that_are_lost_are_counted<B: Moved>() {
         _ => None,
     });
     assert!(told.is_some_and(|lost| lost > 0), "{told:?}");
+}
+
+/// A bus whose driver reports an error once.
+struct Broken<'a, R>(&'a mut R, bool);
+
+impl<R: Runner<8>> Runner<8> for Broken<'_, R> {
+    type Error = &'static str;
+
+    fn master(&mut self) -> &mut Master<8> {
+        self.0.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, &'static str> {
+        if mem::take(&mut self.1) {
+            return Err("broken");
+        }
+        self.0.poll().map_err(|_| "really broken")
+    }
+
+    fn idle(&mut self, until: Instant) {
+        self.0.idle(until);
+    }
+}
+
+fn what_the_driver_reports_reaches_the_application<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    let Firmware { runner, app, panel, .. } = &mut firmware;
+    cycle(app, &mut Broken(runner, true), panel);
+    assert_eq!(firmware.troubles(), [Trouble::BusDown]);
+    firmware.stays_stopped();
 }
