@@ -16,3 +16,23 @@ pub fn last_words(motors: MotorSet) -> impl Iterator<Item = Packet> {
         .chain(each)
         .map(|target| Packet { channel: Channel::Command(target), data: Stop.encode() })
 }
+
+#[cfg(test)]
+mod tests {
+    use myactuator_protocol_core::MotorId;
+
+    use super::*;
+
+    /// The emulator does not show it: a firmware that restarts stops each motor itself, right behind.
+    #[test]
+    fn all_at_once_and_then_each_is_stopped() {
+        let mut words = last_words(MotorId::all().take(3).collect());
+        assert_eq!(words.next().map(|packet| packet.channel), Some(Channel::Command(Target::All)));
+        let stopped = |packet: Packet| (packet.data == Stop.encode()).then_some(packet.channel);
+        assert!(
+            words.map(stopped).eq(MotorId::all()
+                .take(3)
+                .map(|motor| Some(Channel::Command(Target::Motor(motor)))))
+        );
+    }
+}

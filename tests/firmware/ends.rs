@@ -10,7 +10,7 @@ use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::panel::Breakage;
 
 use super::running::{
-    DRIVES, NETDUINO_RS485, PATIENCE, Program, WATCHED, go, millis, moving, on, stops_for,
+    DRIVES, NETDUINO_RS485, PATIENCE, Program, WATCHED, go, millis, moving, on, stopped, stops_for,
 };
 
 on! {
@@ -20,6 +20,7 @@ on! {
     a_fault_stops_all_and_is_told
     a_stack_that_overflows_stops_all_and_is_told
     an_exception_that_nobody_handles_stops_all_and_is_told
+    each_end_tells_its_own_cause
 }
 on! {
     every watchdog:
@@ -67,6 +68,16 @@ fn an_exception_that_nobody_handles_stops_all_and_is_told(program: Program) {
 
 fn a_hang_ends_by_the_watchdog_which_is_told(program: Program) {
     ends(program, Breakage::Hang, "Watchdog", WATCHDOG_STOPS);
+}
+
+/// The note of one end is used up when the next one comes.
+fn each_end_tells_its_own_cause(program: Program) {
+    let mut firmware = stopped(program);
+    for (how, cause) in [(Breakage::Panic, "Panic"), (Breakage::Fault, "Fault")] {
+        firmware.break_it(how);
+        firmware.wait_for(&format!("Started {{ cause: {cause} }}"), PATIENCE);
+        firmware.wait_for("State(Stopped)", PATIENCE);
+    }
 }
 
 /// All motors were told to stop, and stand still, within the time; after the restart the cause is told, and

@@ -77,9 +77,14 @@ pub(crate) fn moving(program: Program) -> Firmware {
 /// Presses the button, and waits until the motors are well under way.
 #[track_caller]
 pub(crate) fn go(firmware: &mut Firmware) {
+    let pressed = firmware.drives().now();
     firmware.press();
     firmware.wait_for("State(Running)", PATIENCE);
     firmware.wait_until_moving(UNDER_WAY_DPS);
+    // Who takes this for standing still would take anything for it.
+    if firmware.truth.moved_for(pressed).iter().any(Duration::is_zero) {
+        firmware.fail("nobody has seen the shafts move");
+    }
 }
 
 /// Waits for the trouble that begins so, for which the application stops the motors at once. Gives what it

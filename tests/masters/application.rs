@@ -1,8 +1,10 @@
 //! The application of the example firmware against simulated drives, on both buses.
 
+mod brakes;
 mod heard;
 mod panel;
 mod refused;
+mod states;
 
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;

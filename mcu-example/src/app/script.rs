@@ -2,8 +2,8 @@
 
 use myactuator_protocol_core::command::{
     Command, CommunicationLossProtection, ErrorFlags, FunctionControl, LockBrake, ModelName,
-    ReadModel, ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadVersionDate, ReleaseBrake, Switch,
-    VersionDate,
+    ReadModel, ReadMultiTurnAngle, ReadRunTime, ReadStatus1, ReadVersionDate, ReleaseBrake, Stop,
+    Switch, VersionDate,
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{Event, Master, MotorSet, Patience, TicketId};
@@ -25,6 +25,8 @@ pub(super) enum Question {
     Protection,
     ErrorReports,
     ReleaseBrake,
+    /// Output on, at rest.
+    Hold,
     Angle,
     /// Where it is, and is to begin.
     Home,
@@ -69,6 +71,7 @@ impl Question {
                 let command = FunctionControl::ErrorReporting(Switch::On);
                 master.request_with(motor, command, WRITE).map(|t| t.id())
             }
+            Self::Hold => master.request(motor, Stop).map(|t| t.id()),
             Self::ReleaseBrake => master.request(motor, ReleaseBrake).map(|t| t.id()),
             Self::Angle | Self::Home => master.request(motor, ReadMultiTurnAngle).map(|t| t.id()),
             Self::RunTime => master.request(motor, ReadRunTime).map(|t| t.id()),
@@ -97,9 +100,11 @@ impl Question {
             Self::Angle => Answer::Angle(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::Home => Answer::Home(ReadMultiTurnAngle::decode_reply(data).ok()?.angle),
             Self::RunTime => Answer::RunTime(ReadRunTime::decode_reply(data).ok()?.run_time),
-            Self::Protection | Self::ErrorReports | Self::ReleaseBrake | Self::LockBrake => {
-                Answer::Done
-            }
+            Self::Protection
+            | Self::ErrorReports
+            | Self::Hold
+            | Self::ReleaseBrake
+            | Self::LockBrake => Answer::Done,
         };
         Some(answer)
     }
@@ -109,7 +114,10 @@ const FIND: &[Question] =
     &[Question::VersionDate, Question::Model, Question::Errors, Question::RunTime];
 const PROTECT: &[Question] = &[Question::Protection];
 const REPORT_ERRORS: &[Question] = &[Question::ErrorReports];
-const RELEASE: &[Question] = &[Question::ReleaseBrake];
+/// A shaft whose brake is open falls unless its motor holds it, which one does not after a shutdown or a
+/// restart of its own. It is told so at once, before the brake has opened: behind a locked one a stop may
+/// do nothing.
+const RELEASE: &[Question] = &[Question::ReleaseBrake, Question::Hold];
 const LOOK: &[Question] = &[Question::RunTime, Question::Home];
 
 /// How long a brake takes to open at the most: 50 to 150 ms were seen.

@@ -86,7 +86,12 @@ impl Truth {
     }
 
     /// How long after `since` each shaft still moved, as far as it was seen.
+    ///
+    /// # Panics
+    /// If nobody looks any more: then nothing would ever have moved.
     pub fn moved_for(&self, since: Instant) -> Vec<Duration> {
+        let is_observed = self.observer.as_ref().is_some_and(|observer| !observer.is_finished());
+        assert!(is_observed, "nobody looks at the shafts any more");
         let all = self.between(since, Instant::from_micros(u64::MAX));
         let last = |looks: &Vec<Look>| {
             let moving = looks.iter().rfind(|look| !look.is_still());

@@ -1,0 +1,144 @@
+//! The button and what is wrong, in every state in which something is under way.
+
+use std::mem;
+
+use myactuator_host_std::sim::Fleet;
+use myactuator_mcu_example::{Moment, Report, StateName, Trouble, cycle};
+use myactuator_protocol_core::command::ErrorFlags;
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{Event, Master};
+use myactuator_protocol_core::time::Instant;
+use myactuator_tests::on_both_buses;
+use myactuator_tests::values::{id, millis};
+
+use super::{Firmware, Moved, Panel, unplug};
+
+on_both_buses! {
+    a_press_in_any_state_stops_and_starts_nothing
+    a_bus_error_in_any_state_stops
+    a_motor_that_lost_its_master_while_getting_ready_is_not_moved
+    no_brake_opens_while_a_motor_has_an_error
+    replies_that_are_lost_are_counted
+    what_the_driver_reports_reaches_the_application
+}
+
+const UNDER_WAY: [StateName; 4] =
+    [StateName::Finding, StateName::Preparing, StateName::Running, StateName::ShuttingDown];
+
+/// A firmware that has come to this state just now, with the button up.
+fn in_state<B: Moved>(firmware: &mut Firmware<'_, B>, state: StateName) {
+    firmware.run_for(millis(1_500));
+    firmware.panel.is_button_down = true;
+    firmware.run_for(millis(50));
+    if state != StateName::ShuttingDown {
+        firmware.panel.is_button_down = false;
+    }
+    firmware.run_until(Report::State(state), millis(3_000));
+    firmware.panel.is_button_down = false;
+}
+
+fn a_press_in_any_state_stops_and_starts_nothing<B: Moved>() {
+    // While it is shut down, the button is still held.
+    for state in UNDER_WAY.into_iter().filter(|&state| state != StateName::ShuttingDown) {
+        let bus = B::drives(&Fleet::new(4).brakes(true)).unwrap();
+        let mut firmware = Firmware::start(&bus, Panel::default());
+        in_state(&mut firmware, state);
+        firmware.panel.is_button_down = true;
+        firmware.run_for(millis(2));
+        let told = &firmware.panel.reports;
+        assert_eq!(firmware.troubles(), [Trouble::Button], "{state:?}: {told:?}");
+        firmware.panel.is_button_down = false;
+        firmware.stays_stopped();
+        assert_eq!(firmware.troubles(), [Trouble::Button], "{state:?}");
+    }
+}
+
+fn a_bus_error_in_any_state_stops<B: Moved>() {
+    for state in UNDER_WAY {
+        let bus = B::drives(&Fleet::new(4).brakes(true)).unwrap();
+        let mut firmware = Firmware::start(&bus, Panel::default());
+        in_state(&mut firmware, state);
+        let Firmware { runner, app, panel, .. } = &mut firmware;
+        let now = runner.now();
+        app.handle_bus_error(&mut Moment { now, master: runner.master(), board: panel });
+        assert_eq!(firmware.troubles(), [Trouble::BusDown], "{state:?}");
+        firmware.stays_stopped();
+    }
+}
+
+fn a_motor_that_lost_its_master_while_getting_ready_is_not_moved<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2).brakes(true)).unwrap();
+    let mut firmware = Firmware::start(&bus, Panel::default());
+    in_state(&mut firmware, StateName::Preparing);
+    let Firmware { runner, app, panel, .. } = &mut firmware;
+    let (now, motor) = (runner.now(), id(2));
+    let at = &mut Moment { now, master: runner.master(), board: panel };
+    app.handle_event(&Event::LostMaster { motor }, at);
+    assert_eq!(firmware.troubles(), [Trouble::LostMaster { motor }]);
+    firmware.stays_stopped();
+}
+
+fn no_brake_opens_while_a_motor_has_an_error<B: Moved>() {
+    for id in 1..=4 {
+        let bus = B::drives(&Fleet::new(4).brakes(true)).unwrap();
+        let mut firmware = Firmware::start(&bus, Panel::default());
+        firmware.run_for(millis(1_500));
+        bus.drives[id - 1].with(|drive| drive.raise_fault(ErrorFlags::MOTOR_OVER_TEMPERATURE));
+        firmware.press(millis(50));
+        firmware.run_for(millis(500));
+        assert_eq!(firmware.troubles().len(), 1);
+        let told = &firmware.panel.reports;
+        assert!(!told.contains(&Report::State(StateName::Preparing)), "{told:?}");
+    }
+}
+
+fn replies_that_are_lost_are_counted<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    firmware.run_for(millis(300));
+    unplug(&bus, &bus.drives[1]);
+    firmware.run_for(millis(20));
+    bus.world.mend(bus.drives[1].station());
+    firmware.run_for(millis(1_100));
+    assert_eq!(firmware.troubles(), []);
+    let told = firmware.panel.reports.iter().rev().find_map(|report| match *report {
+        Report::Second { lost, .. } => Some(lost),
+        _ => None,
+    });
+    assert!(told.is_some_and(|lost| lost > 0), "{told:?}");
+}
+
+/// A bus whose driver reports an error once.
+struct Broken<'a, R>(&'a mut R, bool);
+
+impl<R: Runner<8>> Runner<8> for Broken<'_, R> {
+    type Error = &'static str;
+
+    fn master(&mut self) -> &mut Master<8> {
+        self.0.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, &'static str> {
+        if mem::take(&mut self.1) {
+            return Err("broken");
+        }
+        self.0.poll().map_err(|_| "really broken")
+    }
+
+    fn idle(&mut self, until: Instant) {
+        self.0.idle(until);
+    }
+}
+
+fn what_the_driver_reports_reaches_the_application<B: Moved>() {
+    let bus = B::drives(&Fleet::new(2)).unwrap();
+    let mut firmware = Firmware::running(&bus);
+    let Firmware { runner, app, panel, .. } = &mut firmware;
+    cycle(app, &mut Broken(runner, true), panel);
+    assert_eq!(firmware.troubles(), [Trouble::BusDown]);
+    firmware.stays_stopped();
+}
