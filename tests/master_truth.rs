@@ -15,8 +15,8 @@ use myactuator_host_std::sim::bus::faults::{Babble, Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::command::{
     AbsolutePosition, AccelerationIndex, BaudCode, Command, PidIndex, RawMotion, ReadAcceleration,
-    ReadMultiTurnEncoder, ReadPid, ReadRunTime, ReadStatus2, ReadVersionDate, Reset, SetBaudRate,
-    Speed, WritePidRam,
+    ReadMultiTurnEncoder, ReadPid, ReadStatus2, ReadVersionDate, Reset, SetBaudRate, Speed,
+    WritePidRam,
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
@@ -375,8 +375,8 @@ impl<W: Wire> Session<W> {
             400..550 => self.put(motor, angle(token), now),
             550..600 => self.put(motor, with_token(ReadMultiTurnEncoder, token), now),
             600..650 => self.put(motor, with_token(ReadStatus2, token), now),
-            650..700 => self.put(motor, with_token(ReadRunTime, token), now),
-            700..750 => self.put(motor, with_token(ReadVersionDate, token), now),
+            // Not the run time: one that goes back is that of a drive that has restarted.
+            650..750 => self.put(motor, with_token(ReadVersionDate, token), now),
             750..850 => {
                 // A finite number whatever the token.
                 let value = Gain::new(f32::from_bits(token & 0x3FFF_FFFF)).expect("finite");
@@ -436,7 +436,9 @@ impl<W: Wire> Session<W> {
             };
             match put {
                 Ok(()) => {}
-                Err(RequestError::Stopped | RequestError::Busy) => self.due[index] = true,
+                Err(RequestError::Stopped | RequestError::Busy | RequestError::Restarted) => {
+                    self.due[index] = true;
+                }
                 Err(error) => panic!("{error}: {}", self.told()),
             }
         }
@@ -455,7 +457,7 @@ impl<W: Wire> Session<W> {
                     self.told()
                 );
             }
-            Event::Sent { ticket } => {
+            Event::Sent { ticket, .. } => {
                 let open = self.close(ticket, event);
                 assert!(!open.kind.has_reply(), "{:?} has a reply. {}", open.kind, self.told());
                 self.totals.sent += 1;
@@ -504,6 +506,8 @@ impl<W: Wire> Session<W> {
                 self.totals.unconfirmed += 1;
                 self.stop_is_over(motor);
             }
+            // Whoever was silent for a second may have.
+            Event::Restarted { motor } => self.rig.runner.master().resume(motor),
             Event::Stray { .. } | Event::Report { .. } | Event::LostMaster { .. } => {}
             ref other => panic!("{other:?}. {}", self.told()),
         }
@@ -566,13 +570,13 @@ fn is_fooled(delay: Duration, late_window: Duration) -> bool {
     rig.world.set_faults(Direction::ToPorts, late_by(delay));
     let once = Patience { reply_timeout: Duration::from_millis(20), attempts: 1 };
     let (first, second) = (angle(1), angle(2));
-    assert!(rig.runner.call_with(motor, first, Some(once), |_| {}).is_err());
+    assert!(rig.runner.ask_with(motor, first, Some(once), |_| {}).is_err());
     // The bus is well again, but the first reply is still on its way.
     rig.world.set_faults(Direction::ToPorts, FaultPlan::NONE);
     let mut fooled = false;
     for _ in 0..20 {
-        let answer = rig.runner.call_with(motor, second, Some(once), |_| {});
-        fooled |= matches!(answer, Ok(Some(reply)) if reply.angle.raw() == 1);
+        let answer = rig.runner.ask_with(motor, second, Some(once), |_| {});
+        fooled |= matches!(answer, Ok(reply) if reply.angle.raw() == 1);
     }
     fooled
 }

@@ -8,52 +8,47 @@ use std::f32::consts::TAU;
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::command::{
-    AnyReply, MotionFeedback, MotionRanges, MotionSetPoint, ReadVersionDate,
+    AnyReply, MotionFeedback, MotionRanges, MotionSetPoint, RawMotion, ReadVersionDate,
 };
-use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{Event, MotorSet, Presence, StopKind};
+use myactuator_protocol_core::io::{CallError, Guard, Runner};
+use myactuator_protocol_core::master::{Event, Failure, MotorSet, Presence, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Firmware, MotorId};
 
-/// Moves eight motors at 500 Hz until `plan` has nothing more to say or something fails, and stops
-/// them. `scale` is that of their firmware: never guess it. Gives those that have not confirmed the
-/// stop: cut their power.
+/// Moves eight motors at 500 Hz until `plan` has nothing more to say. `scale` is that of their firmware:
+/// never guess it. However this is left, by an error or by its end, the motors are stopped; gives those that
+/// have not confirmed the stop: cut their power.
 fn run<R: Runner<8>>(
     bus: &mut R,
     scale: &MotionRanges,
-    mut plan: impl FnMut(MotorId, Option<&MotionFeedback>) -> Option<MotionSetPoint>,
-) -> MotorSet {
-    let arm: MotorSet = MotorId::all().take(8).collect();
+    mut plan: impl FnMut(MotorId, Option<&MotionFeedback>) -> Option<RawMotion>,
+) -> Result<MotorSet, CallError<R::Error>> {
+    let mut bus = Guard::new(bus, StopKind::Hold);
     let mut measured: [Option<MotionFeedback>; 8] = [None; 8];
     let mut next = bus.now();
-    'control: loop {
-        for motor in arm.iter() {
+    loop {
+        for motor in MotorId::all().take(8) {
             let Some(wanted) = plan(motor, measured[motor.index()].as_ref()) else {
-                break 'control;
+                return Ok(bus.stop());
             };
-            let Ok(raw) = scale.quantise(&wanted) else { break 'control };
-            if bus.set_point(motor, raw).is_err() {
-                break 'control;
-            }
+            bus.set_point(motor, wanted)?;
         }
         next += Duration::from_millis(2);
         while bus.now() < next {
-            match bus.poll() {
-                Ok(Some(Event::Feedback { motor, reply: AnyReply::Motion(raw) })) => {
+            match bus.poll().map_err(CallError::Bus)? {
+                Some(Event::Feedback { motor, reply: AnyReply::Motion(raw) }) => {
                     measured[motor.index()] = Some(scale.feedback(&raw));
                 }
-                Ok(Some(Event::SetPointUnanswered { motor }))
+                Some(Event::SetPointUnanswered { motor })
                     if bus.master().health(motor).presence == Presence::Silent =>
                 {
-                    break 'control;
+                    return Err(CallError::Failed(Failure::NoReply));
                 }
-                Ok(Some(_)) => {}
-                Ok(None) => bus.idle(next),
-                Err(_) => break 'control,
+                Some(_) => {}
+                None => bus.idle(next),
             }
         }
     }
-    bus.stop_all(StopKind::Hold, arm)
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -74,14 +69,16 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
         }
         let phase = TAU * tick as f32 / 500.0;
-        (tick <= 1_000).then_some(MotionSetPoint {
+        let wanted = MotionSetPoint {
             position_rad: 0.5 * phase.sin(),
             velocity_rad_s: 0.5 * TAU * phase.cos(),
             kp: 40.0,
             kd: 2.0,
             torque_nm: 0.0,
-        })
+        };
+        // Nothing that the scale cannot say is ever sent: it ends the plan.
+        scale.quantise(&wanted).ok().filter(|_| tick <= 1_000)
     };
-    let running = run(&mut bus, &scale, plan);
+    let running = run(&mut bus, &scale, plan)?;
     if running.is_empty() { Ok(()) } else { Err(format!("cut the power of {running}").into()) }
 }

@@ -52,7 +52,7 @@ impl World {
     }
 
     /// Sends the motor a command and waits for its reply.
-    fn ask<C: Command>(&mut self, command: C) -> Result<Option<C::Reply>, Box<dyn Error>> {
+    fn ask<C: Command>(&mut self, command: C) -> Result<C::Reply, Box<dyn Error>> {
         let ticket = self.master.request(MotorId::MIN, command)?;
         loop {
             match self.poll().and_then(|event| ticket.outcome(&event)) {
@@ -74,8 +74,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         world.poll();
         world.jump(there);
     }
-    if let Some(reading) = world.ask(ReadMultiTurnAngle)? {
-        println!("It has come to {}.", reading.angle);
-    }
+    println!("It has come to {}.", world.ask(ReadMultiTurnAngle)?.angle);
     Ok(())
 }

@@ -80,6 +80,10 @@ pub enum RequestError {
         /// How many it is made for.
         capacity: usize,
     },
+    /// The motor has restarted, so that its turns may be lost: see
+    /// [`Master::resume`](crate::master::Master::resume).
+    #[error("the motor has restarted: see where it is, then resume")]
+    Restarted,
     /// The motors were stopped, and the command
     /// [is refused](crate::Kind::is_refused_while_stopped) until the stop is lifted.
     #[error("the motors were stopped: lift the stop first")]

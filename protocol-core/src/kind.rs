@@ -5,7 +5,7 @@ use core::fmt;
 use crate::data::Data;
 use crate::error::RequestError;
 use crate::id::Target;
-use crate::opcode::{Buses, Opcode, Reach, Repeat, ReplyRule};
+use crate::opcode::{Buses, Opcode, Reach, Repeat, ReplyRule, Usage};
 use crate::packet::Channel;
 
 /// What a master has to know of a command to send it and to know its answer: a row of the table, or
@@ -32,6 +32,9 @@ impl Kind {
     /// command byte, what the table says of it holds, so that nobody's own [`Command`](crate::Command)
     /// gets round a rule by a wrong claim.
     pub(crate) fn of_bytes(self, data: &Data) -> Self {
+        if let Self::Known(Opcode::Motion) = self {
+            return self;
+        }
         match (self, Opcode::from_byte(data[0])) {
             (Self::Known(opcode), _) if opcode.byte().is_none_or(|byte| byte == data[0]) => self,
             (_, Some(opcode)) => Self::Known(opcode),
@@ -104,12 +107,22 @@ impl Kind {
     /// one, the same key byte. Who sent it is the channel's affair.
     #[inline]
     pub fn answers(self, command: &Data, reply: &Data) -> bool {
-        let key_byte = match self {
-            Self::Known(opcode) => opcode.key_byte(),
-            Self::Raw { .. } => None,
-        };
-        let key_agrees = key_byte.is_none_or(|at| command.get(at) == reply.get(at));
-        key_agrees && self.byte().is_none_or(|byte| reply[0] == byte)
+        self.key(command) == self.key(reply) && self.byte().is_none_or(|byte| reply[0] == byte)
+    }
+
+    /// The byte that a command and its reply share beside the first, where the kind has one.
+    #[inline]
+    pub(crate) fn key(self, data: &Data) -> Option<u8> {
+        let at = self.opcode()?.key_byte()?;
+        data.get(at).copied()
+    }
+
+    /// Whether it may set the motor in motion.
+    pub(crate) const fn moves(self) -> bool {
+        match self {
+            Self::Known(opcode) => matches!(opcode.usage(), Usage::SetPoint | Usage::Move),
+            Self::Raw { moves, .. } => moves,
+        }
     }
 
     /// The channel on which a command of this kind reaches `target`.
@@ -160,7 +173,6 @@ impl fmt::Display for Kind {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::opcode::Usage;
 
     #[test]
     fn a_stop_lets_pass_what_its_documentation_says() {

@@ -143,7 +143,7 @@ fn errors_are_reported_while_they_last<W: Wire>() {
 
     // The first at once, before the reply to this.
     let mut told = Vec::new();
-    master.call_with(MOTOR, switch(true), None, |event| told.push(event)).unwrap();
+    master.ask_with(MOTOR, switch(true), None, |event| told.push(event)).unwrap();
     told.extend(listen(&mut master, millis(950)));
     assert_eq!(told.len(), 10, "{told:?}");
     for event in told {
@@ -233,7 +233,7 @@ fn physical_errors_of_level_one_need_a_restart<W: Wire>() {
     drive.with(|drive| drive.plant_mut().set_encoder_fault(false));
     listen(&mut master, millis(1_000));
     assert_eq!(read_errors(&mut master), broken);
-    master.call(MOTOR, Reset).unwrap();
+    master.ask(MOTOR, Reset).unwrap();
     bring_up::wait_until_there(&mut master, MOTOR, Duration::from_secs(5)).unwrap();
     assert_eq!(read_errors(&mut master), ErrorFlags::empty());
 }

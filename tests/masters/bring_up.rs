@@ -5,8 +5,8 @@ use std::fmt::Debug;
 use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::command::{
-    BrakeCommand, ErrorFlags, MotionLimits, MotionRanges, ReadMultiTurnAngle,
-    ReadMultiTurnEncoderOffset, ReadStatus1,
+    BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges, ReadMultiTurnAngle,
+    ReadMultiTurnEncoderOffset, ReadStatus1, Reset,
 };
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
@@ -28,6 +28,7 @@ on_both_buses! {
     a_motor_is_waited_for_after_its_power_was_cycled
     a_zero_is_kept_over_a_power_cycle
     an_id_is_not_changed_while_two_motors_listen_or_it_is_taken
+    an_id_that_two_motors_have_is_not_changed
     the_only_motor_gets_its_new_id_for_good
     a_brake_is_open_before_torque_comes
     a_brake_that_does_not_open_is_told
@@ -139,6 +140,22 @@ fn an_id_is_not_changed_while_two_motors_listen_or_it_is_taken<W: Wire>() {
     for (drive, number) in bus.drives.iter().zip(1..) {
         let ids = drive.with(|drive| (drive.id(), drive.stored_settings().id));
         assert_eq!(ids, (id(number), id(number)), "nothing was changed");
+    }
+}
+
+fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
+    let bus = W::drives(&Fleet::new(2)).unwrap();
+    let runner = &mut master(&bus);
+    // As they come from the factory.
+    runner.ask(id(2), FunctionControl::SetCanId(id(1))).expect("it is sent");
+    runner.ask(id(2), Reset).expect("it is sent");
+    listen(runner, millis(3_000));
+    let refused = bring_up::change_id(runner, id(1), id(9));
+    // On a line both speak at once, so that nobody is understood.
+    let none = Err(BringUpError::NotAlone(MotorSet::EMPTY));
+    assert!(refused == Err(BringUpError::IdShared(id(1))) || refused == none, "{refused:?}");
+    for drive in &bus.drives {
+        assert_eq!(drive.with(|drive| drive.stored_settings().id), id(1), "nothing was changed");
     }
 }
 

@@ -85,6 +85,8 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
                     broadcast = false;
                     silent.iter().for_each(|motor| told[motor.index()].silent += 1);
                 }
+                // Whoever was cut off for a second may have.
+                Some(Event::Restarted { motor }) => rig.runner.master().resume(motor),
                 Some(other) => panic!("{other:?} in {case:?}"),
                 None if open > 0 || broadcast || rig.runner.master().is_anything_in_flight() => {
                     rig.runner.idle(rig.world.now() + Duration::from_secs(1));
@@ -101,12 +103,15 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         // What really happened: commands that were on the wire, replies that got through.
         let got_through = page.replied - page.replies_lost;
         let lost_on_the_way = (page.sent.asking - page.heard.asking) + page.replies_lost;
-        assert_eq!(u64::from(health.lost), page.sent.asking - got_through, "{what}");
+        // Where several frames in a row are lost the bus looks quiet, and feedback that waits for it late.
+        let late = got_through - u64::from(health.answered);
+        assert!(late <= got_through / 100 && (late == 0 || case.percent > 0), "{what}");
+        assert_eq!(u64::from(health.lost), page.sent.asking - got_through + late, "{what}");
         if !case.cuts {
-            assert_eq!(u64::from(health.lost), lost_on_the_way, "{what}");
+            assert_eq!(u64::from(health.lost), lost_on_the_way + late, "{what}");
         }
-        assert_eq!(u64::from(health.answered) + told.broadcast_replies, got_through, "{what}");
-        assert_eq!(u64::from(health.answered), told.replies + told.feedback, "{what}");
+        let told_answered = told.replies + told.feedback + told.broadcast_replies;
+        assert_eq!(u64::from(health.answered) + late, told_answered, "{what}");
         assert_eq!(health.stray, 0, "{what}");
         let told_lost = told.no_reply + told.unanswered + told.silent;
         if case.attempts == 1 {
@@ -157,7 +162,7 @@ fn a_motor_that_is_not_there_is_late_and_then_silent() {
     let mut presence = Vec::new();
     for token in 0..4 {
         let read = angle(token);
-        assert!(rig.runner.call_with(id(1), read, Some(once), |_| {}).is_err());
+        assert!(rig.runner.ask_with(id(1), read, Some(once), |_| {}).is_err());
         presence.push(rig.runner.master().health(id(1)).presence);
     }
     assert_eq!(presence, [Presence::Late, Presence::Late, Presence::Silent, Presence::Silent]);

@@ -5,10 +5,12 @@ use core::future::ready;
 use core::marker::PhantomData;
 
 use embassy_futures::select::{Either, select};
-use embedded_can::Frame;
+use embassy_futures::yield_now;
+use embedded_can::{Error as _, ErrorKind, Frame};
 
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
+use crate::io::can::FRAMES_A_ROUND;
 use crate::io::runner::STUCK_AFTER;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
@@ -25,15 +27,15 @@ pub trait AsyncCan {
     /// The driver's frame.
     type Frame: Frame;
     /// What the driver reports when it fails.
-    type Error: fmt::Debug;
+    type Error: embedded_can::Error;
 
     /// Gives a frame to the controller and is done once it has taken it, that is, once it lies in a
     /// mailbox or queue. It must not wait until the frame is on the bus: one frame would be on its
-    /// way at a time.
+    /// way at a time. Gives the frame that had to make way for it, if one had.
     ///
-    /// It is dropped when the controller takes nothing for long. A frame whose future was dropped
-    /// must not have been taken: it is offered again.
-    async fn transmit(&mut self, frame: &Self::Frame) -> Result<(), Self::Error>;
+    /// It is dropped when the controller takes nothing for the time of a frame. A frame whose future was
+    /// dropped must not have been taken: it is offered again, unless something more urgent is.
+    async fn transmit(&mut self, frame: &Self::Frame) -> Result<Option<Self::Frame>, Self::Error>;
 
     /// The next frame from the bus.
     ///
@@ -46,7 +48,7 @@ impl<C: AsyncCan + ?Sized> AsyncCan for &mut C {
     type Frame = C::Frame;
     type Error = C::Error;
 
-    async fn transmit(&mut self, frame: &C::Frame) -> Result<(), C::Error> {
+    async fn transmit(&mut self, frame: &C::Frame) -> Result<Option<C::Frame>, C::Error> {
         (**self).transmit(frame).await
     }
 
@@ -62,8 +64,11 @@ impl<C: AsyncCan + ?Sized> AsyncCan for &mut C {
 /// #     pub use myactuator_protocol_core::wire::can::SimpleFrame as Frame;
 /// #     pub struct Envelope { pub frame: Frame }
 /// #     #[derive(Debug)] pub struct BusError;
+/// #     impl embedded_can::Error for BusError {
+/// #         fn kind(&self) -> embedded_can::ErrorKind { embedded_can::ErrorKind::Other }
+/// #     }
 /// #     pub struct CanTx; pub struct CanRx;
-/// #     impl CanTx { pub async fn write(&mut self, _: &Frame) {} }
+/// #     impl CanTx { pub async fn write(&mut self, _: &Frame) -> Option<Frame> { None } }
 /// #     impl CanRx { pub async fn read(&mut self) -> Result<Envelope, BusError> { Err(BusError) } }
 /// # }
 /// use myactuator_protocol_core::io::{AsyncCan, CanHalves};
@@ -87,7 +92,7 @@ pub struct CanHalves<T, R, F, E> {
 
 impl<T, R, F, E> CanHalves<T, R, F, E>
 where
-    T: AsyncFnMut(&F) -> Result<(), E>,
+    T: AsyncFnMut(&F) -> Result<Option<F>, E>,
     R: AsyncFnMut() -> Result<F, E>,
 {
     /// The function that sends and the one that receives.
@@ -104,15 +109,15 @@ impl<T, R, F, E> fmt::Debug for CanHalves<T, R, F, E> {
 
 impl<T, R, F, E> AsyncCan for CanHalves<T, R, F, E>
 where
-    T: AsyncFnMut(&F) -> Result<(), E>,
+    T: AsyncFnMut(&F) -> Result<Option<F>, E>,
     R: AsyncFnMut() -> Result<F, E>,
     F: Frame,
-    E: fmt::Debug,
+    E: embedded_can::Error,
 {
     type Frame = F;
     type Error = E;
 
-    async fn transmit(&mut self, frame: &F) -> Result<(), E> {
+    async fn transmit(&mut self, frame: &F) -> Result<Option<F>, E> {
         (self.transmit)(frame).await
     }
 
@@ -138,12 +143,14 @@ pub struct AsyncCanMaster<C, K, const N: usize> {
     /// The event of a frame, until somebody takes it. Here rather than in a future, which may be
     /// dropped.
     told: Option<Event>,
+    frame_time: Duration,
 }
 
 impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock.
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        Self { can, clock, master: Master::new(config), stuck_since: None, told: None }
+        let frame_time = config.frame_time;
+        Self { can, clock, master: Master::new(config), stuck_since: None, told: None, frame_time }
     }
 
     /// The controller and the clock back.
@@ -159,20 +166,28 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
                 Ok(())
             }
             Err(error) => {
-                self.master.handle_bus_down(now);
+                // A frame that was overwritten says nothing about the bus; anything else may.
+                if error.kind() != ErrorKind::Overrun {
+                    self.master.handle_bus_down(now);
+                }
                 Err(error)
             }
         }
     }
 
-    /// Takes what the controller holds, up to the first event.
+    /// Takes what the controller holds, up to the first event, but not so much that a babbling bus could
+    /// keep the task.
     async fn receive(&mut self) -> Result<(), C::Error> {
-        while self.told.is_none() {
+        for _ in 0..FRAMES_A_ROUND {
+            if self.told.is_some() {
+                return Ok(());
+            }
             match select(self.can.receive(), ready(())).await {
                 Either::First(received) => self.take(received)?,
-                Either::Second(()) => break,
+                Either::Second(()) => return Ok(()),
             }
         }
+        yield_now().await;
         Ok(())
     }
 
@@ -181,26 +196,35 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     async fn transmit(&mut self) -> Result<Option<Instant>, C::Error> {
         loop {
             let now = self.clock.now();
+            let is_stuck = self.stuck_since.is_some_and(|since| now - since >= STUCK_AFTER);
+            if is_stuck {
+                self.master.handle_bus_down(now);
+            }
             let Some(packet) = self.master.poll_transmit(now) else { return Ok(None) };
             // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
             let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(None) };
-            let busy_until = *self.stuck_since.get_or_insert(now) + STUCK_AFTER;
-            let patience = self.clock.wait_until(busy_until);
+            self.stuck_since.get_or_insert(now);
+            // While it waits nothing is received, and a controller has few places for that.
+            let patience = self.clock.wait_until(now + self.frame_time);
             match select(self.can.transmit(&frame), patience).await {
-                Either::First(Ok(())) => {
+                Either::First(Ok(pushed_out)) => {
                     self.stuck_since = None;
                     self.master.handle_transmitted(self.clock.now());
+                    if let Some(can::Received::Packet(packet)) =
+                        pushed_out.as_ref().map(can::decode)
+                    {
+                        self.master.handle_pushed_out(&packet);
+                    }
                 }
                 Either::First(Err(error)) => {
                     self.stuck_since = None;
                     self.master.handle_bus_down(self.clock.now());
                     return Err(error);
                 }
-                Either::Second(()) => {
-                    let now = self.clock.now();
-                    self.master.handle_bus_down(now);
-                    return Ok(Some(now + RETRY_AFTER));
+                Either::Second(()) if is_stuck => {
+                    return Ok(Some(self.clock.now() + RETRY_AFTER));
                 }
+                Either::Second(()) => {}
             }
             self.receive().await?;
             if self.told.is_some() {

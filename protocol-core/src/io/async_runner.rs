@@ -7,15 +7,15 @@ use embassy_futures::yield_now;
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::runner::{CallError, StopWatch};
-use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
+use crate::io::runner::{Asking, CallError, StopWatch};
+use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;
 
 /// An async loop that runs a [`Master`] on a bus: [`Runner`](crate::io::Runner) for tasks.
 ///
 /// The bus moves only while one of these futures is awaited. Any of them may be dropped, by a
 /// `select` or a time-out: no event is lost and no frame is sent twice. A request whose
-/// [`call`](Self::call) is dropped stays under way, and its motor is busy until it is over.
+/// [`ask`](Self::ask) is dropped stays under way, and the next one waits for its end.
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
 pub trait AsyncRunner<const N: usize> {
     /// What the bus driver reports when it fails.
@@ -46,37 +46,33 @@ pub trait AsyncRunner<const N: usize> {
         }
     }
 
-    /// As [`Runner::call_with`](crate::io::Runner::call_with).
+    /// As [`Runner::ask_with`](crate::io::Runner::ask_with).
     ///
     /// # Errors
-    /// [`CallError`].
-    async fn call_with<C: Command>(
+    /// As there.
+    async fn ask_with<C: Command>(
         &mut self,
         motor: MotorId,
         command: C,
         patience: Option<Patience>,
         mut on_event: impl FnMut(Event),
-    ) -> Result<Option<C::Reply>, CallError<Self::Error>> {
-        let ticket = self.master().put_request(motor, command, patience)?;
+    ) -> Result<C::Reply, CallError<Self::Error>> {
+        let mut asking = Asking::new(motor, command, patience);
         loop {
-            let event = self.next_event().await.map_err(CallError::Bus)?;
-            match ticket.outcome(&event) {
+            asking.put(self.master())?;
+            let event = match self.next_event().await {
+                Ok(event) => event,
+                Err(error) => {
+                    // A bus that fails again and again leaves the other tasks their turns.
+                    yield_now().await;
+                    return Err(CallError::Bus(error));
+                }
+            };
+            match asking.outcome(&event) {
                 Some(outcome) => return outcome.map_err(CallError::Failed),
                 None => on_event(event),
             }
         }
-    }
-
-    /// As [`Runner::call`](crate::io::Runner::call).
-    ///
-    /// # Errors
-    /// [`CallError`].
-    async fn call<C: Command>(
-        &mut self,
-        motor: MotorId,
-        command: C,
-    ) -> Result<Option<C::Reply>, CallError<Self::Error>> {
-        self.call_with(motor, command, None, |_| {}).await
     }
 
     /// As [`Runner::ask`](crate::io::Runner::ask).
@@ -88,7 +84,7 @@ pub trait AsyncRunner<const N: usize> {
         motor: MotorId,
         command: C,
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        self.call(motor, command).await?.ok_or(CallError::Failed(Failure::NoReply))
+        self.ask_with(motor, command, None, |_| {}).await
     }
 
     /// Puts a set-point in a motor's stream; see [`Master::set_point`]. It leaves at the next

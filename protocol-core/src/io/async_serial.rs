@@ -3,12 +3,13 @@
 use core::future::ready;
 
 use embassy_futures::select::{Either, select};
+use embassy_futures::yield_now;
 use embedded_io_async::{Read, Write};
 
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
 use crate::io::clock::Clock;
-use crate::io::line::{self, Line};
+use crate::io::line::{self, Line, READS_A_ROUND};
 use crate::io::runner::{LONGEST_IDLE, STUCK_AFTER};
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
@@ -51,7 +52,13 @@ impl<K: Clock, const N: usize> Drop for CountsAsSent<'_, K, N> {
 impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> {
     /// A loop on this port, timed by this clock; see [`Config::rs485`].
     pub fn new(serial: S, clock: K, config: Config) -> Self {
-        Self { serial, clock, master: Master::new(config), line: Line::new(), unflushed: false }
+        Self {
+            serial,
+            clock,
+            master: Master::new(config),
+            line: Line::new(&config),
+            unflushed: false,
+        }
     }
 
     /// The port and the clock back.
@@ -61,7 +68,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
 
     /// Takes what the port holds, up to the first event.
     async fn receive(&mut self, now: Instant) -> Result<Option<Event>, S::Error> {
-        loop {
+        for _ in 0..READS_A_ROUND {
             let event = self.line.take(&mut self.master, now);
             if event.is_some() {
                 return Ok(event);
@@ -71,16 +78,19 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
                 Either::First(bytes) => self.line.filled(bytes?),
             }
         }
+        yield_now().await;
+        Ok(self.line.take(&mut self.master, now))
     }
 
     async fn transmit(&mut self) -> Result<(), S::Error> {
         let now = self.clock.now();
         let Some(frame) = line::offered(&mut self.master, now) else { return Ok(()) };
+        self.line.sent(frame, now);
         self.unflushed = true;
         let Self { serial, clock, master, .. } = self;
         let mut sending = CountsAsSent { master, clock, is_over: false };
         let patience = sending.clock.wait_until(now + STUCK_AFTER);
-        let outcome = select(write(serial, &frame), patience).await;
+        let outcome = select(write(serial, &frame.encode()), patience).await;
         sending.is_over = true;
         drop(sending);
         let now = self.clock.now();

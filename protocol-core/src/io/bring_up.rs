@@ -14,6 +14,7 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::runner::{CallError, LONGEST_IDLE, Runner};
 use crate::master::{Event, Failure, MotorSet, Patience};
+use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 use crate::units::{Angle, EncoderPulses, Milliseconds};
 
@@ -35,6 +36,9 @@ pub enum BringUpError<E> {
     /// These answered.
     #[error(fmt = not_alone)]
     NotAlone(MotorSet),
+    /// More than one motor answers under this id, as those from the factory do.
+    #[error("two motors or more answer as motor {0}: connect only the one to change")]
+    IdShared(MotorId),
     /// After the restart the zero is not where it was put.
     #[error(
         "the zero was not kept: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
@@ -182,7 +186,7 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 ) -> Result<(), BringUpError<R::Error>> {
     let deadline = runner.now() + time;
     loop {
-        match runner.call_with(motor, ReadStatus1, Some(QUICK), |_| {}) {
+        match runner.ask_with(motor, ReadStatus1, Some(QUICK), |_| {}) {
             Ok(_) | Err(CallError::Failed(Failure::Unreadable(_))) => return Ok(()),
             Err(CallError::Failed(_)) if runner.now() < deadline => {}
             Err(CallError::Failed(_)) => return Err(BringUpError::NotThere(motor)),
@@ -214,10 +218,10 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 }
 
 /// Gives the only motor on the bus another id (0x79) and restarts it. Every connected motor obeys
-/// that command, so it is sent only if exactly `from` answers.
+/// that command, so it is sent only if exactly `from` answers, and once.
 ///
 /// # Errors
-/// [`BringUpError::NotAlone`], [`BringUpError::IdTaken`], [`BringUpError::NotThere`] if nobody answers
+/// [`BringUpError::NotAlone`], [`BringUpError::IdShared`], [`BringUpError::IdTaken`], [`BringUpError::NotThere`] if nobody answers
 /// under the new id, [`BringUpError::Call`].
 pub fn change_id<R: Runner<N>, const N: usize>(
     runner: &mut R,
@@ -231,12 +235,38 @@ pub fn change_id<R: Runner<N>, const N: usize>(
     if there != MotorSet::from(from) {
         return Err(BringUpError::NotAlone(there));
     }
+    if is_shared(runner, from)? {
+        return Err(BringUpError::IdShared(from));
+    }
     runner.master().broadcast(BusId::Write(to), to.into())?;
     // The reply is not needed: what counts is who answers after the restart.
     run_until(runner, None, |event| matches!(event, Event::BroadcastDone { .. }))?;
     restart(runner, from, to)?;
     runner.master().forget(from);
     Ok(())
+}
+
+/// Whether one question to this id is answered more than once. It is one whose answers differ, for equal
+/// frames of two motors may become one on a CAN bus.
+fn is_shared<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    id: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    const BOTH_HAVE_ANSWERED: Duration = Duration::from_millis(50);
+    let is_second = |event: &Event| {
+        let byte = Opcode::ReadRunTime.byte();
+        matches!(event, Event::Stray { motor, data } if *motor == id && Some(data[0]) == byte)
+    };
+    let mut is_shared = false;
+    runner.ask_with(id, ReadRunTime, None, |event| is_shared |= is_second(&event))?;
+    let until = runner.now() + BOTH_HAVE_ANSWERED;
+    while !is_shared && runner.now() < until {
+        match runner.poll().map_err(CallError::Bus)? {
+            Some(event) => is_shared = is_second(&event),
+            None => runner.idle(until),
+        }
+    }
+    Ok(is_shared)
 }
 
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77,
@@ -289,7 +319,7 @@ fn restart<R: Runner<N>, const N: usize>(
     then: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
     const LONGEST_RESTART: Duration = Duration::from_secs(5);
-    runner.call(motor, Reset)?;
+    runner.ask(motor, Reset)?;
     wait_until_there(runner, then, LONGEST_RESTART)
 }
 

@@ -9,7 +9,7 @@ use crate::time::Instant;
 use crate::wire::can;
 
 /// Frames that one round takes at the most, so that a babbling bus cannot keep it.
-const FRAMES_A_ROUND: usize = 64;
+pub(super) const FRAMES_A_ROUND: usize = 64;
 
 /// Runs a [`Master`] on a CAN controller.
 ///
@@ -72,11 +72,14 @@ impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
             // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
             let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(()) };
             match self.can.transmit(&frame) {
-                // A frame that a more urgent one pushed out of its mailbox is lost for the drive; its
-                // request times out like any other loss.
-                Ok(_pushed_out) => {
+                Ok(pushed_out) => {
                     self.stuck_since = None;
                     self.master.handle_transmitted(now);
+                    if let Some(can::Received::Packet(packet)) =
+                        pushed_out.as_ref().map(can::decode)
+                    {
+                        self.master.handle_pushed_out(&packet);
+                    }
                 }
                 Err(::nb::Error::WouldBlock) => {
                     if now - *self.stuck_since.get_or_insert(now) > STUCK_AFTER {

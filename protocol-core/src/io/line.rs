@@ -1,16 +1,20 @@
 //! From the bytes of a serial port to the master: what the blocking and the async loop share.
 
-use crate::master::{Event, Master};
+use crate::io::echo::EchoFilter;
+use crate::master::{Bus, Config, Event, Master};
 use crate::time::Instant;
-use crate::wire::rs485::{FRAME_LENGTH, Frame, Receiver};
+use crate::wire::rs485::{Fed, Frame, Receiver};
 
 /// Bytes read at once.
 const CHUNK: usize = 32;
+/// How often one round reads at the most, so that a babbling line cannot keep it.
+pub(super) const READS_A_ROUND: usize = 64;
 
 /// The receiving side of a serial port, and the bytes that were read from it and not looked at yet.
 #[derive(Debug)]
 pub(super) struct Line {
     receiver: Receiver,
+    echoes: EchoFilter,
     chunk: [u8; CHUNK],
     /// The bytes of `chunk` that are still to be looked at.
     next: usize,
@@ -18,8 +22,9 @@ pub(super) struct Line {
 }
 
 impl Line {
-    pub(super) const fn new() -> Self {
-        Self { receiver: Receiver::new(), chunk: [0; CHUNK], next: 0, end: 0 }
+    pub(super) const fn new(config: &Config) -> Self {
+        let echoes = EchoFilter::new(matches!(config.bus, Bus::Rs485 { echo: true, .. }));
+        Self { receiver: Receiver::new(), echoes, chunk: [0; CHUNK], next: 0, end: 0 }
     }
 
     /// Hands on the bytes that were read, up to the first event.
@@ -30,13 +35,21 @@ impl Line {
     ) -> Option<Event> {
         while let Some(&byte) = self.chunk.get(..self.end).and_then(|read| read.get(self.next)) {
             self.next += 1;
-            let fed = self.receiver.feed(byte);
-            let event = master.handle_line(&fed, now);
+            let Fed::Frame(frame) = self.receiver.feed(byte) else { continue };
+            if self.echoes.is_echo(&frame, now) {
+                continue;
+            }
+            let event = master.handle_line(&frame, now);
             if event.is_some() {
                 return event;
             }
         }
         None
+    }
+
+    /// A frame has left.
+    pub(super) fn sent(&mut self, frame: Frame, now: Instant) {
+        self.echoes.sent(frame, now);
     }
 
     /// Where to read to, once [`take`](Self::take) has given its last event.
@@ -52,11 +65,7 @@ impl Line {
     }
 }
 
-/// The bytes of what the master offers; it offers nothing that RS485 has no frame for.
-pub(super) fn offered<const N: usize>(
-    master: &mut Master<N>,
-    now: Instant,
-) -> Option<[u8; FRAME_LENGTH]> {
-    let packet = master.poll_transmit(now)?;
-    Frame::from_packet(&packet).map(|frame| frame.encode())
+/// What the master offers; it offers nothing that RS485 has no frame for.
+pub(super) fn offered<const N: usize>(master: &mut Master<N>, now: Instant) -> Option<Frame> {
+    Frame::from_packet(&master.poll_transmit(now)?)
 }

@@ -5,7 +5,7 @@ use core::fmt;
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
+use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind, Ticket};
 use crate::time::{Duration, Instant};
 
 /// Why a call has no answer.
@@ -27,7 +27,7 @@ pub enum CallError<E> {
 /// How long a stop of all motors is tried at the most.
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
-/// How long [`Runner::call`] sleeps at most between two looks at the bus.
+/// How long [`Runner::ask`] sleeps at most between two looks at the bus.
 pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
 /// A bus that takes nothing for so long counts as down.
@@ -56,22 +56,24 @@ pub trait Runner<const N: usize> {
     /// first, as well as the clock can.
     fn idle(&mut self, until: Instant);
 
-    /// Sends a command to one motor and waits for its answer; `None` for commands without one.
-    /// `on_event` gets everything else that happens meanwhile.
+    /// Sends a command to one motor and waits for its answer, or until it was sent if it has none. While an
+    /// earlier request to the motor is under way it waits for the end of that. `on_event` gets everything
+    /// else that happens meanwhile.
     ///
     /// # Errors
-    /// [`CallError`].
-    fn call_with<C: Command>(
+    /// [`CallError`]. After one of the bus the request may still be under way: the next one waits for it.
+    fn ask_with<C: Command>(
         &mut self,
         motor: MotorId,
         command: C,
         patience: Option<Patience>,
         mut on_event: impl FnMut(Event),
-    ) -> Result<Option<C::Reply>, CallError<Self::Error>> {
-        let ticket = self.master().put_request(motor, command, patience)?;
+    ) -> Result<C::Reply, CallError<Self::Error>> {
+        let mut asking = Asking::new(motor, command, patience);
         loop {
+            asking.put(self.master())?;
             match self.poll().map_err(CallError::Bus)? {
-                Some(event) => match ticket.outcome(&event) {
+                Some(event) => match asking.outcome(&event) {
                     Some(outcome) => return outcome.map_err(CallError::Failed),
                     None => on_event(event),
                 },
@@ -80,29 +82,17 @@ pub trait Runner<const N: usize> {
         }
     }
 
-    /// Sends a command to one motor and waits for its answer; `None` for commands without one. Other
+    /// Sends a command to one motor and waits for its answer, or until it was sent if it has none. Other
     /// events are passed over.
     ///
     /// # Errors
-    /// [`CallError`].
-    fn call<C: Command>(
-        &mut self,
-        motor: MotorId,
-        command: C,
-    ) -> Result<Option<C::Reply>, CallError<Self::Error>> {
-        self.call_with(motor, command, None, |_| {})
-    }
-
-    /// Asks a motor for something whose reply cannot be missing, and waits for it.
-    ///
-    /// # Errors
-    /// [`CallError`]; [`Failure::NoReply`] also for a command that has no reply.
+    /// As [`ask_with`](Self::ask_with).
     fn ask<C: Command>(
         &mut self,
         motor: MotorId,
         command: C,
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        self.call(motor, command)?.ok_or(CallError::Failed(Failure::NoReply))
+        self.ask_with(motor, command, None, |_| {})
     }
 
     /// Puts a set-point in a motor's stream; see [`Master::set_point`].
@@ -127,6 +117,47 @@ pub trait Runner<const N: usize> {
             }
         }
         stop.unconfirmed()
+    }
+}
+
+/// A question that is put as soon as the motor is free for it.
+#[derive(Debug)]
+pub(super) struct Asking<C> {
+    motor: MotorId,
+    patience: Option<Patience>,
+    state: AskingState<C>,
+}
+
+#[derive(Debug)]
+enum AskingState<C> {
+    ToBePut(C),
+    Put(Ticket<C>),
+}
+
+impl<C: Command> Asking<C> {
+    pub(super) const fn new(motor: MotorId, command: C, patience: Option<Patience>) -> Self {
+        Self { motor, patience, state: AskingState::ToBePut(command) }
+    }
+
+    /// Puts it, unless it was put or the motor is busy.
+    pub(super) fn put<const N: usize>(
+        &mut self,
+        master: &mut Master<N>,
+    ) -> Result<(), RequestError> {
+        let AskingState::ToBePut(command) = &self.state else { return Ok(()) };
+        match master.put_request(self.motor, command, self.patience) {
+            Ok(ticket) => self.state = AskingState::Put(ticket),
+            Err(RequestError::Busy) => {}
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
+    pub(super) fn outcome(&self, event: &Event) -> Option<Result<C::Reply, Failure>> {
+        match &self.state {
+            AskingState::ToBePut(_) => None,
+            AskingState::Put(ticket) => ticket.outcome(event),
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use embedded_io::{Read, ReadReady, Write};
 
 use crate::io::clock::Clock;
-use crate::io::line::{self, Line};
+use crate::io::line::{self, Line, READS_A_ROUND};
 use crate::io::runner::Runner;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
@@ -21,7 +21,7 @@ pub struct SerialMaster<S, K, const N: usize> {
 impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N> {
     /// A loop on this port, timed by this clock; see [`Config::rs485`].
     pub fn new(serial: S, clock: K, config: Config) -> Self {
-        Self { serial, clock, master: Master::new(config), line: Line::new() }
+        Self { serial, clock, master: Master::new(config), line: Line::new(&config) }
     }
 
     /// The port and the clock back.
@@ -30,7 +30,7 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
     }
 
     fn receive(&mut self, now: Instant) -> Result<Option<Event>, S::Error> {
-        loop {
+        for _ in 0..READS_A_ROUND {
             let event = self.line.take(&mut self.master, now);
             if event.is_some() || !self.serial.read_ready()? {
                 return Ok(event);
@@ -40,11 +40,14 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
                 bytes => self.line.filled(bytes),
             }
         }
+        Ok(self.line.take(&mut self.master, now))
     }
 
     fn transmit(&mut self, now: Instant) -> Result<(), S::Error> {
         let Some(frame) = line::offered(&mut self.master, now) else { return Ok(()) };
-        let mut rest = frame.as_slice();
+        self.line.sent(frame, now);
+        let bytes = frame.encode();
+        let mut rest = bytes.as_slice();
         while !rest.is_empty() {
             match self.serial.write(rest)? {
                 // A port that takes nothing, which embedded-io forbids.

@@ -3,6 +3,7 @@
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
+use crate::master::late::Question;
 use crate::master::schedule::Earliest;
 use crate::master::{Master, MotorSet};
 use crate::packet::Packet;
@@ -27,12 +28,12 @@ pub(super) struct Broadcast {
     deadline: Instant,
     state: State,
     /// The last one that was sent may still be answered by those who are not in `heard`.
-    is_echoing: bool,
+    may_be_late: bool,
     /// Its command byte, and who has answered it, expected or not.
     sent_byte: u8,
     heard: MotorSet,
-    /// While `is_echoing`: until when.
-    echo_until: Instant,
+    /// While `may_be_late`: until when.
+    late_until: Instant,
 }
 
 impl Broadcast {
@@ -67,6 +68,11 @@ impl Broadcast {
         Some(Packet { channel, data: self.data })
     }
 
+    /// What it asks.
+    pub(super) fn question(&self) -> Option<Question> {
+        Some(Question::of(self.kind?, &self.data))
+    }
+
     /// What is or was sent last.
     pub(super) fn command(&self) -> (Option<Kind>, Data) {
         (self.kind, self.data)
@@ -78,23 +84,23 @@ impl Broadcast {
         self.state = if awaits_reply { State::InFlight } else { State::Done };
         self.sent = now;
         self.deadline = now + timeout;
-        self.is_echoing = has_reply;
+        self.may_be_late = has_reply;
         self.sent_byte = self.data[0];
         self.heard = MotorSet::EMPTY;
-        self.echo_until = self.deadline + late_window;
+        self.late_until = self.deadline + late_window;
     }
 
     /// Whether the answer of one of `motors` to the last broadcast may still come, expected or not,
     /// and could be mistaken for the answer to a command with this byte.
     pub(super) fn may_be_mistaken(&self, byte: u8, motors: MotorSet) -> bool {
-        self.is_echoing && self.sent_byte == byte && !motors.without(self.heard).is_empty()
+        self.may_be_late && self.sent_byte == byte && !motors.without(self.heard).is_empty()
     }
 
     /// Whether this broadcast may go, as far as the one before it is concerned: nobody among the
     /// `known` motors and the expected ones can still answer that.
     pub(super) fn may_go(&self, known: MotorSet) -> bool {
         let late = |motors: MotorSet| !motors.without(self.heard).is_empty();
-        !self.is_echoing || !(late(known) || late(self.expected))
+        !self.may_be_late || !(late(known) || late(self.expected))
     }
 
     /// Whether this reply of `motor` answers the broadcast; each motor that is expected to does so
@@ -111,7 +117,7 @@ impl Broadcast {
         if self.is_in_flight() && now - self.sent < shortest {
             return false;
         }
-        if self.is_echoing && data[0] == self.sent_byte {
+        if self.may_be_late && data[0] == self.sent_byte {
             self.heard.insert(motor);
         }
         let answers = self.is_in_flight()
@@ -133,9 +139,16 @@ impl Broadcast {
         }
     }
 
+    /// A controller has handed it back: it was never on the bus.
+    pub(super) fn was_pushed_out(&mut self) {
+        if self.is_in_flight() {
+            self.state = State::Waiting;
+        }
+    }
+
     /// Until when something may have to wait for late answers.
-    pub(super) fn echo_until(&self) -> Option<Instant> {
-        self.is_echoing.then_some(self.echo_until)
+    pub(super) fn late_until(&self) -> Option<Instant> {
+        self.may_be_late.then_some(self.late_until)
     }
 
     /// The silent ones of a broadcast that is over, once.
@@ -154,18 +167,15 @@ impl Broadcast {
 impl<const N: usize> Master<N> {
     /// Ends a broadcast whose time is up. The silent ones may still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
-        if self.broadcast.echo_until <= now {
-            self.broadcast.is_echoing = false;
+        if self.broadcast.late_until <= now {
+            self.broadcast.may_be_late = false;
         }
         if !self.broadcast.is_in_flight() || self.broadcast.deadline > now {
             return;
         }
         self.broadcast.state = State::Done;
-        let silent = self.broadcast.silent();
-        for lane in &mut self.lanes {
-            if lane.motor.is_some_and(|motor| silent.contains(motor)) {
-                lane.missed();
-            }
+        for motor in self.broadcast.silent().iter() {
+            self.change(motor, |motor, _| motor.has_missed());
         }
     }
 }

@@ -16,10 +16,9 @@ pub enum Bus {
     Rs485 {
         /// Pause between the end of a reply and the next command, for the drives to turn around.
         turnaround: Duration,
-        /// Whether the adapter hands back what is sent. Then the first frame after a sending is
-        /// taken for the echo and dropped, whatever its bytes: an adapter that hands back nothing
-        /// loses every reply so. Where thirteen bytes or more that are no frame come first, they
-        /// were the echo.
+        /// Whether the adapter hands back what is sent: then the first frame with the same bytes is
+        /// dropped. The loops find out by themselves if this is wrong, but not before the first
+        /// reads: see [`EchoFilter`](crate::io::EchoFilter).
         echo: bool,
     },
 }

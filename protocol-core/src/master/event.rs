@@ -16,7 +16,7 @@ use crate::master::MotorSet;
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct TicketId {
     pub(super) motor: MotorId,
-    pub(super) generation: u8,
+    pub(super) number: u32,
 }
 
 impl TicketId {
@@ -45,14 +45,17 @@ impl<C> Ticket<C> {
 }
 
 impl<C: Command> Ticket<C> {
-    /// The outcome of this request if the event brings it. `Ok(None)` is a command without
-    /// reply that has been sent.
-    pub fn outcome(&self, event: &Event) -> Option<Result<Option<C::Reply>, Failure>> {
+    /// The outcome of this request if the event brings it. Of a command that is over when it was sent it
+    /// says what was sent: nothing ([`NoReply`](crate::command::NoReply)), or the id of function 5, which
+    /// drives were seen to take without an answer.
+    pub fn outcome(&self, event: &Event) -> Option<Result<C::Reply, Failure>> {
         match *event {
             Event::Reply { ticket, data, .. } if ticket == self.id => {
-                Some(C::decode_reply(&data).map(Some).map_err(Failure::Unreadable))
+                Some(C::decode_reply(&data).map_err(Failure::Unreadable))
             }
-            Event::Sent { ticket, .. } if ticket == self.id => Some(Ok(None)),
+            Event::Sent { ticket, data } if ticket == self.id => {
+                Some(C::decode_reply(&data).map_err(Failure::Unreadable))
+            }
             Event::Failed { ticket, failure, .. } if ticket == self.id => Some(Err(failure)),
             _ => None,
         }
@@ -121,10 +124,12 @@ pub enum Event {
         /// The reply's data field.
         data: Data,
     },
-    /// A command without reply was sent.
+    /// A command that is over with that was sent.
     Sent {
         /// Which request.
         ticket: TicketId,
+        /// Its data field.
+        data: Data,
     },
     /// A request has no answer.
     Failed {
@@ -180,6 +185,13 @@ pub enum Event {
         motor: MotorId,
         /// Its reply.
         reply: AnyReply,
+    },
+    /// A motor has restarted, as far as the protocol shows: it was silent for a second and answers
+    /// again, or has run for less long than it said before (0xB1). Its turns may be lost. Its set-points
+    /// are refused until [`Master::resume`](crate::master::Master::resume).
+    Restarted {
+        /// The motor.
+        motor: MotorId,
     },
     /// A motor has lost its master and says so (0xF1). Its output is cut; it ignores the first
     /// command from now on.

@@ -7,17 +7,27 @@
 //! - [`Master::stop_all`] stops them, before anything else.
 //!
 //! # How answers find their questions
-//! Each motor has at most one command in flight, so that it is never in doubt what a reply is about.
-//! A reply is the answer to a request only if it comes from that motor, carries its command byte and
-//! index, and comes no sooner than [`Config::shortest_response`]. A request that is given up may
-//! still be answered late; until [`Config::late_window`] has passed, or the late reply has surely
-//! come, no other request goes to that motor. After a broadcast, requests of its kind wait likewise
-//! for the motors that have not answered it, and the next broadcast waits for all. Feedback of a
-//! stream looks like the reply to a request of the same kind, so there is one or the other.
+//! Each motor has at most one command in flight. Its reply is known by the motor, the command byte and
+//! the index, and comes no sooner than [`Config::shortest_response`]. What was given up may still be
+//! answered: for [`Config::late_window`] such a reply is expected too, and until it has come or cannot come
+//! any more, no equal question is put to that motor. Other questions are. After a broadcast, requests of
+//! its kind wait likewise for the motors that have not answered it, and the next broadcast waits for all.
+//! Every reply is held against this one list; what is not in it is an active report, or a stray.
 //!
-//! So an answer can only be wrong if the bus holds a frame back for longer than the late window, or
-//! if a command reaches its drive twice and the second reply comes later than
-//! [`Config::shortest_response`] after the next request of its kind.
+//! # What stops, and what a confirmation means
+//! A stop goes before everything, whatever is in flight, and nothing older follows it: what waited is
+//! dropped, and what a controller hands back is, too. A confirmation counts if it answers this stop and
+//! not an earlier one, and if nothing that was sent before can move the motor any more: a set-point may
+//! wait in a mailbox that the stop overtook. Otherwise the stop goes once more.
+//!
+//! # What can still go wrong
+//! A reply says which motor, which command and which index, and not which of two equal commands it
+//! answers. So an answer can be wrong if the bus holds a frame back for longer than the late window, if
+//! a drive answers twice or a command reaches it twice (the second reply may be taken for that to the
+//! next request of its kind), if two motors have one id, or if another master asks the same at the same
+//! time. A drive that restarts within a second without being asked anything meanwhile is not noticed, nor
+//! is one whose run time nobody reads. And a stop cannot be confirmed by a motor whose replies do not come
+//! through: then cut its power. Nothing on this side of the wire can tell more.
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
@@ -31,51 +41,42 @@ mod broadcast;
 mod config;
 mod event;
 mod health;
-mod lane;
+mod late;
+mod motor;
 mod motor_set;
+mod places;
 mod receive;
+mod request;
 mod schedule;
+mod stop;
+mod stream;
 #[cfg(test)]
 mod tests;
+mod transmit;
 
 pub use config::{Bus, Config, Patience};
 pub use event::{Event, Failure, Ticket, TicketId};
 pub use health::{Health, Presence};
 pub use motor_set::MotorSet;
+pub use stop::StopKind;
 
-use crate::command::{Command, FunctionIndex, SetPoint, Shutdown, Stop};
-use crate::data::Data;
+use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::opcode::{Opcode, Usage};
-use crate::packet::Packet;
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 use broadcast::Broadcast;
-use lane::{Flags, Lane, RequestState};
+use late::Question;
+use motor::{Motor, News};
+use places::{PlaceSet, Places};
+use request::{Asked, Request};
 use schedule::Earliest;
+use stream::SetPoint as StreamSetPoint;
+use transmit::Offer;
 
-/// How motors are to be stopped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-pub enum StopKind {
-    /// 0x81: stop and hold still (2.18).
-    Hold,
-    /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them.
-    Off,
-}
-
-/// How long a stop's confirmation is waited for at the most before the stop is sent once more.
-const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
-
-/// What [`Master::poll_transmit`] has offered last.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Offer {
-    Request(u8),
-    SetPoint(u8),
-    Broadcast,
-}
+/// As late as can be.
+const NEVER: Instant = Instant::from_micros(u64::MAX);
 
 /// The master of one bus with up to `N` motors.
 ///
@@ -117,20 +118,29 @@ enum Offer {
 ///     data: angle.encode(Opcode::ReadMultiTurnAngle),
 /// };
 /// let event = master.handle_frame(&Received::Packet(reply), Instant::from_millis(1)).unwrap();
-/// assert_eq!(ticket.outcome(&event), Some(Ok(Some(angle))));
+/// assert_eq!(ticket.outcome(&event), Some(Ok(angle)));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct Master<const N: usize> {
-    lanes: [Lane; N],
+    motors: [Motor; N],
+    places: Places,
     broadcast: Broadcast,
     config: Config,
     offer: Option<Offer>,
-    stopped: bool,
-    /// RS485: bytes of the echo that are still to come.
-    echo_left: u8,
+    /// All were stopped: nothing moves until that is lifted.
+    stops_all: bool,
+    /// These were stopped, each by itself.
+    stopped: MotorSet,
+    /// RS485: a stop to all at once is to be sent before each motor's own.
+    stop_to_all: Option<StopKind>,
     /// The round that the motors are in: that of the last one served.
-    pace: u8,
+    pace: u32,
+    last_ticket: u32,
+    /// The last time that was told.
+    now: Instant,
+    /// No motor has anything to do by itself before this.
+    due: Instant,
     /// Until when the frames that were sent keep the bus busy, or when one was last received. On
     /// RS485: when the line may be used again.
     busy_until: Instant,
@@ -143,13 +153,18 @@ impl<const N: usize> Master<N> {
     pub fn new(config: Config) -> Self {
         const { Self::CAPACITY };
         Self {
-            lanes: [Lane::default(); N],
+            motors: [Motor::default(); N],
+            places: Places::new(),
             broadcast: Broadcast::default(),
             config,
             offer: None,
-            stopped: false,
-            echo_left: 0,
+            stops_all: false,
+            stopped: MotorSet::EMPTY,
+            stop_to_all: None,
             pace: 0,
+            last_ticket: 0,
+            now: Instant::ZERO,
+            due: Instant::ZERO,
             busy_until: Instant::ZERO,
         }
     }
@@ -166,7 +181,7 @@ impl<const N: usize> Master<N> {
         motor: MotorId,
         command: C,
     ) -> Result<Ticket<C>, RequestError> {
-        self.put_request(motor, command, None)
+        self.put_request(motor, &command, None)
     }
 
     /// As [`request`](Self::request), with a patience of its own.
@@ -179,42 +194,48 @@ impl<const N: usize> Master<N> {
         command: C,
         patience: Patience,
     ) -> Result<Ticket<C>, RequestError> {
-        self.put_request(motor, command, Some(patience))
+        self.put_request(motor, &command, Some(patience))
     }
 
     /// As [`request`](Self::request), with a patience of its own or the configuration's.
     pub(crate) fn put_request<C: Command>(
         &mut self,
         motor: MotorId,
-        command: C,
+        command: &C,
         patience: Option<Patience>,
     ) -> Result<Ticket<C>, RequestError> {
         let data = command.encode();
         let kind = command.kind().of_bytes(&data);
         self.check(kind, motor.into())?;
         let patience = patience.unwrap_or_else(|| self.config.patience(kind));
-        let pace = self.pace;
+        let question = Question::of(kind, &data);
         // What was offered may be a set-point that this ends.
         self.offer = None;
-        let lane = self.lane_for(motor)?;
-        if lane.request != RequestState::Idle || lane.flags.contains(Flags::TELL_STOPPED) {
-            return Err(RequestError::Busy);
-        }
-        if let Some(opcode) = kind.opcode() {
-            if reported_bit(opcode).is_some_and(|bit| lane.reported & bit != 0) {
-                return Err(RequestError::Reported(opcode));
+        let (pace, now, number) = (self.pace, self.now, self.last_ticket.wrapping_add(1));
+        let place = self.place_for(motor)?;
+        self.change_at(place, |motor, _| {
+            if !motor.request.is_none() || motor.news.contains(News::STOPPED) {
+                return Err(RequestError::Busy);
             }
-            if lane.is_streamed(kind) {
-                return Err(RequestError::Streamed(opcode));
+            if let Some(opcode) = kind.opcode() {
+                if reported_bit(opcode).is_some_and(|bit| motor.reports(bit, now)) {
+                    return Err(RequestError::Reported(opcode));
+                }
+                if motor.stream.is_of(question) {
+                    return Err(RequestError::Streamed(opcode));
+                }
             }
-        }
-        if kind.ends_motion() {
-            lane.drop_set_point();
-        }
-        lane.join(pace);
-        lane.put_request(kind, data, patience);
-        lane.generation = lane.generation.wrapping_add(1);
-        Ok(Ticket::new(TicketId { motor, generation: lane.generation }))
+            if kind.ends_motion() {
+                motor.drop_waiting_set_point();
+            }
+            motor.join(pace);
+            motor.request = Request::Waiting(Asked::by_caller(question, data, patience));
+            motor.ticket = number;
+            Ok(())
+        })
+        .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
+        self.last_ticket = number;
+        Ok(Ticket::new(TicketId { motor, number }))
     }
 
     /// Puts a set-point in a motor's stream. One that still waits is replaced and counted, never
@@ -238,17 +259,26 @@ impl<const N: usize> Master<N> {
             }
             _ => {}
         }
+        let set_point = StreamSetPoint { question: Question::of(kind, &data), data };
         let expiry = now + self.config.set_point_max_age;
         // What was offered is older than this.
         self.offer = None;
+        self.due = self.due.min(expiry);
         let pace = self.pace;
-        let lane = self.lane_for(motor)?;
-        if lane.request != RequestState::Idle && lane.request_kind == Some(kind) {
-            return Err(RequestError::Busy);
-        }
-        lane.join(pace);
-        lane.put_set_point(kind, data, expiry);
-        Ok(())
+        let place = self.place_for(motor)?;
+        self.change_at(place, |motor, _| {
+            if motor.has_restarted {
+                return Err(RequestError::Restarted);
+            }
+            let is_same = |asked: &Asked| asked.question == set_point.question;
+            if motor.request.under_way().is_some_and(is_same) {
+                return Err(RequestError::Busy);
+            }
+            motor.join(pace);
+            motor.put_set_point(set_point, expiry);
+            Ok(())
+        })
+        .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))
     }
 
     /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until
@@ -278,135 +308,28 @@ impl<const N: usize> Master<N> {
         Ok(())
     }
 
-    /// Stops every motor that this master knows and those of `also`, before anything else is sent
-    /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Until
-    /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a
-    /// restart and writes to ROM, for example, but not reads.
-    ///
-    /// Each motor gets its first stop before any gets its second. Its confirmation, or its absence, comes
-    /// as an event; a stop that is not confirmed within 50 ms is repeated, however long
-    /// [`Config::reply_timeout`] is.
-    ///
-    /// # Errors
-    /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
-    /// stopped all the same.
-    pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
-        let (command, data) = match kind {
-            StopKind::Hold => (Kind::Known(Opcode::Stop), Stop.encode()),
-            StopKind::Off => (Kind::Known(Opcode::Shutdown), Shutdown.encode()),
-        };
-        self.stopped = true;
-        self.offer = None;
-        self.broadcast.cancel();
-        let mut result = Ok(());
-        for motor in also.iter() {
-            result = result.and(self.lane_for(motor).map(|_| ()));
-        }
-        let timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
-        for lane in &mut self.lanes {
-            if lane.motor.is_some() {
-                lane.put_stop(command, data, timeout);
-            }
-        }
-        result
-    }
-
-    /// Accepts again what [`stop_all`](Self::stop_all) made it refuse.
-    pub fn lift_stop(&mut self) {
-        self.stopped = false;
-    }
-
-    /// What to send next. It counts as sent only after [`handle_transmitted`](Self::handle_transmitted);
-    /// until then each call chooses anew, so that what was offered is never staler than what waits.
-    pub fn poll_transmit(&mut self, now: Instant) -> Option<Packet> {
-        self.offer = None;
-        if self.config.is_rs485() && (self.is_anything_in_flight() || self.busy_until > now) {
-            return None;
-        }
-        let (offer, packet) = self.choose()?;
-        self.offer = Some(offer);
-        Some(packet)
-    }
-
-    /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its
-    /// last byte has left.
-    pub fn handle_transmitted(&mut self, now: Instant) {
-        let config = self.config;
-        let mut told_without_reply = false;
-        match self.offer.take() {
-            Some(Offer::Request(index)) => {
-                if let Some(lane) = self.lanes.get_mut(usize::from(index)) {
-                    let kind = lane.request_kind;
-                    let awaits_reply =
-                        kind.is_some_and(|kind| awaits_reply(kind, &lane.request_data));
-                    told_without_reply = !awaits_reply;
-                    let hold = kind.map_or(Duration::ZERO, |kind| config.hold_after(kind));
-                    let data = lane.request_data;
-                    note_report(lane, kind, &data);
-                    self.pace = lane.round;
-                    lane.request_was_sent(now, awaits_reply, hold);
-                }
-            }
-            Some(Offer::SetPoint(index)) => {
-                if let Some(lane) = self.lanes.get_mut(usize::from(index)) {
-                    self.pace = lane.round;
-                    lane.set_point_was_sent(now);
-                }
-            }
-            Some(Offer::Broadcast) => {
-                let (kind, data) = self.broadcast.command();
-                for lane in &mut self.lanes {
-                    note_report(lane, kind, &data);
-                }
-                self.broadcast.was_sent(now, config.reply_timeout, config.late_window);
-            }
-            None => return,
-        }
-        if !config.is_rs485() {
-            self.bus_is_busy(now);
-        } else {
-            self.echo_left = if matches!(config.bus, Bus::Rs485 { echo: true, .. }) {
-                crate::wire::rs485::FRAME_LENGTH as u8
-            } else {
-                0
-            };
-            // An answer that nobody waits for may come all the same, and must not meet a command.
-            let silence = if told_without_reply { config.settle_time } else { Duration::ZERO };
-            self.line_is_free_after_turnaround(now + silence);
-        }
+    /// Takes set-points again for a motor that [has restarted](Event::Restarted): the caller knows where
+    /// it is.
+    pub fn resume(&mut self, motor: MotorId) {
+        self.change(motor, |motor, _| motor.has_restarted = false);
     }
 
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
     pub fn handle_timeout(&mut self, now: Instant) {
-        let Config { late_window, reply_timeout, longest_response, .. } = self.config;
-        let is_quiet = self.quiet_at() <= now;
-        for lane in &mut self.lanes {
-            if lane.motor.is_none() {
-                continue;
+        self.now = now;
+        let is_quiet = !self.config.is_rs485() && self.quiet_at() <= now;
+        if now >= self.due {
+            let mut next = Earliest::default();
+            for place in self.places.timed.iter() {
+                self.change_at(place, |motor, config| {
+                    if is_quiet {
+                        motor.bus_is_quiet(now, config);
+                    }
+                    motor.handle_timeout(now, config);
+                    motor.due(config, &mut next);
+                });
             }
-            lane.age(now, late_window);
-            if lane.flags.contains(Flags::SET_POINT_WAITING) && lane.set_point_expiry <= now {
-                lane.drop_set_point();
-            }
-            if is_quiet && lane.is_in_flight() && now - lane.sent >= longest_response {
-                lane.flags.insert(Flags::OVERDUE);
-            }
-            if !lane.is_in_flight() || lane.deadline(reply_timeout) > now {
-                continue;
-            }
-            lane.missed();
-            if lane.request != RequestState::InFlight {
-                lane.give_set_point_up(now, late_window);
-            } else if lane.attempts_left > 0 {
-                lane.request = RequestState::Waiting;
-            } else {
-                let is_stop = lane.flags.contains(Flags::STOP);
-                if is_stop {
-                    lane.flags.insert(Flags::TELL_UNCONFIRMED);
-                }
-                let outcome = if is_stop { RequestState::Idle } else { RequestState::NoReply };
-                lane.finish_request(outcome, now, late_window);
-            }
+            self.due = next.0.unwrap_or(NEVER);
         }
         self.age_broadcast(now);
     }
@@ -415,20 +338,14 @@ impl<const N: usize> Master<N> {
     /// waits is dropped, so that nothing moves when the bus comes back and nobody waits for ever. Only
     /// stops go on waiting.
     pub fn handle_bus_down(&mut self, now: Instant) {
+        self.now = now;
         self.offer = None;
         if self.broadcast.is_waiting() {
             self.broadcast.cancel();
         }
-        let late_window = self.config.late_window;
-        for lane in &mut self.lanes {
-            lane.drop_set_point();
-            // What is stuck on the way comes later than the window allows: it begins anew.
-            if lane.is_late_reply_due() {
-                lane.hold_longer(now, late_window);
-            }
-            if lane.request == RequestState::Waiting && !lane.flags.contains(Flags::STOP) {
-                lane.request = RequestState::BusDown;
-            }
+        self.due = now;
+        for place in self.places.taken.iter() {
+            self.change_at(place, |motor, config| motor.bus_is_down(now, config));
         }
     }
 
@@ -438,37 +355,18 @@ impl<const N: usize> Master<N> {
         if let Some(silent) = self.broadcast.take_result() {
             return Some(Event::BroadcastDone { silent });
         }
-        self.lanes.iter_mut().find_map(lane_event)
-    }
-
-    /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) have
-    /// something to do by themselves; `None` while only a frame or a request can change anything.
-    pub fn poll_at(&self) -> Option<Instant> {
-        let mut earliest = Earliest::default();
-        for lane in &self.lanes {
-            lane.poll_at(self.config.reply_timeout, &mut earliest);
-        }
-        if self.config.is_rs485() {
-            if !self.is_anything_in_flight() && self.choose().is_some() {
-                earliest.take(self.busy_until);
-            }
-        } else if let Some(end) = self.courtesy_ends() {
-            earliest.take(end);
-        }
-        self.broadcast.poll_at(&mut earliest);
-        self.broadcast_wait(&mut earliest);
-        earliest.0
+        let place = self.places.news.iter().next()?;
+        self.change_at(place, take_news)?
     }
 
     /// How well a motor answers.
     pub fn health(&self, motor: MotorId) -> Health {
-        let lane = self.lanes.iter().find(|lane| lane.motor == Some(motor));
-        lane.map(|lane| lane.health).unwrap_or_default()
+        self.motor(motor).map(|motor| motor.health).unwrap_or_default()
     }
 
     /// The motors that have a place.
     pub fn motors(&self) -> MotorSet {
-        self.lanes.iter().filter_map(|lane| lane.motor).collect()
+        self.at(self.places.taken).filter_map(|(_, motor)| motor.id).collect()
     }
 
     /// Gives a motor's place and counters up, so that another motor can have it. `false`, and
@@ -478,17 +376,21 @@ impl<const N: usize> Master<N> {
     /// A late reply that may still come is no longer guarded against: leave the motor alone for
     /// [`Config::late_window`] after a request that was not answered.
     pub fn forget(&mut self, motor: MotorId) -> bool {
-        let Some(lane) = self.lane_of(motor) else { return false };
-        let idle = lane.is_idle();
-        if idle {
-            *lane = Lane::default();
+        let now = self.now;
+        let Some(place) = self.places.of(motor) else { return false };
+        let is_idle = self.motors.get(place).is_some_and(|motor| motor.is_idle(now));
+        if is_idle {
+            if let Some(of) = self.motors.get_mut(place) {
+                *of = Motor::default();
+            }
+            self.places.clear(place, motor);
         }
-        idle
+        is_idle
     }
 
     /// Whether any command waits for its reply.
     pub fn is_anything_in_flight(&self) -> bool {
-        self.broadcast.is_in_flight() || self.lanes.iter().any(Lane::is_in_flight)
+        self.broadcast.is_in_flight() || !self.places.in_flight.is_empty()
     }
 
     fn check(&self, kind: Kind, target: Target) -> Result<(), RequestError> {
@@ -496,78 +398,88 @@ impl<const N: usize> Master<N> {
         if self.config.is_rs485() {
             kind.check_on_rs485()?;
         }
-        if self.stopped && kind.is_refused_while_stopped() {
+        let is_stopped = match target {
+            Target::Motor(motor) => self.stops_all || self.stopped.contains(motor),
+            Target::All => self.stops_all || !self.stopped.is_empty(),
+        };
+        if is_stopped && kind.is_refused_while_stopped() {
             Err(RequestError::Stopped)
         } else {
             Ok(())
         }
     }
 
-    /// The lane of a motor; for one that has none, a free one.
+    /// The place of a motor; for one that has none, a free one.
     #[inline(never)]
-    fn lane_for(&mut self, motor: MotorId) -> Result<&mut Lane, RequestError> {
-        let place_of = |motor| self.lanes.iter().position(|lane| lane.motor == motor);
-        let place = place_of(Some(motor)).or_else(|| place_of(None));
-        let found = place.and_then(|place| self.lanes.get_mut(place));
-        let lane = found.ok_or(RequestError::TooManyMotors { capacity: N })?;
-        lane.motor = Some(motor);
-        Ok(lane)
+    fn place_for(&mut self, motor: MotorId) -> Result<usize, RequestError> {
+        if let Some(place) = self.places.of(motor) {
+            return Ok(place);
+        }
+        let mut motors = self.motors.iter_mut().enumerate();
+        let free = motors.find(|(_, motor)| motor.id.is_none());
+        let (place, of) = free.ok_or(RequestError::TooManyMotors { capacity: N })?;
+        of.id = Some(motor);
+        self.places.give(place, motor);
+        Ok(place)
     }
 
-    #[inline(never)]
-    fn lane_of(&mut self, motor: MotorId) -> Option<&mut Lane> {
-        self.lanes.iter_mut().find(|lane| lane.motor == Some(motor))
+    fn motor(&self, motor: MotorId) -> Option<&Motor> {
+        self.motors.get(self.places.of(motor)?)
+    }
+
+    /// The motors at these places.
+    fn at(&self, places: PlaceSet) -> impl Iterator<Item = (usize, &Motor)> {
+        places.iter().filter_map(|place| Some((place, self.motors.get(place)?)))
+    }
+
+    /// Changes a motor that has a place: the only way to do it.
+    fn change<R>(
+        &mut self,
+        motor: MotorId,
+        change: impl FnOnce(&mut Motor, &Config) -> R,
+    ) -> Option<R> {
+        self.change_at(self.places.of(motor)?, change)
+    }
+
+    /// As [`change`](Self::change), by its place.
+    #[inline]
+    fn change_at<R>(
+        &mut self,
+        place: usize,
+        change: impl FnOnce(&mut Motor, &Config) -> R,
+    ) -> Option<R> {
+        let motor = self.motors.get_mut(place)?;
+        let result = change(motor, &self.config);
+        self.places.note(place, motor);
+        Some(result)
     }
 }
 
-fn lane_event(lane: &mut Lane) -> Option<Event> {
-    let motor = lane.motor?;
-    let ticket = TicketId { motor, generation: lane.generation };
-    let flag_event = |flag: Flags| match flag {
-        Flags::TELL_STOPPED => Event::Failed { ticket, failure: Failure::Stopped },
-        Flags::TELL_UNCONFIRMED => Event::StopUnconfirmed { motor },
-        Flags::TELL_DROPPED => Event::SetPointDropped { motor },
-        _ => Event::SetPointUnanswered { motor },
-    };
-    let tellable =
-        [Flags::TELL_STOPPED, Flags::TELL_UNCONFIRMED, Flags::TELL_DROPPED, Flags::TELL_UNANSWERED];
-    if let Some(flag) = tellable.into_iter().find(|&flag| lane.flags.contains(flag)) {
-        lane.flags.remove(flag);
-        return Some(flag_event(flag));
+/// The next thing that is to be told of a motor.
+fn take_news(motor: &mut Motor, _: &Config) -> Option<Event> {
+    let id = motor.id?;
+    let ticket = TicketId { motor: id, number: motor.ticket };
+    let first = motor.news.iter().next();
+    if let Some(news) = first {
+        motor.news.remove(news);
+        return Some(match news {
+            News::STOPPED => Event::Failed { ticket, failure: Failure::Stopped },
+            News::UNCONFIRMED => Event::StopUnconfirmed { motor: id },
+            News::DROPPED => Event::SetPointDropped { motor: id },
+            News::RESTARTED => Event::Restarted { motor: id },
+            _ => Event::SetPointUnanswered { motor: id },
+        });
     }
-    let event = match lane.request {
-        RequestState::Idle | RequestState::Waiting | RequestState::InFlight => return None,
-        RequestState::Sent => Event::Sent { ticket },
-        RequestState::NoReply => Event::Failed { ticket, failure: Failure::NoReply },
-        RequestState::NotExecuted => Event::Failed { ticket, failure: Failure::NotExecuted },
-        RequestState::BusDown => Event::Failed { ticket, failure: Failure::BusDown },
+    let event = match motor.request {
+        Request::Sent(asked) => Event::Sent { ticket, data: asked.data },
+        Request::Failed(failure) => Event::Failed { ticket, failure },
+        Request::None | Request::Waiting(_) | Request::InFlight(_) => return None,
     };
-    lane.request = RequestState::Idle;
+    motor.request = Request::None;
     Some(event)
 }
 
 /// The bit of a command that a drive can report by itself (2.34.2).
 fn reported_bit(opcode: Opcode) -> Option<u8> {
     opcode.report_place().map(|place| 1 << place)
-}
-
-/// Whether a command is over only when its reply has come. Function 5 is over when it is sent: drives
-/// were seen to obey it without the acknowledgement that 2.35.3 promises. One that comes is a stray.
-fn awaits_reply(kind: Kind, data: &Data) -> bool {
-    let sets_id =
-        kind == Kind::Known(Opcode::FunctionControl) && data[1] == FunctionIndex::SET_CAN_ID.raw();
-    kind.has_reply() && !sets_id
-}
-
-/// Keeps track of what a motor reports by itself, from the commands that switch it.
-fn note_report(lane: &mut Lane, sent: Option<Kind>, data: &Data) {
-    match sent.and_then(Kind::opcode) {
-        Some(Opcode::Reset) => lane.reported = 0,
-        Some(Opcode::ActiveReply) => {
-            let [_, command, enable, ..] = *data;
-            let bit = Opcode::from_byte(command).and_then(reported_bit).unwrap_or(0);
-            if enable == 0 { lane.reported &= !bit } else { lane.reported |= bit }
-        }
-        _ => {}
-    }
 }

@@ -1,14 +1,30 @@
 //! What a received frame means to the master.
 
-use crate::command::{AnyReply, BusId, Command};
+use crate::command::{AnyReply, BusId, Command, ReadRunTime};
 use crate::data::Data;
 use crate::id::MotorId;
-use crate::master::lane::{Flags, RequestState};
-use crate::master::{Event, Master, TicketId, reported_bit};
-use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat, Usage};
+use crate::kind::Kind;
+use crate::master::late::{Of, Question};
+use crate::master::motor::Motor;
+use crate::master::request::{Asked, Purpose, Request};
+use crate::master::stream::SetPoint;
+use crate::master::{Config, Event, Failure, Master, TicketId, reported_bit};
+use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
 use crate::packet::{Channel, Packet};
 use crate::time::Instant;
 use crate::wire::{can, rs485};
+
+/// What a reply is, as far as its motor knows.
+enum Meaning {
+    /// It ends something; to be told.
+    Event(Event),
+    /// It answers what was asked, but does not end it: nothing is to be told.
+    Nothing,
+    /// It is the late answer to something that was given up.
+    Late,
+    /// It is none of these.
+    Unasked,
+}
 
 impl<const N: usize> Master<N> {
     /// Takes a frame from the CAN bus. Commands of other masters, foreign frames and frames of a
@@ -28,27 +44,11 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Takes what the RS485 [`Receiver`](rs485::Receiver) made of a byte.
-    ///
-    /// With an echoing adapter the first frame after a sending, or thirteen bytes that are none, are
-    /// the echo: see [`Bus::Rs485`](crate::master::Bus::Rs485).
-    pub fn handle_line(&mut self, fed: &rs485::Fed, now: Instant) -> Option<Event> {
-        match *fed {
-            rs485::Fed::Wanting => None,
-            rs485::Fed::Discarded { bytes, .. } => {
-                let bytes = u8::try_from(bytes).unwrap_or(u8::MAX);
-                self.echo_left = self.echo_left.saturating_sub(bytes);
-                None
-            }
-            rs485::Fed::Frame(_) if self.echo_left > 0 => {
-                self.echo_left = 0;
-                None
-            }
-            rs485::Fed::Frame(frame) => {
-                self.line_is_free_after_turnaround(now);
-                self.handle_packet(&frame.as_reply()?, now)
-            }
-        }
+    /// Takes a reply from the RS485 line. What the adapter hands back of one's own bytes is none: see
+    /// [`EchoFilter`](crate::io::EchoFilter).
+    pub fn handle_line(&mut self, frame: &rs485::Frame, now: Instant) -> Option<Event> {
+        self.line_is_free_after_turnaround(now);
+        self.handle_packet(&frame.as_reply()?, now)
     }
 
     /// A frame on its way to us held up those that are queued.
@@ -61,6 +61,7 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_packet(&mut self, packet: &Packet, now: Instant) -> Option<Event> {
+        self.now = now;
         let data = &packet.data;
         match packet.channel {
             Channel::Reply(motor) if data[0] == LOST_MASTER_BYTE => self.lost_master(motor, now),
@@ -77,140 +78,70 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    fn handle_reply(&mut self, motor: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
-        let may_be_late = self.may_be_late_reply(motor, packet, now);
-        if let Some(event) = self.match_lane(motor, packet, now) {
-            return event;
-        }
-        Some(self.handle_unasked(motor, packet, may_be_late, now))
-    }
-
-    /// Gives the reply to what is in flight at its motor; `None` if it belongs to nothing there.
-    fn match_lane(
-        &mut self,
-        motor: MotorId,
-        packet: &Packet,
-        now: Instant,
-    ) -> Option<Option<Event>> {
-        let config = self.config;
-        let data = &packet.data;
-        let is_motion = matches!(packet.channel, Channel::MotionReply(_));
-        let lane = self.lane_of(motor)?;
-        lane.health.last_seen = Some(now);
-
-        let is_request = lane.request == RequestState::InFlight;
-        let round_trip = now - lane.sent;
-        if !lane.is_in_flight() || round_trip < config.shortest_response {
-            return None;
-        }
-        if !is_request {
-            if !is_motion && !is_control(data[0]) {
-                return None;
+    fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
+        let meaning = self.change(id, |motor, config| {
+            let may_be_doubled = motor.was_heard(now);
+            let meaning = motor.take(id, packet, may_be_doubled, now, config);
+            if let Meaning::Event(event) = &meaning {
+                motor.note_run_time(event);
             }
-            let reply = AnyReply::decode(packet, config.firmware).ok()?;
-            lane.flags.remove(Flags::SET_POINT_IN_FLIGHT);
-            let sent = lane.set_point;
-            if lane.is_ignored(&sent, data) {
-                return Some(Some(Event::SetPointUnanswered { motor }));
-            }
-            lane.answered(Some(round_trip));
-            return Some(Some(Event::Feedback { motor, reply }));
+            meaning
+        });
+        let meaning = meaning.unwrap_or(Meaning::Unasked);
+        if !matches!(meaning, Meaning::Event(Event::Feedback { .. })) {
+            self.due = now;
         }
-
-        let kind = lane.request_kind?;
-        if kind.is_motion() != is_motion || !kind.answers(&lane.request_data, data) {
-            return None;
+        match meaning {
+            Meaning::Event(event) => Some(event),
+            Meaning::Nothing => None,
+            Meaning::Late => Some(self.stray(id, &packet.data)),
+            Meaning::Unasked => Some(self.handle_unasked(id, packet, now)),
         }
-        lane.reply_has_come();
-        let command = lane.request_data;
-        if lane.is_doubtful() && lane.attempts_left > 0 {
-            lane.request = RequestState::Waiting;
-            return Some(None);
-        }
-        if lane.is_ignored(&command, data) {
-            if lane.attempts_left > 0 && kind.repeat() == Repeat::Harmless {
-                lane.request = RequestState::Waiting;
-            } else {
-                lane.finish_request(RequestState::NotExecuted, now, config.late_window);
-            }
-            return Some(None);
-        }
-        // With more than one attempt under way nobody knows which one this answers.
-        lane.answered((!lane.is_owed()).then_some(round_trip));
-        let is_stop = lane.flags.contains(Flags::STOP);
-        let ticket = TicketId { motor, generation: lane.generation };
-        lane.finish_request(RequestState::Idle, now, config.late_window);
-        Some(Some(if is_stop {
-            Event::StopConfirmed { motor }
-        } else {
-            Event::Reply { ticket, kind, data: *data }
-        }))
     }
 
     /// Whether this reply of `motor` answers the broadcast.
     fn answers_broadcast(&mut self, motor: MotorId, data: &Data, now: Instant) -> bool {
-        self.broadcast.take_reply(motor, data, self.config.shortest_response, now)
+        let shortest = self.config.shortest_response;
+        let is_answer = self.broadcast.take_reply(motor, data, shortest, now);
+        if is_answer {
+            self.change(motor, |motor, _| motor.answered(None));
+        }
+        is_answer
     }
 
-    /// Whether a reply that nothing waits for is surely the late one of a request, and not doubled,
-    /// feedback of a lost set-point, a broadcast's answer or an error report.
-    fn may_be_late_reply(&self, motor: MotorId, packet: &Packet, now: Instant) -> bool {
-        let byte = packet.data[0];
-        let mut lanes = self.lanes.iter();
-        let Some(lane) = lanes.find(|lane| lane.motor == Some(motor)) else { return false };
-        let is_feedback = matches!(packet.channel, Channel::MotionReply(_)) || is_control(byte);
-        let is_something_else = lane.was_just_seen(now)
-            || is_feedback && lane.flags.contains(Flags::SET_POINT_LATE)
-            || self.broadcast.may_be_mistaken(byte, motor.into())
-            || Opcode::ReadStatus1.byte() == Some(byte);
-        !is_something_else
-    }
-
-    /// An answer to the broadcast, a report, a late reply, or anything else that no request waits for.
-    fn handle_unasked(
-        &mut self,
-        motor: MotorId,
-        packet: &Packet,
-        may_be_late: bool,
-        now: Instant,
-    ) -> Event {
-        let reply = AnyReply::decode(packet, self.config.firmware);
+    /// An answer to the broadcast, a report, or anything else that nobody waits for.
+    fn handle_unasked(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Event {
         // Motion mode has no command byte: its first byte is the drive's id and says nothing.
         if let Channel::MotionReply(_) = packet.channel {
-            if let (true, Some(lane)) = (may_be_late, self.lane_of(motor)) {
-                lane.late_reply_has_come();
-            }
-            return self.stray(motor, &packet.data);
+            return self.stray(id, &packet.data);
         }
-        match reply {
-            Ok(reply) if self.answers_broadcast(motor, &packet.data, now) => {
-                return Event::BroadcastReply { motor, reply };
-            }
-            _ => {}
-        }
-        let reported = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
-        let is_report = match (self.lane_of(motor), &reply) {
-            (Some(lane), _) if lane.reported & reported != 0 => true,
-            (Some(lane), Ok(AnyReply::ReadStatus1(_))) => !lane.is_late_reply_due(),
-            (Some(lane), _) => {
-                if may_be_late {
-                    lane.late_reply_has_come();
-                }
-                false
-            }
-            (None, _) => reported != 0,
+        let Ok(reply) = AnyReply::decode(packet, self.config.firmware) else {
+            return self.stray(id, &packet.data);
         };
-        match reply {
-            Ok(reply) if is_report => Event::Report { motor, reply },
-            _ => self.stray(motor, &packet.data),
+        if self.answers_broadcast(id, &packet.data, now) {
+            return Event::BroadcastReply { motor: id, reply };
         }
+        let bit = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
+        let is_report = match (self.motor(id), &reply) {
+            // Errors are reported without having been asked for, too (function 3).
+            (Some(motor), AnyReply::ReadStatus1(_)) => !self.is_broadcast_late(motor, packet),
+            (Some(motor), _) => motor.reports(bit, now),
+            (None, _) => bit != 0,
+        };
+        if is_report { Event::Report { motor: id, reply } } else { self.stray(id, &packet.data) }
+    }
+
+    /// Whether this may be the late answer to a broadcast.
+    fn is_broadcast_late(&self, motor: &Motor, packet: &Packet) -> bool {
+        motor.id.is_some_and(|id| self.broadcast.may_be_mistaken(packet.data[0], id.into()))
     }
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {
-        if let Some(lane) = self.lane_of(motor) {
-            lane.health.last_seen = Some(now);
-            lane.flags.insert(Flags::LOST_MASTER);
-        }
+        self.now = now;
+        self.change(motor, |motor, _| {
+            motor.was_heard(now);
+            motor.has_lost_its_master();
+        });
         Some(Event::LostMaster { motor })
     }
 
@@ -220,14 +151,117 @@ impl<const N: usize> Master<N> {
     }
 
     fn count_stray(&mut self, motor: MotorId) {
-        if let Some(lane) = self.lane_of(motor) {
-            lane.health.stray = lane.health.stray.saturating_add(1);
-        }
+        self.change(motor, |motor, _| motor.health.stray = motor.health.stray.saturating_add(1));
     }
 }
 
-/// Whether this is the command byte of a command that moves the motor (2.19 to 2.24).
-fn is_control(byte: u8) -> bool {
-    Opcode::from_byte(byte)
-        .is_some_and(|opcode| matches!(opcode.usage(), Usage::Move | Usage::SetPoint))
+impl Motor {
+    /// Holds a reply against what is expected: what is in flight, and what may come late.
+    fn take(
+        &mut self,
+        id: MotorId,
+        packet: &Packet,
+        may_be_doubled: bool,
+        now: Instant,
+        config: &Config,
+    ) -> Meaning {
+        let is_motion = matches!(packet.channel, Channel::MotionReply(_));
+        let data = &packet.data;
+        let round_trip = now - self.sent;
+        let is_in_time = round_trip >= config.shortest_response;
+
+        let answers = |question: Question| is_in_time && question.is_answered_by(is_motion, data);
+        match (self.stream.in_flight().copied(), self.request) {
+            (Some(set_point), _) if answers(set_point.question) => {
+                return self.take_feedback(id, packet, &set_point, now, config);
+            }
+            (_, Request::InFlight(asked)) if answers(asked.question) => {
+                // One that is owed to an earlier stop says nothing of this one, and comes first.
+                if asked.is_stop() && self.late.take(false, data, may_be_doubled).is_some() {
+                    return self.send_stop_again(asked, false);
+                }
+                return self.take_answer(id, asked, data, now, config);
+            }
+            _ => {}
+        }
+        match self.late.take(is_motion, data, may_be_doubled) {
+            Some(Of::Request) => Meaning::Late,
+            Some(Of::Stream) => match AnyReply::decode(packet, config.firmware) {
+                Ok(reply) => Meaning::Event(Event::Feedback { motor: id, reply }),
+                Err(_) => Meaning::Late,
+            },
+            None => Meaning::Unasked,
+        }
+    }
+
+    /// Takes note of how long it has run, if that is what it says.
+    fn note_run_time(&mut self, event: &Event) {
+        let Event::Reply { kind: Kind::Known(Opcode::ReadRunTime), data, .. } = event else {
+            return;
+        };
+        if let Ok(reply) = ReadRunTime::decode_reply(data) {
+            self.has_run_for(reply.run_time.raw());
+        }
+    }
+
+    /// A reply to the set-point in flight.
+    fn take_feedback(
+        &mut self,
+        id: MotorId,
+        packet: &Packet,
+        set_point: &SetPoint,
+        now: Instant,
+        config: &Config,
+    ) -> Meaning {
+        let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
+        self.late.prolong(set_point.question, now + config.late_window);
+        self.stream.take_in_flight();
+        if self.is_ignored(&set_point.data, &packet.data) {
+            return Meaning::Event(Event::SetPointUnanswered { motor: id });
+        }
+        self.answered(Some(now - self.sent));
+        Meaning::Event(Event::Feedback { motor: id, reply })
+    }
+
+    /// A reply to the request in flight.
+    fn take_answer(
+        &mut self,
+        id: MotorId,
+        mut asked: Asked,
+        data: &Data,
+        now: Instant,
+        config: &Config,
+    ) -> Meaning {
+        asked.unanswered = asked.unanswered.saturating_sub(1);
+        self.request = Request::InFlight(asked);
+        if self.is_ignored(&asked.data, data) {
+            if asked.attempts_left > 0 && asked.kind().repeat() == Repeat::Harmless {
+                self.request = Request::Waiting(asked);
+                return Meaning::Nothing;
+            }
+            let failed = Request::Failed(Failure::NotExecuted);
+            self.finish_request(failed, config, now);
+            return Meaning::Nothing;
+        }
+        // With more than one attempt under way nobody knows which one this answers.
+        self.answered((asked.unanswered == 0).then_some(now - self.sent));
+        if asked.is_stop() && self.may_yet_move() {
+            return self.send_stop_again(asked, true);
+        }
+        self.finish_request(Request::None, config, now);
+        Meaning::Event(if asked.is_stop() {
+            Event::StopConfirmed { motor: id }
+        } else {
+            let ticket = TicketId { motor: id, number: self.ticket };
+            Event::Reply { ticket, kind: asked.kind(), data: *data }
+        })
+    }
+
+    /// The stop is sent again: at once, or when nothing sent before it can move the motor any more.
+    fn send_stop_again(&mut self, mut asked: Asked, once_more: bool) -> Meaning {
+        asked.purpose = Purpose::Stop { once_more };
+        asked.attempts_left = asked.attempts_left.max(1);
+        self.request = Request::Waiting(asked);
+        Meaning::Nothing
+    }
 }

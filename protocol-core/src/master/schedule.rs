@@ -2,17 +2,17 @@
 
 use core::cmp::Reverse;
 
-use crate::master::lane::{Flags, Lane, RequestState};
-use crate::master::{Bus, Master, MotorSet, Offer};
+use crate::master::motor::Motor;
+use crate::master::{Bus, Master, Offer};
 use crate::packet::Packet;
 use crate::time::Instant;
 
 /// The earliest of several points in time.
-#[derive(Debug, Default)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Earliest(pub(super) Option<Instant>);
 
 impl Earliest {
-    #[inline(never)]
+    #[inline]
     pub(super) fn take(&mut self, at: Instant) {
         if self.0.is_none_or(|earliest| at < earliest) {
             self.0 = Some(at);
@@ -21,20 +21,110 @@ impl Earliest {
 }
 
 impl<const N: usize> Master<N> {
-    /// The round of the motor that is furthest behind of those whose reply may wait for the bus.
-    #[inline(never)]
-    pub(super) fn slowest_round(&self) -> Option<u8> {
-        let mut slowest = None;
-        for lane in self.lanes.iter().filter(|lane| lane.may_be_answering()) {
-            if slowest.is_none_or(|slowest| lane.is_behind(slowest)) {
-                slowest = Some(lane.round);
+    /// Stops first, then a broadcast that is due, then the motor that was served least.
+    pub(super) fn choose(&self, now: Instant) -> Option<(Offer, Packet)> {
+        if !self.stopped.is_empty() || self.stops_all {
+            if let Some(stop) = self.choose_stop() {
+                return Some(stop);
             }
         }
-        slowest
+        if self.broadcast.is_waiting() && self.broadcast_may_go() {
+            return Some((Offer::Broadcast, self.broadcast.packet()?));
+        }
+        let (place, motor) = self.choose_motor(now)?;
+        if motor.is_set_point_next(self.request_may_go(motor)) {
+            Some((Offer::SetPoint(place as u8), motor.set_point_packet()?))
+        } else {
+            Some((Offer::Request(place as u8), motor.request_packet()?))
+        }
+    }
+
+    /// Each motor's first stop before any second, and on a line those first that answered last time: a
+    /// motor that is not there keeps it for as long as a stop is waited for.
+    fn choose_stop(&self) -> Option<(Offer, Packet)> {
+        if let Some(packet) = self.stop_to_all_packet() {
+            return Some((Offer::StopToAll, packet));
+        }
+        let stops = self.at(self.places.waiting).filter(|(_, motor)| motor.may_send_stop());
+        let most_urgent = stops.min_by_key(|(_, motor)| {
+            let attempts_left = motor.request.waiting().map_or(0, |stop| stop.attempts_left);
+            (Reverse(attempts_left), motor.was_missed())
+        });
+        let (place, motor) = most_urgent?;
+        Some((Offer::Request(place as u8), motor.request_packet()?))
+    }
+
+    /// The motor that was served least of those that have something to be sent now.
+    fn choose_motor(&self, now: Instant) -> Option<(usize, &Motor)> {
+        let ready = self.places.waiting.without(self.places.in_flight);
+        let mut first: Option<(usize, &Motor)> = None;
+        for (place, motor) in self.at(ready) {
+            let is_first = first.is_none_or(|(_, first)| motor.is_behind(first.round));
+            if is_first && motor.is_settled(now) && self.may_go(motor) {
+                first = Some((place, motor));
+            }
+        }
+        let (place, motor) = first?;
+        // One round ahead of a motor that may be waiting for its turn to answer is enough.
+        let is_ahead = |of: &Motor| of.is_behind(motor.round) && of.may_be_answering();
+        let is_ahead_of_any = self.at(self.places.in_flight).any(|(_, motor)| is_ahead(motor));
+        (!is_ahead_of_any).then_some((place, motor))
+    }
+
+    /// Whether the motor has a set-point, or a request that may go.
+    fn may_go(&self, motor: &Motor) -> bool {
+        (motor.stream.waiting().is_some() && motor.late.has_room()) || self.request_may_go(motor)
+    }
+
+    /// Whether a motor's request could be sent now.
+    #[inline(never)]
+    fn request_may_go(&self, motor: &Motor) -> bool {
+        let Some(asked) = motor.request.waiting() else { return false };
+        // A broadcast that waits lets attempts of what has begun go on: it waits for their end.
+        let has_begun = self.broadcast.is_waiting() && asked.unanswered > 0;
+        !asked.is_stop()
+            && motor.may_send_request()
+            && (has_begun || !self.broadcast.is_active())
+            && !self.is_confusable(motor)
+    }
+
+    /// Whether a motor's answer to the last broadcast could be taken for that to its request.
+    fn is_confusable(&self, motor: &Motor) -> bool {
+        match (motor.id, motor.request.waiting()) {
+            (Some(id), Some(asked)) => self.broadcast.may_be_mistaken(asked.data[0], id.into()),
+            _ => false,
+        }
+    }
+
+    /// Whether the broadcast that waits may go: no answer that looks like its own can come from a
+    /// request, nor from the broadcast before it.
+    fn broadcast_may_go(&self) -> bool {
+        let Some(question) = self.broadcast.question() else { return false };
+        let keeps_back = |motor: &Motor| {
+            motor.request.under_way().is_some_and(|asked| asked.unanswered > 0)
+                || motor.late.may_be_mistaken(question)
+        };
+        !self.at(self.places.taken).any(|(_, motor)| keeps_back(motor))
+            && self.broadcast.may_go(self.motors())
+    }
+
+    /// Tells when a broadcast, or a request that waits because of one, may go.
+    fn broadcast_wait(&self, earliest: &mut Earliest) {
+        let is_late_awaited = if self.broadcast.is_waiting() {
+            if let Some(question) = self.broadcast.question() {
+                let ends = self.at(self.places.taken).filter_map(|(_, m)| m.late.end_of(question));
+                ends.for_each(|end| earliest.take(end));
+            }
+            !self.broadcast.may_go(self.motors())
+        } else {
+            self.at(self.places.waiting).any(|(_, motor)| self.is_confusable(motor))
+        };
+        if is_late_awaited {
+            self.broadcast.late_until().into_iter().for_each(|end| earliest.take(end));
+        }
     }
 
     /// Notes one more frame on the bus: behind what is queued already, or right now.
-    #[inline(never)]
     pub(super) fn bus_is_busy(&mut self, now: Instant) {
         self.busy_until = self.busy_until.max(now) + self.config.frame_time;
     }
@@ -46,87 +136,40 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// When the bus has been quiet for so long that a reply which only waited for it must have come.
-    #[inline(never)]
+    /// When the bus has been quiet for so long that a reply which only waited for it must have come. Frames
+    /// that were lost look quiet, too, but seldom three in a row.
     pub(super) fn quiet_at(&self) -> Instant {
-        self.busy_until + self.config.frame_time.times(2)
+        self.busy_until + self.config.frame_time.times(3)
     }
 
-    /// When waiting for motors that may be answering ends. On RS485 only one is asked at a time.
-    pub(super) fn courtesy_ends(&self) -> Option<Instant> {
-        let mut first_sent = Earliest::default();
-        for lane in self.lanes.iter().filter(|lane| lane.may_be_answering()) {
-            first_sent.take(lane.sent);
-        }
-        let due = first_sent.0? + self.config.longest_response;
-        Some(due.max(self.quiet_at()))
-    }
-
-    /// Stops first, then a broadcast that is due, then the motor that has waited longest.
-    pub(super) fn choose(&self) -> Option<(Offer, Packet)> {
-        let lanes = || self.lanes.iter().enumerate();
-        let stops = lanes().filter(|(_, lane)| {
-            lane.flags.contains(Flags::STOP) && lane.request == RequestState::Waiting
-        });
-        // Whoever was sent fewest: a motor that is not there keeps the others waiting for one stop only.
-        let stop = stops.min_by_key(|(_, lane)| Reverse(lane.attempts_left));
-        if let Some((place, lane)) = stop {
-            return Some((Offer::Request(place as u8), lane.request_packet()?));
-        }
-        let requests_quiet = !self.lanes.iter().any(Lane::keeps_broadcast_back);
-        if self.broadcast.is_waiting() && requests_quiet && self.broadcast.may_go(self.motors()) {
-            return Some((Offer::Broadcast, self.broadcast.packet()?));
-        }
-        let mut first: Option<(usize, &Lane)> = None;
-        for (place, lane) in lanes() {
-            if lane.is_ready(self.request_may_go(lane))
-                && first.is_none_or(|(_, first)| lane.is_behind(first.round))
-            {
-                first = Some((place, lane));
-            }
-        }
-        let (place, lane) = first?;
-        // One round ahead of a motor that may be waiting for its turn to answer is enough.
-        let slowest = self.slowest_round();
-        if slowest.is_some_and(|slowest| lane.round != slowest && !lane.is_behind(slowest)) {
+    /// When the first reply in flight is due on a quiet bus. On RS485 only one is asked at a time.
+    fn reply_is_due(&self) -> Option<Instant> {
+        if self.config.is_rs485() {
             return None;
         }
-        if lane.is_set_point_next(self.request_may_go(lane)) {
-            Some((Offer::SetPoint(place as u8), lane.set_point_packet()?))
-        } else {
-            Some((Offer::Request(place as u8), lane.request_packet()?))
-        }
-    }
-
-    /// Whether a motor's request could be sent now.
-    #[inline(never)]
-    pub(super) fn request_may_go(&self, lane: &Lane) -> bool {
-        // A broadcast that waits lets attempts of what has begun go on: it waits for their end.
-        let has_begun = self.broadcast.is_waiting() && lane.is_owed();
-        lane.may_send_request()
-            && (has_begun || !self.broadcast.is_active())
-            && !self.is_confusable(lane)
-    }
-
-    /// Whether a motor's answer to the last broadcast could be taken for that to its request.
-    pub(super) fn is_confusable(&self, lane: &Lane) -> bool {
-        let motor = lane.motor.map_or(MotorSet::EMPTY, MotorSet::from);
-        self.broadcast.may_be_mistaken(lane.request_data[0], motor)
-    }
-
-    /// Tells when a broadcast, or a request that waits because of one, may go.
-    pub(super) fn broadcast_wait(&self, earliest: &mut Earliest) {
-        let echo_matters = if self.broadcast.is_waiting() {
-            let held = self.lanes.iter().filter_map(Lane::keeps_broadcast_until);
-            held.for_each(|until| earliest.take(until));
-            !self.broadcast.may_go(self.motors())
-        } else {
-            self.lanes.iter().any(|lane| lane.may_send_request() && self.is_confusable(lane))
-        };
-        if echo_matters {
-            if let Some(end) = self.broadcast.echo_until() {
-                earliest.take(end);
+        let mut first_sent = Earliest::default();
+        for (_, motor) in self.at(self.places.in_flight) {
+            if motor.has_a_chance() {
+                first_sent.take(motor.sent);
             }
         }
+        Some((first_sent.0? + self.config.longest_response).max(self.quiet_at()))
+    }
+
+    /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) have
+    /// something to do by themselves; `None` while only a frame or a request can change anything.
+    pub fn poll_at(&self) -> Option<Instant> {
+        let mut earliest = Earliest::default();
+        for (_, motor) in self.at(self.places.taken) {
+            motor.poll_at(&self.config, &mut earliest);
+        }
+        self.reply_is_due().into_iter().for_each(|due| earliest.take(due));
+        let is_something_chosen = || self.choose(self.busy_until).is_some();
+        if self.config.is_rs485() && !self.is_anything_in_flight() && is_something_chosen() {
+            earliest.take(self.busy_until);
+        }
+        self.broadcast.poll_at(&mut earliest);
+        self.broadcast_wait(&mut earliest);
+        earliest.0
     }
 }

@@ -54,6 +54,10 @@ fn motors_hear_enough_while_others_write_slowly<B: Moved>() {
     for drive in &bus.drives {
         let is_protected = || drive.with(|drive| drive.settings().protection_timeout.raw() == 500);
         assert!(!is_protected());
+        // Not in the middle of another question, which would fail before the third asking.
+        while B::NAME == "CAN" && firmware.runner.master().is_anything_in_flight() {
+            firmware.run_for(Duration::from_micros(100));
+        }
         unplug(&bus, drive);
         firmware.run_for(millis(80));
         bus.world.mend(drive.station());

@@ -130,7 +130,7 @@ fn send<C: Command>(session: &mut Session, motor: MotorId, command: C, attempts:
     let patience = Patience { reply_timeout: session.address.config().reply_timeout, attempts };
     session
         .master
-        .call_with(motor, command, Some(patience), |_| {})
+        .ask_with(motor, command, Some(patience), |_| {})
         .map_err(Unfinished::of_motor(motor))?;
     Ok(())
 }

@@ -115,8 +115,8 @@ fn repeat<C: Command + Copy>(
         if now - start >= length {
             return Ok(());
         }
-        match session.master.call(motor, command) {
-            Ok(Some(reply)) => {
+        match session.master.ask(motor, command) {
+            Ok(reply) => {
                 missed = 0;
                 let share = seconds(now - start) / seconds(length);
                 progress.show(now, share, || {
@@ -130,7 +130,6 @@ fn repeat<C: Command + Copy>(
                 missed += 1;
             }
             Err(error) => return Err(Unfinished::of_motor(motor)(error)),
-            Ok(None) => {}
         }
         if turn % ERRORS_EVERY == 0 {
             healthy(motor, session.ask(motor, ReadStatus1)?.errors)?;

@@ -2,7 +2,7 @@
 
 use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
-use myactuator_protocol_core::command::{AnyCommand, BusId, Phrase, RawCommand};
+use myactuator_protocol_core::command::{AnyCommand, BusId, Phrase, RawCommand, awaits_reply};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
 use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule, Usage};
@@ -159,14 +159,14 @@ impl Sending {
     fn to_one(&self, session: &mut Session, motor: MotorId) -> Outcome {
         let master = &mut session.master;
         let reply = match self.command {
-            AnyCommand::Motion(motion) => {
-                master.call(motor, motion).map(|reply| reply.map(|reply| reply.encode()))
-            }
-            _ => master.call(motor, self.as_raw()).map(|reply| reply.map(|reply| reply.0)),
+            AnyCommand::Motion(motion) => master.ask(motor, motion).map(|reply| reply.encode()),
+            _ => master.ask(motor, self.as_raw()).map(|reply| reply.0),
         };
         match reply {
-            Ok(Some(data)) => self.tell(session, motor, data),
-            Ok(None) => self.tell_sent(motor.into()),
+            Ok(data) if awaits_reply(self.kind(), &self.as_raw().encode()) => {
+                self.tell(session, motor, data)
+            }
+            Ok(_) => self.tell_sent(motor.into()),
             Err(error) => Err(self.failure(motor, error)),
         }
     }

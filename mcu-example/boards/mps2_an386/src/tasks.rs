@@ -81,9 +81,12 @@ impl AsyncCan for Slcan {
     type Frame = SimpleFrame;
     type Error = slcan::Stalled;
 
-    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<(), slcan::Stalled> {
+    async fn transmit(
+        &mut self,
+        frame: &SimpleFrame,
+    ) -> Result<Option<SimpleFrame>, slcan::Stalled> {
         until_found(|| match Can::transmit(self, frame) {
-            Ok(_) => Some(Ok(())),
+            Ok(pushed_out) => Some(Ok(pushed_out)),
             Err(nb::Error::Other(error)) => Some(Err(error)),
             Err(nb::Error::WouldBlock) => {
                 self.clock().wake_by(self.clock().now() + ASK_AGAIN_AFTER);

@@ -9,7 +9,8 @@ use embassy_stm32::can::{
 };
 use embassy_stm32::peripherals::{FDCAN1, PA11, PA12};
 use embassy_stm32::{Peri, bind_interrupts, pac};
-use embassy_time::{Duration, with_timeout};
+use embassy_time::{Duration, Instant, with_deadline};
+use embedded_can::ErrorKind;
 use myactuator_mcu_example::Usage;
 use myactuator_protocol_core::io::AsyncCan;
 
@@ -37,12 +38,21 @@ pub enum BusDown {
     TakesNothing,
 }
 
+impl embedded_can::Error for BusDown {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Other
+    }
+}
+
 /// The controller, as the async loop wants it.
 ///
 /// Where the bus is down, what the controller has not sent yet is thrown away: it would leave whenever
 /// the bus comes back, and move a motor long after everything was stopped.
 pub struct FdCan {
     can: Can<'static>,
+    /// Since when the controller takes nothing. The loop gives up sooner, to see what was received, and
+    /// offers something again.
+    stuck_since: Option<Instant>,
 }
 
 impl FdCan {
@@ -63,7 +73,7 @@ impl FdCan {
         configurator.set_config(config);
         let can = configurator.start(OperatingMode::NormalOperationMode);
         TAKES_PART.store(true, Ordering::Relaxed);
-        Self { can }
+        Self { can, stuck_since: None }
     }
 }
 
@@ -77,10 +87,12 @@ impl AsyncCan for FdCan {
     type Frame = Frame;
     type Error = BusDown;
 
-    async fn transmit(&mut self, frame: &Frame) -> Result<(), BusDown> {
-        match with_timeout(STUCK_AFTER, self.can.write(frame)).await {
-            // Nothing is pushed out of a queue that is first in, first out.
-            Ok(_) => Ok(()),
+    async fn transmit(&mut self, frame: &Frame) -> Result<Option<Frame>, BusDown> {
+        let stuck_since = *self.stuck_since.get_or_insert_with(Instant::now);
+        let written = with_deadline(stuck_since + STUCK_AFTER, self.can.write(frame)).await;
+        self.stuck_since = None;
+        match written {
+            Ok(pushed_out) => Ok(pushed_out),
             Err(_) => {
                 discard_pending();
                 Err(BusDown::TakesNothing)

@@ -6,7 +6,7 @@ use embedded_can::nb::Can as _;
 
 use super::world::{Broken, TestCan, TestClock, TestSerial, on_can, on_rs485};
 use super::{id, step, torque};
-use crate::command::{ReadMultiTurnAngle, Reset, Stop};
+use crate::command::{NoReply, ReadMultiTurnAngle, Reset, Stop};
 use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster};
 use crate::master::{Event, Failure};
 use crate::wire::can::{self, SimpleFrame};
@@ -71,7 +71,7 @@ fn a_bus_that_takes_nothing_for_20_ms_is_down() {
 fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
     let (bus, clock, mut arm) = can();
     bus.state().transmit_fails = true;
-    assert_eq!(arm.call(id(1), step()), Err(CallError::Bus(Broken)));
+    assert_eq!(arm.ask(id(1), step()), Err(CallError::Bus(Broken)));
     bus.state().transmit_fails = false;
     let events = run(&mut arm, &clock, 50_000);
     assert!(matches!(events[..], [Event::Failed { failure: Failure::BusDown, .. }]), "{events:?}");
@@ -145,14 +145,14 @@ fn a_serial_port_may_move_one_byte_at_a_time() {
 fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
     let (port, clock, mut arm) = serial();
     port.state().write_fails = true;
-    assert_eq!(arm.call(id(1), step()), Err(CallError::Bus(Broken)));
+    assert_eq!(arm.ask(id(1), step()), Err(CallError::Bus(Broken)));
     port.state().write_fails = false;
     assert!(matches!(
         run(&mut arm, &clock, 20_000)[..],
         [Event::Failed { failure: Failure::BusDown, .. }]
     ));
     port.state().takes_nothing = true;
-    assert_eq!(arm.call(id(1), step()), Err(CallError::Failed(Failure::BusDown)));
+    assert_eq!(arm.ask(id(1), step()), Err(CallError::Failed(Failure::BusDown)));
     port.state().takes_nothing = false;
     run(&mut arm, &clock, 20_000);
     assert!(port.written().is_empty());
@@ -168,6 +168,17 @@ fn a_closed_port_is_a_silent_one() {
 #[test]
 fn a_command_without_reply_is_over_once_it_has_left() {
     let (port, _, mut arm) = serial();
-    assert_eq!(arm.call(id(1), Reset).map(|reply| reply.is_none()), Ok(true));
+    assert_eq!(arm.ask(id(1), Reset), Ok(NoReply));
     assert!(port.is_flushed() && port.written().len() == 13);
+}
+
+#[test]
+fn a_question_waits_for_the_one_that_an_error_of_the_bus_left_behind() {
+    let (bus, _, mut arm) = can();
+    bus.state().receive_fails = true;
+    assert_eq!(arm.ask(id(1), ReadMultiTurnAngle), Err(CallError::Bus(Broken)));
+    bus.state().receive_fails = false;
+    for _ in 0..10 {
+        assert!(arm.ask(id(1), ReadMultiTurnAngle).is_ok());
+    }
 }

@@ -30,11 +30,11 @@ macro_rules! session {
         let mut on_event = Vec::new();
         log.push(format!("{:?}", $arm.ask(id(1), ReadMultiTurnAngle) $($wait)*));
         log.push(format!("{:?}", $arm.ask(id(2), ReadPid { index: PidIndex::SPEED_KP }) $($wait)*));
-        log.push(format!("{:?}", $arm.call(id(3), Reset) $($wait)*));
+        log.push(format!("{:?}", $arm.ask(id(3), Reset) $($wait)*));
         log.push(format!("{:?}", $arm.ask(id(9), ReadMultiTurnAngle) $($wait)*));
         log.push(format!("{:?}", $arm.ask(id(9), step()) $($wait)*));
         $arm.set_point(id(2), torque()).unwrap();
-        let meanwhile = $arm.call_with(id(1), step(), None, |event| on_event.push(event)) $($wait)*;
+        let meanwhile = $arm.ask_with(id(1), step(), None, |event| on_event.push(event)) $($wait)*;
         log.push(format!("{meanwhile:?} {on_event:?}"));
         log.push(format!("{:?}", $arm.stop_all(StopKind::Hold, MotorSet::EMPTY) $($wait)*));
         log.push(format!("{:?}", $arm.ask(id(1), step()) $($wait)*));
@@ -46,7 +46,7 @@ fn check(log: &[String]) {
     assert_eq!(log.len(), 8);
     assert_eq!(log[0], "Ok(MultiTurnAngle { angle: Angle(360 deg) })");
     assert!(log[1].contains("speed-kp"), "{}", log[1]);
-    assert_eq!(log[2], "Ok(None)");
+    assert_eq!(log[2], "Ok(NoReply)");
     assert_eq!(log[3], "Err(Failed(NoReply))");
     assert_eq!(log[4], "Err(Failed(NoReply))");
     assert!(log[5].contains("Feedback"), "{}", log[5]);
@@ -123,7 +123,7 @@ fn a_serial_frame_whose_sending_is_dropped_counts_as_sent() {
 fn a_serial_port_that_stalls_counts_as_a_bus_that_is_down() {
     let (port, clock, mut arm) = serial();
     port.state().stalls = true;
-    let failed = block_on(arm.call(id(1), step()));
+    let failed = block_on(arm.ask(id(1), step()));
     assert_eq!(failed, Err(CallError::Failed(Failure::BusDown)));
     assert!((20_000..21_000).contains(&clock.micros()), "{}", clock.micros());
     port.state().stalls = false;
@@ -162,7 +162,7 @@ fn what_waits_is_dropped_on_a_bus_that_takes_nothing() {
 fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
     let (bus, _, mut arm) = can();
     bus.state().transmit_fails = true;
-    assert_eq!(block_on(arm.call(id(1), step())), Err(CallError::Bus(Broken)));
+    assert_eq!(block_on(arm.ask(id(1), step())), Err(CallError::Bus(Broken)));
     bus.state().transmit_fails = false;
     let event = block_on(arm.next_event()).unwrap();
     assert!(matches!(event, Event::Failed { failure: Failure::BusDown, .. }), "{event:?}");
@@ -173,7 +173,7 @@ fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
 
     let (port, _, mut arm) = serial();
     port.state().write_fails = true;
-    assert_eq!(block_on(arm.call(id(1), step())), Err(CallError::Bus(Broken)));
+    assert_eq!(block_on(arm.ask(id(1), step())), Err(CallError::Bus(Broken)));
     port.state().write_fails = false;
     let event = block_on(arm.next_event()).unwrap();
     assert!(matches!(event, Event::Failed { failure: Failure::BusDown, .. }), "{event:?}");
@@ -228,4 +228,11 @@ fn a_delay_makes_a_clock_that_is_never_early() {
     assert_eq!(clock.micros(), 2_500_000);
     let (_, Short(_, delays)) = timer.release();
     assert_eq!(delays, [1_000_000, 1_000_000, 500_002, 1]);
+}
+
+#[test]
+fn a_question_waits_for_one_whose_future_was_dropped() {
+    let (_, _, mut arm) = can();
+    assert!(polls(arm.ask(id(1), ReadMultiTurnAngle), 2).is_none());
+    assert!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).is_ok());
 }

@@ -2,6 +2,7 @@
 
 mod blocking;
 mod concurrent;
+mod guard;
 mod half_duplex;
 mod world;
 

@@ -200,8 +200,8 @@ impl AsyncCan for TestCan {
     type Frame = SimpleFrame;
     type Error = Broken;
 
-    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<(), Broken> {
-        poll_fn(|_| pending(nb::Can::transmit(self, frame))).await.map(|_| ())
+    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Broken> {
+        poll_fn(|_| pending(nb::Can::transmit(self, frame))).await
     }
 
     async fn receive(&mut self) -> Result<SimpleFrame, Broken> {

@@ -1,0 +1,154 @@
+//! What an RS485 adapter hands back of one's own bytes.
+
+use crate::opcode::Opcode;
+use crate::time::{Duration, Instant};
+use crate::wire::rs485::Frame;
+
+/// An echo does not come later after its sending: adapters hand over what they received every 16 ms.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
+/// So many sendings may wait for their echo.
+const SENDINGS: usize = 8;
+
+/// Tells echoes from replies: by place and by their bytes.
+///
+/// Of the frames that equal one that was sent, the first is its echo, whatever comes before it. So of a
+/// reply that equals its command, an acknowledgement of 0x81 for example, only what is more than was
+/// sent counts: without a drive that answers, nothing is left.
+///
+/// An echo that nobody configured is found by two sendings in a row that come back although no reply
+/// to them can be the same bytes; and is none if one then does not come back.
+#[derive(Clone, Debug)]
+pub struct EchoFilter {
+    adapter: Adapter,
+    /// What was sent and has not come back, with the time of that.
+    sent: [Option<(Frame, Instant)>; SENDINGS],
+}
+
+/// What is known of the adapter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Adapter {
+    /// It echoes, as was said.
+    Echoes,
+    /// It does not, as was said, and nothing speaks against it but what the last sending may have.
+    IsQuiet { suspected: bool },
+    /// It echoes, as was found.
+    FoundEchoing,
+}
+
+impl EchoFilter {
+    /// For an adapter that is said to echo, or not to.
+    pub const fn new(is_echoing: bool) -> Self {
+        let adapter =
+            if is_echoing { Adapter::Echoes } else { Adapter::IsQuiet { suspected: false } };
+        Self { adapter, sent: [None; SENDINGS] }
+    }
+
+    /// Whether the adapter echoes, as was said or found.
+    pub const fn is_echoing(&self) -> bool {
+        !matches!(self.adapter, Adapter::IsQuiet { .. })
+    }
+
+    /// Takes note of a frame that was sent.
+    pub fn sent(&mut self, frame: Frame, now: Instant) {
+        // Without a free place the oldest makes way.
+        let oldest = self.sent.iter_mut().min_by_key(|place| place.map(|(_, at)| at));
+        if let Some(place) = oldest {
+            *place = Some((frame, now));
+        }
+    }
+
+    /// Whether a frame that came is the echo of one that was sent.
+    pub fn is_echo(&mut self, frame: &Frame, now: Instant) -> bool {
+        self.forget_what_did_not_come(now);
+        let is_equal = |place: &&mut Option<_>| place.is_some_and(|(sent, _)| sent == *frame);
+        let equal = self.sent.iter_mut().filter(is_equal);
+        let Some(first) = equal.min_by_key(|place| place.map(|(_, at)| at)) else { return false };
+        match self.adapter {
+            Adapter::Echoes | Adapter::FoundEchoing => {}
+            Adapter::IsQuiet { .. } if can_be_a_reply(frame) => return false,
+            Adapter::IsQuiet { suspected: false } => {
+                self.adapter = Adapter::IsQuiet { suspected: true };
+            }
+            Adapter::IsQuiet { suspected: true } => self.adapter = Adapter::FoundEchoing,
+        }
+        *first = None;
+        true
+    }
+
+    fn forget_what_did_not_come(&mut self, now: Instant) {
+        for place in &mut self.sent {
+            let Some((frame, at)) = *place else { continue };
+            if now - at <= LONGEST_WAIT {
+                continue;
+            }
+            *place = None;
+            if self.adapter != Adapter::Echoes && !can_be_a_reply(&frame) {
+                self.adapter = Adapter::IsQuiet { suspected: false };
+            }
+        }
+    }
+}
+
+/// Whether a drive can answer a command with the command's own bytes. Not where the reply has values
+/// that are never all zero: a voltage, a date, a name.
+fn can_be_a_reply(command: &Frame) -> bool {
+    const NEVER: [Opcode; 3] = [Opcode::ReadStatus1, Opcode::ReadVersionDate, Opcode::ReadModel];
+    let [byte, values @ ..] = command.data;
+    values != [0; 7] || !Opcode::from_byte(byte).is_some_and(|opcode| NEVER.contains(&opcode))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::command::{Command, ReadStatus1, Stop};
+    use crate::id::{MotorId, Target};
+    use crate::packet::{Channel, Packet};
+
+    fn frame(command: impl Command) -> Frame {
+        let channel = Channel::Command(Target::Motor(MotorId::MIN));
+        Frame::from_packet(&Packet { channel, data: command.encode() }).unwrap()
+    }
+
+    fn ms(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    #[test]
+    fn of_equal_frames_only_what_is_more_than_was_sent_is_a_reply() {
+        let mut filter = EchoFilter::new(true);
+        let stop = frame(Stop);
+        filter.sent(stop, ms(0));
+        filter.sent(stop, ms(20));
+        let late = Frame { data: [0x92; 8], ..stop };
+        assert!(!filter.is_echo(&late, ms(30)), "whatever comes before");
+        assert!(filter.is_echo(&stop, ms(30)));
+        assert!(filter.is_echo(&stop, ms(30)));
+        assert!(!filter.is_echo(&stop, ms(30)));
+    }
+
+    #[test]
+    fn an_echo_that_was_lost_is_not_waited_for_for_ever() {
+        let mut filter = EchoFilter::new(true);
+        filter.sent(frame(Stop), ms(0));
+        assert!(!filter.is_echo(&frame(Stop), ms(101)));
+    }
+
+    #[test]
+    fn an_echo_that_nobody_configured_is_found() {
+        let mut filter = EchoFilter::new(false);
+        filter.sent(frame(Stop), ms(0));
+        assert!(!filter.is_echo(&frame(Stop), ms(1)), "it may well be the answer");
+        // Once may be a drive that lost its master and has ignored the command.
+        for (at, is_found) in [(2, false), (4, true)] {
+            filter.sent(frame(ReadStatus1), ms(at));
+            assert!(filter.is_echo(&frame(ReadStatus1), ms(at + 1)), "no values are all zero");
+            assert_eq!(filter.is_echoing(), is_found);
+        }
+        filter.sent(frame(Stop), ms(6));
+        assert!(filter.is_echo(&frame(Stop), ms(7)));
+        // It is none if it then stays away.
+        filter.sent(frame(ReadStatus1), ms(8));
+        assert!(!filter.is_echo(&frame(Stop), ms(109)));
+        assert!(!filter.is_echoing());
+    }
+}

@@ -1,0 +1,101 @@
+//! Leaving a control loop leaves it through the stop.
+
+use core::ops::{Deref, DerefMut};
+
+use crate::io::async_runner::AsyncRunner;
+use crate::io::runner::Runner;
+use crate::master::{MotorSet, StopKind};
+
+/// A loop that stops all motors when it is left: by `?`, `break`, `return`, a panic that unwinds, or at its
+/// end. It is used as the loop itself.
+///
+/// ```no_run
+/// # use myactuator_protocol_core::command::{RawMotion, ReadMultiTurnAngle};
+/// # use myactuator_protocol_core::io::{Guard, Runner};
+/// # use myactuator_protocol_core::{MotorId, master::StopKind};
+/// # fn control<R: Runner<8>>(bus: &mut R, motor: MotorId) -> Result<(), Box<dyn std::error::Error>>
+/// # where R::Error: 'static {
+/// let mut bus = Guard::new(bus, StopKind::Hold);
+/// loop {
+///     let angle = bus.ask(motor, ReadMultiTurnAngle).map_err(|error| error.to_string())?.angle;
+///     if angle.degrees() > 90.0 {
+///         break;
+///     }
+/// }
+/// let unconfirmed = bus.stop();
+/// assert!(unconfirmed.is_empty(), "cut the power of motors {unconfirmed}");
+/// # Ok(()) }
+/// ```
+///
+/// Nothing is left without a stop but a program that is killed, or a panic that aborts: for those set the
+/// motors' communication-loss protection (0xB3).
+#[derive(Debug)]
+pub struct Guard<'a, R: Runner<N>, const N: usize> {
+    bus: &'a mut R,
+    kind: StopKind,
+}
+
+impl<'a, R: Runner<N>, const N: usize> Guard<'a, R, N> {
+    /// Guards this loop.
+    pub const fn new(bus: &'a mut R, kind: StopKind) -> Self {
+        Self { bus, kind }
+    }
+
+    /// Stops all motors now, and gives those that have not confirmed it: **cut their power**.
+    pub fn stop(self) -> MotorSet {
+        let mut guard = core::mem::ManuallyDrop::new(self);
+        let kind = guard.kind;
+        guard.bus.stop_all(kind, MotorSet::EMPTY)
+    }
+}
+
+impl<R: Runner<N>, const N: usize> Drop for Guard<'_, R, N> {
+    /// Whoever wants to know who has not confirmed calls [`stop`](Self::stop).
+    fn drop(&mut self) {
+        let _unconfirmed = self.bus.stop_all(self.kind, MotorSet::EMPTY);
+    }
+}
+
+impl<R: Runner<N>, const N: usize> Deref for Guard<'_, R, N> {
+    type Target = R;
+
+    fn deref(&self) -> &R {
+        self.bus
+    }
+}
+
+impl<R: Runner<N>, const N: usize> DerefMut for Guard<'_, R, N> {
+    fn deref_mut(&mut self) -> &mut R {
+        self.bus
+    }
+}
+
+/// Runs `work` on an async loop and then stops all motors, however it ends. Gives what comes of it, and the
+/// motors that have not confirmed the stop: **cut their power**.
+///
+/// Dropped halfway, or left by a panic that unwinds, it can wait for nothing any more: the stop is in force
+/// then, and the first thing that any other future of this loop sends.
+pub async fn guarded<R: AsyncRunner<N>, T, const N: usize>(
+    bus: &mut R,
+    kind: StopKind,
+    work: impl AsyncFnOnce(&mut R) -> T,
+) -> (T, MotorSet) {
+    let latch = Latch { bus, kind };
+    let result = work(latch.bus).await;
+    let unconfirmed = latch.bus.stop_all(kind, MotorSet::EMPTY).await;
+    core::mem::forget(latch);
+    (result, unconfirmed)
+}
+
+/// Puts the stop in force when it is dropped.
+struct Latch<'a, R: AsyncRunner<N>, const N: usize> {
+    bus: &'a mut R,
+    kind: StopKind,
+}
+
+impl<R: AsyncRunner<N>, const N: usize> Drop for Latch<'_, R, N> {
+    fn drop(&mut self) {
+        // Nobody else is to be stopped, so there is a place for all.
+        let _ = self.bus.master().stop_all(self.kind, MotorSet::EMPTY);
+    }
+}

@@ -1,0 +1,91 @@
+//! However a control loop is left, the motors are stopped.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use super::world::{Broken, TestCan, TestClock, block_on, on_can, polls};
+use super::{id, torque};
+use crate::command::{ReadMultiTurnAngle, Stop};
+use crate::error::RequestError;
+use crate::io::{AsyncCanMaster, AsyncRunner, CallError, CanMaster, Guard, Runner, guarded};
+use crate::master::{MotorSet, StopKind};
+
+type Arm = CanMaster<TestCan, TestClock, 4>;
+
+/// Leaves a control loop in this way, and checks that the stop was the last thing sent.
+fn is_stopped_after(leave: impl FnOnce(Guard<'_, Arm, 4>)) {
+    let (bus, _, mut arm) = on_can(CanMaster::new);
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    leave(Guard::new(&mut arm, StopKind::Hold));
+    assert_eq!(bus.sent().last(), Some(&Stop.encode()));
+    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+}
+
+/// Streams, and fails at a motor that is not there.
+fn control(bus: &mut Arm) -> Result<(), CallError<Broken>> {
+    bus.set_point(id(1), torque())?;
+    bus.ask(id(9), ReadMultiTurnAngle)?;
+    unreachable!("nobody answers");
+}
+
+#[test]
+fn by_an_error() {
+    is_stopped_after(|mut bus| assert!(control(&mut bus).is_err()));
+}
+
+#[test]
+#[expect(clippy::never_loop, reason = "it is left")]
+fn by_a_break() {
+    is_stopped_after(|mut bus| {
+        loop {
+            bus.set_point(id(1), torque()).unwrap();
+            break;
+        }
+    });
+}
+
+#[test]
+fn by_a_panic() {
+    is_stopped_after(|mut bus| {
+        let result = catch_unwind(AssertUnwindSafe(move || {
+            bus.set_point(id(1), torque()).unwrap();
+            panic!("in the middle");
+        }));
+        assert!(result.is_err());
+    });
+}
+
+#[test]
+fn at_its_end_with_who_has_not_confirmed() {
+    is_stopped_after(|bus| assert_eq!(bus.stop(), MotorSet::EMPTY));
+}
+
+#[test]
+fn by_an_error_of_a_task() {
+    let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
+    let (result, unconfirmed) = block_on(guarded(&mut arm, StopKind::Hold, async |bus| {
+        bus.set_point(id(1), torque())?;
+        bus.ask(id(1), ReadMultiTurnAngle).await?;
+        bus.set_point(id(1), torque())?;
+        Err::<(), _>(CallError::Bus(Broken))
+    }));
+    assert_eq!(result, Err(CallError::Bus(Broken)));
+    assert_eq!(unconfirmed, MotorSet::EMPTY);
+    assert_eq!(bus.sent().last(), Some(&Stop.encode()));
+}
+
+#[test]
+fn by_a_future_that_is_dropped() {
+    let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
+    let work = guarded(&mut arm, StopKind::Hold, async |bus| {
+        loop {
+            bus.set_point(id(1), torque()).unwrap();
+            bus.next_event().await.unwrap();
+        }
+    });
+    assert!(polls(work, 50).is_none());
+    // Nothing runs the bus just now; whatever runs it next sends the stop first.
+    let before = bus.sent().len();
+    let _event = block_on(arm.next_event());
+    assert_eq!(bus.sent().get(before), Some(&Stop.encode()));
+    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+}

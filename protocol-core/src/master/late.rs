@@ -1,0 +1,145 @@
+//! Replies to commands that were given up, or that a stop went over: they may still come.
+
+use crate::data::Data;
+use crate::kind::Kind;
+use crate::time::Instant;
+
+/// What tells the replies to one command from those to another: its kind and, where the kind has one,
+/// its key byte. Nothing in a reply says which of two equal commands it answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Question {
+    pub(super) kind: Kind,
+    key: u8,
+}
+
+impl Question {
+    /// What this command asks.
+    pub(super) fn of(kind: Kind, command: &Data) -> Self {
+        Self { kind, key: kind.key(command).unwrap_or(0) }
+    }
+
+    /// Whether these bytes, from the channel of motion mode or not, can be a reply to it.
+    pub(super) fn is_answered_by(self, is_motion: bool, reply: &Data) -> bool {
+        self.kind.is_motion() == is_motion
+            && self.kind.byte().is_none_or(|byte| byte == reply[0])
+            && self.kind.key(reply).unwrap_or(0) == self.key
+    }
+}
+
+/// Whether a request or a set-point of a stream was given up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Of {
+    Request,
+    Stream,
+}
+
+/// Replies that may still come, to one question.
+#[derive(Clone, Copy, Debug)]
+struct Late {
+    question: Question,
+    of: Of,
+    /// So many at the most.
+    replies: u8,
+    /// Not after this.
+    until: Instant,
+}
+
+/// How many questions of one motor may have late replies. More are never asked: see
+/// [`has_room`](LateReplies::has_room).
+const QUESTIONS: usize = 3;
+
+/// The late replies that may still come from one motor.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct LateReplies([Option<Late>; QUESTIONS]);
+
+impl LateReplies {
+    /// So many replies to this question may come until then.
+    pub(super) fn expect(&mut self, question: Question, of: Of, replies: u8, until: Instant) {
+        let known = self.0.iter_mut().flatten().find(|late| late.question == question);
+        if let Some(late) = known {
+            late.of = of;
+            late.replies = late.replies.saturating_add(replies);
+            late.until = late.until.max(until);
+            return;
+        }
+        // Without room, which only stops bring about, the one that ends first makes way.
+        let ends = |late: &Option<Late>| late.map(|late| late.until);
+        if let Some(place) = self.0.iter_mut().min_by_key(|place| ends(place)) {
+            *place = Some(Late { question, of, replies, until });
+        }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.iter().all(Option::is_none)
+    }
+
+    /// Whether one more question can be given up.
+    pub(super) fn has_room(&self) -> bool {
+        self.0.iter().any(Option::is_none)
+    }
+
+    /// Whether the reply to this question could be one of these.
+    pub(super) fn may_be_mistaken(&self, question: Question) -> bool {
+        self.0.iter().flatten().any(|late| late.question == question)
+    }
+
+    /// Whether a command is among them that may move the motor: it may not have reached it yet.
+    pub(super) fn may_move(&self) -> bool {
+        self.0.iter().flatten().any(|late| late.question.kind.moves())
+    }
+
+    /// Something else was answered by what may have been one of these: whose reply is still to come
+    /// nobody knows, so it may come for as long as that of the last.
+    pub(super) fn prolong(&mut self, question: Question, until: Instant) {
+        if let Some(late) = self.0.iter_mut().flatten().find(|late| late.question == question) {
+            late.until = late.until.max(until);
+        }
+    }
+
+    /// Takes a reply that is one of these, and gives what it is of. One that may be the last one once more
+    /// is none of these for sure: they are still expected then.
+    pub(super) fn take(
+        &mut self,
+        is_motion: bool,
+        reply: &Data,
+        may_be_doubled: bool,
+    ) -> Option<Of> {
+        let place = self.0.iter_mut().find(|place| {
+            place.is_some_and(|late| late.question.is_answered_by(is_motion, reply))
+        })?;
+        let late = place.as_mut()?;
+        let of = late.of;
+        late.replies = late.replies.saturating_sub(u8::from(!may_be_doubled));
+        if late.replies == 0 {
+            *place = None;
+        }
+        Some(of)
+    }
+
+    /// Forgets what cannot come any more.
+    pub(super) fn expire(&mut self, now: Instant) {
+        for place in &mut self.0 {
+            if place.is_some_and(|late| late.until <= now) {
+                *place = None;
+            }
+        }
+    }
+
+    /// Nothing came while the bus was down: none of these ends before then.
+    pub(super) fn extend(&mut self, until: Instant) {
+        for late in self.0.iter_mut().flatten() {
+            late.until = late.until.max(until);
+        }
+    }
+
+    /// When the next of these cannot come any more.
+    pub(super) fn next_end(&self) -> Option<Instant> {
+        self.0.iter().flatten().map(|late| late.until).min()
+    }
+
+    /// When replies to this question cannot come any more.
+    pub(super) fn end_of(&self, question: Question) -> Option<Instant> {
+        let mut all = self.0.iter().flatten();
+        all.find(|late| late.question == question).map(|late| late.until)
+    }
+}

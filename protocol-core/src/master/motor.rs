@@ -1,0 +1,491 @@
+//! What the master keeps for one motor: its request, its stream, and what may still arrive.
+
+use bitflags::bitflags;
+
+use crate::data::Data;
+use crate::id::{MotorId, Target};
+use crate::kind::Kind;
+use crate::master::config::Config;
+use crate::master::event::Failure;
+use crate::master::health::Health;
+use crate::master::late::{LateReplies, Of, Question};
+use crate::master::request::{Asked, Purpose, Request};
+use crate::master::schedule::Earliest;
+use crate::master::stream::{SetPoint, Stream};
+use crate::packet::{Channel, Packet};
+use crate::time::{Duration, Instant};
+
+bitflags! {
+    /// What is to be told of a motor, beside the outcome of its request.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub(super) struct News: u8 {
+        /// A set-point was not answered.
+        const UNANSWERED = 1 << 0;
+        /// A set-point was dropped.
+        const DROPPED = 1 << 1;
+        /// A stop took the place of the caller's request.
+        const STOPPED = 1 << 2;
+        /// The motor did not confirm the stop.
+        const UNCONFIRMED = 1 << 3;
+        /// The motor has restarted.
+        const RESTARTED = 1 << 4;
+    }
+}
+
+/// How the motor's last command went.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Chance {
+    /// Its reply may wait for the bus.
+    #[default]
+    Open,
+    /// The bus was quiet when its reply was due: it does not wait for the bus, and nobody waits for it.
+    Missed,
+}
+
+/// A motor that was silent for so long and answers again may have restarted: that takes 1.1 s.
+const RESTART_TAKES: Duration = Duration::from_secs(1);
+
+/// A doubled frame comes so soon after the first.
+const DOUBLED_WITHIN: Duration = Duration::from_millis(1);
+/// Feedback that takes so many times longer than usual is lost.
+const USUAL_TIMES: u32 = 3;
+/// So many commands in a row without an answer are no chance loss.
+const SELDOM: u8 = 2;
+/// One that has not reported for so many of its intervals does so no more.
+const REPORTS_MISSED: u32 = 3;
+
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Motor {
+    pub(super) id: Option<MotorId>,
+    pub(super) request: Request,
+    /// Names the request.
+    pub(super) ticket: u32,
+    pub(super) stream: Stream,
+    pub(super) late: LateReplies,
+    pub(super) news: News,
+    chance: Chance,
+    /// A set-point was sent last, so that it is a waiting request's turn.
+    was_set_point: bool,
+    /// The motor has lost its master and will ignore the next command.
+    has_lost_master: bool,
+    /// It has restarted: no set-points until the caller knows.
+    pub(super) has_restarted: bool,
+    /// Commands in a row that were not answered in time.
+    misses: u8,
+    /// Which reports (0xB6) are on, a bit each.
+    reports: u8,
+    /// The longest interval of these, in 10 ms.
+    report_interval: u16,
+    /// How many commands it was sent, put forward to the others' after a rest.
+    pub(super) round: u32,
+    /// When the last command was sent.
+    pub(super) sent: Instant,
+    /// The motor restarts, or settles after another command without reply: it gets nothing before.
+    settled_at: Instant,
+    /// Until when a command that was given up may still reach the drive and move it.
+    moves_until: Instant,
+    /// How long it had run when it said so last, in milliseconds.
+    run_time_ms: u32,
+    pub(super) health: Health,
+}
+
+impl Motor {
+    pub(super) fn is_in_flight(&self) -> bool {
+        self.stream.in_flight().is_some() || self.request.in_flight().is_some()
+    }
+
+    pub(super) fn is_waiting(&self) -> bool {
+        self.stream.waiting().is_some() || self.request.waiting().is_some()
+    }
+
+    /// Whether it has nothing under way and nothing to tell.
+    pub(super) fn is_idle(&self, now: Instant) -> bool {
+        let has_nothing = self.request.is_none() && !self.is_waiting() && !self.is_in_flight();
+        has_nothing && self.news.is_empty() && self.settled_at <= now
+    }
+
+    /// Whether time alone changes anything about it.
+    pub(super) fn is_timed(&self) -> bool {
+        let is_held = self.settled_at > Instant::ZERO || self.moves_until > Instant::ZERO;
+        self.is_in_flight() || self.is_waiting() || is_held || !self.late.is_empty()
+    }
+
+    pub(super) fn has_news(&self) -> bool {
+        let is_over = matches!(self.request, Request::Sent(_) | Request::Failed(_));
+        is_over || !self.news.is_empty()
+    }
+
+    /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
+    pub(super) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
+        self.drop_waiting_set_point();
+        match self.request {
+            // Also one whose outcome is not told yet: each request has one.
+            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)
+                if !asked.is_stop() =>
+            {
+                self.news.insert(News::STOPPED);
+            }
+            Request::Failed(_) => self.news.insert(News::STOPPED),
+            _ => {}
+        }
+        self.give_request_up(config, now);
+        self.request = Request::Waiting(stop);
+    }
+
+    pub(super) fn put_set_point(&mut self, set_point: SetPoint, expiry: Instant) {
+        if self.stream.put(set_point, expiry).is_some() {
+            self.health.superseded = self.health.superseded.saturating_add(1);
+        }
+    }
+
+    #[inline(never)]
+    pub(super) fn drop_waiting_set_point(&mut self) {
+        if self.stream.drop_waiting().is_some() {
+            self.news.insert(News::DROPPED);
+            self.health.superseded = self.health.superseded.saturating_add(1);
+        }
+    }
+
+    /// Whether it is behind that round.
+    pub(super) fn is_behind(&self, round: u32) -> bool {
+        (self.round.wrapping_sub(round) as i32) < 0
+    }
+
+    /// Puts it forward after a rest, so that it is one round behind the others at the most: what it
+    /// did not ask for then it has no claim to now.
+    pub(super) fn join(&mut self, pace: u32) {
+        if !self.is_waiting() {
+            self.round = pace.wrapping_sub(u32::from((self.round.wrapping_sub(pace) as i32) < 0));
+        }
+    }
+
+    pub(super) fn is_settled(&self, now: Instant) -> bool {
+        self.settled_at <= now
+    }
+
+    /// Whether it did not answer last time.
+    pub(super) fn was_missed(&self) -> bool {
+        self.misses > 0
+    }
+
+    /// Whether its reply may come yet without the bus having been quiet meanwhile.
+    pub(super) fn has_a_chance(&self) -> bool {
+        self.chance == Chance::Open
+    }
+
+    /// Whether a waiting request may go, as far as this motor is concerned.
+    pub(super) fn may_send_request(&self) -> bool {
+        let may =
+            |asked: &Asked| self.late.has_room() && !self.late.may_be_mistaken(asked.question);
+        self.request.waiting().is_some_and(may)
+    }
+
+    /// Whether the waiting stop may go: at once, whatever is in flight, but once more only when nothing
+    /// that was sent before can move the motor any more.
+    pub(super) fn may_send_stop(&self) -> bool {
+        match self.request.waiting().map(|asked| asked.purpose) {
+            Some(Purpose::Stop { once_more }) => !(once_more && self.may_yet_move()),
+            _ => false,
+        }
+    }
+
+    /// Whether a command that was given up may still reach the drive and move it.
+    pub(super) fn may_yet_move(&self) -> bool {
+        self.moves_until > Instant::ZERO && self.late.may_move()
+    }
+
+    /// The reply to this question, which was sent so often, may come late.
+    fn expect_late(&mut self, question: Question, of: Of, replies: u8, until: Instant) {
+        if replies > 0 {
+            self.late.expect(question, of, replies, until);
+            if question.kind.moves() {
+                self.moves_until = self.moves_until.max(until);
+            }
+        }
+    }
+
+    /// Whether the set-point is what this motor should be sent next, rather than the request.
+    pub(super) fn is_set_point_next(&self, request_may_go: bool) -> bool {
+        self.stream.waiting().is_some() && !(request_may_go && self.was_set_point)
+    }
+
+    pub(super) fn request_packet(&self) -> Option<Packet> {
+        let asked = self.request.waiting()?;
+        Some(Packet { channel: channel(self.id?, asked.kind()), data: asked.data })
+    }
+
+    pub(super) fn set_point_packet(&self) -> Option<Packet> {
+        let set_point = self.stream.waiting()?;
+        Some(Packet { channel: channel(self.id?, set_point.question.kind), data: set_point.data })
+    }
+
+    pub(super) fn was_sent(&mut self, now: Instant) {
+        self.sent = now;
+        self.chance = Chance::Open;
+        self.round = self.round.wrapping_add(1);
+    }
+
+    /// The waiting request was sent. One without a reply keeps everything else back for `pause`.
+    pub(super) fn request_was_sent(
+        &mut self,
+        now: Instant,
+        pause: Option<Duration>,
+        late: Instant,
+    ) {
+        let Request::Waiting(mut asked) = self.request else { return };
+        let is_stop = asked.is_stop();
+        self.was_sent(now);
+        self.was_set_point = false;
+        asked.attempts_left = asked.attempts_left.saturating_sub(1);
+        if let Some(pause) = pause {
+            self.settled_at = self.settled_at.max(now + pause);
+            self.request = Request::Sent(asked);
+            return;
+        }
+        // Only a stop goes over something in flight, which may still be on its way.
+        if is_stop {
+            self.late.extend(late);
+        }
+        if let Some(set_point) = self.stream.take_in_flight() {
+            self.expect_late(set_point.question, Of::Stream, 1, late);
+        }
+        asked.unanswered = asked.unanswered.saturating_add(1);
+        self.request = Request::InFlight(asked);
+    }
+
+    pub(super) fn set_point_was_sent(&mut self, now: Instant) {
+        self.was_sent(now);
+        self.was_set_point = true;
+        self.stream.was_sent();
+    }
+
+    /// A controller has handed a frame back that it had taken: it was never on the bus.
+    pub(super) fn was_pushed_out(&mut self, packet: &Packet) {
+        let is_this = |kind: Kind, data: &Data| {
+            kind.is_motion() == matches!(packet.channel, Channel::Motion(_)) && *data == packet.data
+        };
+        match self.request {
+            Request::InFlight(mut asked) if is_this(asked.kind(), &asked.data) => {
+                asked.attempts_left = asked.attempts_left.saturating_add(1);
+                asked.unanswered = asked.unanswered.saturating_sub(1);
+                self.request = Request::Waiting(asked);
+                return;
+            }
+            _ => {}
+        }
+        if self.stream.in_flight().is_some_and(|sent| is_this(sent.question.kind, &sent.data)) {
+            if !self.stream.was_pushed_out() {
+                self.health.superseded = self.health.superseded.saturating_add(1);
+            }
+        } else {
+            // A stop went over it, or it was given up: it will not be answered.
+            self.late.take(matches!(packet.channel, Channel::Motion(_)), &packet.data, false);
+        }
+    }
+
+    /// When what is in flight counts as lost; a set-point after `set_point_timeout`.
+    fn deadline(&self, set_point_timeout: Duration) -> Option<Instant> {
+        let of_request = self.request.in_flight().map(|asked| asked.timeout);
+        let timeout = of_request.or(self.stream.in_flight().map(|_| set_point_timeout))?;
+        Some(self.sent + timeout)
+    }
+
+    /// When the feedback of the set-point in flight counts as lost on a quiet bus: a stream does not stand
+    /// still for it. Not where nobody knows how long feedback takes, nor when it stays away again and again.
+    fn stream_is_lost_at(&self, config: &Config) -> Option<Instant> {
+        let usual = self.health.round_trip;
+        let is_known = usual > Duration::ZERO && self.misses < SELDOM;
+        let is_quiet = self.stream.in_flight().is_some() && self.chance == Chance::Missed;
+        let patience = config.longest_response.max(usual.times(USUAL_TIMES));
+        (is_known && is_quiet).then_some(self.sent + patience)
+    }
+
+    /// Whether a reply of this motor may be waiting for the bus. Not one that did not answer last
+    /// time, nor one that the quiet bus has shown to be silent.
+    pub(super) fn may_be_answering(&self) -> bool {
+        self.is_in_flight() && self.misses == 0 && self.chance == Chance::Open
+    }
+
+    /// The bus is quiet: what waited only for that must have come.
+    pub(super) fn bus_is_quiet(&mut self, now: Instant, config: &Config) {
+        if self.is_in_flight() && now - self.sent >= config.longest_response {
+            self.chance = Chance::Missed;
+        }
+    }
+
+    /// Takes note of the time: what is too old is dropped, what is overdue is sent again or given up.
+    pub(super) fn handle_timeout(&mut self, now: Instant, config: &Config) {
+        self.late.expire(now);
+        if self.settled_at <= now {
+            self.settled_at = Instant::ZERO;
+        }
+        if self.moves_until <= now {
+            self.moves_until = Instant::ZERO;
+        }
+        if self.stream.expiry().is_some_and(|expiry| expiry <= now) {
+            self.drop_waiting_set_point();
+        }
+        let is_late = self.deadline(config.reply_timeout).is_some_and(|deadline| deadline <= now);
+        let is_lost = self.stream_is_lost_at(config).is_some_and(|at| at <= now);
+        if !is_late && !is_lost {
+            return;
+        }
+        self.has_missed();
+        if let Some(set_point) = self.stream.take_in_flight() {
+            let until = now + config.late_window;
+            self.expect_late(set_point.question, Of::Stream, 1, until);
+            self.news.insert(News::UNANSWERED);
+            return;
+        }
+        let Request::InFlight(asked) = self.request else { return };
+        if asked.attempts_left > 0 {
+            self.request = Request::Waiting(asked);
+            return;
+        }
+        self.give_request_up(config, now);
+        if asked.is_stop() {
+            self.news.insert(News::UNCONFIRMED);
+            self.request = Request::None;
+        } else {
+            self.request = Request::Failed(Failure::NoReply);
+        }
+    }
+
+    /// Replies to the request that is under way may come too late from now on.
+    fn give_request_up(&mut self, config: &Config, now: Instant) {
+        if let Some(asked) = self.request.under_way() {
+            let (question, replies) = (asked.question, asked.unanswered);
+            self.expect_late(question, Of::Request, replies, now + config.late_window);
+        }
+    }
+
+    /// The request is over.
+    pub(super) fn finish_request(&mut self, outcome: Request, config: &Config, now: Instant) {
+        self.give_request_up(config, now);
+        self.request = outcome;
+    }
+
+    /// The bus carries nothing: what waits is dropped but for stops, and late replies come later.
+    pub(super) fn bus_is_down(&mut self, now: Instant, config: &Config) {
+        self.drop_waiting_set_point();
+        self.late.extend(now + config.late_window);
+        self.moves_until = self.moves_until.max(now + config.late_window);
+        if self.request.waiting().is_some_and(|asked| !asked.is_stop()) {
+            self.finish_request(Request::Failed(Failure::BusDown), config, now);
+        }
+    }
+
+    /// A reply has not come in time.
+    pub(super) fn has_missed(&mut self) {
+        self.misses = self.misses.saturating_add(1);
+        self.health.count_miss(self.misses);
+    }
+
+    pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
+        self.misses = 0;
+        self.health.count_answer(round_trip);
+    }
+
+    /// Something was heard of it. Gives whether that was just after something else, so that it may be the
+    /// same once more.
+    pub(super) fn was_heard(&mut self, now: Instant) -> bool {
+        let Some(before) = self.health.last_seen.replace(now) else { return false };
+        let silence = now - before;
+        if self.misses > 0 && silence >= RESTART_TAKES {
+            self.has_begun_anew();
+        }
+        silence < DOUBLED_WITHIN
+    }
+
+    /// It has said how long it has run.
+    pub(super) fn has_run_for(&mut self, run_time_ms: u32) {
+        let before = core::mem::replace(&mut self.run_time_ms, run_time_ms);
+        if run_time_ms < before {
+            self.has_begun_anew();
+        }
+    }
+
+    fn has_begun_anew(&mut self) {
+        self.has_restarted = true;
+        self.reports = 0;
+        self.run_time_ms = 0;
+        self.news.insert(News::RESTARTED);
+        self.drop_waiting_set_point();
+    }
+
+    pub(super) fn has_lost_its_master(&mut self) {
+        self.has_lost_master = true;
+    }
+
+    /// Whether this reply is the echo of a drive that has lost its master and ignored the command.
+    /// It does so once.
+    pub(super) fn is_ignored(&mut self, command: &Data, reply: &Data) -> bool {
+        core::mem::take(&mut self.has_lost_master) && command == reply
+    }
+
+    /// Whether it reports this by itself.
+    pub(super) fn reports(&self, bit: u8, now: Instant) -> bool {
+        self.reports & bit != 0 && self.may_report_yet(now)
+    }
+
+    /// It was told to report what the bits say, this often (in 10 ms); or no more.
+    pub(super) fn note_reports(&mut self, bits: u8, interval: Option<u16>) {
+        let Some(interval) = interval else {
+            self.reports &= !bits;
+            return;
+        };
+        self.reports |= bits;
+        self.report_interval = self.report_interval.max(interval);
+    }
+
+    /// Whether it reports, as it was told: one that was not heard for so long does so no more.
+    fn may_report_yet(&self, now: Instant) -> bool {
+        let interval = Duration::from_millis(10 * u64::from(self.report_interval));
+        let longest_silence = RESTART_TAKES + interval.times(REPORTS_MISSED);
+        let since = self.health.last_seen.map_or(self.sent, |seen| seen.max(self.sent));
+        now - since < longest_silence
+    }
+
+    /// Tells when [`handle_timeout`](Self::handle_timeout) has something to do.
+    pub(super) fn due(&self, config: &Config, earliest: &mut Earliest) {
+        if let Some(deadline) = self.deadline(config.reply_timeout) {
+            let may_be_missed = self.chance == Chance::Open && !config.is_rs485();
+            let missed = self.sent + config.longest_response;
+            earliest.take(if may_be_missed { deadline.min(missed) } else { deadline });
+        }
+        self.stream_is_lost_at(config).into_iter().for_each(|at| earliest.take(at));
+        let times =
+            [self.settled_at, self.moves_until].into_iter().filter(|&at| at > Instant::ZERO);
+        let times = times.chain(self.stream.expiry()).chain(self.late.next_end());
+        times.for_each(|at| earliest.take(at));
+    }
+
+    /// Tells when this motor has something to do by itself.
+    pub(super) fn poll_at(&self, config: &Config, earliest: &mut Earliest) {
+        if let Some(deadline) = self.deadline(config.reply_timeout) {
+            earliest.take(deadline);
+        }
+        self.stream_is_lost_at(config).into_iter().for_each(|at| earliest.take(at));
+        if let Some(expiry) = self.stream.expiry() {
+            earliest.take(expiry);
+        }
+        if self.is_waiting() && self.settled_at > Instant::ZERO {
+            earliest.take(self.settled_at);
+        }
+        if let Some(asked) = self.request.waiting() {
+            let end = match asked.purpose {
+                Purpose::Stop { once_more: true } => {
+                    self.may_yet_move().then_some(self.moves_until)
+                }
+                Purpose::Stop { once_more: false } => None,
+                Purpose::Caller if !self.late.has_room() => self.late.next_end(),
+                Purpose::Caller => self.late.end_of(asked.question),
+            };
+            end.into_iter().for_each(|end| earliest.take(end));
+        }
+    }
+}
+
+fn channel(motor: MotorId, kind: Kind) -> Channel {
+    if kind.is_motion() { Channel::Motion(motor) } else { Channel::Command(Target::Motor(motor)) }
+}

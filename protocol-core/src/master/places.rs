@@ -1,0 +1,100 @@
+//! Which motor has which place, and what each place is about: so that nobody has to look at all of
+//! them to find one.
+
+use crate::id::MotorId;
+use crate::master::motor::Motor;
+
+/// A set of places.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct PlaceSet(u32);
+
+impl PlaceSet {
+    pub(super) const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    fn set(&mut self, place: usize, is_in: bool) {
+        let bit = 1 << place;
+        if is_in { self.0 |= bit } else { self.0 &= !bit }
+    }
+
+    /// The places in order.
+    pub(super) fn iter(self) -> impl Iterator<Item = usize> {
+        let mut left = self.0;
+        core::iter::from_fn(move || {
+            let place = left.trailing_zeros() as usize;
+            (left != 0).then(|| {
+                left &= left - 1;
+                place
+            })
+        })
+    }
+
+    pub(super) fn without(self, other: Self) -> Self {
+        Self(self.0 & !other.0)
+    }
+}
+
+const NOBODY: u8 = u8::MAX;
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Places {
+    /// Each motor's place.
+    of: [u8; MotorId::COUNT],
+    /// Those that belong to a motor.
+    pub(super) taken: PlaceSet,
+    /// Those with something to be sent.
+    pub(super) waiting: PlaceSet,
+    /// Those with something in flight.
+    pub(super) in_flight: PlaceSet,
+    /// Those with something to be told.
+    pub(super) news: PlaceSet,
+    /// Those that have something to do by themselves some time.
+    pub(super) timed: PlaceSet,
+}
+
+impl Places {
+    pub(super) const fn new() -> Self {
+        let none = PlaceSet(0);
+        Self {
+            of: [NOBODY; MotorId::COUNT],
+            taken: none,
+            waiting: none,
+            in_flight: none,
+            news: none,
+            timed: none,
+        }
+    }
+
+    /// The place of a motor.
+    pub(super) fn of(&self, motor: MotorId) -> Option<usize> {
+        let place = self.of.get(motor.index()).copied().filter(|&place| place != NOBODY)?;
+        Some(usize::from(place))
+    }
+
+    /// Gives a motor a place.
+    pub(super) fn give(&mut self, place: usize, motor: MotorId) {
+        if let Some(of) = self.of.get_mut(motor.index()) {
+            *of = place as u8;
+        }
+        self.taken.set(place, true);
+    }
+
+    /// The motor has no place any more.
+    pub(super) fn clear(&mut self, place: usize, motor: MotorId) {
+        if let Some(of) = self.of.get_mut(motor.index()) {
+            *of = NOBODY;
+        }
+        self.taken.set(place, false);
+        self.note(place, &Motor::default());
+    }
+
+    /// Something of the motor with this place has changed.
+    #[inline]
+    pub(super) fn note(&mut self, place: usize, motor: &Motor) {
+        self.waiting.set(place, motor.is_waiting());
+        self.in_flight.set(place, motor.is_in_flight());
+        self.news.set(place, motor.has_news());
+        self.timed.set(place, motor.is_timed());
+    }
+}

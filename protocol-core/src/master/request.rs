@@ -1,0 +1,115 @@
+//! A motor's request: what was asked, and how far it is.
+
+use crate::data::Data;
+use crate::kind::Kind;
+use crate::master::config::Patience;
+use crate::master::event::Failure;
+use crate::master::late::Question;
+use crate::time::Duration;
+
+/// How many stop frames a motor gets before it counts as not stopped.
+const STOP_ATTEMPTS: u8 = 15;
+/// No reply comes sooner than that.
+const SHORTEST_TIMEOUT: Duration = Duration::from_millis(1);
+
+/// Who wants it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// The caller, who has a ticket for it.
+    Caller,
+    /// A stop: before everything else, whatever is in flight.
+    Stop {
+        /// It was answered, but something that was sent before it may still move the motor: it is sent
+        /// once more when that is over.
+        once_more: bool,
+    },
+}
+
+/// What is asked.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Asked {
+    pub(super) question: Question,
+    pub(super) data: Data,
+    pub(super) purpose: Purpose,
+    /// How long a reply is waited for.
+    pub(super) timeout: Duration,
+    /// How often it may still be sent.
+    pub(super) attempts_left: u8,
+    /// How often it was sent without a reply that came.
+    pub(super) unanswered: u8,
+}
+
+impl Asked {
+    pub(super) fn by_caller(question: Question, data: Data, patience: Patience) -> Self {
+        Self {
+            question,
+            data,
+            purpose: Purpose::Caller,
+            timeout: patience.reply_timeout.max(SHORTEST_TIMEOUT),
+            attempts_left: patience.attempts.clamp(1, 15),
+            unanswered: 0,
+        }
+    }
+
+    pub(super) fn stop(kind: Kind, data: Data, timeout: Duration) -> Self {
+        Self {
+            question: Question::of(kind, &data),
+            data,
+            purpose: Purpose::Stop { once_more: false },
+            timeout: timeout.max(SHORTEST_TIMEOUT),
+            attempts_left: STOP_ATTEMPTS,
+            unanswered: 0,
+        }
+    }
+
+    pub(super) fn is_stop(&self) -> bool {
+        matches!(self.purpose, Purpose::Stop { .. })
+    }
+
+    pub(super) fn kind(&self) -> Kind {
+        self.question.kind
+    }
+}
+
+/// How far a request is.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) enum Request {
+    /// There is none.
+    #[default]
+    None,
+    /// It is to be sent, for the first time or again.
+    Waiting(Asked),
+    /// It was sent, and its reply is awaited.
+    InFlight(Asked),
+    /// It was sent and has no reply; to be told.
+    Sent(Asked),
+    /// It has failed; to be told.
+    Failed(Failure),
+}
+
+impl Request {
+    pub(super) fn is_none(&self) -> bool {
+        matches!(self, Self::None)
+    }
+
+    /// What is to be sent, if it is.
+    pub(super) fn waiting(&self) -> Option<&Asked> {
+        match self {
+            Self::Waiting(asked) => Some(asked),
+            _ => None,
+        }
+    }
+
+    /// What a reply is awaited to, if one is.
+    pub(super) fn in_flight(&self) -> Option<&Asked> {
+        match self {
+            Self::InFlight(asked) => Some(asked),
+            _ => None,
+        }
+    }
+
+    /// What is under way: waiting or in flight.
+    pub(super) fn under_way(&self) -> Option<&Asked> {
+        self.waiting().or(self.in_flight())
+    }
+}

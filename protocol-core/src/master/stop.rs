@@ -1,0 +1,105 @@
+//! Stopping beats everything.
+
+use crate::command::{Shutdown, Stop};
+use crate::data::Data;
+use crate::error::RequestError;
+use crate::id::{MotorId, Target};
+use crate::kind::Kind;
+use crate::master::request::Asked;
+use crate::master::{Master, MotorSet};
+use crate::opcode::Opcode;
+use crate::packet::{Channel, Packet};
+use crate::time::Duration;
+
+/// How motors are to be stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum StopKind {
+    /// 0x81: stop and hold still (2.18).
+    Hold,
+    /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them.
+    Off,
+}
+
+impl StopKind {
+    pub(super) const fn command(self) -> (Kind, Data) {
+        match self {
+            Self::Hold => (Kind::Known(Opcode::Stop), Stop.encode()),
+            Self::Off => (Kind::Known(Opcode::Shutdown), Shutdown.encode()),
+        }
+    }
+}
+
+/// How long a stop's confirmation is waited for at the most before the stop is sent once more.
+const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
+
+impl<const N: usize> Master<N> {
+    /// Stops every motor that this master knows and those of `also`, before anything else is sent
+    /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Until
+    /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a
+    /// restart and writes to ROM, for example, but not reads.
+    ///
+    /// Each motor gets its first stop before any gets its second; on RS485 one to all at once goes
+    /// before these. Its confirmation, or its absence, comes as an event; a stop that is not confirmed
+    /// within 50 ms is repeated, however long [`Config::reply_timeout`](crate::master::Config::reply_timeout) is. What was sent before the
+    /// stop may still be on its way, in a controller's mailbox for example: a confirmation counts only
+    /// once nothing of that can move the motor any more.
+    ///
+    /// # Errors
+    /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
+    /// stopped all the same.
+    pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
+        self.stops_all = true;
+        self.stop_to_all = self.config.is_rs485().then_some(kind);
+        self.broadcast.cancel();
+        let mut result = Ok(());
+        for motor in also.iter() {
+            result = result.and(self.place_for(motor).map(|_| ()));
+        }
+        for place in self.places.taken.iter() {
+            self.put_stop(place, kind);
+        }
+        result
+    }
+
+    /// Stops one motor, as [`stop_all`](Self::stop_all) stops all. Until [`lift_stop`](Self::lift_stop)
+    /// or [`lift_stop_of`](Self::lift_stop_of) the same is refused to it.
+    ///
+    /// # Errors
+    /// [`RequestError::TooManyMotors`] if there is no place for it.
+    pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
+        let place = self.place_for(motor)?;
+        self.stopped.insert(motor);
+        self.put_stop(place, kind);
+        Ok(())
+    }
+
+    pub(super) fn put_stop(&mut self, place: usize, kind: StopKind) {
+        self.offer = None;
+        self.due = self.now;
+        let (command, data) = kind.command();
+        let timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
+        let now = self.now;
+        self.change_at(place, |motor, config| {
+            motor.put_stop(Asked::stop(command, data, timeout), config, now);
+        });
+    }
+
+    /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse.
+    pub fn lift_stop(&mut self) {
+        self.stops_all = false;
+        self.stopped = MotorSet::EMPTY;
+    }
+
+    /// Accepts again what [`stop`](Self::stop) made it refuse to this motor.
+    pub fn lift_stop_of(&mut self, motor: MotorId) {
+        self.stopped.remove(motor);
+    }
+
+    /// The stop to all motors at once, if it is to be sent.
+    pub(super) fn stop_to_all_packet(&self) -> Option<Packet> {
+        let (_, data) = self.stop_to_all?.command();
+        Some(Packet { channel: Channel::Command(Target::All), data })
+    }
+}
