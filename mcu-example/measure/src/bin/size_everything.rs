@@ -37,7 +37,10 @@ fn use_master(motor: MotorId) {
     let frame: Option<SimpleFrame> = black_box(can::encode(&reply));
     let event = frame.and_then(|frame| master.handle_frame(&can::decode(&frame), now));
     black_box(event);
-    let event = master.handle_line(&black_box(Receiver::new()).feed(black_box(0)), now);
+    let event = match black_box(Receiver::new()).feed(black_box(0)) {
+        Fed::Frame(frame) => master.handle_line(&frame, now),
+        _ => None,
+    };
     if let (Ok(ticket), Some(event)) = (ticket, event) {
         black_box(ticket.outcome(&event));
     }
