@@ -320,7 +320,10 @@ fn restart<R: Runner<N>, const N: usize>(
 ) -> Result<(), BringUpError<R::Error>> {
     const LONGEST_RESTART: Duration = Duration::from_secs(5);
     runner.ask(motor, Reset)?;
-    wait_until_there(runner, then, LONGEST_RESTART)
+    wait_until_there(runner, then, LONGEST_RESTART)?;
+    // It was meant to.
+    runner.master().resume(then);
+    Ok(())
 }
 
 /// Runs the bus until then, or until the event has come.

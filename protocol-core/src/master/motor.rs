@@ -45,8 +45,8 @@ pub(super) enum Chance {
 /// A motor that was silent for so long and answers again may have restarted: that takes 1.1 s.
 const RESTART_TAKES: Duration = Duration::from_secs(1);
 
-/// A doubled frame comes so soon after the first.
-const DOUBLED_WITHIN: Duration = Duration::from_millis(1);
+/// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
+const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
 /// Feedback that takes so many times longer than usual is lost.
 const USUAL_TIMES: u32 = 3;
 /// So many commands in a row without an answer are no chance loss.
@@ -86,6 +86,8 @@ pub(super) struct Motor {
     moves_until: Instant,
     /// How long it had run when it said so last, in milliseconds.
     run_time_ms: u32,
+    /// What it answered last.
+    pub(super) last_answered: Option<Question>,
     pub(super) health: Health,
 }
 
@@ -96,6 +98,10 @@ impl Motor {
 
     pub(super) fn is_waiting(&self) -> bool {
         self.stream.waiting().is_some() || self.request.waiting().is_some()
+    }
+
+    pub(super) fn is_stop_waiting(&self) -> bool {
+        self.request.waiting().is_some_and(Asked::is_stop)
     }
 
     /// Whether it has nothing under way and nothing to tell.
@@ -154,8 +160,9 @@ impl Motor {
     /// Puts it forward after a rest, so that it is one round behind the others at the most: what it
     /// did not ask for then it has no claim to now.
     pub(super) fn join(&mut self, pace: u32) {
-        if !self.is_waiting() {
-            self.round = pace.wrapping_sub(u32::from((self.round.wrapping_sub(pace) as i32) < 0));
+        let one_behind = pace.wrapping_sub(1);
+        if self.is_behind(one_behind) {
+            self.round = one_behind;
         }
     }
 

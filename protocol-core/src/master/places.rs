@@ -45,6 +45,8 @@ pub(super) struct Places {
     pub(super) taken: PlaceSet,
     /// Those with something to be sent.
     pub(super) waiting: PlaceSet,
+    /// Those of them with a stop.
+    pub(super) stops: PlaceSet,
     /// Those with something in flight.
     pub(super) in_flight: PlaceSet,
     /// Those with something to be told.
@@ -60,6 +62,7 @@ impl Places {
             of: [NOBODY; MotorId::COUNT],
             taken: none,
             waiting: none,
+            stops: none,
             in_flight: none,
             news: none,
             timed: none,
@@ -93,6 +96,7 @@ impl Places {
     #[inline]
     pub(super) fn note(&mut self, place: usize, motor: &Motor) {
         self.waiting.set(place, motor.is_waiting());
+        self.stops.set(place, motor.is_stop_waiting());
         self.in_flight.set(place, motor.is_in_flight());
         self.news.set(place, motor.has_news());
         self.timed.set(place, motor.is_timed());

@@ -170,12 +170,16 @@ impl Motor {
         let round_trip = now - self.sent;
         let is_in_time = round_trip >= config.shortest_response;
 
-        let answers = |question: Question| is_in_time && question.is_answered_by(is_motion, data);
+        let is_same = |question: Question| question.is_answered_by(is_motion, data);
+        let may_be_doubled = may_be_doubled && self.last_answered.is_some_and(is_same);
+        let answers = |question: Question| is_in_time && is_same(question);
         match (self.stream.in_flight().copied(), self.request) {
             (Some(set_point), _) if answers(set_point.question) => {
+                self.last_answered = Some(set_point.question);
                 return self.take_feedback(id, packet, &set_point, now, config);
             }
             (_, Request::InFlight(asked)) if answers(asked.question) => {
+                self.last_answered = Some(asked.question);
                 // One that is owed to an earlier stop says nothing of this one, and comes first.
                 if asked.is_stop() && self.late.take(false, data, may_be_doubled).is_some() {
                     return self.send_stop_again(asked, false);

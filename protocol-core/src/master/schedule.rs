@@ -23,10 +23,8 @@ impl Earliest {
 impl<const N: usize> Master<N> {
     /// Stops first, then a broadcast that is due, then the motor that was served least.
     pub(super) fn choose(&self, now: Instant) -> Option<(Offer, Packet)> {
-        if !self.stopped.is_empty() || self.stops_all {
-            if let Some(stop) = self.choose_stop() {
-                return Some(stop);
-            }
+        if let Some(stop) = self.choose_stop() {
+            return Some(stop);
         }
         if self.broadcast.is_waiting() && self.broadcast_may_go() {
             return Some((Offer::Broadcast, self.broadcast.packet()?));
@@ -45,7 +43,7 @@ impl<const N: usize> Master<N> {
         if let Some(packet) = self.stop_to_all_packet() {
             return Some((Offer::StopToAll, packet));
         }
-        let stops = self.at(self.places.waiting).filter(|(_, motor)| motor.may_send_stop());
+        let stops = self.at(self.places.stops).filter(|(_, motor)| motor.may_send_stop());
         let most_urgent = stops.min_by_key(|(_, motor)| {
             let attempts_left = motor.request.waiting().map_or(0, |stop| stop.attempts_left);
             (Reverse(attempts_left), motor.was_missed())
