@@ -6,19 +6,24 @@ mod decode;
 mod demo;
 mod encode;
 mod from_table;
+mod interrupt;
 mod motors;
 mod names;
 mod outcome;
+mod printer;
 mod sim;
 mod wanted;
 
 use std::error::Error as _;
+use std::panic::{AssertUnwindSafe, catch_unwind, set_hook};
 use std::process::ExitCode;
 
 use clap::Parser;
 use clap::error::{ContextKind, ErrorKind};
 
-use outcome::{FAILED, Outcome, Unfinished, WRONG_USAGE, print_line, printable, tell};
+use outcome::{
+    FAILED, Outcome, Unfinished, WRONG_USAGE, print_line, printable, say, tell, unwritten,
+};
 
 /// Talk to MyActuator servo motors (protocol V4.3), and explain what is on their bus.
 #[derive(Debug, Parser)]
@@ -40,18 +45,26 @@ enum Subcommand {
 }
 
 pub(crate) fn run() -> ExitCode {
+    // Before a panic unwinds, and so stops motors, it must not wait for a halted terminal.
+    set_hook(Box::new(|panic| {
+        tell("error", format_args!("this program has a fault, please report it: {panic}"));
+    }));
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => return ExitCode::from(stop_parsing(&error)),
     };
-    ExitCode::from(outcome::end(match cli.subcommand {
-        Subcommand::Demo(arguments) => demo::run(&arguments),
-        Subcommand::Encode(arguments) => encode::run(&arguments),
-        Subcommand::Decode(arguments) => decode::run(&arguments),
-        Subcommand::Dbc(arguments) => dbc::run(&arguments),
-        Subcommand::Sim(arguments) => sim::run(&arguments),
-        Subcommand::Motors(subcommand) => motors::run(&subcommand),
-    }))
+    let work = || match &cli.subcommand {
+        Subcommand::Demo(arguments) => demo::run(arguments),
+        Subcommand::Encode(arguments) => encode::run(arguments),
+        Subcommand::Decode(arguments) => decode::run(arguments),
+        Subcommand::Dbc(arguments) => dbc::run(arguments),
+        Subcommand::Sim(arguments) => sim::run(arguments),
+        Subcommand::Motors(subcommand) => motors::run(subcommand),
+    };
+    ExitCode::from(match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(outcome) => outcome::end(outcome),
+        Err(_told) => outcome::end_of_panic(),
+    })
 }
 
 /// Prints help where it was asked for, else one sentence about what is wrong. Gives the exit status.

@@ -1,7 +1,11 @@
 //! How a subcommand ends, and what is printed.
 
+use std::cell::Cell;
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::time::{Duration, Instant};
+
+use super::{interrupt, printer};
 
 /// Why a subcommand did not come to its end.
 #[derive(Debug, PartialEq, Eq)]
@@ -22,18 +26,76 @@ pub(super) type Outcome<T = ()> = Result<T, Unfinished>;
 
 pub(super) const FAILED: u8 = 1;
 pub(super) const WRONG_USAGE: u8 = 2;
+const INTERRUPTED: u8 = 130;
 
-/// Tells why it did not come to its end, and gives the exit status.
+/// How long the last words may take after Ctrl-C and the like, each stream.
+const LAST_WORDS: Duration = Duration::from_millis(300);
+/// How long an error waits for what was printed before it.
+const IN_ORDER: Duration = Duration::from_millis(100);
+
+/// Tells why it did not come to its end, sees that all is printed, and gives the exit status.
+///
+/// That may take as long as the reader likes, `… | less`: no motor moves any more. Once Ctrl-C or the like has
+/// come it takes no longer than the last words.
 pub(super) fn end(outcome: Outcome) -> u8 {
+    let status = tell_end(outcome);
+    match wait_for_reader(&printer::OUT) {
+        Ok(true) => {}
+        Ok(false) => return if status == 0 { INTERRUPTED } else { status },
+        Err(error) if status == 0 => return last(tell_end(Err(unwritten(&error)))),
+        Err(_) => {}
+    }
+    last(status)
+}
+
+/// Sees that the hook's words are printed, and gives the exit status of a Rust program that panics.
+pub(super) fn end_of_panic() -> u8 {
+    last(101)
+}
+
+/// The exit status, when the errors are told.
+fn last(status: u8) -> u8 {
+    // Nobody is left to tell if that fails.
+    let _ = wait_for_reader(&printer::ERR);
+    status
+}
+
+/// Tells how it ended, and gives the exit status for that.
+fn tell_end(outcome: Outcome) -> u8 {
     let (sentence, status) = match outcome {
         Ok(()) | Err(Unfinished::ReaderLeft) => return 0,
         Err(Unfinished::FailedAndTold) => return FAILED,
         Err(Unfinished::Failed(sentence)) => (sentence, FAILED),
         Err(Unfinished::Usage(sentence)) => (sentence, WRONG_USAGE),
-        Err(Unfinished::Interrupted(sentence)) => (sentence, 130),
+        Err(Unfinished::Interrupted(sentence)) => (sentence, INTERRUPTED),
     };
+    let _ = printer::OUT.wait_for(IN_ORDER);
     tell("error", sentence);
     status
+}
+
+/// Whether all is written. It may not be once Ctrl-C or the like has come.
+fn wait_for_reader(stream: &printer::Printer) -> io::Result<bool> {
+    let since = Cell::new(None);
+    stream.wait(|| {
+        if interrupt::has_come() && since.get().is_none() {
+            since.set(Some(Instant::now()));
+        }
+        since.get().is_some_and(|since| since.elapsed() >= LAST_WORDS)
+    })
+}
+
+/// Prints a line in its turn and does not wait until it is written: for whoever runs motors.
+pub(super) fn say(line: &str) -> Outcome {
+    printer::OUT.print(format!("{}\n", printable(line))).map_err(|error| unwritten(&error))
+}
+
+/// Output that cannot be written, where the status tells how the motors did.
+pub(super) fn unwritten(error: &io::Error) -> Unfinished {
+    match error.kind() {
+        io::ErrorKind::BrokenPipe => Unfinished::ReaderLeft,
+        _ => Unfinished::Failed(format!("cannot write: {error}")),
+    }
 }
 
 /// What is wrong with what was typed.
@@ -60,10 +122,10 @@ pub(super) fn print_line(line: &str) -> io::Result<()> {
     out.flush()
 }
 
-/// Prints one sentence beside the output: an `error` or a `note`.
+/// Prints one sentence beside the output, in its turn: an `error`, a `warning` or a `note`.
 pub(super) fn tell(kind: &str, sentence: impl Display) {
     // Nobody is left to tell if that fails.
-    let _ = writeln!(io::stderr(), "{kind}: {}", printable(&sentence.to_string()));
+    let _ = printer::ERR.print(format!("{kind}: {}\n", printable(&sentence.to_string())));
 }
 
 /// A line without control characters, which may come from whatever is decoded or named, and could

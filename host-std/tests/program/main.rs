@@ -2,6 +2,7 @@
 
 mod cli;
 mod demo;
+mod held_up;
 mod motors;
 mod readme;
 mod run;

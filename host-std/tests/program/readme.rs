@@ -13,7 +13,7 @@ fn the_control_loop_is_the_examples() {
     // Its imports have lines of their own there.
     let (imports, function) = code.split_once("\n\n").unwrap();
     assert!(imports.lines().all(|line| line.starts_with("use ")), "{imports}");
-    assert!(function.contains("bus.stop_all(StopKind::Hold, arm)"), "{function}");
+    assert!(function.contains("Guard::new(bus, StopKind::Hold)"), "{function}");
     assert!(CONTROL_LOOP.contains(function), "not in the example:\n{function}");
 }
 

@@ -24,13 +24,13 @@ use serial2::SerialPort;
 use crate::run::{myactuator, run, text};
 
 /// Longer than anything takes on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(20);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
 /// They keep real time, so that several at once on a busy machine would miss it.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// A simulation in a process of its own.
-struct Simulation {
+pub(crate) struct Simulation {
     process: Child,
     /// What it told, by kind.
     places: Vec<Value>,
@@ -39,7 +39,7 @@ struct Simulation {
 
 impl Simulation {
     /// Starts one that serves in so many ways.
-    fn start(ways: usize, arguments: &[&str]) -> Self {
+    pub(crate) fn start(ways: usize, arguments: &[&str]) -> Self {
         let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
         let mut process = myactuator()
             .args(["sim", "--json"])
@@ -62,7 +62,7 @@ impl Simulation {
     }
 
     /// Its address.
-    fn bus(&self, kind: &str) -> &str {
+    pub(crate) fn bus(&self, kind: &str) -> &str {
         self.place(kind)["bus"].as_str().unwrap()
     }
 

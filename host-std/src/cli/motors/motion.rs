@@ -4,6 +4,7 @@ use myactuator_protocol_core::Opcode;
 use myactuator_protocol_core::command::MotionSetPoint;
 use myactuator_protocol_core::master::StopKind;
 
+use super::moving::ENDS;
 use super::revision::MotorRevision;
 use super::run_for::{self, Run, Span};
 use super::session::Session;
@@ -15,6 +16,7 @@ use crate::cli::{Outcome, arguments as parse};
 /// errors stop the motor (0x81) at once. Exit status: 0 if it has run, 1 if not, 2 for wrong usage,
 /// 130 if interrupted.
 #[derive(Debug, clap::Args)]
+#[command(after_help = ENDS)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     span: Span,

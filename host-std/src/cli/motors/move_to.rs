@@ -12,6 +12,7 @@ use myactuator_protocol_core::master::Patience;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
 
+use super::moving::ENDS;
 use super::progress::Progress;
 use super::run_for::seconds;
 use super::session::{OneMotor, Session, healthy, say};
@@ -37,6 +38,7 @@ const ATTEMPTS: u8 = 3;
 /// is told something else. If it does not arrive in time, reports an error or Ctrl-C is pressed, it is
 /// stopped (0x81). Exit status: 0 if it has arrived, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
+#[command(after_help = ENDS)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,

@@ -1,36 +1,49 @@
 //! What holds while a motor moves: whatever ends a command early, the motor is stopped first.
 
-use std::sync::Arc;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::Ordering;
 
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::session::Session;
-use crate::cli::{Outcome, Unfinished};
+use crate::cli::{Outcome, Unfinished, interrupt, tell};
 
 /// How long to wait at the most before looking whether the user interrupts.
 const LONGEST_WAIT: Duration = Duration::from_millis(10);
 
+/// What stops a motor, and what cannot, for the help of those that move it.
+pub(super) const ENDS: &str = "\
+What stops the motor (0x81) before this program ends: an error, a fault of this program, Ctrl-C, Ctrl-\\, Ctrl-Z, \
+a request to end (SIGTERM) and a lost terminal, also while nobody reads what it prints.
+Nothing of that works if the program is killed or frozen outright (kill -9, kill -STOP, a debugger, loss of \
+power), or the bus is cut: the motor goes on then. Against that set the motor's own communication-loss \
+protection: myactuator timeout.";
+
 impl Session {
-    /// Does `work`, which moves these motors. If it fails, or Ctrl-C, a hang-up or a request to end
-    /// comes, they are stopped (0x81) before anything else.
+    /// Does `work`, which moves these motors. If it fails or panics, or Ctrl-C, Ctrl-\\, Ctrl-Z, a hang-up or
+    /// a request to end comes, they are stopped (0x81) before anything else.
     pub(super) fn moving<T>(
         &mut self,
         motors: impl Into<MotorSet>,
         work: impl FnOnce(&mut Self) -> Outcome<T>,
     ) -> Outcome<T> {
-        for signal in [SIGINT, SIGTERM, SIGHUP] {
-            signal_hook::flag::register(signal, Arc::clone(&self.interrupted))
-                .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))?;
+        interrupt::watch()
+            .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))?;
+        let motors = motors.into();
+        match catch_unwind(AssertUnwindSafe(|| work(self))) {
+            Ok(outcome) => outcome.map_err(|why| {
+                let stopped = self.stop(StopKind::Hold, motors);
+                told_with_stop(motors, why, stopped)
+            }),
+            Err(panic) => {
+                if let Err(Unfinished::Failed(not_stopped)) = self.stop(StopKind::Hold, motors) {
+                    tell("error", not_stopped);
+                }
+                resume_unwind(panic)
+            }
         }
-        work(self).map_err(|why| {
-            let motors = motors.into();
-            let stopped = self.stop(StopKind::Hold, motors);
-            told_with_stop(motors, why, stopped)
-        })
     }
 
     /// Stops these motors and waits until they have confirmed.

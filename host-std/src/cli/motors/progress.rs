@@ -2,28 +2,31 @@
 
 use std::io::{self, IsTerminal};
 
-use indicatif::{ProgressBar, ProgressStyle};
 use myactuator_protocol_core::time::{Duration, Instant};
+use rustix::termios::tcgetwinsize;
 
-use super::session::say;
-use crate::cli::Outcome;
+use crate::cli::{Outcome, printer, unwritten};
 
-/// How often a line is printed where there is no terminal.
+/// How often a line is printed where there is no terminal, and how often the bar is drawn.
 const LINE_EVERY: Duration = Duration::from_millis(200);
-/// The bar's length in steps.
-const STEPS: u64 = 1000;
+const BAR_EVERY: Duration = Duration::from_millis(50);
+/// The bar's length in characters.
+const LENGTH: usize = 20;
+/// How wide a terminal is that does not say it.
+const USUAL_WIDTH: usize = 80;
+/// To the start of the line, and the rest of it erased.
+const ERASE: &str = "\r\x1b[K";
 
-/// Shows progress from 0 to 1.
+/// Shows progress from 0 to 1. What finds no reader is left out.
 #[derive(Debug)]
 pub(super) struct Progress {
-    bar: Option<ProgressBar>,
-    next_line: Instant,
+    on_terminal: bool,
+    next: Instant,
 }
 
 impl Progress {
     pub(super) fn new(start: Instant) -> Self {
-        let bar = (io::stdout().is_terminal() && io::stderr().is_terminal()).then(bar);
-        Self { bar, next_line: start }
+        Self { on_terminal: io::stdout().is_terminal(), next: start }
     }
 
     /// Shows `share` of the way and a line about the motor, which is made only when it is shown.
@@ -33,28 +36,49 @@ impl Progress {
         share: f64,
         line: impl FnOnce() -> String,
     ) -> Outcome {
-        if let Some(bar) = &self.bar {
-            bar.set_position((share.clamp(0.0, 1.0) * STEPS as f64) as u64);
-            bar.set_message(line());
-        } else if now >= self.next_line {
-            self.next_line = now + LINE_EVERY;
-            return say(&line());
+        if now < self.next {
+            return Ok(());
         }
-        Ok(())
+        let (every, text) = if self.on_terminal {
+            (BAR_EVERY, format!("{ERASE}{}", bar(share, &line(), width())))
+        } else {
+            (LINE_EVERY, format!("{}\n", line()))
+        };
+        self.next = now + every;
+        printer::OUT.show(text).map_err(|error| unwritten(&error))
     }
 }
 
 /// Whatever the end, nothing of the bar is left on the terminal.
 impl Drop for Progress {
     fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
+        if self.on_terminal {
+            // Without a reader there is no bar.
+            let _ = printer::OUT.print(ERASE);
         }
     }
 }
 
-fn bar() -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:40} {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(STEPS).with_style(style)
+fn width() -> usize {
+    let columns = tcgetwinsize(io::stdout()).map_or(0, |size| size.ws_col.into());
+    if columns == 0 { USUAL_WIDTH } else { columns }
+}
+
+/// A bar and the line, cut where the terminal ends.
+fn bar(share: f64, line: &str, width: usize) -> String {
+    let done = (share.clamp(0.0, 1.0) * LENGTH as f64) as usize;
+    let bar = format!("[{:<LENGTH$}] {line}", "#".repeat(done));
+    bar.chars().take(width.saturating_sub(1)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bar_grows_and_stays_on_its_line() {
+        assert_eq!(bar(0.5, "90 dps", 80), "[##########          ] 90 dps");
+        assert_eq!(bar(-1.0, "", 80), "[                    ] ");
+        assert_eq!(bar(7.0, "90 dps", 12), "[##########");
+    }
 }

@@ -144,6 +144,8 @@ pub(super) fn seconds(span: Duration) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
     use myactuator_host_std::sim::bus::trace::Log;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{ErrorFlags, Speed, Torque};
@@ -202,6 +204,17 @@ mod tests {
         assert!(told.starts_with("motor 1 reports an error (motor stalled): "), "{told}");
         assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
         assert_eq!(commands(&log).last(), Some(&0x81));
+    }
+
+    #[test]
+    fn a_panic_stops_the_motor_before_it_goes_on() {
+        let fleet = fleet();
+        let mut session = Session::on(&fleet);
+        let log = fleet.world.log();
+        let panics = AssertUnwindSafe(|| turn(&mut session, || panic!("made up")));
+        catch_unwind(panics).unwrap_err();
+        let commands = commands(&log);
+        assert_eq!((commands.contains(&0xA2), commands.last()), (true, Some(&0x81)));
     }
 
     #[test]

@@ -9,7 +9,7 @@ use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule, Usage};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
-use super::moving::named;
+use super::moving::{ENDS, named};
 use super::revision::MotorRevision;
 use super::session::{Consent, OnBus, Session, say};
 use crate::cli::wanted::Wanted;
@@ -25,7 +25,7 @@ const LONGEST_IDLE: Duration = Duration::from_millis(10);
 /// (0x81). To all goes one frame that all hear. Exit status: 0 if it was sent and answered by each motor that had
 /// to, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
-#[command(arg_required_else_help = false)]
+#[command(arg_required_else_help = false, after_help = ENDS)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,

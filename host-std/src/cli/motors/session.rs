@@ -15,7 +15,8 @@ use myactuator_protocol_core::master::{Config, MotorSet};
 use myactuator_protocol_core::{MotorId, Target};
 
 use crate::cli::arguments as parse;
-use crate::cli::{Outcome, Unfinished, print_line, printable, tell};
+pub(super) use crate::cli::say;
+use crate::cli::{Outcome, Unfinished, interrupt, printable, tell, unwritten};
 
 /// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
 const STILL_DPS: f32 = 2.0;
@@ -110,17 +111,6 @@ impl From<CallError<BusError>> for Unfinished {
     }
 }
 
-pub(super) fn say(line: &str) -> Outcome {
-    print_line(line).map_err(|error| match error.kind() {
-        io::ErrorKind::BrokenPipe => Unfinished::ReaderLeft,
-        _ => unwritten(error),
-    })
-}
-
-fn unwritten(error: io::Error) -> Unfinished {
-    Unfinished::Failed(format!("cannot write: {error}"))
-}
-
 /// A bus in use.
 #[derive(Debug)]
 pub(super) struct Session {
@@ -150,8 +140,7 @@ impl Session {
                 format!("{motors} on {kind}, made anew for each run; --bus names a real bus"),
             );
         }
-        let interrupted = Arc::new(AtomicBool::new(false));
-        Ok(Self { master, address: on.bus.clone(), yes: false, interrupted })
+        Ok(Self { master, address: on.bus.clone(), yes: false, interrupted: interrupt::flag() })
     }
 
     /// Opens a bus to move motors on it or write their memory, if the user can be asked or has
@@ -178,9 +167,9 @@ impl Session {
             return Ok(());
         }
         let mut ask = io::stderr().lock();
-        write!(ask, "{} Go on? [y/N] ", printable(what)).map_err(unwritten)?;
+        write!(ask, "{} Go on? [y/N] ", printable(what)).map_err(|error| unwritten(&error))?;
         let mut answer = String::new();
-        io::stdin().lock().read_line(&mut answer).map_err(unwritten)?;
+        io::stdin().lock().read_line(&mut answer).map_err(|error| unwritten(&error))?;
         if matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes") {
             Ok(())
         } else {

@@ -4,6 +4,7 @@ use myactuator_protocol_core::command as c;
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::units::Current;
 
+use super::moving::ENDS;
 use super::run_for::{self, Run, Span};
 use super::speed::told;
 use crate::cli::{Outcome, arguments as parse};
@@ -15,6 +16,7 @@ use crate::cli::{Outcome, arguments as parse};
 /// at once: it holds still, its brake open. Exit status: 0 if it has run, 1 if not, 2 for
 /// wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
+#[command(after_help = ENDS)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     span: Span,

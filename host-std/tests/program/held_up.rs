@@ -1,0 +1,109 @@
+//! A motor is stopped in time although nobody reads what is printed, and whatever signal comes.
+
+use std::io::{self, Read as _, Write as _};
+use std::os::fd::AsFd as _;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+
+use crate::run::{myactuator, run, text};
+use crate::sim_serve::Simulation;
+
+/// How long the program may take to end after a signal: the stop, and its last words.
+const SOON: Duration = Duration::from_secs(2);
+/// How fast the motor turns.
+const DPS: f64 = 90.0;
+
+/// `speed` on this bus, for so long.
+fn speed(bus: &str, for_s: &str) -> Command {
+    let mut command = myactuator();
+    command.args(["speed", "--yes", "--bus", bus, "--id", "1", "--speed-dps", &DPS.to_string()]);
+    command.args(["--for-s", for_s]).stdin(Stdio::null());
+    command
+}
+
+/// A pipe that takes nothing more, and the end from which nobody reads.
+fn full_pipe() -> (io::PipeReader, io::PipeWriter) {
+    let (reader, mut writer) = io::pipe().unwrap();
+    rustix::io::ioctl_fionbio(writer.as_fd(), true).unwrap();
+    for size in [4096, 1] {
+        while writer.write(&vec![b' '; size]).is_ok() {}
+    }
+    rustix::io::ioctl_fionbio(writer.as_fd(), false).unwrap();
+    (reader, writer)
+}
+
+fn signal(process: &Child, signal: Signal) {
+    kill_process(Pid::from_child(process), signal).unwrap();
+}
+
+/// How it ends, if it does so soon.
+fn ends_soon(process: &mut Child) -> Option<ExitStatus> {
+    let start = Instant::now();
+    while start.elapsed() < SOON {
+        if let Some(status) = process.try_wait().unwrap() {
+            return Some(status);
+        }
+        sleep(Duration::from_millis(10));
+    }
+    process.kill().unwrap();
+    process.wait().unwrap();
+    None
+}
+
+/// The motor's angle and speed.
+fn angle_and_speed(bus: &str) -> (f64, f64) {
+    let output = run(&["status", "--json", "--id", "1", "--bus", bus]);
+    let motor: Value = serde_json::from_str(text(&output.stdout))
+        .unwrap_or_else(|error| panic!("{error}: {}", text(&output.stderr)));
+    (motor["angle_deg"].as_f64().unwrap(), motor["speed_dps"].as_f64().unwrap())
+}
+
+#[test]
+fn a_full_pipe_lets_the_motor_stop_in_time() {
+    let simulation = Simulation::start(1, &["--only", "slcan"]);
+    let bus = simulation.bus("slcan");
+    let (reader, writer) = full_pipe();
+    let mut process = speed(bus, "1").stdout(writer).stderr(Stdio::null()).spawn().unwrap();
+    // It waits with its result until somebody reads, or it is told to end.
+    sleep(Duration::from_secs(4));
+    assert!(process.try_wait().unwrap().is_none());
+    signal(&process, Signal::TERM);
+    assert_eq!(ends_soon(&mut process).expect("an end").code(), Some(130));
+    let (angle, speed) = angle_and_speed(bus);
+    assert!((0.5 * DPS..1.5 * DPS).contains(&angle) && speed == 0.0, "{angle} deg {speed} dps");
+    drop(reader);
+}
+
+#[test]
+fn a_slow_reader_gets_the_result_all_the_same() {
+    let (mut reader, writer) = full_pipe();
+    let mut process = speed("sim:1", "20").stdout(writer).stderr(Stdio::null()).spawn().unwrap();
+    sleep(Duration::from_millis(500));
+    let reading = std::thread::spawn(move || {
+        let mut told = String::new();
+        reader.read_to_string(&mut told).unwrap();
+        told
+    });
+    assert_eq!(process.wait().unwrap().code(), Some(0));
+    let told = reading.join().unwrap();
+    assert!(told.ends_with("motor 1 has run for 20 s: it is stopped and holds still (0x81)\n"));
+}
+
+#[test]
+fn signals_stop_the_motor_first_although_nobody_reads() {
+    let simulation = Simulation::start(1, &["--only", "slcan"]);
+    let bus = simulation.bus("slcan");
+    for kind in [Signal::TERM, Signal::QUIT, Signal::TSTP, Signal::HUP] {
+        let (out, err) = (full_pipe(), full_pipe());
+        let mut process = speed(bus, "60").stdout(out.1).stderr(err.1).spawn().unwrap();
+        sleep(Duration::from_millis(500));
+        signal(&process, kind);
+        let status = ends_soon(&mut process).unwrap_or_else(|| panic!("{kind:?}: still there"));
+        assert_eq!(status.code(), Some(130), "{kind:?}");
+        assert_eq!(angle_and_speed(bus).1, 0.0, "{kind:?}");
+    }
+}
