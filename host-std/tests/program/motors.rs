@@ -1,14 +1,23 @@
 //! The subcommands that work on motors, on the simulated buses, as their users run them.
 
+use std::process::{Output, Stdio};
+
 use serde_json::Value;
 
-use crate::run::{rows, run_words, text};
+use crate::run::{myactuator, rows, run_words, text};
 
 const SIMULATED: &str = "simulated drives: ";
 
+/// Runs it on simulated motors unless it names a bus.
+fn run_simulated(arguments: &str) -> Output {
+    let mut program = myactuator();
+    program.env("MYACTUATOR_BUS", "sim").args(arguments.split_whitespace());
+    program.stdin(Stdio::null()).output().unwrap()
+}
+
 /// What it printed; it must have done what was asked, and said that the drives are simulated.
 fn done(arguments: &str) -> Vec<String> {
-    let output = run_words(arguments);
+    let output = run_simulated(arguments);
     let errors = text(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{arguments}: {errors}");
     assert!(errors.lines().any(|line| line.starts_with(SIMULATED)), "{arguments}: {errors}");
@@ -22,7 +31,7 @@ fn objects(arguments: &str) -> Vec<Value> {
 
 /// The one sentence with which it ended, and the exit status.
 fn refused(arguments: &str) -> (i32, String) {
-    let output = run_words(arguments);
+    let output = run_simulated(arguments);
     let errors = text(&output.stderr);
     let mut sentences = errors.lines().filter_map(|line| line.strip_prefix("error: "));
     let sentence = sentences.next().unwrap_or_else(|| panic!("{arguments}: {errors:?}"));
@@ -263,6 +272,51 @@ fn values_out_of_range_are_refused_with_the_range() {
     for (arguments, sentence) in rows(REFUSALS) {
         assert_eq!(refused(arguments), (2, sentence.to_owned()), "{arguments}");
     }
+}
+
+#[test]
+fn what_acts_on_motors_needs_a_bus_and_what_reads_takes_simulated_ones() {
+    let acts = "
+stop
+shutdown
+move --id 1 --angle-deg 1
+speed --id 1 --speed-dps 1
+torque --id 1 --current-a 1
+motion --id 1 --position-rad 0 --kp 0 --kd 0
+brake release --id 1
+brake lock --id 1
+zero --id 1
+id --new-id 7
+send --id 1 stop
+send --id 1 lock-brake
+send --id 1 write-pid-ram --index speed-kp --value 0.5
+send --id 1 raw C0 0 0 0 0 0 0 0";
+    for arguments in acts.lines().skip(1) {
+        let output = run_words(arguments);
+        let told = text(&output.stderr);
+        assert_eq!((output.status.code(), text(&output.stdout)), (Some(2), ""), "{arguments}");
+        assert!(told.starts_with("error: --bus is missing: "), "{arguments}: {told}");
+        assert!(told.contains("MYACTUATOR_BUS") && told.contains("or sim for simulated ones"));
+    }
+    for arguments in ["scan", "status --id 1", "send --id 1 read-status1"] {
+        let output = run_words(arguments);
+        assert!(output.status.success(), "{arguments}");
+        assert!(text(&output.stderr).starts_with(SIMULATED), "{arguments}");
+    }
+}
+
+#[test]
+fn the_environment_names_a_bus_and_the_command_line_another() {
+    let with = |bus: &str, arguments: &[&str]| {
+        myactuator().env("MYACTUATOR_BUS", bus).args(arguments).output().unwrap()
+    };
+    let stopped = "motors 1 2 are stopped and hold still (0x81)\n";
+    assert_eq!(text(&with("sim:2", &["stop"]).stdout), stopped);
+    assert_eq!(text(&with("sim:3", &["stop", "--bus", "sim:2"]).stdout), stopped);
+    assert_eq!(with("", &["stop"]).status.code(), Some(2));
+    let told = with("sim:0", &["scan"]);
+    assert_eq!(told.status.code(), Some(2));
+    assert!(text(&told.stderr).starts_with("error: MYACTUATOR_BUS: expected "));
 }
 
 #[test]

@@ -9,7 +9,9 @@ use serde_json::Value;
 const VECTORS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/vectors/manual-v4.3.jsonl");
 
 pub(crate) fn myactuator() -> Command {
-    Command::new(cargo_bin("myactuator"))
+    let mut program = Command::new(cargo_bin("myactuator"));
+    program.env_remove("MYACTUATOR_BUS");
+    program
 }
 
 pub(crate) fn run(arguments: &[&str]) -> Output {

@@ -41,7 +41,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             say(&format!("motor {motor}: brake released"))
         }
         Action::Lock => {
-            let mut session = Session::open(&arguments.motor.on)?;
+            let mut session = Session::open_to_stop(&arguments.motor.on)?;
             session.standing(motor)?;
             session.ask(motor, LockBrake)?;
             match session.ask(motor, ReadStatus1)?.brake {

@@ -3,7 +3,8 @@
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::{MotorId, Target};
 
-use super::session::{Consent, OnBus, Session, say};
+use super::on_bus::OnBus;
+use super::session::{Consent, Session, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// Give the only motor on a bus another id

@@ -35,7 +35,7 @@ pub(super) fn shut_down(arguments: &Motors) -> Outcome {
 
 /// Gives the motors that have confirmed.
 fn halt(arguments: &Motors, kind: StopKind) -> Outcome<MotorSet> {
-    let mut session = Session::open(&arguments.on)?;
+    let mut session = Session::open_to_stop(&arguments.on)?;
     match (arguments.id, kind) {
         (Target::Motor(motor), _) => {
             session.stop(kind, motor.into())?;

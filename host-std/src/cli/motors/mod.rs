@@ -1,4 +1,4 @@
-//! The subcommands that work on motors: simulated ones unless another bus is named.
+//! The subcommands that work on motors: those that only read take simulated ones unless a bus is named.
 //!
 //! What moves a motor or writes its memory goes through [`session`], which asks first, and through
 //! [`moving`], which stops the motor whatever ends the command early.
@@ -10,6 +10,7 @@ mod halt;
 mod motion;
 mod move_to;
 mod moving;
+mod on_bus;
 mod progress;
 mod revision;
 mod run_for;

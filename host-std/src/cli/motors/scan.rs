@@ -9,7 +9,8 @@ use myactuator_protocol_core::io::{CallError, Runner, bring_up};
 use myactuator_protocol_core::master::{Failure, MotorSet};
 
 use super::group::Group;
-use super::session::{OnBus, Session, nobody_on, say};
+use super::on_bus::OnBus;
+use super::session::{Session, nobody_on, say};
 use crate::cli::{Outcome, Unfinished};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
@@ -37,14 +38,11 @@ pub(in crate::cli) struct Arguments {
 type Found = Result<MotorSet, BusError>;
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let addresses = if arguments.all_rates {
-        at_each_rate(&arguments.on.bus)?
-    } else {
-        vec![arguments.on.bus.clone()]
-    };
+    let bus = arguments.on.to_look()?;
+    let addresses = if arguments.all_rates { at_each_rate(&bus)? } else { vec![bus.clone()] };
     let mut anybody = false;
-    for bus in addresses {
-        let mut session = Session::open(&OnBus { bus })?;
+    for address in addresses {
+        let mut session = Session::open_on(address)?;
         let found = look(&mut session)?;
         if arguments.all_rates && !arguments.json {
             say(&told_of_rate(&session.address, &found))?;
@@ -62,7 +60,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     }
     match (anybody, arguments.all_rates) {
         (true, _) => Ok(()),
-        (false, false) => Err(nobody_on(&arguments.on.bus)),
+        (false, false) => Err(nobody_on(&bus)),
         (false, true) => Err(Unfinished::Failed(
             "no motor answers at any bit rate: check the motors' power and the wiring".to_owned(),
         )),

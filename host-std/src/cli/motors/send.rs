@@ -10,8 +10,9 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
 use super::moving::{ENDS, named};
+use super::on_bus::OnBus;
 use super::revision::MotorRevision;
-use super::session::{Consent, OnBus, Session, say};
+use super::session::{Consent, Session, say};
 use crate::cli::wanted::Wanted;
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
@@ -45,18 +46,19 @@ pub(in crate::cli) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let kind = arguments.command.kind()?;
-    parse::check_bus(kind, arguments.on.bus.kind())?;
     parse::whom(kind, arguments.id)?;
+    let bus = if reads(kind) { arguments.on.to_look()? } else { arguments.on.to_act()? };
+    parse::check_bus(kind, bus.kind())?;
     if let (Some(opcode), Some(firmware)) =
         (arguments.command.opcode(), arguments.revision.firmware)
     {
         parse::check_firmware(opcode, firmware)?;
     }
     if needs_consent(kind) {
-        arguments.consent.check(&arguments.on)?;
+        arguments.consent.check(&bus)?;
     }
-    let config = Config { firmware: read_as(arguments), ..arguments.on.bus.config() };
-    let session = Session::open_with(&arguments.on, config)?;
+    let config = Config { firmware: read_as(arguments), ..bus.config() };
+    let session = Session::open_with(bus, config)?;
     run_on(&mut Session { yes: arguments.consent.yes, ..session }, arguments)
 }
 
@@ -69,6 +71,12 @@ fn read_as(arguments: &Arguments) -> Firmware {
     };
     let first = || Firmware::ALL.iter().copied().find(has_it);
     arguments.revision.firmware.or_else(first).unwrap_or(Firmware::V4_3)
+}
+
+/// Whether it only asks a motor for values.
+fn reads(kind: Kind) -> bool {
+    let has_values = |opcode: Opcode| opcode.reply_rule() == ReplyRule::Values;
+    kind.opcode().is_some_and(has_values) && !needs_consent(kind)
 }
 
 fn needs_consent(kind: Kind) -> bool {

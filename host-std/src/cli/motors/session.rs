@@ -14,21 +14,13 @@ use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, MotorSet};
 use myactuator_protocol_core::{MotorId, Target};
 
+use super::on_bus::OnBus;
 use crate::cli::arguments as parse;
 pub(super) use crate::cli::say;
 use crate::cli::{Outcome, Unfinished, interrupt, printable, tell, unwritten};
 
 /// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
 const STILL_DPS: f32 = 2.0;
-
-/// Which bus.
-#[derive(Clone, Debug, clap::Args)]
-pub(super) struct OnBus {
-    /// The bus: sim, sim:N or sim:N,rs485 (N simulated motors), can0,
-    /// slcan:/dev/ttyACM0@1000000, rs485:/dev/ttyUSB0@115200 or rs485:/dev/ttyUSB0@115200,echo.
-    #[arg(long, global = true, value_name = "ADDRESS", default_value = "sim")]
-    pub(super) bus: BusAddress,
-}
 
 /// Whether the user has said yes already.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -69,8 +61,8 @@ pub(in crate::cli) struct Motors {
 
 impl Consent {
     /// Refuses where the user can neither be asked nor has consented.
-    pub(super) fn check(self, on: &OnBus) -> Outcome {
-        if self.yes || on.bus.is_simulated() || io::stdin().is_terminal() {
+    pub(super) fn check(self, bus: &BusAddress) -> Outcome {
+        if self.yes || bus.is_simulated() || io::stdin().is_terminal() {
             return Ok(());
         }
         Err(Unfinished::Usage(
@@ -122,32 +114,45 @@ pub(super) struct Session {
 }
 
 impl Session {
-    /// Opens a bus to look at, or to stop its motors.
+    /// Opens a bus to look at.
     pub(super) fn open(on: &OnBus) -> Outcome<Self> {
-        Self::open_with(on, on.bus.config())
+        Self::open_on(on.to_look()?)
+    }
+
+    /// Opens a bus to stop its motors, which needs no consent.
+    pub(super) fn open_to_stop(on: &OnBus) -> Outcome<Self> {
+        Self::open_on(on.to_act()?)
+    }
+
+    pub(super) fn open_on(address: BusAddress) -> Outcome<Self> {
+        let config = address.config();
+        Self::open_with(address, config)
     }
 
     /// The same, with a configuration of the caller's.
-    pub(super) fn open_with(on: &OnBus, config: Config) -> Outcome<Self> {
-        let master = AnyMaster::open_with(&on.bus, config)?;
-        if let BusAddress::Simulated { motors, kind } = &on.bus {
+    pub(super) fn open_with(address: BusAddress, config: Config) -> Outcome<Self> {
+        let master = AnyMaster::open_with(&address, config)?;
+        if let BusAddress::Simulated { motors, kind } = &address {
             let kind = match kind {
                 BusKind::Can => "a CAN bus",
                 BusKind::Rs485 => "an RS485 line",
             };
             tell(
                 "simulated drives",
-                format!("{motors} on {kind}, made anew for each run; --bus names a real bus"),
+                format!(
+                    "{motors} on {kind}, made anew for each run; --bus or MYACTUATOR_BUS names a real bus"
+                ),
             );
         }
-        Ok(Self { master, address: on.bus.clone(), yes: false, interrupted: interrupt::flag() })
+        Ok(Self { master, address, yes: false, interrupted: interrupt::flag() })
     }
 
     /// Opens a bus to move motors on it or write their memory, if the user can be asked or has
     /// consented.
     pub(super) fn open_to_change(on: &OnBus, consent: Consent) -> Outcome<Self> {
-        consent.check(on)?;
-        Ok(Self { yes: consent.yes, ..Self::open(on)? })
+        let address = on.to_act()?;
+        consent.check(&address)?;
+        Ok(Self { yes: consent.yes, ..Self::open_on(address)? })
     }
 
     /// A session on simulated drives that a test has a hand on.

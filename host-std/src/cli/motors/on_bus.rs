@@ -1,0 +1,54 @@
+//! Which bus a command is for: `--bus`, else the environment's. Simulated motors are taken for granted only
+//! where nothing is at stake: whoever types `stop` must not be told that motors stand that are nowhere.
+
+use std::env;
+
+use myactuator_host_std::BusKind;
+use myactuator_host_std::open::BusAddress;
+
+use crate::cli::{Outcome, Unfinished};
+
+/// The environment variable that names a bus.
+const VARIABLE: &str = "MYACTUATOR_BUS";
+
+/// Which bus.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct OnBus {
+    /// The bus: can0, slcan:/dev/ttyACM0@1000000, rs485:/dev/ttyUSB0@115200,
+    /// rs485:/dev/ttyUSB0@115200,echo, or N simulated motors: sim, sim:N, sim:N,rs485 [default: the
+    /// environment's MYACTUATOR_BUS, else sim for what only reads].
+    #[arg(long, global = true, value_name = "ADDRESS")]
+    bus: Option<BusAddress>,
+}
+
+impl OnBus {
+    /// Where to look: on simulated motors if no bus is named.
+    pub(super) fn to_look(&self) -> Outcome<BusAddress> {
+        let simulated = BusAddress::Simulated { motors: 4, kind: BusKind::Can };
+        Ok(self.named()?.unwrap_or(simulated))
+    }
+
+    /// Where to stop, move or write to motors: only what was named.
+    pub(super) fn to_act(&self) -> Outcome<BusAddress> {
+        self.named()?.ok_or_else(|| {
+            Unfinished::Usage(format!(
+                "--bus is missing: this acts on motors, so say which bus they are on, by --bus or by the \
+                 environment variable {VARIABLE}: can0, slcan:/dev/ttyACM0@1000000, \
+                 rs485:/dev/ttyUSB0@115200, or sim for simulated ones"
+            ))
+        })
+    }
+
+    fn named(&self) -> Outcome<Option<BusAddress>> {
+        if let Some(bus) = &self.bus {
+            return Ok(Some(bus.clone()));
+        }
+        match env::var_os(VARIABLE).filter(|text| !text.is_empty()) {
+            None => Ok(None),
+            Some(text) => match text.to_string_lossy().parse() {
+                Ok(bus) => Ok(Some(bus)),
+                Err(error) => Err(Unfinished::Usage(format!("{VARIABLE}: {error}"))),
+            },
+        }
+    }
+}
