@@ -23,7 +23,7 @@ impl Tty {
     pub(super) fn open(path: &Path, bit_rate: u32) -> Result<Self, PortError> {
         let name = path.display().to_string();
         let failed = |error: io::Error| explain(&name, error);
-        let mut port = SerialPort::open(path, KeepSettings).map_err(failed)?;
+        let port = SerialPort::open(path, KeepSettings).map_err(failed)?;
         if !rustix::termios::isatty(&port) {
             return Err(PortError::NotASerialPort(name));
         }
@@ -32,14 +32,19 @@ impl Tty {
         rustix::fs::flock(&port, FlockOperation::NonBlockingLockExclusive)
             .and_then(|()| rustix::termios::ioctl_tiocexcl(&port))
             .map_err(|error| failed(error.into()))?;
+        let mut tty = Self { port, name };
+        tty.configure(bit_rate)?;
+        Ok(tty)
+    }
 
-        let mut settings = port.get_configuration().map_err(failed)?;
+    fn configure(&mut self, bit_rate: u32) -> Result<(), PortError> {
+        let failed = |error: io::Error| explain(&self.name, error);
+        let mut settings = self.port.get_configuration().map_err(failed)?;
         settings.set_raw();
-        let unable = |_| PortError::LineRate { port: name.clone(), bit_rate };
+        let unable = |_| PortError::LineRate { port: self.name.clone(), bit_rate };
         settings.set_baud_rate(bit_rate).map_err(unable)?;
-        port.set_configuration(&settings).map_err(unable)?;
-        port.discard_buffers().map_err(failed)?;
-        Ok(Self { port, name })
+        self.port.set_configuration(&settings).map_err(unable)?;
+        self.port.discard_buffers().map_err(failed)
     }
 
     pub(super) fn name(&self) -> &str {
@@ -96,6 +101,15 @@ impl Tty {
 
     pub(super) fn discard_input(&self) -> Result<(), PortError> {
         self.port.discard_input_buffer().map_err(|error| explain(&self.name, error))
+    }
+}
+
+/// Exclusive mode outlives the program where the terminal does: a pseudo-terminal, or one that somebody else has
+/// open.
+impl Drop for Tty {
+    fn drop(&mut self) {
+        // A port that has gone is nobody's.
+        let _ = rustix::termios::ioctl_tiocnxcl(&self.port);
     }
 }
 

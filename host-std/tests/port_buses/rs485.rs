@@ -7,6 +7,7 @@ use myactuator_host_std::open::BusError;
 use myactuator_host_std::port::{PortError, Rs485};
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::{CallError, Runner};
+use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
 
 use crate::drive::{self, motor};
 use crate::pty;
@@ -20,6 +21,22 @@ fn a_port_belongs_to_one_program() {
     assert!(error.to_string().contains(path.to_str().unwrap()), "{error}");
     drop(first);
     Rs485::open(&path, 115_200).unwrap();
+}
+
+/// A root user passes by a port that somebody has for himself; others do not.
+#[test]
+fn a_port_is_free_again_as_soon_as_it_is_closed() {
+    let (_line, path) = pty::open();
+    // As one that serves drives does, so that the terminal lives on.
+    let _held = std::fs::File::options().read(true).write(true).open(&path).unwrap();
+    let mut rights = capabilities(None).unwrap();
+    rights.effective.remove(CapabilitySet::SYS_ADMIN);
+    set_capabilities(None, rights).unwrap();
+    for bit_rate in [115_200, 500_000, 1_000_000] {
+        let port = Rs485::open(&path, bit_rate).unwrap();
+        assert!(std::fs::File::open(&path).is_err());
+        drop(port);
+    }
 }
 
 #[test]

@@ -122,6 +122,25 @@ fn ask(port: &SerialPort, command: impl Into<AnyCommand>) -> AnyReply {
 }
 
 #[test]
+fn a_scan_at_all_rates_goes_on_where_the_adapter_refuses_one() {
+    let simulation = Simulation::start(2, &["--count", "1", "--bit-rate", "500000"]);
+    let scan = |bus: &str| {
+        let output = run(&["scan", "--all-rates", "--bus", bus]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let lines = text(&output.stdout).lines().map(|line| line.split(" model").next().unwrap());
+        lines.map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(
+        scan(simulation.bus("slcan")),
+        ["1000000 bit/s: no motor, the bus carries nothing", "500000 bit/s: 1 motor", "motor 1:"]
+    );
+    // A pseudo-terminal has every rate.
+    let rates = [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000];
+    let told = rates.map(|rate| [format!("{rate} bit/s: 1 motor"), "motor 1:".to_owned()]);
+    assert_eq!(scan(simulation.bus("rs485")), told.concat());
+}
+
+#[test]
 fn programs_need_not_set_anything_on_the_port() {
     let simulation = Simulation::start(1, &["--only", "rs485"]);
     let path = simulation.place("rs485")["path"].as_str().unwrap();

@@ -2,6 +2,7 @@
 
 use indicatif::ProgressBar;
 use myactuator_host_std::open::{BusAddress, BusError};
+use myactuator_host_std::port::PortError;
 use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadModel, ReadStatus1};
@@ -42,20 +43,26 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let addresses = if arguments.all_rates { at_each_rate(&bus)? } else { vec![bus.clone()] };
     let mut anybody = false;
     for address in addresses {
-        let mut session = Session::open_on(address)?;
-        let found = look(&mut session)?;
-        if arguments.all_rates && !arguments.json {
-            say(&told_of_rate(&session.address, &found))?;
-        }
-        match found {
-            Ok(motors) => {
-                anybody |= !motors.is_empty();
-                for motor in motors.iter() {
-                    describe(&mut session, motor, arguments.json)?;
-                }
+        let config = address.config();
+        let (mut session, found) = match Session::open_with(address.clone(), config) {
+            Ok(mut session) => {
+                let found = look(&mut session)?;
+                (Some(session), found)
             }
-            Err(error) if !arguments.all_rates => return Err(error.into()),
-            Err(_) => {}
+            Err(error) => (None, Err(error)),
+        };
+        match &found {
+            Err(error) if !(arguments.all_rates && is_of_rate(error)) => {
+                return Err(Unfinished::Failed(error.to_string()));
+            }
+            _ if arguments.all_rates && !arguments.json => say(&told_of_rate(&address, &found))?,
+            _ => {}
+        }
+        if let (Some(session), Ok(motors)) = (&mut session, found) {
+            anybody |= !motors.is_empty();
+            for motor in motors.iter() {
+                describe(session, motor, arguments.json)?;
+            }
         }
     }
     match (anybody, arguments.all_rates) {
@@ -65,6 +72,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             "no motor answers at any bit rate: check the motors' power and the wiring".to_owned(),
         )),
     }
+}
+
+/// Whether it may be the rate's fault, so that others are tried.
+const fn is_of_rate(error: &BusError) -> bool {
+    error.is_outage() || matches!(error, BusError::Port(PortError::LineRate { .. }))
 }
 
 fn look(session: &mut Session) -> Outcome<Found> {
@@ -87,6 +99,7 @@ fn told_of_rate(address: &BusAddress, found: &Found) -> String {
         Ok(0) => "no motor",
         Ok(1) => "1 motor",
         Ok(count) => &format!("{count} motors"),
+        Err(BusError::Port(PortError::LineRate { .. })) => "the serial port cannot run at it",
         Err(_) => "no motor, the bus carries nothing",
     };
     format!("{} bit/s: {told}", address.bit_rate().unwrap_or_default())

@@ -124,13 +124,13 @@ impl Session {
         Self::open_on(on.to_act()?)
     }
 
-    pub(super) fn open_on(address: BusAddress) -> Outcome<Self> {
+    fn open_on(address: BusAddress) -> Outcome<Self> {
         let config = address.config();
-        Self::open_with(address, config)
+        Ok(Self::open_with(address, config)?)
     }
 
     /// The same, with a configuration of the caller's.
-    pub(super) fn open_with(address: BusAddress, config: Config) -> Outcome<Self> {
+    pub(super) fn open_with(address: BusAddress, config: Config) -> Result<Self, BusError> {
         let master = AnyMaster::open_with(&address, config)?;
         if let BusAddress::Simulated { motors, kind } = &address {
             let kind = match kind {
