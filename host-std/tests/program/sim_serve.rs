@@ -141,6 +141,18 @@ fn a_scan_at_all_rates_goes_on_where_the_adapter_refuses_one() {
 }
 
 #[test]
+fn a_stop_does_not_say_that_a_motor_holds_whose_output_is_cut() {
+    let simulation =
+        Simulation::start(1, &["--only", "slcan", "--count", "2", "--fault", "stall@2"]);
+    let output = run(&["stop", "--bus", simulation.bus("slcan")]);
+    assert_eq!(
+        text(&output.stdout),
+        "motor 1 is stopped and holds still (0x81); motor 2 has confirmed the stop (0x81) but reports an error \
+         (motor stalled), and its drive cuts its output for that: nothing but a locked brake holds its shaft\n"
+    );
+}
+
+#[test]
 fn programs_need_not_set_anything_on_the_port() {
     let simulation = Simulation::start(1, &["--only", "rs485"]);
     let path = simulation.place("rs485")["path"].as_str().unwrap();

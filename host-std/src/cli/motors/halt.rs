@@ -10,7 +10,7 @@ use myactuator_protocol_core::master::{MotorSet, Patience, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
-use super::moving::{hold_still, named};
+use super::moving::named;
 use super::session::{Motors, Session, nobody_on, say};
 use crate::cli::Outcome;
 
@@ -21,11 +21,12 @@ const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
 const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
 pub(super) fn stop(arguments: &Motors) -> Outcome {
-    say(&hold_still(halt(arguments, StopKind::Hold)?))
+    let (mut session, motors) = halt(arguments, StopKind::Hold)?;
+    say(&session.stopped(motors))
 }
 
 pub(super) fn shut_down(arguments: &Motors) -> Outcome {
-    let motors = halt(arguments, StopKind::Off)?;
+    let (_, motors) = halt(arguments, StopKind::Off)?;
     let are = match motors.len() {
         1 => "is off (0x80): its shaft is free unless a brake holds it",
         _ => "are off (0x80): their shafts are free unless brakes hold them",
@@ -33,17 +34,18 @@ pub(super) fn shut_down(arguments: &Motors) -> Outcome {
     say(&format!("{} {are}", named(motors)))
 }
 
-/// Gives the motors that have confirmed.
-fn halt(arguments: &Motors, kind: StopKind) -> Outcome<MotorSet> {
+/// Gives the motors that have confirmed, on their bus.
+fn halt(arguments: &Motors, kind: StopKind) -> Outcome<(Session, MotorSet)> {
     let mut session = Session::open_to_stop(&arguments.on)?;
-    match (arguments.id, kind) {
+    let motors = match (arguments.id, kind) {
         (Target::Motor(motor), _) => {
             session.stop(kind, motor.into())?;
-            Ok(motor.into())
+            motor.into()
         }
-        (Target::All, StopKind::Hold) => tell_all(&mut session, Stop),
-        (Target::All, StopKind::Off) => tell_all(&mut session, Shutdown),
-    }
+        (Target::All, StopKind::Hold) => tell_all(&mut session, Stop)?,
+        (Target::All, StopKind::Off) => tell_all(&mut session, Shutdown)?,
+    };
+    Ok((session, motors))
 }
 
 /// Sends a command to every id, first once to each and then again to those that were silent.

@@ -3,6 +3,8 @@
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::Ordering;
 
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::ReadStatus1;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -34,8 +36,8 @@ impl Session {
         let motors = motors.into();
         match catch_unwind(AssertUnwindSafe(|| work(self))) {
             Ok(outcome) => outcome.map_err(|why| {
-                let stopped = self.stop(StopKind::Hold, motors);
-                told_with_stop(motors, why, stopped)
+                let stopped = self.stop(StopKind::Hold, motors).map(|()| self.stopped(motors));
+                told_with_stop(why, stopped)
             }),
             Err(panic) => {
                 if let Err(Unfinished::Failed(not_stopped)) = self.stop(StopKind::Hold, motors) {
@@ -55,6 +57,38 @@ impl Session {
         Err(Unfinished::Failed(format!(
             "no confirmation of the stop from motor {silent}: if it is on this bus, cut its power"
         )))
+    }
+
+    /// How motors are that have confirmed the stop.
+    pub(super) fn stopped(&mut self, motors: MotorSet) -> String {
+        let mut holding = MotorSet::EMPTY;
+        let mut others = Vec::new();
+        for motor in motors.iter() {
+            match self.holds_nothing(motor) {
+                None => holding.insert(motor),
+                Some(told) => others.push(format!("motor {motor} {told}")),
+            }
+        }
+        if !holding.is_empty() {
+            others.insert(0, hold_still(holding));
+        }
+        others.join("; ")
+    }
+
+    /// What is true of a motor that has confirmed the stop and does not hold still by it.
+    pub(super) fn holds_nothing(&mut self, motor: MotorId) -> Option<String> {
+        match self.ask(motor, ReadStatus1) {
+            Ok(status) if status.errors.is_empty() => None,
+            Ok(status) => Some(format!(
+                "has confirmed the stop (0x81) but reports an error ({}), and its drive cuts its output for \
+                 that: nothing but a locked brake holds its shaft",
+                status.errors
+            )),
+            Err(_) => Some(
+                "has confirmed the stop (0x81), but whether it holds is not known: it does not tell its errors"
+                    .to_owned(),
+            ),
+        }
     }
 
     /// Ends the work if the user has interrupted it.
@@ -87,8 +121,8 @@ pub(super) fn named(motors: MotorSet) -> String {
     format!("{noun} {motors}")
 }
 
-/// That these motors have confirmed the stop.
-pub(super) fn hold_still(motors: MotorSet) -> String {
+/// That these motors are stopped, and have no error.
+fn hold_still(motors: MotorSet) -> String {
     let are = match motors.len() {
         1 => "is stopped and holds still (0x81)",
         _ => "are stopped and hold still (0x81)",
@@ -97,7 +131,7 @@ pub(super) fn hold_still(motors: MotorSet) -> String {
 }
 
 /// Why the work ended, and that the motors have stopped, or not.
-fn told_with_stop(motors: MotorSet, why: Unfinished, stopped: Outcome) -> Unfinished {
+fn told_with_stop(why: Unfinished, stopped: Outcome<String>) -> Unfinished {
     let sentence = match &why {
         Unfinished::Usage(sentence)
         | Unfinished::Failed(sentence)
@@ -109,9 +143,10 @@ fn told_with_stop(motors: MotorSet, why: Unfinished, stopped: Outcome) -> Unfini
         (Err(Unfinished::Failed(not_stopped)), _) => {
             Unfinished::Failed(format!("{sentence}; {not_stopped}"))
         }
-        (_, Unfinished::Interrupted(_)) => {
-            Unfinished::Interrupted(format!("{sentence}; {}", hold_still(motors)))
+        (Ok(stopped), Unfinished::Interrupted(_)) => {
+            Unfinished::Interrupted(format!("{sentence}; {stopped}"))
         }
-        _ => Unfinished::Failed(format!("{sentence}; {}", hold_still(motors))),
+        (Ok(stopped), _) => Unfinished::Failed(format!("{sentence}; {stopped}")),
+        (Err(why), _) => why,
     }
 }

@@ -68,15 +68,18 @@ pub(super) fn run<C: Command + Copy>(
         let end = match run.end {
             StopKind::Hold => {
                 session.stop(StopKind::Hold, motor.into())?;
-                "it is stopped and holds still (0x81)"
+                match session.holds_nothing(motor) {
+                    None => "it is stopped and holds still (0x81)".to_owned(),
+                    Some(told) => format!("it {told}"),
+                }
             }
             StopKind::Off if opens => {
                 put_down(session, motor)?;
-                "it is stopped, its brake locked again (0x78) and it is off (0x80)"
+                "it is stopped, its brake locked again (0x78) and it is off (0x80)".to_owned()
             }
             StopKind::Off => {
                 session.stop(StopKind::Off, motor.into())?;
-                "it is off (0x80): its shaft is free unless a brake holds it"
+                "it is off (0x80): its shaft is free unless a brake holds it".to_owned()
             }
         };
         say(&format!("motor {motor} has run for {seconds} s: {end}"))
@@ -202,8 +205,11 @@ mod tests {
         let why = turn(&mut session, || drive.with(|drive| drive.raise_fault(ErrorFlags::STALL)));
         let Unfinished::Failed(told) = why else { panic!("{why:?}") };
         assert!(told.starts_with("motor 1 reports an error (motor stalled): "), "{told}");
-        assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
-        assert_eq!(commands(&log).last(), Some(&0x81));
+        let truth = "; motor 1 has confirmed the stop (0x81) but reports an error (motor stalled), and its \
+                     drive cuts its output for that: nothing but a locked brake holds its shaft";
+        assert!(told.ends_with(truth), "{told}");
+        // It is stopped before it is asked how it is.
+        assert!(commands(&log).ends_with(&[0x81, 0x9A]));
     }
 
     #[test]

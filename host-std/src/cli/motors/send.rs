@@ -305,8 +305,9 @@ mod tests {
         let (told, packets) = failed(&Fleet::new(1), "--id 1 raw --moves C0 01 02 03 04 05 06 07");
         assert!(told.ends_with("; motor 1 is stopped and holds still (0x81)"), "{told}");
         let (first, rest) = packets.split_first().unwrap();
-        assert_eq!(first.data, C0);
-        assert!(!rest.is_empty() && rest.iter().all(|packet| packet.data[0] == 0x81), "{rest:?}");
+        assert_eq!((first.data, rest[0].data[0]), (C0, 0x81));
+        // It is asked whether it has errors.
+        assert!(rest[1..].iter().all(|packet| [0x81, 0x9A].contains(&packet.data[0])), "{rest:?}");
         // A read is none of those.
         let (told, packets) = failed(&Fleet::new(1), "--id 9 read-status1");
         assert!(!told.contains("stopped"), "{told}");
