@@ -223,9 +223,13 @@ fn zero_is_kept_over_the_restart() {
 }
 
 #[test]
-fn an_id_is_changed_only_with_one_motor_on_the_bus() {
+fn an_id_is_changed_on_either_bus() {
     for bus in ["sim:1", "sim:1,rs485"] {
         assert_eq!(done(&format!("id --bus {bus} --new-id 7")), ["motor 1 is motor 7 now"]);
+    }
+    for bus in ["sim:3", "sim:3,rs485"] {
+        let told = done(&format!("id --bus {bus} --id 2 --new-id 7"));
+        assert_eq!(told, ["motor 2 is motor 7 now"]);
     }
     assert_eq!(done("id --bus sim:1 --id 1 --new-id 1"), ["motor 1 has this id already"]);
     let (status, told) = refused("id --bus sim:4 --new-id 7");

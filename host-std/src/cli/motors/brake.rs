@@ -1,16 +1,17 @@
 //! `myactuator brake`: the holding brake, by hand.
 
 use clap::ValueEnum;
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, LockBrake, ReadStatus1};
-use myactuator_protocol_core::io::bring_up;
+use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 
 use super::session::{OneMotor, Session, say};
-use crate::cli::{Outcome, Unfinished};
+use crate::cli::{Outcome, Unfinished, tell};
 
 /// Release or lock a motor's brake
 ///
-/// A turning motor's brake is not locked: stop the motor first. Exit status: 0 if the motor says that
-/// its brake was told so, 1 if not, 2 for wrong usage.
+/// A turning motor's brake is not locked: stop the motor first. Exit status: 0 if the motor has
+/// acknowledged the command, and after a lock says that the brake was told so, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     /// What to do with it.
@@ -37,8 +38,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             session.confirm(&format!(
                 "Motor {motor}'s brake will let the shaft go: a load can turn it then."
             ))?;
-            bring_up::release_brake(&mut session.master, motor)?;
-            say(&format!("motor {motor}: brake released"))
+            if session.release_brake(motor)? {
+                say(&format!("motor {motor}: brake released"))
+            } else {
+                say(&format!("motor {motor}: the release of its brake is acknowledged (0x77)"))
+            }
         }
         Action::Lock => {
             let mut session = Session::open_to_stop(&arguments.motor.on)?;
@@ -51,5 +55,43 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 ))),
             }
         }
+    }
+}
+
+impl Session {
+    /// Releases a brake and waits until it is open. Whether the motor says that it is: one that has acknowledged
+    /// the command and says "lock" all the same is warned of.
+    pub(super) fn release_brake(&mut self, motor: MotorId) -> Outcome<bool> {
+        match bring_up::release_brake(&mut self.master, motor) {
+            Ok(()) => Ok(true),
+            Err(BringUpError::BrakeNotReleased(says)) => {
+                tell(
+                    "warning",
+                    format!(
+                        "motor {motor} has acknowledged the release of its brake (0x77) and says {says} all the \
+                         same, as firmware 2025070202 does while it obeys no command: see that the shaft is free"
+                    ),
+                );
+                Ok(false)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::odd_drive;
+    use super::*;
+
+    #[test]
+    fn a_brake_that_says_lock_after_an_acknowledged_release_is_no_failure() {
+        let (fleet, drive) = odd_drive::alone();
+        let mut session = Session::on(&fleet);
+        assert_eq!(session.release_brake(MotorId::MIN), Ok(false));
+        assert!(drive.lock().unwrap().told.starts_with(&[0x77]));
+        // One that does not acknowledge it is one.
+        let nobody = MotorId::new(9).unwrap();
+        assert!(matches!(session.release_brake(nobody), Err(Unfinished::Failed(_))));
     }
 }

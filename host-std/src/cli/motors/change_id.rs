@@ -1,21 +1,39 @@
-//! `myactuator id`: another id for the only motor on a bus.
+//! `myactuator id`: another id for a motor.
+//!
+//! Function 5 (0x20) comes first: it names its motor, and every firmware that was met knows it. Where nobody
+//! acknowledges that and the motor is alone, 0x79 follows. A drive restarts only when the id is known to be
+//! taken, for one that did not take it would come back as it was, and its shaft be free for nothing.
 
+use myactuator_protocol_core::command::{
+    AnyReply, BusId, Command, FunctionControl, ReadStatus1, Reset, Shutdown,
+};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
+use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::master::{Event, MotorSet, Patience};
+use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::on_bus::OnBus;
 use super::session::{Consent, Session, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
 
-/// Give the only motor on a bus another id
+/// How long an acknowledgement may take.
+const ACKNOWLEDGED_IN: Duration = Duration::from_millis(100);
+const LONGEST_RESTART: Duration = Duration::from_secs(5);
+/// For asking whether somebody is there at all.
+const QUICK: Patience = Patience { reply_timeout: Duration::from_millis(10), attempts: 2 };
+
+/// Give a motor another id
 ///
-/// Every connected motor obeys an id change, so exactly one must be connected. It keeps the id in its
-/// ROM and restarts. Exit status: 0 if it answers under the new id, 1 if not, 2 for wrong usage.
+/// The motor is switched off, keeps the id in its ROM and restarts. It is told by function 5 (0x20), which
+/// names it; if it does not acknowledge that, and is the only one on the bus, by 0x79, which all obey. Two
+/// motors with the same id are refused: connect only one of them. Exit status: 0 if it answers under the
+/// new id, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     on: OnBus,
-    /// The id that it has, 1 to 32, if that is known.
+    /// The id that it has, 1 to 32; not needed if it is the only motor.
     #[arg(long, value_parser = parse::motor_id, allow_hyphen_values = true)]
     id: Option<MotorId>,
     /// The id that it gets, 1 to 32.
@@ -26,23 +44,188 @@ pub(in crate::cli) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let to = arguments.new_id;
     let mut session = Session::open_to_change(&arguments.on, arguments.consent)?;
+    run_on(&mut session, arguments.id, arguments.new_id)
+}
+
+fn run_on(session: &mut Session, id: Option<MotorId>, to: MotorId) -> Outcome {
     let found = session.meant(Target::All)?;
-    let mut motors = found.iter();
-    let (Some(motor), None) = (motors.next(), motors.next()) else {
-        return Err(BringUpError::NotAlone(found).into());
-    };
-    if let Some(id) = arguments.id.filter(|&id| id != motor) {
-        return Err(Unfinished::Failed(format!("the only motor has id {motor}, not {id}")));
+    let from = which(found, id)?;
+    if from == to {
+        return say(&format!("motor {from} has this id already"));
     }
-    if motor == to {
-        return say(&format!("motor {motor} has this id already"));
+    if found.contains(to) {
+        return Err(BringUpError::IdTaken(to).into());
     }
-    session.standing(motor)?;
+    session.has_one(from)?;
+    session.standing(from)?;
     session.confirm(&format!(
-        "Motor {motor} will get id {to} in its ROM, and restart: hold the shaft if a load pulls at it."
+        "Motor {from} will be switched off, get id {to} in its ROM, and restart: hold the shaft if a load pulls at it."
     ))?;
-    bring_up::change_id(&mut session.master, motor, to)?;
-    say(&format!("motor {motor} is motor {to} now"))
+    // Some drives keep nothing unless they are shut down.
+    session.ask(from, Shutdown)?;
+    let is_alone = found.len() == 1;
+    let taken = take_by_function_5(session, from, to)? || is_alone && take_by_0x79(session, to)?;
+    if !taken {
+        let then =
+            if is_alone { "" } else { "connect it alone, so that 0x79 can be tried as well; " };
+        return Err(Unfinished::Failed(format!(
+            "motor {from} has not acknowledged id {to}, so it was not restarted, and is off: {then}what it has \
+             kept shows when its supply was switched off and on ('myactuator scan')"
+        )));
+    }
+    restart(session, from, to)?;
+    say(&format!("motor {from} is motor {to} now"))
+}
+
+/// The motor that is meant.
+fn which(found: MotorSet, id: Option<MotorId>) -> Outcome<MotorId> {
+    let mut motors = found.iter();
+    match (id, motors.next(), motors.next()) {
+        (Some(id), ..) if found.contains(id) => Ok(id),
+        (None, Some(only), None) => Ok(only),
+        (Some(id), Some(only), None) => {
+            Err(Unfinished::Failed(format!("the only motor has id {only}, not {id}")))
+        }
+        (Some(id), ..) => {
+            Err(Unfinished::Failed(format!("no motor has id {id} (there are: {found})")))
+        }
+        (None, ..) => Err(Unfinished::Failed(format!(
+            "--id is missing: say which motor gets another id (there are: {found})"
+        ))),
+    }
+}
+
+/// Whether the motor has acknowledged the id, under the old one or the new one.
+fn take_by_function_5(session: &mut Session, from: MotorId, to: MotorId) -> Outcome<bool> {
+    let command = FunctionControl::SetCanId(to);
+    let echo = command.encode();
+    let is_echo = |event: &Event| match event {
+        Event::Stray { motor, data } => (*motor == from || *motor == to) && *data == echo,
+        _ => false,
+    };
+    let mut taken = false;
+    // It is over when it was sent: drives were seen to take it without an answer.
+    let sent = session.master.ask_with(from, command, None, |event| taken |= is_echo(&event));
+    sent.map_err(Unfinished::of_motor(from))?;
+    session.listen(ACKNOWLEDGED_IN, |event| taken |= is_echo(event))?;
+    Ok(taken || is_there(session, to)?)
+}
+
+/// Whether somebody has acknowledged the id that goes to all who are connected.
+fn take_by_0x79(session: &mut Session, to: MotorId) -> Outcome<bool> {
+    let sent = session.master.master().broadcast(BusId::Write(to), to.into());
+    sent.map_err(CallError::from)?;
+    let mut taken = false;
+    session.listen(ACKNOWLEDGED_IN, |event| {
+        taken |= matches!(event, Event::BroadcastReply { reply: AnyReply::BusId(_), .. });
+    })?;
+    Ok(taken || is_there(session, to)?)
+}
+
+fn is_there(session: &mut Session, motor: MotorId) -> Outcome<bool> {
+    match session.master.ask_with(motor, ReadStatus1, Some(QUICK), |_| {}) {
+        Ok(_) => Ok(true),
+        Err(CallError::Failed(_)) => Ok(false),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Restarts the motor, unless it has the id without that, and sees who it is then.
+fn restart(session: &mut Session, from: MotorId, to: MotorId) -> Outcome {
+    if !is_there(session, to)? {
+        session.ask(from, Reset)?;
+        bring_up::wait_until_there(&mut session.master, to, LONGEST_RESTART)?;
+    }
+    if is_there(session, from)? {
+        return Err(Unfinished::Failed(format!(
+            "a motor answers as {to} now, and one as {from} still: two motors had id {from}"
+        )));
+    }
+    session.master.master().forget(from);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::drive::Quirks;
+
+    use super::super::{odd_drive, simulated::sent};
+    use super::*;
+
+    fn id(id: u8) -> MotorId {
+        MotorId::new(id).unwrap()
+    }
+
+    fn failed(outcome: Outcome) -> String {
+        match outcome {
+            Err(Unfinished::Failed(sentence)) => sentence,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn one_of_several_gets_another_id_by_function_5() {
+        let fleet = Fleet::new(3).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let told = failed(run_on(&mut session, None, id(7)));
+        assert!(told.ends_with("(there are: 1 2 3)"), "{told}");
+        let taken = failed(run_on(&mut session, Some(id(2)), id(3)));
+        assert_eq!(taken, "a motor with id 3 is on the bus already");
+        let log = fleet.world.log();
+        assert_eq!(run_on(&mut session, Some(id(2)), id(7)), Ok(()));
+        assert!(sent(&log).iter().all(|packet| packet.data[0] != 0x79));
+        let there: Vec<u8> = session.meant(Target::All).unwrap().iter().map(MotorId::get).collect();
+        assert_eq!(there, [1, 3, 7]);
+    }
+
+    #[test]
+    fn a_drive_that_does_not_acknowledge_function_5_is_told_by_0x79_if_it_is_alone() {
+        let fleet = |count| {
+            let fleet =
+                Fleet::new(count).quirks(Quirks { silent_id_change: true, ..Quirks::default() });
+            fleet.on_can(1_000_000).unwrap()
+        };
+        assert_eq!(run_on(&mut Session::on(&fleet(1)), None, id(7)), Ok(()));
+        let fleet = fleet(2);
+        let log = fleet.world.log();
+        let told = failed(run_on(&mut Session::on(&fleet), Some(id(1)), id(7)));
+        assert!(told.contains("it was not restarted, and is off: connect it alone"), "{told}");
+        assert!(sent(&log).iter().all(|packet| ![0x76, 0x79].contains(&packet.data[0])));
+    }
+
+    #[test]
+    fn the_firmware_that_answers_as_the_new_and_hears_the_old_gets_its_id() {
+        let (fleet, drive) = odd_drive::alone();
+        assert_eq!(run_on(&mut Session::on(&fleet), None, id(7)), Ok(()));
+        let drive = drive.lock().unwrap();
+        assert_eq!((drive.hears, drive.answers_as), (id(7), id(7)));
+    }
+
+    #[test]
+    fn a_drive_that_takes_no_id_is_not_restarted() {
+        let (fleet, drive) = odd_drive::alone();
+        drive.lock().unwrap().is_stubborn = true;
+        let told = failed(run_on(&mut Session::on(&fleet), None, id(7)));
+        assert!(
+            told.starts_with("motor 1 has not acknowledged id 7, so it was not restarted"),
+            "{told}"
+        );
+        assert!(!drive.lock().unwrap().told.contains(&0x76));
+    }
+
+    #[test]
+    fn nothing_is_written_to_two_motors_of_one_id() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        session.ask(id(2), FunctionControl::SetCanId(id(1))).unwrap();
+        session.ask(id(2), Reset).unwrap();
+        let later = session.master.now() + Duration::from_secs(2);
+        session.wait_until(later).unwrap();
+        let log = fleet.world.log();
+        let told = failed(run_on(&mut Session::on(&fleet), None, id(7)));
+        assert!(told.contains("two motors seem to have this id"), "{told}");
+        assert!(sent(&log).iter().all(|packet| packet.data[0] >= 0x90), "something was written");
+    }
 }

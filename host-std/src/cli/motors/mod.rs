@@ -3,6 +3,7 @@
 //! What moves a motor or writes its memory goes through [`session`], which asks first, and through
 //! [`moving`], which stops the motor whatever ends the command early.
 
+mod alone;
 mod brake;
 mod change_id;
 mod group;
@@ -10,6 +11,8 @@ mod halt;
 mod motion;
 mod move_to;
 mod moving;
+#[cfg(test)]
+mod odd_drive;
 mod on_bus;
 mod progress;
 mod revision;

@@ -5,7 +5,7 @@
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, Command, LockBrake, ReadStatus1};
-use myactuator_protocol_core::io::{CallError, Runner, bring_up};
+use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
 
@@ -62,7 +62,7 @@ pub(super) fn run<C: Command + Copy>(
     session.confirm(&format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does))?;
     session.moving(motor, |session| {
         if opens {
-            bring_up::release_brake(&mut session.master, motor)?;
+            session.release_brake(motor)?;
         }
         repeat(session, span, run.command, reading)?;
         let end = match run.end {
@@ -185,7 +185,7 @@ mod tests {
     fn a_brake_is_locked_on_a_shaft_that_stands_and_before_the_output_goes_off() {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
-        bring_up::release_brake(&mut session.master, MotorId::MIN).unwrap();
+        assert!(session.release_brake(MotorId::MIN).unwrap());
         let torque = Torque { current: Current::from_raw(50) };
         repeat(&mut session, &typed("--id 1"), torque, |_| String::new()).unwrap();
         assert!(session.standing(MotorId::MIN).is_err());
