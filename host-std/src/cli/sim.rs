@@ -113,7 +113,8 @@ pub(super) struct Arguments {
     /// Serve one way only
     #[arg(long, value_enum, value_name = "WAY")]
     only: Option<Way>,
-    /// Make links rs485 and slcan to the pseudo-terminals in this folder, the same in every run
+    /// Make links rs485 and slcan to the pseudo-terminals in this folder, the same in every run; one
+    /// that another simulation has is refused
     #[arg(long, value_name = "FOLDER")]
     link: Option<PathBuf>,
     /// Tell where they are as one JSON object a line

@@ -45,12 +45,20 @@ fn fails(folder: &Path, error: &io::Error) -> String {
     format!("the folder {} fails: {error}", folder.display())
 }
 
-/// Links to pseudo-terminals. They go with this.
+/// Links to pseudo-terminals, each one simulation's alone. They go with this.
 #[derive(Debug)]
 pub(super) struct Links {
     folder: Option<PathBuf>,
-    /// Each link and what it leads to.
-    made: Vec<(PathBuf, PathBuf)>,
+    made: Vec<Link>,
+}
+
+#[derive(Debug)]
+struct Link {
+    path: PathBuf,
+    target: PathBuf,
+    /// A file beside it, whose lock goes with whoever holds it, however that ends.
+    lock: PathBuf,
+    _locked: File,
 }
 
 impl Links {
@@ -60,10 +68,18 @@ impl Links {
         Ok(Self { folder: folder.map(Path::to_owned), made: Vec::new() })
     }
 
-    /// Makes a link of this name if links are wanted, in place of a former run's.
+    /// Makes a link of this name if links are wanted, in place of a former run's. One that another
+    /// simulation has is left alone.
     pub(super) fn add(&mut self, name: &str, target: &Path) -> Result<Option<PathBuf>, String> {
         let Some(folder) = &self.folder else { return Ok(None) };
         let link = folder.join(name);
+        let lock = folder.join(format!(".{name}.lock"));
+        let locked = File::options().create(true).truncate(false).write(true).open(&lock);
+        let locked = locked.map_err(|error| fails(folder, &error))?;
+        flock(&locked, FlockOperation::NonBlockingLockExclusive).map_err(|_| {
+            let link = link.display();
+            format!("another simulation has the link {link}: end it, or take another folder")
+        })?;
         let is_link = fs::symlink_metadata(&link).map(|found| found.is_symlink());
         let made = match is_link {
             Ok(false) => Err(io::Error::other("something that is no link has this name")),
@@ -71,18 +87,20 @@ impl Links {
             Err(_) => symlink(target, &link),
         };
         made.map_err(|error| format!("the link {} cannot be made: {error}", link.display()))?;
-        self.made.push((link.clone(), target.to_owned()));
+        let (path, target) = (link.clone(), target.to_owned());
+        self.made.push(Link { path, target, lock, _locked: locked });
         Ok(Some(link))
     }
 }
 
 impl Drop for Links {
     fn drop(&mut self) {
-        for (link, target) in &self.made {
-            // Another simulation may have made it its own.
-            if fs::read_link(link).is_ok_and(|found| found == *target) {
-                let _ = fs::remove_file(link);
+        for Link { path, target, lock, .. } in &self.made {
+            // Somebody may have put something else there by hand.
+            if fs::read_link(path).is_ok_and(|found| found == *target) {
+                let _ = fs::remove_file(path);
             }
+            let _ = fs::remove_file(lock);
         }
     }
 }
@@ -92,16 +110,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn links_replace_links_only_and_go_with_their_owner() {
+    fn links_replace_links_that_nobody_has_and_go_with_their_owner() {
         let folder = tempfile::tempdir().unwrap();
-        let mut first = Links::in_folder(Some(folder.path())).unwrap();
+        let links = || Links::in_folder(Some(folder.path())).unwrap();
+        let mut first = links();
         let link = first.add("rs485", Path::new("/dev/null")).unwrap().unwrap();
-        let mut second = Links::in_folder(Some(folder.path())).unwrap();
-        second.add("rs485", Path::new("/dev/zero")).unwrap();
+        let mut second = links();
+        let told = second.add("rs485", Path::new("/dev/zero")).unwrap_err();
+        assert!(told.starts_with("another simulation has the link "), "{told}");
+        assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/null"));
+        second.add("slcan", Path::new("/dev/zero")).unwrap();
         drop(first);
+        assert!(fs::symlink_metadata(&link).is_err());
+        // What a killed one has left.
+        symlink("/dev/full", &link).unwrap();
+        second.add("rs485", Path::new("/dev/zero")).unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/zero"));
         drop(second);
-        assert!(fs::symlink_metadata(&link).is_err());
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
         fs::write(&link, "mine").unwrap();
         let mut third = Links::in_folder(Some(folder.path())).unwrap();
         assert!(third.add("rs485", Path::new("/dev/null")).unwrap_err().contains("no link"));
