@@ -7,7 +7,9 @@ use myactuator_host_std::protocol::command::{Field, MotionLimits, MotionRanges};
 use myactuator_host_std::protocol::opcode::Reach;
 use myactuator_host_std::protocol::quantity::{Form, OutOfRange, Quantity, Steps};
 use myactuator_host_std::protocol::time::Duration;
-use myactuator_host_std::protocol::units::{Angle, Current, MaxSpeed, MaxTorque, SpeedTarget};
+use myactuator_host_std::protocol::units::{
+    Angle, Current, MaxSpeed, MaxTorque, Milliseconds, SpeedTarget,
+};
 use myactuator_host_std::protocol::{Firmware, Kind, MotorId, Opcode, Target};
 
 /// A value, or one sentence about what is allowed.
@@ -109,6 +111,7 @@ amounts! {
     max_speed: MaxSpeed(u16);
     max_torque: MaxTorque(u8);
     angle: Angle(i32);
+    milliseconds: Milliseconds(u32);
 }
 
 /// A span of time that a command may take.

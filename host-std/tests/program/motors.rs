@@ -215,6 +215,18 @@ fn the_brake_is_released_and_locked() {
 }
 
 #[test]
+fn a_motor_is_restarted_and_protected() {
+    for bus in ["sim:2", "sim:2,rs485"] {
+        let told = done(&format!("reset --bus {bus} --id 2"));
+        assert_eq!(told, ["motor 2 has restarted: it read 0 deg and reads 0 deg"]);
+        let told = done(&format!("timeout --bus {bus} --id 2 --time-ms 500"));
+        assert!(told[0].starts_with("motor 2 cuts its output when it hears nothing for 500 ms"));
+        let told = done(&format!("timeout --bus {bus} --id 2 --time-ms 0"));
+        assert_eq!(told, ["motor 2: the protection against loss of communication is off"]);
+    }
+}
+
+#[test]
 fn zero_is_kept_over_the_restart() {
     let lines = done("zero --id 4");
     assert_eq!(lines.len(), 1);
@@ -242,7 +254,7 @@ fn an_id_is_changed_on_either_bus() {
 #[test]
 fn who_is_not_there_is_told() {
     let nobody = "motor 9: no reply: is the motor powered, and is this its id?";
-    for command in ["info", "status", "move --angle-deg 1", "zero", "brake lock"] {
+    for command in ["info", "status", "move --angle-deg 1", "zero", "brake lock", "reset"] {
         let (status, told) = refused(&format!("{command} --id 9"));
         assert_eq!((status, told.as_str()), (1, nobody), "{command}");
     }
@@ -290,6 +302,8 @@ motion --id 1 --position-rad 0 --kp 0 --kd 0
 brake release --id 1
 brake lock --id 1
 zero --id 1
+reset --id 1
+timeout --id 1 --time-ms 500
 id --new-id 7
 send --id 1 stop
 send --id 1 lock-brake
@@ -363,6 +377,8 @@ fn without_a_terminal_a_real_motor_moves_only_with_consent() {
         "motion --id 1 --position-rad 0 --kp 0 --kd 0",
         "brake release --id 1",
         "zero --id 1",
+        "reset --id 1",
+        "timeout --id 1 --time-ms 500",
         "id --new-id 2",
         "send --id 1 torque --current-a 1",
         "send --id 1 release-brake",

@@ -5,7 +5,7 @@
 //! taken, for one that did not take it would come back as it was, and its shaft be free for nothing.
 
 use myactuator_protocol_core::command::{
-    AnyReply, BusId, Command, FunctionControl, ReadStatus1, Reset, Shutdown,
+    AnyReply, BusId, FunctionControl, ReadStatus1, Reset, Shutdown,
 };
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};

@@ -15,6 +15,7 @@ mod moving;
 mod odd_drive;
 mod on_bus;
 mod progress;
+mod reset;
 mod revision;
 mod run_for;
 mod scan;
@@ -24,6 +25,7 @@ mod session;
 mod simulated;
 mod speed;
 mod status;
+mod timeout;
 mod torque;
 mod zero;
 
@@ -48,6 +50,8 @@ pub(super) enum Subcommand {
     Brake(brake::Arguments),
     Zero(zero::Arguments),
     Id(change_id::Arguments),
+    Reset(reset::Arguments),
+    Timeout(timeout::Arguments),
     Send(send::Arguments),
 }
 
@@ -65,6 +69,8 @@ pub(super) fn run(subcommand: &Subcommand) -> Outcome {
         Subcommand::Brake(arguments) => brake::run(arguments),
         Subcommand::Zero(arguments) => zero::run(arguments),
         Subcommand::Id(arguments) => change_id::run(arguments),
+        Subcommand::Reset(arguments) => reset::run(arguments),
+        Subcommand::Timeout(arguments) => timeout::run(arguments),
         Subcommand::Send(arguments) => send::run(arguments),
     }
 }

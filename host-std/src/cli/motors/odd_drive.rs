@@ -25,6 +25,8 @@ pub(super) struct OddDrive {
     pub(super) is_stubborn: bool,
     /// What it was told, in order.
     pub(super) told: Vec<u8>,
+    /// What it says of that.
+    pub(super) run_time_ms: u32,
     last: Data,
     waiting: VecDeque<(Instant, Packet)>,
 }
@@ -41,6 +43,7 @@ pub(super) fn alone() -> (CanFleet, Arc<Mutex<OddDrive>>) {
         kept: one,
         is_stubborn: false,
         told: Vec::new(),
+        run_time_ms: 0,
         last: [0; 8],
         waiting: VecDeque::new(),
     };
@@ -69,7 +72,11 @@ impl OddDrive {
                 let [a, b, c, d] = 2_025_070_202_u32.to_le_bytes();
                 Some([0xB2, 0, 0, 0, a, b, c, d])
             }
-            [byte @ (0x92 | 0x9C | 0x9D | 0xB1), ..] => Some([byte, 0, 0, 0, 0, 0, 0, 0]),
+            [0xB1, ..] => {
+                let [a, b, c, d] = self.run_time_ms.to_le_bytes();
+                Some([0xB1, 0, 0, 0, a, b, c, d])
+            }
+            [byte @ (0x92 | 0x9C | 0x9D), ..] => Some([byte, 0, 0, 0, 0, 0, 0, 0]),
             _ => Some(self.last),
         }
     }

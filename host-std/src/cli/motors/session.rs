@@ -227,7 +227,7 @@ pub(super) fn healthy(motor: MotorId, errors: ErrorFlags) -> Outcome {
         return Ok(());
     }
     let remedy = if errors.needs_restart() {
-        "remove the cause, then restart the motor: switch its supply off and on, or send it 0x76"
+        "remove the cause, then restart the motor: 'myactuator reset' (0x76), or switch its supply off and on"
     } else {
         "it runs again by itself once the cause is gone"
     };

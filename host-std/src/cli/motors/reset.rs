@@ -1,0 +1,82 @@
+//! `myactuator reset`: a restart, which also clears the errors that nothing else clears.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadRunTime, Reset};
+use myactuator_protocol_core::io::bring_up;
+use myactuator_protocol_core::time::Duration;
+
+use super::session::{OneMotor, Session, say};
+use crate::cli::{Outcome, Unfinished};
+
+const LONGEST_RESTART: Duration = Duration::from_secs(5);
+/// A drive that has run for less long may have restarted however long it says it has run, ms.
+const SHORT_RUN_MS: u32 = 1000;
+
+/// Restart a motor (0x76), which also clears errors whose cause is gone
+///
+/// The shaft is free meanwhile unless a brake holds it, and whole turns are lost unless multi-turn saving
+/// (function 4) is on. Exit status: 0 if the motor has restarted and has no error, 1 if not, 2 for wrong
+/// usage.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Arguments {
+    #[command(flatten)]
+    motor: OneMotor,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let motor = arguments.motor.id;
+    let mut session = arguments.motor.open_to_change()?;
+    let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
+    session.confirm(&format!(
+        "Motor {motor} will restart: hold the shaft if a load pulls at it. Its whole turns may be lost (it reads {before})."
+    ))?;
+    restart(&mut session, motor)?;
+    let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
+    say(&format!("motor {motor} has restarted: it read {before} and reads {after}"))?;
+    session.ready(motor).map(|_| ())
+}
+
+fn restart(session: &mut Session, motor: MotorId) -> Outcome {
+    let ran = session.ask(motor, ReadRunTime)?.run_time.raw();
+    session.ask(motor, Reset)?;
+    bring_up::wait_until_there(&mut session.master, motor, LONGEST_RESTART)?;
+    let runs = session.ask(motor, ReadRunTime)?.run_time.raw();
+    if ran >= SHORT_RUN_MS && runs >= ran {
+        return Err(Unfinished::Failed(format!(
+            "motor {motor} has not restarted: it had run for {ran} ms, and has for {runs} ms now: switch its supply off and on"
+        )));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::ErrorFlags;
+    use myactuator_protocol_core::io::Runner;
+
+    use super::super::odd_drive;
+    use super::*;
+
+    #[test]
+    fn an_error_whose_cause_is_gone_goes_with_a_restart() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::STALL));
+        let later = session.master.now() + Duration::from_secs(2);
+        session.wait_until(later).unwrap();
+        assert!(session.ready(MotorId::MIN).is_err());
+        fleet.drives[0].with(|drive| drive.clear_fault(ErrorFlags::all()));
+        assert_eq!(restart(&mut session, MotorId::MIN), Ok(()));
+        assert!(session.ready(MotorId::MIN).is_ok());
+    }
+
+    #[test]
+    fn a_motor_that_runs_on_has_not_restarted() {
+        let (fleet, drive) = odd_drive::alone();
+        drive.lock().unwrap().run_time_ms = 5_000;
+        let told = restart(&mut Session::on(&fleet), MotorId::MIN);
+        let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
+        assert!(told.starts_with("motor 1 has not restarted: it had run for 5000 ms"), "{told}");
+    }
+}

@@ -1,0 +1,63 @@
+//! `myactuator timeout`: the motor's own protection against a master that falls silent.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::io::bring_up::{self, Protection};
+use myactuator_protocol_core::units::Milliseconds;
+
+use super::session::{OneMotor, say};
+use crate::cli::{Outcome, Unfinished, arguments as parse};
+
+/// Set after how long without a command a motor cuts its output by itself (0xB3)
+///
+/// It is what stops a motor when the master is killed or the bus is cut. The motor keeps it in its ROM. A
+/// motor that holds its position lets go as well when nobody talks to it for so long; a brake locks then.
+/// Exit status: 0 if the motor has acknowledged it, 1 if not, 2 for wrong usage.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Arguments {
+    #[command(flatten)]
+    motor: OneMotor,
+    /// The time, ms; 0 switches the protection off.
+    #[arg(long, value_parser = parse::milliseconds, allow_hyphen_values = true)]
+    time_ms: Milliseconds,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let (motor, time) = (arguments.motor.id, arguments.time_ms);
+    let mut session = arguments.motor.open_to_change()?;
+    session.confirm(&match time.raw() {
+        0 => format!("Motor {motor} will go on with what it does when its master falls silent."),
+        _ => format!("Motor {motor} will cut its output when it hears nothing for {time}."),
+    })?;
+    let told =
+        bring_up::protect(&mut session.master, motor, time).map_err(Unfinished::of_motor(motor))?;
+    say(&sentence(motor, time, told))
+}
+
+fn sentence(motor: MotorId, time: Milliseconds, told: Protection) -> String {
+    let set = match time.raw() {
+        0 => format!("motor {motor}: the protection against loss of communication is off"),
+        _ => format!(
+            "motor {motor} cuts its output when it hears nothing for {time}: try it before you rely on it"
+        ),
+    };
+    match told {
+        Protection::Confirmed => set,
+        Protection::AcknowledgedOnly(other) => format!(
+            "motor {motor} has acknowledged {time} with {other}, and nothing reads it back: stop sending, and \
+             see what it does"
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_confirmed_is_not_said_to_be_set() {
+        let told = |told| sentence(MotorId::MIN, Milliseconds::from_raw(500), told);
+        assert!(told(Protection::Confirmed).starts_with("motor 1 cuts its output when it hears"));
+        let doubt = told(Protection::AcknowledgedOnly(Milliseconds::from_raw(0)));
+        assert!(doubt.starts_with("motor 1 has acknowledged 500 ms with 0 ms"), "{doubt}");
+    }
+}
