@@ -1,5 +1,6 @@
 //! CAN interfaces of Linux.
 
+use std::fs;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
 
@@ -49,15 +50,11 @@ impl SocketCan {
     /// [`PortError`]: Linux has no CAN sockets, there is no such interface, it is not for CAN or down,
     /// or the user may not open it.
     pub fn open(interface: &str) -> Result<Self, PortError> {
-        let address = CanAddr::from_iface(interface).map_err(|error| {
-            // Without CAN sockets there are no CAN interfaces either, and that is the thing to tell.
-            match CanSocket::open_addr(&CanAddr::new(0)).map_err(|error| errno(&error)) {
-                Err(Some(Errno::AFNOSUPPORT | Errno::PROTONOSUPPORT)) => PortError::NoCanSupport,
-                _ if errno(&error) == Some(Errno::NODEV) => {
-                    PortError::NoSuchInterface(interface.to_owned())
-                }
-                _ => PortError::os(interface, error),
+        let address = CanAddr::from_iface(interface).map_err(|error| match errno(&error) {
+            Some(Errno::NODEV) => {
+                PortError::NoSuchInterface { name: interface.to_owned(), there: interfaces() }
             }
+            _ => PortError::os(interface, error),
         })?;
         let socket = CanSocket::open_addr(&address).map_err(|error| match errno(&error) {
             Some(Errno::NODEV) => PortError::NotCan(interface.to_owned()),
@@ -147,6 +144,20 @@ impl Can for SocketCan {
         }
         Err(nb::Error::WouldBlock)
     }
+}
+
+/// The kernel's number of a CAN interface among the kinds of link (`linux/if_arp.h`).
+const LINK_IS_CAN: &str = "280";
+
+/// The CAN interfaces of this machine.
+fn interfaces() -> Vec<String> {
+    let is_can = |name: &String| {
+        let kind = fs::read_to_string(format!("/sys/class/net/{name}/type"));
+        kind.is_ok_and(|kind| kind.trim() == LINK_IS_CAN)
+    };
+    let links = fs::read_to_string("/proc/net/dev").unwrap_or_default();
+    let names = links.lines().filter_map(|line| line.split_once(':'));
+    names.map(|(name, _)| name.trim().to_owned()).filter(is_can).collect()
 }
 
 /// What a report says about the bus: that it carries frames again, or why it carries none.

@@ -17,9 +17,15 @@ pub enum PortError {
     NoCanSupport,
     /// There is no network interface of this name.
     #[error(
-        "there is no network interface \"{0}\": plug the CAN adapter in, and see 'ip -br link' for the names there are"
+        "there is no CAN interface \"{name}\": {}; other buses are named as in sim:4, can0, slcan:/dev/ttyACM0@1000000 or rs485:/dev/ttyUSB0@115200",
+        told_of_interfaces(there)
     )]
-    NoSuchInterface(String),
+    NoSuchInterface {
+        /// What was taken for its name.
+        name: String,
+        /// The CAN interfaces that there are.
+        there: Vec<String>,
+    },
     /// The network interface is not a CAN interface.
     #[error(
         "the network interface \"{0}\" is no CAN interface: see 'ip -br link show type can' for those there are"
@@ -93,6 +99,14 @@ pub enum PortError {
     },
 }
 
+fn told_of_interfaces(there: &[String]) -> String {
+    if there.is_empty() {
+        "this machine has none, so plug the CAN adapter in if it is meant".to_owned()
+    } else {
+        format!("there are {}", there.join(" "))
+    }
+}
+
 impl PortError {
     pub(super) fn os(bus: &str, error: io::Error) -> Self {
         Self::Os { bus: bus.to_owned(), error: Arc::new(error) }
@@ -125,7 +139,7 @@ impl embedded_can::Error for PortError {
 impl embedded_io::Error for PortError {
     fn kind(&self) -> embedded_io::ErrorKind {
         match self {
-            Self::NoSuchInterface(_) | Self::NoSuchPort(_) => embedded_io::ErrorKind::NotFound,
+            Self::NoSuchInterface { .. } | Self::NoSuchPort(_) => embedded_io::ErrorKind::NotFound,
             Self::NotPermitted(_) => embedded_io::ErrorKind::PermissionDenied,
             Self::InterfaceGone(_) | Self::PortGone(_) => embedded_io::ErrorKind::NotConnected,
             Self::Stalled(_) => embedded_io::ErrorKind::TimedOut,

@@ -4,7 +4,7 @@ use std::fmt;
 use std::slice;
 
 use myactuator_host_std::explain::{Values, values};
-use myactuator_protocol_core::command::{Field, Fields, Phrase};
+use myactuator_protocol_core::command::{Field, Fields, Phrase, RunningMode};
 use myactuator_protocol_core::{Data, MotorId};
 use serde_json::{Value, json};
 
@@ -12,7 +12,15 @@ use super::session::Session;
 
 /// Fields of replies, one line for people.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Group(Vec<(&'static Field, Data)>);
+pub(super) struct Group(Vec<Part>);
+
+#[derive(Clone, Debug)]
+struct Part {
+    field: &'static Field,
+    data: Data,
+    /// What people read instead of the value.
+    words: Option<&'static str>,
+}
 
 impl Group {
     /// This reply's fields behind those that are there.
@@ -25,13 +33,24 @@ impl Group {
         let mut data = [0; 8];
         reply.put(&mut data);
         let wanted = R::FIELDS.iter().filter(|field| !but.contains(&field.name));
-        self.0.extend(wanted.map(|field| (field, data)));
+        self.0.extend(wanted.map(|field| Part { field, data, words: None }));
         self
+    }
+
+    /// The same of the running mode: drives report one that the manual does not name while none runs.
+    pub(super) fn and_mode(self, mode: &RunningMode) -> Self {
+        let mut group = self.and(mode);
+        if mode.mode.raw() == 0
+            && let Some(part) = group.0.last_mut()
+        {
+            part.words = Some("nothing runs (mode 0)");
+        }
+        group
     }
 
     fn values(&self) -> Values {
         let each = self.0.iter();
-        each.flat_map(|(field, data)| values(slice::from_ref(field), data, None)).collect()
+        each.flat_map(|part| values(slice::from_ref(part.field), &part.data, None)).collect()
     }
 }
 
@@ -48,13 +67,12 @@ impl Session {
 
 impl fmt::Display for Group {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (place, (field, data)) in self.0.iter().enumerate() {
-            let between = if place == 0 { "" } else { ", " };
-            write!(
-                f,
-                "{between}{}",
-                Phrase { fields: slice::from_ref(field), data, ranges: None }
-            )?;
+        for (place, Part { field, data, words }) in self.0.iter().enumerate() {
+            f.write_str(if place == 0 { "" } else { ", " })?;
+            match words {
+                Some(words) => f.write_str(words)?,
+                None => Phrase { fields: slice::from_ref(field), data, ranges: None }.fmt(f)?,
+            }
         }
         Ok(())
     }

@@ -36,7 +36,7 @@ fn what_it_is(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
     let made = model.and(&Version { version_date: is.version });
     let runs = Group::default()
         .and(&RunTime { run_time: is.run_time })
-        .and(&RunningMode { mode: is.mode })
+        .and_mode(&RunningMode { mode: is.mode })
         .and(&zero);
     Ok(vec![made, runs, Group::default().and(&is.status)])
 }
@@ -49,7 +49,7 @@ fn how_it_does(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
     let angle = session.ask(motor, ReadMultiTurnAngle)?;
     // The finer angle takes the place of the feedback's, and status 1 has the temperature too.
     let moves =
-        Group::default().and(&angle).and_but(&feedback, &["angle", "temperature"]).and(&mode);
+        Group::default().and(&angle).and_but(&feedback, &["angle", "temperature"]).and_mode(&mode);
     let phases = Group::default().and_but(&phases, &["temperature"]);
     Ok(vec![moves, phases, Group::default().and(&state)])
 }
