@@ -79,6 +79,18 @@ fn a_full_pipe_lets_the_motor_stop_in_time() {
 }
 
 #[test]
+fn a_reader_that_was_killed_stops_the_motor() {
+    let simulation = Simulation::start(1, &["--only", "slcan"]);
+    let bus = simulation.bus("slcan");
+    let mut process =
+        speed(bus, "60").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    sleep(Duration::from_millis(500));
+    drop(process.stdout.take());
+    assert_eq!(ends_soon(&mut process).expect("an end").code(), Some(1));
+    assert_eq!(angle_and_speed(bus).1, 0.0);
+}
+
+#[test]
 fn a_slow_reader_gets_the_result_all_the_same() {
     let (mut reader, writer) = full_pipe();
     let mut process = speed("sim:1", "20").stdout(writer).stderr(Stdio::null()).spawn().unwrap();
