@@ -148,6 +148,7 @@ fn restart(session: &mut Session, from: MotorId, to: MotorId) -> Outcome {
 
 #[cfg(test)]
 mod tests {
+    use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::drive::Quirks;
 
@@ -213,6 +214,27 @@ mod tests {
             "{told}"
         );
         assert!(!drive.lock().unwrap().told.contains(&0x76));
+    }
+
+    #[test]
+    fn nothing_is_written_to_two_motors_of_one_id_on_a_line() {
+        let fleet = Fleet::new(2).on_rs485(115_200).unwrap();
+        let session = || Session {
+            master: AnyMaster::SimulatedRs485(fleet.master()),
+            ..Session::on(&Fleet::new(1).on_can(1_000_000).unwrap())
+        };
+        let mut first = session();
+        first.ask(id(2), FunctionControl::SetCanId(id(1))).unwrap();
+        first.ask(id(2), Reset).unwrap();
+        let later = first.master.now() + Duration::from_secs(2);
+        first.wait_until(later).unwrap();
+        let told = failed(run_on(&mut session(), Some(id(1)), id(7)));
+        let is_refused =
+            ["two motors seem to have", "no motor answers"].iter().any(|why| told.contains(why));
+        assert!(is_refused, "{told}");
+        for drive in &fleet.drives {
+            assert_eq!(drive.with(|drive| drive.stored_settings().id), id(1));
+        }
     }
 
     #[test]
