@@ -132,6 +132,8 @@ pub struct Master<const N: usize> {
     stops_all: bool,
     /// These were stopped, each by itself.
     stopped: MotorSet,
+    /// These have no place, and have lost their master and will ignore the next command.
+    lost_master: MotorSet,
     /// RS485: a stop to all at once is to be sent before each motor's own.
     stop_to_all: Option<StopKind>,
     /// The round that the motors are in: that of the last one served.
@@ -160,6 +162,7 @@ impl<const N: usize> Master<N> {
             offer: None,
             stops_all: false,
             stopped: MotorSet::EMPTY,
+            lost_master: MotorSet::EMPTY,
             stop_to_all: None,
             pace: 0,
             last_ticket: 0,
@@ -419,6 +422,10 @@ impl<const N: usize> Master<N> {
         let free = motors.find(|(_, motor)| motor.id.is_none());
         let (place, of) = free.ok_or(RequestError::TooManyMotors { capacity: N })?;
         of.id = Some(motor);
+        if self.lost_master.contains(motor) {
+            of.has_lost_its_master();
+            self.lost_master.remove(motor);
+        }
         self.places.give(place, motor);
         Ok(place)
     }

@@ -281,8 +281,12 @@ impl Motor {
             _ => {}
         }
         if self.stream.in_flight().is_some_and(|sent| is_this(sent.question.kind, &sent.data)) {
+            let ends_motion = |asked: &Asked| asked.kind().ends_motion();
             if !self.stream.was_pushed_out() {
                 self.health.superseded = self.health.superseded.saturating_add(1);
+            } else if self.request.under_way().is_some_and(ends_motion) {
+                // What waits to end motion was asked for after it.
+                self.drop_waiting_set_point();
             }
         } else {
             // A stop went over it, or it was given up: it will not be answered.

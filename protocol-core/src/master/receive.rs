@@ -138,10 +138,13 @@ impl<const N: usize> Master<N> {
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {
         self.now = now;
-        self.change(motor, |motor, _| {
+        let known = self.change(motor, |motor, _| {
             motor.was_heard(now);
             motor.has_lost_its_master();
         });
+        if known.is_none() {
+            self.lost_master.insert(motor);
+        }
         Some(Event::LostMaster { motor })
     }
 

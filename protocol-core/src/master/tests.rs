@@ -11,7 +11,7 @@ use crate::command::{
     Torque,
 };
 use crate::data::Data;
-use crate::opcode::ReplyRule;
+use crate::opcode::{LOST_MASTER_BYTE, ReplyRule};
 use crate::packet::{Channel, Packet};
 use crate::time::Duration;
 use crate::units::{Angle, Current, MaxSpeed, ReportInterval};
@@ -1187,4 +1187,30 @@ fn a_motor_that_is_ahead_stays_so() {
     feedback_of_all(&mut master, 1..=1, ms(2));
     stream_to(&mut master, 1..=1, ms(2));
     assert_eq!(sent(&mut master, ms(2)), [], "not two rounds");
+}
+
+#[test]
+fn a_set_point_that_was_pushed_out_does_not_go_before_a_stop_that_waits() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    let _stop = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [], "it waits for the feedback");
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(1))[0].data, Shutdown.encode());
+    assert!(events(&mut master, ms(1)).contains(&Event::SetPointDropped { motor: id(1) }));
+    assert!(reply(&mut master, 1, Shutdown.encode(), ms(2)).is_some());
+    assert_eq!(sent(&mut master, ms(3)), []);
+}
+
+#[test]
+fn a_drive_that_lost_its_master_before_it_was_known_ignores_its_first_command() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let lost = reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(0));
+    assert_eq!(lost, Some(Event::LostMaster { motor: id(1) }));
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(1));
+    assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(2)), None);
+    assert_eq!(sent(&mut master, ms(2)).len(), 1, "once more");
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(3)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
 }
