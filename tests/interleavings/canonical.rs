@@ -1,0 +1,147 @@
+//! When two states are the same: a number that equal ones share, whenever and after however many
+//! requests they come.
+//!
+//! It is made of the engine's `Debug` text, so that no field can be forgotten. Times count from now,
+//! the rounds of the motors from the master's, and what only counts or names is left out: health and
+//! tickets. What is left out of it can only change what is told, except for the time when a motor was
+//! heard last: nothing here takes the second after which that matters.
+
+use std::fmt::{self, Write};
+use std::hash::{DefaultHasher, Hash, Hasher};
+
+use myactuator_protocol_core::master::Master;
+use myactuator_protocol_core::time::{Duration, Instant};
+
+use super::world::World;
+
+/// How long ago something was, beyond this, makes no difference; only of a sending it does.
+const PAST: Duration = Duration::from_millis(1);
+/// Nor beyond this, if it was a sending.
+const LONG_AGO: Duration = Duration::from_millis(4);
+
+/// The number of a state.
+pub(crate) fn number<const N: usize>(master: &Master<N>, world: &World) -> u64 {
+    let mut sink = Sink::new(world.now);
+    // Writing to a hash cannot fail.
+    let _ = write!(sink, "{master:?}");
+    let [pace, rounds @ ..] = [sink.pace, sink.rounds[0], sink.rounds[1]];
+    rounds.map(|round| pace.wrapping_sub(round)).hash(&mut sink.hasher);
+    world.hash_from_now(&mut sink.hasher);
+    sink.hasher.finish()
+}
+
+/// A time as it is seen from now.
+pub(crate) fn from_now(at: Instant, now: Instant, past: Duration) -> i64 {
+    // What the engine calls "not" and "never".
+    if at == Instant::ZERO {
+        return i64::MIN;
+    }
+    if at.as_micros() == u64::MAX {
+        return i64::MAX;
+    }
+    let ahead = (at - now).as_micros() as i64;
+    let behind = (now - at).as_micros().min(past.as_micros()) as i64;
+    ahead - behind
+}
+
+/// What the number after this field's name means.
+#[derive(Clone, Copy, PartialEq)]
+enum Field {
+    Plain,
+    Sent,
+    Round,
+    Pace,
+    Misses,
+    Ignored,
+}
+
+/// Takes the pieces in which `Debug` is written, a name, a sign or a number each. If they came in
+/// another way, fewer states would be found equal, and no wrong ones.
+struct Sink {
+    hasher: DefaultHasher,
+    now: Instant,
+    field: Field,
+    is_instant: bool,
+    last_word: Field,
+    /// Inside a struct that is left out: how deep.
+    depth_left_out: usize,
+    leaves_out: bool,
+    pace: u32,
+    rounds: [u32; 2],
+    rounds_seen: usize,
+}
+
+impl Sink {
+    fn new(now: Instant) -> Self {
+        Self {
+            hasher: DefaultHasher::new(),
+            now,
+            field: Field::Plain,
+            is_instant: false,
+            last_word: Field::Plain,
+            depth_left_out: 0,
+            leaves_out: false,
+            pace: 0,
+            rounds: [0; 2],
+            rounds_seen: 0,
+        }
+    }
+
+    fn number(&mut self, number: u64) {
+        if std::mem::take(&mut self.is_instant) {
+            let past = if self.field == Field::Sent { LONG_AGO } else { PAST };
+            from_now(Instant::from_micros(number), self.now, past).hash(&mut self.hasher);
+            return;
+        }
+        match self.field {
+            Field::Round => {
+                if let Some(round) = self.rounds.get_mut(self.rounds_seen) {
+                    *round = number as u32;
+                }
+                self.rounds_seen += 1;
+            }
+            Field::Pace => self.pace = number as u32,
+            Field::Misses => (number > 0).hash(&mut self.hasher),
+            Field::Ignored => {}
+            Field::Plain | Field::Sent => number.hash(&mut self.hasher),
+        }
+    }
+}
+
+impl Write for Sink {
+    fn write_str(&mut self, piece: &str) -> fmt::Result {
+        if self.leaves_out {
+            match piece {
+                " { " => self.depth_left_out += 1,
+                " }" => {
+                    self.depth_left_out -= 1;
+                    self.leaves_out = self.depth_left_out > 0;
+                }
+                _ => {}
+            }
+            return Ok(());
+        }
+        match piece {
+            ": " => self.field = self.last_word,
+            ", " | " { " | " }" | "(" | ")" => {}
+            "Instant" => self.is_instant = true,
+            "Health" | "Config" => self.leaves_out = true,
+            _ => {
+                if let Ok(number) = piece.parse() {
+                    self.number(number);
+                    return Ok(());
+                }
+                self.last_word = match piece {
+                    "sent" => Field::Sent,
+                    "round" => Field::Round,
+                    "pace" => Field::Pace,
+                    "misses" => Field::Misses,
+                    "ticket" | "last_ticket" => Field::Ignored,
+                    _ => Field::Plain,
+                };
+                piece.hash(&mut self.hasher);
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,529 @@
+//! One state: the engine and its world, what can happen next, and what must hold whatever does.
+
+use std::fmt;
+
+use myactuator_protocol_core::command::{
+    IncrementalPosition, RawMotion, ReadMultiTurnAngle, Shutdown, Torque,
+};
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::master::{Event, Master, StopKind, Ticket};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::{Angle, Current, MaxSpeed};
+use myactuator_protocol_core::wire::can::Received;
+use myactuator_protocol_core::{Channel, Command, Data, MotorId, Packet};
+use myactuator_tests::rig::with_token;
+
+use super::canonical;
+use super::world::{self, Open, World, call_of, motor_at, motor_of, moves, urgency};
+
+/// What must hold and did not.
+pub(crate) type Broken = String;
+
+/// What a caller does, to the motor with this index.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Call {
+    Read(u8),
+    Move(u8),
+    Shutdown(u8),
+    Torque(u8),
+    Motion(u8),
+    StopOne(u8),
+    StopAll,
+    Lift,
+    Broadcast,
+}
+
+/// What happens next. The numbers are indices of motors or of frames on their way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Step {
+    Call(Call),
+    /// The same, before the caller has taken the events that wait.
+    CallBeforeEvents(Call),
+    /// The bus takes what the master offers. Until then it is refused.
+    Take,
+    /// It takes it and hands this frame back, which is less urgent.
+    TakeForAnother(u8),
+    /// The drives hear a command; not the first in the row, if it is more urgent than those before.
+    Hear(u8),
+    HearTwice(u8),
+    LoseCommand(u8),
+    /// A motor's first reply comes.
+    Reply(u8),
+    ReplyTwice(u8),
+    LoseReply(u8),
+    LoseMaster(u8),
+    /// Somebody else's answers come: from a motor of ours, and from one of theirs.
+    Foreign,
+    /// A millisecond passes.
+    Tick,
+    /// The time comes that `poll_at` gave.
+    Sleep,
+}
+
+/// One state.
+#[derive(Clone)]
+pub(crate) struct State<const N: usize> {
+    master: Master<N>,
+    pub(crate) world: World,
+    /// So many calls may still be made.
+    calls_left: u8,
+    /// How it came to be.
+    pub(crate) steps: Vec<Step>,
+}
+
+/// The longest that anything may take in a world that is well: a stop that was overtaken, and before it
+/// requests that wait for late replies.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
+/// And in so many steps.
+const MOST_STEPS: usize = 300;
+
+impl<const N: usize> State<N> {
+    pub(crate) fn new(calls: u8, faults: u8) -> Self {
+        let mut master = Master::new(world::config());
+        master.handle_timeout(world::START);
+        let world = World::new(N, faults);
+        Self { master, world, calls_left: calls, steps: Vec::new() }
+    }
+
+    pub(crate) fn number(&self) -> u64 {
+        canonical::number(&self.master, &self.world)
+    }
+
+    /// All that may happen next; some of it turns out not to be possible.
+    pub(crate) fn possible(&self, calls: &[Call]) -> Vec<Step> {
+        let mut steps = vec![Step::Take, Step::Tick, Step::Sleep];
+        if self.calls_left > 0 {
+            steps.extend(calls.iter().copied().map(Step::Call));
+            if self.master.clone().poll_event().is_some() {
+                steps.extend(calls.iter().copied().map(Step::CallBeforeEvents));
+            }
+        }
+        for index in 0..self.world.commands.len() as u8 {
+            steps.extend([Step::Hear(index)]);
+            if self.world.faults_left > 0 {
+                steps.extend([Step::HearTwice(index), Step::LoseCommand(index)]);
+                steps.push(Step::TakeForAnother(index));
+            }
+        }
+        for motor in 0..N as u8 {
+            if self.world.first_reply(motor.into()).is_some() {
+                steps.push(Step::Reply(motor));
+                if self.world.faults_left > 0 {
+                    steps.extend([Step::ReplyTwice(motor), Step::LoseReply(motor)]);
+                }
+            }
+            if self.world.faults_left > 0 {
+                steps.push(Step::LoseMaster(motor));
+            }
+        }
+        steps.push(Step::Foreign);
+        steps
+    }
+
+    /// Lets this happen. `Ok(false)`: it cannot.
+    pub(crate) fn step(&mut self, step: Step) -> Result<bool, Broken> {
+        self.steps.push(step);
+        if let Step::CallBeforeEvents(call) = step {
+            return Ok(self.call(call));
+        }
+        // A caller may make a call before it takes an event, but takes it soon.
+        self.poll_events()?;
+        if let Step::Call(call) = step {
+            return Ok(self.call(call));
+        }
+        self.master.handle_timeout(self.world.now);
+        self.poll_events()?;
+        let is_done = self.of_bus(step)?;
+        // Whoever has received looks at the time, too.
+        self.master.handle_timeout(self.world.now);
+        Ok(is_done)
+    }
+
+    /// Lets this happen on the bus.
+    fn of_bus(&mut self, step: Step) -> Result<bool, Broken> {
+        match step {
+            Step::Call(_) | Step::CallBeforeEvents(_) => Ok(false),
+            Step::Take => self.take(None),
+            Step::TakeForAnother(index) => Ok(self.world.fault() && self.take(Some(index.into()))?),
+            Step::Hear(index) => Ok(self.hear(index.into(), 1)),
+            Step::HearTwice(index) => Ok(self.world.fault() && self.hear(index.into(), 2)),
+            Step::LoseCommand(index) => {
+                self.world.commands.remove(index.into());
+                Ok(self.world.fault())
+            }
+            Step::Reply(motor) => self.reply(motor.into(), false),
+            Step::ReplyTwice(motor) => Ok(self.world.fault() && self.reply(motor.into(), true)?),
+            Step::LoseReply(motor) => {
+                if let Some(index) = self.world.first_reply(motor.into()) {
+                    self.world.lose_reply(index);
+                }
+                Ok(self.world.fault())
+            }
+            Step::LoseMaster(motor) => {
+                self.world.lose_master(motor.into());
+                Ok(self.world.fault())
+            }
+            Step::Foreign => {
+                self.foreign()?;
+                Ok(true)
+            }
+            Step::Tick => Ok(self.pass(self.world.now + Duration::from_millis(1))),
+            Step::Sleep => {
+                let at = self.master.poll_at();
+                let tick = self.world.now + Duration::from_millis(1);
+                Ok(at.is_some_and(|at| at > tick && self.pass(at)))
+            }
+        }
+    }
+
+    fn pass(&mut self, until: Instant) -> bool {
+        self.world.pass(until)
+    }
+
+    fn call(&mut self, call: Call) -> bool {
+        if self.calls_left == 0 {
+            return false;
+        }
+        self.calls_left -= 1;
+        self.world.calls += 1;
+        let number = self.world.calls;
+        let token = u32::from(number);
+        match call {
+            Call::Read(at) => self.request(at, with_token(ReadMultiTurnAngle, token)),
+            Call::Move(at) => {
+                let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(number.into()));
+                self.request(at, IncrementalPosition { max_speed, angle })
+            }
+            Call::Shutdown(at) => {
+                let done = self.request(at, with_token(Shutdown, token));
+                if done {
+                    self.world.truth[usize::from(at)].last_stop = number;
+                }
+                done
+            }
+            Call::Torque(at) => {
+                let command = Torque { current: Current::from_raw(number.into()) };
+                self.master.set_point(motor_at(at.into()), command, self.world.now).is_ok()
+            }
+            Call::Motion(at) => {
+                let command = RawMotion::decode(&[0, 0, 0, 0, 0, 0, 0, number]);
+                self.master.set_point(motor_at(at.into()), command, self.world.now).is_ok()
+            }
+            Call::StopOne(at) => {
+                let done = self.master.stop(motor_at(at.into()), StopKind::Hold).is_ok();
+                self.is_stopped(at.into());
+                done
+            }
+            Call::StopAll => {
+                let known = self.master.motors();
+                let done = self.master.stop_all(StopKind::Off, known).is_ok();
+                known.iter().for_each(|motor| self.is_stopped(motor.index()));
+                done && !known.is_empty()
+            }
+            Call::Lift => {
+                self.master.lift_stop();
+                let were = self.world.truth.iter().any(|truth| truth.is_stopped);
+                self.world.truth.iter_mut().for_each(|truth| truth.is_stopped = false);
+                were
+            }
+            Call::Broadcast => {
+                let all = (0..N).map(motor_at).collect();
+                let command = with_token(ReadMultiTurnAngle, token);
+                let is_first = self.master.broadcast(command, all) == Ok(());
+                self.world.broadcast = Some(number);
+                is_first
+            }
+        }
+    }
+
+    fn is_stopped(&mut self, motor: usize) {
+        let number = self.world.calls;
+        let truth = &mut self.world.truth[motor];
+        (truth.is_stopped, truth.is_stopping) = (true, true);
+        (truth.stop_call, truth.last_stop) = (number, number);
+    }
+
+    fn request<C: Command>(&mut self, at: u8, command: C) -> bool {
+        let data = command.encode();
+        let asked: Result<Ticket<C>, RequestError> =
+            self.master.request(motor_at(at.into()), command);
+        let Ok(ticket) = asked else { return false };
+        let open = Open { ticket: ticket.id(), data };
+        self.world.truth[usize::from(at)].open = Some(open);
+        true
+    }
+
+    /// The bus takes what is offered, and hands another frame back for it.
+    fn take(&mut self, for_another: Option<usize>) -> Result<bool, Broken> {
+        let now = self.world.now;
+        if for_another.is_none() && !self.world.has_room() {
+            return Ok(false);
+        }
+        let Some(packet) = self.master.poll_transmit(now) else { return Ok(false) };
+        let call = self.check_offered(&packet)?;
+        if let Some(index) = for_another {
+            let other = self.world.commands[index];
+            if urgency(&packet) >= urgency(&other.packet) {
+                return Ok(false);
+            }
+            self.world.commands.remove(index);
+            self.note_sent(&other.packet, other.call, false);
+            self.master.handle_transmitted(now);
+            self.master.handle_pushed_out(&other.packet);
+        } else {
+            self.master.handle_transmitted(now);
+        }
+        self.note_sent(&packet, call, true);
+        self.world.send(packet, call);
+        Ok(true)
+    }
+
+    /// What the master offers must not be older than a stop, nor than a newer set-point, and must not
+    /// move a motor that is stopped. Gives the call that it is of.
+    fn check_offered(&mut self, packet: &Packet) -> Result<u8, Broken> {
+        let call = call_of(packet);
+        let Some(truth) = motor_of(packet).and_then(|motor| self.world.truth_of(motor)) else {
+            return Ok(call);
+        };
+        if moves(packet) {
+            if truth.is_stopped {
+                return Err("a stopped motor is moved".into());
+            }
+            if call < truth.last_stop {
+                return Err("motion is sent that is older than a stop".into());
+            }
+            let bit = 1 << call;
+            if packet.data[0] == 0xA8 && truth.moves_sent & bit != 0 {
+                return Err("a relative move is sent twice".into());
+            }
+            if truth.set_points_sent >= bit && packet.data[0] != 0xA8 {
+                return Err("a set-point is sent after itself or a newer one".into());
+            }
+        }
+        Ok(if world::stops(packet) && call == 0 { truth.stop_call } else { call })
+    }
+
+    fn note_sent(&mut self, packet: &Packet, call: u8, is_sent: bool) {
+        let Some(truth) = motor_of(packet).and_then(|motor| self.world.truth_of(motor)) else {
+            return;
+        };
+        let bit = 1 << call;
+        if !moves(packet) {
+            return;
+        }
+        let sent = match packet.channel {
+            Channel::Command(_) if packet.data[0] == 0xA8 => &mut truth.moves_sent,
+            _ => &mut truth.set_points_sent,
+        };
+        if is_sent { *sent |= bit } else { *sent &= !bit }
+    }
+
+    fn hear(&mut self, index: usize, times: u8) -> bool {
+        match self.world.may_leave(index) {
+            // To be overtaken is a fault of its own.
+            Some(true) if index > 0 && !self.world.fault() => false,
+            Some(true) => {
+                self.world.hear(index, times);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// A motor's first reply comes when it is ready.
+    fn reply(&mut self, motor: usize, again: bool) -> Result<bool, Broken> {
+        let Some(index) = self.world.first_reply(motor) else { return Ok(false) };
+        let at = self.world.ready_at(index).max(self.world.now);
+        if !self.world.pass(at) {
+            return Ok(false);
+        }
+        let packet = self.world.take_reply(index, again);
+        self.receive(packet)?;
+        Ok(true)
+    }
+
+    fn receive(&mut self, packet: Packet) -> Result<(), Broken> {
+        match self.master.handle_frame(&Received::Packet(packet), self.world.now) {
+            Some(event) => self.told(&event),
+            None => Ok(()),
+        }
+    }
+
+    fn foreign(&mut self) -> Result<(), Broken> {
+        let of = |motor, byte| Packet {
+            channel: Channel::Reply(motor),
+            data: [byte, 1, 0, 0, 0xEE, 0, 0, 0],
+        };
+        self.receive(of(motor_at(0), 0x60))?;
+        self.receive(of(motor_at(2), 0x92))
+    }
+
+    fn poll_events(&mut self) -> Result<(), Broken> {
+        while let Some(event) = self.master.poll_event() {
+            self.told(&event)?;
+        }
+        Ok(())
+    }
+
+    /// Each event must be true.
+    fn told(&mut self, event: &Event) -> Result<(), Broken> {
+        match *event {
+            Event::Reply { ticket, data, .. } => {
+                let motor = ticket.motor();
+                let open = self.close(motor, |open| open.ticket == ticket)?;
+                self.check_answer(&open.data, &data)
+            }
+            Event::Sent { ticket, .. } | Event::Failed { ticket, .. } => {
+                self.close(ticket.motor(), |open| open.ticket == ticket).map(|_| ())
+            }
+            Event::BroadcastReply { reply, .. } => {
+                let Some(call) = self.world.broadcast else {
+                    return Err("a broadcast that is over is answered".into());
+                };
+                let data = reply.encode();
+                let is_its = call_of_data(&data) == call || self.world.is_doubled(0x92);
+                if is_its { Ok(()) } else { Err("a broadcast is given another's answer".into()) }
+            }
+            Event::BroadcastDone { .. } => match self.world.broadcast.take() {
+                Some(_) => Ok(()),
+                None => Err("a broadcast is over twice".into()),
+            },
+            Event::StopConfirmed { motor } => self.check_confirmed(motor),
+            Event::StopUnconfirmed { .. } => Err("a stop is not confirmed".into()),
+            _ => Ok(()),
+        }
+    }
+
+    fn close(&mut self, motor: MotorId, is_it: impl Fn(&Open) -> bool) -> Result<Open, Broken> {
+        let open = self.world.truth_of(motor).and_then(|truth| truth.open.take());
+        open.filter(is_it).ok_or_else(|| "an outcome of a request that is not open".into())
+    }
+
+    fn check_answer(&self, asked: &Data, answer: &Data) -> Result<(), Broken> {
+        let byte = answer[0];
+        if call_of_data(asked) != call_of_data(answer) && !self.world.is_doubled(byte) {
+            return Err("a request is given another's answer".into());
+        }
+        let may_be_untold = self.world.lost_master_untold || self.world.is_doubled(byte);
+        if !World::says_done(answer) && !may_be_untold {
+            return Err("the echo of an ignored command is given as its answer".into());
+        }
+        Ok(())
+    }
+
+    /// The drive must have heard this stop after the last motion that is older.
+    fn check_confirmed(&mut self, motor: MotorId) -> Result<(), Broken> {
+        let Some(truth) = self.world.truth_of(motor) else { return Ok(()) };
+        if !std::mem::take(&mut truth.is_stopping) {
+            return Err("a stop is confirmed that nobody waits for".into());
+        }
+        let (stop, heard) = (truth.stop_call, truth.stop_heard);
+        let is_older = |frame: &world::Frame| {
+            moves(&frame.packet) && motor_of(&frame.packet) == Some(motor) && frame.call < stop
+        };
+        if heard < stop {
+            return if self.world.is_stop_doubled() {
+                Ok(())
+            } else {
+                Err("a stop is confirmed, and not heard".into())
+            };
+        }
+        if self.world.commands.iter().any(is_older) {
+            return Err("a stop is confirmed, and older motion is still to come".into());
+        }
+        Ok(())
+    }
+
+    /// Whether `poll_at` is true: not now when there is nothing to do, and nothing to do before it.
+    pub(crate) fn check_poll_at(&self) -> Result<(), Broken> {
+        let now = self.world.now;
+        let mut master = self.master.clone();
+        master.handle_timeout(now);
+        while master.poll_event().is_some() {}
+        if master.poll_transmit(now).is_some() {
+            return Ok(());
+        }
+        let at = master.poll_at();
+        if at.is_some_and(|at| at <= now) {
+            return Err("poll_at is not after now, and there is nothing to do".into());
+        }
+        let soon = now + Duration::from_millis(20);
+        let before = at.unwrap_or(soon).min(soon).as_micros() - 1;
+        let before = Instant::from_micros(before);
+        master.handle_timeout(before);
+        if master.poll_transmit(before).is_some() {
+            return Err("something is sent before poll_at".into());
+        }
+        if master.poll_event().is_some() {
+            return Err("something is told before poll_at".into());
+        }
+        Ok(())
+    }
+
+    /// In a world that is well from now on everything must come to its end.
+    pub(crate) fn check_end(&self) -> Result<(), Broken> {
+        let mut state = self.clone();
+        let since = state.world.now;
+        state.world.faults_left = u8::MAX;
+        for _ in 0..MOST_STEPS {
+            state.master.handle_timeout(state.world.now);
+            state.poll_events()?;
+            while state.take(None)? {}
+            if !state.world.commands.is_empty() {
+                state.hear(0, 1);
+                continue;
+            }
+            let replies = &state.world.replies;
+            let first = (0..N).filter_map(|motor| Some((state.world.first_reply(motor)?, motor)));
+            if let Some((_, motor)) = first.min().filter(|_| !replies.is_empty()) {
+                state.reply(motor, false)?;
+                continue;
+            }
+            match state.master.poll_at() {
+                Some(at) => {
+                    if at <= state.world.now {
+                        return Err("a sleep that does not end".into());
+                    }
+                    state.pass(at);
+                }
+                None => return state.check_over(since),
+            }
+        }
+        Err("it never comes to rest".into())
+    }
+
+    fn check_over(&self, since: Instant) -> Result<(), Broken> {
+        if self.world.now - since > LONGEST_WAIT {
+            return Err("it takes too long".into());
+        }
+        if self.world.broadcast.is_some() {
+            return Err("a broadcast hangs".into());
+        }
+        if self.master.is_anything_in_flight() {
+            return Err("something is in flight for ever".into());
+        }
+        for truth in &self.world.truth {
+            if truth.open.is_some() {
+                return Err("a request hangs".into());
+            }
+            if truth.is_stopping {
+                return Err("a stop hangs".into());
+            }
+            let is_heard = truth.stop_heard >= truth.stop_call || self.world.is_stop_doubled();
+            if truth.is_stopped && !is_heard {
+                return Err("a stopped motor moves".into());
+            }
+        }
+        Ok(())
+    }
+}
+
+fn call_of_data(data: &Data) -> u8 {
+    data[4]
+}
+
+impl<const N: usize> fmt::Debug for State<N> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}\n{:?}\n{:?}", self.steps, self.world, self.master)
+    }
+}

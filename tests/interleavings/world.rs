@@ -1,0 +1,348 @@
+//! The model of the world: frames on their way to the drives, drives that answer in order, replies on
+//! their way back, and what is true, which the oracle knows and the master does not.
+//!
+//! It is CAN, with mailboxes that send by priority. Times are whole milliseconds, so that states meet
+//! again: a drive takes one to answer. A command and its reply are through sooner than
+//! [`Config::late_window`] after the command's sending, as the master's documentation asks.
+
+use std::hash::{Hash, Hasher};
+
+use myactuator_protocol_core::master::{Config, TicketId};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
+
+use super::canonical::from_now;
+
+const MS: Duration = Duration::from_millis(1);
+/// How long a drive takes to answer.
+const RESPONSE: Duration = MS;
+/// So many frames a controller holds.
+const MAILBOXES: usize = 3;
+/// In byte 1 of each reply that is none of a kind which repeats its command: it was executed.
+const DONE: u8 = 0x11;
+const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
+
+/// The clock does not start at zero, which for the engine means "never".
+pub(crate) const START: Instant = Instant::from_millis(1_000);
+
+/// How the master is set up: the order of the times is that of [`Config::CAN`].
+pub(crate) fn config() -> Config {
+    Config {
+        reply_timeout: Duration::from_millis(3),
+        attempts: 2,
+        frame_time: Duration::ZERO,
+        shortest_response: RESPONSE,
+        longest_response: Duration::from_millis(2),
+        late_window: Duration::from_millis(5),
+        set_point_max_age: Duration::from_millis(3),
+        settle_time: Duration::from_millis(1),
+        ..Config::CAN
+    }
+}
+
+/// A frame on its way.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Frame {
+    pub(crate) packet: Packet,
+    /// The number of the call that it is of.
+    pub(crate) call: u8,
+    /// When its command was sent.
+    sent: Instant,
+    /// A reply is not there before this.
+    ready: Instant,
+    /// That it takes long was counted as a fault.
+    is_late: bool,
+}
+
+impl Frame {
+    fn hash_from_now<H: Hasher>(&self, now: Instant, hasher: &mut H) {
+        (self.packet.channel, self.packet.data, self.call, self.is_late).hash(hasher);
+        from_now(self.sent, now, config().late_window).hash(hasher);
+        from_now(self.ready, now, Duration::ZERO).hash(hasher);
+    }
+
+    fn motor(&self) -> Option<MotorId> {
+        motor_of(&self.packet)
+    }
+}
+
+/// The motor that a command is for, if it is for one.
+pub(crate) fn motor_of(packet: &Packet) -> Option<MotorId> {
+    match packet.channel {
+        Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => Some(motor),
+        Channel::Reply(motor) | Channel::MotionReply(motor) => Some(motor),
+        _ => None,
+    }
+}
+
+/// Whether a command moves the motor.
+pub(crate) fn moves(packet: &Packet) -> bool {
+    matches!(packet.channel, Channel::Motion(_))
+        || matches!(packet.channel, Channel::Command(_)) && matches!(packet.data[0], 0xA1 | 0xA8)
+}
+
+/// Whether a command stops the motor.
+pub(crate) fn stops(packet: &Packet) -> bool {
+    matches!(packet.channel, Channel::Command(_)) && matches!(packet.data[0], 0x80 | 0x81)
+}
+
+/// The number of the call that a command or an honest reply is of; stops of the master have none.
+pub(crate) fn call_of(packet: &Packet) -> u8 {
+    match packet.channel {
+        Channel::Motion(_) | Channel::MotionReply(_) => packet.data[7],
+        _ => packet.data[4],
+    }
+}
+
+/// A bit for each command byte, for those that were doubled.
+fn bit_of(byte: u8) -> u8 {
+    match byte {
+        0x92 => 1,
+        0xA8 => 2,
+        0x80 => 4,
+        0x81 => 8,
+        0xA1 => 16,
+        _ => 32,
+    }
+}
+
+/// A request whose outcome is to come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Open {
+    pub(crate) ticket: TicketId,
+    pub(crate) data: Data,
+}
+
+/// What is true of one motor.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Truth {
+    pub(crate) open: Option<Open>,
+    /// It was stopped, and that was not lifted.
+    pub(crate) is_stopped: bool,
+    /// The call that stopped it last; and the last one that was a request for a stop or a stop.
+    pub(crate) stop_call: u8,
+    pub(crate) last_stop: u8,
+    /// A stop that is neither confirmed nor given up.
+    pub(crate) is_stopping: bool,
+    /// Which set-points and moves were sent and not handed back, a bit each.
+    pub(crate) set_points_sent: u32,
+    pub(crate) moves_sent: u32,
+    /// The drive has heard the stop of this call, and no motion of an older call after it.
+    pub(crate) stop_heard: u8,
+    /// The drive has lost its master and ignores the next command.
+    pub(crate) ignores: bool,
+}
+
+impl Truth {
+    fn hash_all<H: Hasher>(&self, hasher: &mut H) {
+        self.open.map(|open| open.data).hash(hasher);
+        (self.is_stopped, self.stop_call, self.last_stop, self.is_stopping).hash(hasher);
+        (self.set_points_sent, self.moves_sent, self.stop_heard, self.ignores).hash(hasher);
+    }
+}
+
+/// Everything but the master.
+#[derive(Clone, Debug)]
+pub(crate) struct World {
+    pub(crate) now: Instant,
+    /// On their way to the drives.
+    pub(crate) commands: Vec<Frame>,
+    /// On their way back.
+    pub(crate) replies: Vec<Frame>,
+    /// One each: motors 1 and 2.
+    pub(crate) truth: Vec<Truth>,
+    /// The call whose broadcast is under way.
+    pub(crate) broadcast: Option<u8>,
+    /// So many calls were made; their numbers tell older from newer.
+    pub(crate) calls: u8,
+    /// So many faults may still happen.
+    pub(crate) faults_left: u8,
+    /// Commands that a drive heard or answered twice: nobody can tell their replies apart.
+    doubled: u8,
+    /// A drive's message that it has lost its master was lost.
+    pub(crate) lost_master_untold: bool,
+}
+
+impl World {
+    pub(crate) fn new(motors: usize, faults: u8) -> Self {
+        Self {
+            now: START,
+            commands: Vec::new(),
+            replies: Vec::new(),
+            truth: vec![Truth::default(); motors],
+            broadcast: None,
+            calls: 0,
+            faults_left: faults,
+            doubled: 0,
+            lost_master_untold: false,
+        }
+    }
+
+    pub(crate) fn hash_from_now<H: Hasher>(&self, hasher: &mut H) {
+        for frames in [&self.commands, &self.replies] {
+            frames.len().hash(hasher);
+            frames.iter().for_each(|frame| frame.hash_from_now(self.now, hasher));
+        }
+        self.truth.iter().for_each(|truth| truth.hash_all(hasher));
+        (self.broadcast, self.calls, self.faults_left).hash(hasher);
+        (self.doubled, self.lost_master_untold).hash(hasher);
+    }
+
+    /// Whether one more fault may happen, which then has.
+    pub(crate) fn fault(&mut self) -> bool {
+        let may = self.faults_left > 0;
+        self.faults_left -= u8::from(may);
+        may
+    }
+
+    /// Whether an answer with this command byte may be that to another command.
+    pub(crate) fn is_doubled(&self, byte: u8) -> bool {
+        self.doubled & bit_of(byte) != 0
+    }
+
+    /// As [`is_doubled`](Self::is_doubled), of any stop.
+    pub(crate) fn is_stop_doubled(&self) -> bool {
+        self.is_doubled(0x80) || self.is_doubled(0x81)
+    }
+
+    pub(crate) fn has_room(&self) -> bool {
+        self.commands.len() < MAILBOXES
+    }
+
+    pub(crate) fn truth_of(&mut self, motor: MotorId) -> Option<&mut Truth> {
+        self.truth.get_mut(motor.index())
+    }
+
+    /// Lets time pass, unless a frame would have to be through before. `false`: it may not.
+    pub(crate) fn pass(&mut self, until: Instant) -> bool {
+        let patience = config();
+        let is_too_late = |frame: &Frame, more| until + more >= frame.sent + patience.late_window;
+        if self.commands.iter().any(|frame| is_too_late(frame, RESPONSE))
+            || self.replies.iter().any(|frame| is_too_late(frame, Duration::ZERO))
+        {
+            return false;
+        }
+        for frame in self.commands.iter_mut().chain(&mut self.replies) {
+            if until > frame.sent + patience.longest_response && !frame.is_late {
+                if self.faults_left == 0 {
+                    return false;
+                }
+                self.faults_left -= 1;
+                frame.is_late = true;
+            }
+        }
+        self.now = self.now.max(until);
+        true
+    }
+
+    /// The controller takes a frame.
+    pub(crate) fn send(&mut self, packet: Packet, call: u8) {
+        let (sent, ready) = (self.now, self.now);
+        self.commands.push(Frame { packet, call, sent, ready, is_late: false });
+    }
+
+    /// Whether this frame may leave next: it is the first, or more urgent than all before it.
+    /// `None` if there is no such frame.
+    pub(crate) fn may_leave(&self, index: usize) -> Option<bool> {
+        let frame = self.commands.get(index)?;
+        let mut before = self.commands.iter().take(index);
+        Some(before.all(|other| urgency(&frame.packet) < urgency(&other.packet)))
+    }
+
+    /// The drives hear this frame, so often.
+    pub(crate) fn hear(&mut self, index: usize, times: u8) {
+        let frame = self.commands.remove(index);
+        if times > 1 {
+            self.doubled |= bit_of(byte_of(&frame.packet));
+        }
+        for _ in 0..times {
+            match frame.motor() {
+                Some(motor) => self.hears(motor, &frame),
+                None => (0..self.truth.len()).for_each(|index| self.hears(motor_at(index), &frame)),
+            }
+        }
+    }
+
+    fn hears(&mut self, motor: MotorId, frame: &Frame) {
+        let Some(truth) = self.truth.get_mut(motor.index()) else { return };
+        let ignores = std::mem::take(&mut truth.ignores);
+        if stops(&frame.packet) {
+            // One that ignores it stands still as well: its output is cut.
+            truth.stop_heard = truth.stop_heard.max(frame.call);
+        } else if moves(&frame.packet) && !ignores && frame.call < truth.stop_heard {
+            truth.stop_heard = 0;
+        }
+        let mut packet = frame.packet;
+        packet.channel = match packet.channel {
+            Channel::Motion(motor) => Channel::MotionReply(motor),
+            _ => Channel::Reply(motor),
+        };
+        if !ignores && !stops(&frame.packet) {
+            packet.data[1] = DONE;
+        }
+        let ready = self.now + RESPONSE;
+        self.replies.push(Frame { packet, ready, ..*frame });
+    }
+
+    /// A drive has lost its master: it says so, and stands still.
+    pub(crate) fn lose_master(&mut self, index: usize) {
+        let motor = motor_at(index);
+        let Some(truth) = self.truth.get_mut(index) else { return };
+        truth.ignores = true;
+        let packet = Packet { channel: Channel::Reply(motor), data: LOST_MASTER };
+        let (sent, ready) = (self.now, self.now);
+        self.replies.push(Frame { packet, call: 0, sent, ready, is_late: false });
+    }
+
+    /// The first reply of this motor: each drive's come in order.
+    pub(crate) fn first_reply(&self, motor: usize) -> Option<usize> {
+        self.replies.iter().position(|frame| frame.motor() == Some(motor_at(motor)))
+    }
+
+    /// When this reply is there.
+    pub(crate) fn ready_at(&self, index: usize) -> Instant {
+        self.replies.get(index).map_or(self.now, |frame| frame.ready)
+    }
+
+    /// Takes a reply out; `again` leaves it in, to come once more.
+    pub(crate) fn take_reply(&mut self, index: usize, again: bool) -> Packet {
+        if again {
+            let packet = self.replies[index].packet;
+            self.doubled |= bit_of(byte_of(&packet));
+            return packet;
+        }
+        self.replies.remove(index).packet
+    }
+
+    /// A reply is lost.
+    pub(crate) fn lose_reply(&mut self, index: usize) {
+        self.lost_master_untold |= self.replies.remove(index).packet.data == LOST_MASTER;
+    }
+
+    /// Whether a reply to this command says that it was executed.
+    pub(crate) fn says_done(data: &Data) -> bool {
+        matches!(data[0], 0x80 | 0x81) || data[1] == DONE
+    }
+}
+
+/// The motor at a place.
+pub(crate) fn motor_at(index: usize) -> MotorId {
+    MotorId::new(index as u8 + 1).expect("one or two motors")
+}
+
+/// The command byte; motion mode has none.
+fn byte_of(packet: &Packet) -> u8 {
+    match packet.channel {
+        Channel::Motion(_) | Channel::MotionReply(_) => 0,
+        _ => packet.data[0],
+    }
+}
+
+/// Its identifier: the smaller, the more urgent.
+pub(crate) fn urgency(packet: &Packet) -> u16 {
+    match packet.channel {
+        Channel::Command(Target::Motor(motor)) => 0x140 + u16::from(motor.get()),
+        Channel::Motion(motor) => 0x400 + u16::from(motor.get()),
+        _ => 0x280,
+    }
+}
