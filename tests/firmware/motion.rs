@@ -30,7 +30,7 @@ const BUTTON_STOPS: Duration = Duration::from_millis(100);
 /// the processor puts there, and what the handler takes.
 const INTERRUPT_BYTES: u32 = 256;
 /// The stack that the boards' memory.x has.
-const STACK_BYTES: u32 = 8 * 1024;
+const STACK_BYTES: u32 = 12 * 1024;
 /// Bytes that the boards' receive queues hold.
 const QUEUE_BYTES: u32 = 256;
 /// So many more may wait than in the first seconds, for once: a reply of each drive, as the CAN adapter's

@@ -8,8 +8,8 @@
 //! MEMORY
 //! {
 //!   FLASH : ORIGIN = 0x08000000, LENGTH = 512K
-//!   STACK : ORIGIN = 0x20000000, LENGTH = 8K
-//!   RAM   : ORIGIN = 0x20002000, LENGTH = 120K
+//!   STACK : ORIGIN = 0x20000000, LENGTH = 12K
+//!   RAM   : ORIGIN = 0x20003000, LENGTH = 116K
 //! }
 //! _stack_start = ORIGIN(STACK) + LENGTH(STACK);
 //! _stack_end = ORIGIN(STACK);
