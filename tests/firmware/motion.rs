@@ -37,9 +37,9 @@ const QUEUE_BYTES: u32 = 256;
 /// lines, the longest.
 const REPLIES_BYTES: u32 = 22 * DRIVES as u32;
 
-/// What the emulator takes to hand a byte to the firmware or to take one from it, more than the some 30 µs
-/// that were seen.
-const EMULATOR_BYTE_US: u32 = 40;
+/// What the emulator takes to hand a byte to the firmware or to take one from it: twice the some 30 µs that
+/// were seen, for time is real, and the machine may be busy.
+const EMULATOR_BYTE_US: u32 = 60;
 
 /// The least set-points a second that each motor answers: what the wire carries, were it not for the
 /// emulator's bytes.
