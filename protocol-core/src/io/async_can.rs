@@ -10,7 +10,7 @@ use embedded_can::{Error as _, ErrorKind, Frame};
 
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
-use crate::io::can::FRAMES_A_ROUND;
+use crate::io::can::{FRAMES_A_ROUND, take_back};
 use crate::io::runner::STUCK_AFTER;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
@@ -210,11 +210,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
                 Either::First(Ok(pushed_out)) => {
                     self.stuck_since = None;
                     self.master.handle_transmitted(self.clock.now());
-                    if let Some(can::Received::Packet(packet)) =
-                        pushed_out.as_ref().map(can::decode)
-                    {
-                        self.master.handle_pushed_out(&packet);
-                    }
+                    take_back(&mut self.master, pushed_out.as_ref());
                 }
                 Either::First(Err(error)) => {
                     self.stuck_since = None;

@@ -221,7 +221,8 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 /// that command, so it is sent only if exactly `from` answers, and once.
 ///
 /// # Errors
-/// [`BringUpError::NotAlone`], [`BringUpError::IdShared`], [`BringUpError::IdTaken`], [`BringUpError::NotThere`] if nobody answers
+/// [`BringUpError::NotAlone`], [`BringUpError::IdShared`], [`BringUpError::IdTaken`],
+/// [`BringUpError::NotThere`] if nobody answers
 /// under the new id, [`BringUpError::Call`].
 pub fn change_id<R: Runner<N>, const N: usize>(
     runner: &mut R,
@@ -260,13 +261,7 @@ fn is_shared<R: Runner<N>, const N: usize>(
     let mut is_shared = false;
     runner.ask_with(id, ReadRunTime, None, |event| is_shared |= is_second(&event))?;
     let until = runner.now() + BOTH_HAVE_ANSWERED;
-    while !is_shared && runner.now() < until {
-        match runner.poll().map_err(CallError::Bus)? {
-            Some(event) => is_shared = is_second(&event),
-            None => runner.idle(until),
-        }
-    }
-    Ok(is_shared)
+    Ok(is_shared || run_until(runner, Some(until), is_second)?)
 }
 
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77,
@@ -312,8 +307,11 @@ pub fn protect<R: Runner<N>, const N: usize>(
     Ok(if told == timeout { Protection::Confirmed } else { Protection::AcknowledgedOnly(told) })
 }
 
-/// Restarts a drive and waits until it answers, under another id perhaps.
-fn restart<R: Runner<N>, const N: usize>(
+/// Restarts a drive (0x76) and waits until it answers, under another id perhaps.
+///
+/// # Errors
+/// [`BringUpError::NotThere`] if it does not answer within 5 s, [`BringUpError::Call`].
+pub fn restart<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
     then: MotorId,
@@ -326,18 +324,18 @@ fn restart<R: Runner<N>, const N: usize>(
     Ok(())
 }
 
-/// Runs the bus until then, or until the event has come.
+/// Runs the bus until then, or until the event has come, and says whether it has.
 fn run_until<R: Runner<N>, const N: usize>(
     runner: &mut R,
     until: Option<Instant>,
     is_it: impl Fn(&Event) -> bool,
-) -> Result<(), CallError<R::Error>> {
+) -> Result<bool, CallError<R::Error>> {
     while until.is_none_or(|until| runner.now() < until) {
         match runner.poll().map_err(CallError::Bus)? {
-            Some(event) if is_it(&event) => break,
+            Some(event) if is_it(&event) => return Ok(true),
             Some(_) => {}
             None => runner.idle(until.unwrap_or(runner.now() + LONGEST_IDLE)),
         }
     }
-    Ok(())
+    Ok(false)
 }

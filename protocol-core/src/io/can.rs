@@ -1,6 +1,6 @@
 //! The loop over CAN.
 
-use embedded_can::{Error as _, ErrorKind, blocking, nb};
+use embedded_can::{Error as _, ErrorKind, Frame, blocking, nb};
 
 use crate::io::clock::Clock;
 use crate::io::runner::{Runner, STUCK_AFTER};
@@ -75,11 +75,7 @@ impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
                 Ok(pushed_out) => {
                     self.stuck_since = None;
                     self.master.handle_transmitted(now);
-                    if let Some(can::Received::Packet(packet)) =
-                        pushed_out.as_ref().map(can::decode)
-                    {
-                        self.master.handle_pushed_out(&packet);
-                    }
+                    take_back(&mut self.master, pushed_out.as_ref());
                 }
                 Err(::nb::Error::WouldBlock) => {
                     if now - *self.stuck_since.get_or_insert(now) > STUCK_AFTER {
@@ -124,6 +120,13 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
     fn idle(&mut self, until: Instant) {
         let deadline = self.master.poll_at().map_or(until, |at| at.min(until));
         self.clock.idle(deadline);
+    }
+}
+
+/// A frame had to make way for another in the controller: it is the master's again.
+pub(super) fn take_back<const N: usize>(master: &mut Master<N>, pushed_out: Option<&impl Frame>) {
+    if let Some(can::Received::Packet(packet)) = pushed_out.map(can::decode) {
+        master.handle_pushed_out(&packet);
     }
 }
 

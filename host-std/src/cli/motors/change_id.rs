@@ -4,9 +4,7 @@
 //! acknowledges that and the motor is alone, 0x79 follows. A drive restarts only when the id is known to be
 //! taken, for one that did not take it would come back as it was, and its shaft be free for nothing.
 
-use myactuator_protocol_core::command::{
-    AnyReply, BusId, FunctionControl, ReadStatus1, Reset, Shutdown,
-};
+use myactuator_protocol_core::command::{AnyReply, BusId, FunctionControl, ReadStatus1, Shutdown};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Event, MotorSet, Patience};
@@ -19,7 +17,6 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// How long an acknowledgement may take.
 const ACKNOWLEDGED_IN: Duration = Duration::from_millis(100);
-const LONGEST_RESTART: Duration = Duration::from_secs(5);
 /// For asking whether somebody is there at all.
 const QUICK: Patience = Patience { reply_timeout: Duration::from_millis(10), attempts: 2 };
 
@@ -134,8 +131,7 @@ fn is_there(session: &mut Session, motor: MotorId) -> Outcome<bool> {
 /// Restarts the motor, unless it has the id without that, and sees who it is then.
 fn restart(session: &mut Session, from: MotorId, to: MotorId) -> Outcome {
     if !is_there(session, to)? {
-        session.ask(from, Reset)?;
-        bring_up::wait_until_there(&mut session.master, to, LONGEST_RESTART)?;
+        bring_up::restart(&mut session.master, from, to)?;
     }
     if is_there(session, from)? {
         return Err(Unfinished::Failed(format!(
@@ -150,6 +146,7 @@ fn restart(session: &mut Session, from: MotorId, to: MotorId) -> Outcome {
 mod tests {
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::Reset;
     use myactuator_protocol_core::drive::Quirks;
 
     use super::super::{odd_drive, simulated::sent};

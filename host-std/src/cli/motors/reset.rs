@@ -1,14 +1,12 @@
 //! `myactuator reset`: a restart, which also clears the errors that nothing else clears.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadRunTime, Reset};
+use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadRunTime};
 use myactuator_protocol_core::io::bring_up;
-use myactuator_protocol_core::time::Duration;
 
 use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, Unfinished};
 
-const LONGEST_RESTART: Duration = Duration::from_secs(5);
 /// A drive that has run for less long may have restarted however long it says it has run, ms.
 const SHORT_RUN_MS: u32 = 1000;
 
@@ -38,8 +36,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 
 fn restart(session: &mut Session, motor: MotorId) -> Outcome {
     let ran = session.ask(motor, ReadRunTime)?.run_time.raw();
-    session.ask(motor, Reset)?;
-    bring_up::wait_until_there(&mut session.master, motor, LONGEST_RESTART)?;
+    bring_up::restart(&mut session.master, motor, motor)?;
     let runs = session.ask(motor, ReadRunTime)?.run_time.raw();
     if ran >= SHORT_RUN_MS && runs >= ran {
         return Err(Unfinished::Failed(format!(
@@ -54,6 +51,7 @@ mod tests {
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::command::ErrorFlags;
     use myactuator_protocol_core::io::Runner;
+    use myactuator_protocol_core::time::Duration;
 
     use super::super::odd_drive;
     use super::*;
