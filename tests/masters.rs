@@ -5,4 +5,5 @@ mod masters {
     mod bring_up;
     mod losses;
     mod streams;
+    mod ways;
 }

@@ -11,7 +11,7 @@ use myactuator_protocol_core::command::{
     AnyReply, MotionFeedback, MotionRanges, MotionSetPoint, RawMotion, ReadVersionDate,
 };
 use myactuator_protocol_core::io::{CallError, Guard, Runner};
-use myactuator_protocol_core::master::{Event, Failure, MotorSet, Presence, StopKind};
+use myactuator_protocol_core::master::{Failure, MotorSet, Presence, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Firmware, MotorId};
 
@@ -21,33 +21,25 @@ use myactuator_protocol_core::{Firmware, MotorId};
 fn run<R: Runner<8>>(
     bus: &mut R,
     scale: &MotionRanges,
-    mut plan: impl FnMut(MotorId, Option<&MotionFeedback>) -> Option<RawMotion>,
+    mut plan: impl FnMut(MotorId, Option<MotionFeedback>) -> Option<RawMotion>,
 ) -> Result<MotorSet, CallError<R::Error>> {
     let mut bus = Guard::new(bus, StopKind::Hold);
-    let mut measured: [Option<MotionFeedback>; 8] = [None; 8];
     let mut next = bus.now();
     loop {
         for motor in MotorId::all().take(8) {
-            let Some(wanted) = plan(motor, measured[motor.index()].as_ref()) else {
-                return Ok(bus.stop());
+            let master = bus.master();
+            if master.health(motor).presence == Presence::Silent {
+                return Err(CallError::Failed(Failure::NoReply));
+            }
+            let measured = match master.latest_feedback(motor) {
+                Some((AnyReply::Motion(raw), _time)) => Some(scale.feedback(&raw)),
+                _ => None,
             };
+            let Some(wanted) = plan(motor, measured) else { return Ok(bus.finish()) };
             bus.set_point(motor, wanted)?;
         }
         next += Duration::from_millis(2);
-        while bus.now() < next {
-            match bus.poll().map_err(CallError::Bus)? {
-                Some(Event::Feedback { motor, reply: AnyReply::Motion(raw) }) => {
-                    measured[motor.index()] = Some(scale.feedback(&raw));
-                }
-                Some(Event::SetPointUnanswered { motor })
-                    if bus.master().health(motor).presence == Presence::Silent =>
-                {
-                    return Err(CallError::Failed(Failure::NoReply));
-                }
-                Some(_) => {}
-                None => bus.idle(next),
-            }
-        }
+        bus.run_until(next, |_event| {})?;
     }
 }
 
@@ -61,7 +53,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     // All swing for two seconds; motor 1 says where it is.
     let mut tick = 0;
-    let plan = |motor, measured: Option<&MotionFeedback>| {
+    let plan = |motor, measured: Option<MotionFeedback>| {
         if motor == MotorId::MIN {
             tick += 1;
             if let (0, Some(measured)) = (tick % 100, measured) {

@@ -27,7 +27,8 @@ on_both_buses! {
     a_newer_motor_has_no_model_to_tell
     a_motor_is_waited_for_after_its_power_was_cycled
     a_zero_is_kept_over_a_power_cycle
-    an_id_is_not_changed_while_two_motors_listen_or_it_is_taken
+    one_of_several_gets_another_id_by_function_5
+    an_id_is_not_changed_if_it_is_taken_or_not_acknowledged
     an_id_that_two_motors_have_is_not_changed
     the_only_motor_gets_its_new_id_for_good
     a_brake_is_open_before_torque_comes
@@ -128,19 +129,31 @@ fn a_zero_is_kept_over_a_power_cycle<W: Wire>() {
     assert!((turned - 30.0).abs() < 0.1, "{turned}");
 }
 
-fn an_id_is_not_changed_while_two_motors_listen_or_it_is_taken<W: Wire>() {
-    let bus = W::drives(&Fleet::new(2)).unwrap();
+fn one_of_several_gets_another_id_by_function_5<W: Wire>() {
+    let bus = W::drives(&Fleet::new(3)).unwrap();
     let runner = &mut master(&bus);
-    let two = bring_up::change_id(runner, id(1), id(9));
-    assert_eq!(two, Err(BringUpError::NotAlone(ids([1, 2]))));
+    assert_eq!(bring_up::change_id(runner, id(2), id(9)), Ok(()));
+    assert_eq!(bring_up::scan(runner, MotorSet::ALL, |_, _| {}), Ok(ids([1, 3, 9])));
+}
+
+fn an_id_is_not_changed_if_it_is_taken_or_not_acknowledged<W: Wire>() {
+    let silent = Quirks { silent_id_change: true, ..Quirks::default() };
+    let bus = W::drives(&Fleet::new(2).quirks(silent)).unwrap();
+    let runner = &mut master(&bus);
     let taken = bring_up::change_id(runner, id(1), id(2));
     assert_eq!(taken, Err(BringUpError::IdTaken(id(2))));
     let stranger = bring_up::change_id(runner, id(5), id(6));
-    assert_eq!(stranger, Err(BringUpError::NotAlone(ids([1, 2]))));
+    assert_eq!(stranger, Err(BringUpError::NotThere(id(5))));
+    assert_eq!(bring_up::change_id(runner, id(1), id(1)), Ok(()), "it has it already");
     for (drive, number) in bus.drives.iter().zip(1..) {
         let ids = drive.with(|drive| (drive.id(), drive.stored_settings().id));
         assert_eq!(ids, (id(number), id(number)), "nothing was changed");
     }
+    // All would obey 0x79.
+    let not_taken = bring_up::change_id(runner, id(1), id(9));
+    let expected = BringUpError::IdNotTaken { from: id(1), to: id(9), is_alone: false };
+    assert_eq!(not_taken, Err(expected));
+    assert_eq!(bus.drives[1].with(|drive| drive.stored_settings().id), id(2));
 }
 
 fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
@@ -152,7 +165,7 @@ fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
     listen(runner, millis(3_000));
     let refused = bring_up::change_id(runner, id(1), id(9));
     // On a line both speak at once, so that nobody is understood.
-    let none = Err(BringUpError::NotAlone(MotorSet::EMPTY));
+    let none = Err(BringUpError::NotThere(id(1)));
     assert!(refused == Err(BringUpError::IdShared(id(1))) || refused == none, "{refused:?}");
     for drive in &bus.drives {
         assert_eq!(drive.with(|drive| drive.stored_settings().id), id(1), "nothing was changed");
@@ -166,7 +179,7 @@ fn the_only_motor_gets_its_new_id_for_good<W: Wire>() {
         let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
         bring_up::wait_until_there(runner, id(1), Duration::from_secs(3)).expect("it starts");
         let empty = bring_up::change_id(runner, id(3), id(4));
-        assert_eq!(empty, Err(BringUpError::NotAlone(ids([1]))), "the only one there is another");
+        assert_eq!(empty, Err(BringUpError::NotThere(id(3))), "the only one there is another");
         bring_up::change_id(runner, id(1), id(9)).expect("it is alone");
         assert_eq!(bring_up::scan(runner, MotorSet::ALL, |_, _| {}), Ok(ids([9])));
         bus.world.reset(drive.station());

@@ -119,8 +119,8 @@ fn move_goes_on_by_an_angle_with_and_without_a_limit_of_torque() {
 fn a_motor_that_does_not_arrive_in_time_is_stopped() {
     let (status, told) = refused("move --id 1 --angle-deg 720 --timeout-s 1");
     assert_eq!(status, 1);
-    assert!(told.starts_with("motor 1 is at "), "{told}");
-    assert!(told.contains("not at 720.00"), "{told}");
+    assert!(told.starts_with("motor 1 has not arrived: it is at "), "{told}");
+    assert!(told.contains("not at 720 deg when its time is up"), "{told}");
     assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
 }
 

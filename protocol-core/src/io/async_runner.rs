@@ -7,7 +7,8 @@ use embassy_futures::yield_now;
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::runner::{Asking, CallError, StopWatch};
+use crate::io::asking::{Asking, Askings, CallError, outcome_of_set_point};
+use crate::io::runner::LONGEST_STOP;
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;
 
@@ -34,14 +35,38 @@ pub trait AsyncRunner<const N: usize> {
     /// What the bus driver reports. The master stays sound: call again.
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, Self::Error>;
 
-    /// Runs the bus until there is an event.
+    /// Runs the bus until there is an event. A bus that fails again and again leaves the other tasks their
+    /// turns.
     ///
     /// # Errors
     /// As [`run`](Self::run).
     async fn next_event(&mut self) -> Result<Event, Self::Error> {
         loop {
-            if let Some(event) = self.run(None).await? {
-                return Ok(event);
+            match self.run(None).await {
+                Ok(Some(event)) => return Ok(event),
+                Ok(None) => {}
+                Err(error) => {
+                    yield_now().await;
+                    return Err(error);
+                }
+            }
+        }
+    }
+
+    /// As [`Runner::run_until`](crate::io::Runner::run_until).
+    ///
+    /// # Errors
+    /// As there.
+    async fn run_until(
+        &mut self,
+        until: Instant,
+        mut on_event: impl FnMut(Event),
+    ) -> Result<(), CallError<Self::Error>> {
+        loop {
+            let event = self.run(Some(until)).await.map_err(CallError::Bus)?;
+            event.into_iter().for_each(&mut on_event);
+            if self.now() >= until {
+                return Ok(());
             }
         }
     }
@@ -60,14 +85,7 @@ pub trait AsyncRunner<const N: usize> {
         let mut asking = Asking::new(motor, command, patience);
         loop {
             asking.put(self.master())?;
-            let event = match self.next_event().await {
-                Ok(event) => event,
-                Err(error) => {
-                    // A bus that fails again and again leaves the other tasks their turns.
-                    yield_now().await;
-                    return Err(CallError::Bus(error));
-                }
-            };
+            let event = self.next_event().await.map_err(CallError::Bus)?;
             match asking.outcome(&event) {
                 Some(outcome) => return outcome.map_err(CallError::Failed),
                 None => on_event(event),
@@ -87,6 +105,24 @@ pub trait AsyncRunner<const N: usize> {
         self.ask_with(motor, command, None, |_| {}).await
     }
 
+    /// As [`Runner::ask_together`](crate::io::Runner::ask_together).
+    async fn ask_together<C: Command, const M: usize>(
+        &mut self,
+        questions: [(MotorId, C); M],
+    ) -> [Result<C::Reply, CallError<Self::Error>>; M] {
+        let mut askings = Askings::new(questions);
+        while askings.put(self.master()) {
+            match self.next_event().await {
+                Ok(event) => askings.note(&event),
+                Err(error) => {
+                    askings.bus_has_failed(error);
+                    break;
+                }
+            }
+        }
+        askings.outcomes()
+    }
+
     /// Puts a set-point in a motor's stream; see [`Master::set_point`]. It leaves at the next
     /// [`run`](Self::run).
     ///
@@ -97,6 +133,41 @@ pub trait AsyncRunner<const N: usize> {
         self.master().set_point(motor, command, now)
     }
 
+    /// As [`Runner::set_point_and_wait`](crate::io::Runner::set_point_and_wait).
+    ///
+    /// # Errors
+    /// As there.
+    async fn set_point_and_wait<C: SetPoint>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<C::Reply, CallError<Self::Error>> {
+        self.set_point(motor, command)?;
+        loop {
+            let event = self.next_event().await.map_err(CallError::Bus)?;
+            if let Some(outcome) = outcome_of_set_point::<C, N>(self.master(), motor, &event) {
+                return outcome.map_err(CallError::Failed);
+            }
+        }
+    }
+
+    /// As [`Runner::stop`](crate::io::Runner::stop). The stop is in force with the first poll of this future.
+    async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
+        let end = self.now() + LONGEST_STOP;
+        if self.master().stop(motor, kind).is_err() {
+            return false;
+        }
+        while self.now() < end {
+            match self.run(Some(end)).await {
+                Ok(Some(Event::StopConfirmed { motor: from })) if from == motor => return true,
+                Ok(Some(Event::StopUnconfirmed { motor: from })) if from == motor => return false,
+                Ok(_) => {}
+                Err(_) => yield_now().await,
+            }
+        }
+        false
+    }
+
     /// Stops all motors and waits until each has confirmed, or not; see
     /// [`Runner::stop_all`](crate::io::Runner::stop_all). Gives those that have not: **cut their
     /// power**.
@@ -104,17 +175,24 @@ pub trait AsyncRunner<const N: usize> {
     /// The stop is in force with the first poll of this future, and goes on with any other future of
     /// this loop if this one is dropped.
     async fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
-        let now = self.now();
-        let mut stop = StopWatch::begin(self.master(), kind, also, now);
-        while !stop.is_over(self.now()) {
-            match self.run(Some(stop.end())).await {
-                Ok(Some(event)) => stop.note(&event),
-                Ok(None) => {}
+        let end = self.now() + LONGEST_STOP;
+        // Those that the master has no place for are not stopped, which their absence below tells.
+        let _ = self.master().stop_all(kind, also);
+        let mut waiting = self.master().motors();
+        let mut unconfirmed = also.without(waiting);
+        while !waiting.is_empty() && self.now() < end {
+            match self.run(Some(end)).await {
+                Ok(Some(Event::StopConfirmed { motor })) => waiting.remove(motor),
+                Ok(Some(Event::StopUnconfirmed { motor })) => {
+                    waiting.remove(motor);
+                    unconfirmed.insert(motor);
+                }
+                Ok(_) => {}
                 // A bus that fails again and again leaves the other tasks their turns.
                 Err(_) => yield_now().await,
             }
         }
-        stop.unconfirmed()
+        waiting.iter().chain(unconfirmed.iter()).collect()
     }
 }
 

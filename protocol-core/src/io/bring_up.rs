@@ -1,21 +1,21 @@
-//! First contact and safe ways of working: plain functions over any [`Runner`].
+//! First contact and safe ways of working: plain functions over any [`Runner`]. For tasks there are the
+//! same in [`async_bring_up`](crate::io::async_bring_up).
 //!
 //! They wait for what they ask; use them before a control loop runs, not inside one. Set-points and
 //! events of other motors are passed over meanwhile.
 
-use core::fmt;
+use core::ops::ControlFlow;
 
-use crate::command::{
-    BrakeCommand, BusId, CommunicationLossProtection, Mode, ModelName, ReadModel,
-    ReadMultiTurnAngle, ReadMultiTurnEncoderOffset, ReadRunTime, ReadRunningMode, ReadStatus1,
-    ReadVersionDate, ReleaseBrake, Reset, SetCurrentPositionZero, Shutdown, Status1, VersionDate,
-};
+use crate::command::{BrakeCommand, Mode, ModelName, Status1, VersionDate};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::runner::{CallError, LONGEST_IDLE, Runner};
-use crate::master::{Event, Failure, MotorSet, Patience};
-use crate::opcode::Opcode;
-use crate::time::{Duration, Instant};
+use crate::io::asking::CallError;
+use crate::io::async_bring_up as task;
+pub use crate::io::move_to::{MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived};
+use crate::io::polled::{Polled, at_once};
+use crate::io::runner::Runner;
+use crate::master::MotorSet;
+use crate::time::Duration;
 use crate::units::{Angle, EncoderPulses, Milliseconds};
 
 /// Why a motor could not be brought up as asked.
@@ -32,12 +32,25 @@ pub enum BringUpError<E> {
     /// The id that is to be given is somebody's already.
     #[error("a motor with id {0} is on the bus already")]
     IdTaken(MotorId),
-    /// The id can only be changed with this one motor connected, for every motor obeys the command.
-    /// These answered.
-    #[error(fmt = not_alone)]
-    NotAlone(MotorSet),
+    /// The motor has not acknowledged its new id. It was not restarted, and is off; whether it has kept the id
+    /// shows when its supply was switched off and on.
+    #[error(
+        "motor {from} has not acknowledged id {to}, so it was not restarted, and is off: {}what it has kept \
+         shows when its supply was switched off and on",
+        if *is_alone { "" } else { "connect it alone, so that 0x79 can be tried as well; " }
+    )]
+    IdNotTaken {
+        /// The id that it had.
+        from: MotorId,
+        /// The id that it was given.
+        to: MotorId,
+        /// Whether it was the only motor. If not, 0x79 was not tried: all motors obey it.
+        is_alone: bool,
+    },
     /// More than one motor answers under this id, as those from the factory do.
-    #[error("two motors or more answer as motor {0}: connect only the one to change")]
+    #[error(
+        "two motors seem to have id {0}: it answers some questions twice or not at all; connect only one of them"
+    )]
     IdShared(MotorId),
     /// After the restart the zero is not where it was put.
     #[error(
@@ -62,80 +75,6 @@ impl<E> From<RequestError> for BringUpError<E> {
     }
 }
 
-fn not_alone(motors: &MotorSet, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-    if motors.is_empty() {
-        return f.write_str("no motor answers on the bus");
-    }
-    write!(
-        f,
-        "every connected motor obeys an id change: connect only the one to change (there are: {motors})"
-    )
-}
-
-/// Two quick attempts: for asking whether a motor is there at all.
-const QUICK: Patience = Patience { reply_timeout: Duration::from_millis(10), attempts: 2 };
-/// How long a brake takes to open at the most.
-const BRAKE_OPENING: Duration = Duration::from_millis(150);
-/// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
-const ZERO_TOLERANCE: i32 = 100;
-
-/// Finds out which of `candidates` are on the bus, as many at a time as the master has places free.
-/// `on_answer` gets each motor that is asked, and whether it is there, as soon as that is
-/// known.
-///
-/// # Errors
-/// [`CallError`]; [`RequestError::TooManyMotors`] if the master has no place free at all.
-pub fn scan<R: Runner<N>, const N: usize>(
-    runner: &mut R,
-    candidates: MotorSet,
-    mut on_answer: impl FnMut(MotorId, bool),
-) -> Result<MotorSet, CallError<R::Error>> {
-    let known = runner.master().motors();
-    let (mut waiting, mut asked, mut found) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
-    while !(waiting.is_empty() && asked.is_empty()) {
-        for motor in waiting.iter() {
-            match runner.master().request_with(motor, ReadStatus1, QUICK) {
-                Ok(_ticket) => {
-                    waiting.remove(motor);
-                    asked.insert(motor);
-                }
-                Err(RequestError::TooManyMotors { .. }) if !asked.is_empty() => break,
-                // It is asked again when the request under way is over.
-                Err(RequestError::Busy) => {}
-                // What reports by itself is there.
-                Err(RequestError::Reported(_)) => {
-                    waiting.remove(motor);
-                    found.insert(motor);
-                    on_answer(motor, true);
-                }
-                Err(error) => return Err(error.into()),
-            }
-        }
-        let Some(event) = runner.poll().map_err(CallError::Bus)? else {
-            let until = runner.now() + LONGEST_IDLE;
-            runner.idle(until);
-            continue;
-        };
-        let (motor, there) = match event {
-            Event::Reply { ticket, .. } => (ticket.motor(), true),
-            Event::Failed { ticket, failure } => (ticket.motor(), failure != Failure::NoReply),
-            Event::Report { motor, .. } | Event::LostMaster { motor } => (motor, true),
-            _ => continue,
-        };
-        if there {
-            found.insert(motor);
-        }
-        if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {
-            asked.remove(motor);
-            on_answer(motor, found.contains(motor));
-            if !known.contains(motor) {
-                runner.master().forget(motor);
-            }
-        }
-    }
-    Ok(found)
-}
-
 /// What a motor is and how it does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -153,135 +92,6 @@ pub struct Identity {
     pub status: Status1,
 }
 
-/// Reads what a motor is and how it does.
-///
-/// # Errors
-/// [`CallError`].
-pub fn identify<R: Runner<N>, const N: usize>(
-    runner: &mut R,
-    motor: MotorId,
-) -> Result<Identity, CallError<R::Error>> {
-    let model = match runner.ask(motor, ReadModel) {
-        Ok(reply) => Some(reply.model),
-        Err(CallError::Failed(Failure::NoReply)) => None,
-        Err(error) => return Err(error),
-    };
-    Ok(Identity {
-        model,
-        version: runner.ask(motor, ReadVersionDate)?.version_date,
-        run_time: runner.ask(motor, ReadRunTime)?.run_time,
-        mode: runner.ask(motor, ReadRunningMode)?.mode,
-        status: runner.ask(motor, ReadStatus1)?,
-    })
-}
-
-/// Waits until a motor answers: after power-on or [`Reset`].
-///
-/// # Errors
-/// [`BringUpError::NotThere`] if it does not within `time`; [`BringUpError::Call`] for other errors.
-pub fn wait_until_there<R: Runner<N>, const N: usize>(
-    runner: &mut R,
-    motor: MotorId,
-    time: Duration,
-) -> Result<(), BringUpError<R::Error>> {
-    let deadline = runner.now() + time;
-    loop {
-        match runner.ask_with(motor, ReadStatus1, Some(QUICK), |_| {}) {
-            Ok(_) | Err(CallError::Failed(Failure::Unreadable(_))) => return Ok(()),
-            Err(CallError::Failed(_)) if runner.now() < deadline => {}
-            Err(CallError::Failed(_)) => return Err(BringUpError::NotThere(motor)),
-            Err(error) => return Err(error.into()),
-        }
-    }
-}
-
-/// Makes the current position the zero and sees that it is kept: stores it (0x64), restarts the
-/// drive (0x76), and reads offset and angle back. The motor's output is switched off first, so the
-/// shaft must be held by other means if a load pulls at it. Gives the new offset.
-///
-/// # Errors
-/// [`BringUpError::ZeroNotKept`], [`BringUpError::NotThere`], [`BringUpError::Call`].
-pub fn zero_here<R: Runner<N>, const N: usize>(
-    runner: &mut R,
-    motor: MotorId,
-) -> Result<EncoderPulses, BringUpError<R::Error>> {
-    runner.ask(motor, Shutdown)?;
-    let stored = runner.ask(motor, SetCurrentPositionZero)?.offset;
-    restart(runner, motor, motor)?;
-    let found = runner.ask(motor, ReadMultiTurnEncoderOffset)?.offset;
-    let angle = runner.ask(motor, ReadMultiTurnAngle)?.angle;
-    if found == stored && angle.raw().unsigned_abs() <= ZERO_TOLERANCE.unsigned_abs() {
-        Ok(stored)
-    } else {
-        Err(BringUpError::ZeroNotKept { stored, found, angle })
-    }
-}
-
-/// Gives the only motor on the bus another id (0x79) and restarts it. Every connected motor obeys
-/// that command, so it is sent only if exactly `from` answers, and once.
-///
-/// # Errors
-/// [`BringUpError::NotAlone`], [`BringUpError::IdShared`], [`BringUpError::IdTaken`],
-/// [`BringUpError::NotThere`] if nobody answers
-/// under the new id, [`BringUpError::Call`].
-pub fn change_id<R: Runner<N>, const N: usize>(
-    runner: &mut R,
-    from: MotorId,
-    to: MotorId,
-) -> Result<(), BringUpError<R::Error>> {
-    let there = scan(runner, MotorSet::ALL, |_, _| {})?;
-    if from != to && there.contains(to) {
-        return Err(BringUpError::IdTaken(to));
-    }
-    if there != MotorSet::from(from) {
-        return Err(BringUpError::NotAlone(there));
-    }
-    if is_shared(runner, from)? {
-        return Err(BringUpError::IdShared(from));
-    }
-    runner.master().broadcast(BusId::Write(to), to.into())?;
-    // The reply is not needed: what counts is who answers after the restart.
-    run_until(runner, None, |event| matches!(event, Event::BroadcastDone { .. }))?;
-    restart(runner, from, to)?;
-    runner.master().forget(from);
-    Ok(())
-}
-
-/// Whether one question to this id is answered more than once. It is one whose answers differ, for equal
-/// frames of two motors may become one on a CAN bus.
-fn is_shared<R: Runner<N>, const N: usize>(
-    runner: &mut R,
-    id: MotorId,
-) -> Result<bool, CallError<R::Error>> {
-    const BOTH_HAVE_ANSWERED: Duration = Duration::from_millis(50);
-    let is_second = |event: &Event| {
-        let byte = Opcode::ReadRunTime.byte();
-        matches!(event, Event::Stray { motor, data } if *motor == id && Some(data[0]) == byte)
-    };
-    let mut is_shared = false;
-    runner.ask_with(id, ReadRunTime, None, |event| is_shared |= is_second(&event))?;
-    let until = runner.now() + BOTH_HAVE_ANSWERED;
-    Ok(is_shared || run_until(runner, Some(until), is_second)?)
-}
-
-/// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77,
-/// 2.19.1).
-///
-/// # Errors
-/// [`BringUpError::BrakeNotReleased`], [`BringUpError::Call`].
-pub fn release_brake<R: Runner<N>, const N: usize>(
-    runner: &mut R,
-    motor: MotorId,
-) -> Result<(), BringUpError<R::Error>> {
-    runner.ask(motor, ReleaseBrake)?;
-    let open = runner.now() + BRAKE_OPENING;
-    run_until(runner, Some(open), |_| false)?;
-    match runner.ask(motor, ReadStatus1)?.brake {
-        BrakeCommand::RELEASE => Ok(()),
-        other => Err(BringUpError::BrakeNotReleased(other)),
-    }
-}
-
 /// How far a motor has confirmed its communication-loss protection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -294,6 +104,108 @@ pub enum Protection {
     AcknowledgedOnly(Milliseconds),
 }
 
+/// Finds out which of `candidates` are on the bus, as many at a time as the master has places free.
+/// `on_answer` gets each motor that is asked, and whether it is there, as soon as that is
+/// known.
+///
+/// # Errors
+/// [`CallError`]; [`RequestError::TooManyMotors`] if the master has no place free at all.
+pub fn scan<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    candidates: MotorSet,
+    on_answer: impl FnMut(MotorId, bool),
+) -> Result<MotorSet, CallError<R::Error>> {
+    at_once(task::scan(&mut Polled(runner), candidates, on_answer))
+}
+
+/// Reads what a motor is and how it does.
+///
+/// # Errors
+/// [`CallError`].
+pub fn identify<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<Identity, CallError<R::Error>> {
+    at_once(task::identify(&mut Polled(runner), motor))
+}
+
+/// Whether anything answers under this id.
+///
+/// # Errors
+/// [`CallError`], but not that nobody answers.
+pub fn is_there<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    at_once(task::is_there(&mut Polled(runner), motor))
+}
+
+/// Waits until a motor answers: after power-on or a restart (0x76).
+///
+/// # Errors
+/// [`BringUpError::NotThere`] if it does not within `time`; [`BringUpError::Call`] for other errors.
+pub fn wait_until_there<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    time: Duration,
+) -> Result<(), BringUpError<R::Error>> {
+    at_once(task::wait_until_there(&mut Polled(runner), motor, time))
+}
+
+/// Makes the current position the zero and sees that it is kept: stores it (0x64), restarts the
+/// drive (0x76), and reads offset and angle back. The motor's output is switched off first, so the
+/// shaft must be held by other means if a load pulls at it. Gives the new offset.
+///
+/// # Errors
+/// [`BringUpError::ZeroNotKept`], [`BringUpError::NotThere`], [`BringUpError::Call`].
+pub fn zero_here<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<EncoderPulses, BringUpError<R::Error>> {
+    at_once(task::zero_here(&mut Polled(runner), motor))
+}
+
+/// Gives a motor another id: switches it off, writes the id to its ROM and restarts it. Function 5 (0x20)
+/// names the motor; if it does not acknowledge that and is the only one on the bus, 0x79 is tried, which all
+/// connected motors obey. Hold the shaft if a load pulls at it.
+///
+/// # Errors
+/// [`BringUpError::NotThere`] if nobody answers under the old id, or the new one after the restart;
+/// [`BringUpError::IdTaken`], [`BringUpError::IdShared`] and [`BringUpError::IdNotTaken`];
+/// [`BringUpError::Call`].
+pub fn change_id<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    from: MotorId,
+    to: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    at_once(task::change_id(&mut Polled(runner), from, to))
+}
+
+/// Whether more than one motor seems to have this id, as far as that can be heard: some questions are
+/// answered twice, or not at all, since answers collide. They are asked again and again, since equal frames
+/// of two motors may become one on a CAN bus. Takes half a second.
+///
+/// # Errors
+/// [`CallError`].
+pub fn is_shared<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    id: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    at_once(task::is_shared(&mut Polled(runner), id))
+}
+
+/// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77,
+/// 2.19.1).
+///
+/// # Errors
+/// [`BringUpError::BrakeNotReleased`], [`BringUpError::Call`].
+pub fn release_brake<R: Runner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    at_once(task::release_brake(&mut Polled(runner), motor))
+}
+
 /// Sets after how long without a command a motor stops by itself (0xB3). It is kept in ROM.
 ///
 /// # Errors
@@ -303,8 +215,7 @@ pub fn protect<R: Runner<N>, const N: usize>(
     motor: MotorId,
     timeout: Milliseconds,
 ) -> Result<Protection, CallError<R::Error>> {
-    let told = runner.ask(motor, CommunicationLossProtection { timeout })?.timeout;
-    Ok(if told == timeout { Protection::Confirmed } else { Protection::AcknowledgedOnly(told) })
+    at_once(task::protect(&mut Polled(runner), motor, timeout))
 }
 
 /// Restarts a drive (0x76) and waits until it answers, under another id perhaps.
@@ -316,26 +227,41 @@ pub fn restart<R: Runner<N>, const N: usize>(
     motor: MotorId,
     then: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
-    const LONGEST_RESTART: Duration = Duration::from_secs(5);
-    runner.ask(motor, Reset)?;
-    wait_until_there(runner, then, LONGEST_RESTART)?;
-    // It was meant to.
-    runner.master().resume(then);
-    Ok(())
+    at_once(task::restart(&mut Polled(runner), motor, then))
 }
 
-/// Runs the bus until then, or until the event has come, and says whether it has.
-fn run_until<R: Runner<N>, const N: usize>(
+/// Moves a motor to an angle, or by one, and watches it until it stands there; then it holds its position. It
+/// must be ready to move: its brake open, no error.
+///
+/// `on_look` gets every look at the motor, some fifty a second, and may give the move up.
+///
+/// ```no_run
+/// # use core::ops::ControlFlow;
+/// # use myactuator_protocol_core::command::AbsolutePosition;
+/// # use myactuator_protocol_core::io::{Runner, bring_up};
+/// # use myactuator_protocol_core::units::{Angle, MaxSpeed};
+/// # use myactuator_protocol_core::MotorId;
+/// # fn reach<R: Runner<8>>(bus: &mut R, elbow: MotorId) -> Result<(), Box<dyn std::error::Error>>
+/// # where R::Error: 'static {
+/// let command = AbsolutePosition {
+///     max_speed: MaxSpeed::from_dps(90.0)?,
+///     angle: Angle::from_degrees(45.0)?,
+/// };
+/// let go_on = |_: &_| ControlFlow::Continue(());
+/// let arrival = bring_up::move_to(bus, elbow, command, &Default::default(), go_on)
+///     .map_err(|error| error.to_string())?;
+/// # let _ = arrival; Ok(()) }
+/// ```
+///
+/// # Errors
+/// [`NotArrived`], after a stop, which holds until [`lift_stop_of`](crate::master::Master::lift_stop_of): it
+/// has stalled, its time is up, it reports an error or does not answer, or `on_look` gave it up.
+pub fn move_to<R: Runner<N>, C: MoveCommand, const N: usize>(
     runner: &mut R,
-    until: Option<Instant>,
-    is_it: impl Fn(&Event) -> bool,
-) -> Result<bool, CallError<R::Error>> {
-    while until.is_none_or(|until| runner.now() < until) {
-        match runner.poll().map_err(CallError::Bus)? {
-            Some(event) if is_it(&event) => return Ok(true),
-            Some(_) => {}
-            None => runner.idle(until.unwrap_or(runner.now() + LONGEST_IDLE)),
-        }
-    }
-    Ok(false)
+    motor: MotorId,
+    command: C,
+    limits: &MoveLimits,
+    on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
+) -> Result<MoveProgress, NotArrived<R::Error>> {
+    at_once(task::move_to(&mut Polled(runner), motor, command, limits, on_look))
 }

@@ -22,7 +22,7 @@ use crate::master::{MotorSet, StopKind};
 ///         break;
 ///     }
 /// }
-/// let unconfirmed = bus.stop();
+/// let unconfirmed = bus.finish();
 /// assert!(unconfirmed.is_empty(), "cut the power of motors {unconfirmed}");
 /// # Ok(()) }
 /// ```
@@ -42,7 +42,7 @@ impl<'a, R: Runner<N>, const N: usize> Guard<'a, R, N> {
     }
 
     /// Stops all motors now, and gives those that have not confirmed it: **cut their power**.
-    pub fn stop(self) -> MotorSet {
+    pub fn finish(self) -> MotorSet {
         let mut guard = core::mem::ManuallyDrop::new(self);
         let kind = guard.kind;
         guard.bus.stop_all(kind, MotorSet::EMPTY)
@@ -50,7 +50,7 @@ impl<'a, R: Runner<N>, const N: usize> Guard<'a, R, N> {
 }
 
 impl<R: Runner<N>, const N: usize> Drop for Guard<'_, R, N> {
-    /// Whoever wants to know who has not confirmed calls [`stop`](Self::stop).
+    /// Whoever wants to know who has not confirmed calls [`finish`](Self::finish).
     fn drop(&mut self) {
         let _unconfirmed = self.bus.stop_all(self.kind, MotorSet::EMPTY);
     }

@@ -10,28 +10,34 @@
 //! | RS485 with a direction pin | either over [`HalfDuplex`] |
 //!
 //! The loops that poll are [`Runner`]s, the async ones [`AsyncRunner`]s: what works on one bus works
-//! on the other, [`bring_up`] for example. None of them decides anything: that is the
+//! on the other, [`bring_up`] (for tasks [`async_bring_up`]) for example. None of them decides anything: that is the
 //! [`Master`](crate::master::Master)'s.
 //!
 //! A control loop of eight motors stands in README.md, the whole program in the example `control_loop`
 //! of `myactuator-host-std`.
 
+mod asking;
+pub mod async_bring_up;
 mod async_can;
 mod async_clock;
 mod async_runner;
 mod async_serial;
 pub mod bring_up;
 mod can;
+mod change_id;
 mod clock;
 mod echo;
 mod guard;
 mod half_duplex;
 mod line;
+mod move_to;
+mod polled;
 mod runner;
 mod serial;
 #[cfg(test)]
 mod tests;
 
+pub use asking::CallError;
 pub use async_can::{AsyncCan, AsyncCanMaster, CanHalves};
 pub use async_clock::{AsyncClock, DelayClock};
 pub use async_runner::AsyncRunner;
@@ -41,5 +47,5 @@ pub use clock::{Clock, FnClock};
 pub use echo::EchoFilter;
 pub use guard::{Guard, guarded};
 pub use half_duplex::{HalfDuplex, HalfDuplexError};
-pub use runner::{CallError, LONGEST_STOP, Runner};
+pub use runner::{LONGEST_STOP, Runner};
 pub use serial::SerialMaster;

@@ -5,29 +5,16 @@ use core::fmt;
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::master::{Event, Failure, Master, MotorSet, Patience, StopKind, Ticket};
+use crate::io::asking::CallError;
+use crate::io::async_runner::AsyncRunner;
+use crate::io::polled::{Polled, at_once};
+use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
-
-/// Why a call has no answer.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
-pub enum CallError<E> {
-    /// The bus driver reports an error.
-    #[error("the bus reports an error: {0:?}")]
-    Bus(E),
-    /// The command could not be sent as asked.
-    #[error(transparent)]
-    Request(#[from] RequestError),
-    /// It was sent, and has no answer.
-    #[error("{0}")]
-    Failed(Failure),
-}
 
 /// How long a stop of all motors is tried at the most.
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
-/// How long [`Runner::ask`] sleeps at most between two looks at the bus.
+/// How long a loop sleeps at most between two looks at the bus.
 pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
 /// A bus that takes nothing for so long counts as down.
@@ -56,6 +43,20 @@ pub trait Runner<const N: usize> {
     /// first, as well as the clock can.
     fn idle(&mut self, until: Instant);
 
+    /// Runs the bus until then. `on_event` gets what happens meanwhile. What can be sent is sent even when
+    /// `until` is past, and at least one event is looked for, so that a control loop that is late does
+    /// not stop hearing.
+    ///
+    /// # Errors
+    /// [`CallError::Bus`].
+    fn run_until(
+        &mut self,
+        until: Instant,
+        on_event: impl FnMut(Event),
+    ) -> Result<(), CallError<Self::Error>> {
+        at_once(Polled(self).run_until(until, on_event))
+    }
+
     /// Sends a command to one motor and waits for its answer, or until it was sent if it has none. While an
     /// earlier request to the motor is under way it waits for the end of that. `on_event` gets everything
     /// else that happens meanwhile.
@@ -67,19 +68,9 @@ pub trait Runner<const N: usize> {
         motor: MotorId,
         command: C,
         patience: Option<Patience>,
-        mut on_event: impl FnMut(Event),
+        on_event: impl FnMut(Event),
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        let mut asking = Asking::new(motor, command, patience);
-        loop {
-            asking.put(self.master())?;
-            match self.poll().map_err(CallError::Bus)? {
-                Some(event) => match asking.outcome(&event) {
-                    Some(outcome) => return outcome.map_err(CallError::Failed),
-                    None => on_event(event),
-                },
-                None => self.idle(self.now() + LONGEST_IDLE),
-            }
-        }
+        at_once(Polled(self).ask_with(motor, command, patience, on_event))
     }
 
     /// Sends a command to one motor and waits for its answer, or until it was sent if it has none. Other
@@ -92,7 +83,32 @@ pub trait Runner<const N: usize> {
         motor: MotorId,
         command: C,
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        self.ask_with(motor, command, None, |_| {})
+        at_once(Polled(self).ask(motor, command))
+    }
+
+    /// Asks several motors at the same time, so that it takes as long as the slowest, and gives an
+    /// outcome each, in the order of the questions. Other events are passed over.
+    ///
+    /// ```no_run
+    /// # use myactuator_protocol_core::command::ReadMultiTurnAngle;
+    /// # use myactuator_protocol_core::io::Runner;
+    /// # use myactuator_protocol_core::MotorId;
+    /// # fn angles<R: Runner<8>>(bus: &mut R, arm: [MotorId; 4]) -> Result<(), Box<dyn std::error::Error>>
+    /// # where R::Error: 'static {
+    /// let angles = bus.ask_together(arm.map(|motor| (motor, ReadMultiTurnAngle)));
+    /// let [base, shoulder, elbow, wrist] = angles;
+    /// # let _ = (base, shoulder, wrist);
+    /// let degrees = elbow.map_err(|error| error.to_string())?.angle.degrees();
+    /// # let _ = degrees; Ok(()) }
+    /// ```
+    ///
+    /// When the bus fails, one outcome is the bus's error, and the others that are open are
+    /// told that [the bus is down](crate::master::Failure::BusDown).
+    fn ask_together<C: Command, const M: usize>(
+        &mut self,
+        questions: [(MotorId, C); M],
+    ) -> [Result<C::Reply, CallError<Self::Error>>; M] {
+        at_once(Polled(self).ask_together(questions))
     }
 
     /// Puts a set-point in a motor's stream; see [`Master::set_point`].
@@ -104,105 +120,33 @@ pub trait Runner<const N: usize> {
         self.master().set_point(motor, command, now)
     }
 
+    /// Puts a set-point in a motor's stream and waits for its feedback. Feedback says how the motor is, and
+    /// may be the late one of an earlier set-point of the same kind. Other events are passed over.
+    ///
+    /// # Errors
+    /// [`CallError`]: what [`Master::set_point`] refuses; no feedback in time; dropped before it was sent;
+    /// an error of the bus. A set-point is never sent again.
+    fn set_point_and_wait<C: SetPoint>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<C::Reply, CallError<Self::Error>> {
+        at_once(Polled(self).set_point_and_wait(motor, command))
+    }
+
+    /// Stops one motor and waits until it has confirmed, or not: then **cut its power**. See
+    /// [`Master::stop`]; until [`Master::lift_stop_of`] whatever may move it is refused. An error of the bus
+    /// does not end it, as with [`stop_all`](Self::stop_all).
+    fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
+        at_once(Polled(self).stop(motor, kind))
+    }
+
     /// Stops all motors and waits until each has confirmed, or not; see [`Master::stop_all`]. Gives
     /// those that have not: **cut their power**. An error of the bus does not end it; it goes on for up
     /// to [`LONGEST_STOP`], in the hope that the bus comes back.
+    ///
+    /// Until [`Master::lift_stop`] whatever may move a motor is refused.
     fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
-        let now = self.now();
-        let mut stop = StopWatch::begin(self.master(), kind, also, now);
-        while !stop.is_over(self.now()) {
-            match self.poll() {
-                Ok(Some(event)) => stop.note(&event),
-                Ok(None) | Err(_) => self.idle(self.now() + LONGEST_IDLE),
-            }
-        }
-        stop.unconfirmed()
-    }
-}
-
-/// A question that is put as soon as the motor is free for it.
-#[derive(Debug)]
-pub(super) struct Asking<C> {
-    motor: MotorId,
-    patience: Option<Patience>,
-    state: AskingState<C>,
-}
-
-#[derive(Debug)]
-enum AskingState<C> {
-    ToBePut(C),
-    Put(Ticket<C>),
-}
-
-impl<C: Command> Asking<C> {
-    pub(super) const fn new(motor: MotorId, command: C, patience: Option<Patience>) -> Self {
-        Self { motor, patience, state: AskingState::ToBePut(command) }
-    }
-
-    /// Puts it, unless it was put or the motor is busy.
-    pub(super) fn put<const N: usize>(
-        &mut self,
-        master: &mut Master<N>,
-    ) -> Result<(), RequestError> {
-        let AskingState::ToBePut(command) = &self.state else { return Ok(()) };
-        match master.put_request(self.motor, command, self.patience) {
-            Ok(ticket) => self.state = AskingState::Put(ticket),
-            Err(RequestError::Busy) => {}
-            Err(error) => return Err(error),
-        }
-        Ok(())
-    }
-
-    pub(super) fn outcome(&self, event: &Event) -> Option<Result<C::Reply, Failure>> {
-        match &self.state {
-            AskingState::ToBePut(_) => None,
-            AskingState::Put(ticket) => ticket.outcome(event),
-        }
-    }
-}
-
-/// Who of the motors that are being stopped has not confirmed it yet.
-#[derive(Debug)]
-pub(super) struct StopWatch {
-    running: MotorSet,
-    unconfirmed: MotorSet,
-    end: Instant,
-}
-
-impl StopWatch {
-    pub(super) fn begin<const N: usize>(
-        master: &mut Master<N>,
-        kind: StopKind,
-        also: MotorSet,
-        now: Instant,
-    ) -> Self {
-        // Those that the master has no place for are not stopped, which their absence below tells.
-        let _ = master.stop_all(kind, also);
-        let running = master.motors();
-        Self { running, unconfirmed: also.without(running), end: now + LONGEST_STOP }
-    }
-
-    pub(super) fn note(&mut self, event: &Event) {
-        match *event {
-            Event::StopConfirmed { motor } => self.running.remove(motor),
-            Event::StopUnconfirmed { motor } => {
-                self.running.remove(motor);
-                self.unconfirmed.insert(motor);
-            }
-            _ => {}
-        }
-    }
-
-    pub(super) fn is_over(&self, now: Instant) -> bool {
-        self.running.is_empty() || now >= self.end
-    }
-
-    pub(super) const fn end(&self) -> Instant {
-        self.end
-    }
-
-    /// Those that have not confirmed.
-    pub(super) fn unconfirmed(self) -> MotorSet {
-        self.running.iter().chain(self.unconfirmed.iter()).collect()
+        at_once(Polled(self).stop_all(kind, also))
     }
 }

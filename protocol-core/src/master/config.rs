@@ -40,6 +40,11 @@ pub struct Config {
     /// How long to wait for a reply after a command is sent, at least 1 ms. On a full bus replies queue
     /// behind other motors' frames, so this is longer than a drive takes.
     pub reply_timeout: Duration,
+    /// If this is longer than `reply_timeout`, time-outs follow the measured round trips between the two, and
+    /// are the longest before anything was measured: an adapter that holds replies back works without being
+    /// known, and a fast bus stays fast. `late_window` and `longest_response` grow and shrink by as much.
+    /// What a [`Patience`] says is not touched. See [`adapting_up_to`](Self::adapting_up_to).
+    pub longest_reply_timeout: Duration,
     /// How often at most a request is sent whose repetition is harmless, 1 to 15.
     pub attempts: u8,
     /// How long a frame is on the wire at the most.
@@ -78,6 +83,7 @@ impl Config {
             bus: Bus::Can,
             firmware: Firmware::V4_3,
             reply_timeout: Duration::from_micros(reply_micros),
+            longest_reply_timeout: Duration::ZERO,
             attempts: 3,
             frame_time: Duration::from_micros(frame_micros),
             shortest_response: Duration::from_micros(2 * frame_micros),
@@ -103,6 +109,21 @@ impl Config {
             shortest_response: Duration::ZERO,
             ..Self::CAN
         }
+    }
+
+    /// The same, but with time-outs that follow the measured round trips: no shorter than they are here, and
+    /// up to `longest`.
+    ///
+    /// ```
+    /// use myactuator_protocol_core::master::Config;
+    /// use myactuator_protocol_core::time::Duration;
+    ///
+    /// // An adapter of unknown make may hold a reply back for 16 ms.
+    /// let config = Config::rs485(115_200, false).adapting_up_to(Duration::from_millis(40));
+    /// ```
+    #[must_use]
+    pub const fn adapting_up_to(self, longest: Duration) -> Self {
+        Self { longest_reply_timeout: longest, ..self }
     }
 
     pub(super) const fn is_rs485(&self) -> bool {

@@ -107,6 +107,10 @@ pub enum Failure {
     /// The bus carried nothing while the command waited.
     #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
+    /// A set-point was dropped before it was sent: it waited for too long, the bus carried nothing, or the
+    /// motor was stopped or restarted.
+    #[error("the set-point could not be sent in time, so it was dropped")]
+    Dropped,
 }
 
 /// What a master reports.

@@ -47,6 +47,7 @@ mod motor_set;
 mod places;
 mod receive;
 mod request;
+mod round_trips;
 mod schedule;
 mod stop;
 mod stream;
@@ -60,7 +61,7 @@ pub use health::{Health, Presence};
 pub use motor_set::MotorSet;
 pub use stop::StopKind;
 
-use crate::command::{Command, SetPoint};
+use crate::command::{AnyReply, Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
@@ -71,6 +72,7 @@ use late::Question;
 use motor::{Motor, News};
 use places::{PlaceSet, Places};
 use request::{Asked, Request};
+use round_trips::RoundTrips;
 use schedule::Earliest;
 use stream::SetPoint as StreamSetPoint;
 use transmit::Offer;
@@ -126,7 +128,9 @@ pub struct Master<const N: usize> {
     motors: [Motor; N],
     places: Places,
     broadcast: Broadcast,
+    /// Its time-outs are those of now.
     config: Config,
+    round_trips: RoundTrips,
     offer: Option<Offer>,
     /// All were stopped: nothing moves until that is lifted.
     stops_all: bool,
@@ -152,13 +156,15 @@ impl<const N: usize> Master<N> {
     const CAPACITY: () = assert!(N >= 1 && N <= 32, "a master has 1 to 32 motors");
 
     /// A master that knows no motor yet: a place is taken at a motor's first request.
-    pub fn new(config: Config) -> Self {
+    pub fn new(mut config: Config) -> Self {
         const { Self::CAPACITY };
+        let round_trips = RoundTrips::new(&mut config);
         Self {
             motors: [Motor::default(); N],
             places: Places::new(),
             broadcast: Broadcast::default(),
             config,
+            round_trips,
             offer: None,
             stops_all: false,
             stopped: MotorSet::EMPTY,
@@ -365,6 +371,21 @@ impl<const N: usize> Master<N> {
     /// How well a motor answers.
     pub fn health(&self, motor: MotorId) -> Health {
         self.motor(motor).map(|motor| motor.health).unwrap_or_default()
+    }
+
+    /// The newest feedback of a motor's stream, and when it came; `None` before the first.
+    pub fn latest_feedback(&self, motor: MotorId) -> Option<(AnyReply, Instant)> {
+        self.motor(motor)?.latest
+    }
+
+    /// The patience of now (see [`Config::longest_reply_timeout`]) with so many attempts, 1 to 15.
+    pub fn patience(&self, attempts: u8) -> Patience {
+        Patience { reply_timeout: self.config.reply_timeout, attempts }
+    }
+
+    /// Whether a motor's newest set-point is still to be sent.
+    pub(crate) fn has_waiting_set_point(&self, motor: MotorId) -> bool {
+        self.motor(motor).is_some_and(|motor| motor.stream.waiting().is_some())
     }
 
     /// The motors that have a place.

@@ -2,6 +2,7 @@
 
 use bitflags::bitflags;
 
+use crate::command::AnyReply;
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
@@ -88,6 +89,8 @@ pub(super) struct Motor {
     run_time_ms: u32,
     /// What it answered last.
     pub(super) last_answered: Option<Question>,
+    /// The newest feedback of its stream, and when it came.
+    pub(super) latest: Option<(AnyReply, Instant)>,
     pub(super) health: Health,
 }
 

@@ -11,13 +11,14 @@ use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
 use crate::packet::{Channel, Packet};
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::wire::{can, rs485};
 
 /// What a reply is, as far as its motor knows.
 enum Meaning {
-    /// It ends something; to be told.
-    Event(Event),
+    /// It ends something; to be told. How long it took is known unless it may answer one of several
+    /// sendings.
+    Event(Event, Option<Duration>),
     /// It answers what was asked, but does not end it: nothing is to be told.
     Nothing,
     /// It is the late answer to something that was given up.
@@ -82,19 +83,31 @@ impl<const N: usize> Master<N> {
         let meaning = self.change(id, |motor, config| {
             let may_be_doubled = motor.was_heard(now);
             let meaning = motor.take(id, packet, may_be_doubled, now, config);
-            if let Meaning::Event(event) = &meaning {
-                motor.note_run_time(event);
+            match meaning {
+                Meaning::Event(Event::Feedback { reply, .. }, _) => {
+                    motor.latest = Some((reply, now));
+                }
+                Meaning::Event(event, _) => motor.note_run_time(&event),
+                _ => {}
             }
             meaning
         });
         let meaning = meaning.unwrap_or(Meaning::Unasked);
-        if !matches!(meaning, Meaning::Event(Event::Feedback { .. })) {
+        if !matches!(meaning, Meaning::Event(Event::Feedback { .. }, _)) {
             self.due = now;
         }
         match meaning {
-            Meaning::Event(event) => Some(event),
+            Meaning::Event(event, round_trip) => {
+                if let Some(round_trip) = round_trip {
+                    self.round_trips.measured(round_trip, &mut self.config);
+                }
+                Some(event)
+            }
             Meaning::Nothing => None,
-            Meaning::Late => Some(self.stray(id, &packet.data)),
+            Meaning::Late => {
+                self.round_trips.was_too_short(&mut self.config);
+                Some(self.stray(id, &packet.data))
+            }
             Meaning::Unasked => Some(self.handle_unasked(id, packet, now)),
         }
     }
@@ -194,7 +207,7 @@ impl Motor {
         match self.late.take(is_motion, data, may_be_doubled) {
             Some(Of::Request) => Meaning::Late,
             Some(Of::Stream) => match AnyReply::decode(packet, config.firmware) {
-                Ok(reply) => Meaning::Event(Event::Feedback { motor: id, reply }),
+                Ok(reply) => Meaning::Event(Event::Feedback { motor: id, reply }, None),
                 Err(_) => Meaning::Late,
             },
             None => Meaning::Unasked,
@@ -224,10 +237,11 @@ impl Motor {
         self.late.prolong(set_point.question, now + config.late_window);
         self.stream.take_in_flight();
         if self.is_ignored(&set_point.data, &packet.data) {
-            return Meaning::Event(Event::SetPointUnanswered { motor: id });
+            return Meaning::Event(Event::SetPointUnanswered { motor: id }, None);
         }
-        self.answered(Some(now - self.sent));
-        Meaning::Event(Event::Feedback { motor: id, reply })
+        let round_trip = Some(now - self.sent);
+        self.answered(round_trip);
+        Meaning::Event(Event::Feedback { motor: id, reply }, round_trip)
     }
 
     /// A reply to the request in flight.
@@ -251,17 +265,19 @@ impl Motor {
             return Meaning::Nothing;
         }
         // With more than one attempt under way nobody knows which one this answers.
-        self.answered((asked.unanswered == 0).then_some(now - self.sent));
+        let round_trip = (asked.unanswered == 0).then_some(now - self.sent);
+        self.answered(round_trip);
         if asked.is_stop() && self.may_yet_move() {
             return self.send_stop_again(asked, true);
         }
         self.finish_request(Request::None, config, now);
-        Meaning::Event(if asked.is_stop() {
+        let event = if asked.is_stop() {
             Event::StopConfirmed { motor: id }
         } else {
             let ticket = TicketId { motor: id, number: self.ticket };
             Event::Reply { ticket, kind: asked.kind(), data: *data }
-        })
+        };
+        Meaning::Event(event, round_trip)
     }
 
     /// The stop is sent again: at once, or when nothing sent before it can move the motor any more.

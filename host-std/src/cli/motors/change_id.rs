@@ -1,24 +1,12 @@
 //! `myactuator id`: another id for a motor.
-//!
-//! Function 5 (0x20) comes first: it names its motor, and every firmware that was met knows it. Where nobody
-//! acknowledges that and the motor is alone, 0x79 follows. A drive restarts only when the id is known to be
-//! taken, for one that did not take it would come back as it was, and its shaft be free for nothing.
 
-use myactuator_protocol_core::command::{AnyReply, BusId, FunctionControl, ReadStatus1, Shutdown};
-use myactuator_protocol_core::io::bring_up::{self, BringUpError};
-use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Event, MotorSet, Patience};
-use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::io::bring_up;
+use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::on_bus::OnBus;
 use super::session::{Consent, Session, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
-
-/// How long an acknowledgement may take.
-const ACKNOWLEDGED_IN: Duration = Duration::from_millis(100);
-/// For asking whether somebody is there at all.
-const QUICK: Patience = Patience { reply_timeout: Duration::from_millis(10), attempts: 2 };
 
 /// Give a motor another id
 ///
@@ -51,27 +39,11 @@ fn run_on(session: &mut Session, id: Option<MotorId>, to: MotorId) -> Outcome {
     if from == to {
         return say(&format!("motor {from} has this id already"));
     }
-    if found.contains(to) {
-        return Err(BringUpError::IdTaken(to).into());
-    }
-    session.has_one(from)?;
     session.standing(from)?;
     session.confirm(&format!(
         "Motor {from} will be switched off, get id {to} in its ROM, and restart: hold the shaft if a load pulls at it."
     ))?;
-    // Some drives keep nothing unless they are shut down.
-    session.ask(from, Shutdown)?;
-    let is_alone = found.len() == 1;
-    let taken = take_by_function_5(session, from, to)? || is_alone && take_by_0x79(session, to)?;
-    if !taken {
-        let then =
-            if is_alone { "" } else { "connect it alone, so that 0x79 can be tried as well; " };
-        return Err(Unfinished::Failed(format!(
-            "motor {from} has not acknowledged id {to}, so it was not restarted, and is off: {then}what it has \
-             kept shows when its supply was switched off and on ('myactuator scan')"
-        )));
-    }
-    restart(session, from, to)?;
+    bring_up::change_id(&mut session.master, from, to)?;
     say(&format!("motor {from} is motor {to} now"))
 }
 
@@ -93,61 +65,14 @@ fn which(found: MotorSet, id: Option<MotorId>) -> Outcome<MotorId> {
     }
 }
 
-/// Whether the motor has acknowledged the id, under the old one or the new one.
-fn take_by_function_5(session: &mut Session, from: MotorId, to: MotorId) -> Outcome<bool> {
-    let command = FunctionControl::SetCanId(to);
-    let echo = command.encode();
-    let is_echo = |event: &Event| match event {
-        Event::Stray { motor, data } => (*motor == from || *motor == to) && *data == echo,
-        _ => false,
-    };
-    let mut taken = false;
-    // It is over when it was sent: drives were seen to take it without an answer.
-    let sent = session.master.ask_with(from, command, None, |event| taken |= is_echo(&event));
-    sent.map_err(Unfinished::of_motor(from))?;
-    session.listen(ACKNOWLEDGED_IN, |event| taken |= is_echo(event))?;
-    Ok(taken || is_there(session, to)?)
-}
-
-/// Whether somebody has acknowledged the id that goes to all who are connected.
-fn take_by_0x79(session: &mut Session, to: MotorId) -> Outcome<bool> {
-    let sent = session.master.master().broadcast(BusId::Write(to), to.into());
-    sent.map_err(CallError::from)?;
-    let mut taken = false;
-    session.listen(ACKNOWLEDGED_IN, |event| {
-        taken |= matches!(event, Event::BroadcastReply { reply: AnyReply::BusId(_), .. });
-    })?;
-    Ok(taken || is_there(session, to)?)
-}
-
-fn is_there(session: &mut Session, motor: MotorId) -> Outcome<bool> {
-    match session.master.ask_with(motor, ReadStatus1, Some(QUICK), |_| {}) {
-        Ok(_) => Ok(true),
-        Err(CallError::Failed(_)) => Ok(false),
-        Err(error) => Err(error.into()),
-    }
-}
-
-/// Restarts the motor, unless it has the id without that, and sees who it is then.
-fn restart(session: &mut Session, from: MotorId, to: MotorId) -> Outcome {
-    if !is_there(session, to)? {
-        bring_up::restart(&mut session.master, from, to)?;
-    }
-    if is_there(session, from)? {
-        return Err(Unfinished::Failed(format!(
-            "a motor answers as {to} now, and one as {from} still: two motors had id {from}"
-        )));
-    }
-    session.master.master().forget(from);
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::Reset;
+    use myactuator_protocol_core::command::{FunctionControl, Reset};
     use myactuator_protocol_core::drive::Quirks;
+    use myactuator_protocol_core::io::Runner;
+    use myactuator_protocol_core::time::Duration;
 
     use super::super::{odd_drive, simulated::sent};
     use super::*;
@@ -244,7 +169,7 @@ mod tests {
         session.wait_until(later).unwrap();
         let log = fleet.world.log();
         let told = failed(run_on(&mut Session::on(&fleet), None, id(7)));
-        assert!(told.contains("two motors seem to have this id"), "{told}");
+        assert!(told.contains("two motors seem to have id 1"), "{told}");
         assert!(sent(&log).iter().all(|packet| packet.data[0] >= 0x90), "something was written");
     }
 }

@@ -6,7 +6,7 @@
 
 use myactuator_protocol_core::command::{Command, Shutdown, Stop};
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{MotorSet, Patience, StopKind};
+use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
@@ -65,7 +65,7 @@ fn once<C: Command + Copy>(
     motors: MotorSet,
     command: C,
 ) -> Outcome<MotorSet> {
-    let patience = Patience { reply_timeout: session.address.config().reply_timeout, attempts: 1 };
+    let patience = session.master.master().patience(1);
     let now = session.master.now();
     let mut waiting = Vec::with_capacity(MotorId::COUNT);
     for motor in motors.iter() {

@@ -3,7 +3,6 @@
 //! What moves a motor or writes its memory goes through [`session`], which asks first, and through
 //! [`moving`], which stops the motor whatever ends the command early.
 
-mod alone;
 mod brake;
 mod change_id;
 mod group;

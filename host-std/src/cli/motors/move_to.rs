@@ -1,36 +1,25 @@
 //! `myactuator move`: to an angle, watched until the motor is there.
 
-use std::ops::Range;
+use std::ops::ControlFlow;
+use std::sync::atomic::Ordering;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
-    AbsolutePosition, Command, ForcePosition, IncrementalPosition, ReadMultiTurnAngle, ReadStatus1,
-    ReadStatus2,
+    AbsolutePosition, ForcePosition, IncrementalPosition, ReadMultiTurnAngle,
 };
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::Patience;
+use myactuator_protocol_core::io::bring_up::{
+    self, MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived,
+};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
 
 use super::moving::ENDS;
 use super::progress::Progress;
 use super::run_for::seconds;
-use super::session::{OneMotor, Session, healthy, say};
+use super::session::Session;
+use super::session::{OneMotor, healthy, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
-
-/// So near counts as arrived, degrees.
-const NEAR_DEG: f64 = 0.2;
-/// How often the motor is looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// How often its errors are looked at, in looks.
-const ERRORS_EVERY: u32 = 5;
-/// The time that every way is given, and how many times as long as it should take besides.
-const START_S: f64 = 5.0;
-const TIMES: f64 = 3.0;
-/// What a motor without a limit of speed is expected to reach, degrees per second.
-const UNLIMITED_DPS: f64 = 90.0;
-/// How often a command that names a place is sent if no reply comes.
-const ATTEMPTS: u8 = 3;
 
 /// Move a motor to an angle, or by one, and watch it arrive
 ///
@@ -71,9 +60,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     session.ready(motor)?;
     let here = session.ask(motor, ReadMultiTurnAngle)?.angle;
     let target = target(arguments, here)?;
-    let (from, to) = (here.degrees_f64(), target.degrees_f64());
     let max_speed = arguments.max_speed_dps;
-    let time = arguments.timeout_s.unwrap_or_else(|| usual_time(from, to, max_speed));
     let speed = match max_speed.raw() {
         0 => "as fast as its own limits allow".to_owned(),
         _ => format!("at up to {max_speed}"),
@@ -84,24 +71,14 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         .unwrap_or_default();
     session
         .confirm(&format!("Motor {motor} will move from {here} to {target} {speed}{torque}."))?;
-    session.moving(motor, |session| {
-        match (arguments.max_torque_pct, arguments.relative) {
-            (Some(max_torque), _) => send(
-                session,
-                motor,
-                ForcePosition { max_torque, max_speed, angle: target },
-                ATTEMPTS,
-            ),
-            (None, false) => {
-                send(session, motor, AbsolutePosition { max_speed, angle: target }, ATTEMPTS)
-            }
-            // Sent twice, it moves twice.
-            (None, true) => {
-                let angle = arguments.angle_deg;
-                send(session, motor, IncrementalPosition { max_speed, angle }, 1)
-            }
-        }?;
-        watch(session, motor, from..to, time)
+    let limits = MoveLimits { time: arguments.timeout_s, ..MoveLimits::default() };
+    let angle = arguments.angle_deg;
+    session.moving(motor, |session| match (arguments.max_torque_pct, arguments.relative) {
+        (Some(max_torque), _) => {
+            go(session, motor, ForcePosition { max_torque, max_speed, angle: target }, &limits)
+        }
+        (None, false) => go(session, motor, AbsolutePosition { max_speed, angle }, &limits),
+        (None, true) => go(session, motor, IncrementalPosition { max_speed, angle }, &limits),
     })
 }
 
@@ -118,74 +95,57 @@ fn target(arguments: &Arguments, here: Angle) -> Outcome<Angle> {
     Ok(Angle::from_raw(raw))
 }
 
-/// How long a motor usually takes at the most.
-fn usual_time(from: f64, to: f64, max_speed: MaxSpeed) -> Duration {
-    let dps = match max_speed.raw() {
-        0 => UNLIMITED_DPS,
-        raw => f64::from(raw),
-    };
-    let seconds = START_S + TIMES * (to - from).abs() / dps;
-    Duration::from_micros((seconds * 1e6) as u64)
-}
-
-fn send<C: Command>(session: &mut Session, motor: MotorId, command: C, attempts: u8) -> Outcome {
-    let patience = Patience { reply_timeout: session.address.config().reply_timeout, attempts };
-    session
-        .master
-        .ask_with(motor, command, Some(patience), |_| {})
-        .map_err(Unfinished::of_motor(motor))?;
-    Ok(())
-}
-
-/// Looks at the motor until it has gone this way, in degrees.
-fn watch(session: &mut Session, motor: MotorId, way: Range<f64>, time: Duration) -> Outcome {
-    let Range { start: from, end: to } = way;
+fn go(
+    session: &mut Session,
+    motor: MotorId,
+    command: impl MoveCommand,
+    limits: &MoveLimits,
+) -> Outcome {
+    let mut progress = Progress::new(session.master.now());
     let start = session.master.now();
-    let seconds = |session: &Session| seconds(session.master.now() - start);
-    let mut progress = Progress::new(start);
-    for look in 0.. {
-        session.wait_until(start + LOOK_EVERY.times(look))?;
-        let angle = session.ask(motor, ReadMultiTurnAngle)?.angle;
-        let feedback = session.ask(motor, ReadStatus2)?;
-        let degrees = angle.degrees_f64();
-        if (degrees - to).abs() <= NEAR_DEG && feedback.speed.raw() == 0 {
-            drop(progress);
-            return say(&format!(
-                "motor {motor} has arrived at {degrees:.2} deg after {:.2} s and holds its position",
-                seconds(session)
-            ));
+    let interrupted = session.interrupted.clone();
+    let mut shown = Ok(());
+    let outcome = bring_up::move_to(&mut session.master, motor, command, limits, |look| {
+        shown = progress.show(start + look.time, share(look), || line(look));
+        if shown.is_err() || interrupted.load(Ordering::Relaxed) {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
         }
-        if look % ERRORS_EVERY == 0 {
-            healthy(motor, session.ask(motor, ReadStatus1)?.errors)?;
+    });
+    drop(progress);
+    match outcome {
+        Ok(arrival) => say(&format!(
+            "motor {motor} has arrived at {:.2} deg after {:.2} s and holds its position",
+            arrival.angle.degrees_f64(),
+            seconds(arrival.time)
+        )),
+        Err(NotArrived { why: MoveFailure::GivenUp, .. }) => {
+            shown?;
+            session.check_interrupted()
         }
-        let now = session.master.now();
-        progress.show(now, (degrees - from) / (to - from), || {
-            format!(
-                "{:6.2} s {degrees:9.2} deg {:>9} {:>8}",
-                seconds(session),
-                feedback.speed.to_string(),
-                feedback.current.to_string()
-            )
-        })?;
-        if now - start > time {
-            return Err(Unfinished::Failed(format!(
-                "motor {motor} is at {degrees:.2} deg after {:.2} s and not at {to:.2}: does a load or a limit of angle (functions 6 and 7) hold it, or is the time too short?",
-                seconds(session)
-            )));
+        Err(NotArrived { why: MoveFailure::Call(error), .. }) => {
+            Err(Unfinished::of_motor(motor)(error))
+        }
+        Err(NotArrived { why: MoveFailure::Fault(errors), .. }) => healthy(motor, errors),
+        Err(NotArrived { why, .. }) => {
+            Err(Unfinished::Failed(format!("motor {motor} has not arrived: {why}")))
         }
     }
-    Ok(())
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// How much of the way is done.
+fn share(look: &MoveProgress) -> f64 {
+    let from = look.from.degrees_f64();
+    (look.angle.degrees_f64() - from) / (look.target.degrees_f64() - from)
+}
 
-    #[test]
-    fn a_way_is_given_three_times_what_it_takes_and_five_seconds() {
-        let time = |from, to, dps| usual_time(from, to, MaxSpeed::from_raw(dps)).as_millis();
-        assert_eq!(time(0.0, 90.0, 90), 8_000);
-        assert_eq!(time(10.0, -80.0, 45), 11_000);
-        assert_eq!(time(0.0, 90.0, 0), 8_000);
-    }
+fn line(look: &MoveProgress) -> String {
+    format!(
+        "{:6.2} s {:9.2} deg {:>9} {:>8}",
+        seconds(look.time),
+        look.angle.degrees_f64(),
+        look.feedback.speed.to_string(),
+        look.feedback.current.to_string()
+    )
 }

@@ -56,7 +56,7 @@ fn by_a_panic() {
 
 #[test]
 fn at_its_end_with_who_has_not_confirmed() {
-    is_stopped_after(|bus| assert_eq!(bus.stop(), MotorSet::EMPTY));
+    is_stopped_after(|bus| assert_eq!(bus.finish(), MotorSet::EMPTY));
 }
 
 #[test]

@@ -1,0 +1,126 @@
+//! What a call that waits for an answer goes through.
+
+use crate::command::{Command, SetPoint};
+use crate::error::RequestError;
+use crate::id::MotorId;
+use crate::master::{Event, Failure, Master, Patience, Ticket};
+
+/// Why a call has no answer.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub enum CallError<E> {
+    /// The bus driver reports an error.
+    #[error("the bus reports an error: {0:?}")]
+    Bus(E),
+    /// The command could not be sent as asked.
+    #[error(transparent)]
+    Request(#[from] RequestError),
+    /// It was sent, and has no answer.
+    #[error("{0}")]
+    Failed(Failure),
+}
+
+/// A question that is put as soon as the motor is free for it.
+#[derive(Debug)]
+pub(super) struct Asking<C> {
+    motor: MotorId,
+    patience: Option<Patience>,
+    state: AskingState<C>,
+}
+
+#[derive(Debug)]
+enum AskingState<C> {
+    ToBePut(C),
+    Put(Ticket<C>),
+}
+
+impl<C: Command> Asking<C> {
+    pub(super) const fn new(motor: MotorId, command: C, patience: Option<Patience>) -> Self {
+        Self { motor, patience, state: AskingState::ToBePut(command) }
+    }
+
+    /// Puts it, unless it was put or the motor is busy.
+    pub(super) fn put<const N: usize>(
+        &mut self,
+        master: &mut Master<N>,
+    ) -> Result<(), RequestError> {
+        let AskingState::ToBePut(command) = &self.state else { return Ok(()) };
+        match master.put_request(self.motor, command, self.patience) {
+            Ok(ticket) => self.state = AskingState::Put(ticket),
+            Err(RequestError::Busy) => {}
+            Err(error) => return Err(error),
+        }
+        Ok(())
+    }
+
+    pub(super) fn outcome(&self, event: &Event) -> Option<Result<C::Reply, Failure>> {
+        match &self.state {
+            AskingState::ToBePut(_) => None,
+            AskingState::Put(ticket) => ticket.outcome(event),
+        }
+    }
+}
+
+/// Several questions at the same time.
+pub(super) struct Askings<C: Command, E, const M: usize>([Asked<C, E>; M]);
+
+/// One of them, and what came of it so far.
+type Asked<C, E> = (Asking<C>, Option<Outcome<C, E>>);
+type Outcome<C, E> = Result<<C as Command>::Reply, CallError<E>>;
+
+impl<C: Command, E, const M: usize> Askings<C, E, M> {
+    pub(super) fn new(questions: [(MotorId, C); M]) -> Self {
+        Self(questions.map(|(motor, command)| (Asking::new(motor, command, None), None)))
+    }
+
+    /// Puts those that can be put. Gives whether any of them is still open.
+    pub(super) fn put<const N: usize>(&mut self, master: &mut Master<N>) -> bool {
+        for (asking, outcome) in self.open() {
+            *outcome = asking.put(master).err().map(|error| Err(error.into()));
+        }
+        self.open().next().is_some()
+    }
+
+    pub(super) fn note(&mut self, event: &Event) {
+        for (asking, outcome) in self.open() {
+            *outcome = asking.outcome(event).map(|outcome| outcome.map_err(CallError::Failed));
+        }
+    }
+
+    /// The bus has failed, which one of them is told.
+    pub(super) fn bus_has_failed(&mut self, error: E) {
+        if let Some((_, outcome)) = self.open().next() {
+            *outcome = Some(Err(CallError::Bus(error)));
+        }
+    }
+
+    /// What came of each.
+    pub(super) fn outcomes(self) -> [Outcome<C, E>; M] {
+        let bus_is_down = || Err(CallError::Failed(Failure::BusDown));
+        self.0.map(|(_, outcome)| outcome.unwrap_or_else(bus_is_down))
+    }
+
+    fn open(&mut self) -> impl Iterator<Item = &mut Asked<C, E>> {
+        self.0.iter_mut().filter(|(_, outcome)| outcome.is_none())
+    }
+}
+
+/// What an event says of a motor's newest set-point; nothing while that, or an older one, still waits.
+pub(super) fn outcome_of_set_point<C: SetPoint, const N: usize>(
+    master: &Master<N>,
+    motor: MotorId,
+    event: &Event,
+) -> Option<Result<C::Reply, Failure>> {
+    match event {
+        // The motor was stopped or the bus is down, or it grew too old.
+        Event::SetPointDropped { motor: from } if *from == motor => Some(Err(Failure::Dropped)),
+        _ if master.has_waiting_set_point(motor) => None,
+        Event::SetPointUnanswered { motor: from } if *from == motor => Some(Err(Failure::NoReply)),
+        // Of another kind is the late feedback of an earlier set-point.
+        Event::Feedback { motor: from, reply } if *from == motor => {
+            C::decode_reply(&reply.encode()).ok().map(Ok)
+        }
+        _ => None,
+    }
+}

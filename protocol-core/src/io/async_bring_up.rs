@@ -1,0 +1,205 @@
+//! First contact and safe ways of working over any [`AsyncRunner`]: [`bring_up`](crate::io::bring_up) for
+//! tasks, whose functions run these.
+//!
+//! A future of these that is dropped leaves off where it is: a motor may have been given its new id and
+//! not have been restarted.
+
+use crate::command::{
+    BrakeCommand, CommunicationLossProtection, ReadModel, ReadMultiTurnAngle,
+    ReadMultiTurnEncoderOffset, ReadRunTime, ReadRunningMode, ReadStatus1, ReadVersionDate,
+    ReleaseBrake, Reset, SetCurrentPositionZero, Shutdown,
+};
+use crate::error::RequestError;
+use crate::id::MotorId;
+use crate::io::asking::CallError;
+use crate::io::async_runner::AsyncRunner;
+use crate::io::bring_up::{BringUpError, Identity, Protection};
+pub use crate::io::change_id::{change_id, is_shared};
+pub use crate::io::move_to::move_to;
+use crate::io::runner::LONGEST_IDLE;
+use crate::master::{Event, Failure, MotorSet};
+use crate::time::Duration;
+use crate::units::{EncoderPulses, Milliseconds};
+
+/// How often a motor is asked whether it is there at all.
+const ATTEMPTS: u8 = 2;
+/// How long a brake takes to open at the most.
+const BRAKE_OPENING: Duration = Duration::from_millis(150);
+/// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
+const ZERO_TOLERANCE: i32 = 100;
+
+/// As [`bring_up::scan`](crate::io::bring_up::scan).
+///
+/// # Errors
+/// As there.
+pub async fn scan<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    candidates: MotorSet,
+    mut on_answer: impl FnMut(MotorId, bool),
+) -> Result<MotorSet, CallError<R::Error>> {
+    let patience = runner.master().patience(ATTEMPTS);
+    let known = runner.master().motors();
+    let (mut waiting, mut asked, mut found) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
+    while !(waiting.is_empty() && asked.is_empty()) {
+        for motor in waiting.iter() {
+            match runner.master().request_with(motor, ReadStatus1, patience) {
+                Ok(_ticket) => {
+                    waiting.remove(motor);
+                    asked.insert(motor);
+                }
+                Err(RequestError::TooManyMotors { .. }) if !asked.is_empty() => break,
+                // It is asked again when the request under way is over.
+                Err(RequestError::Busy) => {}
+                // What reports by itself is there.
+                Err(RequestError::Reported(_)) => {
+                    waiting.remove(motor);
+                    found.insert(motor);
+                    on_answer(motor, true);
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+        let soon = runner.now() + LONGEST_IDLE;
+        let Some(event) = runner.run(Some(soon)).await.map_err(CallError::Bus)? else { continue };
+        let (motor, there) = match event {
+            Event::Reply { ticket, .. } => (ticket.motor(), true),
+            Event::Failed { ticket, failure } => (ticket.motor(), failure != Failure::NoReply),
+            Event::Report { motor, .. } | Event::LostMaster { motor } => (motor, true),
+            _ => continue,
+        };
+        if there {
+            found.insert(motor);
+        }
+        if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {
+            asked.remove(motor);
+            on_answer(motor, found.contains(motor));
+            if !known.contains(motor) {
+                runner.master().forget(motor);
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// As [`bring_up::identify`](crate::io::bring_up::identify).
+///
+/// # Errors
+/// As there.
+pub async fn identify<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<Identity, CallError<R::Error>> {
+    let model = match runner.ask(motor, ReadModel).await {
+        Ok(reply) => Some(reply.model),
+        Err(CallError::Failed(Failure::NoReply)) => None,
+        Err(error) => return Err(error),
+    };
+    Ok(Identity {
+        model,
+        version: runner.ask(motor, ReadVersionDate).await?.version_date,
+        run_time: runner.ask(motor, ReadRunTime).await?.run_time,
+        mode: runner.ask(motor, ReadRunningMode).await?.mode,
+        status: runner.ask(motor, ReadStatus1).await?,
+    })
+}
+
+/// As [`bring_up::is_there`](crate::io::bring_up::is_there).
+///
+/// # Errors
+/// As there.
+pub async fn is_there<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    let patience = runner.master().patience(ATTEMPTS);
+    match runner.ask_with(motor, ReadStatus1, Some(patience), |_| {}).await {
+        Ok(_) | Err(CallError::Failed(Failure::Unreadable(_))) => Ok(true),
+        Err(CallError::Failed(_)) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// As [`bring_up::wait_until_there`](crate::io::bring_up::wait_until_there).
+///
+/// # Errors
+/// As there.
+pub async fn wait_until_there<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    time: Duration,
+) -> Result<(), BringUpError<R::Error>> {
+    let deadline = runner.now() + time;
+    while !is_there(runner, motor).await? {
+        if runner.now() >= deadline {
+            return Err(BringUpError::NotThere(motor));
+        }
+    }
+    Ok(())
+}
+
+/// As [`bring_up::zero_here`](crate::io::bring_up::zero_here).
+///
+/// # Errors
+/// As there.
+pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<EncoderPulses, BringUpError<R::Error>> {
+    runner.ask(motor, Shutdown).await?;
+    let stored = runner.ask(motor, SetCurrentPositionZero).await?.offset;
+    restart(runner, motor, motor).await?;
+    let found = runner.ask(motor, ReadMultiTurnEncoderOffset).await?.offset;
+    let angle = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
+    if found == stored && angle.raw().unsigned_abs() <= ZERO_TOLERANCE.unsigned_abs() {
+        Ok(stored)
+    } else {
+        Err(BringUpError::ZeroNotKept { stored, found, angle })
+    }
+}
+
+/// As [`bring_up::release_brake`](crate::io::bring_up::release_brake).
+///
+/// # Errors
+/// As there.
+pub async fn release_brake<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    runner.ask(motor, ReleaseBrake).await?;
+    let open = runner.now() + BRAKE_OPENING;
+    runner.run_until(open, |_| {}).await?;
+    match runner.ask(motor, ReadStatus1).await?.brake {
+        BrakeCommand::RELEASE => Ok(()),
+        other => Err(BringUpError::BrakeNotReleased(other)),
+    }
+}
+
+/// As [`bring_up::protect`](crate::io::bring_up::protect).
+///
+/// # Errors
+/// As there.
+pub async fn protect<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    timeout: Milliseconds,
+) -> Result<Protection, CallError<R::Error>> {
+    let told = runner.ask(motor, CommunicationLossProtection { timeout }).await?.timeout;
+    Ok(if told == timeout { Protection::Confirmed } else { Protection::AcknowledgedOnly(told) })
+}
+
+/// As [`bring_up::restart`](crate::io::bring_up::restart).
+///
+/// # Errors
+/// As there.
+pub async fn restart<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    then: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    const LONGEST_RESTART: Duration = Duration::from_secs(5);
+    runner.ask(motor, Reset).await?;
+    wait_until_there(runner, then, LONGEST_RESTART).await?;
+    // It was meant to.
+    runner.master().resume(then);
+    Ok(())
+}

@@ -1,0 +1,145 @@
+//! Another id for a motor.
+//!
+//! Function 5 (0x20) comes first: it names its motor, and every firmware that was met knows it. Where nobody
+//! acknowledges that and the motor is alone, 0x79 follows, which every connected motor obeys. A drive restarts
+//! only when the id is known to be taken, for one that did not take it would come back as it was, and its
+//! shaft be free for nothing.
+
+use crate::command::{
+    AnyReply, BusId, Command, FunctionControl, ReadMultiTurnAngle, ReadRunTime, ReadStatus1,
+    ReadStatus2, ReadStatus3, Shutdown,
+};
+use crate::id::MotorId;
+use crate::io::asking::CallError;
+use crate::io::async_bring_up::{is_there, restart, scan};
+use crate::io::async_runner::AsyncRunner;
+use crate::io::bring_up::BringUpError;
+use crate::master::{Event, Failure, MotorSet};
+use crate::time::Duration;
+
+/// How long an acknowledgement may take.
+const ACKNOWLEDGED_IN: Duration = Duration::from_millis(100);
+/// How long a second answer may take behind the first: an adapter may hold it back for 16 ms.
+const SECOND_ANSWER: Duration = Duration::from_millis(25);
+/// How often all is asked that tells two motors of one id apart.
+const ROUNDS: usize = 3;
+
+/// As [`bring_up::change_id`](crate::io::bring_up::change_id).
+///
+/// # Errors
+/// As there.
+pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    from: MotorId,
+    to: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    let there = scan(runner, MotorSet::ALL, |_, _| {}).await?;
+    if !there.contains(from) {
+        return Err(BringUpError::NotThere(from));
+    }
+    if from == to {
+        return Ok(());
+    }
+    if there.contains(to) {
+        return Err(BringUpError::IdTaken(to));
+    }
+    if is_shared(runner, from).await? {
+        return Err(BringUpError::IdShared(from));
+    }
+    // Some drives keep nothing unless they are shut down.
+    runner.ask(from, Shutdown).await?;
+    let is_alone = there.len() == 1;
+    let is_taken = is_taken_by_function_5(runner, from, to).await?
+        || is_alone && is_taken_by_0x79(runner, to).await?;
+    if !is_taken {
+        return Err(BringUpError::IdNotTaken { from, to, is_alone });
+    }
+    // Some answer under the new id without that.
+    if !is_there(runner, to).await? {
+        restart(runner, from, to).await?;
+    }
+    if is_there(runner, from).await? {
+        return Err(BringUpError::IdShared(from));
+    }
+    runner.master().forget(from);
+    Ok(())
+}
+
+/// Whether the motor has acknowledged the id, under the old one or the new one.
+async fn is_taken_by_function_5<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    from: MotorId,
+    to: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    let command = FunctionControl::SetCanId(to);
+    let echo = command.encode();
+    let mut is_taken = false;
+    let mut hear = |event| {
+        if let Event::Stray { motor, data } = event {
+            is_taken |= (motor == from || motor == to) && data == echo;
+        }
+    };
+    // It is over when it was sent: drives were seen to take it without an answer.
+    runner.ask_with(from, command, None, &mut hear).await?;
+    let end = runner.now() + ACKNOWLEDGED_IN;
+    runner.run_until(end, hear).await?;
+    Ok(is_taken || is_there(runner, to).await?)
+}
+
+/// Whether somebody has acknowledged the id that goes to all who are connected.
+async fn is_taken_by_0x79<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    to: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    runner.master().broadcast(BusId::Write(to), to.into())?;
+    let mut is_taken = false;
+    let end = runner.now() + ACKNOWLEDGED_IN;
+    let hear = |event| {
+        is_taken |= matches!(event, Event::BroadcastReply { reply: AnyReply::BusId(_), .. });
+    };
+    runner.run_until(end, hear).await?;
+    Ok(is_taken || is_there(runner, to).await?)
+}
+
+/// As [`bring_up::is_shared`](crate::io::bring_up::is_shared).
+///
+/// # Errors
+/// As there.
+pub async fn is_shared<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    id: MotorId,
+) -> Result<bool, CallError<R::Error>> {
+    for _ in 0..ROUNDS {
+        let is_one = answers_once(runner, id, ReadStatus2).await?
+            && answers_once(runner, id, ReadRunTime).await?
+            && answers_once(runner, id, ReadStatus3).await?
+            && answers_once(runner, id, ReadMultiTurnAngle).await?
+            && answers_once(runner, id, ReadStatus1).await?;
+        if !is_one {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// Whether exactly one readable answer comes.
+async fn answers_once<R: AsyncRunner<N>, C: Command, const N: usize>(
+    runner: &mut R,
+    id: MotorId,
+    command: C,
+) -> Result<bool, CallError<R::Error>> {
+    let mut is_once = true;
+    let mut hear = |event| {
+        if matches!(event, Event::Stray { motor, .. } if motor == id) {
+            is_once = false;
+        }
+    };
+    match runner.ask_with(id, command, None, &mut hear).await {
+        Ok(_) => {}
+        Err(CallError::Failed(Failure::NoReply | Failure::Unreadable(_))) => return Ok(false),
+        Err(error) => return Err(error),
+    }
+    let both_have_answered = runner.now() + SECOND_ANSWER;
+    runner.run_until(both_have_answered, hear).await?;
+    Ok(is_once)
+}

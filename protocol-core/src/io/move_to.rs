@@ -1,0 +1,318 @@
+//! Moving a motor to an angle, watched until it is there.
+
+use core::fmt;
+use core::ops::ControlFlow;
+
+use crate::command::{
+    AbsolutePosition, Command, ErrorFlags, Feedback, ForcePosition, IncrementalPosition,
+    ReadMultiTurnAngle, ReadStatus1, ReadStatus2,
+};
+use crate::id::MotorId;
+use crate::io::asking::CallError;
+use crate::io::async_runner::AsyncRunner;
+use crate::master::StopKind;
+use crate::opcode::Repeat;
+use crate::time::{Duration, Instant};
+use crate::units::{Angle, MaxSpeed};
+
+/// How often the motor is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// How often its errors are looked at, in looks.
+const ERRORS_EVERY: u32 = 5;
+/// How often a command that names a place is sent if no reply comes.
+const ATTEMPTS: u8 = 3;
+/// What every way is given, and how many times as long as it should take besides.
+const START: Duration = Duration::from_secs(5);
+const TIMES: u64 = 3;
+/// What a motor without a limit of speed is expected to reach.
+const UNLIMITED_DPS: u16 = 90;
+
+/// A command that moves a motor to an angle: 0xA4, 0xA8 or 0xA9.
+pub trait MoveCommand: Command + Copy {
+    /// Where it ends, from here; `None` if that is further than an angle can be.
+    fn target(&self, here: Angle) -> Option<Angle>;
+
+    /// The fastest turning on the way.
+    fn max_speed(&self) -> MaxSpeed;
+}
+
+impl MoveCommand for AbsolutePosition {
+    fn target(&self, _: Angle) -> Option<Angle> {
+        Some(self.angle)
+    }
+
+    fn max_speed(&self) -> MaxSpeed {
+        self.max_speed
+    }
+}
+
+impl MoveCommand for ForcePosition {
+    fn target(&self, _: Angle) -> Option<Angle> {
+        Some(self.angle)
+    }
+
+    fn max_speed(&self) -> MaxSpeed {
+        self.max_speed
+    }
+}
+
+impl MoveCommand for IncrementalPosition {
+    fn target(&self, here: Angle) -> Option<Angle> {
+        here.raw().checked_add(self.angle.raw()).map(Angle::from_raw)
+    }
+
+    fn max_speed(&self) -> MaxSpeed {
+        self.max_speed
+    }
+}
+
+/// When a move has arrived, and when it has failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct MoveLimits {
+    /// So near to the target, and standing still, the motor has arrived.
+    pub tolerance: Angle,
+    /// How long the move may take; `None` for 5 s and three times what the way takes at full speed, or at
+    /// 90 dps where there is no limit of speed.
+    pub time: Option<Duration>,
+    /// A motor that comes no nearer for so long has stalled.
+    pub stalled_after: Duration,
+}
+
+/// Within 0.2 degrees, in the usual time, and with no more than a second without progress.
+impl Default for MoveLimits {
+    fn default() -> Self {
+        Self { tolerance: Angle::from_raw(20), time: None, stalled_after: Duration::from_secs(1) }
+    }
+}
+
+/// A look at a motor on its way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct MoveProgress {
+    /// Where the move began.
+    pub from: Angle,
+    /// Where it is to end.
+    pub target: Angle,
+    /// How long it has taken so far.
+    pub time: Duration,
+    /// Where the motor is.
+    pub angle: Angle,
+    /// Its temperature, torque current and speed.
+    pub feedback: Feedback,
+}
+
+/// Why a motor has not arrived.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub enum MoveFailure<E> {
+    /// A call on the way has no answer.
+    #[error(transparent)]
+    Call(#[from] CallError<E>),
+    /// A relative move ends further away than an angle can be.
+    #[error("from {here} the move ends further than an angle can be")]
+    OutOfRange {
+        /// Where the motor is.
+        here: Angle,
+    },
+    /// The drive reports errors.
+    #[error("the drive reports an error ({0})")]
+    Fault(ErrorFlags),
+    /// It came no nearer for a while.
+    #[error("it stands at {at} and not at {target}: does a load or a limit of angle hold it?")]
+    Stalled {
+        /// Where it is.
+        at: Angle,
+        /// Where it should be.
+        target: Angle,
+    },
+    /// The time is up.
+    #[error("it is at {at} and not at {target} when its time is up")]
+    TimedOut {
+        /// Where it is.
+        at: Angle,
+        /// Where it should be.
+        target: Angle,
+    },
+    /// The caller gave it up.
+    #[error("the move was given up")]
+    GivenUp,
+}
+
+/// A motor has not arrived, and was told to stop for that.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct NotArrived<E> {
+    /// The motor.
+    pub motor: MotorId,
+    /// Why.
+    pub why: MoveFailure<E>,
+    /// Whether it has confirmed the stop (0x81). If not, **cut its power**.
+    pub is_stopped: bool,
+}
+
+impl<E: fmt::Debug> fmt::Display for NotArrived<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "motor {} has not arrived: {}; ", self.motor, self.why)?;
+        f.write_str(if self.is_stopped {
+            "it is stopped"
+        } else {
+            "it has not confirmed the stop: cut its power"
+        })
+    }
+}
+
+impl<E: fmt::Debug> core::error::Error for NotArrived<E> {}
+
+/// As [`bring_up::move_to`](crate::io::bring_up::move_to). If this future is dropped on the way, the stop is
+/// in force, and the first thing that any other future of the loop sends.
+///
+/// # Errors
+/// As there.
+pub async fn move_to<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    command: C,
+    limits: &MoveLimits,
+    on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
+) -> Result<MoveProgress, NotArrived<R::Error>> {
+    let mut moving = Moving { runner, motor, is_over: false };
+    let outcome = go(moving.runner, motor, command, limits, on_look).await;
+    let result = match outcome {
+        Ok(arrival) => Ok(arrival),
+        Err(why) => {
+            let is_stopped = moving.runner.stop(motor, StopKind::Hold).await;
+            Err(NotArrived { motor, why, is_stopped })
+        }
+    };
+    moving.is_over = true;
+    result
+}
+
+/// Puts the stop in force when it is dropped on the way.
+struct Moving<'a, R: AsyncRunner<N>, const N: usize> {
+    runner: &'a mut R,
+    motor: MotorId,
+    is_over: bool,
+}
+
+impl<R: AsyncRunner<N>, const N: usize> Drop for Moving<'_, R, N> {
+    fn drop(&mut self) {
+        if !self.is_over {
+            // It was asked where it is, so it has a place.
+            let _ = self.runner.master().stop(self.motor, StopKind::Hold);
+        }
+    }
+}
+
+async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    command: C,
+    limits: &MoveLimits,
+    mut on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
+) -> Result<MoveProgress, MoveFailure<R::Error>> {
+    let from = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
+    let target = command.target(from).ok_or(MoveFailure::OutOfRange { here: from })?;
+    // One that names a place may be sent again.
+    let attempts = if command.kind().repeat() == Repeat::ActsAgain { 1 } else { ATTEMPTS };
+    let patience = runner.master().patience(attempts);
+    runner.ask_with(motor, command, Some(patience), |_| {}).await?;
+
+    let start = runner.now();
+    let time = limits.time.unwrap_or_else(|| usual_time(from, target, command.max_speed()));
+    let mut nearest = Nearest { distance: u32::MAX, since: start };
+    let mut looks = 0;
+    loop {
+        runner.run_until(start + LOOK_EVERY.times(looks), |_| {}).await?;
+        let angle = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
+        let feedback = runner.ask(motor, ReadStatus2).await?;
+        let now = runner.now();
+        let progress = MoveProgress { from, target, time: now - start, angle, feedback };
+        let distance = angle.raw().abs_diff(target.raw());
+        let tolerance = limits.tolerance.raw().unsigned_abs();
+        if distance <= tolerance && feedback.speed.raw() == 0 {
+            return Ok(progress);
+        }
+        if looks % ERRORS_EVERY == 0 {
+            let errors = runner.ask(motor, ReadStatus1).await?.errors;
+            if !errors.is_empty() {
+                return Err(MoveFailure::Fault(errors));
+            }
+        }
+        if on_look(&progress).is_break() {
+            return Err(MoveFailure::GivenUp);
+        }
+        if nearest.has_stalled(distance, tolerance, now, limits.stalled_after) {
+            return Err(MoveFailure::Stalled { at: angle, target });
+        }
+        if progress.time > time {
+            return Err(MoveFailure::TimedOut { at: angle, target });
+        }
+        looks += 1;
+    }
+}
+
+/// How near the motor came so far, and when.
+struct Nearest {
+    distance: u32,
+    since: Instant,
+}
+
+impl Nearest {
+    /// Whether it has come no nearer for so long: what is less than the tolerance does not count.
+    fn has_stalled(
+        &mut self,
+        distance: u32,
+        tolerance: u32,
+        now: Instant,
+        after: Duration,
+    ) -> bool {
+        if distance.saturating_add(tolerance) < self.distance {
+            *self = Self { distance, since: now };
+        }
+        now - self.since > after
+    }
+}
+
+/// How long a motor usually takes at the most.
+fn usual_time(from: Angle, to: Angle, max_speed: MaxSpeed) -> Duration {
+    let dps = match max_speed.raw() {
+        0 => UNLIMITED_DPS,
+        dps => dps,
+    };
+    let hundredths = u64::from(from.raw().abs_diff(to.raw()));
+    START + Duration::from_micros(TIMES * hundredths * 10_000 / u64::from(dps))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_way_is_given_three_times_what_it_takes_and_five_seconds() {
+        let time = |from, to, dps| {
+            usual_time(Angle::from_raw(from), Angle::from_raw(to), MaxSpeed::from_raw(dps))
+                .as_millis()
+        };
+        assert_eq!(time(0, 9_000, 90), 8_000);
+        assert_eq!(time(1_000, -8_000, 45), 11_000);
+        assert_eq!(time(0, 9_000, 0), 8_000);
+    }
+
+    #[test]
+    fn what_comes_no_nearer_by_more_than_the_tolerance_has_stalled() {
+        let at = Instant::from_millis;
+        let after = Duration::from_millis(100);
+        let mut nearest = Nearest { distance: u32::MAX, since: at(0) };
+        assert!(!nearest.has_stalled(1_000, 20, at(10), after));
+        assert!(!nearest.has_stalled(970, 20, at(90), after), "it came nearer");
+        assert!(!nearest.has_stalled(960, 20, at(190), after));
+        assert!(nearest.has_stalled(955, 20, at(191), after), "by a creep");
+    }
+}

@@ -1,0 +1,55 @@
+//! Ways of working are written once, for tasks; a loop that polls runs them, too.
+
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
+
+use crate::io::async_runner::AsyncRunner;
+use crate::io::runner::{LONGEST_IDLE, Runner};
+use crate::master::{Event, Master};
+use crate::time::{Duration, Instant};
+
+/// How long a bus that reports an error is left alone.
+const AFTER_AN_ERROR: Duration = Duration::from_millis(1);
+
+/// A loop that polls, as one for tasks: where those wait, it lets its clock idle.
+pub(super) struct Polled<'a, R: ?Sized>(pub(super) &'a mut R);
+
+impl<R: Runner<N> + ?Sized, const N: usize> AsyncRunner<N> for Polled<'_, R> {
+    type Error = R::Error;
+
+    fn master(&mut self) -> &mut Master<N> {
+        self.0.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, R::Error> {
+        loop {
+            let event = self.0.poll();
+            let now = self.0.now();
+            match event {
+                Ok(None) if until.is_none_or(|until| now < until) => {}
+                Ok(event) => return Ok(event),
+                Err(error) => {
+                    self.0.idle(now + AFTER_AN_ERROR);
+                    return Err(error);
+                }
+            }
+            let latest = now + LONGEST_IDLE;
+            self.0.idle(until.map_or(latest, |until| until.min(latest)));
+        }
+    }
+}
+
+/// Runs a future over [`Polled`] to its end: it never has to be woken.
+pub(super) fn at_once<F: Future>(future: F) -> F::Output {
+    let mut future = pin!(future);
+    let mut context = Context::from_waker(Waker::noop());
+    loop {
+        if let Poll::Ready(output) = future.as_mut().poll(&mut context) {
+            return output;
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! What waits for more than one answer: joint questions, set-points with their feedback, watched moves.
+
+use std::ops::ControlFlow;
+
+use myactuator_host_std::sim::Fleet;
+use myactuator_protocol_core::RequestError;
+use myactuator_protocol_core::command::{
+    AnyReply, IncrementalPosition, ReadModel, ReadMultiTurnAngle, Stop,
+};
+use myactuator_protocol_core::io::bring_up::{self, MoveFailure, MoveLimits};
+use myactuator_protocol_core::io::{CallError, Runner};
+use myactuator_protocol_core::master::{Failure, StopKind};
+use myactuator_tests::fleet::{master, state, turn_to};
+use myactuator_tests::listen::listen;
+use myactuator_tests::on_both_buses;
+use myactuator_tests::values::{degrees, go_to, id, millis, push, turn, up_to};
+use myactuator_tests::wire::Wire;
+
+on_both_buses! {
+    each_question_has_its_own_answer
+    the_bus_runs_until_then
+    a_set_point_is_waited_for_with_its_own_feedback
+    a_set_point_that_cannot_be_sent_or_is_not_answered_is_told
+    the_newest_feedback_is_kept
+    a_motor_arrives_and_holds
+    a_relative_move_is_one_from_where_the_shaft_is
+    a_motor_that_is_held_has_stalled_and_is_stopped
+    a_move_ends_when_its_time_is_up
+    a_move_is_given_up
+    a_fault_on_the_way_ends_the_move
+    a_motor_that_falls_silent_has_not_confirmed_its_stop
+}
+
+fn each_question_has_its_own_answer<W: Wire>() {
+    let bus = W::drives(&Fleet::new(4)).unwrap();
+    let runner = &mut master(&bus);
+    for (drive, angle) in bus.drives.iter().zip([10.0, 20.0, 30.0, 40.0]) {
+        turn_to(drive, angle);
+    }
+    listen(runner, millis(20));
+    // Also one that nobody answers, and one that waits for the other to the same motor.
+    let asked = [1, 2, 9, 4, 3, 4].map(|motor| (id(motor), ReadMultiTurnAngle));
+    let answers = runner.ask_together(asked);
+    let told = answers.map(|answer| answer.map(|reply| reply.angle.degrees().round()));
+    let silent = Err(CallError::Failed(Failure::NoReply));
+    assert_eq!(told, [Ok(10.0), Ok(20.0), silent, Ok(40.0), Ok(30.0), Ok(40.0)]);
+
+    runner.master().stop(id(2), StopKind::Hold).unwrap();
+    listen(runner, millis(50));
+    let moved = runner.ask_together([1, 2].map(|motor| (id(motor), turn(5.0))));
+    assert!(moved[0].is_ok());
+    assert_eq!(moved[1], Err(RequestError::Stopped.into()));
+    let none: [_; 0] = runner.ask_together::<ReadModel, 0>([]);
+    assert!(none.is_empty());
+}
+
+#[test]
+fn on_can_four_are_asked_in_less_than_the_time_of_two() {
+    let fleet = Fleet::new(4).on_can(1_000_000).unwrap();
+    let mut bus = fleet.master::<8>();
+    let begun = bus.now();
+    bus.ask(id(1), ReadMultiTurnAngle).unwrap();
+    let one = bus.now() - begun;
+    let begun = bus.now();
+    let asked = [1, 2, 3, 4].map(|motor| (id(motor), ReadMultiTurnAngle));
+    assert!(bus.ask_together(asked).iter().all(Result::is_ok));
+    assert!(bus.now() - begun < one.times(2), "{} for four, {one} for one", bus.now() - begun);
+}
+
+fn the_bus_runs_until_then<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    let ticket = runner.master().request(id(1), ReadMultiTurnAngle).unwrap();
+    let mut told = Vec::new();
+    let begun = runner.now();
+    runner.run_until(begun + millis(30), |event| told.push(event)).unwrap();
+    assert_eq!(runner.now() - begun, millis(30));
+    assert!(matches!(told[..], [event] if ticket.outcome(&event).is_some_and(|it| it.is_ok())));
+    // A loop that is late does not stop sending and hearing.
+    let ticket = runner.master().request(id(1), ReadMultiTurnAngle).unwrap();
+    let mut outcome = None;
+    let mut rounds = 0;
+    while outcome.is_none() {
+        runner.run_until(begun, |event| outcome = ticket.outcome(&event)).unwrap();
+        let soon = runner.now() + millis(1);
+        runner.idle(soon);
+        rounds += 1;
+        assert!(rounds < 100);
+    }
+    assert!(matches!(outcome, Some(Ok(_))));
+}
+
+fn a_set_point_is_waited_for_with_its_own_feedback<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    // One of the same kind is under way: its feedback is not taken for that of the next.
+    runner.set_point(id(1), push(0.1)).unwrap();
+    while runner.poll().unwrap().is_some() {}
+    let sent = runner.now();
+    let feedback = runner.set_point_and_wait(id(1), push(0.2)).unwrap();
+    assert!(runner.now() - sent >= millis(1), "two exchanges take longer");
+    assert_eq!(runner.master().health(id(1)).answered, 2);
+    assert!(feedback.temperature.celsius() > 0.0);
+}
+
+fn a_set_point_that_cannot_be_sent_or_is_not_answered_is_told<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    bus.world.cut(bus.drives[0].station());
+    let silent = runner.set_point_and_wait(id(1), push(0.1));
+    // On CAN nobody acknowledges the frame, so that the bus takes no other.
+    assert!(
+        matches!(silent, Err(CallError::Failed(Failure::NoReply | Failure::Dropped))),
+        "{silent:?}"
+    );
+    bus.world.mend(bus.drives[0].station());
+    assert!(runner.stop(id(1), StopKind::Hold));
+    let refused = runner.set_point_and_wait(id(1), push(0.1));
+    assert_eq!(refused, Err(RequestError::Stopped.into()));
+}
+
+fn the_newest_feedback_is_kept<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    assert_eq!(runner.master().latest_feedback(id(1)), None);
+    runner.ask(id(1), Stop).unwrap();
+    assert_eq!(runner.master().latest_feedback(id(1)), None, "the motor follows no stream");
+    for angle in [5.0, 50.0] {
+        turn_to(&bus.drives[0], angle);
+        let feedback = runner.set_point_and_wait(id(1), push(0.0)).unwrap();
+        assert_eq!(f64::from(feedback.angle.degrees()), angle);
+        let now = runner.now();
+        let kept = runner.master().latest_feedback(id(1));
+        assert_eq!(kept, Some((AnyReply::Torque(feedback), now)));
+    }
+}
+
+const TO_90_DEG: fn() -> myactuator_protocol_core::command::AbsolutePosition = || go_to(90.0, 180);
+
+fn a_motor_arrives_and_holds<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    let mut angles = Vec::new();
+    let arrival = bring_up::move_to(runner, id(1), TO_90_DEG(), &MoveLimits::default(), |look| {
+        angles.push(look.angle.degrees());
+        ControlFlow::Continue(())
+    });
+    let arrival = arrival.expect("nothing is in its way");
+    assert!((arrival.angle.degrees() - 90.0).abs() <= 0.2, "{arrival:?}");
+    assert!(arrival.time >= millis(500), "it is no faster than 180 dps: {}", arrival.time);
+    assert!(angles.len() > 20 && angles[0] < 1.0, "it was looked at all the way: {angles:?}");
+    listen(runner, millis(500));
+    assert!((state(&bus.drives[0]).angle_deg - 90.0).abs() < 0.3, "it holds");
+}
+
+fn a_relative_move_is_one_from_where_the_shaft_is<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    turn_to(&bus.drives[0], -30.0);
+    listen(runner, millis(20));
+    let by = IncrementalPosition { max_speed: up_to(180), angle: degrees(40.0) };
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let arrival = bring_up::move_to(runner, id(1), by, &MoveLimits::default(), go_on).unwrap();
+    assert_eq!(arrival.target.degrees().round(), 10.0);
+    assert!((arrival.angle.degrees() - 10.0).abs() <= 0.3);
+}
+
+/// Moves it with its shaft held where it is, so that it does not turn, and gives what is told.
+fn held<W: Wire>(limits: &MoveLimits) -> (MoveFailure<()>, bool) {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    let drive = &bus.drives[0];
+    let not_arrived = bring_up::move_to(runner, id(1), TO_90_DEG(), limits, |_| {
+        turn_to(drive, 1.0);
+        ControlFlow::Continue(())
+    })
+    .expect_err("it is held");
+    let why = match not_arrived.why {
+        MoveFailure::Stalled { at, target } => MoveFailure::Stalled { at, target },
+        MoveFailure::TimedOut { at, target } => MoveFailure::TimedOut { at, target },
+        other => panic!("{other}"),
+    };
+    let refused = runner.set_point(id(1), push(0.1));
+    assert_eq!(refused, Err(RequestError::Stopped), "the stop holds");
+    (why, not_arrived.is_stopped)
+}
+
+fn a_motor_that_is_held_has_stalled_and_is_stopped<W: Wire>() {
+    let (why, is_stopped) = held::<W>(&MoveLimits::default());
+    assert!(
+        matches!(why, MoveFailure::Stalled { target, .. } if target == degrees(90.0)),
+        "{why:?}"
+    );
+    assert!(is_stopped);
+}
+
+fn a_move_ends_when_its_time_is_up<W: Wire>() {
+    let limits = MoveLimits { time: Some(millis(300)), ..MoveLimits::default() };
+    let (why, is_stopped) = held::<W>(&limits);
+    assert!(matches!(why, MoveFailure::TimedOut { .. }), "{why:?}");
+    assert!(is_stopped);
+}
+
+fn a_move_is_given_up<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    let not_arrived =
+        bring_up::move_to(runner, id(1), TO_90_DEG(), &MoveLimits::default(), |look| {
+            if look.angle.degrees() < 30.0 {
+                ControlFlow::Continue(())
+            } else {
+                ControlFlow::Break(())
+            }
+        })
+        .expect_err("it was given up");
+    assert_eq!((not_arrived.why, not_arrived.is_stopped), (MoveFailure::GivenUp, true));
+    listen(runner, millis(500));
+    let at = state(&bus.drives[0]).angle_deg;
+    assert!((29.0..60.0).contains(&at), "{at}");
+}
+
+fn a_fault_on_the_way_ends_the_move<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    let drive = &bus.drives[0];
+    let not_arrived = bring_up::move_to(runner, id(1), TO_90_DEG(), &MoveLimits::default(), |_| {
+        drive.with(|drive| drive.plant_mut().force_supply_voltage_v(Some(5.0)).unwrap());
+        ControlFlow::Continue(())
+    })
+    .expect_err("there is an error");
+    assert!(matches!(not_arrived.why, MoveFailure::Fault(_)), "{not_arrived}");
+}
+
+fn a_motor_that_falls_silent_has_not_confirmed_its_stop<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    let not_arrived = bring_up::move_to(runner, id(1), TO_90_DEG(), &MoveLimits::default(), |_| {
+        bus.world.cut(bus.drives[0].station());
+        ControlFlow::Continue(())
+    })
+    .expect_err("it is silent");
+    assert!(matches!(not_arrived.why, MoveFailure::Call(_)), "{not_arrived}");
+    assert!(!not_arrived.is_stopped);
+    assert!(not_arrived.to_string().ends_with("cut its power"), "{not_arrived}");
+}
