@@ -4,9 +4,10 @@ use crate::run::{lines, run_words};
 
 const README: &str = include_str!("../../../README.md");
 const CONTROL_LOOP: &str = include_str!("../../examples/control_loop.rs");
+const ASK_MOVE_STOP: &str = include_str!("../../examples/ask_move_stop.rs");
 
 #[test]
-fn the_control_loop_is_the_examples() {
+fn what_is_shown_of_the_examples_is_what_they_are() {
     let (_, section) = README.split_once("## A control loop").unwrap();
     let (_, code) = section.split_once("```rust\n").unwrap();
     let (code, _) = code.split_once("```").unwrap();
@@ -15,6 +16,12 @@ fn the_control_loop_is_the_examples() {
     assert!(imports.lines().all(|line| line.starts_with("use ")), "{imports}");
     assert!(function.contains("Guard::new(bus, StopKind::Hold)"), "{function}");
     assert!(CONTROL_LOOP.contains(function), "not in the example:\n{function}");
+
+    let (_, section) = README.split_once("## Asking, moving, stopping").unwrap();
+    let (_, code) = section.split_once("```rust\n").unwrap();
+    let (function, _) = code.split_once("```").unwrap();
+    assert!(function.contains("fn work"), "{function}");
+    assert!(ASK_MOVE_STOP.contains(function), "not in the example:\n{function}");
 }
 
 #[test]
