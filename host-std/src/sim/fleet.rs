@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use myactuator_protocol_core::command::{BaudCode, ModelName, MotionRanges, VersionDate};
 use myactuator_protocol_core::drive::{Bus, Drive, FaultLimits, Gains, Parameters, Quirks};
-use myactuator_protocol_core::io::{CanMaster, SerialMaster};
+use myactuator_protocol_core::io::{AsyncCanMaster, AsyncSerialMaster, CanMaster, SerialMaster};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::rs485::Receiver;
@@ -307,19 +307,44 @@ pub type CanFleet = BusFleet<CanBus>;
 /// Drives on an RS485 line.
 pub type LineFleet = BusFleet<Rs485Line>;
 
+impl<B: Medium> BusFleet<B> {
+    /// Runs async code on this bus; see [`World::block_on`].
+    pub fn block_on<F: Future>(&self, future: F) -> F::Output {
+        self.world.block_on(future)
+    }
+}
+
 impl CanFleet {
     /// A master on this bus.
     pub fn master<const N: usize>(&self) -> CanMaster<CanPort, SimClock<CanBus>, N> {
-        let config = Config { firmware: self.firmware, ..Config::can(self.bit_rate) };
-        CanMaster::new(self.world.port(), self.world.clock(), config)
+        CanMaster::new(self.world.port(), self.world.clock(), self.config())
+    }
+
+    /// An async master on this bus, to be run within [`block_on`](Self::block_on).
+    pub fn async_master<const N: usize>(&self) -> AsyncCanMaster<CanPort, SimClock<CanBus>, N> {
+        AsyncCanMaster::new(self.world.port(), self.world.clock(), self.config())
+    }
+
+    fn config(&self) -> Config {
+        Config { firmware: self.firmware, ..Config::can(self.bit_rate) }
     }
 }
 
 impl LineFleet {
     /// A master on this line.
     pub fn master<const N: usize>(&self) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        let config = Config { firmware: self.firmware, ..Config::rs485(self.bit_rate, false) };
-        SerialMaster::new(self.world.port(), self.world.clock(), config)
+        SerialMaster::new(self.world.port(), self.world.clock(), self.config())
+    }
+
+    /// An async master on this line, to be run within [`block_on`](Self::block_on).
+    pub fn async_master<const N: usize>(
+        &self,
+    ) -> AsyncSerialMaster<SerialPort, SimClock<Rs485Line>, N> {
+        AsyncSerialMaster::new(self.world.port(), self.world.clock(), self.config())
+    }
+
+    fn config(&self) -> Config {
+        Config { firmware: self.firmware, ..Config::rs485(self.bit_rate, false) }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Simulated drives on simulated buses: a robot on a laptop.
 //!
 //! A [`Fleet`] puts whole drives, each with its physics and memory, on one bus. Masters attach with
-//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged.
+//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged, async ones too.
 //!
 //! | module | for |
 //! |---|---|
@@ -25,11 +25,39 @@
 //! assert_eq!(reading.angle.degrees(), 0.0);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! # Tasks
+//! Async masters ([`CanFleet::async_master`], [`LineFleet::async_master`]) run in
+//! [`BusFleet::block_on`], as they do under embassy. Time stands still while any task has something to
+//! do, and then goes on to the next thing that one waits for:
+//!
+//! ```
+//! use embassy_futures::join::join;
+//! use myactuator_host_std::protocol::MotorId;
+//! use myactuator_host_std::protocol::command::{ReadMultiTurnAngle, ReadStatus1};
+//! use myactuator_host_std::protocol::io::AsyncRunner;
+//! use myactuator_host_std::sim::{Fleet, bus};
+//!
+//! let motor = MotorId::new(1)?;
+//! let (arm, hand) = (Fleet::new(6).on_can(1_000_000)?, Fleet::new(2).on_rs485(115_200)?);
+//! let (mut arm_bus, mut hand_bus) = (arm.async_master::<8>(), hand.async_master::<2>());
+//!
+//! let status = arm.block_on(arm_bus.ask(motor, ReadStatus1))?;
+//! assert_eq!(status.voltage.volts(), 48.0);
+//!
+//! // A task on each of two buses.
+//! let both = join(arm_bus.ask(motor, ReadMultiTurnAngle), hand_bus.ask(motor, ReadMultiTurnAngle));
+//! let (of_arm, of_hand) = bus::block_on(&[&arm.world, &hand.world], both);
+//! assert_eq!(of_arm?.angle, of_hand?.angle);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod bus;
 mod fleet;
 pub mod memory;
 pub mod plant;
 mod seat;
+#[cfg(test)]
+mod tests;
 
 pub use fleet::{BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive};

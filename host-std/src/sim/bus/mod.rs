@@ -14,8 +14,9 @@
 //! - [`trace`]: what was on the wire and what became of it, for tests that know the truth.
 //!
 //! Drives take part as [`Node`]s. Masters get ports, [`can::CanPort`] and [`rs485::SerialPort`],
-//! that implement the traits of embedded-can and embedded-io, and a [`SimClock`]. The same world
-//! runs against the wall clock after [`World::in_real_time`].
+//! that implement the traits of embedded-can and embedded-io, blocking and async, and a [`SimClock`].
+//! The same world runs against the wall clock after [`World::in_real_time`]. Async code runs in
+//! [`World::block_on`], on several buses at once in [`block_on`].
 //!
 //! ```
 //! use embedded_can::{Frame, StandardId, nb::Can};
@@ -48,6 +49,7 @@
 //! ```
 
 pub mod can;
+mod executor;
 pub mod faults;
 mod kernel;
 mod medium;
@@ -56,8 +58,10 @@ mod node;
 mod random;
 pub mod rs485;
 pub mod trace;
+mod waiting;
 mod world;
 
+pub use executor::{Timeline, block_on};
 pub use medium::Medium;
 pub use node::{Node, StationId};
 pub use world::{SimClock, World};

@@ -3,8 +3,9 @@
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::task::Waker;
 
-use myactuator_protocol_core::io::Clock;
+use myactuator_protocol_core::io::{AsyncClock, Clock};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::faults::{Babble, Direction, FaultPlan};
@@ -13,9 +14,12 @@ use super::medium::Medium;
 use super::nanos::{NEVER, Nanos, from_instant, to_instant};
 use super::node::{Node, StationId};
 use super::trace::{Log, Record};
+use super::waiting::{Awaited, Waiting};
 
-struct State<B: Medium> {
-    kernel: Kernel<B>,
+pub(super) struct State<B: Medium> {
+    pub(super) kernel: Kernel<B>,
+    /// Tasks.
+    pub(super) waiting: Waiting<B>,
     /// Time 0 on the wall clock; `None` in virtual time, which goes on by whoever waits.
     wall_zero: Option<std::time::Instant>,
 }
@@ -40,9 +44,9 @@ struct Shared<B: Medium> {
 /// world.
 ///
 /// In virtual time, which is the default, nothing happens between calls: the world goes on only in
-/// [`run_until`](Self::run_until) and [`step`](Self::step), in [`SimClock::idle`](Clock::idle), and in
-/// the blocking calls of serial ports. Several masters may share it, in one thread: if several threads
-/// wait, each drives time on for all.
+/// [`run_until`](Self::run_until) and [`step`](Self::step), in [`SimClock::idle`](Clock::idle), in the
+/// blocking calls of serial ports, and in [`block_on`](Self::block_on) while every task waits. Several
+/// masters may share it, in one thread: if several threads wait, each drives time on for all.
 ///
 /// After [`in_real_time`](Self::in_real_time) it follows the wall clock, is caught up to it in every
 /// call, and may be used from any number of threads.
@@ -64,7 +68,8 @@ impl<B: Medium> fmt::Debug for World<B> {
 
 impl<B: Medium> World<B> {
     pub(super) fn with_medium(bus: B, seed: u64) -> Self {
-        let state = State { kernel: Kernel::new(bus, seed), wall_zero: None };
+        let kernel = Kernel::new(bus, seed);
+        let state = State { kernel, waiting: Waiting::default(), wall_zero: None };
         Self(Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() }))
     }
 
@@ -74,12 +79,25 @@ impl<B: Medium> World<B> {
 
     /// Works on the world as it is now.
     pub(super) fn with<T>(&self, work: impl FnOnce(&mut Kernel<B>) -> T) -> T {
+        self.with_state(|state| work(&mut state.kernel))
+    }
+
+    /// As [`with`](Self::with), and on who waits.
+    pub(super) fn with_state<T>(&self, work: impl FnOnce(&mut State<B>) -> T) -> T {
         let mut state = self.lock();
         state.catch_up();
-        let result = work(&mut state.kernel);
-        drop(state);
-        self.0.changed.notify_all();
+        let result = work(&mut state);
+        self.leave(state);
         result
+    }
+
+    /// Unlocks it and wakes whoever waits for what has come.
+    fn leave(&self, mut guard: MutexGuard<'_, State<B>>) {
+        let state = &mut *guard;
+        let woken = state.waiting.take_ready(&state.kernel);
+        drop(guard);
+        self.0.changed.notify_all();
+        woken.into_iter().for_each(Waker::wake);
     }
 
     /// Lets time go on until `done` has a result, but not beyond `until`. In virtual time `None`
@@ -93,8 +111,7 @@ impl<B: Medium> World<B> {
         loop {
             state.catch_up();
             if let Some(result) = done(&mut state.kernel) {
-                drop(state);
-                self.0.changed.notify_all();
+                self.leave(state);
                 return Some(result);
             }
             let next = state.kernel.next_event();
@@ -103,11 +120,13 @@ impl<B: Medium> World<B> {
                     if until != NEVER {
                         state.kernel.run_until(until);
                     }
+                    self.leave(state);
                     return None;
                 }
                 None => state.kernel.step(next),
                 Some(zero) => {
                     if state.kernel.around.now >= until {
+                        self.leave(state);
                         return None;
                     }
                     let wake = next.min(until);
@@ -164,6 +183,24 @@ impl<B: Medium> World<B> {
             self.wait(next, |_| None::<()>);
         }
         next != NEVER
+    }
+
+    /// Ends the idling of this world's clocks, in whatever thread, as an arrival does.
+    pub fn wake(&self) {
+        self.with(|kernel| kernel.arrivals += 1);
+    }
+
+    /// When something is next due, for the world or for a task that waits for a time: how long from
+    /// now. `None` for never, if nobody does anything.
+    pub(super) fn until_next(&self) -> Option<Nanos> {
+        let state = self.lock();
+        let next = state.kernel.next_event().min(state.waiting.next_time());
+        (next != NEVER).then(|| next.saturating_sub(state.kernel.around.now))
+    }
+
+    /// Whether it follows the wall clock.
+    pub(super) fn is_in_real_time(&self) -> bool {
+        self.lock().wall_zero.is_some()
     }
 
     /// A clock for masters in this world.
@@ -245,6 +282,8 @@ impl<B: Medium> World<B> {
 /// In virtual time [`idle`](Clock::idle) lets the world go on; in real time it sleeps. Both end early
 /// as soon as something arrives at one of the world's ports, or one of them has room again for what
 /// it had refused, since this clock last looked. Each master has a clock of its own.
+///
+/// Tasks wait by [`wait_until`](AsyncClock::wait_until), within [`World::block_on`].
 #[derive(Debug)]
 pub struct SimClock<B: Medium> {
     world: World<B>,
@@ -263,5 +302,11 @@ impl<B: Medium> Clock for SimClock<B> {
         if let Some(arrivals) = self.world.wait(from_instant(until), come) {
             self.seen.store(arrivals, Ordering::Relaxed);
         }
+    }
+}
+
+impl<B: Medium> AsyncClock for SimClock<B> {
+    async fn wait_until(&mut self, until: Instant) {
+        self.world.come(Awaited::Time(from_instant(until))).await;
     }
 }

@@ -1,9 +1,11 @@
 //! A master's port on a CAN bus.
 
 use embedded_can::ErrorKind;
+use myactuator_protocol_core::io::AsyncCan;
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
 use super::CanBus;
+use crate::sim::bus::waiting::Awaited;
 use crate::sim::bus::{StationId, World};
 
 /// What a port's calls can fail with.
@@ -26,7 +28,8 @@ impl embedded_can::Error for CanError {
 /// A master's port on a simulated CAN bus, with a controller of its own.
 ///
 /// No time passes in its calls. In virtual time, a loop that does nothing but poll would therefore
-/// poll forever: let a [`SimClock`](crate::sim::bus::SimClock) idle between polls.
+/// poll forever: let a [`SimClock`](crate::sim::bus::SimClock) idle between polls. As an [`AsyncCan`] it
+/// waits, and [`World::block_on`] lets time go on meanwhile.
 ///
 /// A clone is the same port.
 #[derive(Clone, Debug)]
@@ -73,5 +76,32 @@ impl embedded_can::nb::Can for CanPort {
 
     fn receive(&mut self) -> nb::Result<SimpleFrame, CanError> {
         self.world.with(|kernel| kernel.read(self.station.0)).ok_or(nb::Error::WouldBlock)
+    }
+}
+
+impl AsyncCan for CanPort {
+    type Frame = SimpleFrame;
+    type Error = CanError;
+
+    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, CanError> {
+        loop {
+            match embedded_can::nb::Can::transmit(self, frame) {
+                Err(nb::Error::WouldBlock) => {}
+                Err(nb::Error::Other(error)) => return Err(error),
+                Ok(displaced) => return Ok(displaced),
+            }
+            self.world.come(Awaited::room_at(self.station)).await;
+        }
+    }
+
+    async fn receive(&mut self) -> Result<SimpleFrame, CanError> {
+        loop {
+            match embedded_can::nb::Can::receive(self) {
+                Err(nb::Error::WouldBlock) => {}
+                Err(nb::Error::Other(error)) => return Err(error),
+                Ok(frame) => return Ok(frame),
+            }
+            self.world.come(Awaited::received_at(self.station)).await;
+        }
     }
 }

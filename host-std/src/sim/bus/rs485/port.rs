@@ -7,6 +7,7 @@ use super::Rs485Line;
 use crate::sim::bus::kernel::Kernel;
 use crate::sim::bus::medium::sealed::Bus as _;
 use crate::sim::bus::nanos::from_duration;
+use crate::sim::bus::waiting::Awaited;
 use crate::sim::bus::{StationId, World};
 
 /// How long calls wait.
@@ -34,7 +35,8 @@ impl embedded_io::Error for SerialError {
 /// What one call of `write` takes is one message, which faults strike as a whole. Messages that are
 /// written before the line is idle again follow each other without a gap.
 ///
-/// Its calls let time go on until they have what they want, but not longer than a second.
+/// Its blocking calls let time go on until they have what they want, but not longer than a second. The
+/// async ones wait for as long as it takes, and may be dropped: what has arrived is for the next call.
 ///
 /// A clone is the same port.
 #[derive(Clone, Debug)]
@@ -86,33 +88,68 @@ impl WriteReady for SerialPort {
 impl Read for SerialPort {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, SerialError> {
         let station = self.station.0;
-        self.wait(|kernel| {
-            let mut count = 0;
-            while count < buf.len()
-                && let Some(unit) = kernel.read(station)
-            {
-                // Units are single bytes.
-                buf[count] = unit[0];
-                count += 1;
-            }
-            (count > 0 || buf.is_empty()).then_some(count)
-        })
+        self.wait(|kernel| read(kernel, station, buf))
     }
 }
 
 impl Write for SerialPort {
     fn write(&mut self, buf: &[u8]) -> Result<usize, SerialError> {
         let station = self.station.0;
-        self.wait(|kernel| {
-            let count = buf.len().min(kernel.bus.room(station));
-            // Without room this notes that somebody waits for some. Nothing finds room always.
-            let message = if count == 0 { buf } else { &buf[..count] };
-            kernel.submit(station, message.to_vec()).then_some(count)
-        })
+        self.wait(|kernel| write(kernel, station, buf))
     }
 
     /// Waits until the last byte has left and the station listens again.
     fn flush(&mut self) -> Result<(), SerialError> {
         self.wait(|kernel| kernel.bus.is_drained(self.station.0).then_some(()))
+    }
+}
+
+/// Takes what has come, unless nothing has.
+fn read(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &mut [u8]) -> Option<usize> {
+    let mut count = 0;
+    while count < buf.len()
+        && let Some(unit) = kernel.read(station)
+    {
+        // Units are single bytes.
+        buf[count] = unit[0];
+        count += 1;
+    }
+    (count > 0 || buf.is_empty()).then_some(count)
+}
+
+/// Hands over what there is room for, unless there is none.
+fn write(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &[u8]) -> Option<usize> {
+    let count = buf.len().min(kernel.bus.room(station));
+    // Without room this notes that somebody waits for some. Nothing finds room always.
+    let message = if count == 0 { buf } else { &buf[..count] };
+    kernel.submit(station, message.to_vec()).then_some(count)
+}
+
+impl embedded_io_async::Read for SerialPort {
+    async fn read(&mut self, buf: &mut [u8]) -> Result<usize, SerialError> {
+        loop {
+            if let Some(count) = self.world.with(|kernel| read(kernel, self.station.0, buf)) {
+                return Ok(count);
+            }
+            self.world.come(Awaited::received_at(self.station)).await;
+        }
+    }
+}
+
+impl embedded_io_async::Write for SerialPort {
+    async fn write(&mut self, buf: &[u8]) -> Result<usize, SerialError> {
+        loop {
+            if let Some(count) = self.world.with(|kernel| write(kernel, self.station.0, buf)) {
+                return Ok(count);
+            }
+            self.world.come(Awaited::room_at(self.station)).await;
+        }
+    }
+
+    /// Waits until the last byte has left and the station listens again.
+    async fn flush(&mut self) -> Result<(), SerialError> {
+        let is_drained = |kernel: &Kernel<Rs485Line>, station| kernel.bus.is_drained(station);
+        self.world.come(Awaited::of(self.station, is_drained)).await;
+        Ok(())
     }
 }

@@ -1,0 +1,132 @@
+//! Tasks that wait for something in a world.
+
+use std::collections::BTreeMap;
+use std::pin::Pin;
+use std::task::{Context, Poll, Waker};
+
+use super::StationId;
+use super::kernel::Kernel;
+use super::medium::Medium;
+use super::nanos::{NEVER, Nanos};
+use super::world::{State, World};
+
+/// What a task waits for.
+pub(crate) enum Awaited<B: Medium> {
+    /// The clock to show this.
+    Time(Nanos),
+    /// This to be so of this station.
+    Station(usize, fn(&Kernel<B>, usize) -> bool),
+}
+
+impl<B: Medium> Clone for Awaited<B> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<B: Medium> Copy for Awaited<B> {}
+
+impl<B: Medium> Awaited<B> {
+    /// This to be so of this station.
+    pub(crate) const fn of(station: StationId, is_so: fn(&Kernel<B>, usize) -> bool) -> Self {
+        Self::Station(station.0, is_so)
+    }
+
+    /// Something for this station to read.
+    pub(crate) fn received_at(station: StationId) -> Self {
+        Self::of(station, |kernel, station| kernel.received(station).0 > 0)
+    }
+
+    /// Room for what this station sends.
+    pub(crate) fn room_at(station: StationId) -> Self {
+        Self::of(station, |kernel, station| kernel.bus.room(station) > 0)
+    }
+
+    fn has_come(self, kernel: &Kernel<B>) -> bool {
+        match self {
+            Self::Time(at) => kernel.around.now >= at,
+            Self::Station(station, is_so) => is_so(kernel, station),
+        }
+    }
+}
+
+/// The tasks that wait, in the order in which they began to.
+pub(super) struct Waiting<B: Medium> {
+    tasks: BTreeMap<u64, (Awaited<B>, Waker)>,
+    next: u64,
+}
+
+impl<B: Medium> Default for Waiting<B> {
+    fn default() -> Self {
+        Self { tasks: BTreeMap::new(), next: 0 }
+    }
+}
+
+impl<B: Medium> Waiting<B> {
+    /// The next time that a task waits for, `NEVER` for none.
+    pub(super) fn next_time(&self) -> Nanos {
+        let times = self.tasks.values().map(|(awaited, _)| match awaited {
+            Awaited::Time(at) => *at,
+            Awaited::Station(..) => NEVER,
+        });
+        times.min().unwrap_or(NEVER)
+    }
+
+    /// Takes out those that have what they wait for.
+    pub(super) fn take_ready(&mut self, kernel: &Kernel<B>) -> Vec<Waker> {
+        let mut ready = Vec::new();
+        self.tasks.retain(|_, (awaited, waker)| {
+            let has_come = awaited.has_come(kernel);
+            if has_come {
+                ready.push(waker.clone());
+            }
+            !has_come
+        });
+        ready
+    }
+}
+
+/// A future that is done once something has come. It may be dropped and made anew at any time.
+pub(crate) struct Come<'a, B: Medium> {
+    world: &'a World<B>,
+    awaited: Awaited<B>,
+    /// Its number among those that wait.
+    number: Option<u64>,
+}
+
+impl<B: Medium> World<B> {
+    /// Waits for that.
+    pub(crate) const fn come(&self, awaited: Awaited<B>) -> Come<'_, B> {
+        Come { world: self, awaited, number: None }
+    }
+}
+
+impl<B: Medium> Future for Come<'_, B> {
+    type Output = ();
+
+    fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<()> {
+        let (awaited, earlier) = (self.awaited, self.number);
+        let number = self.world.with_state(|State { kernel, waiting, .. }| {
+            earlier.into_iter().for_each(|number| {
+                waiting.tasks.remove(&number);
+            });
+            if awaited.has_come(kernel) {
+                return None;
+            }
+            let number = waiting.next;
+            waiting.next += 1;
+            waiting.tasks.insert(number, (awaited, context.waker().clone()));
+            Some(number)
+        });
+        self.number = number;
+        if number.is_some() { Poll::Pending } else { Poll::Ready(()) }
+    }
+}
+
+impl<B: Medium> Drop for Come<'_, B> {
+    fn drop(&mut self) {
+        if let Some(number) = self.number {
+            self.world.with_state(|state| state.waiting.tasks.remove(&number));
+        }
+    }
+}
