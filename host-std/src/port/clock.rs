@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 
 /// The host's monotonic clock, in microseconds since it was made.
 ///
@@ -18,6 +18,19 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 pub struct HostClock {
     start: std::time::Instant,
     port: Option<(OwnedFd, Backlog)>,
+    waker: Option<Arc<OwnedFd>>,
+}
+
+/// Ends the idling of a [`HostClock`] from any thread.
+#[derive(Clone, Debug)]
+pub struct HostWaker(Arc<OwnedFd>);
+
+impl HostWaker {
+    /// Ends the clock's idling; if it does not idle now, that of the next time.
+    pub fn wake(&self) {
+        // It fails only when it was woken 2^64 times already.
+        let _ = rustix::io::write(&self.0, &1_u64.to_ne_bytes());
+    }
 }
 
 /// Whether a port has something to send that it could not get rid of. Ports and clocks share it, so
@@ -44,7 +57,7 @@ impl Default for HostClock {
 impl HostClock {
     /// A clock that sleeps when it idles.
     pub fn new() -> Self {
-        Self { start: std::time::Instant::now(), port: None }
+        Self { start: std::time::Instant::now(), port: None, waker: None }
     }
 
     /// A clock that idles until this socket or serial port can be read.
@@ -61,17 +74,40 @@ impl HostClock {
         Ok(Self { port: Some((port, backlog)), ..Self::new() })
     }
 
-    /// Waits for the port, or just for the time.
+    /// What ends this clock's idling from another thread.
+    ///
+    /// # Errors
+    /// What the operating system reports when it has no file descriptor left.
+    pub fn waker(&mut self) -> io::Result<HostWaker> {
+        if let Some(waker) = &self.waker {
+            return Ok(HostWaker(Arc::clone(waker)));
+        }
+        let waker = Arc::new(eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK)?);
+        self.waker = Some(Arc::clone(&waker));
+        Ok(HostWaker(waker))
+    }
+
+    /// Waits for the port and the waker, or just for the time.
     fn wait(&self, span: Duration) {
         let span = std::time::Duration::from(span);
         let Ok(timeout) = Timespec::try_from(span) else { return };
-        let mut fds = self.port.as_ref().map(|(port, backlog)| {
+        let mut port = self.port.as_ref().map(|(port, backlog)| {
             let out = if backlog.is_blocked() { PollFlags::OUT } else { PollFlags::empty() };
             PollFd::new(port, PollFlags::IN | out)
         });
         // A signal ends the wait early, so that a program soon sees what its handler noted. Any other
         // error the next use of the port will tell.
-        let _ = poll(fds.as_mut_slice(), Some(&timeout));
+        let Some(waker) = &self.waker else {
+            let _ = poll(port.as_mut_slice(), Some(&timeout));
+            return;
+        };
+        let woken = PollFd::new(waker, PollFlags::IN);
+        // Twice the same where there is no port.
+        let mut fds = [woken.clone(), port.unwrap_or(woken)];
+        let _ = poll(&mut fds, Some(&timeout));
+        if !fds[0].revents().is_empty() {
+            let _ = rustix::io::read(waker, &mut [0; 8]);
+        }
     }
 }
 
@@ -119,6 +155,32 @@ mod tests {
         other.write_all(&[1]).unwrap();
         for until in [clock.now() + NEVER, Instant::from_micros(u64::MAX)] {
             clock.idle(until);
+        }
+    }
+
+    #[test]
+    fn idles_only_until_it_is_woken() {
+        let (end, _other) = UnixStream::pair().unwrap();
+        for mut clock in [HostClock::new(), HostClock::for_port(&end).unwrap()] {
+            let waker = clock.waker().unwrap();
+            // Before it idles, and from another thread.
+            waker.wake();
+            clock.idle(clock.now() + NEVER);
+            let waking = std::thread::spawn({
+                let waker = clock.waker().unwrap();
+                move || waker.wake()
+            });
+            clock.idle(clock.now() + NEVER);
+            waking.join().unwrap();
+            // Once is once.
+            let until = clock.now() + SOON;
+            while clock.now() < until {
+                clock.idle(until);
+            }
+            assert!(
+                poll(&mut [PollFd::new(&waker.0, PollFlags::IN)], Some(&Timespec::default()))
+                    == Ok(0)
+            );
         }
     }
 

@@ -7,7 +7,7 @@
 //! | USB-CAN adapter that speaks SLCAN | [`Slcan`] |
 //! | RS485 adapter on a serial port | [`Rs485`] |
 //!
-//! None of them blocks; [`HostClock`] waits for them by `ppoll`.
+//! None of them blocks; [`HostClock`] waits for them by `ppoll`, and [`HostWaker`] ends that.
 //!
 //! ```no_run
 //! use myactuator_host_std::port::SocketCan;
@@ -33,7 +33,7 @@ mod slcan;
 mod tty;
 
 pub use can::SocketCan;
-pub use clock::HostClock;
+pub use clock::{HostClock, HostWaker};
 pub use error::PortError;
 pub use serial::Rs485;
 pub use slcan::Slcan;
