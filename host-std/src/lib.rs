@@ -7,6 +7,7 @@
 //! | [`port`] | real buses on Linux: SocketCAN, SLCAN adapters, RS485 | `text` | `port` |
 //! | [`sim`] | simulated drives on simulated buses, under a virtual clock or in real time | | `sim` |
 //! | [`open`] | a master on whatever bus one string names, real or simulated | `port`, `sim` | both |
+//! | [`share`] | one bus for many threads: a thread runs it, the others have handles | `open` | both |
 //! | [`serve`] | simulated drives offered to other programs | `text`, `port`, `sim` | both |
 //!
 //! A layer uses those that it stands on and no other; `port` and `sim` know nothing of each other.
@@ -19,8 +20,8 @@
 //! | (none) | [`text`], [`BusKind`] and [`protocol`] | embedded-can, thiserror |
 //! | `explain` | [`explain`] | serde_json |
 //! | `port` | [`port`] | socketcan, serial2, rustix, embedded-io, nb |
-//! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io, nb |
-//! | `port` and `sim` | [`open`], [`serve`] | |
+//! | `sim` | [`sim`] | crc, rand_chacha, serde, serde_json, toml, embedded-io and its async traits, nb |
+//! | `port` and `sim` | [`open`], [`share`], [`serve`] | |
 //! | `cli` (default) | the program `myactuator`, and all of the above | clap, indicatif, signal-hook |
 //! | `can-stack` | nothing: a test that takes its machine's CAN interfaces is built | |
 //!
@@ -36,6 +37,8 @@ pub mod open;
 pub mod port;
 #[cfg(all(feature = "port", feature = "sim"))]
 pub mod serve;
+#[cfg(all(feature = "port", feature = "sim"))]
+pub mod share;
 #[cfg(feature = "sim")]
 pub mod sim;
 pub mod text;

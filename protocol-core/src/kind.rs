@@ -31,7 +31,8 @@ impl Kind {
     /// The kind of a command that claims to be of this kind, by its bytes: where the table has their
     /// command byte, what the table says of it holds, so that nobody's own [`Command`](crate::Command)
     /// gets round a rule by a wrong claim.
-    pub(crate) fn of_bytes(self, data: &Data) -> Self {
+    #[must_use]
+    pub fn of_bytes(self, data: &Data) -> Self {
         if let Self::Known(Opcode::Motion) = self {
             return self;
         }

@@ -1,16 +1,19 @@
 //! A master on whatever bus an address names.
 
+use std::io;
+use std::sync::Arc;
+
 use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
 use myactuator_protocol_core::master::{Config, Event, Master};
 use myactuator_protocol_core::time::Instant;
 
 use super::{BusAddress, BusError};
 use crate::BusKind;
-use crate::port::{HostClock, Rs485, Slcan, SocketCan};
+use crate::port::{HostClock, PortError, Rs485, Slcan, SocketCan};
 use crate::sim::Fleet;
-use crate::sim::bus::SimClock;
 use crate::sim::bus::can::{CanBus, CanPort};
 use crate::sim::bus::rs485::{Rs485Line, SerialPort};
+use crate::sim::bus::{Medium, SimClock, World};
 
 /// A master of up to `N` motors, real or simulated: the same [`Runner`] whatever the bus.
 #[derive(Debug)]
@@ -42,39 +45,86 @@ impl<const N: usize> AnyMaster<N> {
     /// # Errors
     /// As [`open`](Self::open).
     pub fn open_with(address: &BusAddress, config: Config) -> Result<Self, BusError> {
-        match address {
+        Ok(Self::open_as(address, config, Use::Alone)?.0)
+    }
+
+    /// Opens this bus for a thread of its own: with what ends its [`idle`](Runner::idle) from others, and a
+    /// simulated one in real time.
+    pub(crate) fn open_shared(address: &BusAddress) -> Result<(Self, Wake), BusError> {
+        Self::open_as(address, address.config(), Use::Shared)
+    }
+
+    fn open_as(address: &BusAddress, config: Config, used: Use) -> Result<(Self, Wake), BusError> {
+        let host = |clock: HostClock| {
+            used.of_host(clock).map_err(|error| PortError::os(&address.to_string(), error))
+        };
+        Ok(match address {
             BusAddress::Simulated { motors, kind } => {
                 // Its handles keep the simulated world alive. Motors with brakes, so that what must
                 // release them first is not forgotten until it runs on a robot.
                 let fleet = Fleet::new(*motors).brakes(true);
                 let rate = address.bit_rate().unwrap_or_default();
-                Ok(match kind {
+                match kind {
                     BusKind::Can => {
-                        let world = fleet.on_can(rate)?.world;
+                        let (world, wake) = used.of_simulated(fleet.on_can(rate)?.world);
                         let master = CanMaster::new(world.port(), world.clock(), config);
-                        Self::SimulatedCan(master)
+                        (Self::SimulatedCan(master), wake)
                     }
                     BusKind::Rs485 => {
-                        let world = fleet.on_rs485(rate)?.world;
+                        let (world, wake) = used.of_simulated(fleet.on_rs485(rate)?.world);
                         let master = SerialMaster::new(world.port(), world.clock(), config);
-                        Self::SimulatedRs485(master)
+                        (Self::SimulatedRs485(master), wake)
                     }
-                })
+                }
             }
             BusAddress::SocketCan { interface } => {
                 let can = SocketCan::open(interface)?;
-                let clock = can.clock()?;
-                Ok(Self::SocketCan(CanMaster::new(can, clock, config)))
+                let (clock, wake) = host(can.clock()?)?;
+                (Self::SocketCan(CanMaster::new(can, clock, config)), wake)
             }
             BusAddress::Slcan { path, rate } => {
                 let can = Slcan::open(path, *rate)?;
-                let clock = can.clock()?;
-                Ok(Self::Slcan(CanMaster::new(can, clock, config)))
+                let (clock, wake) = host(can.clock()?)?;
+                (Self::Slcan(CanMaster::new(can, clock, config)), wake)
             }
             BusAddress::Rs485 { path, bit_rate, echo: _ } => {
                 let serial = Rs485::open(path, *bit_rate)?;
-                let clock = serial.clock()?;
-                Ok(Self::Rs485(SerialMaster::new(serial, clock, config)))
+                let (clock, wake) = host(serial.clock()?)?;
+                (Self::Rs485(SerialMaster::new(serial, clock, config)), wake)
+            }
+        })
+    }
+}
+
+/// Ends the idling of a bus's clock from any thread.
+pub(crate) type Wake = Arc<dyn Fn() + Send + Sync>;
+
+/// Who is going to run a bus.
+#[derive(Clone, Copy)]
+enum Use {
+    /// Its caller.
+    Alone,
+    /// A thread of its own, which others wake.
+    Shared,
+}
+
+impl Use {
+    fn of_simulated<B: Medium>(self, world: World<B>) -> (World<B>, Wake) {
+        match self {
+            Self::Alone => (world, Arc::new(|| {})),
+            Self::Shared => {
+                let world = world.in_real_time();
+                (world.clone(), Arc::new(move || world.wake()))
+            }
+        }
+    }
+
+    fn of_host(self, mut clock: HostClock) -> io::Result<(HostClock, Wake)> {
+        match self {
+            Self::Alone => Ok((clock, Arc::new(|| {}))),
+            Self::Shared => {
+                let waker = clock.waker()?;
+                Ok((clock, Arc::new(move || waker.wake())))
             }
         }
     }

@@ -23,4 +23,5 @@ mod error;
 
 pub use address::BusAddress;
 pub use any_master::AnyMaster;
+pub(crate) use any_master::Wake;
 pub use error::BusError;

@@ -108,7 +108,7 @@ fn told_of_interfaces(there: &[String]) -> String {
 }
 
 impl PortError {
-    pub(super) fn os(bus: &str, error: io::Error) -> Self {
+    pub(crate) fn os(bus: &str, error: io::Error) -> Self {
         Self::Os { bus: bus.to_owned(), error: Arc::new(error) }
     }
 

@@ -1,0 +1,423 @@
+//! Where callers lay down what they want, and the thread of the bus takes it up.
+//!
+//! Everything is under one lock, so what counts is the order of the calls: a stop drops what is older
+//! here and now, and refuses what comes after it, whether or not the thread has seen it yet.
+
+use std::collections::VecDeque;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use myactuator_protocol_core::command::{AnyReply, RawReply, SetPoint};
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, StopKind};
+use myactuator_protocol_core::{Command, Data, DecodeError, Kind, MotorId};
+
+use super::SharedBusError;
+use super::subscription::{Subscriber, Subscription};
+use crate::open::Wake;
+
+/// A command whose type only its caller knows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Untyped {
+    kind: Kind,
+    data: Data,
+}
+
+impl Untyped {
+    pub(super) fn of(command: &impl Command) -> Self {
+        let data = command.encode();
+        Self { kind: command.kind().of_bytes(&data), data }
+    }
+}
+
+impl Command for Untyped {
+    type Reply = RawReply;
+
+    fn kind(&self) -> Kind {
+        self.kind
+    }
+
+    fn encode(&self) -> Data {
+        self.data
+    }
+
+    fn decode_reply(data: &Data) -> Result<RawReply, DecodeError> {
+        Ok(RawReply(*data))
+    }
+}
+
+// Whether it is one the master sees by its kind.
+impl SetPoint for Untyped {}
+
+/// Where the answer to a call goes.
+pub(super) type Answer<T, E> = SyncSender<Result<T, SharedBusError<E>>>;
+
+/// Where a caller waits for it, if the call could be laid down.
+pub(super) type Awaited<T, E> = Result<Receiver<Result<T, SharedBusError<E>>>, SharedBusError<E>>;
+
+/// A question that is still to be put.
+#[derive(Debug)]
+pub(super) struct Question<E> {
+    pub(super) motor: MotorId,
+    pub(super) command: Untyped,
+    pub(super) patience: Option<Patience>,
+    pub(super) answer: Answer<Data, E>,
+}
+
+/// What goes before all questions and set-points, in the order in which it was said.
+#[derive(Debug)]
+pub(super) enum Order<E> {
+    StopAll { kind: StopKind, also: MotorSet, answer: Answer<MotorSet, E> },
+    Stop { motor: MotorId, kind: StopKind, answer: Answer<MotorSet, E> },
+    LiftStop,
+    LiftStopOf(MotorId),
+    Resume(MotorId),
+}
+
+/// The newest feedback of a motor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Latest {
+    /// What it said, to its set-point stream or by itself.
+    pub reply: AnyReply,
+    /// When that was heard.
+    pub heard_at: Instant,
+}
+
+/// What a motor's callers have left and may find.
+#[derive(Debug, Default)]
+struct Slot {
+    /// The newest set-point, until it is taken up.
+    set_point: Option<Untyped>,
+    /// Why an earlier one was not taken.
+    refusal: Option<RequestError>,
+    latest: Option<Latest>,
+}
+
+/// Whether the bus still runs.
+#[derive(Debug)]
+enum Life {
+    Running,
+    /// Nobody has a handle any more.
+    Closing,
+    /// The thread has panicked, with these words.
+    Panicked(Arc<str>),
+}
+
+#[derive(Debug)]
+struct State<E> {
+    life: Life,
+    orders: Vec<Order<E>>,
+    questions: VecDeque<Question<E>>,
+    slots: [Slot; MotorId::COUNT],
+    stops_all: bool,
+    stopped: MotorSet,
+    /// An error that nobody was told yet.
+    error: Option<Arc<E>>,
+    subscribers: Vec<Subscriber>,
+    /// Something was laid down since the thread last took up what there is.
+    has_news: bool,
+    /// The thread idles, and has to be woken for what is new.
+    is_idle: bool,
+}
+
+/// Who takes it all up.
+pub(super) trait Clerk<E> {
+    fn obey(&mut self, order: Order<E>);
+
+    fn set_point(&mut self, motor: MotorId, set_point: Untyped) -> Result<(), RequestError>;
+
+    /// Puts a question; gives it back if it has to wait.
+    fn put(&mut self, question: Question<E>) -> Option<Question<E>>;
+}
+
+pub(super) struct Desk<E> {
+    state: Mutex<State<E>>,
+    /// Something was laid down.
+    changed: Condvar,
+    wake: Option<Wake>,
+}
+
+impl<E> Desk<E> {
+    pub(super) fn new(wake: Option<Wake>) -> Self {
+        let state = State {
+            life: Life::Running,
+            orders: Vec::new(),
+            questions: VecDeque::new(),
+            slots: std::array::from_fn(|_| Slot::default()),
+            stops_all: false,
+            stopped: MotorSet::EMPTY,
+            error: None,
+            subscribers: Vec::new(),
+            has_news: false,
+            is_idle: false,
+        };
+        Self { state: Mutex::new(state), changed: Condvar::new(), wake }
+    }
+
+    /// Whether the thread can be woken while it idles.
+    pub(super) const fn wakes(&self) -> bool {
+        self.wake.is_some()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<E>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Unlocks it and has the thread look at it.
+    fn leave(&self, mut state: MutexGuard<'_, State<E>>) {
+        state.has_news = true;
+        let was_idle = std::mem::take(&mut state.is_idle);
+        drop(state);
+        self.changed.notify_one();
+        if let Some(wake) = self.wake.as_ref().filter(|_| was_idle) {
+            wake();
+        }
+    }
+
+    // ---- the callers' side ----
+
+    /// Lays down a question.
+    pub(super) fn ask(
+        &self,
+        motor: MotorId,
+        command: Untyped,
+        patience: Option<Patience>,
+    ) -> Awaited<Data, E> {
+        let (answer, answered) = sync_channel(1);
+        let mut state = self.lock();
+        state.check(motor, command.kind)?;
+        if command.kind.ends_motion() {
+            state.slot(motor).set_point = None;
+        }
+        state.questions.push_back(Question { motor, command, patience, answer });
+        self.leave(state);
+        Ok(answered)
+    }
+
+    /// Lays down a set-point in place of an older one.
+    pub(super) fn set_point(
+        &self,
+        motor: MotorId,
+        command: Untyped,
+    ) -> Result<(), SharedBusError<E>> {
+        let mut state = self.lock();
+        state.check(motor, command.kind)?;
+        let slot = state.slot(motor);
+        if let Some(refusal) = slot.refusal.take() {
+            return Err(refusal.into());
+        }
+        slot.set_point = Some(command);
+        self.leave(state);
+        Ok(())
+    }
+
+    /// Stops all. The answer is who has not confirmed it.
+    pub(super) fn stop_all(&self, kind: StopKind, also: MotorSet) -> Awaited<MotorSet, E> {
+        let (answer, answered) = sync_channel(1);
+        let mut state = self.lock();
+        state.stops_all = true;
+        state.drop_what_moves(MotorSet::ALL);
+        state.order(Order::StopAll { kind, also, answer })?;
+        self.leave(state);
+        Ok(answered)
+    }
+
+    pub(super) fn stop(&self, motor: MotorId, kind: StopKind) -> Awaited<MotorSet, E> {
+        let (answer, answered) = sync_channel(1);
+        let mut state = self.lock();
+        state.stopped.insert(motor);
+        state.drop_what_moves(motor.into());
+        state.order(Order::Stop { motor, kind, answer })?;
+        self.leave(state);
+        Ok(answered)
+    }
+
+    pub(super) fn lift_stop(&self) -> Result<(), SharedBusError<E>> {
+        let mut state = self.lock();
+        (state.stops_all, state.stopped) = (false, MotorSet::EMPTY);
+        state.order(Order::LiftStop)?;
+        self.leave(state);
+        Ok(())
+    }
+
+    pub(super) fn lift_stop_of(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
+        let mut state = self.lock();
+        state.stopped.remove(motor);
+        state.order(Order::LiftStopOf(motor))?;
+        self.leave(state);
+        Ok(())
+    }
+
+    pub(super) fn resume(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
+        let mut state = self.lock();
+        state.slot(motor).refusal = None;
+        state.order(Order::Resume(motor))?;
+        self.leave(state);
+        Ok(())
+    }
+
+    pub(super) fn latest(&self, motor: MotorId) -> Option<Latest> {
+        self.lock().slot(motor).latest
+    }
+
+    pub(super) fn subscribe(&self, room: usize) -> Subscription {
+        let (subscriber, subscription) = Subscriber::new(room);
+        let mut state = self.lock();
+        // Of what has ended there is nothing to be told.
+        if matches!(state.life, Life::Running) {
+            state.subscribers.push(subscriber);
+        }
+        subscription
+    }
+
+    /// Nobody has a handle any more.
+    pub(super) fn close(&self) {
+        let mut state = self.lock();
+        if matches!(state.life, Life::Running) {
+            state.life = Life::Closing;
+        }
+        self.leave(state);
+    }
+
+    /// Waits for an answer.
+    pub(super) fn wait<T>(&self, awaited: Awaited<T, E>) -> Result<T, SharedBusError<E>> {
+        // Only a thread that has ended answers nothing, and it has said why.
+        awaited?.recv().unwrap_or_else(|_| Err(self.lock().last_words()))
+    }
+
+    // ---- the thread's side ----
+
+    /// Hands the clerk what is there: orders, then set-points, then questions. False when it is time to
+    /// end.
+    pub(super) fn take(&self, clerk: &mut impl Clerk<E>) -> bool {
+        let mut guard = self.lock();
+        let state = &mut *guard;
+        (state.is_idle, state.has_news) = (false, false);
+        state.orders.drain(..).for_each(|order| clerk.obey(order));
+        for (slot, motor) in state.slots.iter_mut().zip(MotorId::all()) {
+            if let Some(set_point) = slot.set_point.take()
+                && let Err(refusal) = clerk.set_point(motor, set_point)
+            {
+                slot.refusal = Some(refusal);
+            }
+        }
+        // What one motor is asked, it is asked in that order.
+        let mut busy = MotorSet::EMPTY;
+        for question in std::mem::take(&mut state.questions) {
+            let motor = question.motor;
+            let left = if busy.contains(motor) { Some(question) } else { clerk.put(question) };
+            if let Some(question) = left {
+                busy.insert(motor);
+                state.questions.push_back(question);
+            }
+        }
+        matches!(state.life, Life::Running)
+    }
+
+    /// Says that the thread is going to idle. False if there is something new.
+    pub(super) fn may_idle(&self) -> bool {
+        let mut state = self.lock();
+        state.is_idle = !state.has_news;
+        state.is_idle
+    }
+
+    /// Waits until something is laid down, but not for longer.
+    pub(super) fn wait_for_callers(&self, longest: Duration) {
+        let state = self.lock();
+        let result = self.changed.wait_timeout_while(state, longest, |state| !state.has_news);
+        drop(result.unwrap_or_else(PoisonError::into_inner));
+    }
+
+    /// Hands an event to whoever wants it.
+    pub(super) fn publish(&self, event: &Event) {
+        let mut state = self.lock();
+        state.subscribers.retain(|subscriber| subscriber.tell(event));
+        let heard = match *event {
+            Event::Feedback { motor, reply } => Some((motor, reply)),
+            Event::Report { motor, reply } | Event::BroadcastReply { motor, reply } => {
+                event.feedback().map(|_| (motor, reply))
+            }
+            _ => None,
+        };
+        if let Some((motor, reply)) = heard {
+            state.slot(motor).latest = Some(Latest { reply, heard_at: Instant::now() });
+        }
+    }
+
+    /// The bus has failed. `told` were told so already.
+    pub(super) fn fail(&self, error: &Arc<E>, told: usize) {
+        let mut state = self.lock();
+        let waiting = std::mem::take(&mut state.questions);
+        if told + waiting.len() == 0 {
+            state.error = Some(Arc::clone(error));
+        }
+        for question in waiting {
+            let _ = question.answer.send(Err(SharedBusError::Bus(Arc::clone(error))));
+        }
+    }
+
+    /// The thread ends: by a panic with these words, or because nobody has a handle.
+    pub(super) fn end(&self, panicked: Option<Arc<str>>) {
+        let mut state = self.lock();
+        if let Some(words) = panicked {
+            state.life = Life::Panicked(words);
+        }
+        // Whoever waits is told by that.
+        state.orders.clear();
+        state.questions.clear();
+        state.subscribers.clear();
+    }
+}
+
+impl<E> State<E> {
+    fn slot(&mut self, motor: MotorId) -> &mut Slot {
+        &mut self.slots[motor.index()]
+    }
+
+    /// Whether a command may be laid down.
+    fn check(&mut self, motor: MotorId, kind: Kind) -> Result<(), SharedBusError<E>> {
+        if let Life::Panicked(_) = self.life {
+            return Err(self.last_words());
+        }
+        if let Some(error) = self.error.take() {
+            return Err(SharedBusError::Bus(error));
+        }
+        let is_stopped = self.stops_all || self.stopped.contains(motor);
+        if is_stopped && kind.is_refused_while_stopped() {
+            return Err(RequestError::Stopped.into());
+        }
+        Ok(())
+    }
+
+    fn order(&mut self, order: Order<E>) -> Result<(), SharedBusError<E>> {
+        if let Life::Panicked(_) = self.life {
+            return Err(self.last_words());
+        }
+        self.orders.push(order);
+        Ok(())
+    }
+
+    /// A stop drops whatever is older than it.
+    fn drop_what_moves(&mut self, motors: MotorSet) {
+        for motor in motors.iter() {
+            self.slot(motor).set_point = None;
+        }
+        self.questions.retain(|question| {
+            let is_dropped =
+                motors.contains(question.motor) && question.command.kind.is_refused_while_stopped();
+            if is_dropped {
+                let stopped = SharedBusError::Failed(Failure::Stopped);
+                let _ = question.answer.send(Err(stopped));
+            }
+            !is_dropped
+        });
+    }
+
+    fn last_words(&self) -> SharedBusError<E> {
+        SharedBusError::Panicked(match &self.life {
+            Life::Panicked(words) => Arc::clone(words),
+            Life::Running | Life::Closing => Arc::from("nobody is there any more"),
+        })
+    }
+}

@@ -1,0 +1,47 @@
+//! What can go wrong with a bus in a thread of its own.
+
+use std::fmt;
+use std::sync::Arc;
+
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::master::Failure;
+
+use crate::open::BusError;
+
+/// Why a call to a [`SharedBus`](super::SharedBus) has no answer: what
+/// [`CallError`](myactuator_protocol_core::io::CallError) is to a loop, and what may have become of the
+/// thread.
+#[derive(thiserror::Error)]
+pub enum SharedBusError<E = BusError> {
+    /// The bus driver reports an error; several callers may get the same. A command may have been sent
+    /// all the same.
+    #[error("the bus reports an error: {0:?}")]
+    Bus(Arc<E>),
+    /// The command could not be sent as asked.
+    #[error(transparent)]
+    Request(#[from] RequestError),
+    /// It was sent, and has no answer, or a stop came before it.
+    #[error("{0}")]
+    Failed(Failure),
+    /// The bus driver panicked, with these words, and the thread has ended.
+    #[error("the thread of the bus has panicked: {0}")]
+    Panicked(Arc<str>),
+}
+
+impl<E> Clone for SharedBusError<E> {
+    fn clone(&self) -> Self {
+        match self {
+            Self::Bus(error) => Self::Bus(Arc::clone(error)),
+            Self::Request(error) => Self::Request(*error),
+            Self::Failed(failure) => Self::Failed(*failure),
+            Self::Panicked(words) => Self::Panicked(Arc::clone(words)),
+        }
+    }
+}
+
+/// The same sentence as `Display`, as [`BusError`] has it.
+impl<E: fmt::Debug> fmt::Debug for SharedBusError<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}

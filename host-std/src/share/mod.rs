@@ -1,0 +1,65 @@
+//! One bus for many threads: a thread of its own runs the master, and everybody else has handles.
+//!
+//! Stands above [`open`](crate::open), and takes any other loop as well. A [`SharedBus`] is a handle:
+//! clone it and give the clones away. Calls from several threads are under way at the same time, so
+//! eight threads that ask eight motors fill the bus as one control loop does.
+//!
+//! ```
+//! use std::thread;
+//!
+//! use myactuator_host_std::open::BusAddress;
+//! use myactuator_host_std::protocol::MotorId;
+//! use myactuator_host_std::protocol::command::{ReadMultiTurnAngle, ReleaseBrake, Speed};
+//! use myactuator_host_std::protocol::master::{MotorSet, StopKind};
+//! use myactuator_host_std::protocol::units::{MaxTorque, SpeedTarget};
+//! use myactuator_host_std::share::SharedBus;
+//!
+//! let address: BusAddress = "sim:4".parse()?;
+//! let bus = SharedBus::open(&address, StopKind::Hold)?;
+//!
+//! // Every motor is asked by a thread of its own.
+//! let asking = MotorId::all().take(4).map(|motor| {
+//!     let bus = bus.clone();
+//!     thread::spawn(move || bus.ask(motor, ReadMultiTurnAngle))
+//! });
+//! for asking in asking.collect::<Vec<_>>() {
+//!     let reading = asking.join().expect("the thread ends")?;
+//!     assert_eq!(reading.angle.degrees(), 0.0);
+//! }
+//!
+//! // A set-point never waits for the bus; what the motor says of it is kept.
+//! let elbow = MotorId::new(2)?;
+//! bus.ask(elbow, ReleaseBrake)?;
+//! let turn = Speed { max_torque: MaxTorque::from_raw(50), speed: SpeedTarget::from_dps(30.0)? };
+//! while bus.latest(elbow).is_none() {
+//!     bus.set_point(elbow, turn)?;
+//!     thread::yield_now();
+//! }
+//!
+//! // Any thread may stop all motors; who has not confirmed it needs its power cut.
+//! let unconfirmed = bus.stop_all(StopKind::Hold, MotorSet::EMPTY)?;
+//! assert!(unconfirmed.is_empty());
+//! assert!(bus.set_point(elbow, turn).is_err(), "until the stop is lifted");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # What ends it
+//! When the last handle is dropped, all motors are stopped and the thread ends; the drop waits for that.
+//! A program that is killed stops nothing: set the motors' communication-loss protection (0xB3).
+//!
+//! An error of the bus is told to all who wait for an answer; if nobody does, to whoever calls next. The
+//! thread goes on and tries again. A panic in the bus's driver stops the motors, as far as that driver
+//! still works, and is told to everybody from then on.
+
+mod desk;
+mod error;
+mod shared_bus;
+mod subscription;
+#[cfg(test)]
+mod tests;
+mod worker;
+
+pub use desk::Latest;
+pub use error::SharedBusError;
+pub use shared_bus::SharedBus;
+pub use subscription::Subscription;

@@ -1,0 +1,227 @@
+//! The handle.
+
+use std::fmt;
+use std::sync::Arc;
+use std::thread::{self, JoinHandle};
+
+use myactuator_protocol_core::command::SetPoint;
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{Failure, MotorSet, Patience, StopKind};
+use myactuator_protocol_core::{Command, MotorId};
+
+use super::desk::{Desk, Latest, Untyped};
+use super::{SharedBusError, Subscription, worker};
+use crate::open::{AnyMaster, BusAddress, BusError, Wake};
+
+/// As many motors as the protocol has ids for.
+const MOTORS: usize = MotorId::COUNT;
+
+/// A bus that a thread of its own runs; see [the module](super). A handle: clones share the bus, and the
+/// last one that is dropped stops all motors, waits for that and ends the thread.
+///
+/// What a call waits for is the bus's affair alone: no other caller's question delays it, unless it is
+/// to the same motor.
+pub struct SharedBus<E = BusError>(Arc<Running<E>>);
+
+/// The thread, for as long as somebody has a handle.
+struct Running<E> {
+    desk: Arc<Desk<E>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl<E> Drop for Running<E> {
+    fn drop(&mut self) {
+        self.desk.close();
+        if let Some(thread) = self.thread.take() {
+            // Its panics were caught, and told.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl<E> Clone for SharedBus<E> {
+    fn clone(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
+impl<E> fmt::Debug for SharedBus<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("SharedBus").finish_non_exhaustive()
+    }
+}
+
+impl SharedBus {
+    /// Opens the bus that this names, for up to 32 motors; a simulated one in real time. When it ends,
+    /// motors are stopped in this way.
+    ///
+    /// # Errors
+    /// [`BusError`] tells why it cannot be opened, and what to do.
+    ///
+    /// # Panics
+    /// If the operating system has no thread left.
+    pub fn open(address: &BusAddress, at_end: StopKind) -> Result<Self, BusError> {
+        let (master, wake) = AnyMaster::<MOTORS>::open_shared(address)?;
+        Ok(Self::run(master, Some(wake), at_end))
+    }
+}
+
+impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
+    /// Runs this loop in a thread. When it ends, motors are stopped in this way.
+    ///
+    /// The loop's clock cannot be woken, so a call waits for up to 1 ms before the loop sees it, unless a
+    /// frame comes first; [`with_wake`](Self::with_wake) spares that. A simulated bus in virtual time
+    /// goes on while somebody waits for its answer, and stands still otherwise.
+    ///
+    /// # Panics
+    /// If the operating system has no thread left.
+    pub fn new<R, const N: usize>(runner: R, at_end: StopKind) -> Self
+    where
+        R: Runner<N, Error = E> + Send + 'static,
+    {
+        Self::run(runner, None, at_end)
+    }
+
+    /// As [`new`](Self::new), with a function that ends the loop's [`idle`](Runner::idle), or its next one if
+    /// it does not idle now: [`HostWaker::wake`](crate::port::HostWaker::wake), or
+    /// [`World::wake`](crate::sim::bus::World::wake) of a world in real time.
+    ///
+    /// # Panics
+    /// As there.
+    pub fn with_wake<R, const N: usize>(
+        runner: R,
+        wake: impl Fn() + Send + Sync + 'static,
+        at_end: StopKind,
+    ) -> Self
+    where
+        R: Runner<N, Error = E> + Send + 'static,
+    {
+        Self::run(runner, Some(Arc::new(wake)), at_end)
+    }
+
+    fn run<R, const N: usize>(runner: R, wake: Option<Wake>, at_end: StopKind) -> Self
+    where
+        R: Runner<N, Error = E> + Send + 'static,
+    {
+        let desk = Arc::new(Desk::new(wake));
+        let thread = thread::Builder::new().name("myactuator-bus".to_owned()).spawn({
+            let desk = Arc::clone(&desk);
+            move || worker::run(runner, &desk, at_end)
+        });
+        let thread = thread.expect("the operating system has a thread left");
+        Self(Arc::new(Running { desk, thread: Some(thread) }))
+    }
+
+    /// Sends a command to one motor and waits for its answer, or until it was sent if it has none. Other
+    /// threads' questions are under way meanwhile; to one motor they go in their order.
+    ///
+    /// # Errors
+    /// [`SharedBusError`].
+    pub fn ask<C: Command>(
+        &self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<C::Reply, SharedBusError<E>> {
+        self.put(motor, &command, None)
+    }
+
+    /// As [`ask`](Self::ask), with a patience of its own.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn ask_with<C: Command>(
+        &self,
+        motor: MotorId,
+        command: C,
+        patience: Patience,
+    ) -> Result<C::Reply, SharedBusError<E>> {
+        self.put(motor, &command, Some(patience))
+    }
+
+    fn put<C: Command>(
+        &self,
+        motor: MotorId,
+        command: &C,
+        patience: Option<Patience>,
+    ) -> Result<C::Reply, SharedBusError<E>> {
+        let desk = &self.0.desk;
+        let reply = desk.wait(desk.ask(motor, Untyped::of(command), patience))?;
+        C::decode_reply(&reply).map_err(|error| SharedBusError::Failed(Failure::Unreadable(error)))
+    }
+
+    /// Puts a set-point in a motor's stream, whoever put the one before it: only the newest waits. Never
+    /// waits itself.
+    ///
+    /// # Errors
+    /// [`SharedBusError::Request`]: the motors were stopped, or the set-point before this one was not taken,
+    /// as [`Master::set_point`](myactuator_protocol_core::master::Master::set_point) has it; then this one
+    /// was not put either. [`SharedBusError::Bus`] if the bus failed and nobody was told yet.
+    pub fn set_point<C: SetPoint>(
+        &self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<(), SharedBusError<E>> {
+        self.0.desk.set_point(motor, Untyped::of(&command))
+    }
+
+    /// Stops all motors that were spoken to and those of `also`, before anything else is sent, and waits
+    /// until each has confirmed it, or not, for up to
+    /// [a second](myactuator_protocol_core::io::LONGEST_STOP). Gives those that have not: **cut their
+    /// power**. Whatever may move a motor and still waits, of any thread, is dropped, and nothing of that
+    /// kind is taken until [`lift_stop`](Self::lift_stop).
+    ///
+    /// # Errors
+    /// [`SharedBusError::Panicked`]: nobody is there to stop them. **Cut their power.**
+    pub fn stop_all(&self, kind: StopKind, also: MotorSet) -> Result<MotorSet, SharedBusError<E>> {
+        let desk = &self.0.desk;
+        desk.wait(desk.stop_all(kind, also))
+    }
+
+    /// Stops one motor, as [`stop_all`](Self::stop_all) stops all, and says whether it has confirmed it. If
+    /// not: **cut its power**.
+    ///
+    /// # Errors
+    /// [`SharedBusError::Request`] if the master has no place for it, [`SharedBusError::Panicked`].
+    pub fn stop(&self, motor: MotorId, kind: StopKind) -> Result<bool, SharedBusError<E>> {
+        let desk = &self.0.desk;
+        Ok(desk.wait(desk.stop(motor, kind))?.is_empty())
+    }
+
+    /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse. Does not
+    /// wait.
+    ///
+    /// # Errors
+    /// [`SharedBusError::Panicked`].
+    pub fn lift_stop(&self) -> Result<(), SharedBusError<E>> {
+        self.0.desk.lift_stop()
+    }
+
+    /// Accepts again what [`stop`](Self::stop) made it refuse to this motor. Does not wait.
+    ///
+    /// # Errors
+    /// [`SharedBusError::Panicked`].
+    pub fn lift_stop_of(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
+        self.0.desk.lift_stop_of(motor)
+    }
+
+    /// Takes set-points again for a motor that [has
+    /// restarted](myactuator_protocol_core::master::Event::Restarted): the caller knows where it is.
+    ///
+    /// # Errors
+    /// [`SharedBusError::Panicked`].
+    pub fn resume(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
+        self.0.desk.resume(motor)
+    }
+
+    /// The newest feedback of a motor: to its set-points, or reported by itself. `None` if there is none
+    /// yet. Does not wait.
+    pub fn latest(&self, motor: MotorId) -> Option<Latest> {
+        self.0.desk.latest(motor)
+    }
+
+    /// Everything that the bus reports from now on, to be taken at leisure: up to so many events wait
+    /// (at least one), and what comes then is lost, and counted.
+    pub fn subscribe(&self, room: usize) -> Subscription {
+        self.0.desk.subscribe(room)
+    }
+}

@@ -1,0 +1,349 @@
+//! Threads on one bus of simulated drives, in real time.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Barrier};
+use std::thread;
+
+use myactuator_protocol_core::command::{
+    AbsolutePosition, ReadMultiTurnAngle, ReadStatus1, Shutdown, Speed,
+};
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io::{CanMaster, Runner};
+use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
+use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
+use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
+
+use super::desk::{Clerk, Desk, Order, Question, Untyped};
+use super::{SharedBus, SharedBusError};
+use crate::sim::bus::SimClock;
+use crate::sim::bus::can::{CanBus, CanError, CanPort};
+use crate::sim::bus::trace::{self, Log};
+use crate::sim::{CanFleet, Fleet};
+
+type SimMaster = CanMaster<CanPort, SimClock<CanBus>, 8>;
+
+fn id(number: u8) -> MotorId {
+    MotorId::new(number).unwrap()
+}
+
+fn turn(dps: f32) -> Speed {
+    let speed = SpeedTarget::from_dps(dps).unwrap();
+    Speed { max_torque: MaxTorque::from_raw(0), speed }
+}
+
+/// Drives in real time, and the bus that they are on.
+fn shared(motors: u8) -> (CanFleet, SharedBus<CanError>) {
+    let fleet = Fleet::new(motors).on_can(1_000_000).unwrap();
+    let world = fleet.world.clone().in_real_time();
+    let bus = SharedBus::with_wake(fleet.master::<8>(), move || world.wake(), StopKind::Hold);
+    (fleet, bus)
+}
+
+/// The packets that were on the wire since this was last asked.
+fn packets(log: &Log<SimpleFrame>) -> Vec<Packet> {
+    let carried = log.take().into_iter().filter_map(|record| match record.event {
+        trace::Event::Carried { frame, .. } => Some(frame),
+        _ => None,
+    });
+    let packets = carried.filter_map(|frame| match can::decode(&frame) {
+        Received::Packet(packet) => Some(packet),
+        _ => None,
+    });
+    packets.collect()
+}
+
+#[test]
+fn eight_threads_ask_eight_motors_at_once_and_get_their_own_answers() {
+    let (fleet, bus) = shared(8);
+    for drive in &fleet.drives {
+        let angle = 10.0 * f64::from(drive.motor().get());
+        drive.with(|drive| drive.plant_mut().set_output_angle_deg(angle)).unwrap();
+    }
+    let log = fleet.world.log();
+    let start = Arc::new(Barrier::new(8));
+    let threads = MotorId::all().take(8).map(|motor| {
+        let (bus, start) = (bus.clone(), Arc::clone(&start));
+        thread::spawn(move || {
+            start.wait();
+            for _ in 0..25 {
+                let angle = bus.ask(motor, ReadMultiTurnAngle).unwrap().angle.degrees();
+                assert!((angle - 10.0 * f32::from(motor.get())).abs() < 0.1, "{motor}: {angle}");
+            }
+        })
+    });
+    threads.collect::<Vec<_>>().into_iter().for_each(|thread| thread.join().unwrap());
+    // They are under way together.
+    let (mut in_flight, mut most) = (MotorSet::EMPTY, 0);
+    for packet in packets(&log) {
+        match packet.channel {
+            Channel::Command(Target::Motor(motor)) => in_flight.insert(motor),
+            Channel::Reply(motor) => in_flight.remove(motor),
+            other => panic!("{other}"),
+        }
+        most = most.max(in_flight.len());
+    }
+    assert!(most > 1, "one at a time");
+}
+
+#[test]
+fn any_thread_stops_what_another_moves_and_whoever_waits_is_told() {
+    let (fleet, bus) = shared(2);
+    let log = fleet.world.log();
+    let moving = thread::spawn({
+        let bus = bus.clone();
+        move || loop {
+            if let Err(error) = bus.set_point(id(1), turn(90.0)) {
+                return error;
+            }
+            thread::sleep(std::time::Duration::from_micros(500));
+        }
+    });
+    // This one does not hear its command.
+    fleet.world.cut(fleet.drives[1].station());
+    let asking = thread::spawn({
+        let bus = bus.clone();
+        let for_ever = Patience { reply_timeout: Duration::from_secs(3_600), attempts: 1 };
+        let goal =
+            AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
+        move || bus.ask_with(id(2), goal, for_ever)
+    });
+    let is_asked = |packet: &Packet| packet.channel == Channel::Command(id(2).into());
+    while bus.latest(id(1)).is_none() || !packets(&log).iter().any(is_asked) {
+        thread::yield_now();
+    }
+    fleet.world.mend(fleet.drives[1].station());
+
+    assert_eq!(bus.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+    let refused = moving.join().unwrap();
+    assert!(matches!(refused, SharedBusError::Request(RequestError::Stopped)), "{refused}");
+    let told = asking.join().unwrap().unwrap_err();
+    assert!(matches!(told, SharedBusError::Failed(Failure::Stopped)), "{told}");
+
+    // Nothing that moves follows it, until it is lifted.
+    packets(&log);
+    assert!(bus.set_point(id(1), turn(90.0)).is_err());
+    assert!(bus.ask(id(1), turn(90.0)).is_err());
+    bus.ask(id(1), ReadStatus1).unwrap();
+    assert!(packets(&log).iter().all(|packet| packet.data[0] == 0x9A));
+    bus.lift_stop().unwrap();
+    bus.ask(id(1), turn(90.0)).unwrap();
+    // One of them alone.
+    assert!(bus.stop(id(1), StopKind::Hold).unwrap());
+    assert!(bus.ask(id(1), turn(90.0)).is_err());
+    bus.ask(id(2), turn(90.0)).unwrap();
+    bus.lift_stop_of(id(1)).unwrap();
+    bus.ask(id(1), turn(90.0)).unwrap();
+}
+
+#[test]
+fn the_last_handle_stops_the_motors_and_ends_the_thread() {
+    let (fleet, bus) = shared(1);
+    let log = fleet.world.log();
+    let (clone, mut events) = (bus.clone(), bus.subscribe(1_000));
+    bus.ask(id(1), turn(90.0)).unwrap();
+    drop(bus);
+    clone.ask(id(1), ReadStatus1).unwrap();
+    assert!(packets(&log).iter().all(|packet| packet.data[0] != 0x81));
+    drop(clone);
+    let sent: Vec<_> = packets(&log).iter().map(|packet| packet.data[0]).collect();
+    assert_eq!(sent, [0x81, 0x81], "the stop and its confirmation");
+    // The two answers, and the end.
+    assert_eq!(events.by_ref().count(), 2);
+    assert_eq!(events.next(), None);
+}
+
+#[test]
+fn who_does_not_take_its_events_loses_them_and_holds_nobody_up() {
+    let (_fleet, bus) = shared(1);
+    let (mut slow, quick) = (bus.subscribe(3), bus.subscribe(1_000));
+    drop(bus.subscribe(1));
+    for _ in 0..20 {
+        bus.ask(id(1), ReadMultiTurnAngle).unwrap();
+    }
+    // The last answer may be on its way to the subscribers.
+    drop(bus);
+    assert_eq!((slow.by_ref().count(), slow.lost()), (3, 17));
+    assert_eq!((quick.lost(), std::iter::from_fn(|| quick.try_next()).count()), (0, 20));
+}
+
+/// What a bus is to do next.
+const WORK: u32 = 0;
+const FAIL_ONCE: u32 = 1;
+const FAIL: u32 = 2;
+const PANIC_ONCE: u32 = 3;
+
+/// A bus that fails when it is told to.
+struct Fragile(SimMaster, Arc<AtomicU32>);
+
+impl Runner<8> for Fragile {
+    type Error = CanError;
+
+    fn master(&mut self) -> &mut Master<8> {
+        self.0.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, CanError> {
+        let order = self.1.load(Ordering::SeqCst);
+        if order != FAIL {
+            self.1.store(WORK, Ordering::SeqCst);
+        }
+        match order {
+            WORK => self.0.poll(),
+            PANIC_ONCE => panic!("the adapter is on fire"),
+            _ => Err(CanError::BusOff),
+        }
+    }
+
+    fn idle(&mut self, until: Instant) {
+        self.0.idle(until);
+    }
+}
+
+/// One in virtual time, which nothing wakes.
+fn fragile() -> (CanFleet, Arc<AtomicU32>, SharedBus<CanError>) {
+    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    let order = Arc::new(AtomicU32::new(WORK));
+    let bus = SharedBus::new(Fragile(fleet.master(), Arc::clone(&order)), StopKind::Hold);
+    (fleet, order, bus)
+}
+
+#[test]
+fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
+    let (_fleet, order, bus) = fragile();
+    let is_bus_off =
+        |error| matches!(error, SharedBusError::Bus(error) if *error == CanError::BusOff);
+    bus.ask(id(1), ReadStatus1).unwrap();
+    order.store(FAIL_ONCE, Ordering::SeqCst);
+    while order.load(Ordering::SeqCst) != WORK {
+        thread::yield_now();
+    }
+    // The thread may be about to lay the error down.
+    let told = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
+    assert!(is_bus_off(told));
+    bus.ask(id(1), ReadStatus1).unwrap();
+
+    order.store(FAIL, Ordering::SeqCst);
+    for _ in 0..3 {
+        let told = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
+        assert!(is_bus_off(told));
+    }
+    // A stop goes on trying.
+    let stopping = thread::spawn({
+        let bus = bus.clone();
+        move || bus.stop_all(StopKind::Hold, MotorSet::EMPTY)
+    });
+    let is_stopped = |error| matches!(error, SharedBusError::Request(RequestError::Stopped));
+    while !bus.set_point(id(1), turn(1.0)).is_err_and(is_stopped) {
+        thread::yield_now();
+    }
+    order.store(WORK, Ordering::SeqCst);
+    assert_eq!(stopping.join().unwrap().unwrap(), MotorSet::EMPTY);
+}
+
+#[test]
+fn a_panic_of_the_bus_stops_the_motors_and_is_told() {
+    let (fleet, order, bus) = fragile();
+    let log = fleet.world.log();
+    bus.ask(id(1), turn(90.0)).unwrap();
+    let mut events = bus.subscribe(100);
+    order.store(PANIC_ONCE, Ordering::SeqCst);
+    let told = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
+    assert!(matches!(told, SharedBusError::Panicked(words) if &*words == "the adapter is on fire"));
+    assert!(matches!(bus.set_point(id(1), turn(1.0)), Err(SharedBusError::Panicked(_))));
+    assert!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).is_err());
+    assert_eq!(events.by_ref().filter(|event| !matches!(event, Event::Reply { .. })).count(), 0);
+    drop(bus);
+    assert_eq!(packets(&log).last().map(|packet| packet.data[0]), Some(0x81));
+}
+
+/// Notes what it gets; is always busy with questions.
+#[derive(Default)]
+struct Notes(Vec<String>);
+
+impl Clerk<CanError> for Notes {
+    fn obey(&mut self, order: Order<CanError>) {
+        self.0.push(match order {
+            Order::StopAll { .. } => "stop all".to_owned(),
+            Order::LiftStop => "lift".to_owned(),
+            other => panic!("{other:?}"),
+        });
+    }
+
+    fn set_point(&mut self, motor: MotorId, set_point: Untyped) -> Result<(), RequestError> {
+        self.0.push(format!("{motor}: {set_point:?}"));
+        if motor == id(3) { Err(RequestError::Restarted) } else { Ok(()) }
+    }
+
+    fn put(&mut self, question: Question<CanError>) -> Option<Question<CanError>> {
+        self.0.push(format!("{}?", question.motor));
+        Some(question)
+    }
+}
+
+fn taken(desk: &Desk<CanError>) -> Vec<String> {
+    let mut notes = Notes::default();
+    assert!(desk.take(&mut notes));
+    notes.0
+}
+
+fn set(motor: u8, dps: f32) -> String {
+    format!("{motor}: {:?}", Untyped::of(&turn(dps)))
+}
+
+#[test]
+fn of_set_points_the_newest_is_taken_once() {
+    let desk = Desk::new(None);
+    for (motor, dps) in [(1, 10.0), (2, 20.0), (1, 30.0)] {
+        desk.set_point(id(motor), Untyped::of(&turn(dps))).unwrap();
+    }
+    assert_eq!(taken(&desk), [set(1, 30.0), set(2, 20.0)]);
+    assert!(taken(&desk).is_empty());
+    // What was refused is told once, in place of the next.
+    desk.set_point(id(3), Untyped::of(&turn(1.0))).unwrap();
+    assert_eq!(taken(&desk), [set(3, 1.0)]);
+    let told = desk.set_point(id(3), Untyped::of(&turn(2.0))).unwrap_err();
+    assert!(matches!(told, SharedBusError::Request(RequestError::Restarted)), "{told}");
+    assert!(taken(&desk).is_empty());
+    desk.set_point(id(3), Untyped::of(&turn(3.0))).unwrap();
+    assert_eq!(taken(&desk), [set(3, 3.0)]);
+}
+
+#[test]
+fn nothing_older_than_a_stop_outlives_it() {
+    let desk = Desk::new(None);
+    desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+    let moving = desk.ask(id(1), Untyped::of(&turn(2.0)), None);
+    let reading = desk.ask(id(2), Untyped::of(&ReadStatus1), None);
+    // The motors are busy: the questions stay.
+    assert_eq!(taken(&desk), [set(1, 1.0), "1?".to_owned(), "2?".to_owned()]);
+    desk.set_point(id(1), Untyped::of(&turn(3.0))).unwrap();
+    let stopping = desk.stop_all(StopKind::Hold, MotorSet::EMPTY);
+    let told = desk.wait(moving).unwrap_err();
+    assert!(matches!(told, SharedBusError::Failed(Failure::Stopped)), "{told}");
+    let refused = desk.set_point(id(1), Untyped::of(&turn(4.0))).unwrap_err();
+    assert!(matches!(refused, SharedBusError::Request(RequestError::Stopped)), "{refused}");
+    // Not even when it is lifted before the thread has seen it.
+    desk.lift_stop().unwrap();
+    desk.set_point(id(1), Untyped::of(&turn(5.0))).unwrap();
+    let stop_and_lift = ["stop all".to_owned(), "lift".to_owned()];
+    assert_eq!(taken(&desk), [&stop_and_lift[..], &[set(1, 5.0), "2?".to_owned()]].concat());
+
+    // A command that ends motion drops the set-point that is older.
+    desk.set_point(id(1), Untyped::of(&turn(6.0))).unwrap();
+    let ending = desk.ask(id(1), Untyped::of(&Shutdown), None);
+    assert_eq!(taken(&desk), ["2?", "1?"]);
+
+    // Whoever still waits is told by the end.
+    desk.end(Some(Arc::from("the test is over")));
+    let is_over =
+        |told| matches!(told, SharedBusError::Panicked(words) if &*words == "the test is over");
+    assert!(is_over(desk.wait(reading).unwrap_err()));
+    assert!(is_over(desk.wait(ending).unwrap_err()));
+    assert!(is_over(desk.wait(stopping).unwrap_err()));
+}

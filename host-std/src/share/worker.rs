@@ -1,0 +1,196 @@
+//! The thread that runs the bus.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time;
+
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io::{LONGEST_STOP, Runner};
+use myactuator_protocol_core::master::{Event, MotorSet, StopKind, Ticket};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::{Data, MotorId};
+
+use super::SharedBusError;
+use super::desk::{Answer, Clerk, Desk, Order, Question, Untyped};
+
+/// How long a thread idles that nothing can wake.
+const LONGEST_IDLE: Duration = Duration::from_millis(1);
+/// How soon a bus that has failed is tried again.
+const RETRY_AFTER: time::Duration = time::Duration::from_millis(1);
+
+const NEVER: Instant = Instant::from_micros(u64::MAX);
+
+/// Runs the bus until nobody has a handle any more, or its driver panics. Then stops all motors.
+pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
+    let mut worker = Worker { runner, asked: Vec::new(), stopping: Vec::new() };
+    let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
+    let panicked = outcome.err().map(|payload| words(&*payload));
+    desk.end(panicked);
+    // Those who wait find out now, and need not wait for the stop.
+    let Worker { mut runner, asked, stopping } = worker;
+    drop((asked, stopping));
+    // A driver that has panicked may do it again.
+    let _ = catch_unwind(AssertUnwindSafe(|| runner.stop_all(kind, MotorSet::EMPTY)));
+}
+
+/// What a panic said.
+fn words(payload: &(dyn Any + Send)) -> Arc<str> {
+    let text = payload.downcast_ref::<&str>().copied();
+    let text = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str));
+    Arc::from(text.unwrap_or("it did not say why"))
+}
+
+struct Worker<R: Runner<N>, const N: usize> {
+    runner: R,
+    asked: Vec<Asked<R::Error>>,
+    stopping: Vec<Stopping<R::Error>>,
+}
+
+/// A question that was put.
+struct Asked<E> {
+    ticket: Ticket<Untyped>,
+    answer: Answer<Data, E>,
+}
+
+/// A stop that somebody waits for.
+struct Stopping<E> {
+    running: MotorSet,
+    unconfirmed: MotorSet,
+    end: Instant,
+    answer: Answer<MotorSet, E>,
+}
+
+impl<R: Runner<N>, const N: usize> Worker<R, N> {
+    /// One round of the bus. False when it is time to end.
+    fn round(&mut self, desk: &Desk<R::Error>) -> bool {
+        let goes_on = desk.take(self);
+        match self.runner.poll() {
+            Ok(Some(event)) => {
+                self.answer(&event);
+                desk.publish(&event);
+            }
+            Ok(None) if goes_on => self.idle(desk),
+            Ok(None) => {}
+            Err(error) => self.fail(error, desk),
+        }
+        self.end_stops();
+        goes_on
+    }
+
+    fn answer(&mut self, event: &Event) {
+        let outcomes = self.asked.iter().map(|asked| asked.ticket.outcome(event));
+        let answered = outcomes.enumerate().find_map(|(at, outcome)| Some((at, outcome?)));
+        if let Some((at, outcome)) = answered {
+            let outcome = outcome.map(|reply| reply.0).map_err(SharedBusError::Failed);
+            // Who asked waits for it.
+            let _ = self.asked.swap_remove(at).answer.send(outcome);
+        }
+        for stop in &mut self.stopping {
+            match *event {
+                Event::StopConfirmed { motor } => stop.running.remove(motor),
+                Event::StopUnconfirmed { motor } if stop.running.contains(motor) => {
+                    stop.running.remove(motor);
+                    stop.unconfirmed.insert(motor);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Tells those who wait for a stop that is over.
+    fn end_stops(&mut self) {
+        let now = self.runner.now();
+        self.stopping.retain(|stop| {
+            let is_over = stop.running.is_empty() || now >= stop.end;
+            if is_over {
+                let unconfirmed = stop.running.iter().chain(stop.unconfirmed.iter()).collect();
+                let _ = stop.answer.send(Ok(unconfirmed));
+            }
+            !is_over
+        });
+    }
+
+    fn idle(&mut self, desk: &Desk<R::Error>) {
+        if !desk.may_idle() {
+            return;
+        }
+        let is_awaited = !self.asked.is_empty() || !self.stopping.is_empty();
+        if desk.wakes() {
+            let until = self.stopping.iter().map(|stop| stop.end).min();
+            self.runner.idle(until.unwrap_or(NEVER));
+        } else if is_awaited || self.runner.master().poll_at().is_some() {
+            let until = self.runner.now() + LONGEST_IDLE;
+            self.runner.idle(until);
+        } else {
+            desk.wait_for_callers(LONGEST_IDLE.into());
+        }
+    }
+
+    /// Tells everybody who waits, and lets the bus rest.
+    fn fail(&mut self, error: R::Error, desk: &Desk<R::Error>) {
+        let error = Arc::new(error);
+        desk.fail(&error, self.asked.len());
+        for asked in self.asked.drain(..) {
+            let _ = asked.answer.send(Err(SharedBusError::Bus(Arc::clone(&error))));
+        }
+        desk.wait_for_callers(RETRY_AFTER);
+        // In virtual time, time goes on here only.
+        let until = self.runner.now() + RETRY_AFTER.into();
+        self.runner.idle(until);
+    }
+
+    fn await_stop(
+        &mut self,
+        running: MotorSet,
+        also: MotorSet,
+        answer: Answer<MotorSet, R::Error>,
+    ) {
+        let (unconfirmed, end) = (also.without(running), self.runner.now() + LONGEST_STOP);
+        self.stopping.push(Stopping { running, unconfirmed, end, answer });
+    }
+}
+
+impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
+    fn obey(&mut self, order: Order<R::Error>) {
+        let master = self.runner.master();
+        match order {
+            Order::StopAll { kind, also, answer } => {
+                // Those that the master has no place for are not stopped, which counts as unconfirmed.
+                let _ = master.stop_all(kind, also);
+                let running = master.motors();
+                self.await_stop(running, also, answer);
+            }
+            Order::Stop { motor, kind, answer } => match master.stop(motor, kind) {
+                Ok(()) => self.await_stop(motor.into(), MotorSet::EMPTY, answer),
+                Err(error) => {
+                    let _ = answer.send(Err(error.into()));
+                }
+            },
+            Order::LiftStop => master.lift_stop(),
+            Order::LiftStopOf(motor) => master.lift_stop_of(motor),
+            Order::Resume(motor) => master.resume(motor),
+        }
+    }
+
+    fn set_point(&mut self, motor: MotorId, set_point: Untyped) -> Result<(), RequestError> {
+        self.runner.set_point(motor, set_point)
+    }
+
+    fn put(&mut self, question: Question<R::Error>) -> Option<Question<R::Error>> {
+        let Question { motor, command, patience, .. } = question;
+        let master = self.runner.master();
+        let ticket = match patience {
+            Some(patience) => master.request_with(motor, command, patience),
+            None => master.request(motor, command),
+        };
+        match ticket {
+            Ok(ticket) => self.asked.push(Asked { ticket, answer: question.answer }),
+            Err(RequestError::Busy) => return Some(question),
+            Err(error) => {
+                let _ = question.answer.send(Err(error.into()));
+            }
+        }
+        None
+    }
+}
