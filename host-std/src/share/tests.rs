@@ -61,6 +61,8 @@ fn eight_threads_ask_eight_motors_at_once_and_get_their_own_answers() {
         let angle = 10.0 * f64::from(drive.motor().get());
         drive.with(|drive| drive.plant_mut().set_output_angle_deg(angle)).unwrap();
     }
+    // The control loops measure it.
+    fleet.world.run_for(Duration::from_millis(10));
     let log = fleet.world.log();
     let start = Arc::new(Barrier::new(8));
     let threads = MotorId::all().take(8).map(|motor| {
@@ -247,6 +249,16 @@ fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
 }
 
 #[test]
+fn a_stop_on_a_dead_bus_is_given_up() {
+    let (_fleet, order, bus) = fragile();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    order.store(FAIL, Ordering::SeqCst);
+    let unconfirmed = bus.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    assert_eq!(unconfirmed, [id(1), id(2)].into_iter().collect());
+    order.store(WORK, Ordering::SeqCst);
+}
+
+#[test]
 fn a_panic_of_the_bus_stops_the_motors_and_is_told() {
     let (fleet, order, bus) = fragile();
     let log = fleet.world.log();
@@ -322,7 +334,7 @@ fn nothing_older_than_a_stop_outlives_it() {
     let reading = desk.ask(id(2), Untyped::of(&ReadStatus1), None);
     // The motors are busy: the questions stay.
     assert_eq!(taken(&desk), [set(1, 1.0), "1?".to_owned(), "2?".to_owned()]);
-    desk.set_point(id(1), Untyped::of(&turn(3.0))).unwrap();
+    desk.set_point(id(2), Untyped::of(&turn(3.0))).unwrap();
     let stopping = desk.stop_all(StopKind::Hold, MotorSet::EMPTY);
     let told = desk.wait(moving).unwrap_err();
     assert!(matches!(told, SharedBusError::Failed(Failure::Stopped)), "{told}");

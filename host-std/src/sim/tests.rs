@@ -10,8 +10,10 @@ use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
-use myactuator_protocol_core::{Channel, MotorId};
+use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
 
+use super::bus::can::ControllerConfig;
+use super::bus::rs485::SerialWorld;
 use super::bus::{self, trace};
 use super::{CanFleet, DriveHandle, Fleet};
 
@@ -179,4 +181,31 @@ fn on_rs485_a_task_asks_moves_and_stops() {
         let unconfirmed = bus.stop_all(StopKind::Off, id(4).into()).await;
         assert_eq!(unconfirmed, MotorSet::from(id(4)));
     });
+}
+
+#[test]
+fn a_full_controller_is_waited_for_and_a_line_until_the_last_byte_has_left() {
+    let fleet = on_can(1);
+    let mut port = fleet.world.port_with(ControllerConfig::MAILBOXES);
+    let channel = Channel::Command(Target::Motor(MotorId::MIN));
+    let read = Packet { channel, data: ReadMultiTurnAngle.encode() };
+    let frame: SimpleFrame = can::encode(&read).unwrap();
+    fleet.block_on(async {
+        for _ in 0..5 {
+            assert_eq!(AsyncCan::transmit(&mut port, &frame).await, Ok(None));
+        }
+    });
+    // Three mailboxes: the fifth is taken when two frames have left. Without its stuff bits a frame has
+    // 108 bits, and 3 bits later the next begins.
+    assert!(fleet.world.now() >= Instant::from_micros(2 * 108 + 3), "{:?}", fleet.world.now());
+
+    let world = SerialWorld::new(115_200, 1);
+    let mut port = world.port();
+    world.block_on(async {
+        assert_eq!(embedded_io_async::Write::write(&mut port, &[0; 13]).await, Ok(13));
+        assert_eq!(world.now(), Instant::ZERO);
+        embedded_io_async::Write::flush(&mut port).await.unwrap();
+    });
+    // 130 bits / 115200 bit/s.
+    assert_eq!(world.now(), Instant::from_micros(1_129));
 }
