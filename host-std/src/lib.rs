@@ -6,7 +6,7 @@
 //! | [`explain`] | what a frame says: name, fields with their units, and a sentence; DBC files | `text` | `explain` |
 //! | [`port`] | real buses on Linux: SocketCAN, SLCAN adapters, RS485 | `text` | `port` |
 //! | [`sim`] | simulated drives on simulated buses, under a virtual clock or in real time | | `sim` |
-//! | [`open`] | a master on whatever bus one string names, real or simulated | `port`, `sim` | both |
+//! | [`open`] | a master on whatever bus one string names, real or simulated | `text`, `port`, `sim` | both |
 //! | [`share`] | one bus for many threads: a thread runs it, the others have handles | `open` | both |
 //! | [`serve`] | simulated drives offered to other programs | `text`, `port`, `sim` | both |
 //!
@@ -41,6 +41,8 @@ pub mod serve;
 pub mod share;
 #[cfg(feature = "sim")]
 pub mod sim;
+#[cfg(test)]
+mod tests;
 pub mod text;
 mod unexpected;
 
