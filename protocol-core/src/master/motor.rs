@@ -271,6 +271,8 @@ impl Motor {
 
     /// A controller has handed a frame back that it had taken: it was never on the bus.
     pub(super) fn was_pushed_out(&mut self, packet: &Packet) {
+        // It has had no turn.
+        self.round = self.round.wrapping_sub(1);
         let is_this = |kind: Kind, data: &Data| {
             kind.is_motion() == matches!(packet.channel, Channel::Motion(_)) && *data == packet.data
         };

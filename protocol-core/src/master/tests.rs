@@ -973,6 +973,21 @@ fn a_frame_that_was_pushed_out_waits_again() {
 }
 
 #[test]
+fn a_motor_whose_frame_was_pushed_out_has_had_no_turn() {
+    let mut master = Master::<8>::new(Config::CAN);
+    stream_to(&mut master, 3..=3, ms(0));
+    stream_to(&mut master, 1..=2, ms(0));
+    sent(&mut master, ms(0));
+    feedback_of_all(&mut master, 1..=3, ms(1));
+    stream_to(&mut master, 3..=3, ms(1));
+    let pushed_out = sent(&mut master, ms(1))[0];
+    master.handle_pushed_out(&pushed_out);
+    // All three have had one turn, and motor 3 is the first of equals.
+    stream_to(&mut master, 1..=2, ms(1));
+    assert_eq!(sent(&mut master, ms(1))[0], pushed_out);
+}
+
+#[test]
 fn a_set_point_that_was_pushed_out_gives_way_to_a_newer_one_and_to_a_stop() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
