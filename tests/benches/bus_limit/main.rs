@@ -24,7 +24,37 @@
 //! On CAN the bound is the larger of the two. On RS485 the line carries one exchange at a time, so it
 //! is N times command, response, reply and the pause that lets the drives turn around.
 //!
+//! # Other controllers, other hosts, and loss
+//! The last table is measured with light drives that only answer, for the mean of the motors and for the
+//! slowest of them. The controllers: a FIFO of ten frames; three mailboxes that send in the order in which
+//! they were filled, as the boards of `mcu-example` have them; three mailboxes that send by priority and
+//! push a frame out for a more urgent one. The hosts: one that looks at once, and one that looks whatever
+//! has come, with 0 to 1 ms from one look to the next. Its bound is the largest of three:
+//!
+//! - The wire, as above. Mailboxes do not lower it: three frames at each look, every 0.5 ms on average, are
+//!   more than the wire carries.
+//! - A turn. What a look sends is answered after two frames and the response, and that is seen by the first
+//!   look from then on: the mean of that over all looks that there were. (Uniform pauses D up to 1 ms make
+//!   a reply wait for E[D²] / 2E[D] = 1/3 ms on average.)
+//! - Both together. All motors whose replies one look finds get their commands at once, so these queue up on
+//!   a wire that was idle before. What that costs has no formula; so a master without any rule is run against
+//!   the same looks, which gives each motor its next command as soon as there is room for it. It is fair to
+//!   nobody, so only its throughput counts. With 3 to 8 motors it is up to a fifth above the other two.
+//!
+//! Loss: each frame is lost with a probability of 1 % and has used the wire for nothing. One lost frame may
+//! cost its own exchange and no more: a motor with so many answers and so many lost frames has had the time
+//! of both. A stream of set-points is to reach that; a request that is repeated waits for
+//! `Config::reply_timeout`, and keeps the next of its kind back for `Config::late_window` so that no answer
+//! goes to the wrong question, so it cannot: its ceilings are there to be kept.
+//!
+//! # One at a time
 //! The one-at-a-time master asks a motor, waits for its reply and goes on to the next.
+
+mod case;
+mod drive;
+mod host;
+mod reference;
+mod stage;
 
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
@@ -32,7 +62,7 @@ use std::sync::{Arc, Mutex};
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::bus::{Medium, World, trace};
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint, ReadStatus2};
+use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint, RawMotion, ReadStatus2};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Config, Event};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -51,6 +81,15 @@ enum Kind {
     Motion,
 }
 
+impl Kind {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Feedback => "feedback",
+            Self::Motion => "motion mode",
+        }
+    }
+}
+
 /// How long each frame takes of the wire, in nanoseconds, with `pause_ns` after it.
 fn watch<B: Medium>(world: &World<B>, pause_ns: u64) -> Arc<Mutex<Vec<u64>>> {
     let frames = Arc::new(Mutex::new(Vec::new()));
@@ -63,6 +102,18 @@ fn watch<B: Medium>(world: &World<B>, pause_ns: u64) -> Arc<Mutex<Vec<u64>>> {
     frames
 }
 
+/// A set-point that lets the motor swing gently.
+fn swing(motor: MotorId, now: Instant) -> RawMotion {
+    let time = now.as_micros() as f32 / 1e6;
+    let set_point = MotionSetPoint {
+        position_rad: 0.2 * (time * 6.0 + f32::from(motor.get())).sin(),
+        kp: 20.0,
+        kd: 1.0,
+        ..MotionSetPoint::default()
+    };
+    MotionRanges::V4_3.quantise(&set_point).expect("in range")
+}
+
 /// Lets every motor swing gently, or asks it how it does.
 fn command<R: Runner<32>>(bus: &mut R, motor: MotorId, kind: Kind) {
     match kind {
@@ -70,14 +121,7 @@ fn command<R: Runner<32>>(bus: &mut R, motor: MotorId, kind: Kind) {
             let _ticket = bus.master().request(motor, ReadStatus2).expect("the motor is free");
         }
         Kind::Motion => {
-            let time = bus.now().as_micros() as f32 / 1e6;
-            let set_point = MotionSetPoint {
-                position_rad: 0.2 * (time * 6.0 + f32::from(motor.get())).sin(),
-                kp: 20.0,
-                kd: 1.0,
-                ..MotionSetPoint::default()
-            };
-            let raw = MotionRanges::V4_3.quantise(&set_point).expect("in range");
+            let raw = swing(motor, bus.now());
             bus.set_point(motor, raw).expect("the bus carries motion mode");
         }
     }
@@ -234,8 +278,8 @@ fn table(title: &str, row: impl Fn(u8) -> Row) -> f64 {
 fn main() -> ExitCode {
     let mut worst = 0.0_f64;
     for bit_rate in [1_000_000, 500_000] {
-        for (kind, name) in [(Kind::Feedback, "feedback"), (Kind::Motion, "motion mode")] {
-            let title = format!("CAN at {} kbit/s, {name} cycles", bit_rate / 1000);
+        for kind in [Kind::Feedback, Kind::Motion] {
+            let title = format!("CAN at {} kbit/s, {} cycles", bit_rate / 1000, kind.name());
             worst = worst.max(table(&title, |motors| on_can(bit_rate, kind, motors)));
         }
     }
@@ -244,5 +288,6 @@ fn main() -> ExitCode {
         worst = worst.max(table(&title, |motors| on_rs485(bit_rate, motors)));
     }
     println!("worst ratio {worst:.2}");
-    if worst <= LIMIT { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    let is_within = case::table();
+    if worst <= LIMIT && is_within { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
