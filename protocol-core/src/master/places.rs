@@ -13,6 +13,11 @@ impl PlaceSet {
         self.0 == 0
     }
 
+    /// How many places.
+    pub(super) const fn count(self) -> u32 {
+        self.0.count_ones()
+    }
+
     fn set(&mut self, place: usize, is_in: bool) {
         let bit = 1 << place;
         if is_in { self.0 |= bit } else { self.0 &= !bit }

@@ -711,6 +711,32 @@ fn a_motor_whose_replies_lose_every_arbitration_gets_its_turn() {
 }
 
 #[test]
+fn a_bus_that_was_full_is_quiet_as_soon_as_its_frames_are_gone() {
+    let mut master = Master::<8>::new(Config::CAN);
+    let mut now = Instant::from_micros(100);
+    let pause = Duration::from_micros(240);
+    let mut answer = |master: &mut Master<8>, motor| {
+        now += pause;
+        feedback_of_all(master, motor..=motor, now);
+        stream_to(master, motor..=motor, now);
+        (sent(master, now).len(), now)
+    };
+    stream_to(&mut master, 1..=8, ms(0));
+    sent(&mut master, ms(0));
+    // For half a second there is always a frame on the bus: two in 240 µs, each for 136 µs at the most.
+    for _ in 0..250 {
+        for motor in 1..=8 {
+            assert_eq!(answer(&mut master, motor).0, 1);
+        }
+    }
+    // Then an answer of motor 8 is lost, and the others may be one command ahead of it.
+    assert!((1..=7).all(|motor| answer(&mut master, motor).0 == 1));
+    assert!((1..=7).all(|motor| answer(&mut master, motor).0 == 0));
+    let last = now;
+    assert_eq!(sent(&mut master, last + Duration::from_millis(1)).len(), 7);
+}
+
+#[test]
 fn nobody_waits_for_a_motor_that_had_its_chance() {
     let mut master = Master::<8>::new(Config::CAN);
     let _silent = master.request(id(1), ReadStatus1).unwrap();

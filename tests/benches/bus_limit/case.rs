@@ -63,7 +63,7 @@ struct Case(Kind, Controller, Looking, f32, [f64; 2]);
 ///   pushed out by commands of the next round with lower ids. Their motors' turn comes a look later, and the
 ///   others, a round ahead, wait for them. In order of filling nothing is pushed out.
 /// - A set-point whose feedback is lost: the others stand still when they are a round ahead, until the bus was
-///   quiet, and on a full bus the master reckons with frames that are long gone; and the motor itself waits for `Config::longest_response`, or three of its usual round trips.
+///   quiet; and the motor itself waits for `Config::longest_response`, or three of its usual round trips.
 /// - A request that is lost: see the module.
 const CASES: [Case; 20] = {
     use Controller::{ByPriority, Fifo, InOrder};
@@ -77,12 +77,12 @@ const CASES: [Case; 20] = {
         Case(Motion, Fifo, NowAndThen, 0.0, [1.15, 1.15]),
         Case(Motion, InOrder, NowAndThen, 0.0, [1.08, 1.08]),
         Case(Motion, ByPriority, NowAndThen, 0.0, [1.42, 1.42]),
-        Case(Motion, Fifo, AtOnce, LOSS, [1.18, 1.40]),
-        Case(Motion, InOrder, AtOnce, LOSS, [1.18, 1.42]),
-        Case(Motion, ByPriority, AtOnce, LOSS, [1.41, 1.73]),
+        Case(Motion, Fifo, AtOnce, LOSS, [1.10, 1.39]),
+        Case(Motion, InOrder, AtOnce, LOSS, [1.10, 1.34]),
+        Case(Motion, ByPriority, AtOnce, LOSS, [1.12, 1.32]),
         Case(Motion, Fifo, NowAndThen, LOSS, [1.18, 1.27]),
         Case(Motion, InOrder, NowAndThen, LOSS, [1.18, 1.21]),
-        Case(Motion, ByPriority, NowAndThen, LOSS, [1.38, 1.46]),
+        Case(Motion, ByPriority, NowAndThen, LOSS, [1.38, 1.44]),
         Case(Feedback, Fifo, AtOnce, 0.0, BUDGET),
         Case(Feedback, ByPriority, AtOnce, 0.0, BUDGET),
         Case(Feedback, Fifo, NowAndThen, 0.0, [1.15, 1.15]),
