@@ -1,5 +1,7 @@
 //! What the master keeps for one motor: its request, its stream, and what may still arrive.
 
+mod deadlines;
+
 use bitflags::bitflags;
 
 use crate::command::AnyReply;
@@ -11,7 +13,6 @@ use crate::master::event::Failure;
 use crate::master::health::Health;
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::request::{Asked, Purpose, Request};
-use crate::master::schedule::Earliest;
 use crate::master::stream::{SetPoint, Stream};
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -48,10 +49,6 @@ const RESTART_TAKES: Duration = Duration::from_secs(1);
 
 /// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
 const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
-/// Feedback that takes so many times longer than usual is lost.
-const USUAL_TIMES: u32 = 3;
-/// So many commands in a row without an answer are no chance loss.
-const SELDOM: u8 = 2;
 /// One that has not reported for so many of its intervals does so no more.
 const REPORTS_MISSED: u32 = 3;
 
@@ -111,12 +108,6 @@ impl Motor {
     pub(super) fn is_idle(&self, now: Instant) -> bool {
         let has_nothing = self.request.is_none() && !self.is_waiting() && !self.is_in_flight();
         has_nothing && self.news.is_empty() && self.settled_at <= now
-    }
-
-    /// Whether time alone changes anything about it.
-    pub(super) fn is_timed(&self) -> bool {
-        let is_held = self.settled_at > Instant::ZERO || self.moves_until > Instant::ZERO;
-        self.is_in_flight() || self.is_waiting() || is_held || !self.late.is_empty()
     }
 
     pub(super) fn has_news(&self) -> bool {
@@ -299,23 +290,6 @@ impl Motor {
         }
     }
 
-    /// When what is in flight counts as lost; a set-point after `set_point_timeout`.
-    fn deadline(&self, set_point_timeout: Duration) -> Option<Instant> {
-        let of_request = self.request.in_flight().map(|asked| asked.timeout);
-        let timeout = of_request.or(self.stream.in_flight().map(|_| set_point_timeout))?;
-        Some(self.sent + timeout)
-    }
-
-    /// When the feedback of the set-point in flight counts as lost on a quiet bus: a stream does not stand
-    /// still for it. Not where nobody knows how long feedback takes, nor when it stays away again and again.
-    fn stream_is_lost_at(&self, config: &Config) -> Option<Instant> {
-        let usual = self.health.round_trip;
-        let is_known = usual > Duration::ZERO && self.misses < SELDOM;
-        let is_quiet = self.stream.in_flight().is_some() && self.chance == Chance::Missed;
-        let patience = config.longest_response.max(usual.times(USUAL_TIMES));
-        (is_known && is_quiet).then_some(self.sent + patience)
-    }
-
     /// Whether a reply of this motor may be waiting for the bus. Not one that did not answer last
     /// time, nor one that the quiet bus has shown to be silent.
     pub(super) fn may_be_answering(&self) -> bool {
@@ -326,44 +300,6 @@ impl Motor {
     pub(super) fn bus_is_quiet(&mut self, now: Instant, config: &Config) {
         if self.is_in_flight() && now - self.sent >= config.longest_response {
             self.chance = Chance::Missed;
-        }
-    }
-
-    /// Takes note of the time: what is too old is dropped, what is overdue is sent again or given up.
-    pub(super) fn handle_timeout(&mut self, now: Instant, config: &Config) {
-        self.late.expire(now);
-        if self.settled_at <= now {
-            self.settled_at = Instant::ZERO;
-        }
-        if self.moves_until <= now {
-            self.moves_until = Instant::ZERO;
-        }
-        if self.stream.expiry().is_some_and(|expiry| expiry <= now) {
-            self.drop_waiting_set_point();
-        }
-        let is_late = self.deadline(config.reply_timeout).is_some_and(|deadline| deadline <= now);
-        let is_lost = self.stream_is_lost_at(config).is_some_and(|at| at <= now);
-        if !is_late && !is_lost {
-            return;
-        }
-        self.has_missed();
-        if let Some(set_point) = self.stream.take_in_flight() {
-            let until = now + config.late_window;
-            self.expect_late(set_point.question, Of::Stream, 1, until);
-            self.news.insert(News::UNANSWERED);
-            return;
-        }
-        let Request::InFlight(asked) = self.request else { return };
-        if asked.attempts_left > 0 {
-            self.request = Request::Waiting(asked);
-            return;
-        }
-        self.give_request_up(config, now);
-        if asked.is_stop() {
-            self.news.insert(News::UNCONFIRMED);
-            self.request = Request::None;
-        } else {
-            self.request = Request::Failed(Failure::NoReply);
         }
     }
 
@@ -460,45 +396,6 @@ impl Motor {
         let longest_silence = RESTART_TAKES + interval.times(REPORTS_MISSED);
         let since = self.health.last_seen.map_or(self.sent, |seen| seen.max(self.sent));
         now - since < longest_silence
-    }
-
-    /// Tells when [`handle_timeout`](Self::handle_timeout) has something to do.
-    pub(super) fn due(&self, config: &Config, earliest: &mut Earliest) {
-        if let Some(deadline) = self.deadline(config.reply_timeout) {
-            let may_be_missed = self.chance == Chance::Open && !config.is_rs485();
-            let missed = self.sent + config.longest_response;
-            earliest.take(if may_be_missed { deadline.min(missed) } else { deadline });
-        }
-        self.stream_is_lost_at(config).into_iter().for_each(|at| earliest.take(at));
-        let times =
-            [self.settled_at, self.moves_until].into_iter().filter(|&at| at > Instant::ZERO);
-        let times = times.chain(self.stream.expiry()).chain(self.late.next_end());
-        times.for_each(|at| earliest.take(at));
-    }
-
-    /// Tells when this motor has something to do by itself.
-    pub(super) fn poll_at(&self, config: &Config, earliest: &mut Earliest) {
-        if let Some(deadline) = self.deadline(config.reply_timeout) {
-            earliest.take(deadline);
-        }
-        self.stream_is_lost_at(config).into_iter().for_each(|at| earliest.take(at));
-        if let Some(expiry) = self.stream.expiry() {
-            earliest.take(expiry);
-        }
-        if self.is_waiting() && self.settled_at > Instant::ZERO {
-            earliest.take(self.settled_at);
-        }
-        if let Some(asked) = self.request.waiting() {
-            let end = match asked.purpose {
-                Purpose::Stop { once_more: true } => {
-                    self.may_yet_move().then_some(self.moves_until)
-                }
-                Purpose::Stop { once_more: false } => None,
-                Purpose::Caller if !self.late.has_room() => self.late.next_end(),
-                Purpose::Caller => self.late.end_of(asked.question),
-            };
-            end.into_iter().for_each(|end| earliest.take(end));
-        }
     }
 }
 

@@ -1,0 +1,114 @@
+//! What time alone does to a motor: when something is late, too old or over.
+
+use crate::master::config::Config;
+use crate::master::event::Failure;
+use crate::master::late::Of;
+use crate::master::motor::{Chance, Motor, News};
+use crate::master::request::{Purpose, Request};
+use crate::master::schedule::Earliest;
+use crate::time::{Duration, Instant};
+
+/// Feedback that takes so many times longer than usual is lost.
+const USUAL_TIMES: u32 = 3;
+/// So many commands in a row without an answer are no chance loss.
+const SELDOM: u8 = 2;
+
+impl Motor {
+    /// Whether time alone changes anything about it.
+    pub(in crate::master) fn is_timed(&self) -> bool {
+        let is_held = self.settled_at > Instant::ZERO || self.moves_until > Instant::ZERO;
+        self.is_in_flight() || self.is_waiting() || is_held || !self.late.is_empty()
+    }
+
+    /// When what is in flight counts as lost; a set-point after `set_point_timeout`.
+    fn deadline(&self, set_point_timeout: Duration) -> Option<Instant> {
+        let of_request = self.request.in_flight().map(|asked| asked.timeout);
+        let timeout = of_request.or(self.stream.in_flight().map(|_| set_point_timeout))?;
+        Some(self.sent + timeout)
+    }
+
+    /// When the feedback of the set-point in flight counts as lost on a quiet bus: a stream does not stand
+    /// still for it. Not where nobody knows how long feedback takes, nor when it stays away again and again.
+    fn stream_is_lost_at(&self, config: &Config) -> Option<Instant> {
+        let usual = self.health.round_trip;
+        let is_known = usual > Duration::ZERO && self.misses < SELDOM;
+        let is_quiet = self.stream.in_flight().is_some() && self.chance == Chance::Missed;
+        let patience = config.longest_response.max(usual.times(USUAL_TIMES));
+        (is_known && is_quiet).then_some(self.sent + patience)
+    }
+
+    /// Takes note of the time: what is too old is dropped, what is overdue is sent again or given up.
+    pub(in crate::master) fn handle_timeout(&mut self, now: Instant, config: &Config) {
+        self.late.expire(now);
+        if self.settled_at <= now {
+            self.settled_at = Instant::ZERO;
+        }
+        if self.moves_until <= now {
+            self.moves_until = Instant::ZERO;
+        }
+        if self.stream.expiry().is_some_and(|expiry| expiry <= now) {
+            self.drop_waiting_set_point();
+        }
+        let is_late = self.deadline(config.reply_timeout).is_some_and(|deadline| deadline <= now);
+        let is_lost = self.stream_is_lost_at(config).is_some_and(|at| at <= now);
+        if !is_late && !is_lost {
+            return;
+        }
+        self.has_missed();
+        if let Some(set_point) = self.stream.take_in_flight() {
+            let until = now + config.late_window;
+            self.expect_late(set_point.question, Of::Stream, 1, until);
+            self.news.insert(News::UNANSWERED);
+            return;
+        }
+        let Request::InFlight(asked) = self.request else { return };
+        if asked.attempts_left > 0 {
+            self.request = Request::Waiting(asked);
+            return;
+        }
+        self.give_request_up(config, now);
+        if asked.is_stop() {
+            self.news.insert(News::UNCONFIRMED);
+            self.request = Request::None;
+        } else {
+            self.request = Request::Failed(Failure::NoReply);
+        }
+    }
+
+    /// Tells when [`handle_timeout`](Self::handle_timeout) has something to do.
+    pub(in crate::master) fn due(&self, config: &Config, earliest: &mut Earliest) {
+        self.due_to_tell(config, earliest);
+        if self.is_in_flight() && self.chance == Chance::Open && !config.is_rs485() {
+            earliest.take(self.sent + config.longest_response);
+        }
+        let times = [self.settled_at, self.moves_until].into_iter();
+        let times = times.filter(|&at| at > Instant::ZERO).chain(self.late.next_end());
+        times.for_each(|at| earliest.take(at));
+    }
+
+    /// Tells when this motor has something to tell or to send by itself.
+    pub(in crate::master) fn poll_at(&self, config: &Config, earliest: &mut Earliest) {
+        self.due_to_tell(config, earliest);
+        if self.is_waiting() && self.settled_at > Instant::ZERO {
+            earliest.take(self.settled_at);
+        }
+        if let Some(asked) = self.request.waiting() {
+            let end = match asked.purpose {
+                Purpose::Stop { once_more: true } => {
+                    self.may_yet_move().then_some(self.moves_until)
+                }
+                Purpose::Stop { once_more: false } => None,
+                Purpose::Caller if !self.late.has_room() => self.late.next_end(),
+                Purpose::Caller => self.late.end_of(asked.question),
+            };
+            end.into_iter().for_each(|end| earliest.take(end));
+        }
+    }
+
+    /// Tells when something is late, lost or too old.
+    fn due_to_tell(&self, config: &Config, earliest: &mut Earliest) {
+        let times = self.deadline(config.reply_timeout).into_iter();
+        let times = times.chain(self.stream_is_lost_at(config)).chain(self.stream.expiry());
+        times.for_each(|at| earliest.take(at));
+    }
+}
