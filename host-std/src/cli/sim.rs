@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use clap::{Args, ValueEnum};
-use myactuator_host_std::open::BusAddress;
+use myactuator_host_std::open::{BusAddress, Echo};
 use myactuator_host_std::serve::{Notice, PlannedFault, Server};
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
@@ -197,7 +197,8 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
         let adapter = transceiver(&arguments.quirks);
         let path = server.serve_line(&line, adapter)?;
         let link = links.add("rs485", &path)?;
-        let address = |path| BusAddress::Rs485 { path, bit_rate, echo: adapter.echo };
+        let echo = if adapter.echo { Echo::Present } else { Echo::Unknown };
+        let address = |path| BusAddress::Rs485 { path, bit_rate, echo };
         places.push(Place::on_terminal(address, path, link, bit_rate));
     }
     let interface = arguments.can.as_ref().filter(|_| wanted(Way::Can));

@@ -1,7 +1,7 @@
 //! The name of a bus, as people type it.
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use myactuator_protocol_core::master::Config;
@@ -31,6 +31,9 @@ const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 /// | `slcan:/dev/ttyACM0@1000000` | SLCAN adapter on a serial port, bit rate of the CAN bus in bit/s |
 /// | `rs485:/dev/ttyUSB0@115200` | RS485 adapter on a serial port, bit rate of the line in bit/s |
 /// | `rs485:/dev/ttyUSB0@115200,echo` | one that hands back what it sends |
+/// | `rs485:/dev/ttyUSB0@115200,noecho` | one that does not |
+///
+/// Without `echo` and `noecho` it is found out at opening, which takes 0.1 s: see [`Echo::Unknown`].
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
@@ -67,8 +70,34 @@ pub enum BusAddress {
         /// The bit rate of the line in bit/s, 1200 to 12000000.
         bit_rate: u32,
         /// Whether the adapter hands back what it sends.
-        echo: bool,
+        echo: Echo,
     },
+}
+
+/// What an address says about an RS485 adapter: whether it hands back what it sends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Echo {
+    /// It does.
+    Present,
+    /// It does not.
+    Absent,
+    /// Nothing is said. [`AnyMaster::open`](super::AnyMaster::open) finds it out: it reads the status of
+    /// motor 33, which no motor can be, and looks whether that comes back. One that passes unnoticed
+    /// all the same, because it comes later than after 0.05 s, is found in use, but not before the
+    /// first reads.
+    #[default]
+    Unknown,
+}
+
+impl Echo {
+    /// As it stands behind the comma of an address; `None` where nothing stands there.
+    const fn word(self) -> Option<&'static str> {
+        match self {
+            Self::Present => Some("echo"),
+            Self::Absent => Some("noecho"),
+            Self::Unknown => None,
+        }
+    }
 }
 
 impl BusAddress {
@@ -111,14 +140,26 @@ impl BusAddress {
         }
     }
 
-    /// The master's configuration for this bus.
+    /// The serial port behind it, if there is one.
+    pub fn serial_port(&self) -> Option<&Path> {
+        match self {
+            Self::Slcan { path, .. } | Self::Rs485 { path, .. } => Some(path),
+            Self::Simulated { .. } | Self::SocketCan { .. } => None,
+        }
+    }
+
+    /// The master's configuration for this bus, with time-outs for its bit rate. A CAN interface of
+    /// Linux is taken to run at 1 Mbit/s.
     pub const fn config(&self) -> Config {
         match self {
             Self::Simulated { kind: BusKind::Rs485, .. } => {
                 Config::rs485(SIMULATED_LINE_RATE, false)
             }
-            Self::Simulated { .. } | Self::SocketCan { .. } | Self::Slcan { .. } => Config::CAN,
-            Self::Rs485 { bit_rate, echo, .. } => Config::rs485(*bit_rate, *echo),
+            Self::Simulated { .. } | Self::SocketCan { .. } => Config::CAN,
+            Self::Slcan { rate, .. } => Config::can(rate.bits_per_second()),
+            Self::Rs485 { bit_rate, echo, .. } => {
+                Config::rs485(*bit_rate, matches!(echo, Echo::Present))
+            }
         }
     }
 }
@@ -135,8 +176,8 @@ impl fmt::Display for BusAddress {
                 write!(f, "slcan:{}@{}", path.display(), rate.bits_per_second())
             }
             Self::Rs485 { path, bit_rate, echo } => {
-                let echo = if *echo { ",echo" } else { "" };
-                write!(f, "rs485:{}@{bit_rate}{echo}", path.display())
+                write!(f, "rs485:{}@{bit_rate}", path.display())?;
+                echo.word().map_or(Ok(()), |word| write!(f, ",{word}"))
             }
         }
     }
@@ -166,8 +207,13 @@ impl FromStr for BusAddress {
 }
 
 fn simulated(motors: &str) -> Result<BusAddress, Unexpected> {
-    let (motors, is_rs485) = option(motors, "rs485")?;
-    let kind = if is_rs485 { BusKind::Rs485 } else { BusKind::Can };
+    let (motors, kind) = match motors.split_once(',') {
+        None => (motors, BusKind::Can),
+        Some((motors, "rs485")) => (motors, BusKind::Rs485),
+        Some((_, found)) => {
+            return Err(Unexpected::new("\"rs485\" or no comma", format!(",{found}")));
+        }
+    };
     let wrong = || {
         let count = format!("a number of simulated motors from 1 to {MOST_MOTORS} behind \"sim:\"");
         Unexpected::new(count, motors)
@@ -201,7 +247,15 @@ fn slcan(port: &str) -> Result<BusAddress, Unexpected> {
 
 fn rs485(port: &str) -> Result<BusAddress, Unexpected> {
     let (path, rate) = path_and_rate("rs485", "115200", port)?;
-    let (rate, echo) = option(rate, "echo")?;
+    let (rate, echo) = match rate.split_once(',') {
+        None => (rate, Echo::Unknown),
+        Some((rate, "echo")) => (rate, Echo::Present),
+        Some((rate, "noecho")) => (rate, Echo::Absent),
+        Some((_, found)) => {
+            let words = "\"echo\", \"noecho\" or no comma";
+            return Err(Unexpected::new(words, format!(",{found}")));
+        }
+    };
     let bit_rate = BusAddress::line_rate(rate)?;
     Ok(BusAddress::Rs485 { path: path.into(), bit_rate, echo })
 }
@@ -218,17 +272,6 @@ fn path_and_rate<'a>(
             format!("a serial port and a bit rate such as {kind}:/dev/ttyUSB0@{example}"),
             format!("{kind}:{port}"),
         )),
-    }
-}
-
-/// What stands before a comma, and whether this option stands behind it.
-fn option<'a>(text: &'a str, known: &str) -> Result<(&'a str, bool), Unexpected> {
-    match text.split_once(',') {
-        None => Ok((text, false)),
-        Some((before, found)) if found == known => Ok((before, true)),
-        Some((_, found)) => {
-            Err(Unexpected::new(format!("\"{known}\" or no comma"), format!(",{found}")))
-        }
     }
 }
 
@@ -265,10 +308,15 @@ mod tests {
         let rs485 = |path: &str, bit_rate, echo| {
             Ok(BusAddress::Rs485 { path: path.into(), bit_rate, echo })
         };
-        assert_eq!(parse("rs485:/dev/ttyUSB0@115200"), rs485("/dev/ttyUSB0", 115_200, false));
-        assert_eq!(parse("rs485:/dev/ttyS1@2500000,echo"), rs485("/dev/ttyS1", 2_500_000, true));
+        assert_eq!(
+            parse("rs485:/dev/ttyUSB0@115200"),
+            rs485("/dev/ttyUSB0", 115_200, Echo::Unknown)
+        );
+        let (fast, slow) = ("rs485:/dev/ttyS1@2500000,echo", "rs485:/dev/ttyS1@1200,noecho");
+        assert_eq!(parse(fast), rs485("/dev/ttyS1", 2_500_000, Echo::Present));
+        assert_eq!(parse(slow), rs485("/dev/ttyS1", 1_200, Echo::Absent));
         let by_path = "/dev/serial/by-path/pci@1:0,usb";
-        assert_eq!(parse(&format!("rs485:{by_path}@9600")), rs485(by_path, 9_600, false));
+        assert_eq!(parse(&format!("rs485:{by_path}@9600")), rs485(by_path, 9_600, Echo::Unknown));
     }
 
     #[test]
@@ -281,6 +329,7 @@ mod tests {
             ("slcan:/dev/ttyACM0@500000", BusKind::Can, Some(500_000)),
             ("rs485:/dev/ttyUSB0@115200", BusKind::Rs485, Some(115_200)),
             ("rs485:/dev/ttyUSB0@2500000,echo", BusKind::Rs485, Some(2_500_000)),
+            ("rs485:/dev/ttyUSB0@9600,noecho", BusKind::Rs485, Some(9_600)),
         ] {
             let bus = parse(text).unwrap();
             assert_eq!(bus.to_string(), text);
@@ -288,6 +337,30 @@ mod tests {
             assert_eq!(bus.is_simulated(), text.starts_with("sim"));
         }
         assert_eq!(parse("can:can0").unwrap().to_string(), "can0");
+    }
+
+    /// A frame's longest time worked out by hand: 135 bits on CAN, 130 on RS485.
+    #[test]
+    fn time_outs_are_those_of_the_bit_rate() {
+        for (text, frame_us, expected) in [
+            ("slcan:/dev/ttyACM0@1000000", 136, Config::can(1_000_000)),
+            ("slcan:/dev/ttyACM0@500000", 271, Config::can(500_000)),
+            ("slcan:/dev/ttyACM0@10000", 13_501, Config::can(10_000)),
+            ("can0", 136, Config::CAN),
+            ("rs485:/dev/ttyUSB0@115200", 1_129, Config::rs485(115_200, false)),
+            ("rs485:/dev/ttyUSB0@1000000,echo", 131, Config::rs485(1_000_000, true)),
+        ] {
+            let config = parse(text).unwrap().config();
+            assert_eq!((config.frame_time.as_micros(), config), (frame_us, expected), "{text}");
+        }
+    }
+
+    #[test]
+    fn only_what_is_said_of_an_echo_is_configured() {
+        for (text, is_configured) in [("", false), (",echo", true), (",noecho", false)] {
+            let bus = parse(&format!("rs485:/dev/ttyUSB0@115200{text}")).unwrap();
+            assert_eq!(bus.config(), Config::rs485(115_200, is_configured), "{text}");
+        }
     }
 
     #[test]
@@ -299,6 +372,7 @@ mod tests {
         const RS485: &str = "a serial port and a bit rate such as rs485:/dev/ttyUSB0@115200";
         const CAN_RATE: &str = "a bit rate that SLCAN adapters know (10000, 20000, 50000, 100000, \
                                 125000, 250000, 500000, 800000, 1000000)";
+        const ECHO: &str = "\"echo\", \"noecho\" or no comma";
         const LINE_RATE: &str = "a bit rate from 1200 to 12000000 bit/s";
         for (text, expected, found) in [
             ("", BUS, ""),
@@ -323,8 +397,8 @@ mod tests {
             ("rs485:/dev/ttyUSB0@1199", LINE_RATE, "1199"),
             ("rs485:/dev/ttyUSB0@12000001", LINE_RATE, "12000001"),
             ("rs485:/dev/ttyUSB0@115200 ", LINE_RATE, "115200 "),
-            ("rs485:/dev/ttyUSB0@115200,", "\"echo\" or no comma", ","),
-            ("rs485:/dev/ttyUSB0@115200,8n1", "\"echo\" or no comma", ",8n1"),
+            ("rs485:/dev/ttyUSB0@115200,", ECHO, ","),
+            ("rs485:/dev/ttyUSB0@115200,8n1", ECHO, ",8n1"),
         ] {
             let error = parse(text).unwrap_err();
             assert!(error.expected.starts_with(expected), "{text:?}: {error}");

@@ -19,9 +19,12 @@
 
 mod address;
 mod any_master;
+#[cfg(test)]
+mod bursts;
+mod echo;
 mod error;
 
-pub use address::BusAddress;
+pub use address::{BusAddress, Echo};
 pub use any_master::AnyMaster;
 pub(crate) use any_master::Wake;
 pub use error::BusError;

@@ -328,6 +328,17 @@ fn faults_and_quirks_are_those_asked_for() {
     assert_eq!(simulation.end(Signal::INT), ended_well());
 }
 
+/// The echo of a stop is the same bytes as its confirmation.
+#[test]
+fn an_echo_that_the_address_does_not_name_is_known_before_the_first_command() {
+    let options = ["--only", "rs485", "--count", "1", "--quirk", "echo-noise", "--seed", "7"];
+    let simulation = Simulation::start(1, &options);
+    let bus = simulation.bus("rs485").strip_suffix(",echo").unwrap();
+    let (status, told) = run_at(bus, &["stop", "--id", "2"]);
+    assert_eq!(status, Some(1), "{told}");
+    done_at(bus, &["stop", "--id", "1"]);
+}
+
 #[test]
 fn the_firmware_is_the_one_asked_for() {
     let v4_4 = ["--firmware", "v4.4", "--ranges", "12.566,45,500,5,60", "--count", "1"];

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use myactuator_host_std::open::BusAddress;
+use myactuator_host_std::open::{BusAddress, Echo};
 use myactuator_protocol_core::master::MotorSet;
 use serde_json::{Value, json};
 
@@ -49,7 +49,8 @@ impl Place {
         };
         let rate = match self.address {
             BusAddress::Rs485 { echo, .. } => {
-                format!("{} bit/s{}", self.bit_rate, if echo { ", echo" } else { "" })
+                let echo = if echo == Echo::Present { ", echo" } else { "" };
+                format!("{} bit/s{echo}", self.bit_rate)
             }
             _ => format!("CAN at {} bit/s", self.bit_rate),
         };
@@ -101,7 +102,7 @@ mod tests {
 
     fn told(json: bool) -> Vec<String> {
         let motors = MotorId::all().take(2).collect();
-        let line = |path| BusAddress::Rs485 { path, bit_rate: 115_200, echo: true };
+        let line = |path| BusAddress::Rs485 { path, bit_rate: 115_200, echo: Echo::Present };
         let adapter = |path| BusAddress::Slcan { path, rate: Rate::Kbit500 };
         let (path, link) = (PathBuf::from("/dev/pts/7"), PathBuf::from("here/slcan"));
         let places = [
