@@ -27,6 +27,7 @@
 mod can;
 mod clock;
 mod error;
+mod latency;
 mod outage;
 mod serial;
 mod slcan;
@@ -35,5 +36,6 @@ mod tty;
 pub use can::SocketCan;
 pub use clock::{HostClock, HostWaker};
 pub use error::PortError;
+pub use latency::SlowAdapter;
 pub use serial::Rs485;
 pub use slcan::Slcan;

@@ -20,6 +20,9 @@ const LONGEST_STALL: Duration = Duration::from_secs(1);
 /// 8N1, any bit rate that the port can run at, pseudo-terminals included; no other program can open it
 /// meanwhile. [`flush`](Write::flush) waits until the bytes have left the kernel and the port's own
 /// send register; those that a USB adapter still holds it cannot see.
+///
+/// A USB adapter that collects what it receives, up to 16 ms for some, is told not to, where its driver
+/// offers that and the user may: otherwise see [`SlowAdapter`](crate::port::SlowAdapter).
 #[derive(Debug)]
 pub struct Rs485 {
     tty: Tty,

@@ -38,6 +38,9 @@ const READS_A_CALL: usize = 16;
 /// nothing for 20 ms is emptied, for what it holds is stale. What its driver does not give back, and
 /// what the adapter itself holds, may be sent when the bus is back, and many adapters report nothing
 /// at all: protect the drives on their own side, by communication-loss protection (0xB3).
+///
+/// A USB adapter that collects what it receives, up to 16 ms for some, is told not to, where its driver
+/// offers that and the user may: otherwise see [`SlowAdapter`](crate::port::SlowAdapter).
 #[derive(Debug)]
 pub struct Slcan {
     tty: Tty,

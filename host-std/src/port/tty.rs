@@ -10,7 +10,7 @@ use rustix::fs::FlockOperation;
 use rustix::io::{Errno, retry_on_intr};
 use serial2::{KeepSettings, SerialPort};
 
-use crate::port::PortError;
+use crate::port::{PortError, latency};
 
 #[derive(Debug)]
 pub(super) struct Tty {
@@ -34,6 +34,7 @@ impl Tty {
             .map_err(|error| failed(error.into()))?;
         let mut tty = Self { port, name };
         tty.configure(bit_rate)?;
+        latency::shorten(path);
         Ok(tty)
     }
 

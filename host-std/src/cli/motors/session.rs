@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use myactuator_host_std::BusKind;
 use myactuator_host_std::open::{AnyMaster, BusAddress, BusError};
+use myactuator_host_std::port::SlowAdapter;
 #[cfg(test)]
 use myactuator_host_std::sim::CanFleet;
 use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
@@ -126,7 +127,11 @@ impl Session {
 
     fn open_on(address: BusAddress) -> Outcome<Self> {
         let config = address.config();
-        Ok(Self::open_with(address, config)?)
+        let session = Self::open_with(address, config)?;
+        if let Some(slow) = session.address.serial_port().and_then(SlowAdapter::at) {
+            tell("note", slow);
+        }
+        Ok(session)
     }
 
     /// The same, with a configuration of the caller's.
