@@ -117,7 +117,8 @@ impl<B: Medium> Clock for Steps<B> {
 const BURSTS_MS: u64 = 16;
 const MOTORS: u8 = 4;
 
-/// Asks every motor two things in turn; gives how many did not answer.
+/// Asks every motor two things in turn; gives how many did not answer. Both are reads, which are sent again
+/// where no reply comes in time: on RS485 the bursts are longer than that.
 fn unanswered<R: Runner<{ MOTORS as usize }>>(master: &mut R) -> usize {
     let motors = MotorId::all().take(MOTORS.into());
     let rounds = motors.cycle().take(100);
