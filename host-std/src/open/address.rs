@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use myactuator_protocol_core::master::Config;
+use myactuator_protocol_core::time::Duration;
 
 use crate::text::slcan::Rate;
 use crate::{BusKind, Unexpected};
@@ -18,6 +19,8 @@ const USUAL_MOTORS: u8 = 4;
 /// The bit rates of the simulated buses, bit/s: those that drives are delivered with.
 const SIMULATED_CAN_RATE: u32 = 1_000_000;
 const SIMULATED_LINE_RATE: u32 = 115_200;
+/// Long enough for an adapter that hands over every 16 ms, and twice that.
+const LONGEST_REPLY_TIMEOUT: Duration = Duration::from_millis(40);
 /// The slowest and the fastest serial line that an address may name, in bit/s.
 const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 
@@ -148,17 +151,22 @@ impl BusAddress {
         }
     }
 
-    /// The master's configuration for this bus, with time-outs for its bit rate. A CAN interface of
-    /// Linux is taken to run at 1 Mbit/s.
+    /// The master's configuration for this bus. Time-outs are those of its bit rate and, on real buses, follow
+    /// the measured round trips up to 40 ms: adapters hold what they received back for up to 16 ms. A CAN
+    /// interface of Linux is taken to run at 1 Mbit/s.
     pub const fn config(&self) -> Config {
         match self {
+            Self::Simulated { kind: BusKind::Can, .. } => Config::CAN,
             Self::Simulated { kind: BusKind::Rs485, .. } => {
                 Config::rs485(SIMULATED_LINE_RATE, false)
             }
-            Self::Simulated { .. } | Self::SocketCan { .. } => Config::CAN,
-            Self::Slcan { rate, .. } => Config::can(rate.bits_per_second()),
+            Self::SocketCan { .. } => Config::CAN.adapting_up_to(LONGEST_REPLY_TIMEOUT),
+            Self::Slcan { rate, .. } => {
+                Config::can(rate.bits_per_second()).adapting_up_to(LONGEST_REPLY_TIMEOUT)
+            }
             Self::Rs485 { bit_rate, echo, .. } => {
-                Config::rs485(*bit_rate, matches!(echo, Echo::Present))
+                let echo = matches!(echo, Echo::Present);
+                Config::rs485(*bit_rate, echo).adapting_up_to(LONGEST_REPLY_TIMEOUT)
             }
         }
     }
@@ -351,6 +359,7 @@ mod tests {
             ("rs485:/dev/ttyUSB0@1000000,echo", 131, Config::rs485(1_000_000, true)),
         ] {
             let config = parse(text).unwrap().config();
+            let expected = expected.adapting_up_to(LONGEST_REPLY_TIMEOUT);
             assert_eq!((config.frame_time.as_micros(), config), (frame_us, expected), "{text}");
         }
     }
@@ -359,7 +368,8 @@ mod tests {
     fn only_what_is_said_of_an_echo_is_configured() {
         for (text, is_configured) in [("", false), (",echo", true), (",noecho", false)] {
             let bus = parse(&format!("rs485:/dev/ttyUSB0@115200{text}")).unwrap();
-            assert_eq!(bus.config(), Config::rs485(115_200, is_configured), "{text}");
+            let expected = Config::rs485(115_200, is_configured).bus;
+            assert_eq!(bus.config().bus, expected, "{text}");
         }
     }
 

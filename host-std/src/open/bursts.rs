@@ -5,8 +5,9 @@ use std::collections::VecDeque;
 use embedded_can::nb::Can;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus1};
+use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus1, SetCurrentPositionZero};
 use myactuator_protocol_core::io::{CanMaster, Clock, Runner, SerialMaster};
+use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::BusAddress;
@@ -117,8 +118,7 @@ impl<B: Medium> Clock for Steps<B> {
 const BURSTS_MS: u64 = 16;
 const MOTORS: u8 = 4;
 
-/// Asks every motor two things in turn; gives how many did not answer. Both are reads, which are sent again
-/// where no reply comes in time: on RS485 the bursts are longer than that.
+/// Asks every motor three things in turn; gives how many did not answer. The third is sent once only.
 fn unanswered<R: Runner<{ MOTORS as usize }>>(master: &mut R) -> usize {
     let motors = MotorId::all().take(MOTORS.into());
     let rounds = motors.cycle().take(100);
@@ -126,7 +126,9 @@ fn unanswered<R: Runner<{ MOTORS as usize }>>(master: &mut R) -> usize {
         .filter(|&motor| {
             let angle = master.ask(motor, ReadMultiTurnAngle);
             let status = master.ask(motor, ReadStatus1);
-            !(angle.is_ok_and(|reading| reading.angle.raw() == 0) && status.is_ok())
+            let zero = master.ask(motor, SetCurrentPositionZero);
+            let is_still = angle.is_ok_and(|reading| reading.angle.raw() == 0);
+            !(is_still && status.is_ok() && zero.is_ok())
         })
         .count()
 }
@@ -155,4 +157,15 @@ fn an_rs485_adapter_with_bursts_works_with_the_configuration_of_its_address() {
         let mut master = SerialMaster::new(adapter, clock, address.config());
         assert_eq!(unanswered(&mut master), 0, "{address}");
     }
+}
+
+#[test]
+fn a_fast_line_keeps_its_short_time_outs() {
+    let address: BusAddress = "rs485:/dev/ttyUSB0@1000000,noecho".parse().unwrap();
+    let world = Fleet::new(MOTORS).on_rs485(1_000_000).unwrap().world;
+    let mut master = SerialMaster::<_, _, 4>::new(world.port(), world.clock(), address.config());
+    assert_eq!(master.master().patience(1).reply_timeout, Duration::from_millis(40));
+    assert_eq!(unanswered(&mut master), 0);
+    let of_the_rate = Config::rs485(1_000_000, false).reply_timeout;
+    assert_eq!(master.master().patience(1).reply_timeout, of_the_rate);
 }
