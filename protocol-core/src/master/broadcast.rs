@@ -63,6 +63,10 @@ impl Broadcast {
         }
     }
 
+    pub(super) fn is_refused_while_stopped(&self) -> bool {
+        self.kind.is_some_and(Kind::is_refused_while_stopped)
+    }
+
     pub(super) fn packet(&self) -> Option<Packet> {
         let channel = self.kind?.channel_to(Target::All).ok()?;
         Some(Packet { channel, data: self.data })

@@ -71,6 +71,10 @@ impl<const N: usize> Master<N> {
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
         let place = self.place_for(motor)?;
         self.stopped.insert(motor);
+        // One that may move all motors may move this one.
+        if self.broadcast.is_refused_while_stopped() {
+            self.broadcast.cancel();
+        }
         self.put_stop(place, kind);
         Ok(())
     }
