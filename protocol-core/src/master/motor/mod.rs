@@ -274,14 +274,21 @@ impl Motor {
                 self.request = Request::Waiting(asked);
                 return;
             }
+            // One without a reply, and nobody was told yet that it was sent.
+            Request::Sent(mut asked) if is_this(asked.kind(), &asked.data) => {
+                asked.attempts_left = asked.attempts_left.saturating_add(1);
+                self.settled_at = Instant::ZERO;
+                self.request = Request::Waiting(asked);
+                return;
+            }
             _ => {}
         }
         if self.stream.in_flight().is_some_and(|sent| is_this(sent.question.kind, &sent.data)) {
             let ends_motion = |asked: &Asked| asked.kind().ends_motion();
             if !self.stream.was_pushed_out() {
                 self.health.superseded = self.health.superseded.saturating_add(1);
-            } else if self.request.under_way().is_some_and(ends_motion) {
-                // What waits to end motion was asked for after it.
+            } else if self.has_restarted || self.request.under_way().is_some_and(ends_motion) {
+                // What waits to end motion was asked for after it, and a restart is news since.
                 self.drop_waiting_set_point();
             }
         } else {
