@@ -48,19 +48,28 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
         self.line.sent(frame, now);
         let bytes = frame.encode();
         let mut rest = bytes.as_slice();
+        let written = self.write(&mut rest);
+        // What the port has taken may be heard, and answered, whatever fails then.
+        if rest.len() < bytes.len() {
+            self.master.handle_transmitted(self.clock.now());
+        }
+        if let Ok(false) = written {
+            self.master.handle_bus_down(now);
+        }
+        written.map(|_| ())
+    }
+
+    /// Writes until nothing is left and waits until that has left; `false` with a port that takes nothing,
+    /// which embedded-io forbids.
+    fn write(&mut self, rest: &mut &[u8]) -> Result<bool, S::Error> {
         while !rest.is_empty() {
             match self.serial.write(rest)? {
-                // A port that takes nothing, which embedded-io forbids.
-                0 => {
-                    self.master.handle_bus_down(now);
-                    return Ok(());
-                }
-                bytes => rest = rest.get(bytes..).unwrap_or(&[]),
+                0 => return Ok(false),
+                bytes => *rest = rest.get(bytes..).unwrap_or(&[]),
             }
         }
         self.serial.flush()?;
-        self.master.handle_transmitted(self.clock.now());
-        Ok(())
+        Ok(true)
     }
 }
 
