@@ -50,7 +50,8 @@ pub struct Config {
     /// How long a frame is on the wire at the most.
     pub frame_time: Duration,
     /// Replies that come sooner after their command than this cannot be its answer: a drive needs
-    /// some 0.8 ms. This keeps a doubled frame apart from the answer to the next request of its kind.
+    /// some 0.8 ms. This keeps a doubled frame apart from the answer to the next request of its kind. With a
+    /// clock of steps longer than this it must be 0: an answer within the step of its command is in time.
     pub shortest_response: Duration,
     /// How long a reply takes at the most when it need not wait for the bus, adapters included.
     ///

@@ -24,8 +24,10 @@
 //! A reply says which motor, which command and which index, and not which of two equal commands it
 //! answers. So an answer can be wrong if the bus holds a frame back for longer than the late window, if
 //! a drive answers twice or a command reaches it twice (the second reply may be taken for that to the
-//! next request of its kind), if two motors have one id, or if another master asks the same at the same
-//! time. A drive that restarts within a second without being asked anything meanwhile is not noticed, nor
+//! next request of its kind), if two motors have one id, if another master asks the same at the same
+//! time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no
+//! more and has not heard). A drive that has lost its master sends back the first command and ignores it:
+//! if its message of that is lost, this may be taken for the answer. A drive that restarts within a second without being asked anything meanwhile is not noticed, nor
 //! is one whose run time nobody reads. And a stop cannot be confirmed by a motor whose replies do not come
 //! through: then cut its power. Nothing on this side of the wire can tell more.
 //!
