@@ -3,10 +3,13 @@
 //!
 //! The engine is cloned and tried on, breadth first, against the model of `world`. `state` says what may
 //! happen and what must hold. `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints
-//! how many states there were; with `--ignored` it goes further, which takes ten minutes.
+//! how many states there were; with `--ignored` it goes further, which takes ten minutes. `longer` draws
+//! longer runs of the same by chance, and `calls` any calls at all; what fails is shrunk.
 
 mod interleavings {
+    mod calls;
     mod canonical;
+    mod longer;
     pub(crate) mod search;
     pub(crate) mod state;
     mod world;

@@ -434,30 +434,9 @@ impl<const N: usize> State<N> {
         Ok(())
     }
 
-    /// Whether `poll_at` is true: not now when there is nothing to do, and nothing to do before it.
+    /// Whether `poll_at` is true.
     pub(crate) fn check_poll_at(&self) -> Result<(), Broken> {
-        let now = self.world.now;
-        let mut master = self.master.clone();
-        master.handle_timeout(now);
-        while master.poll_event().is_some() {}
-        if master.poll_transmit(now).is_some() {
-            return Ok(());
-        }
-        let at = master.poll_at();
-        if at.is_some_and(|at| at <= now) {
-            return Err("poll_at is not after now, and there is nothing to do".into());
-        }
-        let soon = now + Duration::from_millis(20);
-        let before = at.unwrap_or(soon).min(soon).as_micros() - 1;
-        let before = Instant::from_micros(before);
-        master.handle_timeout(before);
-        if master.poll_transmit(before).is_some() {
-            return Err("something is sent before poll_at".into());
-        }
-        if master.poll_event().is_some() {
-            return Err("something is told before poll_at".into());
-        }
-        Ok(())
+        check_poll_at(&self.master, self.world.now)
     }
 
     /// In a world that is well from now on everything must come to its end.
@@ -520,6 +499,34 @@ impl<const N: usize> State<N> {
 
 fn call_of_data(data: &Data) -> u8 {
     data[4]
+}
+
+/// Whether `poll_at` is true: not now when there is nothing to do, and nothing to do before it.
+pub(crate) fn check_poll_at<const N: usize>(
+    master: &Master<N>,
+    now: Instant,
+) -> Result<(), Broken> {
+    let mut master = master.clone();
+    master.handle_timeout(now);
+    while master.poll_event().is_some() {}
+    if master.poll_transmit(now).is_some() {
+        return Ok(());
+    }
+    let at = master.poll_at();
+    if at.is_some_and(|at| at <= now) {
+        return Err("poll_at is not after now, and there is nothing to do".into());
+    }
+    let soon = now + Duration::from_millis(20);
+    let before = at.unwrap_or(soon).min(soon).as_micros() - 1;
+    let before = Instant::from_micros(before);
+    master.handle_timeout(before);
+    if master.poll_transmit(before).is_some() {
+        return Err("something is sent before poll_at".into());
+    }
+    if master.poll_event().is_some() {
+        return Err("something is told before poll_at".into());
+    }
+    Ok(())
 }
 
 impl<const N: usize> fmt::Debug for State<N> {

@@ -1,0 +1,100 @@
+//! Longer runs than the search reaches, by chance: the same steps, the same world and the same oracle.
+
+use myactuator_protocol_core::time::{Duration, Instant};
+use proptest::prelude::*;
+use proptest::sample::Index;
+use proptest::test_runner::{Config, RngSeed};
+
+use super::state::{Call, State, Step};
+
+/// Calls of one run: the model has a bit for each.
+const CALLS: u8 = 30;
+const FAULTS: u8 = 12;
+/// Without anything heard for so long, a motor may have restarted: the model knows nothing of that.
+const LONGEST_RUN: Duration = Duration::from_millis(900);
+
+/// What the next step is drawn from; the search draws from all alike, which would be hardly anything but
+/// calls and faults here.
+#[derive(Clone, Copy, Debug)]
+enum Sort {
+    Call,
+    Bus,
+    Fault,
+    Time,
+}
+
+fn sort_of(step: Step) -> Sort {
+    match step {
+        Step::Call(_) | Step::CallBeforeEvents(_) => Sort::Call,
+        Step::Take | Step::Hear(_) | Step::Reply(_) => Sort::Bus,
+        Step::Tick | Step::Sleep => Sort::Time,
+        Step::TakeForAnother(_)
+        | Step::HearTwice(_)
+        | Step::LoseCommand(_)
+        | Step::ReplyTwice(_)
+        | Step::LoseReply(_)
+        | Step::LoseMaster(_)
+        | Step::Foreign => Sort::Fault,
+    }
+}
+
+fn any_sort() -> impl Strategy<Value = Sort> {
+    prop_oneof![
+        1 => Just(Sort::Fault),
+        3 => Just(Sort::Call),
+        3 => Just(Sort::Time),
+        12 => Just(Sort::Bus),
+    ]
+}
+
+fn run<const N: usize>(calls: &[Call], choices: &[(Sort, Index)]) -> Result<(), TestCaseError> {
+    let mut state = State::<N>::new(CALLS, FAULTS);
+    let end = state.world.now + LONGEST_RUN;
+    let failed =
+        |state: &State<N>, broken| Err(TestCaseError::fail(format!("{broken}\n{state:?}")));
+    for (sort, index) in choices {
+        let is_of_sort =
+            |step: &Step| std::mem::discriminant(&sort_of(*step)) == std::mem::discriminant(sort);
+        let steps: Vec<Step> = state.possible(calls).into_iter().filter(is_of_sort).collect();
+        if steps.is_empty() || is_after(&state, end) {
+            continue;
+        }
+        let mut after = state.clone();
+        match after.step(*index.get(&steps)) {
+            Ok(false) => continue,
+            Ok(true) => state = after,
+            Err(broken) => return failed(&after, broken),
+        }
+        if let Err(broken) = state.check_poll_at() {
+            return failed(&state, broken);
+        }
+    }
+    state.check_end().or_else(|broken| failed(&state, broken))
+}
+
+fn is_after<const N: usize>(state: &State<N>, end: Instant) -> bool {
+    state.world.now >= end
+}
+
+fn choices() -> impl Strategy<Value = Vec<(Sort, Index)>> {
+    prop::collection::vec((any_sort(), any::<Index>()), 50..400)
+}
+
+proptest! {
+    #![proptest_config(Config {
+        cases: 500,
+        failure_persistence: None,
+        rng_seed: RngSeed::Fixed(1),
+        ..Config::default()
+    })]
+
+    #[test]
+    fn one_motor_by_chance(choices in choices()) {
+        run::<1>(crate::ONE.calls, &choices)?;
+    }
+
+    #[test]
+    fn two_motors_by_chance(choices in choices()) {
+        run::<2>(crate::TWO.calls, &choices)?;
+    }
+}
