@@ -1,0 +1,347 @@
+//! Callers: when they ask, stop and lift, ask for more than the bus carries, and rest; and how a run goes.
+
+use myactuator_host_std::sim::bus::faults::{Babble, Direction};
+use myactuator_protocol_core::command::ReadVersionDate;
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::{Channel, MotorId};
+use myactuator_tests::dice::Dice;
+use myactuator_tests::values::id;
+
+use super::oracle::{Oracle, Totals};
+use super::scenarios::{Echo, Pace, Scenario, Trouble};
+use super::world::{Rough, Stage};
+
+/// An outcome takes at the longest: a restart (2 s), and three attempts with their waiting.
+const LONGEST_WAIT: Duration = Duration::from_millis(4_000);
+const HOUR: Duration = Duration::from_secs(3_600);
+
+/// One run of a scenario.
+pub(crate) struct Session<W: Rough> {
+    pub(super) scenario: Scenario,
+    pub(super) stage: Stage<W>,
+    pub(super) oracle: Oracle,
+    pub(super) dice: Dice,
+    pub(super) asked: u32,
+    /// When each open request was put, in the world's time.
+    pub(super) since: Vec<Instant>,
+    /// The next set-point's number of each motor.
+    pub(super) numbers: Vec<u32>,
+    next_ask: Vec<Instant>,
+    /// Motors whose set-point is answered for, so that the next can be put.
+    pub(super) due: Vec<bool>,
+    /// Motors that are stopped; when that is lifted, once all have confirmed.
+    pub(super) stopped: MotorSet,
+    lifted_at: Option<Instant>,
+    rests_until: Instant,
+    next_mischief: Instant,
+    mischief: Option<usize>,
+}
+
+impl<W: Rough> Session<W> {
+    pub(crate) fn new(scenario: Scenario) -> Self {
+        let stage = Stage::<W>::new(&scenario, scenario.config::<W>());
+        for direction in [Direction::ToNodes, Direction::ToPorts] {
+            stage.world.set_faults(direction, scenario.plan::<W>(direction));
+        }
+        {
+            let mut truth = stage.book.open();
+            truth.flips = scenario.trouble == Trouble::Undetected;
+            truth.reorders = matches!(scenario.trouble, Trouble::Reorder | Trouble::All);
+            if scenario.is_kind() {
+                let motors = u64::from(scenario.motors);
+                // CAN: what was queued before, and two frames each. RS485: what is in flight, one to
+                // all, and an exchange with each.
+                let within =
+                    if W::NAME == "CAN" { 2_000 + 300 * motors } else { 12_000 + 1_500 * motors };
+                truth.first_stops_within = Some(Duration::from_micros(within));
+            }
+        }
+        let count = usize::from(scenario.motors);
+        Self {
+            scenario,
+            stage,
+            oracle: Oracle::new(),
+            dice: Dice::new(scenario.seed),
+            asked: 0,
+            since: vec![Instant::ZERO; count],
+            numbers: vec![1; count],
+            next_ask: vec![Instant::ZERO; count],
+            due: vec![true; count],
+            stopped: MotorSet::EMPTY,
+            lifted_at: None,
+            rests_until: Instant::ZERO,
+            next_mischief: Instant::ZERO,
+            mischief: None,
+        }
+    }
+
+    pub(super) fn told(&self) -> String {
+        format!("{}, {}: {:?}", W::NAME, self.scenario, self.oracle.totals)
+    }
+
+    /// Fails with what is broken, if anything is.
+    fn judge(&self) {
+        let broken = std::mem::take(&mut self.stage.book.open().broken);
+        assert!(broken.is_empty(), "{}\n{}", broken.join("\n"), self.told());
+    }
+
+    pub(super) fn motors(&self) -> impl Iterator<Item = MotorId> + use<W> {
+        MotorId::all().take(self.scenario.motors.into())
+    }
+
+    pub(crate) fn run(mut self) -> Totals {
+        let mut quiet = false;
+        self.find_the_echo();
+        loop {
+            let more = self.oracle.totals.requests < self.scenario.requests;
+            if more {
+                self.make_mischief();
+                self.ask();
+            } else if !quiet {
+                quiet = true;
+                self.end_mischief();
+            }
+            self.lift();
+            if !more && self.is_over() {
+                break;
+            }
+            match self.stage.host.poll() {
+                Ok(Some(event)) => self.take(&event),
+                Ok(None) => self.wait(),
+                Err(_) => {
+                    self.oracle.totals.bus_errors += 1;
+                    self.stage.world.run_for(Duration::from_micros(200));
+                }
+            }
+            self.judge();
+        }
+        self.check_health();
+        self.judge();
+        self.oracle.totals.excused = self.stage.book.open().excused.clone();
+        self.oracle.totals
+    }
+
+    /// A loop finds an echo out by itself with the first reads of what is never all zero. Before that
+    /// nothing is asked.
+    fn find_the_echo(&mut self) {
+        if self.scenario.conditions.echo != Echo::Unknown {
+            return;
+        }
+        let channel = Channel::Command(id(1).into());
+        for _ in 0..3 {
+            self.stage.book.open().put(id(1), channel, &ReadVersionDate.encode());
+            // Whether it is answered or not, it was sent.
+            let _ = self.stage.host.ask(id(1), ReadVersionDate);
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.oracle.open.iter().all(Option::is_none)
+            && self.oracle.broadcast.is_none()
+            && self.stopped.is_empty()
+    }
+
+    /// Now, in the world's time.
+    pub(super) fn now(&self) -> Instant {
+        self.stage.world.now()
+    }
+
+    /// A request and a set-point are two exchanges: on CAN 0.5 ms of wire, on RS485 2.5 ms, for
+    /// nothing else goes on meanwhile. Faults take more.
+    fn pace(&self) -> Duration {
+        let one = if W::NAME == "CAN" { 1_000 } else { 3_000 };
+        let more = 100 + 4 * u64::from(self.scenario.percent);
+        Duration::from_micros(one * u64::from(self.scenario.motors) * more / 100)
+    }
+
+    /// Sleeps until the master or a frame has something to do: if the master's `poll_at` forgets
+    /// anything, an outcome comes far too late.
+    fn wait(&mut self) {
+        let now = self.now();
+        for motor in self.motors() {
+            let waited = now - self.since[motor.index()];
+            let open = self.oracle.open[motor.index()];
+            assert!(open.is_none() || waited < LONGEST_WAIT, "{open:?} hangs. {}", self.told());
+        }
+        if self.scenario.conditions.jumps && self.dice.below(20_000) == 0 {
+            return self.jump();
+        }
+        let is_waiting = !self.is_over();
+        let mut until = if is_waiting && self.lifted_at.is_none() && self.dice.below(4) == 0 {
+            now + Duration::from_secs(10)
+        } else {
+            let next = self.next_ask.iter().min().copied().unwrap_or(now).max(self.rests_until);
+            next.max(now + Duration::from_micros(100))
+        };
+        // A cut wire is mended in time: no frame is held back for longer than the master assumes.
+        if self.scenario.trouble == Trouble::Cut && self.mischief.is_some() {
+            until = until.min(self.next_mischief);
+        }
+        let truth = self.stage.book.open();
+        let shown = until + truth.clock_ahead;
+        drop(truth);
+        self.stage.host.idle(shown);
+    }
+
+    /// The caller does not look for an hour.
+    fn jump(&mut self) {
+        self.stage.world.run_for(Duration::from_micros(self.dice.below(30_000)));
+        let mut truth = self.stage.book.open();
+        truth.clock_ahead = truth.clock_ahead + HOUR;
+    }
+
+    /// Cuts, slows, babbles and restarts for the scenario's share of the time; and now and then, a drive
+    /// restarts, loses its master or reports an error.
+    fn make_mischief(&mut self) {
+        let now = self.now();
+        let which = self.dice.below(self.stage.stations.len() as u64) as usize;
+        let node = self.stage.stations[which];
+        let conditions = self.scenario.conditions;
+        match self.dice.below(20_000) {
+            0 if conditions.restarts => self.stage.world.reset(node),
+            1..5 if conditions.lost_masters => {
+                self.stage.drive(which, |drive| drive.lose_master(now));
+            }
+            5..25 if conditions.reports => {
+                self.stage.drive(which, |drive| drive.report_error(now));
+            }
+            _ => {}
+        }
+        let Scenario { trouble, percent, .. } = self.scenario;
+        if !trouble.is_by_hand() || percent == 0 || now < self.next_mischief {
+            return;
+        }
+        if self.mischief.is_some() {
+            self.end_mischief();
+            self.next_mischief = now + Duration::from_micros(500 * (100 - u64::from(percent)));
+            return;
+        }
+        let world = &self.stage.world;
+        match trouble {
+            Trouble::Cut => world.cut(node),
+            Trouble::Slow => world.slow_down(node, Duration::from_millis(3)),
+            Trouble::Babble => {
+                let interval = Duration::from_micros(200);
+                world.babble(node, Some(Babble { interval, frame: None }));
+            }
+            _ => world.reset(node),
+        }
+        self.mischief = Some(which);
+        self.next_mischief = now + Duration::from_micros(500 * u64::from(percent));
+    }
+
+    fn end_mischief(&mut self) {
+        if let Some(which) = self.mischief.take() {
+            let node = self.stage.stations[which];
+            self.stage.world.mend(node);
+            self.stage.world.slow_down(node, Duration::ZERO);
+            self.stage.world.babble(node, None);
+        }
+    }
+
+    fn ask(&mut self) {
+        let now = self.now();
+        let conditions = self.scenario.conditions;
+        if now < self.rests_until {
+            return;
+        }
+        if conditions.pace == Pace::Rests && self.dice.below(2_000) == 0 {
+            self.rests_until = now + Duration::from_micros(self.dice.below(300_000));
+            return;
+        }
+        if !conditions.is_plain {
+            if self.stopped.is_empty() && self.dice.below(2_000) == 0 {
+                self.stop();
+            }
+            if self.oracle.broadcast.is_none() && self.dice.below(500) == 0 {
+                self.ask_all();
+            }
+        }
+        for index in 0..usize::from(self.scenario.motors) {
+            if now < self.next_ask[index] {
+                continue;
+            }
+            // Half of them at once, as soon as the one before is over.
+            let waits = if conditions.pace == Pace::Flood { 0 } else { self.dice.below(2) };
+            self.next_ask[index] = now + Duration::from_micros(self.pace().as_micros() * 2 * waits);
+            if self.oracle.open[index].is_none() {
+                self.ask_one(index);
+            }
+            if self.due[index] {
+                self.stream(index);
+            }
+        }
+    }
+
+    /// All or one; of a motor that is not asked anything, too.
+    fn stop(&mut self) {
+        let kind = if self.dice.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
+        let one = self.dice.below(3) == 0;
+        let all: MotorSet = self.motors().collect();
+        self.stopped = if one {
+            let motor = self.dice.below(self.scenario.motors.into()) as u8 + 1;
+            self.stage.host.master().stop(id(motor), kind).expect("there is a place");
+            id(motor).into()
+        } else {
+            self.stage.host.master().stop_all(kind, all).expect("there is a place for all");
+            all
+        };
+        self.oracle.totals.stops += 1;
+        self.stage.book.open().stop(self.stopped);
+    }
+
+    /// Some time after all have confirmed the stop it is lifted; seldom before.
+    fn lift(&mut self) {
+        if self.stopped.is_empty() {
+            return;
+        }
+        let now = self.now();
+        let truth = self.stage.book.open();
+        let is_over = !self.stopped.iter().any(|motor| truth.pages[motor.index()].is_stopping);
+        drop(truth);
+        if self.lifted_at.is_none() && is_over {
+            self.lifted_at = Some(now + Duration::from_micros(self.dice.below(40_000)));
+        }
+        let is_time = self.lifted_at.is_some_and(|at| at <= now);
+        if is_time || self.dice.below(5_000) == 0 {
+            self.stage.host.master().lift_stop();
+            self.stage.book.open().lift(self.stopped);
+            self.stopped = MotorSet::EMPTY;
+            self.lifted_at = None;
+            self.due.fill(true);
+        }
+    }
+
+    fn take(&mut self, event: &Event) {
+        self.oracle.hear(event, &mut self.stage.book.open());
+        match *event {
+            Event::Feedback { motor, .. }
+            | Event::SetPointUnanswered { motor }
+            | Event::SetPointDropped { motor } => self.due[motor.index()] = true,
+            Event::Restarted { motor } => {
+                self.due[motor.index()] = true;
+                // Some look where it is first.
+                if self.dice.below(2) == 0 {
+                    self.stream(motor.index());
+                }
+                self.stage.host.master().resume(motor);
+                self.stage.book.open().pages[motor.index()].awaits_resume = false;
+            }
+            _ => {}
+        }
+    }
+
+    fn check_health(&mut self) {
+        let conditions = self.scenario.conditions;
+        // Without stops, which go over what is in flight, and what is neither answer nor loss.
+        let exactly = conditions.is_plain && !conditions.lost_masters && !conditions.restarts;
+        for motor in self.motors() {
+            let health = self.stage.host.master().health(motor);
+            let is_idle = self.due[motor.index()];
+            let mut truth = self.stage.book.open();
+            self.oracle.check_health(motor, health, exactly && is_idle, &mut truth);
+        }
+    }
+}

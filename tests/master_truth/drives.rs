@@ -1,0 +1,250 @@
+//! Drives that tell the truth, and misbehave as real ones were seen to. And another master.
+
+use std::collections::VecDeque;
+use std::marker::PhantomData;
+
+use myactuator_host_std::sim::bus::Node;
+use myactuator_protocol_core::command::{PidIndex, ReadMultiTurnAngle, ReadPid, ReadStatus2, Stop};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::rs485::Receiver;
+use myactuator_protocol_core::{Channel, Command, Data, MotorId, Packet, Target};
+use myactuator_tests::dice::Dice;
+use myactuator_tests::rig::with_token;
+use myactuator_tests::wire::Wire;
+
+use super::truth::{Book, DONE, REPORTS, STRANGERS, has_values, is_asking};
+
+/// A byte that no drive here knows.
+pub(crate) const UNKNOWN: u8 = 0x71;
+const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
+/// A drive that has lost its master says so that often; real ones do once a second.
+const HEARTBEAT: Duration = Duration::from_millis(20);
+/// It hears nothing for so long first: that is how it loses its master.
+const DEAF: Duration = Duration::from_millis(8);
+/// How long a drive takes to restart (field notes).
+pub(crate) const BOOT: Duration = Duration::from_millis(1_100);
+
+/// A drive that answers every command after 0.7 to 0.9 ms, in order, with the command's own token.
+pub(crate) struct Drive<W> {
+    wire: PhantomData<W>,
+    motor: MotorId,
+    receiver: Receiver,
+    replies: VecDeque<(Instant, Packet)>,
+    dice: Dice,
+    book: Book,
+    /// It hears nothing before: it restarts, or its wire is loose.
+    deaf_until: Instant,
+    booted: Instant,
+    /// It has lost its master, and says so next at this time.
+    lost: Option<Instant>,
+    /// What it reports by itself: command byte, interval, next time.
+    report: Option<(u8, Duration, Instant)>,
+    reported: u32,
+    last_reply: Option<Packet>,
+    /// How long it takes to restart.
+    pub(crate) boot: Duration,
+    /// One reply in so many comes twice, 0 for none.
+    pub(crate) repeats: u64,
+}
+
+impl<W> Drive<W> {
+    pub(crate) fn new(motor: MotorId, seed: u64, book: Book) -> Self {
+        Self {
+            wire: PhantomData,
+            motor,
+            receiver: Receiver::new(),
+            replies: VecDeque::new(),
+            dice: Dice::new(seed),
+            book,
+            deaf_until: Instant::ZERO,
+            booted: Instant::ZERO,
+            lost: None,
+            report: None,
+            reported: 0,
+            last_reply: None,
+            boot: Duration::ZERO,
+            repeats: 0,
+        }
+    }
+
+    /// It loses its master.
+    pub(crate) fn lose_master(&mut self, now: Instant) {
+        self.deaf_until = self.deaf_until.max(now + DEAF);
+        self.lost = Some(self.deaf_until);
+    }
+
+    /// It reports an error by itself (function 3).
+    pub(crate) fn report_error(&mut self, now: Instant) {
+        let data = self.report_of(0x9A);
+        self.replies.push_back((now, Packet { channel: Channel::Reply(self.motor), data }));
+    }
+
+    fn report_of(&mut self, byte: u8) -> Data {
+        self.reported += 1;
+        let token = REPORTS | self.reported;
+        self.book.open().pages[self.motor.index()].reports.insert(token);
+        let mut data = [byte, 0, 0, DONE, 0, 0, 0, 0];
+        data[4..].copy_from_slice(&token.to_le_bytes());
+        data
+    }
+
+    fn restart(&mut self, now: Instant) {
+        self.replies.clear();
+        self.receiver.reset();
+        self.deaf_until = now + self.boot;
+        self.booted = self.deaf_until;
+        (self.lost, self.report, self.last_reply) = (None, None, None);
+        self.book.open().has_restarted(self.motor);
+    }
+
+    fn hear(&mut self, packet: &Packet, now: Instant) {
+        let channel = match packet.channel {
+            Channel::Command(Target::Motor(motor)) if motor == self.motor => Channel::Reply(motor),
+            Channel::Command(Target::All) => Channel::Reply(self.motor),
+            Channel::Motion(motor) if motor == self.motor => Channel::MotionReply(motor),
+            _ => return,
+        };
+        // On RS485 another drive's reply is like a command, if it has this one's id.
+        if now < self.deaf_until || packet.data[0] == LOST_MASTER[0] {
+            return;
+        }
+        self.speak_up(now);
+        let ignores = self.lost.take().is_some();
+        self.book.open().heard(self.motor, packet, ignores, now);
+        let command = packet.data;
+        if ignores {
+            return self.answer(Packet { channel, data: command }, now);
+        }
+        if channel == Channel::Reply(self.motor) {
+            match command[0] {
+                0x76 => return self.restart(now),
+                0xB6 => {
+                    let every = 10_000 * u64::from(u16::from_le_bytes([command[3], command[4]]));
+                    let every = Duration::from_micros(every);
+                    self.report = (command[2] != 0).then_some((command[1], every, now + every));
+                    return;
+                }
+                UNKNOWN => {
+                    // As firmware 2025070202 does.
+                    if let Some(last) = self.last_reply {
+                        self.book.open().was_doubled(self.motor);
+                        self.answer(last, now);
+                    }
+                    return;
+                }
+                byte if self.report.is_some_and(|(reported, ..)| reported == byte) => return,
+                _ if !is_asking(packet) => return,
+                _ => {}
+            }
+        }
+        let reply = Packet { channel, data: self.values(&command, channel, now) };
+        self.last_reply = Some(reply);
+        self.answer(reply, now);
+        if self.repeats > 0 && self.dice.below(self.repeats) == 0 {
+            self.book.open().was_doubled(self.motor);
+            self.answer(reply, now);
+        }
+    }
+
+    fn values(&self, command: &Data, channel: Channel, now: Instant) -> Data {
+        let mut data = *command;
+        match channel {
+            Channel::MotionReply(motor) => {
+                data = [motor.get(), command[0], command[1], DONE, 0, 0, 0, 0];
+            }
+            _ if command[0] == 0xB1 => {
+                let run_time = (now - self.booted).as_millis() as u32;
+                data[4..].copy_from_slice(&run_time.to_le_bytes());
+            }
+            _ if has_values(command[0]) => data[3] = DONE,
+            _ => {}
+        }
+        data
+    }
+
+    fn answer(&mut self, reply: Packet, now: Instant) {
+        let due = now + Duration::from_micros(700 + self.dice.below(201));
+        let due = self.replies.back().map_or(due, |(before, _)| due.max(*before));
+        self.replies.push_back((due, reply));
+    }
+
+    fn speak_up(&mut self, now: Instant) {
+        let channel = Channel::Reply(self.motor);
+        if let Some(at) = self.lost.as_mut().filter(|at| **at <= now) {
+            *at = now + HEARTBEAT;
+            self.book.open().pages[self.motor.index()].lost_master_untold = true;
+            self.replies.push_back((now, Packet { channel, data: LOST_MASTER }));
+        }
+        if let Some((byte, every, at)) = self.report.filter(|(.., at)| *at <= now) {
+            self.report = Some((byte, every, at + every));
+            let data = self.report_of(byte);
+            self.replies.push_back((now, Packet { channel, data }));
+        }
+    }
+}
+
+impl<W: Wire> Node<W::Frame> for Drive<W> {
+    fn handle_frame(&mut self, frame: &W::Frame, now: Instant) {
+        if let Some(packet) = W::packet(&mut self.receiver, frame, true) {
+            self.hear(&packet, now);
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<W::Frame> {
+        self.speak_up(now);
+        self.replies.pop_front_if(|(due, _)| *due <= now).map(|(_, packet)| W::frame(&packet))
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        let reply = self.replies.front().map(|(due, _)| *due);
+        let report = self.report.map(|(.., at)| at);
+        [reply, self.lost, report].into_iter().flatten().min()
+    }
+
+    fn reset(&mut self, now: Instant) {
+        self.restart(now);
+    }
+}
+
+/// Another master, which asks the first motor now and then, and sometimes stops it.
+pub(crate) struct Stranger<W> {
+    wire: PhantomData<W>,
+    dice: Dice,
+    next: Instant,
+    asked: u32,
+    motor: MotorId,
+}
+
+impl<W> Stranger<W> {
+    pub(crate) fn new(motor: MotorId, seed: u64) -> Self {
+        let next = Instant::from_micros(2_000);
+        Self { wire: PhantomData, dice: Dice::new(seed), next, asked: 0, motor }
+    }
+}
+
+impl<W: Wire> Node<W::Frame> for Stranger<W> {
+    fn handle_frame(&mut self, _: &W::Frame, _: Instant) {}
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<W::Frame> {
+        if now < self.next {
+            return None;
+        }
+        self.next = now + Duration::from_micros(1_000 + self.dice.below(20_000));
+        self.asked += 1;
+        let token = STRANGERS | self.asked;
+        let pid = |index| with_token(ReadPid { index }, token).encode();
+        let data = match self.dice.below(20) {
+            0..8 => with_token(ReadMultiTurnAngle, token).encode(),
+            8..11 => pid(PidIndex::from_raw(1)),
+            // Which our callers never ask.
+            11..16 => pid(PidIndex::POSITION_KD),
+            16..19 => with_token(ReadStatus2, token).encode(),
+            _ => with_token(Stop, token).encode(),
+        };
+        Some(W::frame(&Packet { channel: Channel::Command(self.motor.into()), data }))
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        Some(self.next)
+    }
+}

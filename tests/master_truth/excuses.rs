@@ -1,0 +1,67 @@
+//! What no master can know, as the documentation of `master` has it. Each excuse is noted when the thing
+//! itself happens, frame by frame, and holds for that question of that motor, for as long as its
+//! consequences may go on.
+
+use std::collections::HashMap;
+
+use myactuator_protocol_core::time::{Duration, Instant};
+
+use super::truth::Question;
+
+/// Why an event may be wrong, or a command come when it must not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Excuse {
+    /// A drive answered twice, or a command reached it twice.
+    Doubled,
+    /// As that, because two motors have one id.
+    TwoMotorsOfOneId,
+    /// Another master asks the same.
+    AnotherMaster,
+    /// Another station sends in a drive's name what no drive has said.
+    MadeUp,
+    /// The bus has held a frame back for longer than the late window.
+    HeldBack,
+    /// The drive has lost its master, and what it said of that was lost: it sends back what it ignores.
+    LostMasterUntold,
+    /// The drive reports by itself (0xB6, function 3) what looks like an answer.
+    ReportedByItself,
+}
+
+/// The excuses that hold for one motor, and until when.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Excuses {
+    questions: HashMap<Question, (Excuse, Instant)>,
+    /// Something of it was doubled, nobody knows what.
+    doubling: Option<(Excuse, Instant)>,
+}
+
+impl Excuses {
+    /// This has happened to a frame of this question: for a late window, the answer to the next one may
+    /// be another's.
+    pub(crate) fn note(&mut self, of: Question, excuse: Excuse, now: Instant, window: Duration) {
+        self.questions.insert(of, (excuse, now + window));
+    }
+
+    /// Something was doubled.
+    pub(crate) fn note_doubling(&mut self, excuse: Excuse, now: Instant, window: Duration) {
+        self.doubling = Some((excuse, now + window.times(2)));
+    }
+
+    /// The excuse for a wrong answer to this question. Whose own answer then comes may be taken for that
+    /// to the next, so it goes on holding.
+    pub(crate) fn take(&mut self, of: Question, now: Instant, window: Duration) -> Option<Excuse> {
+        let excuse = self.of(of, now)?;
+        self.note(of, excuse, now, window);
+        Some(excuse)
+    }
+
+    pub(crate) fn of(&self, question: Question, now: Instant) -> Option<Excuse> {
+        self.questions.get(&question).filter(|(_, until)| now <= *until).map(|(excuse, _)| *excuse)
+    }
+
+    /// The excuse for what was doubled, where tokens cannot tell: an acknowledgement of a stop is like any
+    /// other.
+    pub(crate) fn doubling(&self, now: Instant) -> Option<Excuse> {
+        self.doubling.filter(|(_, until)| now <= *until).map(|(excuse, _)| excuse)
+    }
+}

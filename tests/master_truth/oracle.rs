@@ -1,0 +1,367 @@
+//! What must hold of each event, by what really happened.
+
+use std::collections::HashMap;
+
+use myactuator_protocol_core::command::AnyReply;
+use myactuator_protocol_core::master::{Event, Failure, Health, MotorSet, TicketId};
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Packet};
+
+use super::excuses::Excuse;
+use super::truth::{DONE, Name, Truth, has_values, question_of};
+
+/// A motor that was silent for so long may have restarted.
+const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
+
+/// A request whose outcome is to come.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Open {
+    pub(crate) ticket: TicketId,
+    pub(crate) kind: Kind,
+    pub(crate) data: Data,
+}
+
+/// A broadcast that is under way.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Asked {
+    pub(crate) data: Data,
+    pub(crate) expected: MotorSet,
+    pub(crate) answered: MotorSet,
+}
+
+/// What was told so far, of one motor.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Told {
+    pub(crate) no_reply: u64,
+    pub(crate) unanswered: u64,
+    pub(crate) strays: u64,
+    lost_master: u32,
+}
+
+/// What a scenario came to.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Totals {
+    pub(crate) requests: u64,
+    pub(crate) replies: u64,
+    pub(crate) sent: u64,
+    pub(crate) failed: HashMap<Why, u64>,
+    pub(crate) feedback: u64,
+    pub(crate) unanswered: u64,
+    pub(crate) stops: u64,
+    pub(crate) confirmed: u64,
+    pub(crate) unconfirmed: u64,
+    pub(crate) broadcasts: u64,
+    pub(crate) reports: u64,
+    pub(crate) restarted: u64,
+    pub(crate) lost_master: u64,
+    pub(crate) bus_errors: u64,
+    pub(crate) excused: HashMap<Excuse, u64>,
+}
+
+/// Why requests failed, to be counted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Why {
+    NoReply,
+    NotExecuted,
+    Stopped,
+    BusDown,
+    Other,
+}
+
+impl From<Failure> for Why {
+    fn from(failure: Failure) -> Self {
+        match failure {
+            Failure::NoReply => Self::NoReply,
+            Failure::NotExecuted => Self::NotExecuted,
+            Failure::Stopped => Self::Stopped,
+            Failure::BusDown => Self::BusDown,
+            _ => Self::Other,
+        }
+    }
+}
+
+impl Totals {
+    pub(crate) fn failed(&self, why: Why) -> u64 {
+        self.failed.get(&why).copied().unwrap_or(0)
+    }
+}
+
+/// Holds what is told against the truth.
+#[derive(Debug)]
+pub(crate) struct Oracle {
+    pub(crate) open: Vec<Option<Open>>,
+    pub(crate) broadcast: Option<Asked>,
+    pub(crate) told: Vec<Told>,
+    pub(crate) totals: Totals,
+}
+
+impl Oracle {
+    pub(crate) fn new() -> Self {
+        Self {
+            open: vec![None; MotorId::COUNT],
+            broadcast: None,
+            told: vec![Told::default(); MotorId::COUNT],
+            totals: Totals::default(),
+        }
+    }
+
+    /// Checks an event.
+    pub(crate) fn hear(&mut self, event: &Event, truth: &mut Truth) {
+        match *event {
+            Event::Reply { ticket, kind, data } => {
+                let Some(open) = self.close(ticket, event, truth) else { return };
+                self.totals.replies += 1;
+                if open.kind != kind {
+                    truth.breaks(format!("{event:?} of a {:?}", open.kind));
+                }
+                check_answer(ticket.motor(), &open.data, &data, truth);
+            }
+            Event::Sent { ticket, .. } => {
+                let Some(open) = self.close(ticket, event, truth) else { return };
+                self.totals.sent += 1;
+                let taken = sending(ticket.motor(), &open.data, truth).taken;
+                if open.kind.has_reply() || taken == 0 {
+                    truth.breaks(format!("{event:?}, and it was taken {taken} times"));
+                }
+            }
+            Event::Failed { ticket, failure } => {
+                let Some(open) = self.close(ticket, event, truth) else { return };
+                *self.totals.failed.entry(failure.into()).or_default() += 1;
+                self.check_failure(ticket.motor(), &open, failure, truth);
+            }
+            Event::Feedback { motor, reply } => {
+                self.totals.feedback += 1;
+                check_feedback(motor, &reply, truth);
+            }
+            Event::SetPointUnanswered { motor } => {
+                self.totals.unanswered += 1;
+                self.told[motor.index()].unanswered += 1;
+            }
+            Event::SetPointDropped { .. } => {}
+            Event::BroadcastReply { motor, reply } => self.check_broadcast(motor, &reply, truth),
+            Event::BroadcastDone { silent } => match self.broadcast.take() {
+                Some(asked) if asked.expected.without(asked.answered) == silent => {}
+                asked => truth.breaks(format!("{event:?} of {asked:?}")),
+            },
+            Event::StopConfirmed { motor } => {
+                self.totals.confirmed += 1;
+                check_confirmed(motor, truth);
+            }
+            Event::StopUnconfirmed { motor } => {
+                self.totals.unconfirmed += 1;
+                let page = &mut truth.pages[motor.index()];
+                if !std::mem::take(&mut page.is_stopping) {
+                    truth.breaks(format!("{event:?}, and nobody stops it"));
+                }
+            }
+            Event::Report { motor, reply } => {
+                self.totals.reports += 1;
+                check_report(motor, &reply, truth);
+            }
+            Event::Restarted { motor } => {
+                self.totals.restarted += 1;
+                check_restarted(motor, truth);
+            }
+            Event::LostMaster { motor } => {
+                self.totals.lost_master += 1;
+                let told = &mut self.told[motor.index()];
+                told.lost_master += 1;
+                if told.lost_master > truth.pages[motor.index()].lost_master_delivered {
+                    truth.breaks(format!("{event:?}, and it has not"));
+                }
+            }
+            Event::Stray { motor, .. } => self.told[motor.index()].strays += 1,
+            ref other => truth.breaks(format!("what is {other:?}?")),
+        }
+    }
+
+    /// The request that the ticket names, which must be open.
+    fn close(&mut self, ticket: TicketId, event: &Event, truth: &mut Truth) -> Option<Open> {
+        let open = self.open[ticket.motor().index()].take();
+        let open = open.filter(|open| open.ticket == ticket);
+        if open.is_none() {
+            truth.breaks(format!("no request waits for {event:?}"));
+        }
+        open
+    }
+
+    fn check_failure(&mut self, motor: MotorId, open: &Open, failure: Failure, truth: &mut Truth) {
+        let of = sending(motor, &open.data, truth);
+        let is_true = match failure {
+            Failure::NoReply => {
+                self.told[motor.index()].no_reply += 1;
+                of.taken > 0
+            }
+            // One of the two has lost its master, and the other answers.
+            Failure::NotExecuted if truth.twin == Some(motor) => {
+                truth.excuse(Excuse::TwoMotorsOfOneId);
+                true
+            }
+            Failure::NotExecuted => of.ignored > 0 || truth.flips,
+            Failure::Stopped => truth.pages[motor.index()].stop_called > of.put,
+            // It says that the command was dropped. Where it may be asked again, the last attempt was.
+            Failure::BusDown => {
+                of.taken == 0 || is_repeated(open.data[0]) || has_no_token(open.data[0])
+            }
+            _ => false,
+        };
+        if !is_true {
+            truth.breaks(format!("motor {motor}: {failure:?} of {:02X?}: {of:?}", open.data));
+        }
+    }
+
+    fn check_broadcast(&mut self, motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
+        self.totals.broadcasts += 1;
+        let Some(asked) = &mut self.broadcast else {
+            return truth.breaks(format!("motor {motor} answers no broadcast"));
+        };
+        if !asked.expected.contains(motor) || asked.answered.contains(motor) {
+            truth.breaks(format!("motor {motor} answers a broadcast again, or is not asked"));
+        }
+        let asked = self.broadcast.as_mut().map(|asked| {
+            asked.answered.insert(motor);
+            asked.data
+        });
+        if let Some(data) = asked {
+            let mut answer = reply.encode();
+            answer[3] = DONE;
+            check_answer(motor, &data, &answer, truth);
+        }
+    }
+
+    /// Each lost frame is counted once, and nothing else is.
+    pub(crate) fn check_health(
+        &self,
+        motor: MotorId,
+        health: Health,
+        exactly: bool,
+        truth: &mut Truth,
+    ) {
+        let page = &truth.pages[motor.index()];
+        let asking = page.asking;
+        // A set-point that was ignored counts as unanswered, and is not lost.
+        let ignored: u32 = page.sendings.values().map(|sending| sending.ignored).sum();
+        let told = &self.told[motor.index()];
+        let (answered, lost) = (u64::from(health.answered), u64::from(health.lost));
+        let is_wrong = answered + lost > asking
+            || exactly && answered + lost != asking
+            || lost + u64::from(ignored) < told.no_reply.max(told.unanswered)
+            || u64::from(health.stray) < told.strays;
+        if is_wrong {
+            truth.breaks(format!("motor {motor}: {health:?} of {asking} commands, {told:?}"));
+        }
+    }
+}
+
+/// 0xB6 has no room for a token, so that equal ones are not told apart.
+fn has_no_token(byte: u8) -> bool {
+    byte == 0xB6
+}
+
+/// Whether the master sends it again by itself: reads, RAM writes, and what stops.
+fn is_repeated(byte: u8) -> bool {
+    matches!(
+        byte,
+        0x30 | 0x31 | 0x42 | 0x60 | 0x77 | 0x78 | 0x80 | 0x81 | 0x90..=0x9D | 0xB1 | 0xB2
+    )
+}
+
+fn sending(motor: MotorId, data: &Data, truth: &Truth) -> super::truth::Sending {
+    let packet = Packet { channel: Channel::Command(motor.into()), data: *data };
+    truth.pages[motor.index()].sendings.get(&Name::of(&packet)).copied().unwrap_or_default()
+}
+
+/// An answer must be that motor's to this request, of a drive that has done it.
+fn check_answer(motor: MotorId, asked: &Data, answer: &Data, truth: &mut Truth) {
+    let of = |data: &Data| Packet { channel: Channel::Reply(motor), data: *data };
+    let (question, answered) = (Name::of(&of(asked)), Name::of(&of(answer)));
+    if truth.flips {
+        // A bit on either way.
+        if (question.token ^ answered.token).count_ones() > 2 {
+            truth.breaks(format!("motor {motor}: asked {asked:02X?}, was given {answer:02X?}"));
+        }
+        return;
+    }
+    let is_done = answer[3] == DONE || !has_values(asked[0]) || asked[0] == 0xB1;
+    if question == answered && is_done {
+        return;
+    }
+    excused_or(motor, &of(asked), truth, || {
+        format!("motor {motor}: asked {asked:02X?}, was given {answer:02X?}")
+    });
+}
+
+/// Whether something holds that excuses what is wrong with an answer to this; else it is broken.
+fn excused_or(motor: MotorId, asked: &Packet, truth: &mut Truth, what: impl FnOnce() -> String) {
+    let (now, window, question) = (truth.now, truth.late_window, question_of(asked));
+    let excuses = &mut truth.pages[motor.index()].excuses;
+    match excuses.take(question, now, window).or_else(|| excuses.doubling(now)) {
+        Some(excuse) => truth.excuse(excuse),
+        None => truth.breaks(what()),
+    }
+}
+
+/// Feedback must be that motor's, to a set-point that it has executed, or late to a request of the same
+/// kind: it says how the motor is, and not which of them it is about.
+fn check_feedback(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
+    let data = reply.encode();
+    let is_motion = matches!(reply, AnyReply::Motion(_));
+    let channel = if is_motion { Channel::MotionReply(motor) } else { Channel::Reply(motor) };
+    let packet = Packet { channel, data };
+    let name = Name::of(&packet);
+    let sending = truth.pages[motor.index()].sendings.get(&name).copied().unwrap_or_default();
+    if truth.flips || data[3] == DONE && name.moves() && sending.heard > sending.ignored {
+        return;
+    }
+    excused_or(motor, &packet, truth, || format!("motor {motor}: {reply:?} is no feedback"));
+}
+
+/// The drive must have heard a stop since it was called for.
+fn check_confirmed(motor: MotorId, truth: &mut Truth) {
+    let now = truth.now;
+    let page = &mut truth.pages[motor.index()];
+    if !std::mem::take(&mut page.is_stopping) {
+        return truth.breaks(format!("motor {motor} confirms no stop"));
+    }
+    if page.stop_heard > page.stop_called {
+        page.is_confirmed = page.is_stopped;
+        return;
+    }
+    let of_stops = [0x80, 0x81].into_iter().find_map(|byte| page.excuses.of((byte, 0), now));
+    match of_stops.or_else(|| page.excuses.doubling(now)) {
+        Some(excuse) => truth.excuse(excuse),
+        None => truth.breaks(format!("motor {motor} confirms a stop that it has not heard")),
+    }
+}
+
+fn check_report(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
+    let data = reply.encode();
+    let packet = Packet { channel: Channel::Reply(motor), data };
+    let reports = &truth.pages[motor.index()].reports;
+    // A broadcast is answered by motors that nobody expects to, too.
+    let of_broadcast = |sending: &super::truth::Sending| sending.put == 0 && sending.heard > 0;
+    let is_unexpected =
+        truth.pages[motor.index()].sendings.get(&Name::of(&packet)).is_some_and(of_broadcast);
+    let is_report = is_unexpected || reports.contains(&Name::of(&packet).token)
+        // Of an error the voltage comes back, and not all bits of the flags.
+        || data[0] == 0x9A && reports.iter().any(|token| token.to_le_bytes()[..2] == data[4..6]);
+    if !is_report && !truth.flips {
+        excused_or(motor, &packet, truth, || format!("motor {motor} reports {reply:?} by itself"));
+    }
+}
+
+/// It has restarted, or may have: nothing was heard of it for a second.
+fn check_restarted(motor: MotorId, truth: &mut Truth) {
+    let page = &mut truth.pages[motor.index()];
+    // What ends the silence may be an answer that is like an echo.
+    let silence = page.delivered_at.map_or(MAY_HAVE_RESTARTED, |before| truth.now - before);
+    let may_have = std::mem::take(&mut page.longest_silence).max(silence) >= MAY_HAVE_RESTARTED;
+    let has = page.restarted.take().is_some();
+    page.awaits_resume = true;
+    if truth.twin == Some(motor) && !may_have && !has {
+        // The run times of two drives: one may be behind the other's.
+        truth.excuse(Excuse::TwoMotorsOfOneId);
+    } else if !may_have && !has && !truth.flips {
+        truth.breaks(format!("motor {motor} has not restarted"));
+    }
+}

@@ -1,0 +1,152 @@
+//! The runs.
+
+use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{Config, Patience};
+use myactuator_protocol_core::time::Duration;
+use myactuator_tests::rig::{Rig, angle};
+use myactuator_tests::script::late_by;
+use myactuator_tests::values::id;
+use myactuator_tests::wire::Wire as _;
+
+use super::callers::Session;
+use super::oracle::Why;
+use super::scenarios::{Scenario, Trouble};
+use super::world::Rough;
+
+const RATES: [u32; 4] = [0, 1, 10, 50];
+const MOTORS: [u8; 4] = [1, 3, 8, 32];
+/// Requests a scenario. With twelve troubles in sixteen scenarios each that is 614 400 on CAN and 115 200
+/// on RS485, whose bytes take longer to simulate.
+const ON_CAN: u64 = 3_200;
+const ON_RS485: u64 = 600;
+/// Drawn scenarios, and requests of each: 300 000 on both buses, so that all are a million and more.
+const DRAWN_ON_CAN: u64 = 220;
+const DRAWN_ON_RS485: u64 = 80;
+const DRAWN_REQUESTS: u64 = 1_000;
+/// So many tests share them, to run side by side.
+const SHARES: u64 = 4;
+
+fn run<W: Rough>(scenario: Scenario) {
+    let totals = Session::<W>::new(scenario).run();
+    let told = format!("{}, {scenario}: {totals:?}", W::NAME);
+    if std::env::var_os("MASTER_TRUTH_TOTALS").is_some() {
+        println!("{told}");
+    }
+    let failed: u64 = totals.failed.values().sum();
+    assert_eq!(totals.replies + totals.sent + failed, totals.requests, "{told}");
+    if scenario.is_kind() {
+        // Nothing goes wrong, so nothing may be told as wrong.
+        let odd = failed - totals.failed(Why::Stopped);
+        assert_eq!((odd, totals.unanswered), (0, 0), "{told}");
+        assert_eq!((totals.unconfirmed, totals.bus_errors), (0, 0), "{told}");
+        assert!(totals.excused.is_empty(), "{told}");
+    }
+    assert!(totals.replies * 10 > totals.requests, "hardly any answers: {told}");
+}
+
+/// Every rate and several numbers of motors with this trouble.
+fn each<W: Rough>(trouble: Trouble) {
+    let requests = if W::NAME == "CAN" { ON_CAN } else { ON_RS485 };
+    for percent in RATES {
+        for motors in MOTORS {
+            run::<W>(Scenario::of(trouble, percent, motors, requests));
+        }
+    }
+}
+
+macro_rules! each_trouble {
+    ($($name:ident: $trouble:ident,)+) => {
+        mod can {
+            $(#[test] fn $name() { super::each::<super::CanBus>(super::Trouble::$trouble); })+
+        }
+        mod rs485 {
+            $(#[test] fn $name() { super::each::<super::Rs485Line>(super::Trouble::$trouble); })+
+        }
+    };
+}
+
+each_trouble! {
+    lost: Lose,
+    corrupted: Corrupt,
+    corrupted_unnoticed: Undetected,
+    replies_doubled: DoubleReplies,
+    all_doubled: DoubleAll,
+    delayed: Delay,
+    reordered: Reorder,
+    everything: All,
+    wires_cut: Cut,
+    drives_slow: Slow,
+    babble: Babble,
+    power_cycled: Restart,
+}
+
+fn drawn<W: Rough>(share: u64, scenarios: u64) {
+    for seed in (share..scenarios).step_by(SHARES as usize) {
+        run::<W>(Scenario::drawn::<W>(seed, DRAWN_REQUESTS));
+    }
+}
+
+macro_rules! drawn {
+    ($($name:ident: $share:literal,)+) => {
+        mod drawn_on_can {
+            $(#[test] fn $name() { super::drawn::<super::CanBus>($share, super::DRAWN_ON_CAN); })+
+        }
+        mod drawn_on_rs485 {
+            $(#[test] fn $name() { super::drawn::<super::Rs485Line>($share, super::DRAWN_ON_RS485); })+
+        }
+    };
+}
+
+drawn! {
+    first: 0,
+    second: 1,
+    third: 2,
+    fourth: 3,
+}
+
+/// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.
+#[test]
+fn alone() {
+    let Some(seed) = std::env::var("MASTER_TRUTH_SEED").ok().and_then(|seed| seed.parse().ok())
+    else {
+        return;
+    };
+    run::<CanBus>(Scenario::drawn::<CanBus>(seed, DRAWN_REQUESTS));
+    run::<Rs485Line>(Scenario::drawn::<Rs485Line>(seed, DRAWN_REQUESTS));
+}
+
+/// What a late reply leads to that the drive's wire has held back for `delay`: whether the second of
+/// two equal requests gets the first one's answer.
+fn is_fooled(delay: Duration, late_window: Duration) -> bool {
+    let config = Config { late_window, ..CanBus::CONFIG };
+    let mut rig = Rig::<CanBus>::with_config(1, 1, config);
+    let motor = id(1);
+    rig.world.set_faults(Direction::ToPorts, late_by(delay));
+    let once = Patience { reply_timeout: Duration::from_millis(20), attempts: 1 };
+    let (first, second) = (angle(1), angle(2));
+    assert!(rig.runner.ask_with(motor, first, Some(once), |_| {}).is_err());
+    // The bus is well again, but the first reply is still on its way.
+    rig.world.set_faults(Direction::ToPorts, FaultPlan::NONE);
+    let mut fooled = false;
+    for _ in 0..20 {
+        let answer = rig.runner.ask_with(motor, second, Some(once), |_| {});
+        fooled |= matches!(answer, Ok(reply) if reply.angle.raw() == 1);
+    }
+    fooled
+}
+
+/// The documented limit: what comes later than the late window allows may be taken for the answer to
+/// the next request of its kind.
+#[test]
+fn the_late_window_must_be_as_long_as_the_bus_holds_frames_back() {
+    let ms = Duration::from_millis;
+    // The window of 40 ms begins when the request is given up, after 20 ms.
+    for delay in [25, 40, 55] {
+        assert!(!is_fooled(ms(delay), ms(40)), "{delay} ms");
+    }
+    assert!(is_fooled(ms(70), ms(40)), "if this holds now, the documentation can promise more");
+    assert!(!is_fooled(ms(70), ms(80)));
+}

@@ -1,0 +1,253 @@
+//! What a run is made of: one trouble and how often it strikes, and the conditions that it is combined with.
+
+use std::fmt;
+
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
+use myactuator_protocol_core::master::Config;
+use myactuator_protocol_core::time::Duration;
+use myactuator_tests::dice::Dice;
+use myactuator_tests::wire::Wire;
+
+/// What goes wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Trouble {
+    /// By chance, both ways.
+    Lose,
+    Corrupt,
+    /// CAN: half of the corrupted frames pass the CRC.
+    Undetected,
+    /// Replies arrive twice.
+    DoubleReplies,
+    /// Commands and replies arrive twice.
+    DoubleAll,
+    Delay,
+    Reorder,
+    /// All of the above but undetected corruption and doubled commands, at a fifth each.
+    All,
+    /// By hand, for that share of the time: a drive's wire is cut, a drive is slow, a station
+    /// babbles; or that often in a hundred times, a drive's power is cycled.
+    Cut,
+    Slow,
+    Babble,
+    Restart,
+}
+
+impl Trouble {
+    pub(crate) fn is_by_hand(self) -> bool {
+        matches!(self, Self::Cut | Self::Slow | Self::Babble | Self::Restart)
+    }
+}
+
+/// Whether the adapter hands back what is sent (RS485).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) enum Echo {
+    #[default]
+    None,
+    Configured,
+    /// The loop has to find it out.
+    Unknown,
+}
+
+/// How much callers ask for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) enum Pace {
+    /// The bus is busy but never full: on a full CAN bus the replies of the highest ids wait.
+    #[default]
+    Busy,
+    /// More than the bus carries.
+    Flood,
+    /// Now and then nothing at all.
+    Rests,
+}
+
+/// What a world is like; as it is made by default, it is kind.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Conditions {
+    /// What was received is handed over every so many milliseconds.
+    pub(crate) burst_ms: u64,
+    /// The clock has a resolution of 1 ms.
+    pub(crate) coarse_clock: bool,
+    pub(crate) clock_start_ms: u64,
+    /// Now and then the caller does not look for an hour.
+    pub(crate) jumps: bool,
+    /// A CAN controller with three mailboxes by priority, and not a queue of ten.
+    pub(crate) mailboxes: bool,
+    /// The port refuses what is to be sent for a while.
+    pub(crate) refuses: bool,
+    /// Any call of the port may fail.
+    pub(crate) fails: bool,
+    pub(crate) echo: Echo,
+    /// Each switch of direction may be heard as a byte.
+    pub(crate) noise: bool,
+    /// Another drive has the first one's id.
+    pub(crate) twins: bool,
+    /// Another master asks the first motor.
+    pub(crate) stranger: bool,
+    /// Drives restart, by themselves and asked to, and that takes them 1.1 s.
+    pub(crate) restarts: bool,
+    /// Drives lose their master.
+    pub(crate) lost_masters: bool,
+    /// Drives report by themselves, errors and what they were told to.
+    pub(crate) reports: bool,
+    /// Drives answer twice, and to what they do not know.
+    pub(crate) repeats: bool,
+    pub(crate) pace: Pace,
+    /// Nobody stops anything, or asks all at once.
+    pub(crate) is_plain: bool,
+}
+
+/// One run.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scenario {
+    pub(crate) trouble: Trouble,
+    pub(crate) percent: u32,
+    pub(crate) motors: u8,
+    pub(crate) requests: u64,
+    pub(crate) seed: u64,
+    pub(crate) conditions: Conditions,
+}
+
+impl fmt::Display for Scenario {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { trouble, percent, motors, seed, conditions, .. } = self;
+        write!(f, "seed {seed}: {trouble:?} {percent} %, {motors} motors, {conditions:?}")
+    }
+}
+
+impl Scenario {
+    /// In a kind world but for this trouble.
+    pub(crate) fn of(trouble: Trouble, percent: u32, motors: u8, requests: u64) -> Self {
+        let seed = trouble as u64 * 1_000_000 + u64::from(percent) * 1_000 + u64::from(motors);
+        Self { trouble, percent, motors, requests, seed, conditions: Conditions::default() }
+    }
+
+    /// Anything together with anything.
+    pub(crate) fn drawn<W: Wire>(seed: u64, requests: u64) -> Self {
+        let mut dice = Dice::new(seed);
+        let mut one_of = |choices: &[u64]| choices[dice.below(choices.len() as u64) as usize];
+        let troubles = [
+            Trouble::Lose,
+            Trouble::Corrupt,
+            Trouble::DoubleReplies,
+            Trouble::DoubleAll,
+            Trouble::Delay,
+            Trouble::Reorder,
+            Trouble::All,
+            Trouble::Cut,
+            Trouble::Slow,
+            Trouble::Babble,
+        ];
+        let trouble = troubles[one_of(&[0, 1, 2, 3, 4, 5, 6, 7, 8, 9]) as usize];
+        let percent = one_of(&[0, 0, 0, 1, 1, 5, 10]) as u32;
+        let motors = one_of(&[1, 1, 2, 3, 5, 8, 16, 32]) as u8;
+        let mut sometimes = || one_of(&[0, 0, 0, 1]) == 1;
+        let is_can = W::NAME == "CAN";
+        let mut conditions = Conditions {
+            coarse_clock: sometimes(),
+            jumps: sometimes(),
+            mailboxes: is_can && (sometimes() || sometimes()),
+            refuses: sometimes(),
+            fails: sometimes(),
+            noise: !is_can && sometimes(),
+            twins: sometimes(),
+            stranger: sometimes(),
+            restarts: sometimes(),
+            lost_masters: sometimes(),
+            reports: sometimes(),
+            repeats: sometimes(),
+            is_plain: sometimes(),
+            ..Conditions::default()
+        };
+        conditions.burst_ms = one_of(&[0, 0, 0, 1, 4, 16]);
+        conditions.clock_start_ms = one_of(&[0, 0, 1, 3_600_000]);
+        conditions.pace = [Pace::Busy, Pace::Flood, Pace::Rests][one_of(&[0, 0, 1, 2]) as usize];
+        if !is_can {
+            conditions.echo =
+                [Echo::None, Echo::Configured, Echo::Unknown][one_of(&[0, 0, 1, 1, 2]) as usize];
+        }
+        let mut scenario = Self { trouble, percent, motors, requests, seed, conditions };
+        if scenario.conditions.echo == Echo::Unknown {
+            scenario.keep_the_echo_whole();
+        }
+        scenario
+    }
+
+    /// An echo that nobody configured is given up when one does not come back. Where anybody speaks
+    /// meanwhile, or the caller does not look, that happens again and again.
+    fn keep_the_echo_whole(&mut self) {
+        if self.trouble.is_by_hand() {
+            self.trouble = Trouble::Lose;
+        }
+        let c = &mut self.conditions;
+        (c.twins, c.stranger, c.lost_masters, c.reports, c.repeats) =
+            (false, false, false, false, false);
+        (c.jumps, c.fails) = (false, false);
+    }
+
+    /// The master's configuration. Whoever expects frames to be held back for longer than usual must say
+    /// so.
+    pub(crate) fn config<W: Wire>(&self) -> Config {
+        let mut config = W::CONFIG;
+        if let myactuator_protocol_core::master::Bus::Rs485 { echo, .. } = &mut config.bus {
+            *echo = self.conditions.echo == Echo::Configured;
+        }
+        // On a CAN bus where every other frame breaks, controllers leave the bus and come back, and
+        // frames wait in them meanwhile.
+        let breaks = matches!(self.trouble, Trouble::Corrupt | Trouble::Undetected);
+        if W::NAME == "CAN" && breaks && self.percent >= 50 {
+            config.late_window = Duration::from_millis(1_000);
+        }
+        if self.conditions.coarse_clock {
+            // An answer within the tick of its command takes no time at all.
+            config.shortest_response = Duration::ZERO;
+        }
+        if self.conditions.burst_ms > 0 {
+            let burst = Duration::from_millis(self.conditions.burst_ms);
+            config.reply_timeout = config.reply_timeout + burst;
+            config.late_window = config.late_window + burst + burst;
+        }
+        config
+    }
+
+    /// How late frames come at the most.
+    fn latest<W: Wire>() -> Duration {
+        Duration::from_millis(if W::NAME == "CAN" { 15 } else { 4 })
+    }
+
+    pub(crate) fn plan<W: Wire>(&self, direction: Direction) -> FaultPlan {
+        let p = self.percent as f32 / 100.0;
+        let late = Self::latest::<W>();
+        let to_ports = direction == Direction::ToPorts;
+        let mut plan = FaultPlan {
+            delay_min: Duration::from_micros(500),
+            delay_max: late,
+            reorder_hold: late,
+            ..FaultPlan::NONE
+        };
+        match self.trouble {
+            Trouble::Lose => plan.lose = p,
+            Trouble::Corrupt => plan.corrupt = p,
+            Trouble::Undetected => (plan.corrupt, plan.undetected) = (p, 0.5),
+            Trouble::DoubleReplies => plan.duplicate = if to_ports { p } else { 0.0 },
+            Trouble::DoubleAll => plan.duplicate = p,
+            Trouble::Delay => plan.delay = p,
+            Trouble::Reorder => plan.reorder = p,
+            Trouble::All => {
+                let fifth = p / 5.0;
+                (plan.lose, plan.corrupt, plan.delay, plan.reorder) = (fifth, fifth, fifth, fifth);
+                plan.duplicate = if to_ports { fifth } else { 0.0 };
+            }
+            Trouble::Cut | Trouble::Slow | Trouble::Babble | Trouble::Restart => {}
+        }
+        plan
+    }
+
+    /// Whether nothing can go wrong with any exchange.
+    pub(crate) fn is_kind(&self) -> bool {
+        let c = &self.conditions;
+        let is_odd = c.refuses || c.fails || c.twins || c.stranger || c.restarts || c.lost_masters;
+        let is_odd = is_odd || c.reports || c.repeats || c.jumps || c.echo != Echo::None || c.noise;
+        let is_late = c.burst_ms > 0 || c.coarse_clock || c.pace == Pace::Flood;
+        self.percent == 0 && self.motors < 8 && !is_odd && !is_late
+    }
+}

@@ -1,0 +1,465 @@
+//! What really happened: what callers asked, what the bus took, what drives heard and sent, and what
+//! came back. Frames are told apart by the token that each carries.
+
+use std::collections::{HashMap, HashSet};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::{Channel, Data, MotorId, Opcode, Packet, Target};
+use myactuator_tests::rig::token_of;
+
+use super::excuses::{Excuse, Excuses};
+
+/// Tokens of requests; below are the numbers of set-points.
+pub(crate) const REQUESTS: u32 = 0x0100_0000;
+/// Tokens of what drives report by themselves.
+pub(crate) const REPORTS: u32 = 0x3D00_0000;
+/// Tokens of another master.
+pub(crate) const STRANGERS: u32 = 0x3E00_0000;
+/// In byte 3 of a reply with values: the command was executed, and not only sent back.
+pub(crate) const DONE: u8 = 0xD0;
+
+/// What tells one command and its replies from all others of a motor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Name {
+    /// The command byte, 0 for motion mode.
+    pub(crate) byte: u8,
+    pub(crate) token: u32,
+}
+
+/// What the master can tell apart: a command byte and an index.
+pub(crate) type Question = (u8, u8);
+
+impl Name {
+    pub(crate) fn of(packet: &Packet) -> Self {
+        let d = &packet.data;
+        let (byte, token) = match (packet.channel, d[0]) {
+            (Channel::Motion(_), _) => (0, u32::from(u16::from_be_bytes([d[0], d[1]]))),
+            (Channel::MotionReply(_), _) => (0, u32::from(u16::from_be_bytes([d[1], d[2]]))),
+            // The reply's value lies where the others have their token.
+            (_, 0xB1) => (0xB1, REQUESTS | u32::from_le_bytes([d[1], d[2], d[3], 0])),
+            (_, byte) => (byte, token_of(d)),
+        };
+        Self { byte, token }
+    }
+
+    pub(crate) fn is_strangers(self) -> bool {
+        self.token & 0xFF00_0000 == STRANGERS
+    }
+
+    /// Whether it is a set-point of a stream.
+    pub(crate) fn is_set_point(self) -> bool {
+        matches!(self.byte, 0 | 0xA2 | 0xA4) && self.token < REQUESTS
+    }
+
+    pub(crate) fn moves(self) -> bool {
+        matches!(self.byte, 0 | 0xA2 | 0xA4 | 0xA8)
+    }
+
+    /// Whether it is a stop of the master itself.
+    fn is_stop(self) -> bool {
+        self.token == 0 && self.is_ending()
+    }
+
+    fn is_ending(self) -> bool {
+        matches!(self.byte, 0x76 | 0x78 | 0x80 | 0x81)
+    }
+}
+
+/// The question of a command or a reply.
+pub(crate) fn question_of(packet: &Packet) -> Question {
+    let name = Name::of(packet);
+    let has_index = matches!(name.byte, 0x30 | 0x31 | 0x42);
+    (name.byte, if has_index { packet.data[1] } else { 0 })
+}
+
+/// Whether a command is answered.
+pub(crate) fn is_asking(packet: &Packet) -> bool {
+    matches!(packet.channel, Channel::Motion(_))
+        || Opcode::from_byte(packet.data[0]).is_none_or(Opcode::has_reply)
+}
+
+/// Whether a drive answers with values, and not with the command's own bytes.
+pub(crate) fn has_values(byte: u8) -> bool {
+    !matches!(byte, 0x31 | 0x77 | 0x78 | 0x80 | 0x81)
+}
+
+/// What became of one command.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Sending {
+    /// When its caller gave it to the master.
+    pub(crate) put: u64,
+    /// How often the bus took it and did not hand it back.
+    pub(crate) taken: u32,
+    pub(crate) last_taken: Instant,
+    /// How often it reached a drive, and how often that ignored it.
+    pub(crate) heard: u32,
+    pub(crate) ignored: u32,
+    /// How often a reply to it reached the master.
+    pub(crate) delivered: u32,
+}
+
+/// What is true of one motor.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Page {
+    pub(crate) sendings: HashMap<Name, Sending>,
+    /// Commands with a reply that the bus took.
+    pub(crate) asking: u64,
+    newest_set_point: u32,
+    /// The caller has stopped it and not lifted that; and when.
+    pub(crate) is_stopped: bool,
+    pub(crate) stop_called: u64,
+    stop_called_at: Instant,
+    /// The stop is neither confirmed nor given up.
+    pub(crate) is_stopping: bool,
+    pub(crate) is_confirmed: bool,
+    stops_taken: u32,
+    pub(crate) stop_heard: u64,
+    /// When the newest of the commands that end motion was put, of those that the bus took.
+    ended: u64,
+    /// As that, of those that a drive heard.
+    ended_heard: u64,
+    /// When it last restarted, and when that was told.
+    pub(crate) restarted: Option<u64>,
+    pub(crate) awaits_resume: bool,
+    /// How often the master has heard that it has lost it.
+    pub(crate) lost_master_delivered: u32,
+    /// It has said so, and none of that has reached the master.
+    pub(crate) lost_master_untold: bool,
+    pub(crate) reports: HashSet<u32>,
+    /// When the master last heard of it.
+    pub(crate) delivered_at: Option<Instant>,
+    /// The longest that the master had not heard of it, since it was told to have restarted.
+    pub(crate) longest_silence: Duration,
+    pub(crate) excuses: Excuses,
+}
+
+/// What is true of all. Its time is the master's.
+#[derive(Debug)]
+pub(crate) struct Truth {
+    pub(crate) pages: Vec<Page>,
+    /// Counts what happens, so that earlier and later are told apart.
+    moment: u64,
+    pub(crate) now: Instant,
+    /// What the master's clock is ahead of the world's, and its steps.
+    pub(crate) clock_ahead: Duration,
+    pub(crate) clock_step: Duration,
+    pub(crate) late_window: Duration,
+    /// An adapter hands back each command.
+    pub(crate) echoes: bool,
+    /// Two motors have this id.
+    pub(crate) twin: Option<MotorId>,
+    /// Each motor's first stop comes within this, if anything can be said of it.
+    pub(crate) first_stops_within: Option<Duration>,
+    /// Flipped bits pass the CRC, so that no token can be trusted.
+    pub(crate) flips: bool,
+    /// The wire itself puts frames in another order, which no real one does: what then comes after a
+    /// command that ends motion may be older.
+    pub(crate) reorders: bool,
+    /// What must not be, and is.
+    pub(crate) broken: Vec<String>,
+    pub(crate) excused: HashMap<Excuse, u64>,
+}
+
+/// A hand on the truth.
+#[derive(Clone, Debug)]
+pub(crate) struct Book(Arc<Mutex<Truth>>);
+
+impl Book {
+    pub(crate) fn new(late_window: Duration) -> Self {
+        Self(Arc::new(Mutex::new(Truth {
+            pages: vec![Page::default(); MotorId::COUNT],
+            moment: 0,
+            now: Instant::ZERO,
+            clock_ahead: Duration::ZERO,
+            clock_step: Duration::from_micros(1),
+            late_window,
+            echoes: false,
+            twin: None,
+            first_stops_within: None,
+            flips: false,
+            reorders: false,
+            broken: Vec::new(),
+            excused: HashMap::new(),
+        })))
+    }
+
+    /// The truth; not while the world runs.
+    pub(crate) fn open(&self) -> MutexGuard<'_, Truth> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Truth {
+    fn next_moment(&mut self) -> u64 {
+        self.moment += 1;
+        self.moment
+    }
+
+    /// It is this late in the world: what the master's clock shows.
+    pub(crate) fn tick(&mut self, world: Instant) -> Instant {
+        let exact = (world + self.clock_ahead).as_micros();
+        self.now = Instant::from_micros(exact - exact % self.clock_step.as_micros());
+        self.now
+    }
+
+    /// When the master's clock shows this or more, in the world's time.
+    pub(crate) fn world_time(&self, shown: Instant) -> Instant {
+        let step = self.clock_step.as_micros();
+        let shown = shown.as_micros().div_ceil(step).saturating_mul(step);
+        Instant::from_micros(shown.saturating_sub(self.clock_ahead.as_micros()))
+    }
+
+    fn page(&mut self, motor: MotorId) -> &mut Page {
+        &mut self.pages[motor.index()]
+    }
+
+    pub(crate) fn breaks(&mut self, what: impl Into<String>) {
+        // One is enough, and thousands would follow.
+        if self.broken.len() < 5 {
+            self.broken.push(what.into());
+        }
+    }
+
+    /// A caller has given this to the master.
+    pub(crate) fn put(&mut self, motor: MotorId, channel: Channel, data: &Data) {
+        let put = self.next_moment();
+        let name = Name::of(&Packet { channel, data: *data });
+        self.page(motor).sendings.entry(name).or_default().put = put;
+    }
+
+    /// A caller has stopped these.
+    pub(crate) fn stop(&mut self, motors: MotorSet) {
+        let (called, now) = (self.next_moment(), self.now);
+        for motor in motors.iter() {
+            let page = self.page(motor);
+            (page.is_stopped, page.is_stopping, page.is_confirmed) = (true, true, false);
+            (page.stop_called, page.stop_called_at, page.stops_taken) = (called, now, 0);
+        }
+    }
+
+    /// A caller has lifted the stop of these.
+    pub(crate) fn lift(&mut self, motors: MotorSet) {
+        for motor in motors.iter() {
+            let page = self.page(motor);
+            (page.is_stopped, page.is_confirmed) = (false, false);
+        }
+    }
+
+    /// The bus has taken a command of the master's.
+    pub(crate) fn taken(&mut self, packet: &Packet) {
+        match packet.channel {
+            Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
+                self.taken_of(motor, packet);
+            }
+            _ => {
+                let is_stop = Name::of(packet).is_stop();
+                for motor in MotorId::all() {
+                    let put = if is_stop { self.page(motor).stop_called } else { 0 };
+                    self.note_taken(motor, packet, put);
+                }
+            }
+        }
+    }
+
+    fn taken_of(&mut self, motor: MotorId, packet: &Packet) {
+        let name = Name::of(packet);
+        if name.is_stop() {
+            self.check_stops(motor);
+            let page = self.page(motor);
+            let called = page.stop_called;
+            page.stops_taken += 1;
+            self.note_taken(motor, packet, called);
+            return;
+        }
+        if self.pages.iter().any(|page| page.is_stopping && page.stops_taken == 0) {
+            self.breaks(format!("motor {motor}: {name:X?} goes before a first stop"));
+        }
+        let page = self.page(motor);
+        let Some(sending) = page.sendings.get(&name).copied() else {
+            return self.breaks(format!("motor {motor}: {name:X?} was never put"));
+        };
+        let is_dangerous = name.moves() || matches!(name.byte, 0x76 | 0x77);
+        let wrong = if is_dangerous && page.is_stopped {
+            "is sent to a stopped motor"
+        } else if name.moves() && sending.put < page.ended {
+            "is sent after a newer command that ends motion"
+        } else if name.is_set_point() && name.token <= page.newest_set_point {
+            "is sent after itself or a newer one"
+        } else if name.byte == 0xA8 && sending.taken > 0 {
+            "acts again, and is sent again"
+        } else if name.is_set_point() && page.awaits_resume {
+            "is sent to a motor that has restarted"
+        } else {
+            ""
+        };
+        if name.is_set_point() {
+            page.newest_set_point = page.newest_set_point.max(name.token);
+        }
+        if !wrong.is_empty() {
+            self.breaks(format!("motor {motor}: {name:X?} {wrong}"));
+        }
+        self.note_taken(motor, packet, sending.put);
+    }
+
+    fn note_taken(&mut self, motor: MotorId, packet: &Packet, put: u64) {
+        let (name, now) = (Name::of(packet), self.now);
+        let page = self.page(motor);
+        let sending = page.sendings.entry(name).or_default();
+        sending.put = sending.put.max(put);
+        sending.taken += 1;
+        sending.last_taken = now;
+        if name.is_ending() {
+            page.ended = page.ended.max(put);
+        }
+        page.asking += u64::from(is_asking(packet));
+    }
+
+    /// Every motor gets its first stop before any gets its second, and in time.
+    fn check_stops(&mut self, motor: MotorId) {
+        let is_second = self.page(motor).stops_taken > 0;
+        let waits = |page: &Page| page.is_stopping && page.stops_taken == 0;
+        if is_second && self.pages.iter().any(waits) {
+            self.breaks(format!("motor {motor} gets a second stop before another's first"));
+        }
+        let (now, within) = (self.now, self.first_stops_within);
+        let took = now - self.page(motor).stop_called_at;
+        if let Some(within) = within.filter(|within| !is_second && took > *within) {
+            self.breaks(format!("motor {motor}: its first stop takes {took} and not {within}"));
+        }
+    }
+
+    /// The controller has handed a command back.
+    pub(crate) fn handed_back(&mut self, packet: &Packet) {
+        let name = Name::of(packet);
+        let motors: Vec<MotorId> = match packet.channel {
+            Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => vec![motor],
+            _ => MotorId::all().collect(),
+        };
+        for motor in motors {
+            let page = self.page(motor);
+            page.asking -= u64::from(is_asking(packet));
+            if let Some(sending) = page.sendings.get_mut(&name) {
+                sending.taken -= 1;
+            }
+            if name.is_stop() {
+                page.stops_taken = page.stops_taken.saturating_sub(1);
+            } else if name.is_set_point() && page.newest_set_point == name.token {
+                // It may go again.
+                page.newest_set_point -= 1;
+            }
+        }
+    }
+
+    /// A drive has heard a command, and may ignore it.
+    pub(crate) fn heard(&mut self, motor: MotorId, packet: &Packet, ignores: bool, at: Instant) {
+        self.tick(at);
+        let moment = self.next_moment();
+        let (name, now, window) = (Name::of(packet), self.now, self.late_window);
+        if name.is_strangers() {
+            return;
+        }
+        let doubled = self.doubled(motor);
+        let (has_twin, flips) = (self.twin == Some(motor), self.flips);
+        let reorders = self.reorders;
+        let page = self.page(motor);
+        let ended = page.ended;
+        let sending = page.sendings.entry(name).or_default();
+        sending.heard += 1;
+        sending.ignored += u32::from(ignores);
+        let sending = *sending;
+        if sending.heard > sending.taken && !name.is_stop() {
+            page.excuses.note(question_of(packet), doubled, now, window);
+        }
+        if ignores && page.lost_master_untold {
+            page.excuses.note(question_of(packet), Excuse::LostMasterUntold, now, window);
+        }
+        if name.is_ending() {
+            // One that ignores it stands still as well: its output is cut.
+            page.stop_heard = moment;
+            page.ended_heard = page.ended_heard.max(sending.put);
+        }
+        let is_late = now - sending.last_taken > window;
+        let most = if has_twin { 2 } else { 1 };
+        let is_again = name.byte == 0xA8 && sending.heard > most && sending.heard > sending.taken;
+        let excuse = if is_late {
+            Some(Excuse::HeldBack)
+        } else {
+            page.excuses.doubling(now).or_else(|| page.excuses.of(question_of(packet), now))
+        };
+        if !name.moves() || ignores || flips {
+            return;
+        }
+        let wrong = if page.is_confirmed {
+            "reaches a motor whose stop is confirmed"
+        } else if sending.put < ended && page.ended_heard >= ended && !page.is_stopping && !reorders
+        {
+            "reaches the motor after a newer command that ends motion"
+        } else if is_again {
+            "acts again, and is heard again"
+        } else {
+            return;
+        };
+        match excuse {
+            Some(excuse) => self.excuse(excuse),
+            None => self.breaks(format!("motor {motor}: {name:X?} {wrong}")),
+        }
+    }
+
+    /// What a doubled frame of this motor is called.
+    pub(crate) fn doubled(&self, motor: MotorId) -> Excuse {
+        if self.twin == Some(motor) { Excuse::TwoMotorsOfOneId } else { Excuse::Doubled }
+    }
+
+    /// A drive or the bus has doubled something of this motor.
+    pub(crate) fn was_doubled(&mut self, motor: MotorId) {
+        let (excuse, now, window) = (self.doubled(motor), self.now, self.late_window);
+        self.page(motor).excuses.note_doubling(excuse, now, window);
+    }
+
+    pub(crate) fn has_restarted(&mut self, motor: MotorId) {
+        let moment = self.next_moment();
+        self.page(motor).restarted = Some(moment);
+    }
+
+    /// A frame has reached the master that looks like a reply.
+    pub(crate) fn delivered(&mut self, packet: &Packet) {
+        let (Channel::Reply(motor) | Channel::MotionReply(motor)) = packet.channel else { return };
+        let (name, question, now) = (Name::of(packet), question_of(packet), self.now);
+        let (window, doubled) = (self.late_window, self.doubled(motor));
+        let copies = 1 + u32::from(self.echoes);
+        let page = self.page(motor);
+        let is_lost_master = packet.data[0] == 0xF1;
+        if is_lost_master {
+            page.lost_master_untold = false;
+            page.lost_master_delivered += 1;
+        }
+        // What an adapter hands back is nothing that was heard.
+        if copies == 1 || packet.data[3] == DONE || is_lost_master {
+            let silence = page.delivered_at.map_or(Duration::ZERO, |before| now - before);
+            page.longest_silence = page.longest_silence.max(silence);
+            page.delivered_at = Some(now);
+        }
+        if name.is_strangers() {
+            page.excuses.note(question, Excuse::AnotherMaster, now, window);
+        } else if name.token & 0xFF00_0000 == REPORTS {
+            page.excuses.note(question, Excuse::ReportedByItself, now, window);
+        } else if !page.sendings.contains_key(&name) && !is_lost_master {
+            page.excuses.note(question, Excuse::MadeUp, now, window);
+        } else if let Some(sending) = page.sendings.get_mut(&name)
+            && !name.is_stop()
+        {
+            sending.delivered += 1;
+            if sending.delivered > sending.taken * copies {
+                page.excuses.note(question, doubled, now, window);
+            } else if now - sending.last_taken > window {
+                page.excuses.note(question, Excuse::HeldBack, now, window);
+            }
+        }
+    }
+
+    pub(crate) fn excuse(&mut self, excuse: Excuse) {
+        *self.excused.entry(excuse).or_default() += 1;
+    }
+}
