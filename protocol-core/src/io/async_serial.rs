@@ -13,7 +13,6 @@ use crate::io::line::{self, Line, READS_A_ROUND};
 use crate::io::runner::{LONGEST_IDLE, STUCK_AFTER};
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
-use crate::wire::rs485::FRAME_LENGTH;
 
 /// Runs a [`Master`] on an async serial port with an RS485 transceiver. Where the port does not
 /// switch the transceiver's direction by itself, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
@@ -33,7 +32,7 @@ pub struct AsyncSerialMaster<S, K, const N: usize> {
     unflushed: bool,
 }
 
-/// Reports a frame as sent when the future that sends it is dropped: some of it may have left, and
+/// Reports a frame as sent, also when the future that sends it is dropped: some of it may have left, and
 /// nothing is sent twice.
 struct CountsAsSent<'a, K: Clock, const N: usize> {
     master: &'a mut Master<N>,
@@ -90,22 +89,20 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         let Self { serial, clock, master, .. } = self;
         let mut sending = CountsAsSent { master, clock, is_over: false };
         let patience = sending.clock.wait_until(now + STUCK_AFTER);
-        let outcome = select(write(serial, &frame.encode()), patience).await;
-        sending.is_over = true;
+        let bytes = frame.encode();
+        let mut rest = bytes.as_slice();
+        let outcome = select(write(serial, &mut rest), patience).await;
+        // What the port has taken may be heard, and answered, whatever fails then.
+        sending.is_over = rest.len() == bytes.len();
         drop(sending);
-        let now = self.clock.now();
         match outcome {
-            Either::First(Ok(true)) => {
-                self.unflushed = false;
-                self.master.handle_transmitted(now);
-                Ok(())
-            }
+            Either::First(Ok(true)) => self.unflushed = false,
             Either::First(Ok(false)) | Either::Second(()) => {
-                self.master.handle_bus_down(now);
-                Ok(())
+                self.master.handle_bus_down(self.clock.now());
             }
-            Either::First(Err(error)) => Err(error),
+            Either::First(Err(error)) => return Err(error),
         }
+        Ok(())
     }
 
     /// Ends a sending that was cut short.
@@ -121,14 +118,13 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
     }
 }
 
-/// Writes a whole frame and waits until it has left; `false` from a port that takes nothing, which
-/// embedded-io forbids.
-async fn write<S: Write>(serial: &mut S, frame: &[u8; FRAME_LENGTH]) -> Result<bool, S::Error> {
-    let mut rest = frame.as_slice();
+/// Writes until nothing is left and waits until that has left; `false` with a port that takes nothing,
+/// which embedded-io forbids.
+async fn write<S: Write>(serial: &mut S, rest: &mut &[u8]) -> Result<bool, S::Error> {
     while !rest.is_empty() {
         match serial.write(rest).await? {
             0 => return Ok(false),
-            bytes => rest = rest.get(bytes..).unwrap_or(&[]),
+            bytes => *rest = rest.get(bytes..).unwrap_or(&[]),
         }
     }
     serial.flush().await?;

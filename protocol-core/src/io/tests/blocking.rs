@@ -159,6 +159,16 @@ fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
 }
 
 #[test]
+fn what_a_serial_port_has_taken_counts_as_sent_whatever_fails_then() {
+    let (port, clock, mut arm) = serial();
+    port.state().flush_fails = true;
+    assert_eq!(arm.ask(id(1), step()), Err(CallError::Bus(Broken)));
+    port.state().flush_fails = false;
+    let events = run(&mut arm, &clock, 20_000);
+    assert!(matches!(events[..], [Event::Reply { .. }]), "the drive has heard it: {events:?}");
+}
+
+#[test]
 fn a_closed_port_is_a_silent_one() {
     let (port, _, mut arm) = serial();
     port.state().closed = true;

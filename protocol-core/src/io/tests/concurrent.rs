@@ -132,6 +132,16 @@ fn a_serial_port_that_stalls_counts_as_a_bus_that_is_down() {
 }
 
 #[test]
+fn what_a_serial_port_has_taken_counts_as_sent_whatever_fails_then() {
+    let (port, _, mut arm) = serial();
+    port.state().flush_fails = true;
+    assert_eq!(block_on(arm.ask(id(1), step())), Err(CallError::Bus(Broken)));
+    port.state().flush_fails = false;
+    let event = block_on(arm.next_event());
+    assert!(matches!(event, Ok(Event::Reply { .. })), "the drive has heard it: {event:?}");
+}
+
+#[test]
 fn what_waits_is_dropped_on_a_bus_that_takes_nothing() {
     // Polled to the end, or dropped every few polls: the bus is down after the same time.
     for most in [3, usize::MAX] {

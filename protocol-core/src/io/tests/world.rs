@@ -220,6 +220,7 @@ pub(super) struct SerialState {
     pub(super) at_most: usize,
     pub(super) write_fails: bool,
     pub(super) takes_nothing: bool,
+    pub(super) flush_fails: bool,
     pub(super) closed: bool,
     /// Whether `write` waits for ever.
     pub(super) stalls: bool,
@@ -328,6 +329,9 @@ impl embedded_io::Write for TestSerial {
 
     fn flush(&mut self) -> Result<(), Broken> {
         let mut state = self.state.borrow_mut();
+        if state.flush_fails {
+            return Err(Broken);
+        }
         state.flushed = state.written.len();
         Ok(())
     }
