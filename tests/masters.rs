@@ -5,5 +5,6 @@ mod masters {
     mod bring_up;
     mod losses;
     mod streams;
+    mod tasks;
     mod ways;
 }
