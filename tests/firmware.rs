@@ -6,6 +6,7 @@
 //! --test firmware`. Each takes the time that it is about, one after the other.
 
 mod firmware {
+    mod adapters;
     mod bus;
     mod drives;
     mod ends;

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use myactuator_host_std::sim::Fleet;
+use myactuator_tests::emulator::adapter::Adapter;
 use myactuator_tests::emulator::board::Board;
 use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::log::Line;
@@ -59,9 +60,14 @@ pub(crate) fn millis(millis: u64) -> Duration {
 }
 
 /// A firmware that waits for the button.
-pub(crate) fn stopped((board, program): Program) -> Firmware {
+pub(crate) fn stopped(program: Program) -> Firmware {
+    stopped_behind(program, None)
+}
+
+/// The same, behind an adapter.
+pub(crate) fn stopped_behind((board, program): Program, adapter: Option<Adapter>) -> Firmware {
     let fleet = Fleet::new(DRIVES).brakes(true);
-    let mut firmware = Firmware::start(board, program, &fleet);
+    let mut firmware = Firmware::start(board, program, &fleet, adapter);
     firmware.wait_for("Started { cause: Power }", PATIENCE);
     firmware.wait_for("State(Stopped)", PATIENCE);
     firmware

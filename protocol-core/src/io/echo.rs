@@ -6,6 +6,8 @@ use crate::wire::rs485::Frame;
 
 /// An echo does not come later after its sending: adapters hand over what they received every 16 ms.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
+/// So many echoes in a row may be missing of an adapter that was found to echo.
+const MISSING: u8 = 3;
 /// So many sendings may wait for their echo.
 const SENDINGS: usize = 8;
 
@@ -15,8 +17,9 @@ const SENDINGS: usize = 8;
 /// reply that equals its command, an acknowledgement of 0x81 for example, only what is more than was
 /// sent counts: without a drive that answers, nothing is left.
 ///
-/// An echo that nobody configured is found by two sendings in a row that come back although no reply
-/// to them can be the same bytes; and is none if one then does not come back.
+/// An echo that nobody configured is found by a command to all motors that comes back, which no drive sends:
+/// a stop of all motors begins with one. Or by two sendings in a row that come back although no reply to them
+/// can be the same bytes; and is none if four of them in a row then do not come back.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
@@ -31,8 +34,8 @@ enum Adapter {
     Echoes,
     /// It does not, as was said, and nothing speaks against it but what the last sending may have.
     IsQuiet { suspected: bool },
-    /// It echoes, as was found.
-    FoundEchoing,
+    /// It echoes, as was found; but so many in a row have not come back since.
+    FoundEchoing { missing: u8 },
 }
 
 impl EchoFilter {
@@ -64,12 +67,15 @@ impl EchoFilter {
         let equal = self.sent.iter_mut().filter(is_equal);
         let Some(first) = equal.min_by_key(|place| place.map(|(_, at)| at)) else { return false };
         match self.adapter {
-            Adapter::Echoes | Adapter::FoundEchoing => {}
+            Adapter::Echoes => {}
+            Adapter::FoundEchoing { .. } if can_be_a_reply(frame) => {}
             Adapter::IsQuiet { .. } if can_be_a_reply(frame) => return false,
-            Adapter::IsQuiet { suspected: false } => {
+            Adapter::IsQuiet { suspected: false } if frame.as_reply().is_some() => {
                 self.adapter = Adapter::IsQuiet { suspected: true };
             }
-            Adapter::IsQuiet { suspected: true } => self.adapter = Adapter::FoundEchoing,
+            Adapter::IsQuiet { .. } | Adapter::FoundEchoing { .. } => {
+                self.adapter = Adapter::FoundEchoing { missing: 0 };
+            }
         }
         *first = None;
         true
@@ -82,16 +88,33 @@ impl EchoFilter {
                 continue;
             }
             *place = None;
-            if self.adapter != Adapter::Echoes && !can_be_a_reply(&frame) {
-                self.adapter = Adapter::IsQuiet { suspected: false };
+            if !can_be_a_reply(&frame) {
+                self.adapter = self.adapter.has_missed_one();
             }
         }
     }
 }
 
-/// Whether a drive can answer a command with the command's own bytes. Not where the reply has values
-/// that are never all zero: a voltage, a date, a name.
+impl Adapter {
+    /// One echo has not come. Of those that noise may have taken, some are excused: an echo that passes for
+    /// a confirmation is worse than a confirmation that passes for an echo.
+    fn has_missed_one(self) -> Self {
+        match self {
+            Self::Echoes => self,
+            Self::FoundEchoing { missing } if missing < MISSING => {
+                Self::FoundEchoing { missing: missing + 1 }
+            }
+            Self::FoundEchoing { .. } | Self::IsQuiet { .. } => Self::IsQuiet { suspected: false },
+        }
+    }
+}
+
+/// Whether a drive can answer a command with the command's own bytes. Not to all motors, and not where the
+/// reply has values that are never all zero: a voltage, a date, a name.
 fn can_be_a_reply(command: &Frame) -> bool {
+    if command.as_reply().is_none() {
+        return false;
+    }
     const NEVER: [Opcode; 3] = [Opcode::ReadStatus1, Opcode::ReadVersionDate, Opcode::ReadModel];
     let [byte, values @ ..] = command.data;
     values != [0; 7] || !Opcode::from_byte(byte).is_some_and(|opcode| NEVER.contains(&opcode))
@@ -134,6 +157,22 @@ mod tests {
     }
 
     #[test]
+    fn a_stop_of_all_that_comes_back_shows_an_echo_before_any_stop_can_seem_confirmed() {
+        let mut filter = EchoFilter::new(false);
+        let to_all = Frame { address: Target::All, ..frame(Stop) };
+        filter.sent(to_all, ms(0));
+        filter.sent(frame(Stop), ms(2));
+        assert!(filter.is_echo(&to_all, ms(16)));
+        assert!(filter.is_echo(&frame(Stop), ms(16)));
+        assert!(!filter.is_echo(&frame(Stop), ms(16)), "that is the drive's");
+        // What drives answer to all is no sign of it.
+        let mut filter = EchoFilter::new(false);
+        let bus_id = Frame { address: Target::All, data: [0x79, 0, 0, 0, 0, 0, 0, 2] };
+        filter.sent(bus_id, ms(0));
+        assert!(!filter.is_echo(&bus_id, ms(2)));
+    }
+
+    #[test]
     fn an_echo_that_nobody_configured_is_found() {
         let mut filter = EchoFilter::new(false);
         filter.sent(frame(Stop), ms(0));
@@ -146,9 +185,18 @@ mod tests {
         }
         filter.sent(frame(Stop), ms(6));
         assert!(filter.is_echo(&frame(Stop), ms(7)));
-        // It is none if it then stays away.
-        filter.sent(frame(ReadStatus1), ms(8));
-        assert!(!filter.is_echo(&frame(Stop), ms(109)));
-        assert!(!filter.is_echoing());
+        // Noise may take one; but it is none if it then stays away.
+        let miss = |filter: &mut EchoFilter, at| {
+            filter.sent(frame(ReadStatus1), ms(at));
+            assert!(!filter.is_echo(&frame(Stop), ms(at + 101)));
+        };
+        miss(&mut filter, 1_000);
+        assert!(filter.is_echoing());
+        filter.sent(frame(ReadStatus1), ms(1_500));
+        assert!(filter.is_echo(&frame(ReadStatus1), ms(1_501)));
+        for (at, is_echoing) in [(2_000, true), (3_000, true), (4_000, true), (5_000, false)] {
+            miss(&mut filter, at);
+            assert_eq!(filter.is_echoing(), is_echoing);
+        }
     }
 }

@@ -17,8 +17,8 @@ pub enum Bus {
         /// Pause between the end of a reply and the next command, for the drives to turn around.
         turnaround: Duration,
         /// Whether the adapter hands back what is sent: then the first frame with the same bytes is
-        /// dropped. The loops find out by themselves if this is wrong, but not before the first
-        /// reads: see [`EchoFilter`](crate::io::EchoFilter).
+        /// dropped. The loops find out by themselves if this is wrong, at the first stop of all motors or at
+        /// the first reads: see [`EchoFilter`](crate::io::EchoFilter).
         echo: bool,
     },
 }

@@ -20,6 +20,7 @@ use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::{Fed, Receiver};
 
+use super::adapter::Adapter;
 use super::board::Wire;
 use super::{Failure, urgency};
 
@@ -42,6 +43,7 @@ pub struct Drives {
     bus: Arc<dyn Bus>,
     heard: Shared<Heard>,
     notices: Shared<String>,
+    adapter: Option<Adapter>,
     server: Option<Running>,
 }
 
@@ -67,7 +69,20 @@ impl Drives {
             Wire::Rs485 => Arc::new(fleet.on_rs485(BIT_RATE)?),
             Wire::Slcan => Arc::new(fleet.on_can(BIT_RATE)?),
         };
-        Ok(Self { bus, heard: Shared::default(), notices: Shared::default(), server: None })
+        Ok(Self {
+            bus,
+            heard: Shared::default(),
+            notices: Shared::default(),
+            adapter: None,
+            server: None,
+        })
+    }
+
+    /// The same, behind this adapter.
+    #[must_use]
+    pub fn behind(mut self, adapter: Option<Adapter>) -> Self {
+        self.adapter = adapter;
+        self
     }
 
     /// Puts whoever is at the other end of the stream on their wire: as the serial port of an RS485 line, or
@@ -76,6 +91,10 @@ impl Drives {
     /// # Errors
     /// The operating system's.
     pub fn serve(&mut self, stream: UnixStream) -> Result<(), Failure> {
+        let stream = match self.adapter {
+            Some(adapter) => adapter.put_between(stream)?,
+            None => stream,
+        };
         let (stop, stopped) = UnixStream::pair()?;
         let (bus, notices) = (Arc::clone(&self.bus), Arc::clone(&self.notices));
         // A server stays in the thread that made it.

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant as WallTime};
 use myactuator_host_std::sim::{DriveHandle, Fleet};
 use myactuator_protocol_core::time::Instant;
 
+use super::adapter::Adapter;
 use super::board::{Board, Wire};
 use super::drives::Drives;
 use super::image;
@@ -40,13 +41,13 @@ pub struct Firmware {
 }
 
 impl Firmware {
-    /// Starts a board's program, which is named after its bus, with these drives.
+    /// Starts a board's program, which is named after its bus, with these drives, behind this adapter.
     ///
     /// # Panics
     /// If it does not start: what is missing, and how to get it.
-    pub fn start(board: Board, program: &str, fleet: &Fleet) -> Self {
+    pub fn start(board: Board, program: &str, fleet: &Fleet, adapter: Option<Adapter>) -> Self {
         let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-        match Self::try_start(board, program, fleet, alone) {
+        match Self::try_start(board, program, fleet, adapter, alone) {
             Ok(firmware) => firmware,
             Err(error) => panic!("{program} of {board} does not start: {error}"),
         }
@@ -56,11 +57,12 @@ impl Firmware {
         board: Board,
         program: &str,
         fleet: &Fleet,
+        adapter: Option<Adapter>,
         alone: MutexGuard<'static, ()>,
     ) -> Result<Self, Failure> {
         let wire = Wire::of_program(program)?;
         let image = image::find(board, program)?;
-        let drives = Drives::new(fleet, wire)?;
+        let drives = Drives::new(fleet, wire)?.behind(adapter);
         drives.listen();
         let truth = Truth::observe(drives.handles().to_vec());
         // Before the emulator starts: they are as urgent as that.
