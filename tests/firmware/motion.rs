@@ -137,11 +137,39 @@ fn nothing_is_lost_in_a_minute(program: Program) {
     nothing_is_lost(program, 60);
 }
 
-#[test]
-#[ignore = "takes fifty minutes"]
-fn nothing_is_lost_in_ten_minutes() {
-    let all = [MPS2_RS485, MPS2_RS485_ASYNC, MPS2_CAN, MPS2_CAN_ASYNC, NETDUINO_RS485];
-    all.into_iter().for_each(|program| nothing_is_lost(program, 600));
+/// By hand: `-- --ignored nothing_is_lost_in_ten_minutes`, with a program's name for it alone.
+mod nothing_is_lost_in_ten_minutes {
+    use super::*;
+
+    #[test]
+    #[ignore = "takes ten minutes"]
+    fn of_mps2_rs485() {
+        nothing_is_lost(MPS2_RS485, 600);
+    }
+
+    #[test]
+    #[ignore = "takes ten minutes"]
+    fn of_mps2_rs485_async() {
+        nothing_is_lost(MPS2_RS485_ASYNC, 600);
+    }
+
+    #[test]
+    #[ignore = "takes ten minutes"]
+    fn of_mps2_can() {
+        nothing_is_lost(MPS2_CAN, 600);
+    }
+
+    #[test]
+    #[ignore = "takes ten minutes"]
+    fn of_mps2_can_async() {
+        nothing_is_lost(MPS2_CAN_ASYNC, 600);
+    }
+
+    #[test]
+    #[ignore = "takes ten minutes"]
+    fn of_netduino_rs485() {
+        nothing_is_lost(NETDUINO_RS485, 600);
+    }
 }
 
 fn nothing_is_lost(program: Program, seconds: u32) {
