@@ -44,7 +44,10 @@
 //! ```
 //!
 //! # What ends it
-//! When the last handle is dropped, all motors are stopped and the thread ends; the drop waits for that.
+//! When the last handle is dropped, all motors are stopped and the thread ends; the drop waits for that. Who
+//! has not confirmed this stop is told to [subscriptions](Subscription) alone, as the last that they hear
+//! ([`StopUnconfirmed`](myactuator_protocol_core::master::Event::StopUnconfirmed)): call
+//! [`stop_all`](SharedBus::stop_all) first to be told yourself.
 //! A program that is killed stops nothing: set the motors' communication-loss protection (0xB3).
 //!
 //! An error of the bus is told to all who wait for an answer; if nobody does, to whoever calls next. The

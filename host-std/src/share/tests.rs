@@ -157,6 +157,20 @@ fn the_last_handle_stops_the_motors_and_ends_the_thread() {
 }
 
 #[test]
+fn who_has_not_confirmed_the_last_stop_is_told_to_subscribers() {
+    let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+    let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
+    for motor in [1, 2] {
+        bus.ask(id(motor), turn(90.0)).unwrap();
+    }
+    fleet.world.cut(fleet.drives[1].station());
+    let events = bus.subscribe(1_000);
+    drop(bus);
+    let told: Vec<_> = events.collect();
+    assert_eq!(told, [Event::StopUnconfirmed { motor: id(2) }]);
+}
+
+#[test]
 fn who_does_not_take_its_events_loses_them_and_holds_nobody_up() {
     let (_fleet, bus) = shared(1);
     let (mut slow, quick) = (bus.subscribe(3), bus.subscribe(1_000));

@@ -25,13 +25,19 @@ const NEVER: Instant = Instant::from_micros(u64::MAX);
 pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
     let mut worker = Worker { runner, asked: Vec::new(), stopping: Vec::new() };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
-    let panicked = outcome.err().map(|payload| words(&*payload));
-    desk.end(panicked);
+    if let Err(payload) = outcome {
+        desk.end(Some(words(&*payload)));
+    }
     // Those who wait find out now, and need not wait for the stop.
     let Worker { mut runner, asked, stopping } = worker;
     drop((asked, stopping));
     // A driver that has panicked may do it again.
-    let _ = catch_unwind(AssertUnwindSafe(|| runner.stop_all(kind, MotorSet::EMPTY)));
+    let stopped = catch_unwind(AssertUnwindSafe(|| runner.stop_all(kind, MotorSet::EMPTY)));
+    // Who is left has a subscription.
+    for motor in stopped.unwrap_or(MotorSet::EMPTY).iter() {
+        desk.publish(&Event::StopUnconfirmed { motor });
+    }
+    desk.end(None);
 }
 
 /// What a panic said.
