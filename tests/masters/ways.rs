@@ -1,15 +1,17 @@
 //! What waits for more than one answer: joint questions, set-points with their feedback, watched moves.
 
 use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::RequestError;
 use myactuator_protocol_core::command::{
     AnyReply, IncrementalPosition, ReadModel, ReadMultiTurnAngle, Stop,
 };
-use myactuator_protocol_core::io::bring_up::{self, MoveFailure, MoveLimits};
+use myactuator_protocol_core::io::bring_up::{self, MoveFailure, MoveLimits, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
+use myactuator_protocol_core::units::Milliseconds;
 use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
@@ -27,6 +29,8 @@ on_both_buses! {
     a_motor_that_is_held_has_stalled_and_is_stopped
     a_move_ends_when_its_time_is_up
     a_move_is_given_up
+    a_panic_on_the_way_stops_the_motor
+    a_protected_motor_is_moved_after_a_pause
     a_fault_on_the_way_ends_the_move
     a_motor_that_falls_silent_has_not_confirmed_its_stop
 }
@@ -217,6 +221,35 @@ fn a_move_is_given_up<W: Wire>() {
     listen(runner, millis(500));
     let at = state(&bus.drives[0]).angle_deg;
     assert!((29.0..60.0).contains(&at), "{at}");
+}
+
+fn a_panic_on_the_way_stops_the_motor<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let mut runner = master(&bus);
+    let moving = AssertUnwindSafe(|| {
+        let _ =
+            bring_up::move_to(&mut runner, id(1), TO_90_DEG(), &MoveLimits::default(), |look| {
+                assert!(look.angle.degrees() < 30.0, "on purpose");
+                ControlFlow::Continue(())
+            });
+    });
+    assert!(catch_unwind(moving).is_err());
+    // Nobody runs the loop any more.
+    bus.world.run_for(millis(500));
+    let at = state(&bus.drives[0]).angle_deg;
+    assert!((29.0..60.0).contains(&at), "{at}");
+}
+
+fn a_protected_motor_is_moved_after_a_pause<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    let limit = Milliseconds::from_raw(100);
+    assert_eq!(bring_up::protect(runner, id(1), limit), Ok(Protection::Confirmed));
+    listen(runner, millis(300));
+    assert!(state(&bus.drives[0]).communication_lost);
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let arrival = bring_up::move_to(runner, id(1), TO_90_DEG(), &MoveLimits::default(), go_on);
+    assert!(arrival.is_ok(), "{arrival:?}");
 }
 
 fn a_fault_on_the_way_ends_the_move<W: Wire>() {

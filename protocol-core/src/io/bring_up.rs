@@ -14,7 +14,7 @@ use crate::io::async_bring_up as task;
 pub use crate::io::move_to::{MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived};
 use crate::io::polled::{Polled, at_once};
 use crate::io::runner::Runner;
-use crate::master::MotorSet;
+use crate::master::{MotorSet, StopKind};
 use crate::time::Duration;
 use crate::units::{Angle, EncoderPulses, Milliseconds};
 
@@ -255,7 +255,8 @@ pub fn restart<R: Runner<N>, const N: usize>(
 ///
 /// # Errors
 /// [`NotArrived`], after a stop, which holds until [`lift_stop_of`](crate::master::Master::lift_stop_of): it
-/// has stalled, its time is up, it reports an error or does not answer, or `on_look` gave it up.
+/// has stalled, its time is up, it reports an error or does not answer, or `on_look` gave it up. A panic of
+/// `on_look` stops it, too.
 pub fn move_to<R: Runner<N>, C: MoveCommand, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -263,5 +264,24 @@ pub fn move_to<R: Runner<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, NotArrived<R::Error>> {
-    at_once(task::move_to(&mut Polled(runner), motor, command, limits, on_look))
+    let mut moving = Moving { runner, motor, is_over: false };
+    let result =
+        at_once(task::move_to(&mut Polled(moving.runner), motor, command, limits, on_look));
+    moving.is_over = true;
+    result
+}
+
+/// Stops the motor when it is left by a panic.
+struct Moving<'a, R: Runner<N>, const N: usize> {
+    runner: &'a mut R,
+    motor: MotorId,
+    is_over: bool,
+}
+
+impl<R: Runner<N>, const N: usize> Drop for Moving<'_, R, N> {
+    fn drop(&mut self) {
+        if !self.is_over {
+            let _is_stopped = self.runner.stop(self.motor, StopKind::Hold);
+        }
+    }
 }

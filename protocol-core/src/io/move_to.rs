@@ -217,6 +217,11 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     mut on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, MoveFailure<R::Error>> {
+    // Two questions, since a drive that has lost its master obeys only when it hears it steadily (2.31.1).
+    let errors = runner.ask(motor, ReadStatus1).await?.errors;
+    if !errors.is_empty() {
+        return Err(MoveFailure::Fault(errors));
+    }
     let from = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
     let target = command.target(from).ok_or(MoveFailure::OutOfRange { here: from })?;
     // One that names a place may be sent again.
