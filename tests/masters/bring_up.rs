@@ -68,6 +68,27 @@ fn a_motor_that_is_being_asked_is_not_there_before_it_answers<W: Wire>() {
     assert_eq!(bring_up::scan(runner, ids([1, 9]), |_, _| {}), Ok(ids([1])));
 }
 
+#[test]
+fn nobody_is_found_on_a_can_bus_that_carries_nothing() {
+    let bus = Fleet::new(1).on_can(1_000_000).unwrap();
+    bus.world.cut(bus.drives[0].station());
+    let runner = &mut bus.master::<8>();
+    let mut there = MotorSet::EMPTY;
+    let hear = |motor, is_there| {
+        if is_there {
+            there.insert(motor);
+        }
+    };
+    let found = bring_up::scan(runner, MotorSet::ALL, hear);
+    assert_eq!(found, Err(CallError::Failed(Failure::BusDown)));
+    assert_eq!(there, MotorSet::EMPTY);
+    // It can be tried again.
+    assert_eq!(runner.master().motors(), MotorSet::EMPTY);
+    bus.world.mend(bus.drives[0].station());
+    listen(runner, millis(50));
+    assert_eq!(bring_up::scan(runner, MotorSet::ALL, |_, _| {}), Ok(ids([1])));
+}
+
 fn a_motor_tells_what_it_is<W: Wire>() {
     let bus = W::drives(&Fleet::new(2)).unwrap();
     let runner = &mut master(&bus);

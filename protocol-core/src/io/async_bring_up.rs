@@ -40,6 +40,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     let patience = runner.master().patience(ATTEMPTS);
     let known = runner.master().motors();
     let (mut waiting, mut asked, mut found) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
+    let mut is_bus_down = false;
     while !(waiting.is_empty() && asked.is_empty()) {
         for motor in waiting.iter() {
             match runner.master().request_with(motor, ReadStatus1, patience) {
@@ -63,7 +64,14 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
         let Some(event) = runner.run(Some(soon)).await.map_err(CallError::Bus)? else { continue };
         let (motor, there) = match event {
             Event::Reply { ticket, .. } => (ticket.motor(), true),
-            Event::Failed { ticket, failure } => (ticket.motor(), failure != Failure::NoReply),
+            Event::Failed { ticket, failure: Failure::BusDown } => {
+                is_bus_down = true;
+                waiting = MotorSet::EMPTY;
+                (ticket.motor(), false)
+            }
+            Event::Failed { ticket, failure } => {
+                (ticket.motor(), matches!(failure, Failure::Unreadable(_) | Failure::NotExecuted))
+            }
             Event::Report { motor, .. } | Event::LostMaster { motor } => (motor, true),
             _ => continue,
         };
@@ -72,13 +80,15 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
         }
         if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {
             asked.remove(motor);
-            on_answer(motor, found.contains(motor));
+            if !is_bus_down {
+                on_answer(motor, found.contains(motor));
+            }
             if !known.contains(motor) {
                 runner.master().forget(motor);
             }
         }
     }
-    Ok(found)
+    if is_bus_down { Err(CallError::Failed(Failure::BusDown)) } else { Ok(found) }
 }
 
 /// As [`bring_up::identify`](crate::io::bring_up::identify).

@@ -109,7 +109,9 @@ pub enum Protection {
 /// known.
 ///
 /// # Errors
-/// [`CallError`]; [`RequestError::TooManyMotors`] if the master has no place free at all.
+/// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown) if the bus carries nothing, as CAN
+/// does when nobody is there to acknowledge; [`RequestError::TooManyMotors`] if the master has no place free
+/// at all.
 pub fn scan<R: Runner<N>, const N: usize>(
     runner: &mut R,
     candidates: MotorSet,
