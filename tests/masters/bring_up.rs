@@ -32,6 +32,7 @@ on_both_buses! {
     an_id_that_two_motors_have_is_not_changed
     the_only_motor_gets_its_new_id_for_good
     a_brake_is_open_before_torque_comes
+    a_brake_opens_under_a_protection_that_is_shorter
     a_brake_that_does_not_open_is_told
     a_protected_motor_stops_when_nobody_speaks
 }
@@ -224,6 +225,15 @@ fn a_brake_is_open_before_torque_comes<W: Wire>() {
     runner.ask(id(1), push(2.0)).expect("it is there");
     listen(runner, millis(50));
     assert!(moved() > 0.01, "{}", moved());
+}
+
+fn a_brake_opens_under_a_protection_that_is_shorter<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
+    let runner = &mut master(&bus);
+    let limit = Milliseconds::from_raw(100);
+    assert_eq!(bring_up::protect(runner, id(1), limit), Ok(Protection::Confirmed));
+    assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
+    assert_eq!(state(&bus.drives[0]).brake, BrakeCommand::RELEASE);
 }
 
 fn a_brake_that_does_not_open_is_told<W: Wire>() {

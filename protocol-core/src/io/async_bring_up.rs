@@ -25,6 +25,8 @@ use crate::units::{EncoderPulses, Milliseconds};
 const ATTEMPTS: u8 = 2;
 /// How long a brake takes to open at the most.
 const BRAKE_OPENING: Duration = Duration::from_millis(150);
+/// How often a motor is spoken to that is waited for.
+const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
 /// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
 const ZERO_TOLERANCE: i32 = 100;
 
@@ -177,7 +179,12 @@ pub async fn release_brake<R: AsyncRunner<N>, const N: usize>(
 ) -> Result<(), BringUpError<R::Error>> {
     runner.ask(motor, ReleaseBrake).await?;
     let open = runner.now() + BRAKE_OPENING;
-    runner.run_until(open, |_| {}).await?;
+    // Without a word its communication-loss protection would lock it again.
+    while runner.now() < open {
+        runner.ask(motor, ReadStatus1).await?;
+        let next = runner.now() + SPOKEN_TO_EVERY;
+        runner.run_until(next.min(open), |_| {}).await?;
+    }
     match runner.ask(motor, ReadStatus1).await?.brake {
         BrakeCommand::RELEASE => Ok(()),
         other => Err(BringUpError::BrakeNotReleased(other)),
