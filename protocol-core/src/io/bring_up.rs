@@ -106,7 +106,8 @@ pub enum Protection {
 
 /// Finds out which of `candidates` are on the bus, as many at a time as the master has places free.
 /// `on_answer` gets each motor that is asked, and whether it is there, as soon as that is
-/// known.
+/// known. Motors that share an id, as those from the factory do, are found as one on CAN; on RS485 their
+/// answers collide, and nobody may be found: connect one at a time.
 ///
 /// # Errors
 /// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown) if the bus carries nothing, as CAN
@@ -171,6 +172,9 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 /// names the motor; if it does not acknowledge that and is the only one on the bus, 0x79 is tried, which all
 /// connected motors obey. Hold the shaft if a load pulls at it.
 ///
+/// It [scans](scan) first, so the master needs a free place besides those of the motors that it knows:
+/// `CanMaster<_, _, 8>` for six motors, say.
+///
 /// # Errors
 /// [`BringUpError::NotThere`] if nobody answers under the old id, or the new one after the restart;
 /// [`BringUpError::IdTaken`], [`BringUpError::IdShared`] and [`BringUpError::IdNotTaken`];
@@ -185,7 +189,8 @@ pub fn change_id<R: Runner<N>, const N: usize>(
 
 /// Whether more than one motor seems to have this id, as far as that can be heard: some questions are
 /// answered twice, or not at all, since answers collide. They are asked again and again, since equal frames
-/// of two motors may become one on a CAN bus. Takes half a second.
+/// of two motors may become one on a CAN bus. Takes half a second. `true`, too, if nobody answers: ask
+/// [`is_there`] first.
 ///
 /// # Errors
 /// [`CallError`].
@@ -209,6 +214,10 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 }
 
 /// Sets after how long without a command a motor stops by itself (0xB3). It is kept in ROM.
+///
+/// From then on the motor has to be spoken to without longer pauses, and after one it may answer and not obey
+/// until it is spoken to steadily again (2.31.1). What waits here speaks to its own motor alone, [`move_to`]
+/// every 20 ms: below 50 ms the protection may end a move.
 ///
 /// # Errors
 /// [`CallError`].

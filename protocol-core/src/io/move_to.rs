@@ -160,7 +160,7 @@ impl<E: fmt::Debug> fmt::Display for NotArrived<E> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "motor {} has not arrived: {}; ", self.motor, self.why)?;
         f.write_str(if self.is_stopped {
-            "it is stopped"
+            "it has confirmed the stop"
         } else {
             "it has not confirmed the stop: cut its power"
         })

@@ -253,8 +253,9 @@ impl<const N: usize> Master<N> {
     /// queued up; one that waits for longer than [`Config::set_point_max_age`] is dropped.
     ///
     /// # Errors
-    /// [`RequestError`]: the command does not go over this bus, the motors were stopped, a request of
-    /// the same kind is under way, or there is no place for one more motor.
+    /// [`RequestError`]: the command does not go over this bus, the motors were stopped, the motor has
+    /// [restarted](Event::Restarted), a request of the same kind is under way, or there is no place for one
+    /// more motor.
     pub fn set_point<C: SetPoint>(
         &mut self,
         motor: MotorId,

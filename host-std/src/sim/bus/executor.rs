@@ -59,6 +59,9 @@ impl<B: Medium> World<B> {
     ///
     /// In real time it sleeps instead.
     ///
+    /// What waits for another world waits for ever, as time stands still there: run it in [`block_on`] with
+    /// both.
+    ///
     /// # Panics
     /// If every task waits for what cannot come, since nothing is left to happen in the world.
     pub fn block_on<F: Future>(&self, future: F) -> F::Output {
