@@ -59,6 +59,18 @@ fn each_question_has_its_own_answer<W: Wire>() {
 }
 
 #[test]
+fn behind_a_stop_on_a_dead_bus_nobody_waits_for_ever() {
+    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    let mut bus = fleet.master::<8>();
+    fleet.world.cut(fleet.drives[0].station());
+    assert_eq!(bus.stop_all(StopKind::Hold, id(1).into()), id(1).into());
+    let busy = RequestError::Busy.into();
+    assert_eq!(bus.ask(id(1), ReadMultiTurnAngle), Err(busy));
+    let told = bus.ask_together([1, 2].map(|motor| (id(motor), ReadMultiTurnAngle)));
+    assert_eq!(told, [Err(busy), Err(CallError::Failed(Failure::BusDown))]);
+}
+
+#[test]
 fn on_can_four_are_asked_in_less_than_the_time_of_two() {
     let fleet = Fleet::new(4).on_can(1_000_000).unwrap();
     let mut bus = fleet.master::<8>();

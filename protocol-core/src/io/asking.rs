@@ -4,6 +4,7 @@ use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::master::{Event, Failure, Master, Patience, Ticket};
+use crate::time::{Duration, Instant};
 
 /// Why a call has no answer.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -21,6 +22,10 @@ pub enum CallError<E> {
     Failed(Failure),
 }
 
+/// How long a question waits for its turn at the most: an earlier one ends sooner, but for a stop that waits for
+/// a bus that is down.
+const LONGEST_TURN: Duration = Duration::from_secs(2);
+
 /// A question that is put as soon as the motor is free for it.
 #[derive(Debug)]
 pub(super) struct Asking<C> {
@@ -31,32 +36,46 @@ pub(super) struct Asking<C> {
 
 #[derive(Debug)]
 enum AskingState<C> {
-    ToBePut(C),
+    ToBePut(C, Instant),
     Put(Ticket<C>),
 }
 
 impl<C: Command> Asking<C> {
-    pub(super) const fn new(motor: MotorId, command: C, patience: Option<Patience>) -> Self {
-        Self { motor, patience, state: AskingState::ToBePut(command) }
+    pub(super) fn new(
+        motor: MotorId,
+        command: C,
+        patience: Option<Patience>,
+        now: Instant,
+    ) -> Self {
+        Self { motor, patience, state: AskingState::ToBePut(command, now + LONGEST_TURN) }
     }
 
-    /// Puts it, unless it was put or the motor is busy.
+    /// Puts it, unless it was put or the motor is busy, for a while.
     pub(super) fn put<const N: usize>(
         &mut self,
         master: &mut Master<N>,
+        now: Instant,
     ) -> Result<(), RequestError> {
-        let AskingState::ToBePut(command) = &self.state else { return Ok(()) };
+        let AskingState::ToBePut(command, latest) = &self.state else { return Ok(()) };
         match master.put_request(self.motor, command, self.patience) {
             Ok(ticket) => self.state = AskingState::Put(ticket),
-            Err(RequestError::Busy) => {}
+            Err(RequestError::Busy) if now < *latest => {}
             Err(error) => return Err(error),
         }
         Ok(())
     }
 
+    /// Until when it waits for its turn, if it does.
+    pub(super) fn latest_turn(&self) -> Option<Instant> {
+        match &self.state {
+            AskingState::ToBePut(_, latest) => Some(*latest),
+            AskingState::Put(_) => None,
+        }
+    }
+
     pub(super) fn outcome(&self, event: &Event) -> Option<Result<C::Reply, Failure>> {
         match &self.state {
-            AskingState::ToBePut(_) => None,
+            AskingState::ToBePut(..) => None,
             AskingState::Put(ticket) => ticket.outcome(event),
         }
     }
@@ -70,16 +89,21 @@ type Asked<C, E> = (Asking<C>, Option<Outcome<C, E>>);
 type Outcome<C, E> = Result<<C as Command>::Reply, CallError<E>>;
 
 impl<C: Command, E, const M: usize> Askings<C, E, M> {
-    pub(super) fn new(questions: [(MotorId, C); M]) -> Self {
-        Self(questions.map(|(motor, command)| (Asking::new(motor, command, None), None)))
+    pub(super) fn new(questions: [(MotorId, C); M], now: Instant) -> Self {
+        Self(questions.map(|(motor, command)| (Asking::new(motor, command, None, now), None)))
     }
 
     /// Puts those that can be put. Gives whether any of them is still open.
-    pub(super) fn put<const N: usize>(&mut self, master: &mut Master<N>) -> bool {
+    pub(super) fn put<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
         for (asking, outcome) in self.open() {
-            *outcome = asking.put(master).err().map(|error| Err(error.into()));
+            *outcome = asking.put(master, now).err().map(|error| Err(error.into()));
         }
         self.open().next().is_some()
+    }
+
+    /// Until when the first of them waits for its turn, if any does.
+    pub(super) fn latest_turn(&mut self) -> Option<Instant> {
+        self.open().filter_map(|(asking, _)| asking.latest_turn()).min()
     }
 
     pub(super) fn note(&mut self, event: &Event) {

@@ -35,20 +35,14 @@ pub trait AsyncRunner<const N: usize> {
     /// What the bus driver reports. The master stays sound: call again.
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, Self::Error>;
 
-    /// Runs the bus until there is an event. A bus that fails again and again leaves the other tasks their
-    /// turns.
+    /// Runs the bus until there is an event.
     ///
     /// # Errors
     /// As [`run`](Self::run).
     async fn next_event(&mut self) -> Result<Event, Self::Error> {
         loop {
-            match self.run(None).await {
-                Ok(Some(event)) => return Ok(event),
-                Ok(None) => {}
-                Err(error) => {
-                    yield_now().await;
-                    return Err(error);
-                }
+            if let Some(event) = run_fairly(self, None).await? {
+                return Ok(event);
             }
         }
     }
@@ -82,10 +76,12 @@ pub trait AsyncRunner<const N: usize> {
         patience: Option<Patience>,
         mut on_event: impl FnMut(Event),
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        let mut asking = Asking::new(motor, command, patience);
+        let mut asking = Asking::new(motor, command, patience, self.now());
         loop {
-            asking.put(self.master())?;
-            let event = self.next_event().await.map_err(CallError::Bus)?;
+            let now = self.now();
+            asking.put(self.master(), now)?;
+            let event = run_fairly(self, asking.latest_turn()).await.map_err(CallError::Bus)?;
+            let Some(event) = event else { continue };
             match asking.outcome(&event) {
                 Some(outcome) => return outcome.map_err(CallError::Failed),
                 None => on_event(event),
@@ -110,10 +106,14 @@ pub trait AsyncRunner<const N: usize> {
         &mut self,
         questions: [(MotorId, C); M],
     ) -> [Result<C::Reply, CallError<Self::Error>>; M] {
-        let mut askings = Askings::new(questions);
-        while askings.put(self.master()) {
-            match self.next_event().await {
-                Ok(event) => askings.note(&event),
+        let mut askings = Askings::new(questions, self.now());
+        loop {
+            let now = self.now();
+            if !askings.put(self.master(), now) {
+                break;
+            }
+            match run_fairly(self, askings.latest_turn()).await {
+                Ok(event) => event.iter().for_each(|event| askings.note(event)),
                 Err(error) => {
                     askings.bus_has_failed(error);
                     break;
@@ -194,6 +194,18 @@ pub trait AsyncRunner<const N: usize> {
         }
         waiting.iter().chain(unconfirmed.iter()).collect()
     }
+}
+
+/// As [`AsyncRunner::run`]; a bus that fails again and again leaves the other tasks their turns.
+async fn run_fairly<R: AsyncRunner<N> + ?Sized, const N: usize>(
+    runner: &mut R,
+    until: Option<Instant>,
+) -> Result<Option<Event>, R::Error> {
+    let result = runner.run(until).await;
+    if result.is_err() {
+        yield_now().await;
+    }
+    result
 }
 
 /// The earlier of two times of which either may be missing.

@@ -62,7 +62,9 @@ pub trait Runner<const N: usize> {
     /// else that happens meanwhile.
     ///
     /// # Errors
-    /// [`CallError`]. After one of the bus the request may still be under way: the next one waits for it.
+    /// [`CallError`]. After one of the bus the request may still be under way: the next one waits for it. What
+    /// gets no turn within 2 s, since a stop waits for a bus that is down, say, is
+    /// [`Busy`](RequestError::Busy).
     fn ask_with<C: Command>(
         &mut self,
         motor: MotorId,

@@ -191,8 +191,8 @@ pub enum Event {
         reply: AnyReply,
     },
     /// A motor has restarted, as far as the protocol shows: it was silent for a second and answers
-    /// again, or has run for less long than it said before (0xB1). Its turns may be lost. Its set-points
-    /// are refused until [`Master::resume`](crate::master::Master::resume).
+    /// again, or has run for less long than it said before (0xB1). Its turns may be lost. Whatever
+    /// moves it is refused until [`Master::resume`](crate::master::Master::resume).
     Restarted {
         /// The motor.
         motor: MotorId,

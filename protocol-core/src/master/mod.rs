@@ -138,6 +138,8 @@ pub struct Master<const N: usize> {
     stops_all: bool,
     /// These were stopped, each by itself.
     stopped: MotorSet,
+    /// These were switched off by a stop that is in force: no other stop switches them on.
+    switched_off: MotorSet,
     /// These have no place, and have lost their master and will ignore the next command.
     lost_master: MotorSet,
     /// RS485: a stop to all at once is to be sent before each motor's own.
@@ -170,6 +172,7 @@ impl<const N: usize> Master<N> {
             offer: None,
             stops_all: false,
             stopped: MotorSet::EMPTY,
+            switched_off: MotorSet::EMPTY,
             lost_master: MotorSet::EMPTY,
             stop_to_all: None,
             pace: 0,
@@ -185,8 +188,8 @@ impl<const N: usize> Master<N> {
     ///
     /// # Errors
     /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
-    /// earlier request is under way, the motor follows a stream of this kind, the motors were stopped,
-    /// or there is no place for one more.
+    /// earlier request is under way, the motor follows a stream of this kind, the motors were stopped, the
+    /// command moves a motor that has [restarted](Event::Restarted), or there is no place for one more.
     pub fn request<C: Command>(
         &mut self,
         motor: MotorId,
@@ -227,6 +230,9 @@ impl<const N: usize> Master<N> {
         self.change_at(place, |motor, _| {
             if !motor.request.is_none() || motor.news.contains(News::STOPPED) {
                 return Err(RequestError::Busy);
+            }
+            if motor.has_restarted && kind.moves() {
+                return Err(RequestError::Restarted);
             }
             if let Some(opcode) = kind.opcode() {
                 if reported_bit(opcode).is_some_and(|bit| motor.reports(bit, now)) {
@@ -320,7 +326,7 @@ impl<const N: usize> Master<N> {
         Ok(())
     }
 
-    /// Takes set-points again for a motor that [has restarted](Event::Restarted): the caller knows where
+    /// Takes set-points and moves again for a motor that [has restarted](Event::Restarted): the caller knows where
     /// it is.
     pub fn resume(&mut self, motor: MotorId) {
         self.change(motor, |motor, _| motor.has_restarted = false);

@@ -46,19 +46,24 @@ impl<const N: usize> Master<N> {
     /// stop may still be on its way, in a controller's mailbox for example: a confirmation counts only
     /// once nothing of that can move the motor any more.
     ///
+    /// A motor that a stop has switched off stays off until that stop is lifted: it is not sent
+    /// [`StopKind::Hold`], which would switch it on, but [`StopKind::Off`] once more.
+    ///
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
     /// stopped all the same.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
         self.stops_all = true;
-        self.stop_to_all = self.config.is_rs485().then_some(kind);
+        let is_same_for_all = kind == StopKind::Off || self.switched_off.is_empty();
+        self.stop_to_all = (self.config.is_rs485() && is_same_for_all).then_some(kind);
         self.broadcast.cancel();
         let mut result = Ok(());
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
         }
         for place in self.places.taken.iter() {
-            self.put_stop(place, kind);
+            let motor = self.motors.get(place).and_then(|motor| motor.id);
+            motor.into_iter().for_each(|motor| self.put_stop(place, motor, kind));
         }
         result
     }
@@ -75,11 +80,15 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_refused_while_stopped() {
             self.broadcast.cancel();
         }
-        self.put_stop(place, kind);
+        self.put_stop(place, motor, kind);
         Ok(())
     }
 
-    pub(super) fn put_stop(&mut self, place: usize, kind: StopKind) {
+    fn put_stop(&mut self, place: usize, motor: MotorId, kind: StopKind) {
+        let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
+        if kind == StopKind::Off {
+            self.switched_off.insert(motor);
+        }
         self.offer = None;
         self.due = self.now;
         let (command, data) = kind.command();
@@ -94,11 +103,15 @@ impl<const N: usize> Master<N> {
     pub fn lift_stop(&mut self) {
         self.stops_all = false;
         self.stopped = MotorSet::EMPTY;
+        self.switched_off = MotorSet::EMPTY;
     }
 
     /// Accepts again what [`stop`](Self::stop) made it refuse to this motor.
     pub fn lift_stop_of(&mut self, motor: MotorId) {
         self.stopped.remove(motor);
+        if !self.stops_all {
+            self.switched_off.remove(motor);
+        }
     }
 
     /// The stop to all motors at once, if it is to be sent.

@@ -1120,6 +1120,11 @@ fn a_stream_does_not_go_on_by_itself_after_a_restart() {
     assert!(events(&mut master, ms(now + 4)).contains(&Event::Restarted { motor: id(1) }));
     let refused = master.set_point(id(1), motion(), ms(now + 5));
     assert_eq!(refused, Err(RequestError::Restarted));
+    let moved = master.request(
+        id(1),
+        IncrementalPosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(100) },
+    );
+    assert!(matches!(moved, Err(RequestError::Restarted)));
     master.resume(id(1));
     assert!(master.set_point(id(1), motion(), ms(now + 5)).is_ok());
 }
@@ -1254,4 +1259,40 @@ fn a_drive_that_lost_its_master_before_it_was_known_ignores_its_first_command() 
     assert_eq!(sent(&mut master, ms(2)).len(), 1, "once more");
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(3)).unwrap();
     assert!(read.outcome(&event).unwrap().is_ok());
+}
+
+#[test]
+fn what_was_switched_off_is_switched_on_by_no_other_stop() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let first_stops = |master: &mut Master<4>, now| -> Vec<(u8, u8)> {
+        let stops = sent(master, now);
+        let motors = stops.iter().filter_map(|packet| match packet.channel {
+            Channel::Command(Target::Motor(motor)) => Some((motor.get(), packet.data[0])),
+            _ => None,
+        });
+        let stops_of = motors.collect();
+        for packet in stops {
+            let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
+            reply(master, motor.get(), packet.data, now + Duration::from_millis(1));
+        }
+        stops_of
+    };
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(first_stops(&mut master, ms(0)), [(1, 0x80)]);
+    // As whoever leaves a control loop does.
+    master.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    assert_eq!(first_stops(&mut master, ms(100)), [(1, 0x80), (2, 0x81)]);
+    master.lift_stop_of(id(1));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(first_stops(&mut master, ms(200)), [(1, 0x80)], "all are stopped still");
+    master.lift_stop();
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(first_stops(&mut master, ms(300)), [(1, 0x81)]);
+
+    // Nor by one to all at once.
+    let mut line = Master::<4>::new(Config::rs485(115_200, false));
+    line.stop(id(1), StopKind::Off).unwrap();
+    line.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    let first = line.poll_transmit(ms(0)).unwrap();
+    assert_eq!((first.channel, first.data[0]), (Channel::Command(id(1).into()), 0x80));
 }
