@@ -167,6 +167,7 @@ fn a_motor_arrives_and_holds<W: Wire>() {
     assert!(angles.len() > 20 && angles[0] < 1.0, "it was looked at all the way: {angles:?}");
     listen(runner, millis(500));
     assert!((state(&bus.drives[0]).angle_deg - 90.0).abs() < 0.3, "it holds");
+    assert!(runner.ask(id(1), TO_90_DEG()).is_ok(), "nothing has stopped it");
 }
 
 fn a_relative_move_is_one_from_where_the_shaft_is<W: Wire>() {

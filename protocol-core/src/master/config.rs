@@ -156,3 +156,26 @@ pub struct Patience {
     /// each sending only if that does no harm here: the caller must know.
     pub attempts: u8,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Reply time-out, late window, shortest response and time of a frame, in microseconds.
+    fn times(config: Config) -> [u64; 4] {
+        [config.reply_timeout, config.late_window, config.shortest_response, config.frame_time]
+            .map(Duration::as_micros)
+    }
+
+    #[test]
+    fn times_follow_the_bit_rate() {
+        // 135 bits, rounded up; 3 ms and 128 frames; twice that; two frames.
+        assert_eq!(times(Config::can(1_000_000)), [20_408, 40_816, 272, 136]);
+        assert_eq!(times(Config::can(250_000)), [72_248, 144_496, 1_082, 541]);
+        assert_eq!(times(Config::can(0)), times(Config::CAN));
+        // 130 bits, rounded up; 5 ms and two frames; 10 ms and two frames; none.
+        assert_eq!(times(Config::rs485(115_200, false)), [7_258, 12_258, 0, 1_129]);
+        assert_eq!(times(Config::rs485(1_000_000, false)), [5_262, 10_262, 0, 131]);
+        assert_eq!(times(Config::rs485(0, true)), times(Config::rs485(115_200, false)));
+    }
+}

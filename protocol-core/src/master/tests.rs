@@ -1296,3 +1296,88 @@ fn what_was_switched_off_is_switched_on_by_no_other_stop() {
     let first = line.poll_transmit(ms(0)).unwrap();
     assert_eq!((first.channel, first.data[0]), (Channel::Command(id(1).into()), 0x80));
 }
+
+#[test]
+fn an_ignored_command_goes_once_more_only_if_that_is_harmless_and_attempts_are_left() {
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let twice = Patience { attempts: 2, ..once };
+    let not_executed = Failure::NotExecuted;
+    let mut master = Master::<2>::new(Config::CAN);
+    reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(0));
+    let moved = master.request_with(id(1), step(), twice).unwrap();
+    sent(&mut master, ms(1));
+    assert_eq!(reply(&mut master, 1, step().encode(), ms(2)), None);
+    assert_eq!(sent(&mut master, ms(2)), []);
+    assert_eq!(moved.outcome(&events(&mut master, ms(2))[0]), Some(Err(not_executed)));
+
+    reply(&mut master, 2, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(10));
+    let read = master.request_with(id(2), ReadMultiTurnAngle, once).unwrap();
+    sent(&mut master, ms(11));
+    assert_eq!(reply(&mut master, 2, ReadMultiTurnAngle.encode(), ms(12)), None);
+    assert_eq!(sent(&mut master, ms(12)), []);
+    assert_eq!(read.outcome(&events(&mut master, ms(12))[0]), Some(Err(not_executed)));
+}
+
+#[test]
+fn a_motor_that_nobody_asked_for_long_has_not_restarted() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for at in [0, 2_000] {
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(at));
+        reply(&mut master, 1, ANGLE_REPLY, ms(at + 1)).unwrap();
+        assert_eq!(events(&mut master, ms(at + 1)), []);
+    }
+}
+
+#[test]
+fn a_motor_that_reports_seldom_is_waited_for_longer() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let interval = ReportInterval::from_raw(100); // 1 s
+    let _ = ask(&mut master, 1, ActiveReply { interval, ..report_angle(Switch::On) }, ms(0));
+    events(&mut master, ms(7));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1_000)).unwrap();
+    // Three intervals, and the second that a restart takes.
+    master.handle_timeout(ms(4_999));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_err());
+    master.handle_timeout(ms(5_000));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
+}
+
+#[test]
+fn a_broadcast_that_waits_is_dropped_by_a_stop_and_by_a_bus_that_is_down() {
+    let ends: [fn(&mut Master<2>); 3] = [
+        |master| master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(),
+        |master| master.stop(id(2), StopKind::Hold).unwrap(),
+        |master| master.handle_bus_down(ms(0)),
+    ];
+    for end in ends {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.broadcast(step(), id(1).into()).unwrap();
+        end(&mut master);
+        let is_step = |packet: &Packet| packet.data == step().encode();
+        assert!(!sent(&mut master, ms(0)).iter().any(is_step));
+        let silent = id(1).into();
+        assert!(events(&mut master, ms(0)).contains(&Event::BroadcastDone { silent }));
+    }
+}
+
+#[test]
+fn only_a_motor_that_has_a_place_and_nothing_under_way_is_forgotten() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!master.forget(id(1)), "it was never known");
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    assert!(!master.forget(id(1)), "it is being asked");
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    assert!(master.forget(id(1)));
+    assert_eq!(master.motors(), MotorSet::EMPTY);
+}
+
+#[test]
+fn a_stop_in_the_place_of_another_tells_of_no_request() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    sent(&mut master, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(events(&mut master, ms(0)), []);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(events(&mut master, ms(0)), []);
+}

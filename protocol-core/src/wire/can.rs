@@ -207,4 +207,28 @@ mod tests {
         assert_eq!(Some(STOP), encode(&crate::command::Stop.packet(MotorId::MIN)));
         assert_eq!(STOP.data(), [0x81, 0, 0, 0, 0, 0, 0, 0]);
     }
+
+    #[test]
+    fn each_channel_has_its_identifier() {
+        let motor = MotorId::new(32).unwrap();
+        for (channel, expected) in [
+            (Channel::Command(Target::Motor(motor)), 0x160),
+            (Channel::Reply(motor), 0x260),
+            (Channel::Command(Target::All), 0x280),
+            (Channel::BusId, 0x300),
+            (Channel::Motion(motor), 0x420),
+            (Channel::MotionReply(motor), 0x520),
+        ] {
+            assert_eq!(identifier(channel), expected);
+            assert_eq!(channel_at(expected), Some(channel));
+        }
+    }
+
+    #[test]
+    fn a_remote_frame_has_a_length_and_no_data() {
+        let remote = |length| SimpleFrame::new_remote(StandardId::ZERO, length);
+        let frame = remote(8).unwrap();
+        assert!(frame.is_remote_frame() && frame.dlc() == 8 && frame.data().is_empty());
+        assert_eq!(remote(9), None);
+    }
 }

@@ -313,4 +313,29 @@ mod tests {
         assert_eq!(to_all.as_command().channel, Channel::Command(Target::All));
         assert_eq!(to_all.as_reply(), None);
     }
+
+    #[test]
+    fn the_crc_is_that_of_modbus() {
+        // The check value that catalogues of CRCs give for it.
+        let crc = b"123456789".iter().fold(CRC_START, |crc, &byte| crc_over(crc, byte));
+        assert_eq!(crc, 0x4B37);
+    }
+
+    #[test]
+    fn of_the_channel_of_bus_ids_only_those_have_a_frame() {
+        let packet = |byte| Packet { channel: Channel::BusId, data: [byte, 0, 1, 0, 0, 0, 0, 0] };
+        let frame = Frame::from_packet(&packet(0x79)).unwrap();
+        assert_eq!(frame.address, Target::All);
+        assert_eq!(Frame::from_packet(&packet(0x80)), None);
+    }
+
+    #[test]
+    fn a_frame_of_another_length_is_refused_at_its_length() {
+        let mut receiver = Receiver::new();
+        assert!(!receiver.is_within_frame());
+        assert_eq!([0x3E, 1].map(|byte| receiver.feed(byte)), [Fed::Wanting; 2]);
+        assert!(receiver.is_within_frame());
+        assert_eq!(receiver.feed(7), Fed::Discarded { bytes: 3, fault: Fault::Length });
+        assert!(!receiver.is_within_frame());
+    }
 }

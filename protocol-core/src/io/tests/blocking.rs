@@ -7,8 +7,8 @@ use embedded_can::nb::Can as _;
 use super::world::{Broken, TestCan, TestClock, TestSerial, on_can, on_rs485};
 use super::{id, step, torque};
 use crate::command::{NoReply, ReadMultiTurnAngle, Reset, Stop};
-use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster};
-use crate::master::{Event, Failure};
+use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster, bring_up};
+use crate::master::{Event, Failure, StopKind};
 use crate::wire::can::{self, SimpleFrame};
 use crate::{Channel, Packet};
 
@@ -191,4 +191,38 @@ fn a_question_waits_for_the_one_that_an_error_of_the_bus_left_behind() {
     for _ in 0..10 {
         assert!(arm.ask(id(1), ReadMultiTurnAngle).is_ok());
     }
+}
+
+#[test]
+fn a_scan_tells_only_of_those_whom_it_asks() {
+    let (_, _, mut arm) = can();
+    let _earlier = arm.master().request(id(3), ReadMultiTurnAngle).unwrap();
+    let mut told = Vec::new();
+    let found = bring_up::scan(&mut arm, id(1).into(), |motor, there| told.push((motor, there)));
+    assert!(found.unwrap().contains(id(1)));
+    assert_eq!(told, [(id(1), true)]);
+}
+
+#[test]
+fn a_motor_that_answers_once_shares_its_id_with_nobody() {
+    let (_, _, mut arm) = can();
+    assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(false));
+}
+
+#[test]
+fn a_stop_that_nobody_confirms_ends_when_it_was_sent_often_enough() {
+    let (_, clock, mut arm) = can();
+    assert!(!arm.stop(id(9), StopKind::Hold));
+    // 15 times 20.4 ms.
+    assert!((306_000..320_000).contains(&clock.micros()), "{}", clock.micros());
+}
+
+#[test]
+fn a_clock_that_is_lent_idles_too() {
+    fn idle(clock: impl Clock) {
+        clock.idle(clock.now() + crate::time::Duration::from_micros(20));
+    }
+    let clock = TestClock::default();
+    idle(&clock);
+    assert_eq!(clock.micros(), 20);
 }

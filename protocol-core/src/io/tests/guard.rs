@@ -1,11 +1,14 @@
 //! However a control loop is left, the motors are stopped.
 
+use core::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::world::{Broken, TestCan, TestClock, block_on, on_can, polls};
-use super::{id, torque};
+use super::{id, step, torque};
 use crate::command::{ReadMultiTurnAngle, Stop};
 use crate::error::RequestError;
+use crate::io::async_bring_up::move_to;
+use crate::io::bring_up::MoveLimits;
 use crate::io::{AsyncCanMaster, AsyncRunner, CallError, CanMaster, Guard, Runner, guarded};
 use crate::master::{MotorSet, StopKind};
 
@@ -85,6 +88,19 @@ fn by_a_future_that_is_dropped() {
     assert!(polls(work, 50).is_none());
     // Nothing runs the bus just now; whatever runs it next sends the stop first.
     let before = bus.sent().len();
+    let _event = block_on(arm.next_event());
+    assert_eq!(bus.sent().get(before), Some(&Stop.encode()));
+    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+}
+
+#[test]
+fn by_a_move_whose_future_is_dropped() {
+    let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
+    let limits = MoveLimits::default();
+    let go_on = |_: &_| ControlFlow::Continue(());
+    assert!(polls(move_to(&mut arm, id(1), step(), &limits, go_on), 50).is_none());
+    let before = bus.sent().len();
+    assert_eq!(bus.sent()[1], step().encode(), "it was on its way");
     let _event = block_on(arm.next_event());
     assert_eq!(bus.sent().get(before), Some(&Stop.encode()));
     assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
