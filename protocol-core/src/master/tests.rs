@@ -1381,3 +1381,41 @@ fn a_stop_in_the_place_of_another_tells_of_no_request() {
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(events(&mut master, ms(0)), []);
 }
+
+#[test]
+fn a_frame_holds_up_those_that_are_queued() {
+    let mut master = Master::<32>::new(Config::CAN);
+    for motor in 1..=20 {
+        let _ticket = master.request(id(motor), ReadMultiTurnAngle).unwrap();
+    }
+    assert_eq!(sent(&mut master, ms(0)).len(), 20);
+    // A frame takes 136 us, and three more without any make a quiet bus.
+    assert_eq!(master.poll_at(), Some(Instant::from_micros(23 * 136)));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    assert_eq!(master.poll_at(), Some(Instant::from_micros(24 * 136)));
+    // None is queued any more.
+    reply(&mut master, 2, ANGLE_REPLY, ms(4)).unwrap();
+    assert_eq!(master.poll_at(), Some(Instant::from_micros(4_000 + 3 * 136)));
+}
+
+#[test]
+fn what_a_motor_without_a_place_says_is_a_report_if_it_can_be_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let angle = reply(&mut master, 1, ANGLE_REPLY, ms(0)).unwrap();
+    assert!(matches!(angle, Event::Report { .. }), "{angle:?}");
+    let gain = reply(&mut master, 1, [0x30, 4, 0, 0, 0, 0, 0x80, 0x3F], ms(1)).unwrap();
+    assert!(matches!(gain, Event::Stray { .. }), "{gain:?}");
+}
+
+#[test]
+fn the_newest_feedback_of_a_stream_is_kept() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert_eq!(master.latest_feedback(id(1)), None);
+    for (at, angle) in [(0, 45), (10, 46)] {
+        master.set_point(id(1), torque(1.0), ms(at)).unwrap();
+        sent(&mut master, ms(at));
+        let event = reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, angle, 0], ms(at + 1));
+        let Some(Event::Feedback { reply, .. }) = event else { panic!("{event:?}") };
+        assert_eq!(master.latest_feedback(id(1)), Some((reply, ms(at + 1))));
+    }
+}
