@@ -1419,3 +1419,75 @@ fn the_newest_feedback_of_a_stream_is_kept() {
         assert_eq!(master.latest_feedback(id(1)), Some((reply, ms(at + 1))));
     }
 }
+
+#[test]
+fn a_motor_with_nothing_to_do_by_itself_is_not_looked_at() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _reset = ask(&mut master, 1, Reset, ms(0));
+    events(&mut master, ms(0));
+    assert_eq!(master.due, ms(2_000), "when it has restarted, and no sooner");
+    master.handle_timeout(ms(2_000));
+    assert!(master.places.timed.is_empty());
+    let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(master.poll_at(), None, "it waits for the bus alone");
+    assert!(master.places.stops.is_empty());
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(master.places.stops.count(), 1);
+}
+
+/// Streams a set-point at this time; after how many milliseconds it counts as lost.
+fn is_lost_after(master: &mut Master<2>, now: u64) -> Option<u64> {
+    master.set_point(id(1), torque(1.0), ms(now)).unwrap();
+    sent(master, ms(now));
+    let unanswered = [Event::SetPointUnanswered { motor: id(1) }];
+    (1..30).find(|after| events(master, ms(now + after)) == unanswered)
+}
+
+#[test]
+fn feedback_counts_as_lost_soon_only_where_it_is_known_how_long_it_takes() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert_eq!(is_lost_after(&mut master, 0), Some(21), "nothing was ever answered");
+
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0], ms(1)).unwrap();
+    // Three times as long as usual; but not when it stays away again and again.
+    for (at, after) in [(100, 3), (200, 3), (300, 21)] {
+        assert_eq!(is_lost_after(&mut master, at), Some(after));
+    }
+}
+
+#[test]
+fn on_a_busy_bus_feedback_is_waited_for() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0], ms(1)).unwrap();
+    master.set_point(id(1), torque(1.0), ms(100)).unwrap();
+    sent(&mut master, ms(100));
+    for micros in (100_200..115_000).step_by(200) {
+        let now = Instant::from_micros(micros);
+        reply(&mut master, 2, ANGLE_REPLY, now).unwrap();
+        assert_eq!(events(&mut master, now), []);
+    }
+}
+
+#[test]
+fn the_fourth_question_waits_for_the_end_of_the_first_that_was_given_up() {
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let mut master = Master::<2>::new(Config::CAN);
+    for index in [1, 4, 5] {
+        let at = 10 * u64::from(index);
+        let index = PidIndex::from_raw(index);
+        let _ticket = master.request_with(id(1), ReadPid { index }, once).unwrap();
+        sent(&mut master, ms(at));
+        assert_eq!(events(&mut master, ms(at + 5)).len(), 1, "it is given up");
+    }
+    let _ticket = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(sent(&mut master, ms(55)), []);
+    // Late replies to the first may come for 40.8 ms.
+    let end = Instant::from_micros(15_000 + 40_816);
+    assert_eq!(master.poll_at(), Some(end));
+    assert_eq!(sent(&mut master, end).len(), 1);
+}
