@@ -147,6 +147,8 @@ impl Broadcast {
     pub(super) fn was_pushed_out(&mut self) {
         if self.is_in_flight() {
             self.state = State::Waiting;
+            // Nobody has heard it, so that it need not wait for answers to itself.
+            self.may_be_late = false;
         }
     }
 

@@ -1491,3 +1491,13 @@ fn the_fourth_question_waits_for_the_end_of_the_first_that_was_given_up() {
     assert_eq!(master.poll_at(), Some(end));
     assert_eq!(sent(&mut master, end).len(), 1);
 }
+
+#[test]
+fn a_broadcast_that_was_pushed_out_is_sent_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    let packets = sent(&mut master, ms(0));
+    assert_eq!(sent(&mut master, ms(0)), []);
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(sent(&mut master, ms(0)), packets);
+}
