@@ -100,7 +100,7 @@ fn by_a_move_whose_future_is_dropped() {
     let go_on = |_: &_| ControlFlow::Continue(());
     assert!(polls(move_to(&mut arm, id(1), step(), &limits, go_on), 50).is_none());
     let before = bus.sent().len();
-    assert_eq!(bus.sent()[1], step().encode(), "it was on its way");
+    assert!(bus.sent().contains(&step().encode()), "it was on its way");
     let _event = block_on(arm.next_event());
     assert_eq!(bus.sent().get(before), Some(&Stop.encode()));
     assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
