@@ -92,6 +92,9 @@ impl Motor {
         if self.is_waiting() && self.settled_at > Instant::ZERO {
             earliest.take(self.settled_at);
         }
+        if self.stream.waiting().is_some() && !self.late.has_room() {
+            self.late.next_end().into_iter().for_each(|end| earliest.take(end));
+        }
         if let Some(asked) = self.request.waiting() {
             let end = match asked.purpose {
                 Purpose::Stop { once_more: true } => {
