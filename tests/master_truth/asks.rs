@@ -134,6 +134,8 @@ impl<W: Rough> Session<W> {
             .then_some(Patience { reply_timeout: Duration::from_millis(2), attempts: 2 });
         let (kind, data) = (command.kind(), command.encode());
         let is_stopped = self.stopped.contains(motor);
+        let moves = matches!(kind, Kind::Known(Opcode::Speed | Opcode::IncrementalPosition));
+        let awaits_resume = self.stage.book.open().pages[motor.index()].awaits_resume;
         let master = self.stage.host.master();
         let asked = match patience {
             Some(patience) => master.request_with(motor, command, patience),
@@ -141,6 +143,7 @@ impl<W: Rough> Session<W> {
         };
         match asked {
             Ok(ticket) => {
+                assert!(!(moves && awaits_resume), "{kind:?} {}", self.told());
                 assert!(
                     !(is_stopped && kind.is_refused_while_stopped()),
                     "{kind:?} {}",
@@ -152,6 +155,7 @@ impl<W: Rough> Session<W> {
                 self.stage.book.open().put(motor, Channel::Command(motor.into()), &data);
             }
             Err(RequestError::Stopped) if is_stopped => {}
+            Err(RequestError::Restarted) if moves => {}
             // A stop is under way.
             Err(RequestError::Busy) if self.is_stopping(motor) => {}
             // The motor follows a stream of this kind, or reports it: ask for something else.
