@@ -155,13 +155,13 @@ impl Firmware {
         }
     }
 
-    /// Waits until all shafts turn faster than this, and gives when that was.
+    /// Waits until all shafts turn faster than this, and gives when that was. By their mean speed: where
+    /// set-points are few, shafts go in steps.
     #[track_caller]
     pub fn wait_until_moving(&self, speed_dps: f32) -> Instant {
         let until = WallTime::now() + Duration::from_secs(4);
         while WallTime::now() < until {
-            let looks = self.looks();
-            if looks.iter().all(|look| look.speed_dps.abs() > speed_dps) {
+            if self.truth.mean_dps().iter().all(|mean| mean.abs() > speed_dps) {
                 return self.drives().now();
             }
             thread::sleep(Duration::from_millis(2));

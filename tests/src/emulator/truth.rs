@@ -15,6 +15,8 @@ const INTERVAL: Duration = Duration::from_millis(2);
 /// A shaft that turns slower than this stands still, degrees per second: a held shaft trembles within
 /// the last step of its encoder.
 const STILL_DPS: f32 = 1.0;
+/// The span of a mean speed: some set-points, even where they are few.
+const MEAN_OVER: Duration = Duration::from_millis(100);
 
 /// A drive at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,14 +92,36 @@ impl Truth {
     /// # Panics
     /// If nobody looks any more: then nothing would ever have moved.
     pub fn moved_for(&self, since: Instant) -> Vec<Duration> {
-        let is_observed = self.observer.as_ref().is_some_and(|observer| !observer.is_finished());
-        assert!(is_observed, "nobody looks at the shafts any more");
+        self.check_observed();
         let all = self.between(since, Instant::from_micros(u64::MAX));
         let last = |looks: &Vec<Look>| {
             let moving = looks.iter().rfind(|look| !look.is_still());
             moving.map_or(Duration::ZERO, |look| (look.at - since).into())
         };
         all.iter().map(last).collect()
+    }
+
+    /// How fast each shaft was in the last tenth of a second, degrees per second, as a mean.
+    ///
+    /// # Panics
+    /// If nobody looks any more.
+    pub fn mean_dps(&self) -> Vec<f32> {
+        self.check_observed();
+        let all = self.looks.lock().unwrap_or_else(PoisonError::into_inner);
+        let mean = |looks: &Vec<Look>| {
+            let last = looks.last()?;
+            let within = |look: &&Look| last.at - look.at <= MEAN_OVER.into();
+            let first = looks.iter().rev().take_while(within).last()?;
+            let seconds = Duration::from(last.at - first.at).as_secs_f32();
+            // Nothing yet, where there is one look only.
+            (seconds > 0.0).then(|| (last.angle_deg - first.angle_deg) / seconds)
+        };
+        all.iter().map(|looks| mean(looks).unwrap_or(0.0)).collect()
+    }
+
+    fn check_observed(&self) {
+        let is_observed = self.observer.as_ref().is_some_and(|observer| !observer.is_finished());
+        assert!(is_observed, "nobody looks at the shafts any more");
     }
 
     /// The smallest and the largest angle of each shaft from `since` to `until`, degrees.
