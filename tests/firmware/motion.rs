@@ -41,10 +41,6 @@ const REPLIES_BYTES: u32 = 22 * DRIVES as u32;
 /// were seen, for time is real, and the machine may be busy.
 const EMULATOR_BYTE_US: u32 = 60;
 
-/// The emulator itself holds bytes back for some milliseconds now and then, which no thread of ours can see: a
-/// stream gives feedback up sooner than that. One such moment is excused, with a reply of each drive.
-const HELD_BACK: usize = DRIVES as usize;
-
 /// The least set-points a second that each motor answers: what the wire carries, were it not for the
 /// emulator's bytes.
 fn least_rate(program: &str) -> u32 {
@@ -191,7 +187,7 @@ fn nothing_is_lost(program: Program, seconds: u32) {
         if excused > second as usize {
             firmware.fail("this machine is too busy to say anything of lost replies");
         }
-        if told.lost as usize > excused + HELD_BACK {
+        if told.lost as usize > excused {
             firmware.fail(&format!("{told:?}: a reply was lost on a clean bus"));
         }
         if second <= 5 {
