@@ -371,7 +371,11 @@ impl<const N: usize> State<N> {
             Event::Reply { ticket, data, .. } => {
                 let motor = ticket.motor();
                 let open = self.close(motor, |open| open.ticket == ticket)?;
-                self.check_answer(&open.data, &data)
+                self.check_answer(&open.data, &data)?;
+                match data[0] {
+                    0x80 => self.check_heard(motor, call_of_data(&open.data)),
+                    _ => Ok(()),
+                }
             }
             Event::Sent { ticket, .. } | Event::Failed { ticket, .. } => {
                 self.close(ticket.motor(), |open| open.ticket == ticket).map(|_| ())
@@ -411,13 +415,19 @@ impl<const N: usize> State<N> {
         Ok(())
     }
 
-    /// The drive must have heard this stop after the last motion that is older.
     fn check_confirmed(&mut self, motor: MotorId) -> Result<(), Broken> {
         let Some(truth) = self.world.truth_of(motor) else { return Ok(()) };
         if !std::mem::take(&mut truth.is_stopping) {
             return Err("a stop is confirmed that nobody waits for".into());
         }
-        let (stop, heard) = (truth.stop_call, truth.stop_heard);
+        let stop = truth.stop_call;
+        self.check_heard(motor, stop)
+    }
+
+    /// The drive must have heard this stop after the last motion that is older.
+    fn check_heard(&self, motor: MotorId, stop: u8) -> Result<(), Broken> {
+        let Some(truth) = self.world.truth.get(motor.index()) else { return Ok(()) };
+        let heard = truth.stop_heard;
         let is_older = |frame: &world::Frame| {
             moves(&frame.packet) && motor_of(&frame.packet) == Some(motor) && frame.call < stop
         };

@@ -15,6 +15,9 @@ enum State {
     None,
     Waiting,
     InFlight,
+    /// It was sent and nobody is expected to answer; to be told.
+    Sent,
+    /// It is over; to be told.
     Done,
 }
 
@@ -85,7 +88,7 @@ impl Broadcast {
     pub(super) fn was_sent(&mut self, now: Instant, timeout: Duration, late_window: Duration) {
         let has_reply = self.kind.is_some_and(Kind::has_reply);
         let awaits_reply = has_reply && !self.expected.is_empty();
-        self.state = if awaits_reply { State::InFlight } else { State::Done };
+        self.state = if awaits_reply { State::InFlight } else { State::Sent };
         self.sent = now;
         self.deadline = now + timeout;
         self.may_be_late = has_reply;
@@ -145,7 +148,7 @@ impl Broadcast {
 
     /// A controller has handed it back: it was never on the bus.
     pub(super) fn was_pushed_out(&mut self) {
-        if self.is_in_flight() {
+        if matches!(self.state, State::InFlight | State::Sent) {
             self.state = State::Waiting;
             // Nobody has heard it, so that it need not wait for answers to itself.
             self.may_be_late = false;
@@ -159,7 +162,7 @@ impl Broadcast {
 
     /// The silent ones of a broadcast that is over, once.
     pub(super) fn take_result(&mut self) -> Option<MotorSet> {
-        (self.state == State::Done).then(|| {
+        matches!(self.state, State::Sent | State::Done).then(|| {
             self.state = State::None;
             self.silent()
         })

@@ -18,7 +18,8 @@
 //! A stop goes before everything, whatever is in flight, and nothing older follows it: what waited is
 //! dropped, and what a controller hands back is, too. A confirmation counts if it answers this stop and
 //! not an earlier one, and if nothing that was sent before can move the motor any more: a set-point may
-//! wait in a mailbox that the stop overtook. Otherwise the stop goes once more.
+//! wait in a mailbox that the stop overtook. Otherwise the stop goes once more. So do requests that end
+//! motion, which wait for their turn otherwise.
 //!
 //! # What can still go wrong
 //! A reply says which motor, which command and which index, and not which of two equal commands it
@@ -184,7 +185,8 @@ impl<const N: usize> Master<N> {
     }
 
     /// Sends one motor a command and waits for its reply, where it has one, with the configuration's
-    /// patience. A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point.
+    /// patience. A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point, and its reply
+    /// counts only once nothing that was sent before it can move the motor any more.
     ///
     /// # Errors
     /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's

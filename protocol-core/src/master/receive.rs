@@ -6,7 +6,7 @@ use crate::id::MotorId;
 use crate::kind::Kind;
 use crate::master::late::{Of, Question};
 use crate::master::motor::Motor;
-use crate::master::request::{Asked, Purpose, Request};
+use crate::master::request::{Asked, Request};
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
@@ -201,7 +201,7 @@ impl Motor {
                 self.last_answered = Some(asked.question);
                 // One that is owed to an earlier stop says nothing of this one, and comes first.
                 if asked.is_stop() && self.late.take(false, data, may_be_doubled).is_some() {
-                    return self.send_stop_again(asked, false);
+                    return self.send_again(asked, false);
                 }
                 return self.take_answer(id, asked, data, now, config);
             }
@@ -270,8 +270,8 @@ impl Motor {
         // With more than one attempt under way nobody knows which one this answers.
         let round_trip = (asked.unanswered == 0).then_some(now - self.sent);
         self.answered(round_trip);
-        if asked.is_stop() && self.may_yet_move() {
-            return self.send_stop_again(asked, true);
+        if asked.kind().ends_motion() && self.may_yet_move() {
+            return self.send_again(asked, true);
         }
         self.finish_request(Request::None, config, now);
         let event = if asked.is_stop() {
@@ -283,9 +283,9 @@ impl Motor {
         Meaning::Event(event, round_trip)
     }
 
-    /// The stop is sent again: at once, or when nothing sent before it can move the motor any more.
-    fn send_stop_again(&mut self, mut asked: Asked, once_more: bool) -> Meaning {
-        asked.purpose = Purpose::Stop { once_more };
+    /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
+    fn send_again(&mut self, mut asked: Asked, once_more: bool) -> Meaning {
+        asked.once_more = once_more;
         asked.attempts_left = asked.attempts_left.max(1);
         self.request = Request::Waiting(asked);
         Meaning::Nothing

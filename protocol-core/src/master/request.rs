@@ -18,11 +18,7 @@ pub(super) enum Purpose {
     /// The caller, who has a ticket for it.
     Caller,
     /// A stop: before everything else, whatever is in flight.
-    Stop {
-        /// It was answered, but something that was sent before it may still move the motor: it is sent
-        /// once more when that is over.
-        once_more: bool,
-    },
+    Stop,
 }
 
 /// What is asked.
@@ -37,6 +33,9 @@ pub(super) struct Asked {
     pub(super) attempts_left: u8,
     /// How often it was sent without a reply that came.
     pub(super) unanswered: u8,
+    /// It ends motion and was answered, but something that was sent before it may still move the motor: it is
+    /// sent once more when that is over.
+    pub(super) once_more: bool,
 }
 
 impl Asked {
@@ -48,6 +47,7 @@ impl Asked {
             timeout: patience.reply_timeout.max(SHORTEST_TIMEOUT),
             attempts_left: patience.attempts.clamp(1, 15),
             unanswered: 0,
+            once_more: false,
         }
     }
 
@@ -55,15 +55,16 @@ impl Asked {
         Self {
             question: Question::of(kind, &data),
             data,
-            purpose: Purpose::Stop { once_more: false },
+            purpose: Purpose::Stop,
             timeout: timeout.max(SHORTEST_TIMEOUT),
             attempts_left: STOP_ATTEMPTS,
             unanswered: 0,
+            once_more: false,
         }
     }
 
     pub(super) fn is_stop(&self) -> bool {
-        matches!(self.purpose, Purpose::Stop { .. })
+        self.purpose == Purpose::Stop
     }
 
     pub(super) fn kind(&self) -> Kind {

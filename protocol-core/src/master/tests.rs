@@ -967,6 +967,30 @@ fn a_stop_goes_once_more_when_a_set_point_before_it_counts_as_lost() {
 }
 
 #[test]
+fn a_request_that_ends_motion_is_answered_when_no_lost_set_point_can_move_the_motor_any_more() {
+    for patience in [None, Some(Patience { attempts: 1, reply_timeout: Config::CAN.reply_timeout })]
+    {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.set_point(id(1), motion(), ms(0)).unwrap();
+        sent(&mut master, ms(0));
+        // 20 ms later it counts as lost, and may reach the drive for 41 ms more.
+        let lost = master.poll_at().unwrap().max(ms(21));
+        assert_eq!(events(&mut master, lost), [Event::SetPointUnanswered { motor: id(1) }]);
+        let ticket = match patience {
+            Some(patience) => master.request_with(id(1), Shutdown, patience),
+            None => master.request(id(1), Shutdown),
+        };
+        assert_eq!(sent(&mut master, lost)[0].data, Shutdown.encode());
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), lost + Duration::from_millis(1)), None);
+        let over = lost + Config::CAN.late_window;
+        assert_eq!(master.poll_at(), Some(over));
+        assert_eq!(sent(&mut master, over)[0].data, Shutdown.encode());
+        let told = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
+        assert_eq!(ticket.unwrap().outcome(&told.unwrap()), Some(Ok(Shutdown)));
+    }
+}
+
+#[test]
 fn one_motor_is_stopped_by_itself() {
     let mut master = Master::<2>::new(Config::CAN);
     for motor in 1..=2 {
@@ -1500,4 +1524,15 @@ fn a_broadcast_that_was_pushed_out_is_sent_again() {
     assert_eq!(sent(&mut master, ms(0)), []);
     master.handle_pushed_out(&packets[0]);
     assert_eq!(sent(&mut master, ms(0)), packets);
+}
+
+#[test]
+fn a_broadcast_that_nobody_answers_and_was_pushed_out_is_sent_again_before_it_is_told() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(Reset, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(0));
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(events(&mut master, ms(0)), []);
+    assert_eq!(sent(&mut master, ms(0)), packets);
+    assert_eq!(events(&mut master, ms(0)), [Event::BroadcastDone { silent: MotorSet::EMPTY }]);
 }

@@ -97,10 +97,8 @@ impl Motor {
         }
         if let Some(asked) = self.request.waiting() {
             let end = match asked.purpose {
-                Purpose::Stop { once_more: true } => {
-                    self.may_yet_move().then_some(self.moves_until)
-                }
-                Purpose::Stop { once_more: false } => None,
+                _ if self.waits_for_motion(asked) => Some(self.moves_until),
+                Purpose::Stop => None,
                 Purpose::Caller if !self.late.has_room() => self.late.next_end(),
                 Purpose::Caller => self.late.end_of(asked.question),
             };

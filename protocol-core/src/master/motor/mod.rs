@@ -12,7 +12,7 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::health::Health;
 use crate::master::late::{LateReplies, Of, Question};
-use crate::master::request::{Asked, Purpose, Request};
+use crate::master::request::{Asked, Request};
 use crate::master::stream::{SetPoint, Stream};
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -176,18 +176,23 @@ impl Motor {
 
     /// Whether a waiting request may go, as far as this motor is concerned.
     pub(super) fn may_send_request(&self) -> bool {
-        let may =
-            |asked: &Asked| self.late.has_room() && !self.late.may_be_mistaken(asked.question);
+        let may = |asked: &Asked| {
+            let is_mistakable = self.late.may_be_mistaken(asked.question);
+            self.late.has_room() && !is_mistakable && !self.waits_for_motion(asked)
+        };
         self.request.waiting().is_some_and(may)
     }
 
-    /// Whether the waiting stop may go: at once, whatever is in flight, but once more only when nothing
-    /// that was sent before can move the motor any more.
+    /// Whether the waiting stop may go: at once, whatever is in flight, for the first time.
     pub(super) fn may_send_stop(&self) -> bool {
-        match self.request.waiting().map(|asked| asked.purpose) {
-            Some(Purpose::Stop { once_more }) => !(once_more && self.may_yet_move()),
-            _ => false,
-        }
+        let may = |asked: &Asked| asked.is_stop() && !self.waits_for_motion(asked);
+        self.request.waiting().is_some_and(may)
+    }
+
+    /// Whether this is to end motion once more, which it does only when nothing that was sent before can move
+    /// the motor any more.
+    fn waits_for_motion(&self, asked: &Asked) -> bool {
+        asked.once_more && self.may_yet_move()
     }
 
     /// Whether a command that was given up may still reach the drive and move it.
