@@ -12,6 +12,7 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_bring_up as task;
 pub use crate::io::move_to::{MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived};
+use crate::io::on_drop::OnDrop;
 use crate::io::polled::{Polled, at_once};
 use crate::io::runner::Runner;
 use crate::master::{MotorSet, StopKind};
@@ -275,24 +276,12 @@ pub fn move_to<R: Runner<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, NotArrived<R::Error>> {
-    let mut moving = Moving { runner, motor, is_over: false };
+    // A panic leaves no future that the stop could go out with.
+    let moving = OnDrop::new(runner, |runner: &mut R| {
+        let _is_stopped = runner.stop(motor, StopKind::Hold);
+    });
     let result =
         at_once(task::move_to(&mut Polled(moving.runner), motor, command, limits, on_look));
-    moving.is_over = true;
+    moving.end();
     result
-}
-
-/// Stops the motor when it is left by a panic.
-struct Moving<'a, R: Runner<N>, const N: usize> {
-    runner: &'a mut R,
-    motor: MotorId,
-    is_over: bool,
-}
-
-impl<R: Runner<N>, const N: usize> Drop for Moving<'_, R, N> {
-    fn drop(&mut self) {
-        if !self.is_over {
-            let _is_stopped = self.runner.stop(self.motor, StopKind::Hold);
-        }
-    }
 }

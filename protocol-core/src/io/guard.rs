@@ -3,6 +3,7 @@
 use core::ops::{Deref, DerefMut};
 
 use crate::io::async_runner::AsyncRunner;
+use crate::io::on_drop::OnDrop;
 use crate::io::runner::Runner;
 use crate::master::{MotorSet, StopKind};
 
@@ -80,22 +81,12 @@ pub async fn guarded<R: AsyncRunner<N>, T, const N: usize>(
     kind: StopKind,
     work: impl AsyncFnOnce(&mut R) -> T,
 ) -> (T, MotorSet) {
-    let latch = Latch { bus, kind };
-    let result = work(latch.bus).await;
-    let unconfirmed = latch.bus.stop_all(kind, MotorSet::EMPTY).await;
-    core::mem::forget(latch);
-    (result, unconfirmed)
-}
-
-/// Puts the stop in force when it is dropped.
-struct Latch<'a, R: AsyncRunner<N>, const N: usize> {
-    bus: &'a mut R,
-    kind: StopKind,
-}
-
-impl<R: AsyncRunner<N>, const N: usize> Drop for Latch<'_, R, N> {
-    fn drop(&mut self) {
+    let working = OnDrop::new(bus, |bus: &mut R| {
         // Nobody else is to be stopped, so there is a place for all.
-        let _ = self.bus.master().stop_all(self.kind, MotorSet::EMPTY);
-    }
+        let _ = bus.master().stop_all(kind, MotorSet::EMPTY);
+    });
+    let result = work(working.runner).await;
+    let unconfirmed = working.runner.stop_all(kind, MotorSet::EMPTY).await;
+    working.end();
+    (result, unconfirmed)
 }

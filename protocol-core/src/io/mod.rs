@@ -31,6 +31,7 @@ mod guard;
 mod half_duplex;
 mod line;
 mod move_to;
+mod on_drop;
 mod polled;
 mod runner;
 mod serial;

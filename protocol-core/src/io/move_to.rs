@@ -10,6 +10,7 @@ use crate::command::{
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
+use crate::io::on_drop::OnDrop;
 use crate::master::StopKind;
 use crate::opcode::Repeat;
 use crate::time::{Duration, Instant};
@@ -181,7 +182,10 @@ pub async fn move_to<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, NotArrived<R::Error>> {
-    let mut moving = Moving { runner, motor, is_over: false };
+    let moving = OnDrop::new(runner, |runner: &mut R| {
+        // It was asked where it is, so it has a place.
+        let _ = runner.master().stop(motor, StopKind::Hold);
+    });
     let outcome = go(moving.runner, motor, command, limits, on_look).await;
     let result = match outcome {
         Ok(arrival) => Ok(arrival),
@@ -190,24 +194,8 @@ pub async fn move_to<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
             Err(NotArrived { motor, why, is_stopped })
         }
     };
-    moving.is_over = true;
+    moving.end();
     result
-}
-
-/// Puts the stop in force when it is dropped on the way.
-struct Moving<'a, R: AsyncRunner<N>, const N: usize> {
-    runner: &'a mut R,
-    motor: MotorId,
-    is_over: bool,
-}
-
-impl<R: AsyncRunner<N>, const N: usize> Drop for Moving<'_, R, N> {
-    fn drop(&mut self) {
-        if !self.is_over {
-            // It was asked where it is, so it has a place.
-            let _ = self.runner.master().stop(self.motor, StopKind::Hold);
-        }
-    }
 }
 
 async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
