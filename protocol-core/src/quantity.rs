@@ -441,13 +441,17 @@ impl Eq for Given {}
 
 impl fmt::Display for Given {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.value().fmt(f)
+        match self.0 {
+            // As it was written: the same in f64 has digits that nobody gave.
+            Kind::Single(value) => value.fmt(f),
+            Kind::Steps { .. } | Kind::Double { .. } => self.value().fmt(f),
+        }
     }
 }
 
 impl fmt::Debug for Given {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.value().fmt(f)
+        fmt::Display::fmt(self, f)
     }
 }
 
@@ -488,7 +492,7 @@ impl core::error::Error for OutOfRange {}
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::units::{Angle, Gain, MaxSpeed, SingleTurnTarget};
+    use crate::units::{Angle, Current, Gain, MaxSpeed, SingleTurnTarget};
     use std::string::ToString;
 
     #[test]
@@ -501,6 +505,9 @@ mod tests {
         );
         let error = SingleTurnTarget::from_degrees(-0.5).unwrap_err();
         assert_eq!(error.given.value(), -0.5);
+        // Not 400.4 as the nearest f32, which is 400.3999938964844.
+        let error = Current::from_amperes(400.4).unwrap_err();
+        assert!(error.to_string().ends_with("but 400.4 A was given"), "{error}");
         // More digits than an f32 holds.
         let error = Angle::from_degrees_f64(123_456_789.25).unwrap_err();
         assert_eq!(error.given.value(), 123_456_789.25);

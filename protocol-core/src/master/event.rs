@@ -178,7 +178,8 @@ pub enum Event {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has not confirmed the stop, after many attempts: cut its power.
+    /// A motor has not confirmed the stop, after many attempts: cut its power. Not told while a bus takes
+    /// nothing at all: then the stop waits, and the bus has an error of its own.
     StopUnconfirmed {
         /// The motor.
         motor: MotorId,
