@@ -24,7 +24,9 @@ fn a_stop_that_no_drive_heard_is_not_confirmed(program: Program) {
     go(&mut firmware);
     firmware.skip();
     let second = firmware.wait_for_second();
-    assert_eq!(second.lost, 0, "{second:?}");
+    if second.lost as usize > firmware.stalls.excused() {
+        firmware.fail(&format!("{second:?}: a reply was lost on a clean bus"));
+    }
 
     let cut = firmware.drives().now();
     firmware.drives().cut(firmware.drives().handles());

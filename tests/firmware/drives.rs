@@ -38,7 +38,10 @@ fn one_that_is_unplugged_stops_all(program: Program) {
     firmware.check_stays_stopped(WATCHED);
     let mut moved_for = firmware.truth.moved_for(unplugged);
     let alone = moved_for.remove(2);
-    if alone > PROTECTION_STOPS || moved_for.iter().any(|&moved_for| moved_for > SILENCE_STOPS) {
+    let silence_stops = firmware.with_stalls(SILENCE_STOPS);
+    if alone > firmware.with_stalls(PROTECTION_STOPS)
+        || moved_for.iter().any(|&moved_for| moved_for > silence_stops)
+    {
         firmware.fail(&format!("the unplugged one moved for {alone:?}, the others {moved_for:?}"));
     }
     go(&mut firmware);

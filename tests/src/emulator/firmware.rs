@@ -174,11 +174,16 @@ impl Firmware {
         self.drives().handles().iter().map(Look::at).collect()
     }
 
-    /// Fails unless all these shafts stood still from so long after `since` on, until now. Called a while
-    /// after that.
+    /// This, and the longest time for which the machine had something else to do.
+    pub fn with_stalls(&self, within: Duration) -> Duration {
+        within + self.stalls.longest()
+    }
+
+    /// Fails unless all these shafts stood still from so long after `since` on, until now; later by what the
+    /// machine itself was late. Called a while after that.
     #[track_caller]
     pub fn check_still(&self, since: Instant, within: Duration) {
-        let moved_for = self.truth.moved_for(since);
+        let (moved_for, within) = (self.truth.moved_for(since), self.with_stalls(within));
         if moved_for.iter().any(|&moved_for| moved_for > within) {
             self.fail(&format!("shafts moved for {moved_for:?}, which is longer than {within:?}"));
         }
