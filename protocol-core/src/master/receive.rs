@@ -14,11 +14,17 @@ use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 use crate::wire::{can, rs485};
 
-/// What a reply is, as far as its motor knows.
+/// What a reply is, as far as its motor knows. How long it took is known unless it may answer one of
+/// several sendings.
 enum Meaning {
-    /// It ends something; to be told. How long it took is known unless it may answer one of several
-    /// sendings.
-    Event(Event, Option<Duration>),
+    /// It answers a set-point.
+    Feedback(AnyReply, Option<Duration>),
+    /// It shows that the set-point in flight was ignored.
+    SetPointIgnored,
+    /// It answers the caller's request of this kind.
+    Answer(TicketId, Kind, Option<Duration>),
+    /// It confirms the stop.
+    StopConfirmed(Option<Duration>),
     /// It answers what was asked, but does not end it: nothing is to be told.
     Nothing,
     /// It is the late answer to something that was given up.
@@ -83,35 +89,38 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
-        let meaning = self.change(id, |motor, config| {
-            let may_be_doubled = motor.was_heard(now);
-            let meaning = motor.take(id, packet, may_be_doubled, now, config);
-            match meaning {
-                Meaning::Event(Event::Feedback { reply, .. }, _) => {
-                    motor.latest = Some((reply, now));
-                }
-                Meaning::Event(event, _) => motor.note_run_time(&event),
-                _ => {}
-            }
-            meaning
-        });
+        let meaning = self.change(id, |motor, config| motor.take(id, packet, now, config));
         let meaning = meaning.unwrap_or(Meaning::Unasked);
-        if !matches!(meaning, Meaning::Event(Event::Feedback { .. }, _)) {
+        if !matches!(meaning, Meaning::Feedback(..)) {
             self.due = now;
         }
+        let data = packet.data;
         match meaning {
-            Meaning::Event(event, round_trip) => {
-                if let Some(round_trip) = round_trip {
-                    self.round_trips.measured(round_trip, &mut self.config);
-                }
-                Some(event)
+            Meaning::Feedback(reply, round_trip) => {
+                self.measured(round_trip);
+                Some(Event::Feedback { motor: id, reply })
+            }
+            Meaning::SetPointIgnored => Some(Event::SetPointUnanswered { motor: id }),
+            Meaning::Answer(ticket, kind, round_trip) => {
+                self.measured(round_trip);
+                Some(Event::Reply { ticket, kind, data })
+            }
+            Meaning::StopConfirmed(round_trip) => {
+                self.measured(round_trip);
+                Some(Event::StopConfirmed { motor: id })
             }
             Meaning::Nothing => None,
             Meaning::Late => {
                 self.round_trips.was_too_short(&mut self.config);
-                Some(self.stray(id, &packet.data))
+                Some(self.stray(id, &data))
             }
             Meaning::Unasked => Some(self.handle_unasked(id, packet, now)),
+        }
+    }
+
+    fn measured(&mut self, round_trip: Option<Duration>) {
+        if let Some(round_trip) = round_trip {
+            self.round_trips.measured(round_trip, &mut self.config);
         }
     }
 
@@ -176,61 +185,45 @@ impl<const N: usize> Master<N> {
 
 impl Motor {
     /// Holds a reply against what is expected: what is in flight, and what may come late.
-    fn take(
-        &mut self,
-        id: MotorId,
-        packet: &Packet,
-        may_be_doubled: bool,
-        now: Instant,
-        config: &Config,
-    ) -> Meaning {
+    fn take(&mut self, id: MotorId, packet: &Packet, now: Instant, config: &Config) -> Meaning {
         let is_motion = matches!(packet.channel, Channel::MotionReply(_));
         let data = &packet.data;
-        let round_trip = now - self.sent;
-        let is_in_time = round_trip >= config.shortest_response;
+        let is_in_time = now - self.sent >= config.shortest_response;
 
         let is_same = |question: Question| question.is_answered_by(is_motion, data);
-        let may_be_doubled = may_be_doubled && self.last_answered.is_some_and(is_same);
+        let may_be_doubled = self.was_heard(now) && self.last_answered.is_some_and(is_same);
         let answers = |question: Question| is_in_time && is_same(question);
-        match (self.stream.in_flight().copied(), self.request) {
-            (Some(set_point), _) if answers(set_point.question) => {
-                self.last_answered = Some(set_point.question);
-                return self.take_feedback(id, packet, &set_point, now, config);
+        if let Some(&set_point) = self.stream.in_flight().filter(|sent| answers(sent.question)) {
+            self.last_answered = Some(set_point.question);
+            return self.take_feedback(packet, &set_point, now, config);
+        }
+        if let Some(&asked) = self.request.in_flight().filter(|asked| answers(asked.question)) {
+            self.last_answered = Some(asked.question);
+            // One that is owed to an earlier stop says nothing of this one, and comes first.
+            if asked.is_stop() && self.late.take(false, data, may_be_doubled).is_some() {
+                return self.send_again(asked, false);
             }
-            (_, Request::InFlight(asked)) if answers(asked.question) => {
-                self.last_answered = Some(asked.question);
-                // One that is owed to an earlier stop says nothing of this one, and comes first.
-                if asked.is_stop() && self.late.take(false, data, may_be_doubled).is_some() {
-                    return self.send_again(asked, false);
-                }
-                return self.take_answer(id, asked, data, now, config);
-            }
-            _ => {}
+            return self.take_answer(id, asked, data, now, config);
         }
         match self.late.take(is_motion, data, may_be_doubled) {
             Some(Of::Request) => Meaning::Late,
             Some(Of::Stream) => match AnyReply::decode(packet, config.firmware) {
-                Ok(reply) => Meaning::Event(Event::Feedback { motor: id, reply }, None),
+                Ok(reply) => self.feedback(reply, None, now),
                 Err(_) => Meaning::Late,
             },
             None => Meaning::Unasked,
         }
     }
 
-    /// Takes note of how long it has run, if that is what it says.
-    fn note_run_time(&mut self, event: &Event) {
-        let Event::Reply { kind: Kind::Known(Opcode::ReadRunTime), data, .. } = event else {
-            return;
-        };
-        if let Ok(reply) = ReadRunTime::decode_reply(data) {
-            self.has_run_for(reply.run_time.raw());
-        }
+    /// Feedback of its stream has come.
+    fn feedback(&mut self, reply: AnyReply, round_trip: Option<Duration>, now: Instant) -> Meaning {
+        self.latest = Some((reply, now));
+        Meaning::Feedback(reply, round_trip)
     }
 
     /// A reply to the set-point in flight.
     fn take_feedback(
         &mut self,
-        id: MotorId,
         packet: &Packet,
         set_point: &SetPoint,
         now: Instant,
@@ -240,11 +233,11 @@ impl Motor {
         self.late.prolong(set_point.question, now + config.late_window);
         self.stream.take_in_flight();
         if self.is_ignored(&set_point.data, &packet.data) {
-            return Meaning::Event(Event::SetPointUnanswered { motor: id }, None);
+            return Meaning::SetPointIgnored;
         }
         let round_trip = Some(now - self.sent);
         self.answered(round_trip);
-        Meaning::Event(Event::Feedback { motor: id, reply }, round_trip)
+        self.feedback(reply, round_trip, now)
     }
 
     /// A reply to the request in flight.
@@ -274,13 +267,16 @@ impl Motor {
             return self.send_again(asked, true);
         }
         self.finish_request(Request::None, config, now);
-        let event = if asked.is_stop() {
-            Event::StopConfirmed { motor: id }
-        } else {
-            let ticket = TicketId { motor: id, number: self.ticket };
-            Event::Reply { ticket, kind: asked.kind(), data: *data }
-        };
-        Meaning::Event(event, round_trip)
+        if asked.is_stop() {
+            return Meaning::StopConfirmed(round_trip);
+        }
+        if let (Kind::Known(Opcode::ReadRunTime), Ok(reply)) =
+            (asked.kind(), ReadRunTime::decode_reply(data))
+        {
+            self.has_run_for(reply.run_time.raw());
+        }
+        let ticket = TicketId { motor: id, number: self.ticket };
+        Meaning::Answer(ticket, asked.kind(), round_trip)
     }
 
     /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
