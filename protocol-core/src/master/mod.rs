@@ -340,7 +340,10 @@ impl<const N: usize> Master<N> {
         let is_quiet = !self.config.is_rs485() && self.quiet_at() <= now;
         if now >= self.due {
             let mut next = Earliest::default();
-            for place in self.places.timed.iter() {
+            for place in self.places.taken.iter() {
+                if !self.motors.get(place).is_some_and(Motor::is_timed) {
+                    continue;
+                }
                 self.change_at(place, |motor, config| {
                     if is_quiet {
                         motor.bus_is_quiet(now, config);

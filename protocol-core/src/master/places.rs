@@ -56,8 +56,6 @@ pub(super) struct Places {
     pub(super) in_flight: PlaceSet,
     /// Those with something to be told.
     pub(super) news: PlaceSet,
-    /// Those that have something to do by themselves some time.
-    pub(super) timed: PlaceSet,
 }
 
 impl Places {
@@ -70,7 +68,6 @@ impl Places {
             stops: none,
             in_flight: none,
             news: none,
-            timed: none,
         }
     }
 
@@ -104,6 +101,5 @@ impl Places {
         self.stops.set(place, motor.is_stop_waiting());
         self.in_flight.set(place, motor.is_in_flight());
         self.news.set(place, motor.has_news());
-        self.timed.set(place, motor.is_timed());
     }
 }
