@@ -133,7 +133,8 @@ pub struct Master<const N: usize> {
     broadcast: Broadcast,
     /// Its time-outs are those of now.
     config: Config,
-    round_trips: RoundTrips,
+    /// `None` where these stay.
+    round_trips: Option<RoundTrips>,
     offer: Option<Offer>,
     /// All were stopped: nothing moves until that is lifted.
     stops_all: bool,

@@ -111,7 +111,9 @@ impl<const N: usize> Master<N> {
             }
             Meaning::Nothing => None,
             Meaning::Late => {
-                self.round_trips.was_too_short(&mut self.config);
+                if let Some(trips) = &mut self.round_trips {
+                    trips.was_too_short(&mut self.config);
+                }
                 Some(self.stray(id, &data))
             }
             Meaning::Unasked => Some(self.handle_unasked(id, packet, now)),
@@ -119,8 +121,8 @@ impl<const N: usize> Master<N> {
     }
 
     fn measured(&mut self, round_trip: Option<Duration>) {
-        if let Some(round_trip) = round_trip {
-            self.round_trips.measured(round_trip, &mut self.config);
+        if let (Some(trips), Some(round_trip)) = (&mut self.round_trips, round_trip) {
+            trips.measured(round_trip, &mut self.config);
         }
     }
 

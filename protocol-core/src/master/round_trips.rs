@@ -17,35 +17,27 @@ pub(super) struct RoundTrips {
 }
 
 impl RoundTrips {
-    /// Nothing was measured yet: the longest time-outs hold.
-    pub(super) fn new(config: &mut Config) -> Self {
+    /// Nothing was measured yet: the longest time-outs hold. `None` if they are the caller's whatever is
+    /// measured.
+    pub(super) fn new(config: &mut Config) -> Option<Self> {
+        if config.longest_reply_timeout <= config.reply_timeout {
+            return None;
+        }
         let mut trips = Self::default();
         trips.set(config.longest_reply_timeout - config.reply_timeout, config);
-        trips
-    }
-
-    /// A reply came after so long.
-    #[inline]
-    pub(super) fn measured(&mut self, round_trip: Duration, config: &mut Config) {
-        if self.is_adapting(config) {
-            self.take(micros(round_trip), config);
-        }
+        Some(trips)
     }
 
     /// A reply came after its time-out: that is too short.
     pub(super) fn was_too_short(&mut self, config: &mut Config) {
-        if self.is_adapting(config) {
-            self.deviation_us = self.deviation_us.saturating_add(micros(config.reply_timeout) / 4);
-            self.follow(config);
-        }
+        self.deviation_us = self.deviation_us.saturating_add(micros(config.reply_timeout) / 4);
+        self.follow(config);
     }
 
-    fn is_adapting(&self, config: &Config) -> bool {
-        config.longest_reply_timeout + self.more > config.reply_timeout
-    }
-
+    /// A reply came after so long.
     #[inline(never)]
-    fn take(&mut self, round_trip_us: u32, config: &mut Config) {
+    pub(super) fn measured(&mut self, round_trip: Duration, config: &mut Config) {
+        let round_trip_us = micros(round_trip);
         if self.mean_us == 0 {
             self.mean_us = round_trip_us;
             self.deviation_us = round_trip_us / 2;
@@ -100,7 +92,7 @@ mod tests {
     #[test]
     fn the_time_outs_follow_what_is_measured() {
         let config = &mut config().adapting_up_to(LONGEST);
-        let trips = &mut RoundTrips::new(config);
+        let trips = &mut RoundTrips::new(config).unwrap();
         assert_eq!(config.reply_timeout, LONGEST, "nothing was measured yet");
         assert_eq!(config.late_window, Duration::from_millis(45), "it grows by as much");
         // The mean, and four times the deviation, which is half of the first.
@@ -122,7 +114,7 @@ mod tests {
     #[test]
     fn a_late_reply_makes_them_longer() {
         let config = &mut config().adapting_up_to(LONGEST);
-        let trips = &mut RoundTrips::new(config);
+        let trips = &mut RoundTrips::new(config).unwrap();
         measure(trips, config, 1, 50);
         trips.was_too_short(config);
         let after_one = config.reply_timeout;
@@ -135,9 +127,7 @@ mod tests {
     fn without_bounds_they_stay() {
         let config = &mut config();
         let before = *config;
-        let trips = &mut RoundTrips::new(config);
-        measure(trips, config, 100, 3);
-        trips.was_too_short(config);
+        assert!(RoundTrips::new(config).is_none());
         assert_eq!(*config, before);
     }
 }
