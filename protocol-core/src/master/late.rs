@@ -20,9 +20,10 @@ impl Question {
 
     /// Whether these bytes, from the channel of motion mode or not, can be a reply to it.
     pub(super) fn is_answered_by(self, is_motion: bool, reply: &Data) -> bool {
-        self.kind.is_motion() == is_motion
-            && self.kind.byte().is_none_or(|byte| byte == reply[0])
-            && self.kind.key(reply).unwrap_or(0) == self.key
+        if is_motion {
+            return self.kind.is_motion();
+        }
+        self.kind.byte() == Some(reply[0]) && self.kind.key(reply).unwrap_or(0) == self.key
     }
 }
 

@@ -54,17 +54,21 @@ impl<const N: usize> Master<N> {
                     self.config.hold_after(asked.kind())
                 });
                 self.due = now;
-                self.change_at(place, |motor, config| {
+                let round = self.change_at(place, |motor, config| {
                     motor.request_was_sent(now, pause, now + asked.timeout + config.late_window);
                     note_report(motor, asked.kind(), &asked.data);
+                    motor.round
                 });
-                self.pace = self.motors.get(place).map_or(self.pace, |motor| motor.round);
+                self.pace = round.unwrap_or(self.pace);
             }
             Offer::SetPoint(place) => {
                 let place = usize::from(place);
                 self.due = self.due.min(now + self.config.longest_response);
-                self.change_at(place, |motor, _| motor.set_point_was_sent(now));
-                self.pace = self.motors.get(place).map_or(self.pace, |motor| motor.round);
+                let round = self.change_at(place, |motor, _| {
+                    motor.set_point_was_sent(now);
+                    motor.round
+                });
+                self.pace = round.unwrap_or(self.pace);
             }
             Offer::Broadcast => {
                 if let (Some(kind), data) = self.broadcast.command() {
