@@ -65,6 +65,7 @@ pub use motor_set::MotorSet;
 pub use stop::StopKind;
 
 use crate::command::{AnyReply, Command, SetPoint};
+use crate::data::Data;
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
@@ -222,7 +223,19 @@ impl<const N: usize> Master<N> {
         patience: Option<Patience>,
     ) -> Result<Ticket<C>, RequestError> {
         let data = command.encode();
-        let kind = command.kind().of_bytes(&data);
+        let ticket = self.put(motor, command.kind().of_bytes(&data), data, patience)?;
+        Ok(Ticket::new(ticket))
+    }
+
+    /// As [`put_request`](Self::put_request), in one piece of code for all types.
+    #[inline(never)]
+    fn put(
+        &mut self,
+        motor: MotorId,
+        kind: Kind,
+        data: Data,
+        patience: Option<Patience>,
+    ) -> Result<TicketId, RequestError> {
         self.check(kind, motor.into())?;
         let patience = patience.unwrap_or_else(|| self.config.patience(kind));
         let question = Question::of(kind, &data);
@@ -255,7 +268,7 @@ impl<const N: usize> Master<N> {
         })
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
         self.last_ticket = number;
-        Ok(Ticket::new(TicketId { motor, number }))
+        Ok(TicketId { motor, number })
     }
 
     /// Puts a set-point in a motor's stream. One that still waits is replaced and counted, never
@@ -432,6 +445,9 @@ impl<const N: usize> Master<N> {
         self.broadcast.is_in_flight() || !self.places.in_flight.is_empty()
     }
 
+    /// Whether such a command may be sent at all. Inlined, so that what follows from a set-point's kind alone
+    /// is known when it is compiled.
+    #[inline(always)]
     fn check(&self, kind: Kind, target: Target) -> Result<(), RequestError> {
         kind.channel_to(target)?;
         if self.config.is_rs485() {
