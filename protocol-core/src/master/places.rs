@@ -95,7 +95,7 @@ impl Places {
     }
 
     /// Something of the motor with this place has changed.
-    #[inline]
+    #[inline(never)]
     pub(super) fn note(&mut self, place: usize, motor: &Motor) {
         self.waiting.set(place, motor.is_waiting());
         self.stops.set(place, motor.is_stop_waiting());
