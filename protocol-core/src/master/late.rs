@@ -71,7 +71,7 @@ impl LateReplies {
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.0.iter().all(Option::is_none)
+        matches!(self.0, [None, None, None])
     }
 
     /// Whether one more question can be given up.
