@@ -322,7 +322,9 @@ impl<const N: usize> Master<N> {
     /// answers of others come as [`Event::Stray`].
     ///
     /// The next broadcast waits until all motors that have a place have answered this one, or its
-    /// answers cannot come any more.
+    /// answers cannot come any more. One that [ends motion](Kind::ends_motion) drops the set-points and moves that
+    /// wait; but an answer to it, other than to a [stop](Self::stop_all), does not say that nothing sent before
+    /// can move the motor any more.
     ///
     /// # Errors
     /// [`RequestError`]: the command has no form for all motors or none on this bus, another
@@ -334,11 +336,19 @@ impl<const N: usize> Master<N> {
     ) -> Result<(), RequestError> {
         let data = command.encode();
         let kind = command.kind().of_bytes(&data);
+        let now = self.now;
         self.check(kind, Target::All)?;
         if self.broadcast.is_active() {
             return Err(RequestError::Busy);
         }
         self.broadcast.put(kind, data, expected);
+        if kind.ends_motion() {
+            // What was offered may be a set-point that this ends.
+            self.offer = None;
+            for place in self.places.taken.iter() {
+                self.change_at(place, |motor, config| motor.end_motion_with_all(config, now));
+            }
+        }
         Ok(())
     }
 

@@ -1536,3 +1536,35 @@ fn a_broadcast_that_nobody_answers_and_was_pushed_out_is_sent_again_before_it_is
     assert_eq!(sent(&mut master, ms(0)), packets);
     assert_eq!(events(&mut master, ms(0)), [Event::BroadcastDone { silent: MotorSet::EMPTY }]);
 }
+
+fn packet_to_all(data: [u8; 8]) -> Packet {
+    Packet { channel: Channel::Command(Target::All), data }
+}
+
+#[test]
+fn no_older_set_point_or_move_follows_what_ends_the_motion_of_all() {
+    let mut master = Master::<4>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    let waiting = master.request(id(2), step()).unwrap();
+    let read = master.request(id(3), ReadMultiTurnAngle).unwrap();
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to_all(Shutdown.encode())]);
+    let told = events(&mut master, ms(0));
+    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }), "{told:?}");
+    assert!(told.iter().any(|event| waiting.outcome(event) == Some(Err(Failure::Stopped))));
+    assert!(!told.iter().any(|event| read.outcome(event).is_some()));
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(packets.len(), 1, "{packets:?}");
+    assert_eq!(packets[0].channel, Channel::Command(id(3).into()));
+}
+
+#[test]
+fn a_set_point_that_was_pushed_out_by_what_ends_the_motion_of_all_is_not_sent_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to_all(Shutdown.encode())]);
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(1)), []);
+}

@@ -64,6 +64,8 @@ pub(super) struct Motor {
     chance: Chance,
     /// A set-point was sent last, so that it is a waiting request's turn.
     was_set_point: bool,
+    /// What is in flight is older than a command to all that ends motion: handed back, it is not sent again.
+    must_not_wait_again: bool,
     /// The motor has lost its master and will ignore the next command.
     has_lost_master: bool,
     /// It has restarted: no set-points until the caller knows.
@@ -143,6 +145,19 @@ impl Motor {
         if self.stream.drop_waiting().is_some() {
             self.news.insert(News::DROPPED);
             self.health.superseded = self.health.superseded.saturating_add(1);
+        }
+    }
+
+    /// All are told to end their motion: nothing older of this motor's follows that.
+    pub(super) fn end_motion_with_all(&mut self, config: &Config, now: Instant) {
+        self.drop_waiting_set_point();
+        self.drop_waiting_move(Failure::Stopped, config, now);
+        self.must_not_wait_again = self.is_in_flight();
+    }
+
+    fn drop_waiting_move(&mut self, why: Failure, config: &Config, now: Instant) {
+        if self.request.waiting().is_some_and(|asked| asked.kind().moves()) {
+            self.finish_request(Request::Failed(why), config, now);
         }
     }
 
@@ -228,6 +243,7 @@ impl Motor {
     pub(super) fn was_sent(&mut self, now: Instant) {
         self.sent = now;
         self.chance = Chance::Open;
+        self.must_not_wait_again = false;
         self.round = self.round.wrapping_add(1);
     }
 
@@ -276,7 +292,10 @@ impl Motor {
             Request::InFlight(mut asked) if is_this(asked.kind(), &asked.data) => {
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
-                self.request = Request::Waiting(asked);
+                self.request = match self.must_not_wait_again && asked.kind().moves() {
+                    true => Request::Failed(Failure::Stopped),
+                    false => Request::Waiting(asked),
+                };
                 return;
             }
             // One without a reply, and nobody was told yet that it was sent.
@@ -292,7 +311,10 @@ impl Motor {
             let ends_motion = |asked: &Asked| asked.kind().ends_motion();
             if !self.stream.was_pushed_out() {
                 self.health.superseded = self.health.superseded.saturating_add(1);
-            } else if self.has_restarted || self.request.under_way().is_some_and(ends_motion) {
+            } else if self.has_restarted
+                || self.must_not_wait_again
+                || self.request.under_way().is_some_and(ends_motion)
+            {
                 // What waits to end motion was asked for after it, and a restart is news since.
                 self.drop_waiting_set_point();
             }
