@@ -27,6 +27,8 @@ enum Meaning {
     StopConfirmed(Option<Duration>),
     /// It answers what was asked, but does not end it: nothing is to be told.
     Nothing,
+    /// It may as well answer the broadcast, and ends nothing.
+    OfBroadcast,
     /// It is the late answer to something that was given up.
     Late,
     /// It is none of these.
@@ -89,7 +91,10 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
-        let meaning = self.change(id, |motor, config| motor.take(id, packet, now, config));
+        let may_be_broadcast = self.broadcast.may_be_mistaken(packet.data[0], id.into());
+        let meaning = self.change(id, |motor, config| {
+            motor.take(id, packet, may_be_broadcast, now, config)
+        });
         let meaning = meaning.unwrap_or(Meaning::Unasked);
         if !matches!(meaning, Meaning::Feedback(..)) {
             self.due = now;
@@ -110,6 +115,11 @@ impl<const N: usize> Master<N> {
                 Some(Event::StopConfirmed { motor: id })
             }
             Meaning::Nothing => None,
+            Meaning::OfBroadcast => {
+                let is_answer = self.answers_broadcast(id, &packet.data, now);
+                let reply = AnyReply::decode(packet, self.config.firmware).ok();
+                reply.filter(|_| is_answer).map(|reply| Event::BroadcastReply { motor: id, reply })
+            }
             Meaning::Late => {
                 if let Some(trips) = &mut self.round_trips {
                     trips.was_too_short(&mut self.config);
@@ -187,7 +197,14 @@ impl<const N: usize> Master<N> {
 
 impl Motor {
     /// Holds a reply against what is expected: what is in flight, and what may come late.
-    fn take(&mut self, id: MotorId, packet: &Packet, now: Instant, config: &Config) -> Meaning {
+    fn take(
+        &mut self,
+        id: MotorId,
+        packet: &Packet,
+        may_be_broadcast: bool,
+        now: Instant,
+        config: &Config,
+    ) -> Meaning {
         let is_motion = matches!(packet.channel, Channel::MotionReply(_));
         let data = &packet.data;
         let is_in_time = now - self.sent >= config.shortest_response;
@@ -201,9 +218,14 @@ impl Motor {
         }
         if let Some(&asked) = self.request.in_flight().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
-            // One that is owed to an earlier stop says nothing of this one, and comes first.
+            // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
+            if asked.is_stop() && may_be_broadcast {
+                self.send_again(asked, false);
+                return Meaning::OfBroadcast;
+            }
             if asked.is_stop() && self.late.take(false, data, may_be_doubled).is_some() {
-                return self.send_again(asked, false);
+                self.send_again(asked, false);
+                return Meaning::Nothing;
             }
             return self.take_answer(id, asked, data, now, config);
         }
@@ -266,7 +288,8 @@ impl Motor {
         let round_trip = (asked.unanswered == 0).then_some(now - self.sent);
         self.answered(round_trip);
         if asked.kind().ends_motion() && self.may_yet_move() {
-            return self.send_again(asked, true);
+            self.send_again(asked, true);
+            return Meaning::Nothing;
         }
         self.finish_request(Request::None, config, now);
         if asked.is_stop() {
@@ -282,10 +305,9 @@ impl Motor {
     }
 
     /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
-    fn send_again(&mut self, mut asked: Asked, once_more: bool) -> Meaning {
+    fn send_again(&mut self, mut asked: Asked, once_more: bool) {
         asked.once_more = once_more;
         asked.attempts_left = asked.attempts_left.max(1);
         self.request = Request::Waiting(asked);
-        Meaning::Nothing
     }
 }

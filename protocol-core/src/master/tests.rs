@@ -1568,3 +1568,27 @@ fn a_set_point_that_was_pushed_out_by_what_ends_the_motion_of_all_is_not_sent_ag
     master.handle_pushed_out(&pushed_out);
     assert_eq!(sent(&mut master, ms(1)), []);
 }
+
+#[test]
+fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one_to_all() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(Stop, id(1).into()).unwrap();
+    sent(&mut master, ms(1));
+    // It moves again, and is stopped by itself.
+    master.set_point(id(1), torque(1.0), ms(1)).unwrap();
+    sent(&mut master, ms(1));
+    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(2)).unwrap();
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(3)).len(), 1);
+    let told = reply(&mut master, 1, Stop.encode(), ms(4));
+    assert_ne!(
+        told,
+        Some(Event::StopConfirmed { motor: id(1) }),
+        "that to all is not answered yet"
+    );
+    assert_eq!(sent(&mut master, ms(4)).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(5)), confirmed);
+}
