@@ -35,7 +35,9 @@ pub(super) struct Broadcast {
     /// Its command byte, and who has answered it, expected or not.
     sent_byte: u8,
     heard: MotorSet,
-    /// While `may_be_late`: until when.
+    /// It may move whoever has not answered it.
+    moves: bool,
+    /// While `may_be_late` or `moves`: until when.
     late_until: Instant,
 }
 
@@ -94,13 +96,24 @@ impl Broadcast {
         self.may_be_late = has_reply;
         self.sent_byte = self.data[0];
         self.heard = MotorSet::EMPTY;
-        self.late_until = self.deadline + late_window;
+        self.moves |= self.kind.is_some_and(Kind::moves);
+        self.late_until = self.late_until.max(self.deadline + late_window);
     }
 
     /// Whether the answer of one of `motors` to the last broadcast may still come, expected or not,
     /// and could be mistaken for the answer to a command with this byte.
     pub(super) fn may_be_mistaken(&self, byte: u8, motors: MotorSet) -> bool {
         self.may_be_late && self.sent_byte == byte && !motors.without(self.heard).is_empty()
+    }
+
+    /// Whether what was sent last may still reach this motor and move it.
+    pub(super) fn may_move(&self, motor: MotorId) -> bool {
+        self.moves && !self.heard.contains(motor)
+    }
+
+    /// The bus carries nothing: late answers come later, and so does what was sent.
+    pub(super) fn extend(&mut self, until: Instant) {
+        self.late_until = self.late_until.max(until);
     }
 
     /// Whether this broadcast may go, as far as the one before it is concerned: nobody among the
@@ -157,7 +170,7 @@ impl Broadcast {
 
     /// Until when something may have to wait for late answers.
     pub(super) fn late_until(&self) -> Option<Instant> {
-        self.may_be_late.then_some(self.late_until)
+        (self.may_be_late || self.moves).then_some(self.late_until)
     }
 
     /// The silent ones of a broadcast that is over, once.
@@ -174,10 +187,21 @@ impl Broadcast {
 }
 
 impl<const N: usize> Master<N> {
+    /// What was sent to all moves nobody any more.
+    pub(super) fn nobody_moves_with_all(&mut self) {
+        if self.broadcast.moves {
+            self.broadcast.moves = false;
+            for place in self.places.taken.iter() {
+                self.change_at(place, |motor, _| motor.may_move_with_all = false);
+            }
+        }
+    }
+
     /// Ends a broadcast whose time is up. The silent ones may still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         if self.broadcast.late_until <= now {
             self.broadcast.may_be_late = false;
+            self.nobody_moves_with_all();
         }
         if !self.broadcast.is_in_flight() || self.broadcast.deadline > now {
             return;

@@ -390,6 +390,7 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_waiting() {
             self.broadcast.cancel();
         }
+        self.broadcast.extend(now + self.config.late_window);
         self.due = now;
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, config| motor.bus_is_down(now, config));
@@ -484,6 +485,7 @@ impl<const N: usize> Master<N> {
         let free = motors.find(|(_, motor)| motor.id.is_none());
         let (place, of) = free.ok_or(RequestError::TooManyMotors { capacity: N })?;
         of.id = Some(motor);
+        of.may_move_with_all = self.broadcast.may_move(motor);
         if self.lost_master.contains(motor) {
             of.has_lost_its_master();
             self.lost_master.remove(motor);

@@ -140,9 +140,13 @@ impl<const N: usize> Master<N> {
     fn answers_broadcast(&mut self, motor: MotorId, data: &Data, now: Instant) -> bool {
         let shortest = self.config.shortest_response;
         let is_answer = self.broadcast.take_reply(motor, data, shortest, now);
-        if is_answer {
-            self.change(motor, |motor, _| motor.answered(None));
-        }
+        let may_move = self.broadcast.may_move(motor);
+        self.change(motor, |motor, _| {
+            motor.may_move_with_all = may_move;
+            if is_answer {
+                motor.answered(None);
+            }
+        });
         is_answer
     }
 

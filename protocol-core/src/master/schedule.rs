@@ -115,7 +115,8 @@ impl<const N: usize> Master<N> {
             }
             !self.broadcast.may_go(self.motors())
         } else {
-            self.at(self.places.waiting).any(|(_, motor)| self.is_confusable(motor))
+            let waits = |motor: &Motor| motor.may_move_with_all || self.is_confusable(motor);
+            self.at(self.places.waiting).any(|(_, motor)| waits(motor))
         };
         if is_late_awaited {
             self.broadcast.late_until().into_iter().for_each(|end| earliest.take(end));

@@ -1592,3 +1592,52 @@ fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one_to_all() {
     let confirmed = Some(Event::StopConfirmed { motor: id(1) });
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(5)), confirmed);
 }
+
+#[test]
+fn a_stop_is_confirmed_only_when_no_command_to_all_can_move_the_motor_any_more() {
+    // On CAN a stop (0x141) overtakes a command to all (0x280) that waits in another mailbox.
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(torque(1.0), id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    // Motor 2 gets its place only now.
+    let both = [1, 2].into_iter().map(id).collect();
+    master.stop_all(StopKind::Off, both).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 2);
+    for motor in [1, 2] {
+        assert_eq!(reply(&mut master, motor, Shutdown.encode(), ms(2)), None, "{motor}");
+    }
+    assert_eq!(sent(&mut master, ms(3)), []);
+    // Motor 1 answers what was sent to all, motor 2 does not.
+    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(4)).unwrap();
+    assert_eq!(sent(&mut master, ms(4)).len(), 1);
+    let confirmed = |motor| Some(Event::StopConfirmed { motor: id(motor) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(5)), confirmed(1));
+    let at = master.poll_at().unwrap();
+    assert!(at > ms(20) && at < ms(100), "{at:?}");
+    assert_eq!(sent(&mut master, at).len(), 1);
+    let soon = at + Duration::from_millis(1);
+    assert_eq!(reply(&mut master, 2, Shutdown.encode(), soon), confirmed(2));
+}
+
+#[test]
+fn while_the_bus_is_down_a_command_to_all_does_not_grow_old() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    let pushed_out = sent(&mut master, ms(1))[0];
+    assert_eq!(events(&mut master, ms(1)), [Event::BroadcastDone { silent: MotorSet::EMPTY }]);
+    // It lies in a queue for as long as the bus is down.
+    master.handle_bus_down(ms(60));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(90));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(91)), None);
+    assert_eq!(sent(&mut master, ms(91)), []);
+    // Handed back it was never sent, and nothing moves any more.
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(92)).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(93)), confirmed);
+}

@@ -78,6 +78,12 @@ impl<const N: usize> Master<N> {
                 }
                 let Config { reply_timeout, late_window, .. } = self.config;
                 self.broadcast.was_sent(now, reply_timeout, late_window);
+                for place in self.places.taken.iter() {
+                    let Self { motors, broadcast, .. } = self;
+                    if let Some(motor) = motors.get_mut(place) {
+                        motor.may_move_with_all = motor.id.is_some_and(|id| broadcast.may_move(id));
+                    }
+                }
             }
             Offer::StopToAll => {
                 self.stop_to_all = None;
@@ -100,7 +106,10 @@ impl<const N: usize> Master<N> {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
                 self.change(motor, |motor, _| motor.was_pushed_out(packet));
             }
-            Channel::Command(Target::All) | Channel::BusId => self.broadcast.was_pushed_out(),
+            Channel::Command(Target::All) | Channel::BusId => {
+                self.broadcast.was_pushed_out();
+                self.nobody_moves_with_all();
+            }
             Channel::Reply(_) | Channel::MotionReply(_) => {}
         }
     }

@@ -66,6 +66,8 @@ pub(super) struct Motor {
     was_set_point: bool,
     /// What is in flight is older than a command to all that ends motion: handed back, it is not sent again.
     must_not_wait_again: bool,
+    /// A command to all that moves may still reach it.
+    pub(super) may_move_with_all: bool,
     /// The motor has lost its master and will ignore the next command.
     has_lost_master: bool,
     /// It has restarted: no set-points until the caller knows.
@@ -210,9 +212,9 @@ impl Motor {
         asked.once_more && self.may_yet_move()
     }
 
-    /// Whether a command that was given up may still reach the drive and move it.
+    /// Whether a command that was given up, or went to all, may still reach the drive and move it.
     pub(super) fn may_yet_move(&self) -> bool {
-        self.moves_until > Instant::ZERO && self.late.may_move()
+        self.may_move_with_all || self.moves_until > Instant::ZERO && self.late.may_move()
     }
 
     /// The reply to this question, which was sent so often, may come late.
