@@ -63,9 +63,10 @@ impl LateReplies {
             late.until = late.until.max(until);
             return;
         }
-        // Without room, which only stops bring about, the one that ends first makes way.
-        let ends = |late: &Option<Late>| late.map(|late| late.until);
-        if let Some(place) = self.0.iter_mut().min_by_key(|place| ends(place)) {
+        // Without room, which only stops bring about, the one that ends first makes way, but none that may yet
+        // move the motor if there is another: a stop that it comes after would count.
+        let is_worth = |late: &Option<Late>| late.map(|it| (it.question.kind.moves(), it.until));
+        if let Some(place) = self.0.iter_mut().min_by_key(|place| is_worth(place)) {
             *place = Some(Late { question, of, replies, until });
         }
     }

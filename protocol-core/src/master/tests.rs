@@ -1641,3 +1641,29 @@ fn while_the_bus_is_down_a_command_to_all_does_not_grow_old() {
     let confirmed = Some(Event::StopConfirmed { motor: id(1) });
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(93)), confirmed);
 }
+
+#[test]
+fn what_may_still_move_the_motor_makes_way_for_no_other_late_reply() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(5) };
+    // A move and a read were given up, and a second read is in flight when the motor is stopped.
+    let _ = master.request_with(id(1), step(), once).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(5));
+    let _ = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+    sent(&mut master, ms(5));
+    events(&mut master, ms(10));
+    let _ = master.request_with(id(1), ReadModel, once).unwrap();
+    sent(&mut master, ms(10));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(11));
+    // Once more before an answer came.
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(12));
+    // The first is the answer to the earlier stop; after the second the move may yet come.
+    for now in [13, 14, 15] {
+        let told = reply(&mut master, 1, Shutdown.encode(), ms(now));
+        assert_ne!(told, Some(Event::StopConfirmed { motor: id(1) }), "after {now} ms");
+        sent(&mut master, ms(now));
+    }
+}
