@@ -92,9 +92,8 @@ impl<const N: usize> Master<N> {
 
     fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
         let may_be_broadcast = self.broadcast.may_be_mistaken(packet.data[0], id.into());
-        let meaning = self.change(id, |motor, config| {
-            motor.take(id, packet, may_be_broadcast, now, config)
-        });
+        let meaning =
+            self.change(id, |motor, config| motor.take(id, packet, may_be_broadcast, now, config));
         let meaning = meaning.unwrap_or(Meaning::Unasked);
         if !matches!(meaning, Meaning::Feedback(..)) {
             self.due = now;
@@ -179,8 +178,8 @@ impl<const N: usize> Master<N> {
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {
         self.now = now;
-        let known = self.change(motor, |motor, _| {
-            motor.was_heard(now);
+        let known = self.change(motor, |motor, config| {
+            motor.was_heard(config, now);
             motor.has_lost_its_master();
         });
         if known.is_none() {
@@ -214,7 +213,7 @@ impl Motor {
         let is_in_time = now - self.sent >= config.shortest_response;
 
         let is_same = |question: Question| question.is_answered_by(is_motion, data);
-        let may_be_doubled = self.was_heard(now) && self.last_answered.is_some_and(is_same);
+        let may_be_doubled = self.was_heard(config, now) && self.last_answered.is_some_and(is_same);
         let answers = |question: Question| is_in_time && is_same(question);
         if let Some(&set_point) = self.stream.in_flight().filter(|sent| answers(sent.question)) {
             self.last_answered = Some(set_point.question);
@@ -302,7 +301,7 @@ impl Motor {
         if let (Kind::Known(Opcode::ReadRunTime), Ok(reply)) =
             (asked.kind(), ReadRunTime::decode_reply(data))
         {
-            self.has_run_for(reply.run_time.raw());
+            self.has_run_for(reply.run_time.raw(), config, now);
         }
         let ticket = TicketId { motor: id, number: self.ticket };
         Meaning::Answer(ticket, asked.kind(), round_trip)

@@ -376,29 +376,30 @@ impl Motor {
 
     /// Something was heard of it. Gives whether that was just after something else, so that it may be the
     /// same once more.
-    pub(super) fn was_heard(&mut self, now: Instant) -> bool {
+    pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
         let Some(before) = self.health.last_seen.replace(now) else { return false };
         let silence = now - before;
         if self.misses > 0 && silence >= RESTART_TAKES {
-            self.has_begun_anew();
+            self.has_begun_anew(config, now);
         }
         silence < DOUBLED_WITHIN
     }
 
     /// It has said how long it has run.
-    pub(super) fn has_run_for(&mut self, run_time_ms: u32) {
+    pub(super) fn has_run_for(&mut self, run_time_ms: u32, config: &Config, now: Instant) {
         let before = core::mem::replace(&mut self.run_time_ms, run_time_ms);
         if run_time_ms < before {
-            self.has_begun_anew();
+            self.has_begun_anew(config, now);
         }
     }
 
-    fn has_begun_anew(&mut self) {
+    fn has_begun_anew(&mut self, config: &Config, now: Instant) {
         self.has_restarted = true;
         self.reports = 0;
         self.run_time_ms = 0;
         self.news.insert(News::RESTARTED);
         self.drop_waiting_set_point();
+        self.drop_waiting_move(Failure::Dropped, config, now);
     }
 
     pub(super) fn has_lost_its_master(&mut self) {
