@@ -444,6 +444,9 @@ impl<const N: usize> Master<N> {
         let is_idle = self.motors.get(place).is_some_and(|motor| motor.is_idle(now));
         if is_idle {
             if let Some(of) = self.motors.get_mut(place) {
+                if of.ignores_next() {
+                    self.lost_master.insert(motor);
+                }
                 *of = Motor::default();
             }
             self.places.clear(place, motor);

@@ -1688,3 +1688,15 @@ fn a_move_that_waited_before_a_restart_was_seen_is_not_sent() {
     assert!(told.contains(&Event::Restarted { motor: id(1) }), "{told:?}");
     assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
 }
+
+#[test]
+fn a_motor_that_was_forgotten_ignores_its_first_command_all_the_same() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(2)).unwrap();
+    assert!(master.forget(id(1)));
+    let _ = ask(&mut master, 1, Shutdown, ms(3));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(4)), None, "it was ignored");
+    assert_eq!(sent(&mut master, ms(4)).len(), 1);
+}

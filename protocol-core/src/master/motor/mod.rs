@@ -406,6 +406,11 @@ impl Motor {
         self.has_lost_master = true;
     }
 
+    /// Whether it has lost its master and will ignore the next command.
+    pub(super) fn ignores_next(&self) -> bool {
+        self.has_lost_master
+    }
+
     /// Whether this reply is the echo of a drive that has lost its master and ignored the command.
     /// It does so once.
     pub(super) fn is_ignored(&mut self, command: &Data, reply: &Data) -> bool {
