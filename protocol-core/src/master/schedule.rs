@@ -82,7 +82,7 @@ impl<const N: usize> Master<N> {
         let has_begun = self.broadcast.is_waiting() && asked.unanswered > 0;
         !asked.is_stop()
             && motor.may_send_request()
-            && (has_begun || !self.broadcast.is_active())
+            && (has_begun || !self.broadcast.keeps_requests_back())
             && !self.is_confusable(motor)
     }
 

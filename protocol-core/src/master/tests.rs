@@ -1548,14 +1548,15 @@ fn no_older_set_point_or_move_follows_what_ends_the_motion_of_all() {
     let waiting = master.request(id(2), step()).unwrap();
     let read = master.request(id(3), ReadMultiTurnAngle).unwrap();
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
-    assert_eq!(sent(&mut master, ms(0)), [packet_to_all(Shutdown.encode())]);
+    let mut packets = sent(&mut master, ms(0));
+    assert_eq!(packets[0], packet_to_all(Shutdown.encode()));
     let told = events(&mut master, ms(0));
     assert!(told.contains(&Event::SetPointDropped { motor: id(1) }), "{told:?}");
     assert!(told.iter().any(|event| waiting.outcome(event) == Some(Err(Failure::Stopped))));
     assert!(!told.iter().any(|event| read.outcome(event).is_some()));
-    let packets = sent(&mut master, ms(100));
-    assert_eq!(packets.len(), 1, "{packets:?}");
-    assert_eq!(packets[0].channel, Channel::Command(id(3).into()));
+    packets.extend(sent(&mut master, ms(100)));
+    let to_motor_3 = Channel::Command(id(3).into());
+    assert!(packets[1..].iter().all(|packet| packet.channel == to_motor_3), "{packets:?}");
 }
 
 #[test]
@@ -1699,4 +1700,30 @@ fn a_motor_that_was_forgotten_ignores_its_first_command_all_the_same() {
     let _ = ask(&mut master, 1, Shutdown, ms(3));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(4)), None, "it was ignored");
     assert_eq!(sent(&mut master, ms(4)).len(), 1);
+}
+
+#[test]
+fn who_asks_all_again_and_again_keeps_nobody_else_waiting() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    reply(&mut master, 1, *b"\xB5X8S2V10", ms(1)).unwrap();
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    sent(&mut master, ms(1));
+    let _waiting = master.request(id(1), ReadModel).unwrap();
+    for now in 2..10 {
+        let told = reply(&mut master, 1, ANGLE_REPLY, ms(now));
+        assert!(matches!(told, Some(Event::BroadcastReply { .. })));
+        // As the loops do: what can be sent is sent before the next event is told.
+        let packets = sent(&mut master, ms(now));
+        if packets.iter().any(|packet| packet.data[0] == 0xB5) {
+            return;
+        }
+        assert!(
+            events(&mut master, ms(now))
+                .contains(&Event::BroadcastDone { silent: MotorSet::EMPTY })
+        );
+        master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+        sent(&mut master, ms(now));
+    }
+    panic!("it never got its turn");
 }
