@@ -1727,3 +1727,15 @@ fn who_asks_all_again_and_again_keeps_nobody_else_waiting() {
     }
     panic!("it never got its turn");
 }
+
+#[test]
+fn a_set_point_that_was_pushed_out_when_it_is_too_old_is_not_sent_again() {
+    let mut master = Master::<2>::new(Config::can(250_000));
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.handle_timeout(ms(51));
+    // The loops hand it back between two sendings.
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(master.poll_transmit(ms(51)), None);
+    assert_eq!(events(&mut master, ms(51)), [Event::SetPointDropped { motor: id(1) }]);
+}

@@ -104,7 +104,12 @@ impl<const N: usize> Master<N> {
         self.due = self.now;
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
-                self.change(motor, |motor, _| motor.was_pushed_out(packet));
+                let now = self.now;
+                self.change(motor, |motor, _| {
+                    motor.was_pushed_out(packet);
+                    // It is offered again before anybody looks at the time.
+                    motor.drop_what_is_too_old(now);
+                });
             }
             Channel::Command(Target::All) | Channel::BusId => {
                 self.broadcast.was_pushed_out();

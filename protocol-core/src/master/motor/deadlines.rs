@@ -37,6 +37,12 @@ impl Motor {
         (is_known && is_quiet).then_some(self.sent + patience)
     }
 
+    pub(in crate::master) fn drop_what_is_too_old(&mut self, now: Instant) {
+        if self.stream.expiry().is_some_and(|expiry| expiry <= now) {
+            self.drop_waiting_set_point();
+        }
+    }
+
     /// Takes note of the time: what is too old is dropped, what is overdue is sent again or given up.
     pub(in crate::master) fn handle_timeout(&mut self, now: Instant, config: &Config) {
         self.late.expire(now);
@@ -46,9 +52,7 @@ impl Motor {
         if self.moves_until <= now {
             self.moves_until = Instant::ZERO;
         }
-        if self.stream.expiry().is_some_and(|expiry| expiry <= now) {
-            self.drop_waiting_set_point();
-        }
+        self.drop_what_is_too_old(now);
         let is_late = self.deadline(config.reply_timeout).is_some_and(|deadline| deadline <= now);
         let is_lost = self.stream_is_lost_at(config).is_some_and(|at| at <= now);
         if !is_late && !is_lost {
