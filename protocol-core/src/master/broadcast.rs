@@ -35,6 +35,8 @@ pub(super) struct Broadcast {
     /// Its command byte, and who has answered it, expected or not.
     sent_byte: u8,
     heard: MotorSet,
+    /// When one was put last that ends motion.
+    ended_motion: Option<Instant>,
     /// It may move whoever has not answered it.
     moves: bool,
     /// While `may_be_late` or `moves`: until when.
@@ -42,7 +44,10 @@ pub(super) struct Broadcast {
 }
 
 impl Broadcast {
-    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet) {
+    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, now: Instant) {
+        if kind.ends_motion() {
+            self.ended_motion = Some(now);
+        }
         self.kind = Some(kind);
         self.data = data;
         self.expected = expected;
@@ -117,6 +122,11 @@ impl Broadcast {
         self.moves && !self.heard.contains(motor)
     }
 
+    /// When all were told last to end their motion.
+    pub(super) fn ended_motion(&self) -> Option<Instant> {
+        self.ended_motion
+    }
+
     /// The bus carries nothing: late answers come later, and so does what was sent.
     pub(super) fn extend(&mut self, until: Instant) {
         self.late_until = self.late_until.max(until);
@@ -165,8 +175,9 @@ impl Broadcast {
         }
     }
 
-    /// A controller has handed it back: it was never on the bus.
+    /// A controller has handed it back: it was never on the bus, and moves nobody.
     pub(super) fn was_pushed_out(&mut self) {
+        self.moves = false;
         if matches!(self.state, State::InFlight | State::Sent) {
             self.state = State::Waiting;
             // Nobody has heard it, so that it need not wait for answers to itself.
@@ -193,21 +204,11 @@ impl Broadcast {
 }
 
 impl<const N: usize> Master<N> {
-    /// What was sent to all moves nobody any more.
-    pub(super) fn nobody_moves_with_all(&mut self) {
-        if self.broadcast.moves {
-            self.broadcast.moves = false;
-            for place in self.places.taken.iter() {
-                self.change_at(place, |motor, _| motor.may_move_with_all = false);
-            }
-        }
-    }
-
     /// Ends a broadcast whose time is up. The silent ones may still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         if self.broadcast.late_until <= now {
             self.broadcast.may_be_late = false;
-            self.nobody_moves_with_all();
+            self.broadcast.moves = false;
         }
         if !self.broadcast.is_in_flight() || self.broadcast.deadline > now {
             return;

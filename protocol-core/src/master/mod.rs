@@ -341,7 +341,7 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_active() {
             return Err(RequestError::Busy);
         }
-        self.broadcast.put(kind, data, expected);
+        self.broadcast.put(kind, data, expected, now);
         if kind.ends_motion() {
             // What was offered may be a set-point that this ends.
             self.offer = None;
@@ -488,7 +488,6 @@ impl<const N: usize> Master<N> {
         let free = motors.find(|(_, motor)| motor.id.is_none());
         let (place, of) = free.ok_or(RequestError::TooManyMotors { capacity: N })?;
         of.id = Some(motor);
-        of.may_move_with_all = self.broadcast.may_move(motor);
         if self.lost_master.contains(motor) {
             of.has_lost_its_master();
             self.lost_master.remove(motor);

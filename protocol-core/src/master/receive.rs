@@ -35,6 +35,15 @@ enum Meaning {
     Unasked,
 }
 
+/// What the last command to all may still do at a motor.
+#[derive(Clone, Copy)]
+struct ToAll {
+    /// This reply may answer it.
+    may_be_answered: bool,
+    /// It may move the motor.
+    may_move: bool,
+}
+
 impl<const N: usize> Master<N> {
     /// Takes a frame from the CAN bus. Commands of other masters, foreign frames and frames of a
     /// wrong length complete nothing.
@@ -91,9 +100,11 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
-        let may_be_broadcast = self.broadcast.may_be_mistaken(packet.data[0], id.into());
-        let meaning =
-            self.change(id, |motor, config| motor.take(id, packet, may_be_broadcast, now, config));
+        let to_all = ToAll {
+            may_be_answered: self.broadcast.may_be_mistaken(packet.data[0], id.into()),
+            may_move: self.broadcast.may_move(id),
+        };
+        let meaning = self.change(id, |motor, config| motor.take(id, packet, to_all, now, config));
         let meaning = meaning.unwrap_or(Meaning::Unasked);
         if !matches!(meaning, Meaning::Feedback(..)) {
             self.due = now;
@@ -139,13 +150,9 @@ impl<const N: usize> Master<N> {
     fn answers_broadcast(&mut self, motor: MotorId, data: &Data, now: Instant) -> bool {
         let shortest = self.config.shortest_response;
         let is_answer = self.broadcast.take_reply(motor, data, shortest, now);
-        let may_move = self.broadcast.may_move(motor);
-        self.change(motor, |motor, _| {
-            motor.may_move_with_all = may_move;
-            if is_answer {
-                motor.answered(None);
-            }
-        });
+        if is_answer {
+            self.change(motor, |motor, _| motor.answered(None));
+        }
         is_answer
     }
 
@@ -204,7 +211,7 @@ impl Motor {
         &mut self,
         id: MotorId,
         packet: &Packet,
-        may_be_broadcast: bool,
+        to_all: ToAll,
         now: Instant,
         config: &Config,
     ) -> Meaning {
@@ -222,7 +229,7 @@ impl Motor {
         if let Some(&asked) = self.request.in_flight().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
-            if asked.is_stop() && may_be_broadcast {
+            if asked.is_stop() && to_all.may_be_answered {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
@@ -230,7 +237,7 @@ impl Motor {
                 self.send_again(asked, false);
                 return Meaning::Nothing;
             }
-            return self.take_answer(id, asked, data, now, config);
+            return self.take_answer(id, asked, data, to_all, now, config);
         }
         match self.late.take(is_motion, data, may_be_doubled) {
             Some(Of::Request) => Meaning::Late,
@@ -273,6 +280,7 @@ impl Motor {
         id: MotorId,
         mut asked: Asked,
         data: &Data,
+        to_all: ToAll,
         now: Instant,
         config: &Config,
     ) -> Meaning {
@@ -290,7 +298,7 @@ impl Motor {
         // With more than one attempt under way nobody knows which one this answers.
         let round_trip = (asked.unanswered == 0).then_some(now - self.sent);
         self.answered(round_trip);
-        if asked.kind().ends_motion() && self.may_yet_move() {
+        if asked.kind().ends_motion() && (to_all.may_move || self.may_yet_move()) {
             self.send_again(asked, true);
             return Meaning::Nothing;
         }

@@ -43,7 +43,8 @@ impl<const N: usize> Master<N> {
         if let Some(packet) = self.stop_to_all_packet() {
             return Some((Offer::StopToAll, packet));
         }
-        let stops = self.at(self.places.stops).filter(|(_, motor)| motor.may_send_stop());
+        let may_send = |motor: &Motor| motor.may_send_stop(self.is_moved_with_all(motor));
+        let stops = self.at(self.places.stops).filter(|(_, motor)| may_send(motor));
         let most_urgent = stops.min_by_key(|(_, motor)| {
             let attempts_left = motor.request.waiting().map_or(0, |stop| stop.attempts_left);
             (Reverse(attempts_left), motor.was_missed())
@@ -81,9 +82,14 @@ impl<const N: usize> Master<N> {
         // A broadcast that waits lets attempts of what has begun go on: it waits for their end.
         let has_begun = self.broadcast.is_waiting() && asked.unanswered > 0;
         !asked.is_stop()
-            && motor.may_send_request()
+            && motor.may_send_request(self.is_moved_with_all(motor))
             && (has_begun || !self.broadcast.keeps_requests_back())
             && !self.is_confusable(motor)
+    }
+
+    /// Whether a command to all may still reach a motor and move it.
+    fn is_moved_with_all(&self, motor: &Motor) -> bool {
+        motor.id.is_some_and(|id| self.broadcast.may_move(id))
     }
 
     /// Whether a motor's answer to the last broadcast could be taken for that to its request.
@@ -115,7 +121,7 @@ impl<const N: usize> Master<N> {
             }
             !self.broadcast.may_go(self.motors())
         } else {
-            let waits = |motor: &Motor| motor.may_move_with_all || self.is_confusable(motor);
+            let waits = |motor: &Motor| self.is_moved_with_all(motor) || self.is_confusable(motor);
             self.at(self.places.waiting).any(|(_, motor)| waits(motor))
         };
         if is_late_awaited {

@@ -78,12 +78,6 @@ impl<const N: usize> Master<N> {
                 }
                 let Config { reply_timeout, late_window, .. } = self.config;
                 self.broadcast.was_sent(now, reply_timeout, late_window);
-                for place in self.places.taken.iter() {
-                    let Self { motors, broadcast, .. } = self;
-                    if let Some(motor) = motors.get_mut(place) {
-                        motor.may_move_with_all = motor.id.is_some_and(|id| broadcast.may_move(id));
-                    }
-                }
             }
             Offer::StopToAll => {
                 self.stop_to_all = None;
@@ -104,17 +98,14 @@ impl<const N: usize> Master<N> {
         self.due = self.now;
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
-                let now = self.now;
+                let (now, ended) = (self.now, self.broadcast.ended_motion());
                 self.change(motor, |motor, _| {
-                    motor.was_pushed_out(packet);
+                    motor.was_pushed_out(packet, ended);
                     // It is offered again before anybody looks at the time.
                     motor.drop_what_is_too_old(now);
                 });
             }
-            Channel::Command(Target::All) | Channel::BusId => {
-                self.broadcast.was_pushed_out();
-                self.nobody_moves_with_all();
-            }
+            Channel::Command(Target::All) | Channel::BusId => self.broadcast.was_pushed_out(),
             Channel::Reply(_) | Channel::MotionReply(_) => {}
         }
     }

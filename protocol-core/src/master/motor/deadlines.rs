@@ -101,9 +101,7 @@ impl Motor {
         }
         if let Some(asked) = self.request.waiting() {
             let end = match asked.purpose {
-                _ if self.waits_for_motion(asked) => {
-                    Some(self.moves_until).filter(|&until| until > Instant::ZERO)
-                }
+                _ if self.waits_for_motion(asked, false) => Some(self.moves_until),
                 Purpose::Stop => None,
                 Purpose::Caller if !self.late.has_room() => self.late.next_end(),
                 Purpose::Caller => self.late.end_of(asked.question),

@@ -64,10 +64,6 @@ pub(super) struct Motor {
     chance: Chance,
     /// A set-point was sent last, so that it is a waiting request's turn.
     was_set_point: bool,
-    /// What is in flight is older than a command to all that ends motion: handed back, it is not sent again.
-    must_not_wait_again: bool,
-    /// A command to all that moves may still reach it.
-    pub(super) may_move_with_all: bool,
     /// The motor has lost its master and will ignore the next command.
     has_lost_master: bool,
     /// It has restarted: no set-points until the caller knows.
@@ -154,7 +150,6 @@ impl Motor {
     pub(super) fn end_motion_with_all(&mut self, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
         self.drop_waiting_move(Failure::Stopped, config, now);
-        self.must_not_wait_again = self.is_in_flight();
     }
 
     fn drop_waiting_move(&mut self, why: Failure, config: &Config, now: Instant) {
@@ -192,29 +187,32 @@ impl Motor {
     }
 
     /// Whether a waiting request may go, as far as this motor is concerned.
-    pub(super) fn may_send_request(&self) -> bool {
+    pub(super) fn may_send_request(&self, is_moved_with_all: bool) -> bool {
         let may = |asked: &Asked| {
             let is_mistakable = self.late.may_be_mistaken(asked.question);
-            self.late.has_room() && !is_mistakable && !self.waits_for_motion(asked)
+            self.late.has_room()
+                && !is_mistakable
+                && !self.waits_for_motion(asked, is_moved_with_all)
         };
         self.request.waiting().is_some_and(may)
     }
 
     /// Whether the waiting stop may go: at once, whatever is in flight, for the first time.
-    pub(super) fn may_send_stop(&self) -> bool {
-        let may = |asked: &Asked| asked.is_stop() && !self.waits_for_motion(asked);
+    pub(super) fn may_send_stop(&self, is_moved_with_all: bool) -> bool {
+        let may =
+            |asked: &Asked| asked.is_stop() && !self.waits_for_motion(asked, is_moved_with_all);
         self.request.waiting().is_some_and(may)
     }
 
     /// Whether this is to end motion once more, which it does only when nothing that was sent before can move
     /// the motor any more.
-    fn waits_for_motion(&self, asked: &Asked) -> bool {
-        asked.once_more && self.may_yet_move()
+    fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
+        asked.once_more && (is_moved_with_all || self.may_yet_move())
     }
 
-    /// Whether a command that was given up, or went to all, may still reach the drive and move it.
+    /// Whether a command that was given up may still reach the drive and move it.
     pub(super) fn may_yet_move(&self) -> bool {
-        self.may_move_with_all || self.moves_until > Instant::ZERO && self.late.may_move()
+        self.moves_until > Instant::ZERO && self.late.may_move()
     }
 
     /// The reply to this question, which was sent so often, may come late.
@@ -245,7 +243,6 @@ impl Motor {
     pub(super) fn was_sent(&mut self, now: Instant) {
         self.sent = now;
         self.chance = Chance::Open;
-        self.must_not_wait_again = false;
         self.round = self.round.wrapping_add(1);
     }
 
@@ -283,8 +280,10 @@ impl Motor {
         self.stream.was_sent();
     }
 
-    /// A controller has handed a frame back that it had taken: it was never on the bus.
-    pub(super) fn was_pushed_out(&mut self, packet: &Packet) {
+    /// A controller has handed a frame back that it had taken: it was never on the bus. What moves does not
+    /// wait again if all were told to end their motion after it.
+    pub(super) fn was_pushed_out(&mut self, packet: &Packet, ended_with_all: Option<Instant>) {
+        let is_ended = ended_with_all.is_some_and(|ended| self.sent <= ended);
         // It has had no turn.
         self.round = self.round.wrapping_sub(1);
         let is_this = |kind: Kind, data: &Data| {
@@ -294,9 +293,10 @@ impl Motor {
             Request::InFlight(mut asked) if is_this(asked.kind(), &asked.data) => {
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
-                self.request = match self.must_not_wait_again && asked.kind().moves() {
-                    true => Request::Failed(Failure::Stopped),
-                    false => Request::Waiting(asked),
+                self.request = if is_ended && asked.kind().moves() {
+                    Request::Failed(Failure::Stopped)
+                } else {
+                    Request::Waiting(asked)
                 };
                 return;
             }
@@ -314,7 +314,7 @@ impl Motor {
             if !self.stream.was_pushed_out() {
                 self.health.superseded = self.health.superseded.saturating_add(1);
             } else if self.has_restarted
-                || self.must_not_wait_again
+                || is_ended
                 || self.request.under_way().is_some_and(ends_motion)
             {
                 // What waits to end motion was asked for after it, and a restart is news since.
