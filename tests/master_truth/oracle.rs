@@ -36,6 +36,8 @@ pub(crate) struct Told {
     pub(crate) unanswered: u64,
     pub(crate) strays: u64,
     lost_master: u32,
+    /// When it was told last to have restarted.
+    restarted: u64,
 }
 
 /// What a scenario came to.
@@ -160,6 +162,7 @@ impl Oracle {
             }
             Event::Restarted { motor } => {
                 self.totals.restarted += 1;
+                self.told[motor.index()].restarted = truth.next_moment();
                 check_restarted(motor, truth);
             }
             Event::LostMaster { motor } => {
@@ -202,6 +205,11 @@ impl Oracle {
             // It says that the command was dropped. Where it may be asked again, the last attempt was.
             Failure::BusDown => {
                 of.taken == 0 || is_repeated(open.data[0]) || has_no_token(open.data[0])
+            }
+            // A move that was asked for before its motor was seen to have restarted.
+            Failure::Dropped => {
+                let is_older = of.put < self.told[motor.index()].restarted;
+                is_move(&open.data) && of.taken == 0 && is_older
             }
             _ => false,
         };
@@ -264,6 +272,10 @@ fn is_repeated(byte: u8) -> bool {
         byte,
         0x30 | 0x31 | 0x42 | 0x60 | 0x77 | 0x78 | 0x80 | 0x81 | 0x90..=0x9D | 0xB1 | 0xB2
     )
+}
+
+fn is_move(data: &Data) -> bool {
+    Name::of(&Packet { channel: Channel::Command(MotorId::MIN.into()), data: *data }).moves()
 }
 
 fn sending(motor: MotorId, data: &Data, truth: &Truth) -> super::truth::Sending {

@@ -192,7 +192,7 @@ impl Book {
 }
 
 impl Truth {
-    fn next_moment(&mut self) -> u64 {
+    pub(crate) fn next_moment(&mut self) -> u64 {
         self.moment += 1;
         self.moment
     }
