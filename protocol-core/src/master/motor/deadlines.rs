@@ -20,21 +20,25 @@ impl Motor {
         self.is_in_flight() || self.is_waiting() || is_held || !self.late.is_empty()
     }
 
-    /// When what is in flight counts as lost; a set-point after `set_point_timeout`.
-    fn deadline(&self, set_point_timeout: Duration) -> Option<Instant> {
-        let of_request = self.request.in_flight().map(|asked| asked.timeout);
-        let timeout = of_request.or(self.stream.in_flight().map(|_| set_point_timeout))?;
+    /// When what is in flight counts as lost.
+    fn deadline(&self, config: &Config) -> Option<Instant> {
+        let timeout = match (self.request.in_flight(), self.stream.in_flight()) {
+            (Some(asked), _) => asked.timeout,
+            (None, Some(_)) => self.set_point_timeout(config),
+            (None, None) => return None,
+        };
         Some(self.sent + timeout)
     }
 
-    /// When the feedback of the set-point in flight counts as lost on a quiet bus: a stream does not stand
-    /// still for it. Not where nobody knows how long feedback takes, nor when it stays away again and again.
-    fn stream_is_lost_at(&self, config: &Config) -> Option<Instant> {
+    /// How long feedback is waited for: on a quiet bus for less long, since a stream does not stand still for
+    /// what is lost. Not where nobody knows how long feedback takes, nor when it stays away again and again.
+    fn set_point_timeout(&self, config: &Config) -> Duration {
         let usual = self.health.round_trip;
         let is_known = usual > Duration::ZERO && self.misses < SELDOM;
-        let is_quiet = self.stream.in_flight().is_some() && self.chance == Chance::Missed;
-        let patience = config.longest_response.max(usual.times(USUAL_TIMES));
-        (is_known && is_quiet).then_some(self.sent + patience)
+        if !is_known || self.chance == Chance::Open {
+            return config.reply_timeout;
+        }
+        config.longest_response.max(usual.times(USUAL_TIMES)).min(config.reply_timeout)
     }
 
     pub(in crate::master) fn drop_what_is_too_old(&mut self, now: Instant) {
@@ -53,9 +57,7 @@ impl Motor {
             self.moves_until = Instant::ZERO;
         }
         self.drop_what_is_too_old(now);
-        let is_late = self.deadline(config.reply_timeout).is_some_and(|deadline| deadline <= now);
-        let is_lost = self.stream_is_lost_at(config).is_some_and(|at| at <= now);
-        if !is_late && !is_lost {
+        if self.deadline(config).is_none_or(|deadline| deadline > now) {
             return;
         }
         self.has_missed();
@@ -112,8 +114,7 @@ impl Motor {
 
     /// Tells when something is late, lost or too old.
     fn due_to_tell(&self, config: &Config, earliest: &mut Earliest) {
-        let times = self.deadline(config.reply_timeout).into_iter();
-        let times = times.chain(self.stream_is_lost_at(config)).chain(self.stream.expiry());
+        let times = self.deadline(config).into_iter().chain(self.stream.expiry());
         times.for_each(|at| earliest.take(at));
     }
 }
