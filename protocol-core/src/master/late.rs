@@ -13,7 +13,8 @@ pub(super) struct Question {
 }
 
 impl Question {
-    /// What this command asks.
+    /// What this command asks. Inlined, since the kind of a set-point is known when it is compiled.
+    #[inline(always)]
     pub(super) fn of(kind: Kind, command: &Data) -> Self {
         Self { kind, key: kind.key(command).unwrap_or(0) }
     }
