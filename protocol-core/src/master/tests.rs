@@ -1483,6 +1483,16 @@ fn feedback_counts_as_lost_soon_only_where_it_is_known_how_long_it_takes() {
 }
 
 #[test]
+fn feedback_that_takes_long_is_waited_for_no_longer_than_a_reply() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0], ms(10)).unwrap();
+    // Three times as long as usual would be 30 ms.
+    assert_eq!(is_lost_after(&mut master, 100), Some(21));
+}
+
+#[test]
 fn on_a_busy_bus_feedback_is_waited_for() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
