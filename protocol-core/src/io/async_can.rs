@@ -197,15 +197,14 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
         loop {
             let now = self.clock.now();
             let is_stuck = self.stuck_since.is_some_and(|since| now - since >= STUCK_AFTER);
-            if is_stuck {
-                self.master.handle_bus_down(now);
-            }
             let Some(packet) = self.master.poll_transmit(now) else { return Ok(None) };
             // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
             let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(None) };
             self.stuck_since.get_or_insert(now);
-            // While it waits nothing is received, and a controller has few places for that.
-            let patience = self.clock.wait_until(now + self.frame_time);
+            // While it waits nothing is received, and a controller has few places for that. A bus that is
+            // stuck is offered it all the same, as it may be well again.
+            let patience = if is_stuck { Duration::ZERO } else { self.frame_time };
+            let patience = self.clock.wait_until(now + patience);
             match select(self.can.transmit(&frame), patience).await {
                 Either::First(Ok(pushed_out)) => {
                     self.stuck_since = None;
@@ -218,6 +217,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
                     return Err(error);
                 }
                 Either::Second(()) if is_stuck => {
+                    self.master.handle_bus_down(now);
                     return Ok(Some(self.clock.now() + RETRY_AFTER));
                 }
                 Either::Second(()) => {}

@@ -169,6 +169,18 @@ fn what_waits_is_dropped_on_a_bus_that_takes_nothing() {
 }
 
 #[test]
+fn a_bus_that_was_down_is_offered_what_is_asked_next() {
+    let (bus, clock, mut arm) = can();
+    bus.state().full_until = 30_000;
+    let asked = block_on(arm.ask(id(1), ReadMultiTurnAngle));
+    assert_eq!(asked, Err(CallError::Failed(Failure::BusDown)));
+    let asked = block_on(arm.ask(id(1), ReadMultiTurnAngle));
+    assert_eq!(asked, Err(CallError::Failed(Failure::BusDown)), "it is down yet");
+    clock.advance(10_000);
+    assert!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).is_ok());
+}
+
+#[test]
 fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
     let (bus, _, mut arm) = can();
     bus.state().transmit_fails = true;
