@@ -241,6 +241,7 @@ impl Motor {
         }
         match self.late.take(is_motion, data, may_be_doubled) {
             Some(Of::Request) => Meaning::Late,
+            Some(Of::Stream) if self.has_ignored_one() => Meaning::Late,
             Some(Of::Stream) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, None, now),
                 Err(_) => Meaning::Late,
@@ -266,7 +267,9 @@ impl Motor {
         let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
         self.late.prolong(set_point.question, now + config.late_window);
         self.stream.take_in_flight();
-        if self.is_ignored(&set_point.data, &packet.data) {
+        // An earlier one may be what was ignored, and nobody knows its bytes any more.
+        let is_one_late = self.late.may_be_mistaken(set_point.question);
+        if self.has_ignored_one() && (is_one_late || set_point.data == packet.data) {
             return Meaning::SetPointIgnored;
         }
         let round_trip = Some(now - self.sent);
@@ -286,7 +289,7 @@ impl Motor {
     ) -> Meaning {
         asked.unanswered = asked.unanswered.saturating_sub(1);
         self.request = Request::InFlight(asked);
-        if self.is_ignored(&asked.data, data) {
+        if self.has_ignored_one() && asked.data == *data {
             if asked.attempts_left > 0 && asked.kind().repeat() == Repeat::Harmless {
                 self.request = Request::Waiting(asked);
                 return Meaning::Nothing;

@@ -1127,6 +1127,28 @@ fn the_echo_of_an_ignored_set_point_is_no_feedback() {
 }
 
 #[test]
+fn the_echo_of_an_ignored_set_point_that_was_given_up_is_no_feedback() {
+    for is_newer_in_flight in [true, false] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+        sent(&mut master, ms(0));
+        assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+        if is_newer_in_flight {
+            master.set_point(id(1), torque(2.0), ms(21)).unwrap();
+            assert_eq!(sent(&mut master, ms(21)).len(), 1);
+        }
+        reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(22)).unwrap();
+        // The bus has held the first one back.
+        let event = reply(&mut master, 1, torque(1.0).encode(), ms(23));
+        assert!(!matches!(event, Some(Event::Feedback { .. })), "{is_newer_in_flight}: {event:?}");
+        // The next one is executed.
+        let event = reply(&mut master, 1, [0xA1, 0x32, 0, 0, 0, 0, 0, 0], ms(24));
+        let is_feedback = matches!(event, Some(Event::Feedback { .. }));
+        assert_eq!(is_feedback, is_newer_in_flight, "{event:?}");
+    }
+}
+
+#[test]
 fn a_stream_does_not_go_on_by_itself_after_a_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     let mut now = 0;

@@ -411,10 +411,10 @@ impl Motor {
         self.has_lost_master
     }
 
-    /// Whether this reply is the echo of a drive that has lost its master and ignored the command.
-    /// It does so once.
-    pub(super) fn is_ignored(&mut self, command: &Data, reply: &Data) -> bool {
-        core::mem::take(&mut self.has_lost_master) && command == reply
+    /// Whether a reply that has come may be the echo of a drive that has lost its master and ignored the
+    /// command. It does so once.
+    pub(super) fn has_ignored_one(&mut self) -> bool {
+        core::mem::take(&mut self.has_lost_master)
     }
 
     /// Whether it reports this by itself.
