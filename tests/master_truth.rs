@@ -4,6 +4,8 @@
 //!
 //! - `scenarios`: what a run is made of. Each trouble of the injector by itself, at several rates and with
 //!   several numbers of motors; then anything together with anything, drawn by a seed.
+//! - `hosts`: what runs the master, a loop that polls or an async one; of the drawn runs a quarter is on
+//!   async loops in the world's executor, and another on those whose futures are dropped now and then.
 //! - `world`: the bus, and how the master's computer treats it. `drives`: the drives and another master.
 //! - `callers`: when the master is asked, stopped and left alone. `asks`: what it is asked.
 //! - `truth`: what really happened. `oracle`: what must hold of each event by that. `excuses`: what no
@@ -17,6 +19,7 @@ mod master_truth {
     mod callers;
     mod drives;
     mod excuses;
+    mod hosts;
     mod oracle;
     mod runs;
     mod scenarios;

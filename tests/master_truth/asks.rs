@@ -7,7 +7,6 @@ use myactuator_protocol_core::command::{
     Stop, Switch, WritePidRam,
 };
 use myactuator_protocol_core::error::{DecodeError, RequestError};
-use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, Patience};
 use myactuator_protocol_core::opcode::{Opcode, ReplyRule};
 use myactuator_protocol_core::time::Duration;

@@ -2,7 +2,6 @@
 
 use myactuator_host_std::sim::bus::faults::{Babble, Direction};
 use myactuator_protocol_core::command::ReadVersionDate;
-use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Channel, MotorId};
@@ -11,7 +10,7 @@ use myactuator_tests::values::id;
 
 use super::oracle::{Oracle, Totals};
 use super::scenarios::{Echo, Pace, Scenario, Trouble};
-use super::world::{Rough, Stage};
+use super::world::{Rough, RoughError, Stage};
 
 /// An outcome takes at the longest: a restart (2 s), and three attempts with their waiting.
 const LONGEST_WAIT: Duration = Duration::from_millis(4_000);
@@ -107,9 +106,13 @@ impl<W: Rough> Session<W> {
             if !more && self.is_over() {
                 break;
             }
-            match self.stage.host.poll() {
-                Ok(Some(event)) => self.take(&event),
+            let heard = match self.stage.host.poll() {
                 Ok(None) => self.wait(),
+                heard => heard,
+            };
+            match heard {
+                Ok(Some(event)) => self.take(&event),
+                Ok(None) => {}
                 Err(_) => {
                     self.oracle.totals.bus_errors += 1;
                     self.stage.world.run_for(Duration::from_micros(200));
@@ -158,7 +161,7 @@ impl<W: Rough> Session<W> {
 
     /// Sleeps until the master or a frame has something to do: if the master's `poll_at` forgets
     /// anything, an outcome comes far too late.
-    fn wait(&mut self) {
+    fn wait(&mut self) -> Result<Option<Event>, RoughError> {
         let now = self.now();
         for motor in self.motors() {
             let waited = now - self.since[motor.index()];
@@ -166,7 +169,8 @@ impl<W: Rough> Session<W> {
             assert!(open.is_none() || waited < LONGEST_WAIT, "{open:?} hangs. {}", self.told());
         }
         if self.scenario.conditions.jumps && self.dice.below(20_000) == 0 {
-            return self.jump();
+            self.jump();
+            return Ok(None);
         }
         let is_waiting = !self.is_over();
         let mut until = if is_waiting && self.lifted_at.is_none() && self.dice.below(4) == 0 {
@@ -182,7 +186,7 @@ impl<W: Rough> Session<W> {
         let truth = self.stage.book.open();
         let shown = until + truth.clock_ahead;
         drop(truth);
-        self.stage.host.idle(shown);
+        self.stage.host.wait(shown)
     }
 
     /// The caller does not look for an hour.

@@ -60,6 +60,16 @@ pub(crate) enum Pace {
     Rests,
 }
 
+/// What runs the master.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) enum Loop {
+    #[default]
+    Polled,
+    Async,
+    /// Its futures are dropped now and then, wherever they wait.
+    AsyncDropped,
+}
+
 /// What a world is like; as it is made by default, it is kind.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Conditions {
@@ -92,6 +102,7 @@ pub(crate) struct Conditions {
     /// Drives answer twice, and to what they do not know.
     pub(crate) repeats: bool,
     pub(crate) pace: Pace,
+    pub(crate) runs: Loop,
     /// Nobody stops anything, or asks all at once.
     pub(crate) is_plain: bool,
 }
@@ -165,6 +176,8 @@ impl Scenario {
             conditions.echo =
                 [Echo::None, Echo::Configured, Echo::Unknown][one_of(&[0, 0, 1, 1, 2]) as usize];
         }
+        let loops = [Loop::Polled, Loop::Async, Loop::AsyncDropped];
+        conditions.runs = loops[one_of(&[0, 0, 1, 2]) as usize];
         let mut scenario = Self { trouble, percent, motors, requests, seed, conditions };
         if scenario.conditions.echo == Echo::Unknown {
             scenario.keep_the_echo_whole();

@@ -1,6 +1,8 @@
 //! A world that is not kind: adapters that deliver in bursts, controllers that refuse, fail and hand back,
 //! coarse clocks, echoes, and drives as they are.
 
+mod tasks;
+
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -10,7 +12,9 @@ use myactuator_host_std::sim::bus::can::{CanBus, CanError, CanPort, ControllerCo
 use myactuator_host_std::sim::bus::rs485::{Rs485Line, SerialError, SerialPort, TransceiverConfig};
 use myactuator_host_std::sim::bus::trace::{Event, Fault};
 use myactuator_host_std::sim::bus::{SimClock, StationId, World};
-use myactuator_protocol_core::io::{CanMaster, Clock, Runner, SerialMaster};
+use myactuator_protocol_core::io::{
+    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CanMaster, Clock, Runner, SerialMaster,
+};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
@@ -20,7 +24,8 @@ use myactuator_tests::dice::Dice;
 use myactuator_tests::wire::Wire;
 
 use super::drives::{BOOT, Drive, Stranger};
-use super::scenarios::{Echo, Scenario};
+use super::hosts::Host;
+use super::scenarios::{Echo, Loop, Scenario};
 use super::truth::Book;
 
 /// Noise at each switch of direction, where there is any.
@@ -152,6 +157,19 @@ fn packet_of(frame: &SimpleFrame) -> Option<Packet> {
     }
 }
 
+impl RoughCan {
+    fn note_taken(&self, frame: &SimpleFrame, back: Option<&SimpleFrame>) {
+        let mut truth = self.book.open();
+        truth.tick(self.port.world().now());
+        if let Some(packet) = packet_of(frame) {
+            truth.taken(&packet);
+        }
+        if let Some(packet) = back.and_then(packet_of) {
+            truth.handed_back(&packet);
+        }
+    }
+}
+
 impl nb::Can for RoughCan {
     type Frame = SimpleFrame;
     type Error = RoughError;
@@ -164,22 +182,16 @@ impl nb::Can for RoughCan {
         if let Some(error) = with(&self.manner, Manner::fails) {
             return Err(::nb::Error::Other(error));
         }
-        let back = self.port.transmit(frame).map_err(|error| error.map(RoughError::Can))?;
-        let mut truth = self.book.open();
-        truth.tick(now);
-        if let Some(packet) = packet_of(frame) {
-            truth.taken(&packet);
-        }
-        if let Some(packet) = back.as_ref().and_then(packet_of) {
-            truth.handed_back(&packet);
-        }
+        let back =
+            nb::Can::transmit(&mut self.port, frame).map_err(|error| error.map(RoughError::Can))?;
+        self.note_taken(frame, back.as_ref());
         Ok(back)
     }
 
     fn receive(&mut self) -> ::nb::Result<SimpleFrame, RoughError> {
         let now = self.port.world().now();
         let delivery = with(&self.manner, |manner| manner.delivery(now));
-        while let Ok(frame) = self.port.receive() {
+        while let Ok(frame) = nb::Can::receive(&mut self.port) {
             self.arrived.push_back((delivery, frame));
         }
         if let Some(error) = with(&self.manner, Manner::fails) {
@@ -210,13 +222,34 @@ pub(crate) struct RoughSerial {
     book: Book,
     manner: Shared,
     arrived: VecDeque<(Instant, u8)>,
-    sent: Receiver,
     received: Receiver,
+    /// Futures of the loop are dropped.
+    is_dropped: bool,
 }
 
 impl RoughSerial {
     fn fails(&mut self) -> Result<(), RoughError> {
         with(&self.manner, Manner::fails).map_or(Ok(()), Err)
+    }
+
+    /// What it takes of this: now and then a part.
+    fn part_of<'a>(&mut self, buf: &'a [u8]) -> Result<&'a [u8], RoughError> {
+        self.fails()?;
+        let is_part = with(&self.manner, |manner| manner.refuses && manner.dice.below(8) == 0);
+        let most = if is_part { 1 + buf.len() / 2 } else { buf.len() };
+        Ok(&buf[..most.min(buf.len())])
+    }
+
+    /// A frame counts as taken with its first byte, whatever becomes of the others.
+    fn note_taken(&self, buf: &[u8]) {
+        let mut receiver = Receiver::new();
+        for &byte in buf {
+            if let Fed::Frame(frame) = receiver.feed(byte) {
+                let mut truth = self.book.open();
+                truth.tick(self.world.now());
+                truth.taken(&frame.as_command());
+            }
+        }
     }
 }
 
@@ -259,18 +292,9 @@ impl Read for RoughSerial {
 
 impl Write for RoughSerial {
     fn write(&mut self, buf: &[u8]) -> Result<usize, RoughError> {
-        self.fails()?;
-        // Now and then it takes a part.
-        let is_part = with(&self.manner, |manner| manner.refuses && manner.dice.below(8) == 0);
-        let most = if is_part { 1 + buf.len() / 2 } else { buf.len() };
-        let count = self.port.write(&buf[..most.min(buf.len())]).map_err(RoughError::Serial)?;
-        for &byte in &buf[..count] {
-            if let Fed::Frame(frame) = self.sent.feed(byte) {
-                let mut truth = self.book.open();
-                truth.tick(self.world.now());
-                truth.taken(&frame.as_command());
-            }
-        }
+        let part = self.part_of(buf)?;
+        let count = self.port.write(part).map_err(RoughError::Serial)?;
+        self.note_taken(buf);
         Ok(count)
     }
 
@@ -282,14 +306,15 @@ impl Write for RoughSerial {
 
 /// A bus that this world can make rough.
 pub(crate) trait Rough: Wire {
-    type Host: Runner<32, Error = RoughError>;
+    type Polled: Runner<32, Error = RoughError>;
+    type Async: AsyncRunner<32, Error = RoughError>;
 
     fn host(
         world: &World<Self>,
         scenario: &Scenario,
         book: &Book,
         config: Config,
-    ) -> (Self::Host, StationId);
+    ) -> (Host<Self>, StationId);
 }
 
 fn manners<W: Wire>(world: &World<W>, scenario: &Scenario, book: &Book) -> (Shared, RoughClock<W>) {
@@ -308,14 +333,15 @@ fn manners<W: Wire>(world: &World<W>, scenario: &Scenario, book: &Book) -> (Shar
 }
 
 impl Rough for CanBus {
-    type Host = CanMaster<RoughCan, RoughClock<Self>, 32>;
+    type Polled = CanMaster<RoughCan, RoughClock<Self>, 32>;
+    type Async = AsyncCanMaster<RoughCan, RoughClock<Self>, 32>;
 
     fn host(
         world: &World<Self>,
         scenario: &Scenario,
         book: &Book,
         config: Config,
-    ) -> (Self::Host, StationId) {
+    ) -> (Host<Self>, StationId) {
         let (manner, clock) = manners(world, scenario, book);
         let controller = if scenario.conditions.mailboxes {
             ControllerConfig { receive_queue: 1024, ..ControllerConfig::MAILBOXES }
@@ -325,19 +351,24 @@ impl Rough for CanBus {
         let port = world.port_with(controller);
         let station = port.station();
         let port = RoughCan { port, book: book.clone(), manner, arrived: VecDeque::new() };
-        (CanMaster::new(port, clock, config), station)
+        let host = match scenario.conditions.runs {
+            Loop::Polled => Host::Polled(CanMaster::new(port, clock, config)),
+            _ => Host::tasks(AsyncCanMaster::new(port, clock, config), world, scenario),
+        };
+        (host, station)
     }
 }
 
 impl Rough for Rs485Line {
-    type Host = SerialMaster<RoughSerial, RoughClock<Self>, 32>;
+    type Polled = SerialMaster<RoughSerial, RoughClock<Self>, 32>;
+    type Async = AsyncSerialMaster<RoughSerial, RoughClock<Self>, 32>;
 
     fn host(
         world: &World<Self>,
         scenario: &Scenario,
         book: &Book,
         config: Config,
-    ) -> (Self::Host, StationId) {
+    ) -> (Host<Self>, StationId) {
         let (manner, clock) = manners(world, scenario, book);
         let echo = scenario.conditions.echo != Echo::None;
         let switch_noise = if scenario.conditions.noise { SWITCH_NOISE } else { 0.0 };
@@ -351,17 +382,21 @@ impl Rough for Rs485Line {
             book: book.clone(),
             manner,
             arrived: VecDeque::new(),
-            sent: Receiver::new(),
             received: Receiver::new(),
+            is_dropped: scenario.conditions.runs == Loop::AsyncDropped,
         };
-        (SerialMaster::new(port, clock, config), station)
+        let host = match scenario.conditions.runs {
+            Loop::Polled => Host::Polled(SerialMaster::new(port, clock, config)),
+            _ => Host::tasks(AsyncSerialMaster::new(port, clock, config), world, scenario),
+        };
+        (host, station)
     }
 }
 
 /// A bus with a master, drives and whoever else is there.
 pub(crate) struct Stage<W: Rough> {
     pub(crate) world: World<W>,
-    pub(crate) host: W::Host,
+    pub(crate) host: Host<W>,
     /// The drives, in the order of their ids.
     pub(crate) drives: Vec<Arc<Mutex<Drive<W>>>>,
     pub(crate) stations: Vec<StationId>,

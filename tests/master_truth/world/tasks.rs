@@ -1,0 +1,111 @@
+//! The ports and the clock for tasks: with the same manners, and as patient as a task.
+
+use std::future::pending;
+
+use embassy_futures::select::{Either, select};
+use embedded_io::ReadReady as _;
+use myactuator_host_std::sim::bus::{Medium, World};
+use myactuator_protocol_core::io::{AsyncCan, AsyncClock};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::can::SimpleFrame;
+use myactuator_protocol_core::wire::rs485::FRAME_LENGTH;
+use myactuator_tests::wire::Wire;
+
+use super::{Manner, RoughCan, RoughClock, RoughError, RoughSerial, Shared, with};
+
+/// A serial port that has taken a part of a frame takes the rest within this.
+const LONGEST_GAP_US: u64 = 500;
+
+/// Waits until then, in the world's time; for ever without an end.
+async fn sleep<M: Medium>(world: &World<M>, until: Option<Instant>) {
+    match until {
+        Some(until) => world.clock().wait_until(until).await,
+        None => pending().await,
+    }
+}
+
+/// Waits for as long as nothing is taken.
+async fn wait_for_a_place<M: Medium>(world: &World<M>, manner: &Shared) {
+    while with(manner, |manner| manner.refuses(world.now())) {
+        let until = with(manner, |manner| manner.refused_until);
+        sleep(world, Some(until)).await;
+    }
+}
+
+impl<W: Wire> AsyncClock for RoughClock<W> {
+    async fn wait_until(&mut self, until: Instant) {
+        let until = self.book.open().world_time(until);
+        self.clock.wait_until(until).await;
+    }
+}
+
+impl AsyncCan for RoughCan {
+    type Frame = SimpleFrame;
+    type Error = RoughError;
+
+    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, RoughError> {
+        wait_for_a_place(self.port.world(), &self.manner).await;
+        with(&self.manner, Manner::fails).map_or(Ok(()), Err)?;
+        let back = AsyncCan::transmit(&mut self.port, frame).await.map_err(RoughError::Can)?;
+        self.note_taken(frame, back.as_ref());
+        Ok(back)
+    }
+
+    async fn receive(&mut self) -> Result<SimpleFrame, RoughError> {
+        loop {
+            match embedded_can::nb::Can::receive(self) {
+                Ok(frame) => return Ok(frame),
+                Err(nb::Error::Other(error)) => return Err(error),
+                Err(nb::Error::WouldBlock) => {}
+            }
+            let world = self.port.world().clone();
+            let delivery = sleep(&world, self.arrived.front().map(|(at, _)| *at));
+            let arrival = select(AsyncCan::receive(&mut self.port), delivery).await;
+            if let Either::First(Ok(frame)) = arrival {
+                let at = with(&self.manner, |manner| manner.delivery(world.now()));
+                self.arrived.push_back((at, frame));
+            }
+        }
+    }
+}
+
+impl embedded_io_async::Read for RoughSerial {
+    async fn read(&mut self, buf: &mut [u8]) -> Result<usize, RoughError> {
+        loop {
+            if self.read_ready()? {
+                return embedded_io::Read::read(self, buf);
+            }
+            let delivery = sleep(&self.world, self.arrived.front().map(|(at, _)| *at));
+            let mut bytes = [0; 64];
+            let arrival = embedded_io_async::Read::read(&mut self.port, &mut bytes);
+            if let Either::First(Ok(count)) = select(arrival, delivery).await {
+                let at = with(&self.manner, |manner| manner.delivery(self.world.now()));
+                self.arrived.extend(bytes[..count].iter().map(|&byte| (at, byte)));
+            }
+        }
+    }
+}
+
+impl embedded_io_async::Write for RoughSerial {
+    async fn write(&mut self, buf: &[u8]) -> Result<usize, RoughError> {
+        // A frame that is dropped before its first byte counts as sent all the same: no loop knows what a
+        // port has taken of it. So where any are dropped, only the rest of a frame has to wait.
+        if buf.len() < FRAME_LENGTH {
+            let wait = with(&self.manner, |manner| manner.dice.below(LONGEST_GAP_US));
+            sleep(&self.world, Some(self.world.now() + Duration::from_micros(wait))).await;
+        } else if !self.is_dropped {
+            wait_for_a_place(&self.world, &self.manner).await;
+        }
+        let part = self.part_of(buf)?;
+        let written = embedded_io_async::Write::write(&mut self.port, part).await;
+        let count = written.map_err(RoughError::Serial)?;
+        self.note_taken(buf);
+        Ok(count)
+    }
+
+    async fn flush(&mut self) -> Result<(), RoughError> {
+        let flushed = embedded_io_async::Write::flush(&mut self.port).await;
+        flushed.map_err(RoughError::Serial)?;
+        self.fails()
+    }
+}
