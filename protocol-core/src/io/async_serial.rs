@@ -73,7 +73,10 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
                 return Ok(event);
             }
             match select(self.serial.read(self.line.space()), ready(())).await {
-                Either::First(Ok(0)) | Either::Second(()) => return Ok(None),
+                Either::First(Ok(0)) | Either::Second(()) => {
+                    self.line.found_empty(now);
+                    return Ok(None);
+                }
                 Either::First(bytes) => self.line.filled(bytes?),
             }
         }

@@ -4,7 +4,8 @@ use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
-/// An echo does not come later after its sending: adapters hand over what they received every 16 ms.
+/// An echo does not come later after its sending, if somebody looks: adapters hand over what they received every
+/// 16 ms.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
 /// So many echoes in a row may be missing of an adapter that was found to echo.
 const MISSING: u8 = 3;
@@ -25,6 +26,8 @@ pub struct EchoFilter {
     adapter: Adapter,
     /// What was sent and has not come back, with the time of that.
     sent: [Option<(Frame, Instant)>; SENDINGS],
+    /// When the port was found empty last.
+    empty_at: Instant,
 }
 
 /// What is known of the adapter.
@@ -43,7 +46,7 @@ impl EchoFilter {
     pub const fn new(is_echoing: bool) -> Self {
         let adapter =
             if is_echoing { Adapter::Echoes } else { Adapter::IsQuiet { suspected: false } };
-        Self { adapter, sent: [None; SENDINGS] }
+        Self { adapter, sent: [None; SENDINGS], empty_at: Instant::ZERO }
     }
 
     /// Whether the adapter echoes, as was said or found.
@@ -61,8 +64,7 @@ impl EchoFilter {
     }
 
     /// Whether a frame that came is the echo of one that was sent.
-    pub fn is_echo(&mut self, frame: &Frame, now: Instant) -> bool {
-        self.forget_what_did_not_come(now);
+    pub fn is_echo(&mut self, frame: &Frame) -> bool {
         let is_equal = |place: &&mut Option<_>| place.is_some_and(|(sent, _)| sent == *frame);
         let equal = self.sent.iter_mut().filter(is_equal);
         let Some(first) = equal.min_by_key(|place| place.map(|(_, at)| at)) else { return false };
@@ -81,7 +83,14 @@ impl EchoFilter {
         true
     }
 
-    fn forget_what_did_not_come(&mut self, now: Instant) {
+    /// Takes note that the port holds nothing now: what was sent long ago does not come back any more. Time
+    /// alone does not say so: where a program was halted, its port holds the echoes of all that it sent.
+    pub fn found_empty(&mut self, now: Instant) {
+        let pause = now - core::mem::replace(&mut self.empty_at, now);
+        if pause > LONGEST_WAIT {
+            // The adapter may hold them yet.
+            self.sent.iter_mut().flatten().for_each(|(_, at)| *at = now);
+        }
         for place in &mut self.sent {
             let Some((frame, at)) = *place else { continue };
             if now - at <= LONGEST_WAIT {
@@ -143,17 +152,29 @@ mod tests {
         filter.sent(stop, ms(0));
         filter.sent(stop, ms(20));
         let late = Frame { data: [0x92; 8], ..stop };
-        assert!(!filter.is_echo(&late, ms(30)), "whatever comes before");
-        assert!(filter.is_echo(&stop, ms(30)));
-        assert!(filter.is_echo(&stop, ms(30)));
-        assert!(!filter.is_echo(&stop, ms(30)));
+        assert!(!filter.is_echo(&late), "whatever comes before");
+        assert!(filter.is_echo(&stop));
+        assert!(filter.is_echo(&stop));
+        assert!(!filter.is_echo(&stop));
     }
 
     #[test]
     fn an_echo_that_was_lost_is_not_waited_for_for_ever() {
         let mut filter = EchoFilter::new(true);
         filter.sent(frame(Stop), ms(0));
-        assert!(!filter.is_echo(&frame(Stop), ms(101)));
+        [1, 60, 101].into_iter().for_each(|at| filter.found_empty(ms(at)));
+        assert!(!filter.is_echo(&frame(Stop)));
+    }
+
+    #[test]
+    fn an_echo_that_nobody_looked_for_is_one_however_late() {
+        let mut filter = EchoFilter::new(true);
+        filter.found_empty(ms(0));
+        filter.sent(frame(Stop), ms(0));
+        // A second in which the program was halted; the adapter hands it over a little later.
+        filter.found_empty(ms(1_000));
+        filter.found_empty(ms(1_016));
+        assert!(filter.is_echo(&frame(Stop)));
     }
 
     #[test]
@@ -162,38 +183,39 @@ mod tests {
         let to_all = Frame { address: Target::All, ..frame(Stop) };
         filter.sent(to_all, ms(0));
         filter.sent(frame(Stop), ms(2));
-        assert!(filter.is_echo(&to_all, ms(16)));
-        assert!(filter.is_echo(&frame(Stop), ms(16)));
-        assert!(!filter.is_echo(&frame(Stop), ms(16)), "that is the drive's");
+        assert!(filter.is_echo(&to_all));
+        assert!(filter.is_echo(&frame(Stop)));
+        assert!(!filter.is_echo(&frame(Stop)), "that is the drive's");
         // What drives answer to all is no sign of it.
         let mut filter = EchoFilter::new(false);
         let bus_id = Frame { address: Target::All, data: [0x79, 0, 0, 0, 0, 0, 0, 2] };
         filter.sent(bus_id, ms(0));
-        assert!(!filter.is_echo(&bus_id, ms(2)));
+        assert!(!filter.is_echo(&bus_id));
     }
 
     #[test]
     fn an_echo_that_nobody_configured_is_found() {
         let mut filter = EchoFilter::new(false);
         filter.sent(frame(Stop), ms(0));
-        assert!(!filter.is_echo(&frame(Stop), ms(1)), "it may well be the answer");
+        assert!(!filter.is_echo(&frame(Stop)), "it may well be the answer");
         // Once may be a drive that lost its master and has ignored the command.
         for (at, is_found) in [(2, false), (4, true)] {
             filter.sent(frame(ReadStatus1), ms(at));
-            assert!(filter.is_echo(&frame(ReadStatus1), ms(at + 1)), "no values are all zero");
+            assert!(filter.is_echo(&frame(ReadStatus1)), "no values are all zero");
             assert_eq!(filter.is_echoing(), is_found);
         }
         filter.sent(frame(Stop), ms(6));
-        assert!(filter.is_echo(&frame(Stop), ms(7)));
+        assert!(filter.is_echo(&frame(Stop)));
         // Noise may take one; but it is none if it then stays away.
         let miss = |filter: &mut EchoFilter, at| {
             filter.sent(frame(ReadStatus1), ms(at));
-            assert!(!filter.is_echo(&frame(Stop), ms(at + 101)));
+            [1, 60, 102].into_iter().for_each(|later| filter.found_empty(ms(at + later)));
+            assert!(!filter.is_echo(&frame(Stop)));
         };
         miss(&mut filter, 1_000);
         assert!(filter.is_echoing());
         filter.sent(frame(ReadStatus1), ms(1_500));
-        assert!(filter.is_echo(&frame(ReadStatus1), ms(1_501)));
+        assert!(filter.is_echo(&frame(ReadStatus1)));
         for (at, is_echoing) in [(2_000, true), (3_000, true), (4_000, true), (5_000, false)] {
             miss(&mut filter, at);
             assert_eq!(filter.is_echoing(), is_echoing);

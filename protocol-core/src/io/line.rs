@@ -36,7 +36,7 @@ impl Line {
         while let Some(&byte) = self.chunk.get(..self.end).and_then(|read| read.get(self.next)) {
             self.next += 1;
             let Fed::Frame(frame) = self.receiver.feed(byte) else { continue };
-            if self.echoes.is_echo(&frame, now) {
+            if self.echoes.is_echo(&frame) {
                 continue;
             }
             let event = master.handle_line(&frame, now);
@@ -50,6 +50,11 @@ impl Line {
     /// A frame has left.
     pub(super) fn sent(&mut self, frame: Frame, now: Instant) {
         self.echoes.sent(frame, now);
+    }
+
+    /// The port holds nothing now.
+    pub(super) fn found_empty(&mut self, now: Instant) {
+        self.echoes.found_empty(now);
     }
 
     /// Where to read to, once [`take`](Self::take) has given its last event.

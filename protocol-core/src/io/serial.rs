@@ -32,8 +32,12 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
     fn receive(&mut self, now: Instant) -> Result<Option<Event>, S::Error> {
         for _ in 0..READS_A_ROUND {
             let event = self.line.take(&mut self.master, now);
-            if event.is_some() || !self.serial.read_ready()? {
+            if event.is_some() {
                 return Ok(event);
+            }
+            if !self.serial.read_ready()? {
+                self.line.found_empty(now);
+                return Ok(None);
             }
             match self.serial.read(self.line.space())? {
                 0 => return Ok(None),

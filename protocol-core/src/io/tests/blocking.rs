@@ -8,7 +8,7 @@ use super::world::{Broken, TestCan, TestClock, TestSerial, on_can, on_rs485};
 use super::{id, step, torque};
 use crate::command::{NoReply, ReadMultiTurnAngle, Reset, Stop};
 use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster, bring_up};
-use crate::master::{Event, Failure, StopKind};
+use crate::master::{Config, Event, Failure, StopKind};
 use crate::wire::can::{self, SimpleFrame};
 use crate::{Channel, Packet};
 
@@ -225,4 +225,20 @@ fn a_clock_that_is_lent_idles_too() {
     let clock = TestClock::default();
     idle(&clock);
     assert_eq!(clock.micros(), 20);
+}
+
+#[test]
+fn the_echo_of_a_stop_confirms_nothing_however_late_it_is_read() {
+    let clock = TestClock::default();
+    let port = TestSerial::new(&clock);
+    port.state().echoes = true;
+    let config = Config::rs485(115_200, true);
+    let mut arm = SerialMaster::<_, _, 4>::new(port, clock.clone(), config);
+    run(&mut arm, &clock, 1_000);
+    // Nobody is there.
+    arm.master().stop(id(9), StopKind::Hold).unwrap();
+    assert_eq!(arm.poll(), Ok(None));
+    // The program is halted for a while, and its echo waits in the port.
+    clock.advance(150_000);
+    assert_eq!(run(&mut arm, &clock, 500_000), [Event::StopUnconfirmed { motor: id(9) }]);
 }

@@ -222,6 +222,8 @@ pub(super) struct SerialState {
     pub(super) write_fails: bool,
     pub(super) takes_nothing: bool,
     pub(super) flush_fails: bool,
+    /// Whether the adapter hands back what is written.
+    pub(super) echoes: bool,
     pub(super) closed: bool,
     /// Whether `write` waits for ever.
     pub(super) stalls: bool,
@@ -317,6 +319,10 @@ impl embedded_io::Write for TestSerial {
         let length = if state.at_most == 0 { buf.len() } else { buf.len().min(state.at_most) };
         for &byte in &buf[..length] {
             state.written.push(byte);
+            if state.echoes {
+                let at = self.clock.micros();
+                state.to_read.push_back((at, byte));
+            }
             if let Fed::Frame(frame) = state.receiver.feed(byte)
                 && let Some(reply) = answer(&frame.as_command())
             {
