@@ -166,6 +166,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
                 Ok(())
             }
             Err(error) => {
+                self.master.handle_timeout(now);
                 // A frame that was overwritten says nothing about the bus; anything else may.
                 if error.kind() != ErrorKind::Overrun {
                     self.master.handle_bus_down(now);
@@ -245,7 +246,11 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMast
         loop {
             // What was received comes first, so that the caller's answer to it is there when the
             // next command is chosen.
-            self.receive().await?;
+            if let Err(error) = self.receive().await {
+                // Some controllers report a bad state with each look: no stop waits for its end.
+                let _ = self.transmit().await;
+                return Err(error);
+            }
             if let Some(event) = self.told.take() {
                 return Ok(Some(event));
             }

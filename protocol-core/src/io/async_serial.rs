@@ -159,9 +159,16 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         loop {
             self.settle().await?;
             let now = self.clock.now();
-            let event = self.receive(now).await?;
-            if event.is_some() {
-                return Ok(event);
+            match self.receive(now).await {
+                Ok(None) => {}
+                Ok(event) => return Ok(event),
+                Err(error) => {
+                    self.master.handle_timeout(now);
+                    self.master.handle_bus_down(now);
+                    // On a noisy line there is an error with each look: no stop waits for its end.
+                    let _ = self.transmit().await;
+                    return Err(error);
+                }
             }
             self.master.handle_timeout(now);
             self.transmit().await?;

@@ -56,6 +56,7 @@ impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
                 }
                 Err(::nb::Error::WouldBlock) => break,
                 Err(::nb::Error::Other(error)) => {
+                    self.master.handle_timeout(now);
                     // A frame that was overwritten says nothing about the bus; anything else may.
                     if error.kind() != ErrorKind::Overrun {
                         self.master.handle_bus_down(now);
@@ -109,8 +110,14 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
         let now = self.clock.now();
         // What was received comes first, so that the caller's answer to it is there when the next
         // command is chosen.
-        if let Some(event) = self.receive(now)? {
-            return Ok(Some(event));
+        match self.receive(now) {
+            Ok(None) => {}
+            Ok(event) => return Ok(event),
+            Err(error) => {
+                // Some controllers report a bad state with each look: no stop waits for its end.
+                let _ = self.transmit(now);
+                return Err(error);
+            }
         }
         self.master.handle_timeout(now);
         self.transmit(now)?;

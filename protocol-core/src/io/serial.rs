@@ -96,7 +96,10 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Runner<N> for Serial
             Ok(None) => {}
             Ok(event) => return Ok(event),
             Err(error) => {
+                self.master.handle_timeout(now);
                 self.master.handle_bus_down(now);
+                // On a noisy line there is an error with each look: no stop waits for its end.
+                let _ = self.transmit(now);
                 return Err(error);
             }
         }

@@ -242,3 +242,23 @@ fn the_echo_of_a_stop_confirms_nothing_however_late_it_is_read() {
     clock.advance(150_000);
     assert_eq!(run(&mut arm, &clock, 500_000), [Event::StopUnconfirmed { motor: id(9) }]);
 }
+
+#[test]
+fn a_stop_goes_out_while_each_look_at_the_bus_is_an_error() {
+    let (bus, _, mut arm) = can();
+    bus.state().receive_fails = true;
+    let read = arm.master().request(id(3), ReadMultiTurnAngle);
+    assert!(read.is_ok());
+    assert!(!arm.stop(id(1), StopKind::Hold));
+    let stop = Stop.encode();
+    assert!(
+        bus.sent().len() > 1 && bus.sent().iter().all(|data| *data == stop),
+        "{:?}",
+        bus.sent()
+    );
+
+    let (port, _, mut arm) = serial();
+    port.state().read_fails = true;
+    assert!(!arm.stop(id(1), StopKind::Hold));
+    assert!(port.written().len() > 13, "and again");
+}

@@ -258,3 +258,25 @@ fn a_question_waits_for_one_whose_future_was_dropped() {
     assert!(polls(arm.ask(id(1), ReadMultiTurnAngle), 2).is_none());
     assert!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).is_ok());
 }
+
+#[test]
+fn a_stop_goes_out_while_each_look_at_the_bus_is_an_error() {
+    let (bus, clock, mut arm) = can();
+    bus.state().receive_fails = true;
+    arm.master().stop_all(StopKind::Hold, [id(1), id(2)].into_iter().collect()).unwrap();
+    for _ in 0..100 {
+        assert!(block_on(arm.run(None)).is_err());
+        clock.advance(1_000);
+    }
+    // Each first one, and then again every 20.4 ms.
+    assert!((8..=10).contains(&bus.sent().len()), "{:?}", bus.sent());
+
+    let (port, clock, mut arm) = serial();
+    port.state().read_fails = true;
+    arm.master().stop(id(1), StopKind::Hold).unwrap();
+    for _ in 0..100 {
+        assert!(block_on(arm.run(None)).is_err());
+        clock.advance(1_000);
+    }
+    assert!(port.written().len() > 13, "and again");
+}

@@ -222,6 +222,7 @@ pub(super) struct SerialState {
     pub(super) write_fails: bool,
     pub(super) takes_nothing: bool,
     pub(super) flush_fails: bool,
+    pub(super) read_fails: bool,
     /// Whether the adapter hands back what is written.
     pub(super) echoes: bool,
     pub(super) closed: bool,
@@ -261,7 +262,9 @@ impl TestSerial {
 
     fn is_ready(&self) -> bool {
         let state = self.state.borrow();
-        state.closed || state.to_read.front().is_some_and(|&(at, _)| at <= self.clock.micros())
+        state.closed
+            || state.read_fails
+            || state.to_read.front().is_some_and(|&(at, _)| at <= self.clock.micros())
     }
 }
 
@@ -293,6 +296,9 @@ impl embedded_io::Read for TestSerial {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, Broken> {
         assert!(self.is_ready(), "a blocking read would wait");
         let mut state = self.state.borrow_mut();
+        if state.read_fails {
+            return Err(Broken);
+        }
         let limit = if state.at_most == 0 { buf.len() } else { buf.len().min(state.at_most) };
         let mut length = 0;
         while length < limit
