@@ -11,7 +11,7 @@ use embedded_can::{Error as _, ErrorKind, Frame};
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
 use crate::io::can::{FRAMES_A_ROUND, take_back};
-use crate::io::runner::STUCK_AFTER;
+use crate::io::runner::{RETRY_AFTER, STUCK_AFTER};
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
 use crate::wire::can;
@@ -125,9 +125,6 @@ where
         (self.receive)().await
     }
 }
-
-/// How soon a controller that takes nothing is offered something again.
-const RETRY_AFTER: Duration = Duration::from_millis(1);
 
 /// Runs a [`Master`] on an async CAN controller.
 ///

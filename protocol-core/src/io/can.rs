@@ -3,7 +3,7 @@
 use embedded_can::{Error as _, ErrorKind, Frame, blocking, nb};
 
 use crate::io::clock::Clock;
-use crate::io::runner::{Runner, STUCK_AFTER};
+use crate::io::runner::{RETRY_AFTER, Runner, STUCK_AFTER};
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 use crate::wire::can;
@@ -126,6 +126,10 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
 
     fn idle(&mut self, until: Instant) {
         let deadline = self.master.poll_at().map_or(until, |at| at.min(until));
+        // Nothing else tells when a controller takes again what it has refused.
+        let now = self.clock.now();
+        let is_refused = self.stuck_since.is_some() && self.master.poll_transmit(now).is_some();
+        let deadline = if is_refused { deadline.min(now + RETRY_AFTER) } else { deadline };
         self.clock.idle(deadline);
     }
 }

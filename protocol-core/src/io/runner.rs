@@ -17,6 +17,9 @@ pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 /// How long a loop sleeps at most between two looks at the bus.
 pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
+/// How soon a controller that takes nothing is offered something again.
+pub(super) const RETRY_AFTER: Duration = Duration::from_millis(1);
+
 /// A bus that takes nothing for so long counts as down.
 pub(super) const STUCK_AFTER: Duration = Duration::from_millis(20);
 

@@ -1,5 +1,6 @@
 //! The loops that poll.
 
+use core::cell::Cell;
 use std::vec::Vec;
 
 use embedded_can::nb::Can as _;
@@ -9,6 +10,7 @@ use super::{id, step, torque};
 use crate::command::{NoReply, ReadMultiTurnAngle, Reset, Stop};
 use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster, bring_up};
 use crate::master::{Config, Event, Failure, StopKind};
+use crate::time::Instant;
 use crate::wire::can::{self, SimpleFrame};
 use crate::{Channel, Packet};
 
@@ -261,4 +263,35 @@ fn a_stop_goes_out_while_each_look_at_the_bus_is_an_error() {
     port.state().read_fails = true;
     assert!(!arm.stop(id(1), StopKind::Hold));
     assert!(port.written().len() > 13, "and again");
+}
+
+/// A clock that only notes until when it was told to idle.
+#[derive(Default)]
+struct Told(Cell<Option<Instant>>);
+
+impl Clock for Told {
+    fn now(&self) -> Instant {
+        Instant::ZERO
+    }
+
+    fn idle(&self, until: Instant) {
+        self.0.set(Some(until));
+    }
+}
+
+#[test]
+fn what_the_controller_refuses_is_soon_offered_again() {
+    let clock = Told::default();
+    let bus = TestCan::new(&TestClock::default());
+    bus.state().full_until = u64::MAX;
+    let mut arm = CanMaster::<_, _, 4>::new(bus.clone(), &clock, Config::CAN);
+    arm.master().stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(arm.poll(), Ok(None));
+    arm.idle(Instant::from_micros(u64::MAX));
+    assert_eq!(clock.0.get(), Some(Instant::from_millis(1)));
+    // Nothing else keeps it from idling for long.
+    bus.state().full_until = 0;
+    assert_eq!(arm.poll(), Ok(None));
+    arm.idle(Instant::from_micros(u64::MAX));
+    assert!(clock.0.get() > Some(Instant::from_millis(1)));
 }
