@@ -24,7 +24,7 @@ pub enum CallError<E> {
 
 /// How long a question waits for its turn at the most: an earlier one ends sooner, but for a stop that waits for
 /// a bus that is down.
-const LONGEST_TURN: Duration = Duration::from_secs(2);
+pub(super) const LONGEST_TURN: Duration = Duration::from_secs(2);
 
 /// A question that is put as soon as the motor is free for it.
 #[derive(Debug)]

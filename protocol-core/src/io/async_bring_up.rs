@@ -11,7 +11,7 @@ use crate::command::{
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::asking::CallError;
+use crate::io::asking::{CallError, LONGEST_TURN};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::{BringUpError, Identity, Protection};
 pub use crate::io::change_id::{change_id, is_shared};
@@ -43,6 +43,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     let known = runner.master().motors();
     let (mut waiting, mut asked, mut found) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
     let mut is_bus_down = false;
+    let mut turn_ends = runner.now() + LONGEST_TURN;
     while !(waiting.is_empty() && asked.is_empty()) {
         for motor in waiting.iter() {
             match runner.master().request_with(motor, ReadStatus1, patience) {
@@ -51,8 +52,8 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
                     asked.insert(motor);
                 }
                 Err(RequestError::TooManyMotors { .. }) if !asked.is_empty() => break,
-                // It is asked again when the request under way is over.
-                Err(RequestError::Busy) => {}
+                // It is asked again when the request under way is over. A stop on a bus that is down may never be.
+                Err(RequestError::Busy) if !asked.is_empty() || runner.now() < turn_ends => {}
                 // What reports by itself is there.
                 Err(RequestError::Reported(_)) => {
                     waiting.remove(motor);
@@ -63,6 +64,9 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
             }
         }
         let soon = runner.now() + LONGEST_IDLE;
+        if !asked.is_empty() {
+            turn_ends = runner.now() + LONGEST_TURN;
+        }
         let Some(event) = runner.run(Some(soon)).await.map_err(CallError::Bus)? else { continue };
         let (motor, there) = match event {
             Event::Reply { ticket, .. } => (ticket.motor(), true),

@@ -8,6 +8,7 @@ use embedded_can::nb::Can as _;
 use super::world::{Broken, TestCan, TestClock, TestSerial, on_can, on_rs485};
 use super::{id, step, torque};
 use crate::command::{NoReply, ReadMultiTurnAngle, Reset, Stop};
+use crate::error::RequestError;
 use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster, bring_up};
 use crate::master::{Config, Event, Failure, StopKind};
 use crate::time::Instant;
@@ -294,4 +295,14 @@ fn what_the_controller_refuses_is_soon_offered_again() {
     assert_eq!(arm.poll(), Ok(None));
     arm.idle(Instant::from_micros(u64::MAX));
     assert!(clock.0.get() > Some(Instant::from_millis(1)));
+}
+
+#[test]
+fn a_scan_does_not_wait_for_ever_for_a_stop_that_a_dead_bus_keeps() {
+    let (bus, clock, mut arm) = can();
+    bus.state().full_until = u64::MAX;
+    arm.master().stop(id(1), StopKind::Hold).unwrap();
+    let found = bring_up::scan(&mut arm, id(1).into(), |_, _| {});
+    assert_eq!(found, Err(CallError::Request(RequestError::Busy)));
+    assert!((2_000_000..2_100_000).contains(&clock.micros()), "{}", clock.micros());
 }
