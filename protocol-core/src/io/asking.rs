@@ -130,16 +130,17 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
     }
 }
 
-/// What an event says of a motor's newest set-point; nothing while that, or an older one, still waits.
+/// What an event says of a motor's newest set-point; nothing while it is under way.
 pub(super) fn outcome_of_set_point<C: SetPoint, const N: usize>(
     master: &Master<N>,
     motor: MotorId,
     event: &Event,
 ) -> Option<Result<C::Reply, Failure>> {
     match event {
+        // What is told of a set-point now was that of an earlier one.
+        _ if master.has_set_point_under_way(motor) => None,
         // The motor was stopped or the bus is down, or it grew too old.
         Event::SetPointDropped { motor: from } if *from == motor => Some(Err(Failure::Dropped)),
-        _ if master.has_waiting_set_point(motor) => None,
         Event::SetPointUnanswered { motor: from } if *from == motor => Some(Err(Failure::NoReply)),
         // Of another kind is the late feedback of an earlier set-point.
         Event::Feedback { motor: from, reply } if *from == motor => {

@@ -78,7 +78,7 @@ use places::{PlaceSet, Places};
 use request::{Asked, Request};
 use round_trips::RoundTrips;
 use schedule::Earliest;
-use stream::SetPoint as StreamSetPoint;
+use stream::{SetPoint as StreamSetPoint, Stream};
 use transmit::Offer;
 
 /// As late as can be.
@@ -422,9 +422,10 @@ impl<const N: usize> Master<N> {
         Patience { reply_timeout: self.config.reply_timeout, attempts }
     }
 
-    /// Whether a motor's newest set-point is still to be sent.
-    pub(crate) fn has_waiting_set_point(&self, motor: MotorId) -> bool {
-        self.motor(motor).is_some_and(|motor| motor.stream.waiting().is_some())
+    /// Whether a motor's newest set-point is still to be sent, or to be answered.
+    pub(crate) fn has_set_point_under_way(&self, motor: MotorId) -> bool {
+        let is_under_way = |stream: &Stream| stream.waiting().or(stream.in_flight()).is_some();
+        self.motor(motor).is_some_and(|motor| is_under_way(&motor.stream))
     }
 
     /// The motors that have a place.

@@ -306,3 +306,15 @@ fn a_scan_does_not_wait_for_ever_for_a_stop_that_a_dead_bus_keeps() {
     assert_eq!(found, Err(CallError::Request(RequestError::Busy)));
     assert!((2_000_000..2_100_000).contains(&clock.micros()), "{}", clock.micros());
 }
+
+#[test]
+fn what_became_of_an_earlier_set_point_is_not_told_of_the_next() {
+    let (bus, _, mut arm) = can();
+    bus.state().transmit_fails = true;
+    arm.set_point(id(1), torque()).unwrap();
+    assert_eq!(arm.poll(), Err(Broken));
+    // It was dropped, which nobody was told yet.
+    bus.state().transmit_fails = false;
+    assert!(arm.set_point_and_wait(id(1), torque()).is_ok());
+    assert_eq!(bus.sent().len(), 1);
+}
