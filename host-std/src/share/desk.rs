@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use myactuator_protocol_core::command::{AnyReply, RawReply, SetPoint};
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, StopKind};
-use myactuator_protocol_core::{Command, Data, DecodeError, Kind, MotorId};
+use myactuator_protocol_core::{Command, Data, DecodeError, Kind, MotorId, time};
 
 use super::SharedBusError;
 use super::subscription::{Subscriber, Subscription};
@@ -62,6 +62,8 @@ pub(super) struct Question<E> {
     pub(super) motor: MotorId,
     pub(super) command: Untyped,
     pub(super) patience: Option<Patience>,
+    /// Until when it waits for its turn, on the clock of the bus, once it was there to be put.
+    pub(super) turn_ends: Option<time::Instant>,
     pub(super) answer: Answer<Data, E>,
 }
 
@@ -190,7 +192,7 @@ impl<E> Desk<E> {
         if command.kind.ends_motion() {
             state.slot(motor).set_point = None;
         }
-        state.questions.push_back(Question { motor, command, patience, answer });
+        state.questions.push_back(Question { motor, command, patience, turn_ends: None, answer });
         self.leave(state);
         Ok(answered)
     }

@@ -116,7 +116,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// threads' questions are under way meanwhile; to one motor they go in their order.
     ///
     /// # Errors
-    /// [`SharedBusError`].
+    /// [`SharedBusError`]. What is next and gets no turn within 2 s, since a stop waits for a bus that is down,
+    /// say, is [`Busy`](myactuator_protocol_core::error::RequestError::Busy).
     pub fn ask<C: Command>(
         &self,
         motor: MotorId,

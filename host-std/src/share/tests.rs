@@ -189,6 +189,7 @@ const WORK: u32 = 0;
 const FAIL_ONCE: u32 = 1;
 const FAIL: u32 = 2;
 const PANIC_ONCE: u32 = 3;
+const REFUSE: u32 = 4;
 
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
@@ -206,11 +207,16 @@ impl Runner<8> for Fragile {
 
     fn poll(&mut self) -> Result<Option<Event>, CanError> {
         let order = self.1.load(Ordering::SeqCst);
-        if order != FAIL {
+        if order != FAIL && order != REFUSE {
             self.1.store(WORK, Ordering::SeqCst);
         }
         match order {
             WORK => self.0.poll(),
+            REFUSE => {
+                let now = self.0.now();
+                self.0.master().handle_bus_down(now);
+                Ok(self.0.master().poll_event())
+            }
             PANIC_ONCE => panic!("the adapter is on fire"),
             _ => Err(CanError::BusOff),
         }
@@ -269,6 +275,18 @@ fn a_stop_on_a_dead_bus_is_given_up() {
     order.store(FAIL, Ordering::SeqCst);
     let unconfirmed = bus.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert_eq!(unconfirmed, [id(1), id(2)].into_iter().collect());
+    order.store(WORK, Ordering::SeqCst);
+}
+
+#[test]
+fn a_question_does_not_wait_for_ever_behind_a_stop_that_a_dead_bus_keeps() {
+    let (_fleet, order, bus) = fragile();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    order.store(REFUSE, Ordering::SeqCst);
+    let unconfirmed = bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(unconfirmed, id(1).into());
+    let told = bus.ask(id(1), ReadStatus1).unwrap_err();
+    assert!(matches!(told, SharedBusError::Request(RequestError::Busy)), "{told}");
     order.store(WORK, Ordering::SeqCst);
 }
 

@@ -16,6 +16,9 @@ use super::desk::{Answer, Clerk, Desk, Order, Question, Untyped};
 
 /// How long a thread idles that nothing can wake.
 const LONGEST_IDLE: Duration = Duration::from_millis(1);
+/// How long a question that is next waits for its turn: what is under way ends sooner, but for a stop that
+/// waits for a bus that is down.
+const LONGEST_TURN: Duration = Duration::from_secs(2);
 /// How soon a bus that has failed is tried again.
 const RETRY_AFTER: time::Duration = time::Duration::from_millis(1);
 
@@ -23,13 +26,13 @@ const NEVER: Instant = Instant::from_micros(u64::MAX);
 
 /// Runs the bus until nobody has a handle any more, or its driver panics. Then stops all motors.
 pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
-    let mut worker = Worker { runner, asked: Vec::new(), stopping: Vec::new() };
+    let mut worker = Worker { runner, asked: Vec::new(), stopping: Vec::new(), turn_ends: None };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
     if let Err(payload) = outcome {
         desk.end(Some(words(&*payload)));
     }
     // Those who wait find out now, and need not wait for the stop.
-    let Worker { mut runner, asked, stopping } = worker;
+    let Worker { mut runner, asked, stopping, .. } = worker;
     drop((asked, stopping));
     // A driver that has panicked may do it again.
     let stopped = catch_unwind(AssertUnwindSafe(|| runner.stop_all(kind, MotorSet::EMPTY)));
@@ -51,6 +54,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     runner: R,
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
+    /// Until when the first of the questions that wait for their turn does so.
+    turn_ends: Option<Instant>,
 }
 
 /// A question that was put.
@@ -70,11 +75,13 @@ struct Stopping<E> {
 impl<R: Runner<N>, const N: usize> Worker<R, N> {
     /// One round of the bus. False when it is time to end.
     fn round(&mut self, desk: &Desk<R::Error>) -> bool {
+        self.turn_ends = None;
         let goes_on = desk.take(self);
         match self.runner.poll() {
             Ok(Some(event)) => {
-                self.answer(&event);
+                // Who has its answer and then subscribes gets nothing older.
                 desk.publish(&event);
+                self.answer(&event);
             }
             Ok(None) if goes_on => self.idle(desk),
             Ok(None) => {}
@@ -121,9 +128,11 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         if !desk.may_idle() {
             return;
         }
-        let is_awaited = !self.asked.is_empty() || !self.stopping.is_empty();
+        let is_awaited =
+            !self.asked.is_empty() || !self.stopping.is_empty() || self.turn_ends.is_some();
         if desk.wakes() {
-            let until = self.stopping.iter().map(|stop| stop.end).min();
+            let ends = self.stopping.iter().map(|stop| stop.end);
+            let until = ends.chain(self.turn_ends).min();
             self.runner.idle(until.unwrap_or(NEVER));
         } else if is_awaited || self.runner.master().poll_at().is_some() {
             let until = self.runner.now() + LONGEST_IDLE;
@@ -183,7 +192,9 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         self.runner.set_point(motor, set_point)
     }
 
-    fn put(&mut self, question: Question<R::Error>) -> Option<Question<R::Error>> {
+    fn put(&mut self, mut question: Question<R::Error>) -> Option<Question<R::Error>> {
+        let now = self.runner.now();
+        let turn_ends = *question.turn_ends.get_or_insert(now + LONGEST_TURN);
         let Question { motor, command, patience, .. } = question;
         let master = self.runner.master();
         let ticket = match patience {
@@ -192,7 +203,11 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         };
         match ticket {
             Ok(ticket) => self.asked.push(Asked { ticket, answer: question.answer }),
-            Err(RequestError::Busy) => return Some(question),
+            Err(RequestError::Busy) if now < turn_ends => {
+                self.turn_ends =
+                    Some(self.turn_ends.map_or(turn_ends, |first| first.min(turn_ends)));
+                return Some(question);
+            }
             Err(error) => {
                 let _ = question.answer.send(Err(error.into()));
             }
