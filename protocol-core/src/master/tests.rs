@@ -1771,3 +1771,15 @@ fn a_set_point_that_was_pushed_out_when_it_is_too_old_is_not_sent_again() {
     assert_eq!(master.poll_transmit(ms(51)), None);
     assert_eq!(events(&mut master, ms(51)), [Event::SetPointDropped { motor: id(1) }]);
 }
+
+#[test]
+fn while_the_bus_is_down_what_moves_does_not_grow_old() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+    master.handle_bus_down(ms(55));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(80));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(81)), None, "40 ms from then");
+}
