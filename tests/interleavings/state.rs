@@ -211,19 +211,19 @@ impl<const N: usize> State<N> {
             }
             Call::StopOne(at) => {
                 let done = self.master.stop(motor_at(at.into()), StopKind::Hold).is_ok();
-                self.is_stopped(at.into());
+                self.is_stopped(at.into(), false);
                 done
             }
             Call::StopAll => {
                 let known = self.master.motors();
                 let done = self.master.stop_all(StopKind::Off, known).is_ok();
-                known.iter().for_each(|motor| self.is_stopped(motor.index()));
+                known.iter().for_each(|motor| self.is_stopped(motor.index(), true));
                 done && !known.is_empty()
             }
             Call::Lift => {
                 self.master.lift_stop();
                 let were = self.world.truth.iter().any(|truth| truth.is_stopped);
-                self.world.truth.iter_mut().for_each(|truth| truth.is_stopped = false);
+                self.world.truth.iter_mut().for_each(|truth| truth.lift());
                 were
             }
             Call::Broadcast => {
@@ -236,9 +236,15 @@ impl<const N: usize> State<N> {
         }
     }
 
-    fn is_stopped(&mut self, motor: usize) {
+    /// A stop like the one that is under way changes nothing. Once off a motor stays so.
+    fn is_stopped(&mut self, motor: usize, is_off: bool) {
         let number = self.world.calls;
         let truth = &mut self.world.truth[motor];
+        let is_off = is_off || truth.is_off;
+        if truth.is_stopped && truth.is_stopping && truth.is_off == is_off {
+            return;
+        }
+        truth.is_off = is_off;
         (truth.is_stopped, truth.is_stopping) = (true, true);
         (truth.stop_call, truth.last_stop) = (number, number);
     }

@@ -119,6 +119,8 @@ pub(crate) struct Truth {
     pub(crate) open: Option<Open>,
     /// It was stopped, and that was not lifted.
     pub(crate) is_stopped: bool,
+    /// And switched off by that.
+    pub(crate) is_off: bool,
     /// The call that stopped it last; and the last one that was a request for a stop or a stop.
     pub(crate) stop_call: u8,
     pub(crate) last_stop: u8,
@@ -134,9 +136,14 @@ pub(crate) struct Truth {
 }
 
 impl Truth {
+    pub(crate) fn lift(&mut self) {
+        (self.is_stopped, self.is_off) = (false, false);
+    }
+
     fn hash_all<H: Hasher>(&self, hasher: &mut H) {
         self.open.map(|open| open.data).hash(hasher);
-        (self.is_stopped, self.stop_call, self.last_stop, self.is_stopping).hash(hasher);
+        (self.is_stopped, self.is_off, self.is_stopping).hash(hasher);
+        (self.stop_call, self.last_stop).hash(hasher);
         (self.set_points_sent, self.moves_sent, self.stop_heard, self.ignores).hash(hasher);
     }
 }

@@ -149,6 +149,9 @@ pub async fn wait_until_there<R: AsyncRunner<N>, const N: usize>(
         if runner.now() >= deadline {
             return Err(BringUpError::NotThere(motor));
         }
+        // A bus that takes nothing answers at once.
+        let next = runner.now() + SPOKEN_TO_EVERY;
+        runner.run_until(next, |_| {}).await?;
     }
     Ok(())
 }

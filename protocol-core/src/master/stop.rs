@@ -40,6 +40,9 @@ impl<const N: usize> Master<N> {
     /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a
     /// restart and writes to ROM, for example, but not reads.
     ///
+    /// Called again before it was lifted it goes on with what is under way, so that it may be called in every
+    /// cycle.
+    ///
     /// Each motor gets its first stop before any gets its second; on RS485 one to all at once goes
     /// before these. Its confirmation, or its absence, comes as an event; a stop that is not confirmed
     /// within 50 ms is repeated, however long [`Config::reply_timeout`](crate::master::Config::reply_timeout) is. What was sent before the
@@ -53,17 +56,22 @@ impl<const N: usize> Master<N> {
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
     /// stopped all the same.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
-        self.stops_all = true;
+        let were_stopped = core::mem::replace(&mut self.stops_all, true);
         let is_same_for_all = kind == StopKind::Off || self.switched_off.is_empty();
-        self.stop_to_all = (self.config.is_rs485() && is_same_for_all).then_some(kind);
         self.broadcast.cancel();
         let mut result = Ok(());
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
         }
+        let mut is_any_new = self.places.taken.is_empty();
         for place in self.places.taken.iter() {
-            let motor = self.motors.get(place).and_then(|motor| motor.id);
-            motor.into_iter().for_each(|motor| self.put_stop(place, motor, kind));
+            if let Some(motor) = self.motors.get(place).and_then(|motor| motor.id) {
+                let was_stopped = were_stopped || self.stopped.contains(motor);
+                is_any_new |= self.put_stop(place, motor, kind, was_stopped);
+            }
+        }
+        if is_any_new {
+            self.stop_to_all = (self.config.is_rs485() && is_same_for_all).then_some(kind);
         }
         result
     }
@@ -75,16 +83,25 @@ impl<const N: usize> Master<N> {
     /// [`RequestError::TooManyMotors`] if there is no place for it.
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
         let place = self.place_for(motor)?;
+        let was_stopped = self.stops_all || self.stopped.contains(motor);
         self.stopped.insert(motor);
         // One that may move all motors may move this one.
         if self.broadcast.is_refused_while_stopped() {
             self.broadcast.cancel();
         }
-        self.put_stop(place, motor, kind);
+        self.put_stop(place, motor, kind, was_stopped);
         Ok(())
     }
 
-    fn put_stop(&mut self, place: usize, motor: MotorId, kind: StopKind) {
+    /// Gives whether it is a new one: where the motor was stopped already, so that nothing has moved it since,
+    /// a stop that is under way goes on.
+    fn put_stop(
+        &mut self,
+        place: usize,
+        motor: MotorId,
+        kind: StopKind,
+        was_stopped: bool,
+    ) -> bool {
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         if kind == StopKind::Off {
             self.switched_off.insert(motor);
@@ -94,9 +111,15 @@ impl<const N: usize> Master<N> {
         let (command, data) = kind.command();
         let timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
         let now = self.now;
-        self.change_at(place, |motor, config| {
-            motor.put_stop(Asked::stop(command, data, timeout), config, now);
+        let stop = Asked::stop(command, data, timeout);
+        let is_new = self.change_at(place, |motor, config| {
+            let goes_on = was_stopped && motor.is_stopping_as(&stop);
+            if !goes_on {
+                motor.put_stop(stop, config, now);
+            }
+            !goes_on
         });
+        is_new.unwrap_or(false)
     }
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse.

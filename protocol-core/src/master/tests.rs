@@ -991,6 +991,45 @@ fn a_request_that_ends_motion_is_answered_when_no_lost_set_point_can_move_the_mo
 }
 
 #[test]
+fn who_stops_in_every_cycle_is_told_when_the_motor_stands() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    // It answers after 1.5 ms.
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(3)), []);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    let answered = ms(3) + Duration::from_micros(500);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), answered), confirmed);
+    // The next one is a stop of its own, and so is one of another kind.
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(4))[0].data, Stop.encode());
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(5))[0].data, Shutdown.encode());
+}
+
+#[test]
+fn who_stops_all_in_every_cycle_on_a_line_keeps_no_motors_own_stop_back() {
+    let of_motor_1 = |data| Frame { address: Target::Motor(id(1)), data };
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    master.handle_line(&of_motor_1(ANGLE_REPLY), ms(1)).unwrap();
+    let mut told = Vec::new();
+    for now in 2..20 {
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        for packet in sent(&mut master, ms(now)) {
+            if packet.channel != Channel::Command(Target::All) {
+                let answered = ms(now) + Duration::from_micros(900);
+                told.extend(master.handle_line(&of_motor_1(Stop.encode()), answered));
+            }
+        }
+    }
+    assert!(told.contains(&Event::StopConfirmed { motor: id(1) }), "{told:?}");
+}
+
+#[test]
 fn one_motor_is_stopped_by_itself() {
     let mut master = Master::<2>::new(Config::CAN);
     for motor in 1..=2 {

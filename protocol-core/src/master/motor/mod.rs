@@ -115,6 +115,12 @@ impl Motor {
         is_over || !self.news.is_empty()
     }
 
+    /// Whether a stop like this is under way.
+    pub(super) fn is_stopping_as(&self, stop: &Asked) -> bool {
+        let is_same = |asked: &Asked| asked.is_stop() && asked.question == stop.question;
+        self.request.under_way().is_some_and(is_same)
+    }
+
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
     pub(super) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
