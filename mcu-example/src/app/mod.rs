@@ -25,8 +25,9 @@ use crate::report::{Report, StateName, Trouble};
 /// more. It is shorter than a protection: on RS485 the stops to motors that do not answer leave room for
 /// nothing else that the others could hear.
 const LONGEST_STOP: Duration = Duration::from_millis(400);
-/// How often a stop is repeated for motors that have not confirmed it: they may come back, still moving.
-const STOP_AGAIN: Duration = Duration::from_millis(500);
+/// How often a stop is repeated for motors that have not confirmed it: they may come back, still moving. Shorter
+/// than a protection, too.
+const STOP_AGAIN: Duration = Duration::from_millis(400);
 /// A running motor that was not heard for so long has gone.
 const SILENT_AFTER: Duration = Duration::from_millis(100);
 /// If none at all was heard for so long when one has gone, it is the bus that has.

@@ -215,7 +215,7 @@ impl<const N: usize> Master<N> {
         }
         self.broadcast.state = State::Done;
         for motor in self.broadcast.silent().iter() {
-            self.change(motor, |motor, _| motor.has_missed());
+            self.change(motor, |motor, config| motor.has_missed(config, now));
         }
     }
 }

@@ -60,7 +60,7 @@ impl Motor {
         if self.deadline(config).is_none_or(|deadline| deadline > now) {
             return;
         }
-        self.has_missed();
+        self.has_missed(config, now);
         if let Some(set_point) = self.stream.take_in_flight() {
             let until = now + config.late_window;
             self.expect_late(set_point.question, Of::Stream, 1, until);

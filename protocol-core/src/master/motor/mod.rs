@@ -369,10 +369,15 @@ impl Motor {
         }
     }
 
-    /// A reply has not come in time.
-    pub(super) fn has_missed(&mut self) {
+    /// A reply has not come in time. Who was silent for as long as a restart takes gets no more set-points: the
+    /// first that it heard would move it from wherever it thinks it is.
+    pub(super) fn has_missed(&mut self, config: &Config, now: Instant) {
         self.misses = self.misses.saturating_add(1);
         self.health.count_miss(self.misses);
+        let is_silent = self.health.last_seen.is_some_and(|seen| now - seen >= RESTART_TAKES);
+        if is_silent && !self.has_restarted {
+            self.has_begun_anew(config, now);
+        }
     }
 
     pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
