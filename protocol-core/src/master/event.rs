@@ -128,7 +128,8 @@ pub enum Event {
         /// The reply's data field.
         data: Data,
     },
-    /// A command that is over with that was sent.
+    /// A command that is over with that was sent: the controller has taken it. One that the controller hands
+    /// back after this was told is not sent again.
     Sent {
         /// Which request.
         ticket: TicketId,

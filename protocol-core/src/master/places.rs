@@ -1,8 +1,10 @@
 //! Which motor has which place, and what each place is about: so that nobody has to look at all of
 //! them to find one.
 
+use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::master::motor::Motor;
+use crate::master::{Config, Master, MotorSet};
 
 /// A set of places.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -101,5 +103,83 @@ impl Places {
         self.stops.set(place, motor.is_stop_waiting());
         self.in_flight.set(place, motor.is_in_flight());
         self.news.set(place, motor.has_news());
+    }
+}
+
+impl<const N: usize> Master<N> {
+    /// The motors that have a place.
+    pub fn motors(&self) -> MotorSet {
+        self.at(self.places.taken).filter_map(|(_, motor)| motor.id).collect()
+    }
+
+    /// Gives a motor's place and counters up, so that another motor can have it. `false`, and
+    /// nothing changes, while it has a request or a set-point under way or an event that was not
+    /// polled.
+    ///
+    /// A late reply that may still come is no longer guarded against: leave the motor alone for
+    /// [`Config::late_window`] after a request that was not answered.
+    pub fn forget(&mut self, motor: MotorId) -> bool {
+        let now = self.now;
+        let Some(place) = self.places.of(motor) else { return false };
+        let is_idle = self.motors.get(place).is_some_and(|motor| motor.is_idle(now));
+        if is_idle {
+            if let Some(of) = self.motors.get_mut(place) {
+                if of.ignores_next() {
+                    self.lost_master.insert(motor);
+                }
+                *of = Motor::default();
+            }
+            self.places.clear(place, motor);
+        }
+        is_idle
+    }
+
+    /// The place of a motor; for one that has none, a free one.
+    #[inline(never)]
+    pub(super) fn place_for(&mut self, motor: MotorId) -> Result<usize, RequestError> {
+        if let Some(place) = self.places.of(motor) {
+            return Ok(place);
+        }
+        let mut motors = self.motors.iter_mut().enumerate();
+        let free = motors.find(|(_, motor)| motor.id.is_none());
+        let (place, of) = free.ok_or(RequestError::TooManyMotors { capacity: N })?;
+        of.id = Some(motor);
+        if self.lost_master.contains(motor) {
+            of.has_lost_its_master();
+            self.lost_master.remove(motor);
+        }
+        self.places.give(place, motor);
+        Ok(place)
+    }
+
+    pub(super) fn motor(&self, motor: MotorId) -> Option<&Motor> {
+        self.motors.get(self.places.of(motor)?)
+    }
+
+    /// The motors at these places.
+    pub(super) fn at(&self, places: PlaceSet) -> impl Iterator<Item = (usize, &Motor)> {
+        places.iter().filter_map(|place| Some((place, self.motors.get(place)?)))
+    }
+
+    /// Changes a motor that has a place: the only way to do it.
+    pub(super) fn change<R>(
+        &mut self,
+        motor: MotorId,
+        change: impl FnOnce(&mut Motor, &Config) -> R,
+    ) -> Option<R> {
+        self.change_at(self.places.of(motor)?, change)
+    }
+
+    /// As [`change`](Self::change), by its place.
+    #[inline]
+    pub(super) fn change_at<R>(
+        &mut self,
+        place: usize,
+        change: impl FnOnce(&mut Motor, &Config) -> R,
+    ) -> Option<R> {
+        let motor = self.motors.get_mut(place)?;
+        let result = change(motor, &self.config);
+        self.places.note(place, motor);
+        Some(result)
     }
 }

@@ -1062,6 +1062,21 @@ fn a_frame_that_was_pushed_out_waits_again() {
 }
 
 #[test]
+fn a_frame_that_was_pushed_out_has_used_no_attempt() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let patience = Patience { attempts: 2, reply_timeout: Duration::from_millis(5) };
+    let ticket = master.request_with(id(1), ReadMultiTurnAngle, patience).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.handle_pushed_out(&pushed_out);
+    for at in [0, 5] {
+        assert_eq!(sent(&mut master, ms(at)), [pushed_out], "{at}");
+    }
+    assert_eq!(sent(&mut master, ms(10)), []);
+    let told = events(&mut master, ms(10));
+    assert_eq!(told.iter().find_map(|event| ticket.outcome(event)), Some(Err(Failure::NoReply)));
+}
+
+#[test]
 fn a_motor_whose_frame_was_pushed_out_has_had_no_turn() {
     let mut master = Master::<8>::new(Config::CAN);
     stream_to(&mut master, 3..=3, ms(0));

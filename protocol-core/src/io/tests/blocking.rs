@@ -71,6 +71,19 @@ fn a_bus_that_takes_nothing_for_20_ms_is_down() {
 }
 
 #[test]
+fn a_bus_that_has_taken_something_meanwhile_is_not_down() {
+    let (bus, clock, mut arm) = can();
+    bus.state().full_until = 15_000;
+    let first = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+    let events = run(&mut arm, &clock, 18_000);
+    assert!(events.iter().any(|event| first.outcome(event).is_some_and(|told| told.is_ok())));
+    bus.state().full_until = 30_000;
+    let second = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+    let events = run(&mut arm, &clock, 15_000);
+    assert!(events.iter().any(|event| second.outcome(event).is_some_and(|told| told.is_ok())));
+}
+
+#[test]
 fn a_driver_that_fails_drops_motion_and_can_be_called_again() {
     let (bus, clock, mut arm) = can();
     bus.state().transmit_fails = true;
