@@ -55,6 +55,26 @@ const TWO: Bounds = Bounds {
     depth: 60,
 };
 
+/// Commands to all, which may move what is stopped, and end what moves.
+const ALL: Bounds = Bounds {
+    name: "commands to all",
+    calls: &[
+        Call::Move(0),
+        Call::Shutdown(0),
+        Call::Torque(0),
+        Call::Motion(0),
+        Call::StopOne(0),
+        Call::StopAll,
+        Call::Lift,
+        Call::Broadcast,
+        Call::TorqueAll,
+        Call::ShutdownAll,
+    ],
+    most_calls: 2,
+    faults: 2,
+    depth: 60,
+};
+
 #[test]
 fn one_motor() {
     search::<1>(&ONE);
@@ -66,6 +86,12 @@ fn one_motor_and_more_calls() {
 }
 
 #[test]
+fn one_motor_and_commands_to_all() {
+    search::<1>(&Bounds { faults: 1, ..ALL });
+    search::<1>(&Bounds { most_calls: 3, faults: 0, ..ALL });
+}
+
+#[test]
 fn two_motors() {
     search::<2>(&TWO);
 }
@@ -74,6 +100,12 @@ fn two_motors() {
 #[ignore = "takes minutes"]
 fn one_motor_for_long() {
     search::<1>(&Bounds { most_calls: 3, faults: 1, ..ONE });
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn commands_to_all_for_long() {
+    search::<1>(&ALL);
 }
 
 #[test]

@@ -31,6 +31,8 @@ pub(crate) enum Call {
     StopAll,
     Lift,
     Broadcast,
+    TorqueAll,
+    ShutdownAll,
 }
 
 /// What happens next. The numbers are indices of motors or of frames on their way.
@@ -226,14 +228,21 @@ impl<const N: usize> State<N> {
                 self.world.truth.iter_mut().for_each(|truth| truth.lift());
                 were
             }
-            Call::Broadcast => {
-                let all = (0..N).map(motor_at).collect();
-                let command = with_token(ReadMultiTurnAngle, token);
-                let is_first = self.master.broadcast(command, all) == Ok(());
-                self.world.broadcast = Some(number);
-                is_first
+            Call::Broadcast => self.broadcast(with_token(ReadMultiTurnAngle, token)),
+            Call::TorqueAll => self.broadcast(Torque { current: Current::from_raw(number.into()) }),
+            Call::ShutdownAll => {
+                let done = self.broadcast(with_token(Shutdown, token));
+                self.world.truth.iter_mut().for_each(|truth| truth.last_stop = number);
+                done
             }
         }
+    }
+
+    fn broadcast<C: Command>(&mut self, command: C) -> bool {
+        let all = (0..N).map(motor_at).collect();
+        let done = self.master.broadcast(command, all) == Ok(());
+        self.world.broadcast = Some(self.world.calls);
+        done
     }
 
     /// A stop like the one that is under way changes nothing. Once off a motor stays so.
@@ -289,6 +298,10 @@ impl<const N: usize> State<N> {
     fn check_offered(&mut self, packet: &Packet) -> Result<u8, Broken> {
         let call = call_of(packet);
         let Some(truth) = motor_of(packet).and_then(|motor| self.world.truth_of(motor)) else {
+            let is_wrong = |truth: &world::Truth| truth.is_stopped || call < truth.last_stop;
+            if moves(packet) && self.world.truth.iter().any(is_wrong) {
+                return Err("all are moved, and one is stopped".into());
+            }
             return Ok(call);
         };
         if moves(packet) {
@@ -391,7 +404,9 @@ impl<const N: usize> State<N> {
                     return Err("a broadcast that is over is answered".into());
                 };
                 let data = reply.encode();
-                let is_its = call_of_data(&data) == call || self.world.is_doubled(0x92);
+                // The answer to a shutdown has no values, and feedback is a stream's as well.
+                let is_any = matches!(data[0], 0x80 | 0xA1) || self.world.is_doubled(data[0]);
+                let is_its = is_any || call_of_data(&data) == call;
                 if is_its { Ok(()) } else { Err("a broadcast is given another's answer".into()) }
             }
             Event::BroadcastDone { .. } => match self.world.broadcast.take() {
@@ -435,7 +450,8 @@ impl<const N: usize> State<N> {
         let Some(truth) = self.world.truth.get(motor.index()) else { return Ok(()) };
         let heard = truth.stop_heard;
         let is_older = |frame: &world::Frame| {
-            moves(&frame.packet) && motor_of(&frame.packet) == Some(motor) && frame.call < stop
+            let is_to_it = motor_of(&frame.packet).is_none_or(|to| to == motor);
+            moves(&frame.packet) && is_to_it && frame.call < stop
         };
         if heard < stop {
             return if self.world.is_stop_doubled() {

@@ -79,8 +79,11 @@ impl Broadcast {
         }
     }
 
-    pub(super) fn is_refused_while_stopped(&self) -> bool {
-        self.kind.is_some_and(Kind::is_refused_while_stopped)
+    /// A motor is to end its motion: what may move all motors may move that one.
+    pub(super) fn cancel_what_moves(&mut self) {
+        if self.kind.is_some_and(Kind::is_refused_while_stopped) {
+            self.cancel();
+        }
     }
 
     pub(super) fn packet(&self) -> Option<Packet> {

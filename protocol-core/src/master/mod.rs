@@ -187,8 +187,9 @@ impl<const N: usize> Master<N> {
     }
 
     /// Sends one motor a command and waits for its reply, where it has one, with the configuration's
-    /// patience. A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point, and its reply
-    /// counts only once nothing that was sent before it can move the motor any more.
+    /// patience. A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a
+    /// waiting command to all that may move it, and its reply counts only once nothing that was sent before it
+    /// can move the motor any more.
     ///
     /// # Errors
     /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
@@ -267,6 +268,9 @@ impl<const N: usize> Master<N> {
             Ok(())
         })
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
+        if kind.ends_motion() {
+            self.broadcast.cancel_what_moves();
+        }
         self.last_ticket = number;
         Ok(TicketId { motor, number })
     }

@@ -85,10 +85,7 @@ impl<const N: usize> Master<N> {
         let place = self.place_for(motor)?;
         let was_stopped = self.stops_all || self.stopped.contains(motor);
         self.stopped.insert(motor);
-        // One that may move all motors may move this one.
-        if self.broadcast.is_refused_while_stopped() {
-            self.broadcast.cancel();
-        }
+        self.broadcast.cancel_what_moves();
         self.put_stop(place, motor, kind, was_stopped);
         Ok(())
     }
