@@ -70,9 +70,7 @@ const ALL: Bounds = Bounds {
         Call::TorqueAll,
         Call::ShutdownAll,
     ],
-    most_calls: 2,
-    faults: 2,
-    depth: 60,
+    ..ONE
 };
 
 #[test]

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time;
 
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{LONGEST_STOP, Runner};
+use myactuator_protocol_core::io::{LONGEST_STOP, LONGEST_TURN, Runner};
 use myactuator_protocol_core::master::{Event, MotorSet, StopKind, Ticket};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
@@ -16,9 +16,6 @@ use super::desk::{Answer, Clerk, Desk, Order, Question, Untyped};
 
 /// How long a thread idles that nothing can wake.
 const LONGEST_IDLE: Duration = Duration::from_millis(1);
-/// How long a question that is next waits for its turn: what is under way ends sooner, but for a stop that
-/// waits for a bus that is down.
-const LONGEST_TURN: Duration = Duration::from_secs(2);
 /// How soon a bus that has failed is tried again.
 const RETRY_AFTER: time::Duration = time::Duration::from_millis(1);
 

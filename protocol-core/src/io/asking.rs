@@ -3,8 +3,9 @@
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
+use crate::io::runner::LONGEST_TURN;
 use crate::master::{Event, Failure, Master, Patience, Ticket};
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 
 /// Why a call has no answer.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -21,10 +22,6 @@ pub enum CallError<E> {
     #[error("{0}")]
     Failed(Failure),
 }
-
-/// How long a question waits for its turn at the most: an earlier one ends sooner, but for a stop that waits for
-/// a bus that is down.
-pub(super) const LONGEST_TURN: Duration = Duration::from_secs(2);
 
 /// A question that is put as soon as the motor is free for it.
 #[derive(Debug)]

@@ -11,12 +11,12 @@ use crate::command::{
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
-use crate::io::asking::{CallError, LONGEST_TURN};
+use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::{BringUpError, Identity, Protection};
 pub use crate::io::change_id::{change_id, is_shared};
 pub use crate::io::move_to::move_to;
-use crate::io::runner::LONGEST_IDLE;
+use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
 use crate::master::{Event, Failure, MotorSet};
 use crate::time::Duration;
 use crate::units::{EncoderPulses, Milliseconds};

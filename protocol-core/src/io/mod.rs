@@ -48,5 +48,5 @@ pub use clock::{Clock, FnClock};
 pub use echo::EchoFilter;
 pub use guard::{Guard, guarded};
 pub use half_duplex::{HalfDuplex, HalfDuplexError};
-pub use runner::{LONGEST_STOP, Runner};
+pub use runner::{LONGEST_STOP, LONGEST_TURN, Runner};
 pub use serial::SerialMaster;

@@ -14,6 +14,10 @@ use crate::time::{Duration, Instant};
 /// How long a stop of all motors is tried at the most.
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
+/// How long a question waits for its turn at the most: an earlier one ends sooner, but for a stop that waits for
+/// a bus that is down.
+pub const LONGEST_TURN: Duration = Duration::from_secs(2);
+
 /// How long a loop sleeps at most between two looks at the bus.
 pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
 

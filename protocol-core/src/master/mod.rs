@@ -446,7 +446,7 @@ impl<const N: usize> Master<N> {
             kind.check_on_rs485()?;
         }
         let is_stopped = match target {
-            Target::Motor(motor) => self.stops_all || self.stopped.contains(motor),
+            Target::Motor(motor) => self.is_stopped(motor),
             Target::All => self.stops_all || !self.stopped.is_empty(),
         };
         if is_stopped && kind.is_refused_while_stopped() {

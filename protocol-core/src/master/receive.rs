@@ -171,16 +171,13 @@ impl<const N: usize> Master<N> {
         let bit = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
         let is_report = match (self.motor(id), &reply) {
             // Errors are reported without having been asked for, too (function 3).
-            (Some(motor), AnyReply::ReadStatus1(_)) => !self.is_broadcast_late(motor, packet),
+            (Some(_), AnyReply::ReadStatus1(_)) => {
+                !self.broadcast.may_be_mistaken(packet.data[0], id.into())
+            }
             (Some(motor), _) => motor.reports(bit, now),
             (None, _) => bit != 0,
         };
         if is_report { Event::Report { motor: id, reply } } else { self.stray(id, &packet.data) }
-    }
-
-    /// Whether this may be the late answer to a broadcast.
-    fn is_broadcast_late(&self, motor: &Motor, packet: &Packet) -> bool {
-        motor.id.is_some_and(|id| self.broadcast.may_be_mistaken(packet.data[0], id.into()))
     }
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {

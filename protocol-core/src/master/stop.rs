@@ -56,7 +56,6 @@ impl<const N: usize> Master<N> {
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
     /// stopped all the same.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
-        let were_stopped = core::mem::replace(&mut self.stops_all, true);
         let is_same_for_all = kind == StopKind::Off || self.switched_off.is_empty();
         self.broadcast.cancel();
         let mut result = Ok(());
@@ -66,10 +65,10 @@ impl<const N: usize> Master<N> {
         let mut is_any_new = self.places.taken.is_empty();
         for place in self.places.taken.iter() {
             if let Some(motor) = self.motors.get(place).and_then(|motor| motor.id) {
-                let was_stopped = were_stopped || self.stopped.contains(motor);
-                is_any_new |= self.put_stop(place, motor, kind, was_stopped);
+                is_any_new |= self.put_stop(place, motor, kind);
             }
         }
+        self.stops_all = true;
         if is_any_new {
             self.stop_to_all = (self.config.is_rs485() && is_same_for_all).then_some(kind);
         }
@@ -83,22 +82,16 @@ impl<const N: usize> Master<N> {
     /// [`RequestError::TooManyMotors`] if there is no place for it.
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
         let place = self.place_for(motor)?;
-        let was_stopped = self.stops_all || self.stopped.contains(motor);
-        self.stopped.insert(motor);
         self.broadcast.cancel_what_moves();
-        self.put_stop(place, motor, kind, was_stopped);
+        self.put_stop(place, motor, kind);
+        self.stopped.insert(motor);
         Ok(())
     }
 
     /// Gives whether it is a new one: where the motor was stopped already, so that nothing has moved it since,
     /// a stop that is under way goes on.
-    fn put_stop(
-        &mut self,
-        place: usize,
-        motor: MotorId,
-        kind: StopKind,
-        was_stopped: bool,
-    ) -> bool {
+    fn put_stop(&mut self, place: usize, motor: MotorId, kind: StopKind) -> bool {
+        let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         if kind == StopKind::Off {
             self.switched_off.insert(motor);
@@ -117,6 +110,11 @@ impl<const N: usize> Master<N> {
             !goes_on
         });
         is_new.unwrap_or(false)
+    }
+
+    /// Whether it was stopped, and that was not lifted.
+    pub(super) fn is_stopped(&self, motor: MotorId) -> bool {
+        self.stops_all || self.stopped.contains(motor)
     }
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse.
