@@ -119,7 +119,15 @@ impl<'a, B: Moved> Firmware<'a, B> {
     }
 
     fn start_with(bus: &'a BusFleet<B>, panel: Panel, setup: Setup) -> Self {
-        let (mut runner, mut panel) = (master(bus), panel);
+        Self::start_on(bus, master(bus), panel, setup)
+    }
+
+    fn start_on(
+        bus: &'a BusFleet<B>,
+        mut runner: B::Runner<8>,
+        mut panel: Panel,
+        setup: Setup,
+    ) -> Self {
         let now = runner.now();
         let at = &mut Moment { now, master: runner.master(), board: &mut panel };
         let app = App::start(setup, RestartCause::Power, at);
@@ -128,7 +136,11 @@ impl<'a, B: Moved> Firmware<'a, B> {
 
     /// A firmware whose motors run.
     fn running(bus: &'a BusFleet<B>) -> Self {
-        let mut firmware = Self::start(bus, Panel::default());
+        Self::running_on(bus, master(bus))
+    }
+
+    fn running_on(bus: &'a BusFleet<B>, runner: B::Runner<8>) -> Self {
+        let mut firmware = Self::start_on(bus, runner, Panel::default(), B::setup());
         firmware.run_for(millis(1_500));
         firmware.press(millis(50));
         firmware.run_until(Report::State(StateName::Running), millis(3_000));

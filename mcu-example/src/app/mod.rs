@@ -30,8 +30,9 @@ const LONGEST_STOP: Duration = Duration::from_millis(400);
 const STOP_AGAIN: Duration = Duration::from_millis(400);
 /// A running motor that was not heard for so long has gone.
 const SILENT_AFTER: Duration = Duration::from_millis(100);
-/// If none at all was heard for so long when one has gone, it is the bus that has.
-const BUS_SILENT_AFTER: Duration = Duration::from_millis(15);
+/// While a line waits for the answer of a motor that has gone, nobody else is asked. If none at all was heard for
+/// longer than that by this much, it is the bus that has gone.
+const ROUND: Duration = Duration::from_millis(10);
 /// The watchdog is fed only as long as each running motor was heard within this time.
 const SEEN_WITHIN: Duration = Duration::from_millis(50);
 const SECOND: Duration = Duration::from_secs(1);
@@ -259,7 +260,7 @@ impl<const N: usize> App<N> {
         if let (Some(motor), silence) = self.longest_silence(at.now)
             && silence > SILENT_AFTER
         {
-            return self.trouble(self.silent(motor, at.now), at);
+            return self.trouble(self.silent(motor, at), at);
         }
         let State::Running { since, next_second, .. } = &self.state else { return };
         let (since, is_second) = (*since, at.now >= *next_second);
@@ -315,7 +316,7 @@ impl<const N: usize> App<N> {
                 at.master.forget(motor);
                 None
             }
-            Answer::None => Some(self.silent(motor, at.now)),
+            Answer::None => Some(self.silent(motor, at)),
             Answer::Done => None,
             Answer::Version(version_date) => {
                 self.expected.insert(motor);
@@ -405,10 +406,11 @@ impl<const N: usize> App<N> {
 
     /// What it means that this motor is not heard. With it alone nobody can tell a bus from a motor that
     /// is gone: whoever looks begins at the motor.
-    fn silent(&self, motor: MotorId, now: Instant) -> Trouble {
+    fn silent(&self, motor: MotorId, at: &Moment<'_, N, impl Board>) -> Trouble {
+        let longest_wait = at.master.config().reply_timeout + ROUND;
         let is_bus = self.is_running()
             && self.motors.len() > 1
-            && self.motors.iter().all(|motor| motor.silence(now) > BUS_SILENT_AFTER);
+            && self.motors.iter().all(|motor| motor.silence(at.now) > longest_wait);
         if is_bus { Trouble::BusDown } else { Trouble::Silent { motor } }
     }
 

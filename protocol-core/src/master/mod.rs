@@ -411,6 +411,11 @@ impl<const N: usize> Master<N> {
         self.change_at(place, take_news)?
     }
 
+    /// How it behaves.
+    pub const fn config(&self) -> &Config {
+        &self.config
+    }
+
     /// How well a motor answers.
     pub fn health(&self, motor: MotorId) -> Health {
         self.motor(motor).map(|motor| motor.health).unwrap_or_default()

@@ -6,7 +6,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, ErrorFlags};
 use myactuator_protocol_core::drive::Event;
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::master::{Config, MotorSet};
 use myactuator_protocol_core::time::Duration;
 use myactuator_tests::fleet::{happened, state};
 use myactuator_tests::on_both_buses;
@@ -28,6 +28,7 @@ on_both_buses! {
     a_motor_that_stops_late_is_kept_holding
     a_motor_that_was_found_once_must_be_found_again
     two_motors_that_are_silent_are_a_dead_bus
+    a_bus_that_waits_long_for_a_silent_motor_is_not_down
 }
 
 fn the_only_motor_is_named_when_it_is_silent<B: Moved>() {
@@ -241,4 +242,23 @@ fn two_motors_that_are_silent_are_a_dead_bus<B: Moved>() {
     firmware.run_for(millis(300));
     bus.drives.iter().for_each(|drive| unplug(&bus, drive));
     firmware.run_until(Report::Trouble(Trouble::BusDown), millis(200));
+}
+
+/// While the line waits for the one that is gone, the others are not asked.
+fn a_bus_that_waits_long_for_a_silent_motor_is_not_down<B: Moved>() {
+    let patience = millis(25);
+    let patient = Config {
+        reply_timeout: patience,
+        longest_response: patience,
+        late_window: millis(50),
+        ..B::CONFIG
+    };
+    for phase in 0..12 {
+        let slow = Fleet::new(4).response(millis(2), millis(4));
+        let bus = B::drives(&slow).unwrap();
+        let mut firmware = Firmware::running_on(&bus, B::runner(&bus.world, patient).0);
+        firmware.run_for(millis(300 + 3 * phase));
+        unplug(&bus, &bus.drives[2]);
+        firmware.run_until(Report::Trouble(Trouble::Silent { motor: id(3) }), millis(200));
+    }
 }
