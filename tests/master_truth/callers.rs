@@ -111,7 +111,11 @@ impl<W: Rough> Session<W> {
                 heard => heard,
             };
             match heard {
-                Ok(Some(event)) => self.take(&event),
+                Ok(Some(event)) => {
+                    self.take(&event);
+                    // Whoever answers each drop on a dead bus with a new set-point takes some time for it.
+                    self.stage.world.run_for(Duration::from_micros(1));
+                }
                 Ok(None) => {}
                 Err(_) => {
                     self.oracle.totals.bus_errors += 1;

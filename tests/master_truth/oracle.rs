@@ -200,7 +200,16 @@ impl Oracle {
                 truth.excuse(Excuse::TwoMotorsOfOneId);
                 true
             }
-            Failure::NotExecuted => of.ignored > 0 || truth.flips,
+            Failure::NotExecuted if of.ignored > 0 || truth.flips => true,
+            // It ignored another one, and that was not seen. An acknowledgement is the command itself.
+            Failure::NotExecuted => {
+                let page = &mut truth.pages[motor.index()];
+                let is_next = std::mem::take(&mut page.ignores_next) && !has_values(open.data[0]);
+                if is_next {
+                    truth.excuse(Excuse::LostMasterUntold);
+                }
+                is_next
+            }
             Failure::Stopped => truth.pages[motor.index()].stop_called > of.put,
             // It says that the command was dropped. Where it may be asked again, the last attempt was.
             Failure::BusDown => {

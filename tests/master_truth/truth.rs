@@ -127,6 +127,8 @@ pub(crate) struct Page {
     pub(crate) lost_master_delivered: u32,
     /// It has said so, and none of that has reached the master.
     pub(crate) lost_master_untold: bool,
+    /// As far as the master has heard, it ignores the next command.
+    pub(crate) ignores_next: bool,
     pub(crate) reports: HashSet<u32>,
     /// When the master last heard of it.
     pub(crate) delivered_at: Option<Instant>,
@@ -369,7 +371,8 @@ impl Truth {
         sending.heard += 1;
         sending.ignored += u32::from(ignores);
         let sending = *sending;
-        if sending.heard > sending.taken && !name.is_stop() {
+        // On a line two of one id take each other's acknowledgements for commands, and may go on so for ever.
+        if sending.heard > sending.taken && (has_twin || !name.is_stop()) {
             page.excuses.note(question_of(packet), doubled, now, window);
         }
         if ignores && page.lost_master_untold {
@@ -433,6 +436,7 @@ impl Truth {
         let is_lost_master = packet.data[0] == 0xF1;
         if is_lost_master {
             page.lost_master_untold = false;
+            page.ignores_next = true;
             page.lost_master_delivered += 1;
         }
         // What an adapter hands back is nothing that was heard.

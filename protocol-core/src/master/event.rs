@@ -93,7 +93,8 @@ pub enum Failure {
     #[error("no reply: is the motor powered, and is this its id?")]
     NoReply,
     /// The drive had lost its master and answered without doing anything (it does so once after its
-    /// 0xF1 frames). What may be sent again has been; this one may not.
+    /// 0xF1 frames). What may be sent again has been; this one may not. Where a drive acknowledges by
+    /// the command's own bytes it may have been executed all the same: that looks alike.
     #[error(
         "the drive had lost its master and ignored the command: send it again if it is still wanted"
     )]
