@@ -72,7 +72,7 @@ impl<const N: usize> Master<N> {
 
     /// Whether the motor has a set-point, or a request that may go.
     fn may_go(&self, motor: &Motor) -> bool {
-        (motor.stream.waiting().is_some() && motor.late.has_room()) || self.request_may_go(motor)
+        motor.may_send_set_point() || self.request_may_go(motor)
     }
 
     /// Whether a motor's request could be sent now.

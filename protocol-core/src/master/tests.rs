@@ -991,6 +991,34 @@ fn a_request_that_ends_motion_is_answered_when_no_lost_set_point_can_move_the_mo
 }
 
 #[test]
+fn no_set_point_goes_before_what_was_asked_for_earlier_to_end_motion() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    let lost = master.poll_at().unwrap().max(ms(21));
+    assert_eq!(events(&mut master, lost), [Event::SetPointUnanswered { motor: id(1) }]);
+    let ticket = master.request(id(1), Shutdown).unwrap();
+    // A newer one, at every step: for the first attempt, for the second, and when it goes once more.
+    let put = |master: &mut Master<2>, at| master.set_point(id(1), motion(), at).unwrap();
+    put(&mut master, lost);
+    assert_eq!(sent(&mut master, lost)[0].data, Shutdown.encode());
+    assert_eq!(sent(&mut master, lost), []);
+    let again = lost + Config::CAN.reply_timeout;
+    put(&mut master, again);
+    assert_eq!(events(&mut master, again), []);
+    assert_eq!(sent(&mut master, again)[0].data, Shutdown.encode());
+    let answered = again + Duration::from_millis(1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), answered), None);
+    let over = lost + Config::CAN.late_window;
+    put(&mut master, answered);
+    assert_eq!(sent(&mut master, answered), []);
+    assert_eq!(sent(&mut master, over)[0].data, Shutdown.encode());
+    let told = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
+    assert_eq!(ticket.outcome(&told.unwrap()), Some(Ok(Shutdown)));
+    assert!(matches!(sent(&mut master, over + Duration::from_millis(1))[..], [_]), "its turn");
+}
+
+#[test]
 fn who_stops_in_every_cycle_is_told_when_the_motor_stands() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));

@@ -231,9 +231,16 @@ impl Motor {
         }
     }
 
+    /// Whether the set-point that waits may go. What ends motion was asked for before it, and comes first however
+    /// often it has to be sent.
+    pub(super) fn may_send_set_point(&self) -> bool {
+        let is_to_stop = self.request.waiting().is_some_and(|asked| asked.kind().ends_motion());
+        self.stream.waiting().is_some() && self.late.has_room() && !is_to_stop
+    }
+
     /// Whether the set-point is what this motor should be sent next, rather than the request.
     pub(super) fn is_set_point_next(&self, request_may_go: bool) -> bool {
-        self.stream.waiting().is_some() && !(request_may_go && self.was_set_point)
+        self.may_send_set_point() && !(request_may_go && self.was_set_point)
     }
 
     pub(super) fn request_packet(&self) -> Option<Packet> {
