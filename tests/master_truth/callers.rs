@@ -12,8 +12,11 @@ use super::oracle::{Oracle, Totals};
 use super::scenarios::{Echo, Pace, Scenario, Trouble};
 use super::world::{Rough, RoughError, Stage};
 
-/// An outcome takes at the longest: a restart (2 s), and three attempts with their waiting.
-const LONGEST_WAIT: Duration = Duration::from_millis(4_000);
+/// An outcome takes at the longest: a restart (2 s), and three attempts with their waiting; behind bursts, each as
+/// long as an exchange with each motor for its request and its set-point.
+fn longest_wait(motors: u8, burst_ms: u64) -> Duration {
+    Duration::from_millis(4_000 + 3 * 2 * u64::from(motors) * burst_ms)
+}
 const HOUR: Duration = Duration::from_secs(3_600);
 
 /// One run of a scenario.
@@ -167,10 +170,11 @@ impl<W: Rough> Session<W> {
     /// anything, an outcome comes far too late.
     fn wait(&mut self) -> Result<Option<Event>, RoughError> {
         let now = self.now();
+        let longest = longest_wait(self.scenario.motors, self.scenario.conditions.burst_ms);
         for motor in self.motors() {
             let waited = now - self.since[motor.index()];
             let open = self.oracle.open[motor.index()];
-            assert!(open.is_none() || waited < LONGEST_WAIT, "{open:?} hangs. {}", self.told());
+            assert!(open.is_none() || waited < longest, "{open:?} hangs. {}", self.told());
         }
         if self.scenario.conditions.jumps && self.dice.below(20_000) == 0 {
             self.jump();

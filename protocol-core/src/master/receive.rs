@@ -287,12 +287,15 @@ impl Motor {
         asked.unanswered = asked.unanswered.saturating_sub(1);
         self.request = Request::InFlight(asked);
         if self.has_ignored_one() && asked.data == *data {
-            if asked.attempts_left > 0 && asked.kind().repeat() == Repeat::Harmless {
+            if asked.is_stop() {
+                // It ignores one, and no more.
+                self.send_again(asked, false);
+            } else if asked.attempts_left > 0 && asked.kind().repeat() == Repeat::Harmless {
                 self.request = Request::Waiting(asked);
-                return Meaning::Nothing;
+            } else {
+                let failed = Request::Failed(Failure::NotExecuted);
+                self.finish_request(failed, config, now);
             }
-            let failed = Request::Failed(Failure::NotExecuted);
-            self.finish_request(failed, config, now);
             return Meaning::Nothing;
         }
         // With more than one attempt under way nobody knows which one this answers.

@@ -1398,6 +1398,30 @@ fn a_drive_that_lost_its_master_before_it_was_known_ignores_its_first_command() 
 }
 
 #[test]
+fn a_stop_that_a_drive_has_ignored_goes_again_also_after_its_last_attempt() {
+    let mut master = Master::<2>::new(Config::CAN);
+    reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(0)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    let mut last = ms(1);
+    assert_eq!(sent(&mut master, last).len(), 1);
+    // Fifteen in all.
+    for _ in 1..15 {
+        last = last + Config::CAN.reply_timeout;
+        assert_eq!(events(&mut master, last), []);
+        assert_eq!(sent(&mut master, last).len(), 1);
+    }
+    let answered = last + Duration::from_millis(1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), answered), None, "it is ignored");
+    assert_eq!(events(&mut master, answered), []);
+    assert_eq!(sent(&mut master, answered)[0].data, Shutdown.encode());
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(
+        reply(&mut master, 1, Shutdown.encode(), answered + Duration::from_millis(1)),
+        confirmed
+    );
+}
+
+#[test]
 fn what_was_switched_off_is_switched_on_by_no_other_stop() {
     let mut master = Master::<4>::new(Config::CAN);
     let first_stops = |master: &mut Master<4>, now| -> Vec<(u8, u8)> {
