@@ -98,7 +98,7 @@ pub(super) struct Arguments {
     /// Where all chance comes from
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
-    /// Where drives keep their settings from one run to the next [default: nowhere]
+    /// Where drives keep their settings, and where their shafts are, from one run to the next [default: nowhere]
     #[arg(long, value_name = "FOLDER")]
     memory: Option<PathBuf>,
     /// Bit rate of the CAN bus, bit/s

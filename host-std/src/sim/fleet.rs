@@ -17,6 +17,7 @@ use crate::sim::bus::{Medium, Node, SimClock, StationId, World};
 use crate::sim::memory::{DriveMemory, StoreError};
 use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
 use crate::sim::seat::Seat;
+use crate::sim::shaft::ShaftFile;
 
 /// A drive with its physics and its memory.
 pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;
@@ -120,7 +121,8 @@ impl Fleet {
         self
     }
 
-    /// With memories that outlive the process, one file a drive in this folder.
+    /// With memories that outlive the process, in this folder: a file each of a drive's settings and of where
+    /// its shaft is.
     #[must_use]
     pub fn memory_folder(mut self, folder: impl Into<PathBuf>) -> Self {
         self.memory_folder = Some(folder.into());
@@ -187,10 +189,10 @@ impl Fleet {
     }
 
     fn seat(&self, model: &MotorParameters, motor: MotorId, bus: Bus) -> Result<Seat, FleetError> {
-        let memory = match &self.memory_folder {
-            Some(folder) => DriveMemory::File(folder.join(format!("motor-{motor}.json"))),
-            None => DriveMemory::Process(None),
-        };
+        let file =
+            |what| self.memory_folder.as_ref().map(|it| it.join(format!("{what}-{motor}.json")));
+        let memory = file("motor").map_or(DriveMemory::Process(None), DriveMemory::File);
+        let shaft = file("shaft").map(ShaftFile::open).transpose()?;
         // A stream of chance of its own for each drive.
         let seed =
             self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(u64::from(motor.get()));
@@ -206,9 +208,12 @@ impl Fleet {
             seed: (seed ^ (seed >> 32)) as u32,
             ..of_model
         };
-        let plant = SimulatedMotor::new(model.clone())?;
+        let mut plant = SimulatedMotor::new(model.clone())?;
+        if let Some(shaft) = &shaft {
+            plant.set_output_angle_deg(shaft.angle_deg()).map_err(ParameterError::from)?;
+        }
         let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
-        Ok(Seat { drive, receiver: Receiver::new() })
+        Ok(Seat { drive, receiver: Receiver::new(), shaft })
     }
 }
 
@@ -352,7 +357,8 @@ impl LineFleet {
 mod tests {
     use super::*;
     use myactuator_protocol_core::command::{
-        MotionLimits, ReadSingleTurnAngle, ReadSingleTurnAngleV4_4, ReadVersionDate,
+        FunctionControl, MotionLimits, ReadMultiTurnAngle, ReadSingleTurnAngle,
+        ReadSingleTurnAngleV4_4, ReadVersionDate, Reset, SetCurrentPositionZero, Switch,
     };
     use myactuator_protocol_core::io::Runner;
 
@@ -380,6 +386,40 @@ mod tests {
         let mut master = turned(Fleet::new(1)).master::<1>();
         let angle = master.ask(MotorId::MIN, ReadSingleTurnAngle).unwrap().angle;
         assert!((angle.degrees() - 270.0).abs() < 0.1, "{angle}");
+    }
+
+    #[test]
+    fn a_shaft_is_where_the_last_run_has_left_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let fleet = || Fleet::new(1).memory_folder(folder.path());
+        let angle_deg = |fleet: &BusFleet<CanBus>| {
+            let mut master = fleet.master::<1>();
+            master.ask(MotorId::MIN, ReadMultiTurnAngle).unwrap().angle.degrees()
+        };
+        let first = turned(fleet());
+        let mut master = first.master::<1>();
+        master.ask(MotorId::MIN, SetCurrentPositionZero).unwrap();
+        master.ask(MotorId::MIN, Reset).unwrap();
+        first.world.run_for(Duration::from_secs(3));
+        assert_eq!(angle_deg(&first), 0.0, "its zero is here");
+        drop((first, master));
+
+        let second = fleet().on_can(1_000_000).unwrap();
+        assert_eq!(angle_deg(&second), 0.0, "it was there before");
+        let turns = FunctionControl::SaveMultiTurn(Switch::On);
+        let mut master = second.master::<1>();
+        master.ask(MotorId::MIN, turns).unwrap();
+        master.ask(MotorId::MIN, Reset).unwrap();
+        second.world.run_for(Duration::from_secs(3));
+        second.drives[0].with(|drive| drive.plant_mut().set_output_angle_deg(640.0)).unwrap();
+        second.world.run_for(Duration::from_millis(1_500));
+        assert!((angle_deg(&second) - 730.0).abs() < 0.1);
+        // The run ends just now.
+        second.drives[0].with(|drive| drive.plant_mut().set_output_angle_deg(650.0)).unwrap();
+        drop((second, master));
+
+        let third = fleet().on_can(1_000_000).unwrap();
+        assert!((angle_deg(&third) - 740.0).abs() < 0.1, "its turns are kept");
     }
 
     #[test]

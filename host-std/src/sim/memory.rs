@@ -19,6 +19,8 @@ use std::path::{Path, PathBuf};
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use myactuator_protocol_core::drive::{Memory, Settings};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 const CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
@@ -53,7 +55,7 @@ impl Memory for DriveMemory {
     }
 }
 
-fn load(path: &Path) -> Result<Option<Settings>, StoreError> {
+pub(super) fn load<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, StoreError> {
     let bytes = match fs::read(path) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -65,17 +67,31 @@ fn load(path: &Path) -> Result<Option<Settings>, StoreError> {
 }
 
 fn store(path: &Path, settings: &Settings) -> Result<(), StoreError> {
-    let json = serde_json::to_vec(settings).map_err(StoreError::content(path))?;
-    let temporary = beside(path);
-    let mut file = File::create(&temporary).map_err(StoreError::io("create", path))?;
-    file.write_all(&frame(&json)).map_err(StoreError::io("write", path))?;
+    let file = write_beside(path, settings)?;
     file.sync_all().map_err(StoreError::io("flush", path))?;
-    fs::rename(&temporary, path).map_err(StoreError::io("replace", path))?;
+    put_in_place(path)?;
     // The rename itself is on the disk once the folder is.
     let folder = path.parent().filter(|folder| *folder != Path::new(""));
     File::open(folder.unwrap_or(Path::new(".")))
         .and_then(|folder| folder.sync_all())
         .map_err(StoreError::io("flush the folder of", path))
+}
+
+/// As a memory is stored, but not flushed to the disk, which takes long.
+pub(super) fn store_unflushed(path: &Path, kept: &impl Serialize) -> Result<(), StoreError> {
+    write_beside(path, kept)?;
+    put_in_place(path)
+}
+
+fn write_beside(path: &Path, kept: &impl Serialize) -> Result<File, StoreError> {
+    let json = serde_json::to_vec(kept).map_err(StoreError::content(path))?;
+    let mut file = File::create(beside(path)).map_err(StoreError::io("create", path))?;
+    file.write_all(&frame(&json)).map_err(StoreError::io("write", path))?;
+    Ok(file)
+}
+
+fn put_in_place(path: &Path) -> Result<(), StoreError> {
+    fs::rename(beside(path), path).map_err(StoreError::io("replace", path))
 }
 
 /// The file that is written before it takes the other's place: same folder, hence same disk.
@@ -193,15 +209,19 @@ mod tests {
         let path = file_in(&folder);
         // Before anything was ever stored.
         fs::write(beside(&path), b"myactuator-store 1 len").unwrap();
-        assert_eq!(load(&path).unwrap(), None);
+        assert_eq!(load::<Settings>(&path).unwrap(), None);
         store(&path, &settings(1)).unwrap();
         let new = frame(&serde_json::to_vec(&settings(2)).unwrap());
         for written in 0..=new.len() {
             fs::write(beside(&path), &new[..written]).unwrap();
-            assert_eq!(load(&path).unwrap(), Some(settings(1)), "{written} bytes written");
+            assert_eq!(
+                load::<Settings>(&path).unwrap(),
+                Some(settings(1)),
+                "{written} bytes written"
+            );
         }
         store(&path, &settings(3)).unwrap();
-        assert_eq!(load(&path).unwrap(), Some(settings(3)));
+        assert_eq!(load::<Settings>(&path).unwrap(), Some(settings(3)));
         assert!(!beside(&path).exists());
     }
 
@@ -218,13 +238,13 @@ mod tests {
         });
         for damaged in cut_off.chain(flipped).chain([b"\0\0\0\0".to_vec()]) {
             fs::write(&path, &damaged).unwrap();
-            let error = load(&path).unwrap_err();
+            let error = load::<Settings>(&path).unwrap_err();
             assert!(matches!(error, StoreError::Damaged { .. }), "{damaged:?}: {error}");
             assert!(error.to_string().contains("motor-1.json is damaged"), "{error}");
             assert_eq!(fs::read(&path).unwrap(), damaged);
         }
         store(&path, &settings(4)).unwrap();
-        assert_eq!(load(&path).unwrap(), Some(settings(4)));
+        assert_eq!(load::<Settings>(&path).unwrap(), Some(settings(4)));
     }
 
     #[test]
@@ -232,14 +252,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = file_in(&folder);
         fs::write(&path, frame(b"[true]")).unwrap();
-        assert!(matches!(load(&path), Err(StoreError::Content { .. })));
+        assert!(matches!(load::<Settings>(&path), Err(StoreError::Content { .. })));
     }
 
     #[test]
     fn a_missing_folder_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("none").join("motor.json");
-        assert_eq!(load(&path).unwrap(), None);
+        assert_eq!(load::<Settings>(&path).unwrap(), None);
         let error = store(&path, &settings(1)).unwrap_err().to_string();
         assert!(error.starts_with("cannot create ") && error.contains("none"), "{error}");
     }

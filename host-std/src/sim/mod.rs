@@ -57,6 +57,7 @@ mod fleet;
 pub mod memory;
 pub mod plant;
 mod seat;
+mod shaft;
 #[cfg(test)]
 mod tests;
 

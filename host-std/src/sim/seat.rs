@@ -6,6 +6,7 @@ use myactuator_protocol_core::wire::rs485::{Fed, Frame, Receiver};
 
 use super::SimulatedDrive;
 use super::bus::Node;
+use super::shaft::ShaftFile;
 
 /// How long a drive is without power when its node is reset.
 const POWER_CYCLE: Duration = Duration::from_millis(1);
@@ -15,6 +16,18 @@ const POWER_CYCLE: Duration = Duration::from_millis(1);
 pub(super) struct Seat {
     pub(super) drive: SimulatedDrive,
     pub(super) receiver: Receiver,
+    /// Where its shaft is kept, if that is to outlive the process.
+    pub(super) shaft: Option<ShaftFile>,
+}
+
+impl Drop for Seat {
+    /// The supply goes with the simulation: a drive keeps its turns then, and the shaft is where it is.
+    fn drop(&mut self) {
+        if let Some(shaft) = &mut self.shaft {
+            self.drive.power_off(self.drive.clock());
+            shaft.keep(self.drive.plant().output_angle_deg());
+        }
+    }
 }
 
 impl Seat {
@@ -24,8 +37,11 @@ impl Seat {
             let before = self.drive.clock();
             self.drive.advance(now);
             if self.drive.clock() == before {
-                return;
+                break;
             }
+        }
+        if let Some(shaft) = &mut self.shaft {
+            shaft.follow(self.drive.plant().output_angle_deg(), now);
         }
     }
 
