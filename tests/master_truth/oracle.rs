@@ -373,6 +373,7 @@ fn check_report(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
 
 /// It has restarted, or may have: nothing was heard of it for a second.
 fn check_restarted(motor: MotorId, truth: &mut Truth) {
+    let now = truth.now;
     let page = &mut truth.pages[motor.index()];
     // What ends the silence may be an answer that is like an echo.
     let silence = page.delivered_at.map_or(MAY_HAVE_RESTARTED, |before| truth.now - before);
@@ -382,6 +383,9 @@ fn check_restarted(motor: MotorId, truth: &mut Truth) {
     if truth.twin == Some(motor) && !may_have && !has {
         // The run times of two drives: one may be behind the other's.
         truth.excuse(Excuse::TwoMotorsOfOneId);
+    } else if let Some(excuse) = page.excuses.of((0xB1, 0), now).filter(|_| !may_have && !has) {
+        // A run time of 0, sent back by a drive that has ignored the question.
+        truth.excuse(excuse);
     } else if !may_have && !has && !truth.flips {
         truth.breaks(format!("motor {motor} has not restarted"));
     }
