@@ -1,5 +1,6 @@
 //! Several simulated drives on one bus.
 
+use std::fmt;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -166,10 +167,11 @@ impl Fleet {
     {
         let model = self.made_model()?;
         let mut drives = Vec::new();
+        let serving: Arc<dyn Serving> = Arc::new(world.clone());
         for motor in MotorId::all().take(self.count.into()) {
             let seat = Arc::new(Mutex::new(self.seat(&model, motor, bus)?));
             let station = world.attach_with(Arc::clone(&seat), attachment);
-            drives.push(DriveHandle { motor, station, seat });
+            drives.push(DriveHandle { motor, station, seat, world: Arc::clone(&serving) });
         }
         Ok(BusFleet { world, drives, firmware: model.firmware, bit_rate })
     }
@@ -269,11 +271,34 @@ fn model_name(name: &str) -> ModelName {
 }
 
 /// A hand on one simulated drive.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct DriveHandle {
     motor: MotorId,
     station: StationId,
     seat: Arc<Mutex<Seat>>,
+    /// Where the drive is.
+    world: Arc<dyn Serving>,
+}
+
+/// A world, whatever its bus.
+trait Serving: Send + Sync {
+    /// Brings a node's own time up to now, and sends what it has to send.
+    fn serve(&self, node: StationId);
+}
+
+impl<B: Medium> Serving for World<B>
+where
+    B: Send + 'static,
+{
+    fn serve(&self, node: StationId) {
+        World::serve(self, node);
+    }
+}
+
+impl fmt::Debug for DriveHandle {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DriveHandle").field("motor", &self.motor).finish_non_exhaustive()
+    }
 }
 
 impl DriveHandle {
@@ -287,10 +312,13 @@ impl DriveHandle {
         self.station
     }
 
-    /// Works on the drive: raise an error, push the shaft, look at the physics. Not while the world
-    /// runs in this thread.
+    /// Works on the drive as it is now: raise an error, push the shaft, look at the physics. What that leads
+    /// to begins now. Not while the world runs in this thread.
     pub fn with<T>(&self, work: impl FnOnce(&mut SimulatedDrive) -> T) -> T {
-        work(&mut self.seat.lock().unwrap_or_else(PoisonError::into_inner).drive)
+        self.world.serve(self.station);
+        let result = work(&mut self.seat.lock().unwrap_or_else(PoisonError::into_inner).drive);
+        self.world.serve(self.station);
+        result
     }
 }
 
@@ -357,10 +385,11 @@ impl LineFleet {
 mod tests {
     use super::*;
     use myactuator_protocol_core::command::{
-        FunctionControl, MotionLimits, ReadMultiTurnAngle, ReadSingleTurnAngle,
+        ErrorFlags, FunctionControl, MotionLimits, ReadMultiTurnAngle, ReadSingleTurnAngle,
         ReadSingleTurnAngleV4_4, ReadVersionDate, Reset, SetCurrentPositionZero, Switch,
     };
     use myactuator_protocol_core::io::Runner;
+    use myactuator_protocol_core::master::Event;
 
     /// Turns the first shaft of a fleet by -90 degrees.
     fn turned(fleet: Fleet) -> BusFleet<CanBus> {
@@ -420,6 +449,25 @@ mod tests {
 
         let third = fleet().on_can(1_000_000).unwrap();
         assert!((angle_deg(&third) - 740.0).abs() < 0.1, "its turns are kept");
+    }
+
+    #[test]
+    fn a_handle_works_on_the_drive_as_it_is_now() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut master = fleet.master::<1>();
+        master.ask(MotorId::MIN, FunctionControl::ErrorReporting(Switch::On)).unwrap();
+        for millis in [3, 14, 9, 1] {
+            fleet.world.run_for(Duration::from_millis(millis));
+            let behind = fleet.drives[0].with(|drive| fleet.world.now() - drive.clock());
+            assert!(behind <= Duration::from_millis(1), "{behind}");
+        }
+        // What comes of it does not wait either.
+        let raised = fleet.world.now();
+        fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::MOTOR_OVER_TEMPERATURE));
+        let until = raised + Duration::from_millis(2);
+        let mut reported = None;
+        master.run_until(until, |event| reported = reported.or(Some(event))).unwrap();
+        assert!(matches!(reported, Some(Event::Report { .. })), "{reported:?}");
     }
 
     #[test]

@@ -1406,7 +1406,7 @@ fn a_stop_that_a_drive_has_ignored_goes_again_also_after_its_last_attempt() {
     assert_eq!(sent(&mut master, last).len(), 1);
     // Fifteen in all.
     for _ in 1..15 {
-        last = last + Config::CAN.reply_timeout;
+        last += Config::CAN.reply_timeout;
         assert_eq!(events(&mut master, last), []);
         assert_eq!(sent(&mut master, last).len(), 1);
     }

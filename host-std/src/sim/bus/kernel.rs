@@ -326,6 +326,13 @@ impl<B: Medium> Kernel<B> {
         }
     }
 
+    /// Asks a node what it has to send, though it did not ask for that.
+    pub(crate) fn serve_now(&mut self, station: usize) {
+        self.serve_node(station);
+        self.bus.start(&mut self.around);
+        self.spread();
+    }
+
     /// Asks a node what it has to send.
     fn serve_node(&mut self, station: usize) {
         let at = self.around.now;

@@ -221,6 +221,11 @@ impl<B: Medium> World<B> {
         self.with(|kernel| StationId(kernel.attach(None, attachment, receive_queue)))
     }
 
+    /// Brings a node's own time up to now, and sends what it has to send.
+    pub(in crate::sim) fn serve(&self, node: StationId) {
+        self.with(|kernel| kernel.serve_now(node.0));
+    }
+
     /// What chance does to the frames of one direction from now on.
     pub fn set_faults(&self, direction: Direction, plan: FaultPlan) {
         self.with(|kernel| kernel.around.injector.set(direction, plan));
