@@ -3,7 +3,6 @@
 use std::fmt::Debug;
 
 use myactuator_host_std::sim::Fleet;
-use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::command::{
     BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges, ReadMultiTurnAngle,
     ReadMultiTurnEncoderOffset, ReadStatus1, Reset,
@@ -11,9 +10,10 @@ use myactuator_protocol_core::command::{
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Failure, MotorSet};
+use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
+use myactuator_protocol_core::{Firmware, RequestError};
 use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
@@ -29,6 +29,7 @@ on_both_buses! {
     a_zero_is_kept_over_a_power_cycle
     one_of_several_gets_another_id_by_function_5
     an_id_is_not_changed_if_it_is_taken_or_not_acknowledged
+    a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to
     an_id_that_two_motors_have_is_not_changed
     the_only_motor_gets_its_new_id_for_good
     a_brake_is_open_before_torque_comes
@@ -176,6 +177,22 @@ fn an_id_is_not_changed_if_it_is_taken_or_not_acknowledged<W: Wire>() {
     let expected = BringUpError::IdNotTaken { from: id(1), to: id(9), is_alone: false };
     assert_eq!(not_taken, Err(expected));
     assert_eq!(bus.drives[1].with(|drive| drive.stored_settings().id), id(2));
+}
+
+fn a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    runner.ask(id(1), turn(50.0)).expect("it is there");
+    assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+    let stopped = || Err(BringUpError::from(RequestError::Stopped));
+    assert_eq!(bring_up::zero_here(runner, id(1)).map(|_| ()), stopped());
+    assert!(state(drive).output_on, "a load would fall");
+    assert_eq!(bring_up::change_id(runner, id(1), id(9)), stopped());
+    assert!(state(drive).output_on, "a load would fall");
+    // What changes nothing is no affair of the stop.
+    assert_eq!(bring_up::change_id(runner, id(1), id(1)), Ok(()));
+    runner.master().lift_stop();
+    assert!(bring_up::zero_here(runner, id(1)).is_ok());
 }
 
 fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {

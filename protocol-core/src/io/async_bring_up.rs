@@ -18,6 +18,7 @@ pub use crate::io::change_id::{change_id, is_shared};
 pub use crate::io::move_to::move_to;
 use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
 use crate::master::{Event, Failure, MotorSet};
+use crate::opcode::Opcode;
 use crate::time::Duration;
 use crate::units::{EncoderPulses, Milliseconds};
 
@@ -164,6 +165,8 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
 ) -> Result<EncoderPulses, BringUpError<R::Error>> {
+    // What a stop refuses is refused before a motor that it holds is switched off.
+    runner.master().check(Opcode::SetCurrentPositionZero.into(), motor.into())?;
     runner.ask(motor, Shutdown).await?;
     let stored = runner.ask(motor, SetCurrentPositionZero).await?.offset;
     restart(runner, motor, motor).await?;

@@ -15,6 +15,7 @@ use crate::io::async_bring_up::{is_there, restart, scan};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::BringUpError;
 use crate::master::{Event, Failure, MotorSet};
+use crate::opcode::Opcode;
 use crate::time::Duration;
 
 /// How long an acknowledgement may take.
@@ -46,6 +47,8 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     if is_shared(runner, from).await? {
         return Err(BringUpError::IdShared(from));
     }
+    // What a stop refuses is refused before a motor that it holds is switched off.
+    runner.master().check(Opcode::FunctionControl.into(), from.into())?;
     // Some drives keep nothing unless they are shut down.
     runner.ask(from, Shutdown).await?;
     let is_alone = there.len() == 1;

@@ -445,7 +445,7 @@ impl<const N: usize> Master<N> {
     /// Whether such a command may be sent at all. Inlined, so that what follows from a set-point's kind alone
     /// is known when it is compiled.
     #[inline(always)]
-    fn check(&self, kind: Kind, target: Target) -> Result<(), RequestError> {
+    pub(crate) fn check(&self, kind: Kind, target: Target) -> Result<(), RequestError> {
         kind.channel_to(target)?;
         if self.config.is_rs485() {
             kind.check_on_rs485()?;
