@@ -48,9 +48,18 @@ impl Session {
         }
     }
 
-    /// Stops these motors and waits until they have confirmed.
+    /// Stops these motors and waits until they have confirmed. One is stopped by itself: on RS485 a stop of
+    /// all reaches the others on the line, too, which may hold a load.
     pub(super) fn stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
-        let silent = self.master.stop_all(kind, motors);
+        if kind == StopKind::Off {
+            self.off = self.off.iter().chain(motors.iter()).collect();
+        }
+        let mut each = motors.iter();
+        let silent = match (each.next(), each.next()) {
+            (Some(only), None) if self.master.stop(only, kind) => MotorSet::EMPTY,
+            (Some(_), None) => motors,
+            _ => self.master.stop_all(kind, motors),
+        };
         if silent.is_empty() {
             return Ok(());
         }
@@ -77,6 +86,9 @@ impl Session {
 
     /// What is true of a motor that has confirmed the stop and does not hold still by it.
     pub(super) fn holds_nothing(&mut self, motor: MotorId) -> Option<String> {
+        if self.off.contains(motor) {
+            return Some("is off (0x80): its shaft is free unless a brake holds it".to_owned());
+        }
         match self.ask(motor, ReadStatus1) {
             Ok(status) if status.errors.is_empty() => None,
             Ok(status) => Some(format!(
@@ -148,5 +160,44 @@ fn told_with_stop(why: Unfinished, stopped: Outcome<String>) -> Unfinished {
         }
         (Ok(stopped), _) => Unfinished::Failed(format!("{sentence}; {stopped}")),
         (Err(why), _) => why,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_host_std::open::AnyMaster;
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::AbsolutePosition;
+    use myactuator_protocol_core::units::{Angle, MaxSpeed};
+
+    use super::*;
+
+    #[test]
+    fn on_a_line_the_stop_of_one_motor_is_no_affair_of_the_others() {
+        let fleet = Fleet::new(2).on_rs485(115_200).unwrap();
+        let mut session = Session {
+            master: AnyMaster::SimulatedRs485(fleet.master()),
+            ..Session::on(&Fleet::new(1).on_can(1_000_000).unwrap())
+        };
+        let [one, other] = [1, 2].map(|id| MotorId::new(id).unwrap());
+        let hold =
+            AbsolutePosition { max_speed: MaxSpeed::from_raw(90), angle: Angle::from_raw(0) };
+        for motor in [one, other] {
+            session.ask(motor, hold).unwrap();
+        }
+        session.stop(StopKind::Off, one.into()).unwrap();
+        let is_on = |at: usize| fleet.drives[at].with(|drive| drive.state().output_on);
+        assert_eq!((is_on(0), is_on(1)), (false, true), "a load on the other would fall");
+    }
+
+    #[test]
+    fn a_motor_that_was_switched_off_is_not_said_to_hold_still() {
+        let mut session = Session::on(&Fleet::new(1).on_can(1_000_000).unwrap());
+        let outcome: Outcome = session.moving(MotorId::MIN, |session| {
+            session.stop(StopKind::Off, MotorId::MIN.into())?;
+            Err(Unfinished::ReaderLeft)
+        });
+        let told = "nobody reads the output any more; motor 1 is off (0x80): its shaft is free unless a brake holds it";
+        assert_eq!(outcome, Err(Unfinished::Failed(told.to_owned())));
     }
 }

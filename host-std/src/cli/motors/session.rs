@@ -110,6 +110,8 @@ pub(super) struct Session {
     pub(super) master: AnyMaster<{ MotorId::COUNT }>,
     pub(super) address: BusAddress,
     pub(super) yes: bool,
+    /// The motors that this session has switched off.
+    pub(super) off: MotorSet,
     /// Set by Ctrl-C and the like, while a motor moves.
     pub(super) interrupted: Arc<AtomicBool>,
 }
@@ -149,7 +151,13 @@ impl Session {
                 ),
             );
         }
-        Ok(Self { master, address, yes: false, interrupted: interrupt::flag() })
+        Ok(Self {
+            master,
+            address,
+            yes: false,
+            off: MotorSet::EMPTY,
+            interrupted: interrupt::flag(),
+        })
     }
 
     /// Opens a bus to move motors on it or write their memory, if the user can be asked or has
@@ -167,6 +175,7 @@ impl Session {
             master: AnyMaster::SimulatedCan(fleet.master()),
             address: BusAddress::Simulated { motors: 1, kind: BusKind::Can },
             yes: true,
+            off: MotorSet::EMPTY,
             interrupted: Arc::default(),
         }
     }
