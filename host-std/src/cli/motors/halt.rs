@@ -1,7 +1,7 @@
 //! `myactuator stop` and `myactuator shutdown`: what must work without thinking.
 //!
-//! Nothing is asked, and nobody is looked for first: the command itself goes to every id, and those
-//! that confirm are told. Exit status: 0 if the motor, or any motor if all are meant, has confirmed,
+//! Nothing is asked, and nobody is looked for first: the command itself goes to every id, on RS485 to all at
+//! once before that, and those that confirm are told. Exit status: 0 if the motor, or any motor if all are meant, has confirmed,
 //! else 1.
 
 use myactuator_protocol_core::command::{Command, Shutdown, Stop};
@@ -42,14 +42,21 @@ fn halt(arguments: &Motors, kind: StopKind) -> Outcome<(Session, MotorSet)> {
             session.stop(kind, motor.into())?;
             motor.into()
         }
-        (Target::All, StopKind::Hold) => tell_all(&mut session, Stop)?,
-        (Target::All, StopKind::Off) => tell_all(&mut session, Shutdown)?,
+        (Target::All, StopKind::Hold) => tell_all(&mut session, kind, Stop)?,
+        (Target::All, StopKind::Off) => tell_all(&mut session, kind, Shutdown)?,
     };
     Ok((session, motors))
 }
 
-/// Sends a command to every id, first once to each and then again to those that were silent.
-fn tell_all<C: Command + Copy>(session: &mut Session, command: C) -> Outcome<MotorSet> {
+/// Sends the command of this stop to every id, first once to each and then again to those that were silent.
+fn tell_all<C: Command + Copy>(
+    session: &mut Session,
+    kind: StopKind,
+    command: C,
+) -> Outcome<MotorSet> {
+    // On RS485 one to all goes first: nobody waits behind those that are silent, and an adapter that echoes is
+    // found by it. There is a place for all.
+    let _ = session.master.master().stop_all(kind, MotorSet::EMPTY);
     let mut confirmed = MotorSet::EMPTY;
     for _ in 0..ROUNDS {
         for motor in once(session, MotorSet::ALL.without(confirmed), command)?.iter() {
@@ -95,4 +102,45 @@ fn once<C: Command + Copy>(
         });
     }
     Ok(answered)
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_host_std::open::AnyMaster;
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
+    use myactuator_host_std::sim::bus::trace::{Event, Log};
+    use myactuator_protocol_core::io::SerialMaster;
+    use myactuator_protocol_core::master::Config;
+
+    use super::*;
+
+    /// A session on three drives of a line, by an adapter that is said not to echo. Also what passes on it.
+    fn on_a_line(echo: bool) -> (Session, Log<Vec<u8>>) {
+        let world = Fleet::new(3).on_rs485(115_200).unwrap().world;
+        let port = world.port_with(TransceiverConfig { echo, ..TransceiverConfig::default() });
+        let master = SerialMaster::new(port, world.clock(), Config::rs485(115_200, false));
+        let log = world.log();
+        let can = Fleet::new(1).on_can(1_000_000).unwrap();
+        (Session { master: AnyMaster::SimulatedRs485(master), ..Session::on(&can) }, log)
+    }
+
+    #[test]
+    fn on_a_line_all_hear_the_stop_before_anybody_is_waited_for() {
+        let (mut session, log) = on_a_line(false);
+        assert_eq!(tell_all(&mut session, StopKind::Hold, Stop).unwrap().len(), 3);
+        let first = log.take().into_iter().find_map(|record| match record.event {
+            Event::Carried { frame, .. } => Some(frame),
+            _ => None,
+        });
+        assert_eq!(first.unwrap()[..4], [0x3E, 0xCD, 0x08, 0x81]);
+    }
+
+    #[test]
+    fn an_echo_that_was_denied_is_no_confirmation_of_a_motor_that_is_not_there() {
+        let (mut session, _) = on_a_line(true);
+        assert_eq!(tell_all(&mut session, StopKind::Hold, Stop).unwrap().len(), 3);
+        let (mut session, _) = on_a_line(true);
+        assert_eq!(tell_all(&mut session, StopKind::Off, Shutdown).unwrap().len(), 3);
+    }
 }
