@@ -10,16 +10,18 @@ use std::ops::ControlFlow;
 use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{AbsolutePosition, ReadMultiTurnAngle, Torque};
-use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::io::bring_up::{self, MoveLimits};
+use myactuator_protocol_core::io::{Guard, Runner};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::units::{Angle, Current, MaxSpeed};
 
-/// Gives the motors that have not confirmed the stop: cut their power.
+/// However this is left, by `?` or by its end, the motors are stopped; gives those that have not confirmed
+/// it: cut their power.
 fn work<R: Runner<8>>(bus: &mut R, arm: [MotorId; 4]) -> Result<MotorSet, Box<dyn Error>>
 where
     R::Error: Debug + 'static,
 {
+    let mut bus = Guard::new(bus, StopKind::Hold);
     // All at once, in the time of the slowest.
     for answer in bus.ask_together(arm.map(|motor| (motor, ReadMultiTurnAngle))) {
         println!("{}", answer?.angle);
@@ -34,15 +36,15 @@ where
         max_speed: MaxSpeed::from_dps(90.0)?,
         angle: Angle::from_degrees(45.0)?,
     };
-    let arrival = bring_up::move_to(bus, elbow, there, &MoveLimits::default(), |look| {
+    let arrival = bring_up::move_to(&mut *bus, elbow, there, &MoveLimits::default(), |look| {
         if look.feedback.current.amperes() > 5.0 {
             return ControlFlow::Break(());
         }
         ControlFlow::Continue(())
     })?;
     println!("{} after {}", arrival.angle, arrival.time);
-    // These may still move. After `bus.master().lift_stop()` motors may be moved again.
-    Ok(bus.stop_all(StopKind::Hold, MotorSet::EMPTY))
+    // These may still move. After `Master::lift_stop` motors may be moved again.
+    Ok(bus.finish())
 }
 
 fn main() -> Result<(), Box<dyn Error>> {

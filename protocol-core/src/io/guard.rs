@@ -8,7 +8,8 @@ use crate::io::runner::Runner;
 use crate::master::{MotorSet, StopKind};
 
 /// A loop that stops all motors when it is left: by `?`, `break`, `return`, a panic that unwinds, or at its
-/// end. It is used as the loop itself.
+/// end. It is used as the loop itself; what takes any [`Runner`], as [`bring_up`](crate::io::bring_up) does, gets
+/// `&mut *bus`.
 ///
 /// ```no_run
 /// # use myactuator_protocol_core::command::{RawMotion, ReadMultiTurnAngle};
