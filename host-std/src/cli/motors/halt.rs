@@ -11,8 +11,8 @@ use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::moving::named;
-use super::session::{Motors, Session, nobody_on, say};
-use crate::cli::Outcome;
+use super::session::{Motors, Session, say};
+use crate::cli::{Outcome, Unfinished};
 
 /// How often ids are tried that do not confirm.
 const ROUNDS: usize = 3;
@@ -63,7 +63,14 @@ fn tell_all<C: Command + Copy>(
             confirmed.insert(motor);
         }
     }
-    if confirmed.is_empty() { Err(nobody_on(&session.address)) } else { Ok(confirmed) }
+    if !confirmed.is_empty() {
+        return Ok(confirmed);
+    }
+    Err(Unfinished::Failed(format!(
+        "no confirmation of the stop from any motor: if one is on {}, cut its power; then check the wiring and \
+         the bit rate ('scan --all-rates' tries the others)",
+        session.address
+    )))
 }
 
 /// Sends a command once to each of these ids and gives those that have answered.
@@ -134,6 +141,16 @@ mod tests {
             _ => None,
         });
         assert_eq!(first.unwrap()[..4], [0x3E, 0xCD, 0x08, 0x81]);
+    }
+
+    #[test]
+    fn if_nobody_confirms_the_power_is_to_be_cut() {
+        // The motors have power, and hear nothing of this.
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        fleet.drives.iter().for_each(|drive| fleet.world.cut(drive.station()));
+        let outcome = tell_all(&mut Session::on(&fleet), StopKind::Hold, Stop);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.contains("cut its power"), "{told}");
     }
 
     #[test]
