@@ -82,7 +82,7 @@ pub enum BusAddress {
 pub enum Echo {
     /// It does.
     Present,
-    /// It does not.
+    /// It does not. Said wrongly, the echo of a stop of one motor may pass for its confirmation.
     Absent,
     /// Nothing is said. [`AnyMaster::open`](super::AnyMaster::open) finds it out: it reads the status of
     /// motor 33, which no motor can be, and looks whether that comes back. One that passes unnoticed

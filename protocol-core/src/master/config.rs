@@ -18,7 +18,8 @@ pub enum Bus {
         turnaround: Duration,
         /// Whether the adapter hands back what is sent: then the first frame with the same bytes is
         /// dropped. The loops find out by themselves if this is wrong, at the first stop of all motors or at
-        /// the first reads: see [`EchoFilter`](crate::io::EchoFilter).
+        /// the first reads: see [`EchoFilter`](crate::io::EchoFilter). Until then the echo of what is answered
+        /// with its own bytes passes for the answer, that of a stop of one motor for its confirmation.
         echo: bool,
     },
 }
