@@ -69,6 +69,7 @@ async fn a_motor_is_found_named_zeroed_and_renamed<B: Medium, R: AsyncRunner<8>>
     async_bring_up::change_id(bus, id(2), id(7)).await.unwrap();
     assert_eq!(async_bring_up::is_there(bus, id(7)).await, Ok(true));
     assert_eq!(async_bring_up::is_there(bus, id(2)).await, Ok(false));
+    assert!(!bus.master().motors().contains(id(2)), "each stop of all would wait for it");
     async_bring_up::release_brake(bus, id(7)).await.unwrap();
     let limit = Milliseconds::from_raw(200);
     assert_eq!(async_bring_up::protect(bus, id(7), limit).await, Ok(Protection::Confirmed));

@@ -316,7 +316,10 @@ impl DriveHandle {
     /// to begins now. Not while the world runs in this thread.
     pub fn with<T>(&self, work: impl FnOnce(&mut SimulatedDrive) -> T) -> T {
         self.world.serve(self.station);
-        let result = work(&mut self.seat.lock().unwrap_or_else(PoisonError::into_inner).drive);
+        let mut seat = self.seat.lock().unwrap_or_else(PoisonError::into_inner);
+        let result = work(&mut seat.drive);
+        seat.drive.measure();
+        drop(seat);
         self.world.serve(self.station);
         result
     }
@@ -395,8 +398,6 @@ mod tests {
     fn turned(fleet: Fleet) -> BusFleet<CanBus> {
         let fleet = fleet.on_can(1_000_000).unwrap();
         fleet.drives[0].with(|drive| drive.plant_mut().set_output_angle_deg(-90.0)).unwrap();
-        // The control loops measure it.
-        fleet.world.run_for(Duration::from_millis(10));
         fleet
     }
 

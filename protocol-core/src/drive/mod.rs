@@ -342,6 +342,16 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         (self.outgoing.dropped(), self.events.dropped())
     }
 
+    /// Measures before the next control step does: somebody has changed the [plant](Self::plant_mut).
+    pub fn measure(&mut self) {
+        self.act(&Actuation::default(), Duration::ZERO);
+    }
+
+    fn act(&mut self, actuation: &Actuation, span: Duration) {
+        self.measurement = self.plant.advance(actuation, span);
+        self.encoder.measure(self.measurement.encoder_pulses);
+    }
+
     /// One control step, up to `end`.
     fn step(&mut self, end: Instant, period: Duration) {
         let input = self.input();
@@ -358,8 +368,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             // Without a brake, nothing holds the shaft.
             actuation.brake_released = !self.parameters.has_brake;
         }
-        self.measurement = self.plant.advance(&actuation, period);
-        self.encoder.measure(self.measurement.encoder_pulses);
+        self.act(&actuation, period);
         self.clock = end;
         match self.life {
             Life::Off => {}

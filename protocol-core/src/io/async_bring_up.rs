@@ -129,9 +129,16 @@ pub async fn is_there<R: AsyncRunner<N>, const N: usize>(
     motor: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
     let patience = runner.master().patience(ATTEMPTS);
+    let is_known = runner.master().motors().contains(motor);
     match runner.ask_with(motor, ReadStatus1, Some(patience), |_| {}).await {
         Ok(_) | Err(CallError::Failed(Failure::Unreadable(_))) => Ok(true),
-        Err(CallError::Failed(_)) => Ok(false),
+        Err(CallError::Failed(_)) => {
+            if !is_known {
+                // Else every stop of all would wait for an id at which there is nobody.
+                runner.master().forget(motor);
+            }
+            Ok(false)
+        }
         Err(error) => Err(error),
     }
 }

@@ -133,7 +133,8 @@ pub fn identify<R: Runner<N>, const N: usize>(
     at_once(task::identify(&mut Polled(runner), motor))
 }
 
-/// Whether anything answers under this id.
+/// Whether anything answers under this id. An id that nobody answers at gets no place in the master that it did not
+/// have.
 ///
 /// # Errors
 /// [`CallError`], but not that nobody answers.
