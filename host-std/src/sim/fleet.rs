@@ -237,7 +237,7 @@ fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterError> 
         motion_ranges: model.motion_ranges()?,
         baud_rate: BaudCode::CAN_1M_RS485_500K,
         encoder_bits: model.encoder.bits,
-        gear_ratio: model.gear.ratio as f32,
+        gear_ratio: model.gear.ratio,
         torque_constant_nm_per_a: rating.torque_constant_nm_per_a as f32,
         rated_current_a: rating.current_a as f32,
         stall_current_a: peak_a,
@@ -260,10 +260,16 @@ fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterError> 
     })
 }
 
-/// Up to seven characters of the model's name, without the maker's "RMD-".
+/// Up to seven characters of the model's name, without the maker's "RMD-"; of a long one the ends, as the maker's
+/// catalogue has "X8-120" for the RMD-X8-P20-120.
 fn model_name(name: &str) -> ModelName {
-    let short = name.strip_prefix("RMD-").unwrap_or(name);
+    let name = name.strip_prefix("RMD-").unwrap_or(name);
     let mut bytes = [0; 7];
+    let ends = name.split_once('-').zip(name.rsplit_once('-'));
+    let short = match ends {
+        Some(((first, _), (_, last))) if name.len() > bytes.len() => format!("{first}-{last}"),
+        _ => name.to_owned(),
+    };
     for (byte, character) in bytes.iter_mut().zip(short.bytes().filter(u8::is_ascii_graphic)) {
         *byte = character;
     }
@@ -469,6 +475,20 @@ mod tests {
         let mut reported = None;
         master.run_until(until, |event| reported = reported.or(Some(event))).unwrap();
         assert!(matches!(reported, Some(Event::Report { .. })), "{reported:?}");
+    }
+
+    #[test]
+    fn a_models_name_is_the_catalogues() {
+        let names = [
+            ("RMD-X8-PRO", "X8-PRO"),
+            ("RMD-X8-P20-120", "X8-120"),
+            ("RMD-X6-P20-60", "X6-60"),
+            ("RMD-X4", "X4"),
+            ("a name of my own", "anameof"),
+        ];
+        for (name, short) in names {
+            assert_eq!(model_name(name).as_str(), Some(short));
+        }
     }
 
     #[test]

@@ -45,11 +45,11 @@ impl Brake {
         }
     }
 
-    /// The last command (0x9A).
+    /// The last command (0x9A). What is not there locks nothing.
     pub(super) const fn command(&self) -> BrakeCommand {
         match self.state {
-            State::Locked => BrakeCommand::LOCK,
-            State::Released { .. } => BrakeCommand::RELEASE,
+            State::Locked if self.fitted => BrakeCommand::LOCK,
+            State::Locked | State::Released { .. } => BrakeCommand::RELEASE,
         }
     }
 

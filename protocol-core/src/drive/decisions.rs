@@ -61,8 +61,9 @@
 //!   gone after the restart; those after it count, if turns are saved (2.35.4).
 //! - 0x62 reads the zero offset that acts: a new one is valid only after a restart (2.9.1, 2.10.1).
 //! - Readings end where their fields do: 0x60 to 0x62 and 0x92 at the ends of 32 bits, feedback at
-//!   ±32767° (2.15.3), 0x90 at 65535, which an encoder of more than 16 bits exceeds.
-//! - 0x90 counts within a turn of the motor shaft, 0x94 within one of the output shaft.
+//!   ±32767° (2.15.3).
+//! - 0x90 counts within a turn of the motor shaft, 0x94 within one of the output shaft. Of an encoder
+//!   with more than 16 bits 0x90 and the reply to 0xA6 hold the upper 16 (2.11.3, 2.22.3).
 //! - Clockwise is the direction in which angles grow (2.13.3), for 0xA6 too.
 //!
 //! # Motion
@@ -115,8 +116,8 @@
 //! - 0x80 locks a brake that a command opened by itself, so that a load does not fall; one that
 //!   0x77 opened stays open, so that a person can turn the shaft by hand. Errors and the loss of
 //!   communication lock either.
-//! - A motor without a brake answers 0x77 and 0x78, and 0x9A shows the last of them. They do
-//!   nothing else.
+//! - A motor without a brake answers 0x77 and 0x78, which do nothing else, and 0x9A says of it that
+//!   the brake is released: nothing holds the shaft (2.14.3).
 //!
 //! # Errors
 //! | error | comes when | goes |

@@ -11,7 +11,8 @@ use crate::units::{Angle, CoarseAngle, EncoderPulses, ReportedSingleTurnAngle, S
 #[derive(Clone, Debug)]
 pub(super) struct Encoder {
     motor_turn: i64,
-    output_turn: i64,
+    /// Pulses in a turn of the output shaft, exactly: with a gear of 19.612 they are no whole number.
+    output_turn: f64,
     pulses: i64,
     base: i64,
     offset: i64,
@@ -21,7 +22,7 @@ impl Encoder {
     pub(super) fn new(parameters: &Parameters) -> Self {
         Self {
             motor_turn: parameters.pulses_per_motor_turn(),
-            output_turn: parameters.pulses_per_output_turn(),
+            output_turn: parameters.exact_pulses_per_output_turn(),
             pulses: 0,
             base: 0,
             offset: 0,
@@ -33,19 +34,14 @@ impl Encoder {
         self.pulses = pulses;
         self.offset = i64::from(offset.raw());
         let near = saved.unwrap_or(self.offset);
-        self.base = 0;
-        let away = pulses.saturating_sub(near);
-        self.base = away.saturating_sub(self.wrapped(away));
+        // The whole turns that lie nearest.
+        let away = pulses.saturating_sub(near) as f64;
+        let half = self.output_turn / 2.0;
+        self.base = round_f64(away + half - rest(away + half, self.output_turn)) as i64;
     }
 
     pub(super) fn measure(&mut self, pulses: i64) {
         self.pulses = pulses;
-    }
-
-    /// `pulses` brought within half a turn of the output shaft around 0.
-    fn wrapped(&self, pulses: i64) -> i64 {
-        let within = remainder(pulses, self.output_turn);
-        if within * 2 < self.output_turn { within } else { within - self.output_turn }
     }
 
     /// Raw position, turns included.
@@ -55,7 +51,7 @@ impl Encoder {
 
     /// The raw position without its turns, 0 to less than one turn of the output shaft.
     pub(super) fn raw_within_turn(&self) -> i64 {
-        remainder(self.raw(), self.output_turn)
+        rest(self.raw() as f64, self.output_turn) as i64
     }
 
     const fn position(&self) -> i64 {
@@ -64,7 +60,7 @@ impl Encoder {
 
     /// Angle of the output shaft from its zero, degrees.
     pub(super) fn angle_deg(&self) -> f64 {
-        self.position() as f64 * 360.0 / self.output_turn as f64
+        self.position() as f64 * 360.0 / self.output_turn
     }
 
     /// 0x61: saturates.
@@ -95,10 +91,10 @@ impl Encoder {
 
     /// 0x94: clockwise from the zero, back to 0 after a turn.
     pub(super) fn single_turn_angle(&self) -> ReportedSingleTurnAngle {
-        let within = remainder(self.position(), self.output_turn);
+        let within = rest(self.position() as f64, self.output_turn);
         // In whole steps rounded down, so that a full turn is never reached.
-        let steps = (within * 36_000).checked_div(self.output_turn).unwrap_or(0);
-        ReportedSingleTurnAngle::from_raw(u16::try_from(steps).unwrap_or(0))
+        let steps = (within * 36_000.0 / self.output_turn) as u16;
+        ReportedSingleTurnAngle::from_raw(steps.min(35_999))
     }
 
     /// 0x94 of V4.4: the same place, from half a turn below the zero to half a turn above.
@@ -107,19 +103,22 @@ impl Encoder {
         Angle::from_raw(if steps > 18_000 { steps - 36_000 } else { steps })
     }
 
-    /// 0x90: position, raw and offset within a turn of the motor shaft. An encoder of more than 16
-    /// bits does not fit; its readings end at 65535.
+    /// 0x90: position, raw and offset within a turn of the motor shaft; of an encoder of more than 16 bits the
+    /// upper 16.
     pub(super) fn single_turn(&self) -> [SingleTurnPulses; 3] {
+        let too_many_bits = self.motor_turn.ilog2().saturating_sub(u16::BITS);
         [self.position(), self.raw(), self.offset].map(|pulses| {
-            let within = remainder(pulses, self.motor_turn);
+            let within = pulses.checked_rem_euclid(self.motor_turn).unwrap_or(0) >> too_many_bits;
             SingleTurnPulses::from_raw(u16::try_from(within).unwrap_or(u16::MAX))
         })
     }
 }
 
-/// The part of `pulses` within a turn, 0 to less than `turn`.
-fn remainder(pulses: i64, turn: i64) -> i64 {
-    pulses.checked_rem_euclid(turn).unwrap_or(0)
+/// What is left of `pulses` beyond whole turns, 0 to less than one.
+fn rest(pulses: f64, turn: f64) -> f64 {
+    let rest = pulses % turn;
+    let rest = if rest < 0.0 { rest + turn } else { rest };
+    if rest < turn { rest } else { 0.0 }
 }
 
 /// The nearest that four bytes hold.
@@ -163,6 +162,33 @@ mod tests {
         encoder.measure(i64::MIN);
         assert_eq!(encoder.position_reading().raw(), i32::MIN);
         assert_eq!(encoder.angle_reading().raw(), i32::MIN);
+    }
+
+    #[test]
+    fn ten_thousand_turns_of_an_uneven_gear_end_where_they_began() {
+        let parameters =
+            Parameters { gear_ratio: 19.612, encoder_bits: 17, ..Parameters::default() };
+        let mut encoder = Encoder::new(&parameters);
+        encoder.start(0, EncoderPulses::from_raw(0), None);
+        // 19.612 x 131,072 x 10,000.
+        encoder.measure(25_705_840_640);
+        assert!((encoder.angle_deg() - 3_600_000.0).abs() < 1e-6, "{}", encoder.angle_deg());
+        assert_eq!(encoder.single_turn_angle().raw(), 0);
+        // A start there finds the shaft at the same place.
+        encoder.start(25_705_840_640, EncoderPulses::from_raw(0), None);
+        assert!(encoder.angle_deg().abs() < 1e-4, "{}", encoder.angle_deg());
+        assert_eq!(encoder.raw_within_turn(), 0);
+    }
+
+    #[test]
+    fn of_an_encoder_with_more_bits_than_the_field_the_upper_ones_are_told() {
+        for (bits, pulses) in [(17, 98_304), (18, 196_608)] {
+            let parameters = Parameters { encoder_bits: bits, ..Parameters::default() };
+            let mut encoder = Encoder::new(&parameters);
+            encoder.start(pulses, EncoderPulses::from_raw(0), None);
+            // Three quarters of a turn.
+            assert_eq!(encoder.single_turn()[0].raw(), 49_152);
+        }
     }
 
     #[test]

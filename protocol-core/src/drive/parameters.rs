@@ -111,7 +111,7 @@ defaults! {
         /// Bits of the encoder on the motor shaft: 14 for 16384 pulses in a turn. At most 24.
         pub encoder_bits: u8 = 14,
         /// Turns of the motor shaft in one of the output shaft.
-        pub gear_ratio: f32 = 6.0,
+        pub gear_ratio: f64 = 6.0,
         /// Torque at the output shaft for a current of 1 A, N·m/A.
         pub torque_constant_nm_per_a: f32 = 2.0,
         /// Rated current, A: the 100 % of torque limits.
@@ -155,10 +155,13 @@ impl Parameters {
     /// Encoder pulses in a turn of the output shaft, to the nearest pulse. A gear ratio that is no
     /// positive number counts as 1.
     pub fn pulses_per_output_turn(&self) -> i64 {
+        crate::round::round_f64(self.exact_pulses_per_output_turn()) as i64
+    }
+
+    pub(super) fn exact_pulses_per_output_turn(&self) -> f64 {
         let ratio = self.gear_ratio;
-        let ratio = if ratio.is_finite() && ratio > 0.0 { f64::from(ratio) } else { 1.0 };
-        let pulses = crate::round::round_f64(self.pulses_per_motor_turn() as f64 * ratio);
-        (pulses as i64).clamp(1, 1 << 40)
+        let ratio = if ratio.is_finite() && ratio > 0.0 { ratio } else { 1.0 };
+        (self.pulses_per_motor_turn() as f64 * ratio).clamp(1.0, (1_u64 << 40) as f64)
     }
 
     /// How long the drive is deaf after a start, its quirk included.
@@ -173,7 +176,7 @@ mod tests {
 
     #[test]
     fn senseless_numbers_do_no_harm() {
-        for gear_ratio in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        for gear_ratio in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let parameters = Parameters { gear_ratio, encoder_bits: 255, ..Parameters::default() };
             assert_eq!(parameters.pulses_per_output_turn(), 1 << 24);
         }
