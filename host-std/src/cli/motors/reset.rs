@@ -7,8 +7,9 @@ use myactuator_protocol_core::io::bring_up;
 use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, Unfinished};
 
-/// A drive that has run for less long may have restarted however long it says it has run, ms.
-const SHORT_RUN_MS: u32 = 1000;
+/// A drive that has run for less long may have restarted however long it says it has run, ms: it is asked
+/// again some 2 s after the restart.
+const SHORT_RUN_MS: u32 = 3000;
 
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///

@@ -1,0 +1,270 @@
+//! The drive's loops on every model that comes with the library, with loads from none to the heaviest
+//! that its torque can sensibly move: they follow, stop and stand still.
+
+use std::fmt::Debug;
+
+use myactuator_host_std::sim::plant::{Load, MODELS, MotorParameters, SpringStop};
+use myactuator_host_std::sim::{CanFleet, Fleet, SimulatedDrive};
+use myactuator_protocol_core::command::{
+    AccelerationIndex, Command, ForcePosition, MotionSetPoint, PidIndex, Stop, WriteAcceleration,
+    WritePidRam,
+};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::Acceleration;
+use myactuator_protocol_core::{AnyCommand, MotorId};
+use myactuator_tests::values::{degrees, gain, go_to, millis, percent, turn, up_to};
+
+/// What stands still swings by no more than this, degrees: a hundredth is the unit of the bus.
+const STILL_DEG: f64 = 0.01;
+
+/// A load's share of the heaviest.
+const SHARES: [f64; 6] = [0.0, 0.01, 0.05, 0.2, 0.5, 1.0];
+
+/// The heaviest load that a motor can sensibly move, kg·m²: its rated torque, which it has for hours,
+/// takes a second to bring it to its rated speed. That is 3.2 kg·m² for an X8-120, 55 times the inertia
+/// of its rotor: about the arm of half a metre whose weight the same torque just holds (m g l = 43 N·m,
+/// m l² = 2.2 kg·m²).
+fn heaviest_kg_m2(model: &MotorParameters) -> f64 {
+    let rated_rad_s = model.rating.speed_rpm * std::f64::consts::TAU / 60.0;
+    model.rating.torque_nm / rated_rad_s - model.inertia_kg_m2()
+}
+
+/// A drive alone with its motor: no bus, and time goes as the test says.
+struct Alone {
+    fleet: CanFleet,
+    now: Instant,
+}
+
+impl Alone {
+    fn new(model: &MotorParameters, load_kg_m2: f64) -> Self {
+        let fleet = Fleet::new(1).model(model.clone()).on_can(1_000_000).unwrap();
+        let mut alone = Self { fleet, now: Instant::ZERO };
+        let load = Load { inertia_kg_m2: load_kg_m2, ..Load::NONE };
+        alone.with(|drive| drive.plant_mut().set_load(load).unwrap());
+        alone.run(millis(5));
+        alone
+    }
+
+    fn with<T>(&mut self, work: impl FnOnce(&mut SimulatedDrive) -> T) -> T {
+        self.fleet.drives[0].with(work)
+    }
+
+    /// Gives a command, whatever is answered.
+    fn tell<C: Command + Into<AnyCommand>>(&mut self, command: C) {
+        let packet = command.into().packet(MotorId::MIN.into()).unwrap();
+        let now = self.now;
+        self.with(|drive| drive.handle_packet(&packet, now));
+    }
+
+    fn run(&mut self, span: Duration) {
+        self.now += span;
+        let now = self.now;
+        self.with(|drive| {
+            while drive.clock() + drive.parameters().control_period <= now {
+                drive.advance(now);
+            }
+        });
+    }
+
+    fn angle_deg(&mut self) -> f64 {
+        self.with(|drive| drive.plant().output_angle_deg())
+    }
+
+    fn speed_dps(&mut self) -> f64 {
+        self.with(|drive| drive.plant().output_speed_dps())
+    }
+
+    /// The smallest and the largest angle, looked at every millisecond.
+    fn range(&mut self, span: Duration) -> (f64, f64) {
+        let (mut least, mut most) = (f64::MAX, f64::MIN);
+        for _ in 0..span.as_millis() {
+            self.run(millis(1));
+            let angle = self.angle_deg();
+            (least, most) = (least.min(angle), most.max(angle));
+        }
+        (least, most)
+    }
+
+    /// Holds that it stands still.
+    #[track_caller]
+    fn is_still(&mut self, case: &dyn Debug) {
+        self.swings_by(STILL_DEG, case);
+    }
+
+    /// Holds that it swings by this much at most, and has no errors.
+    #[track_caller]
+    fn swings_by(&mut self, limit_deg: f64, case: &dyn Debug) {
+        let (least, most) = self.range(millis(1_000));
+        assert!(most - least <= limit_deg, "{case:?}: swings between {least} and {most}");
+        let errors = self.with(|drive| drive.state().errors);
+        assert!(errors.is_empty(), "{case:?}: {errors}");
+    }
+}
+
+/// Each model with each load.
+fn each_load(mut test: impl FnMut(&MotorParameters, f64, &dyn Debug)) {
+    for model in MODELS {
+        let parameters = MotorParameters::named(model.name).unwrap();
+        for share in SHARES {
+            let load = share * heaviest_kg_m2(&parameters);
+            test(&parameters, load, &format!("{} with {load:.3} kg m2", model.name));
+        }
+    }
+}
+
+fn plan_all(alone: &mut Alone, dps2: u32) {
+    let acceleration = Acceleration::try_from_raw(dps2).unwrap();
+    for &index in AccelerationIndex::ALL {
+        alone.tell(WriteAcceleration { index, acceleration });
+    }
+}
+
+/// 2.21.1: what is planned within the motor's torque is followed to the target, and hardly beyond it. 1000
+/// dps/s is two thirds of what the X8-PRO's peak torque gives its heaviest load.
+#[test]
+fn a_planned_step_is_followed_with_every_load() {
+    each_load(|model, load, case| {
+        let mut alone = Alone::new(model, load);
+        plan_all(&mut alone, 1_000);
+        alone.tell(go_to(90.0, 180));
+        // 180 ms up and down, and 57.6 degrees at 180 dps between: 680 ms.
+        let (_, most) = alone.range(millis(680));
+        let (least, later) = alone.range(millis(500));
+        let most = most.max(later);
+        assert!(most < 92.0, "{case:?}: overshoots to {most}");
+        assert!(least > 88.0, "{case:?}: lags at {least}");
+        // The last hundredths, at which friction holds the shaft, take the speed loop's integral.
+        alone.run(millis(2_000));
+        let end = alone.angle_deg();
+        assert!((end - 90.0).abs() < 0.05, "{case:?}: ends at {end}");
+        alone.is_still(case);
+    });
+}
+
+/// A plan beyond the torque, as the factory's 10000 dps/s is with a heavy load: the shaft comes late and
+/// runs over its target, but gets there, from every speed.
+#[test]
+fn a_step_beyond_the_torque_still_ends_at_its_target() {
+    each_load(|model, load, case| {
+        for max_dps in [90, 0] {
+            let mut alone = Alone::new(model, load);
+            alone.tell(go_to(90.0, max_dps));
+            let (_, most) = alone.range(millis(4_000));
+            assert!(max_dps == 0 || most < 93.0, "{case:?}: overshoots to {most}");
+            let end = alone.angle_deg();
+            assert!((end - 90.0).abs() < 0.05, "{case:?}, {max_dps} dps: ends at {end}");
+            alone.is_still(case);
+        }
+    });
+}
+
+/// 2.21.1: direct tracking, which is planned by nobody.
+#[test]
+fn direct_tracking_ends_at_its_target() {
+    each_load(|model, load, case| {
+        let mut alone = Alone::new(model, load);
+        let none = Acceleration::NONE;
+        alone.tell(WriteAcceleration {
+            index: AccelerationIndex::POSITION_ACCELERATION,
+            acceleration: none,
+        });
+        alone.tell(go_to(90.0, 90));
+        let (_, most) = alone.range(millis(4_000));
+        assert!(most < 92.0, "{case:?}: overshoots to {most}");
+        let end = alone.angle_deg();
+        assert!((end - 90.0).abs() < 0.05, "{case:?}: ends at {end}");
+        alone.is_still(case);
+    });
+}
+
+/// 2.18.1: 0x81 brings the shaft to rest in the way that its torque, or the deceleration that is set, needs,
+/// and holds it there.
+#[test]
+fn a_stop_runs_on_no_farther_than_it_must() {
+    each_load(|model, load, case| {
+        for fast in [false, true] {
+            let dps = if fast { model.rating.speed_rpm * 6.0 } else { 90.0 };
+            let mut alone = Alone::new(model, load);
+            alone.tell(turn(dps as f32));
+            alone.run(millis(3_000));
+            let (before, speed) = (alone.angle_deg(), alone.speed_dps());
+            assert!((speed - dps).abs() < 0.01 * dps, "{case:?}: {speed}");
+            alone.tell(Stop);
+            let (_, most) = alone.range(millis(2_000));
+            let inertia = model.inertia_kg_m2() + load;
+            let torque_dps2 = (model.rating.peak_torque_nm / inertia).to_degrees();
+            let way = speed * speed / (2.0 * torque_dps2.min(10_000.0));
+            let runs_on = most - before;
+            // The loop takes time until all the torque is there, and until the last of the speed is gone.
+            assert!(runs_on < way * 1.25 + 2.0, "{case:?}: from {speed} dps runs on by {runs_on}");
+            let end = alone.angle_deg();
+            assert!(most - end < 0.2, "{case:?}: comes back by {}", most - end);
+            alone.is_still(case);
+        }
+    });
+}
+
+/// 5.1: the stiffest spring of motion mode does not swing up, even if the master asks for no damping: what
+/// sampling takes away, half a period of it times kp, is less than the motor's own friction gives.
+#[test]
+fn the_stiffest_motion_mode_does_not_swing_up() {
+    each_load(|model, load, case| {
+        for kd in [0.0, 0.1, 1.0] {
+            let mut alone = Alone::new(model, load);
+            let ranges = model.motion_ranges().unwrap();
+            let hold =
+                MotionSetPoint { position_rad: 0.05, kp: 500.0, kd, ..MotionSetPoint::default() };
+            alone.tell(ranges.quantise(&hold).unwrap());
+            // The first swing begins with the step itself.
+            let [first, second, third] = [50, 1_000, 1_000].map(|span| {
+                let (least, most) = alone.range(millis(span));
+                most - least
+            });
+            let dies_away = third < 0.9 * second || third <= STILL_DEG;
+            assert!(dies_away, "{case:?}, kd {kd}: {first}, {second}, {third}");
+        }
+    });
+}
+
+/// The margin of the factory gains: each loop by itself may be twice as strong, or half as strong, and all
+/// stands still with every load as before.
+#[test]
+fn every_loop_has_a_margin_of_two() {
+    each_load(|model, load, case| {
+        for index in [PidIndex::SPEED_KP, PidIndex::SPEED_KI, PidIndex::POSITION_KP] {
+            for factor in [0.5, 2.0] {
+                let mut alone = Alone::new(model, load);
+                let factory = alone.with(|drive| drive.settings().gains.get(index).unwrap());
+                alone.tell(WritePidRam { index, value: gain(factory.value() * factor) });
+                alone.tell(go_to(90.0, 90));
+                let (_, most) = alone.range(millis(4_000));
+                let case = format!("{case:?}, gain {index:?} times {factor}");
+                assert!(most < 94.0, "{case:?}: overshoots to {most}");
+                // With half of the stiffness friction may let it stick and slip.
+                alone.swings_by(0.1, &case);
+            }
+        }
+    });
+}
+
+/// A shaft that was held by a stop, or that is pushed, is let go without a kick.
+#[test]
+fn nothing_winds_up_against_a_stop() {
+    each_load(|model, load, case| {
+        let mut alone = Alone::new(model, load);
+        let stop = SpringStop { at_deg: 30.0, stiffness_nm_per_rad: 2_000.0 };
+        let walled = Load { inertia_kg_m2: load, upper_stop: Some(stop), ..Load::NONE };
+        alone.with(|drive| drive.plant_mut().set_load(walled).unwrap());
+        let gently =
+            ForcePosition { max_torque: percent(100), max_speed: up_to(90), angle: degrees(90.0) };
+        alone.tell(gently);
+        alone.run(millis(3_000));
+        let leaning = alone.speed_dps();
+        // The stop itself takes no energy away.
+        assert!(leaning.abs() < 10.0, "{case:?}: bounces at {leaning}");
+        alone.tell(go_to(0.0, 90));
+        let (least, _) = alone.range(millis(3_000));
+        assert!(least > -3.0, "{case:?}: overshoots to {least}");
+        alone.is_still(case);
+    });
+}
