@@ -2,6 +2,7 @@
 
 mod drives {
     mod fleet;
+    mod loops;
     mod manual;
     mod plant_physics;
     mod quirks;

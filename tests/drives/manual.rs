@@ -138,17 +138,38 @@ fn gains_act_on_the_loops() {
     assert!((bench.speed() - 100.0).abs() < 1.0, "{}", bench.speed());
 }
 
-/// 2.2: and so are the current loop's: half of a set-point at once, the rest by and by.
+/// 2.2: and so are the current loop's: they set how fast the current follows.
 #[test]
 fn current_gains_act_on_the_current() {
     let mut bench = Bench::default();
-    bench.write(WritePidRam { index: PidIndex::CURRENT_KP, value: gain(0.5) });
+    bench.write(WritePidRam { index: PidIndex::CURRENT_KP, value: gain(0.0) });
     bench.write(WritePidRam { index: PidIndex::CURRENT_KI, value: gain(10.0) });
-    bench.ask(push(2.0));
-    assert!((bench.current() - 1.04).abs() < 0.05, "{}", bench.current());
-    bench.run(millis(95));
-    // 2 A less e^-1 of the half that was missing.
-    assert!((bench.current() - 1.63).abs() < 0.05, "{}", bench.current());
+    bench.drive.plant_mut().friction_nm_s = 1e9;
+    bench.go(push(2.0), millis(95));
+    // 2 A less e^-1.
+    assert!((bench.current() - 1.264).abs() < 0.02, "{}", bench.current());
+    bench.run(millis(900));
+    assert!((bench.current() - 2.0).abs() < 0.01, "{}", bench.current());
+}
+
+/// 2.2.5: a current KP of 1.5, and any other, changes how fast a current comes and not how much.
+#[test]
+fn current_gains_change_no_torque() {
+    for kp in [0.0, 0.1, 1.0, 1.5, 100.0] {
+        for ki in [0.0, 10.0, 100.0, 10_000.0] {
+            if (kp, ki) == (0.0, 0.0) {
+                continue;
+            }
+            let mut bench = Bench::default();
+            bench.write(WritePidRam { index: PidIndex::CURRENT_KP, value: gain(kp) });
+            bench.write(WritePidRam { index: PidIndex::CURRENT_KI, value: gain(ki) });
+            bench.drive.plant_mut().friction_nm_s = 1e9;
+            bench.ask(push(3.0));
+            let seen = most(&mut bench, millis(1_000), |measured| measured.current_a);
+            assert!(seen <= 3.0, "KP {kp}, KI {ki}: {seen} A");
+            assert!((bench.current() - 3.0).abs() < 0.01, "KP {kp}, KI {ki}: {}", bench.current());
+        }
+    }
 }
 
 /// 2.4, 2.5: the four accelerations are written to RAM and ROM at once and kept after power-off.

@@ -27,7 +27,7 @@ pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;
 const DEFAULT_MODEL: &str = "RMD-X8-PRO";
 
 /// The speed loop's bandwidth that factory gains aim at, rad/s.
-const BANDWIDTH_RAD_S: f32 = 200.0;
+const BANDWIDTH_RAD_S: f32 = 1_000.0;
 
 /// Why drives cannot be simulated as asked.
 #[derive(Debug, thiserror::Error)]

@@ -89,8 +89,11 @@ use queue::DropOldest;
 use random::Random;
 use reporting::{Report, Reporting};
 
+/// How often measurements are held against their limits, where the loops run more often.
+const JUDGED_EVERY: Duration = Duration::from_millis(1);
+
 /// How many control steps one call runs at most. With the default period that is one second.
-pub const MAX_STEPS_PER_CALL: u32 = 1_000;
+pub const MAX_STEPS_PER_CALL: u32 = 10_000;
 
 /// How far the loops may fall behind before [`Drive::poll_at`] asks for a call.
 const CATCH_UP: Duration = Duration::from_millis(10);
@@ -119,6 +122,8 @@ pub struct Drive<P, M> {
     life: Life,
     /// Up to when the loops have run.
     clock: Instant,
+    /// Up to when measurements have been held against their limits.
+    judged: Instant,
     measurement: Measurement,
     encoder: Encoder,
     /// What function 1 takes off the raw position at the next start.
@@ -159,6 +164,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             stored,
             active: stored,
             clock: now,
+            judged: now,
             measurement,
             turns_to_clear: 0,
             id_taken: None,
@@ -370,6 +376,11 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
         self.act(&actuation, period);
         self.clock = end;
+        let unjudged = end - self.judged;
+        let is_time = unjudged >= JUDGED_EVERY;
+        if is_time {
+            self.judged = end;
+        }
         match self.life {
             Life::Off => {}
             Life::Booting { since, until } => {
@@ -378,8 +389,12 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 }
             }
             Life::Running { .. } => {
-                let (measurement, parameters) = (self.measurement, self.parameters);
-                self.change_faults(|faults| faults.observe(&measurement, &parameters, period));
+                if is_time {
+                    let (measurement, parameters) = (self.measurement, self.parameters);
+                    self.change_faults(|faults| {
+                        faults.observe(&measurement, &parameters, unjudged)
+                    });
+                }
                 if self.protection.check(end, self.protection_timeout()) {
                     self.cut_output();
                     self.events.push(Event::ProtectionTripped);

@@ -124,7 +124,7 @@ defaults! {
         /// When errors come.
         pub limits: FaultLimits = FaultLimits::default(),
         /// Gains that an empty memory starts with.
-        pub factory_gains: Gains = Gains::tuned(0.02, 2.0, 200.0),
+        pub factory_gains: Gains = Gains::tuned(0.02, 2.0, 1_000.0),
         /// The scales of motion mode.
         pub motion_ranges: MotionRanges = MotionRanges::V4_3,
         /// Whether the motor has a brake. Without one the brake commands are answered and do
@@ -136,8 +136,8 @@ defaults! {
         pub response_delay_max: Duration = Duration::from_micros(800),
         /// Seed of everything that the drive does by chance. The same seed gives the same run.
         pub seed: u32 = 1,
-        /// The step of the control loops; at least 1 µs.
-        pub control_period: Duration = Duration::from_millis(1),
+        /// The step of the control loops; at least 1 µs. The factory gains are for the default.
+        pub control_period: Duration = Duration::from_micros(100),
         /// How long the drive is deaf after a start.
         pub boot_time: Duration = Duration::ZERO,
         /// Behaviour beside the manual.

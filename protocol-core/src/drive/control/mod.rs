@@ -6,7 +6,7 @@ mod planner;
 use crate::command::{Mode, MotionSetPoint};
 use crate::drive::settings::{Accelerations, Gains};
 
-use loops::{Loops, limited};
+use loops::{Loops, Output, current, limited};
 use planner::{Pace, Profile, ramp};
 
 /// What a command has set.
@@ -30,9 +30,35 @@ enum Task {
     Off,
     Current { current_a: f32 },
     Speed { target_dps: f32, now_dps: f32, limit_a: f32 },
-    Position { target_deg: f64, max_speed_dps: f32, limit_a: f32, profile: Option<Profile> },
+    Position { target_deg: f64, max_speed_dps: f32, limit_a: f32, plan: Plan },
     Stopping { now_dps: f32 },
     Motion(MotionSetPoint),
+}
+
+/// How a position command goes to its target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Plan {
+    /// Not planned yet, or never: direct tracking.
+    None,
+    /// Along this profile.
+    Moves(Profile),
+    /// As before, but the profile waits for a shaft that cannot follow it.
+    Waits(Profile),
+}
+
+impl Plan {
+    /// What a new command goes on from.
+    fn go_on(self, input: &Input) -> Self {
+        match self {
+            Self::Moves(profile) | Self::Waits(profile) => {
+                let away_deg = (profile.position_deg - input.angle_deg).abs();
+                let held = matches!(self, Self::Waits(_)) && input.speed_dps.abs() < STANDING_DPS;
+                // A shaft that was held back starts anew from where it is.
+                if held || away_deg >= LOST_PROFILE_DEG { Self::None } else { self }
+            }
+            Self::None => self,
+        }
+    }
 }
 
 /// What the controller works with.
@@ -49,6 +75,10 @@ pub(super) struct Input {
 
 /// Below this speed a stopping motor counts as standing, degrees per second.
 const STANDING_DPS: f32 = 1.0;
+
+/// A shaft that stands closer than this to its target is there, degrees. It is the unit in which positions
+/// are commanded.
+const THERE_DEG: f32 = 0.01;
 
 /// Farther than this from its profile, degrees, a shaft does not follow it any more.
 const LOST_PROFILE_DEG: f64 = 10.0;
@@ -104,16 +134,11 @@ impl Controller {
                 _ => Task::Stopping { now_dps: self.ramp_start(input) },
             },
             SetPoint::Position { target_deg, max_speed_dps, limit_a } => {
-                let profile = match before {
-                    // A shaft that was held back far from its profile starts anew from where it is.
-                    Task::Position { profile: Some(profile), .. }
-                        if (profile.position_deg - input.angle_deg).abs() < LOST_PROFILE_DEG =>
-                    {
-                        Some(profile)
-                    }
-                    _ => None,
+                let plan = match before {
+                    Task::Position { plan, .. } => plan.go_on(input),
+                    _ => Plan::None,
                 };
-                Task::Position { target_deg, max_speed_dps, limit_a, profile }
+                Task::Position { target_deg, max_speed_dps, limit_a, plan }
             }
         };
         if core::mem::discriminant(&before) != core::mem::discriminant(&self.task) {
@@ -142,7 +167,7 @@ impl Controller {
             target_deg,
             max_speed_dps: 0.0,
             limit_a: input.stall_current_a,
-            profile: Some(Profile { position_deg: target_deg, speed_dps: 0.0 }),
+            plan: Plan::Moves(Profile { position_deg: target_deg, speed_dps: 0.0 }),
         }
     }
 
@@ -167,39 +192,86 @@ impl Controller {
             Task::Current { current_a } => (*current_a, stall_a),
             Task::Motion(set_point) => (motion_current(set_point, input), stall_a),
             Task::Speed { target_dps, now_dps, limit_a } => {
-                *now_dps = ramp(*now_dps, *target_dps, speed_up, slow_down, dt);
-                (loops.speed(gains, *now_dps - input.speed_dps, *limit_a, dt), *limit_a)
+                let next_dps = ramp(*now_dps, *target_dps, speed_up, slow_down, dt);
+                (follow(loops, gains, now_dps, next_dps, input, *limit_a, dt), *limit_a)
             }
             Task::Stopping { now_dps } => {
-                *now_dps = ramp(*now_dps, 0.0, speed_up, slow_down, dt);
-                (loops.speed(gains, *now_dps - input.speed_dps, stall_a, dt), stall_a)
+                let next_dps = ramp(*now_dps, 0.0, speed_up, slow_down, dt);
+                (follow(loops, gains, now_dps, next_dps, input, stall_a, dt), stall_a)
             }
-            Task::Position { target_deg, max_speed_dps, limit_a, profile } => {
+            Task::Position { target_deg, max_speed_dps, limit_a, plan } => {
                 let set_limit = (*max_speed_dps > 0.0).then_some(*max_speed_dps);
-                let (goal, max_dps) = match pace(accelerations, set_limit, input.max_speed_dps) {
+                let own_limit = input.max_speed_dps;
+                let (now, goal, max_dps) = match pace(accelerations, set_limit, own_limit) {
                     Some(pace) => {
-                        let profile = profile.get_or_insert(Profile {
-                            position_deg: input.angle_deg,
-                            speed_dps: input.speed_dps,
-                        });
-                        profile.advance(*target_deg, &pace, dt);
-                        (*profile, pace.max_speed_dps.max(profile.speed_dps.abs()))
+                        let now = match *plan {
+                            Plan::Moves(profile) | Plan::Waits(profile) => profile,
+                            Plan::None => Profile {
+                                position_deg: input.angle_deg,
+                                speed_dps: input.speed_dps,
+                            },
+                        };
+                        let mut goal = now;
+                        goal.advance(*target_deg, &pace, dt);
+                        (Some(now), goal, pace.max_speed_dps.max(goal.speed_dps.abs()))
                     }
                     None => {
-                        *profile = None;
                         let goal = Profile { position_deg: *target_deg, speed_dps: 0.0 };
-                        (goal, set_limit.unwrap_or(f32::MAX))
+                        (None, goal, set_limit.unwrap_or(f32::MAX))
                     }
                 };
                 let error_deg = (goal.position_deg - input.angle_deg) as f32;
                 let speed_dps =
                     loops.position(gains, error_deg, goal.speed_dps, input.speed_dps, max_dps, dt);
-                (loops.speed(gains, speed_dps - input.speed_dps, *limit_a, dt), *limit_a)
+                let wrong_dps = speed_dps - input.speed_dps;
+                let is_there = error_deg.abs() < THERE_DEG && wrong_dps.abs() < STANDING_DPS;
+                let output = if is_there {
+                    loops.speed_at_rest(gains, wrong_dps, *limit_a)
+                } else {
+                    loops.speed(gains, wrong_dps, *limit_a, dt)
+                };
+                *plan = now.map_or(Plan::None, |now| {
+                    let further_deg = (goal.position_deg - now.position_deg) as f32;
+                    let faster_dps = goal.speed_dps - now.speed_dps;
+                    let change_dps = gains.position_kp.value() * further_deg + faster_dps;
+                    if runs_ahead(change_dps, &output) {
+                        Plan::Waits(now)
+                    } else {
+                        Plan::Moves(goal)
+                    }
+                });
+                (output.value, *limit_a)
             }
         };
-        let wanted_a = limited(wanted_a, limit_a.min(stall_a));
-        Some(loops.current(gains, wanted_a, input.current_a, limit_a.min(stall_a), dt))
+        let limit_a = limit_a.min(stall_a);
+        let wanted_a = limited(wanted_a, limit_a);
+        Some(current(gains, wanted_a, input.current_a, limit_a, dt))
     }
+}
+
+/// The current that brings the shaft to `next_dps`, to which the ramp goes on from `now_dps`.
+fn follow(
+    loops: &mut Loops,
+    gains: &Gains,
+    now_dps: &mut f32,
+    next_dps: f32,
+    input: &Input,
+    limit_a: f32,
+    dt: f32,
+) -> f32 {
+    let output = loops.speed(gains, next_dps - input.speed_dps, limit_a, dt);
+    *now_dps = if runs_ahead(next_dps - *now_dps, &output) {
+        input.speed_dps.max(now_dps.min(next_dps)).min(now_dps.max(next_dps))
+    } else {
+        next_dps
+    };
+    output.value
+}
+
+/// Whether a plan that goes on by `change_dps` asks for more of what a limit takes away already. Then it
+/// waits for the shaft: what it gained on it would have to be made good by overshooting.
+fn runs_ahead(change_dps: f32, output: &Output) -> bool {
+    change_dps * output.beyond > 0.0
 }
 
 /// How a planned position moves; `None` for direct tracking, which is an acceleration of 0 (2.21.1).

@@ -104,10 +104,20 @@ mod tests {
     const PACE: Pace =
         Pace { max_speed_dps: 500.0, acceleration_dps2: 10_000.0, deceleration_dps2: 5_000.0 };
 
-    fn run(mut profile: Profile, target: f64, pace: Pace, steps: usize) -> Vec<Profile> {
+    fn run(profile: Profile, target: f64, pace: Pace, steps: usize) -> Vec<Profile> {
+        run_by(profile, target, pace, DT, steps)
+    }
+
+    fn run_by(
+        mut profile: Profile,
+        target: f64,
+        pace: Pace,
+        dt: f32,
+        steps: usize,
+    ) -> Vec<Profile> {
         (0..steps)
             .map(|_| {
-                profile.advance(target, &pace, DT);
+                profile.advance(target, &pace, dt);
                 profile
             })
             .collect()
@@ -145,9 +155,15 @@ mod tests {
                 Pace { acceleration_dps2: 60_000.0, deceleration_dps2: 100.0, ..PACE },
             ] {
                 let start = Profile { position_deg: 12.0, speed_dps: speed };
-                let steps = 40_000 + (way.abs() / f64::from(pace.max_speed_dps) * 1_000.0) as usize;
-                let end = *run(start, 12.0 + way, pace, steps).last().unwrap();
-                assert_eq!(end, Profile { position_deg: 12.0 + way, speed_dps: 0.0 }, "{pace:?}");
+                let there = Profile { position_deg: 12.0 + way, speed_dps: 0.0 };
+                let seconds = 40.0 + way.abs() / f64::from(pace.max_speed_dps);
+                // The longest way takes too many steps of the drive's own length.
+                let steps: &[f32] = if seconds < 1_000.0 { &[DT, DT / 10.0] } else { &[DT] };
+                for &dt in steps {
+                    let count = (seconds / f64::from(dt)) as usize;
+                    let end = *run_by(start, 12.0 + way, pace, dt, count).last().unwrap();
+                    assert_eq!(end, there, "{pace:?}, step {dt}");
+                }
             }
         }
     }
