@@ -392,6 +392,23 @@ fn speed_follows_its_ramps() {
     assert!((bench.speed() - 1_000.0).abs() < 60.0, "{}", bench.speed());
 }
 
+/// 2.4.4: the deceleration is "in the same direction", the acceleration "includes both directions": a
+/// reversal is one acceleration from end to end.
+#[test]
+fn a_reversal_is_an_acceleration() {
+    let mut bench = Bench::default();
+    plan(&mut bench, AccelerationIndex::SPEED_ACCELERATION, 1_000);
+    plan(&mut bench, AccelerationIndex::SPEED_DECELERATION, 200);
+    bench.go(turn(100.0), millis(500));
+    bench.go(turn(-100.0), millis(95));
+    assert!(bench.speed().abs() < 10.0, "{}", bench.speed());
+    bench.run(millis(95));
+    assert!((bench.speed() + 95.0).abs() < 8.0, "{}", bench.speed());
+    // 0 has no direction: a way to it is a deceleration.
+    bench.go(turn(0.0), millis(195));
+    assert!((bench.speed() + 60.0).abs() < 8.0, "{}", bench.speed());
+}
+
 /// 2.20.1: maxTorque is a percentage of the rated current; 0, or above the stall current, is no limit
 /// but the stall current.
 #[test]
@@ -820,6 +837,51 @@ fn functions_6_and_7_limit_positions() {
         ends_at(&mut bench, on_by(500.0), 90.0);
         ends_at(&mut bench, force_to(-500.0, 100), -45.0);
         bench.write(Stop);
+    }
+}
+
+/// 2.35.4, functions 6 and 7: "at once" is for a motor on its way, too. A limit ends its motion there; a
+/// motor that is beyond already is not brought back, as setting a limit is no command to move.
+#[test]
+fn a_limit_ends_the_motion_under_way() {
+    for sign in [1, -1] {
+        let (way, limit) = (sign as f32, sign as f64);
+        let set = |angle: i32| match sign {
+            1 => FunctionControl::MaxPositiveAngle(angle),
+            _ => FunctionControl::MaxNegativeAngle(-angle),
+        };
+        let mut bench = Bench::default();
+        bench.go(go_to(360.0 * way, 100), millis(200));
+        bench.write(set(9_000));
+        bench.run(millis(2_000));
+        assert!((bench.angle() - 90.0 * limit).abs() < 0.02, "{}", bench.angle());
+        bench.write(set(4_500));
+        bench.run(millis(1_000));
+        assert!((bench.angle() - 90.0 * limit).abs() < 0.02, "{}", bench.angle());
+        ends_at(&mut bench, go_to(360.0 * way, 500), 45.0 * limit);
+    }
+}
+
+/// 2.25.3 names three modes, each a loop; 2.17.1: 0x80 "clears the running state", so that no loop runs.
+/// Nor does one before the first command, or after an error.
+#[test]
+fn in_no_mode_0x70_tells_0() {
+    let none = Mode::from_raw(0);
+    let mut bench = Bench::default();
+    assert_eq!(bench.ask(ReadRunningMode).mode, none);
+    bench.ask(turn(50.0));
+    bench.raise(ErrorFlags::OVER_VOLTAGE);
+    assert_eq!(bench.ask(ReadRunningMode).mode, none);
+    bench.drive.clear_fault(ErrorFlags::OVER_VOLTAGE);
+    for (end, mode) in [(AnyCommand::from(Shutdown), none), (Stop.into(), Mode::POSITION)] {
+        bench.go(turn(50.0), millis(200));
+        bench.send(end);
+        bench.run(millis(200));
+        assert_eq!(
+            bench.ask(ReadRunningMode).mode,
+            mode,
+            "a motor that holds is in the position loop"
+        );
     }
 }
 

@@ -10,7 +10,7 @@ use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 use crate::units::{
-    CoarseSpeed, Current, Milliseconds, ReportedAcceleration, Temperature, Voltage,
+    Angle, CoarseSpeed, Current, Milliseconds, ReportedAcceleration, Temperature, Voltage,
 };
 
 mod run;
@@ -361,15 +361,23 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 if self.parameters.quirks.silent_id_change { None } else { answer }
             }
             FunctionControl::MaxPositiveAngle(angle) => {
-                let angle = Some(crate::units::Angle::from_raw(angle));
-                self.write_rom(opcode, echo, |settings| settings.max_positive_angle = angle)
+                let angle = Some(Angle::from_raw(angle));
+                self.limit_position(echo, |settings| settings.max_positive_angle = angle)
             }
             FunctionControl::MaxNegativeAngle(angle) => {
-                let angle = Some(crate::units::Angle::from_raw(angle));
-                self.write_rom(opcode, echo, |settings| settings.max_negative_angle = angle)
+                let angle = Some(Angle::from_raw(angle));
+                self.limit_position(echo, |settings| settings.max_negative_angle = angle)
             }
             FunctionControl::Other(_) => return Err(IgnoreReason::UnknownCode(opcode)),
         })
+    }
+
+    /// Functions 6 and 7.
+    fn limit_position(&mut self, echo: Data, change: impl Fn(&mut Settings)) -> Option<Data> {
+        let answer = self.write_rom(Opcode::FunctionControl, echo, change)?;
+        let limits = self.active.position_limits();
+        self.controller.keep_within(limits, self.encoder.angle_deg());
+        Some(answer)
     }
 
     /// Changes what is stored and what acts. `answer` is what a drive says if that worked.

@@ -74,9 +74,12 @@
 //!   2.24.1 does not call it "no limit". The stall current limits every command, 0xA1 and motion
 //!   mode included.
 //! - The targets of 0xA4, 0xA6, 0xA8 and 0xA9 are clamped to the angles of functions 6 and 7: the
-//!   motor goes as far as it may. The limits act from the next command on; a motor on its way goes
-//!   on. The manual gives them no unit; 0.01°, the unit of every commanded angle, is assumed
-//!   (2.35.4).
+//!   motor goes as far as it may. A limit acts "at once" (2.35.4), where others act after a restart: so
+//!   it ends the motion that is under way, too. It begins none: what is beyond it already is held where
+//!   it is, for whoever sets a limit has not asked for a movement. Speed, torque and motion mode are no
+//!   "position running" and know no limits. The manual gives no unit and no sign: 0.01° and a signed
+//!   number are assumed, as in every commanded angle. It has no word for no limit; 0 is an angle like
+//!   any other, and one that is out of reach lifts the limit.
 //! - 0xA8 counts from where the shaft is, not from where it was to go (2.23.1).
 //! - 0xA6 runs in single-turn mode only, with function 4 off (2.22.1); else it is answered and does
 //!   nothing. Within half a degree of its target it goes the short way, whatever the direction
@@ -84,15 +87,19 @@
 //! - A maximum speed of 0 in planning is [the motor's own](super::Parameters::max_speed_dps); in
 //!   direct tracking it is no limit (2.21.1).
 //! - A deceleration of 0 in position planning is the acceleration's value. In speed planning 0 is
-//!   no ramp, for the deceleration as 2.20.2 says of the acceleration. A reversal goes down to 0 by
-//!   the deceleration and up again by the acceleration (2.4.4).
+//!   no ramp, for the deceleration as 2.20.2 says of the acceleration.
+//! - A reversal of the speed goes by the acceleration from end to end: 2.4.4 has the deceleration act
+//!   "in the same direction" only, and the acceleration "in both". A way to 0, which has no direction,
+//!   goes by the deceleration. In position planning the deceleration is the way "to standstill", so
+//!   that a motor that has to turn back uses it first and then the acceleration.
 //! - A position command that follows another goes on from the planned place and speed, unless the
 //!   shaft was held back by 10° or more, or stands while its plan waits for it: then from where it is.
 //! - Motion mode divides the torque by the motor's torque constant, where 5.1 prints a
 //!   multiplication. Feedback beyond a scale is the scale's end.
 //! - 0x70 knows three modes (2.25.3). Motion mode sets a current, so it is the current loop; a
-//!   motor that stops is in the speed loop, one that holds in the position loop. In no mode the
-//!   byte is 0.
+//!   motor that stops is in the speed loop, one that holds in the position loop. Where no loop runs
+//!   the byte is 0: 0x80 "clears the running state" and leaves "no closed-loop mode" (2.17.1), and
+//!   one of the three would say that a motor runs which is off.
 //!
 //! # Gains
 //! The manual names seven gains and not what they do (2.1.4). Here three loops lie in each other,

@@ -191,6 +191,36 @@ impl Settings {
             baud_rate,
         }
     }
+
+    pub(super) fn position_limits(&self) -> PositionLimits {
+        let degrees = |angle: Option<Angle>| angle.map(Angle::degrees_f64);
+        PositionLimits {
+            smallest_deg: degrees(self.max_negative_angle).unwrap_or(f64::NEG_INFINITY),
+            largest_deg: degrees(self.max_positive_angle).unwrap_or(f64::INFINITY),
+        }
+    }
+}
+
+/// Between which angles position commands move the shaft, degrees (functions 6 and 7).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PositionLimits {
+    smallest_deg: f64,
+    largest_deg: f64,
+}
+
+impl PositionLimits {
+    /// The angle that may be gone to instead of this. Of two limits that leave none, function 7's holds.
+    pub(super) const fn nearest(&self, angle_deg: f64) -> f64 {
+        angle_deg.min(self.largest_deg).max(self.smallest_deg)
+    }
+
+    /// Wide enough for a shaft that is here.
+    pub(super) const fn around(&self, angle_deg: f64) -> Self {
+        Self {
+            smallest_deg: self.smallest_deg.min(angle_deg),
+            largest_deg: self.largest_deg.max(angle_deg),
+        }
+    }
 }
 
 /// A drive's non-volatile memory.

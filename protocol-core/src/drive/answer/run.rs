@@ -61,13 +61,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         max_speed: MaxSpeed,
         limit_a: f32,
     ) {
-        let mut target_deg = target_deg;
-        if let Some(max) = self.active.max_positive_angle {
-            target_deg = target_deg.min(max.degrees_f64());
-        }
-        if let Some(min) = self.active.max_negative_angle {
-            target_deg = target_deg.max(min.degrees_f64());
-        }
+        let target_deg = self.active.position_limits().nearest(target_deg);
         let max_speed_dps = max_speed.dps();
         let set_point = SetPoint::Position { target_deg, max_speed_dps, limit_a };
         self.run(opcode, set_point, LockedBrake::Opens);

@@ -4,7 +4,7 @@ mod loops;
 mod planner;
 
 use crate::command::{Mode, MotionSetPoint};
-use crate::drive::settings::{Accelerations, Gains};
+use crate::drive::settings::{Accelerations, Gains, PositionLimits};
 
 use loops::{Loops, Output, current, limited};
 use planner::{Pace, Profile, ramp};
@@ -150,6 +150,13 @@ impl Controller {
                     self.loops.load_a()
                 }
             });
+        }
+    }
+
+    /// Ends the motion under way at these limits; a shaft that is beyond them stays where it is.
+    pub(super) fn keep_within(&mut self, limits: PositionLimits, angle_deg: f64) {
+        if let Task::Position { target_deg, .. } = &mut self.task {
+            *target_deg = limits.around(angle_deg).nearest(*target_deg);
         }
     }
 

@@ -75,8 +75,9 @@ impl Profile {
     }
 }
 
-/// The next speed on the way from `speed_dps` to `target_dps`: away from standstill at the
-/// acceleration, towards it at the deceleration, through 0 on a reversal. 0 for either means at once.
+/// The next speed on the way from `speed_dps` to `target_dps`: at the deceleration if it slows down and
+/// keeps its direction, else at the acceleration, which a reversal is from end to end. 0 for either means at
+/// once.
 pub(crate) fn ramp(
     speed_dps: f32,
     target_dps: f32,
@@ -84,15 +85,16 @@ pub(crate) fn ramp(
     deceleration_dps2: f32,
     dt: f32,
 ) -> f32 {
-    let sign = if speed_dps < 0.0 || (speed_dps == 0.0 && target_dps < 0.0) { -1.0 } else { 1.0 };
-    let (speed, target) = (speed_dps * sign, target_dps * sign);
-    let next = if target > speed {
-        if acceleration_dps2 > 0.0 { (speed + acceleration_dps2 * dt).min(target) } else { target }
+    let reverses = (speed_dps < 0.0 && target_dps > 0.0) || (speed_dps > 0.0 && target_dps < 0.0);
+    let slows_down = !reverses && target_dps.abs() < speed_dps.abs();
+    let rate_dps2 = if slows_down { deceleration_dps2 } else { acceleration_dps2 };
+    if rate_dps2 <= 0.0 {
+        target_dps
+    } else if target_dps > speed_dps {
+        (speed_dps + rate_dps2 * dt).min(target_dps)
     } else {
-        let end = target.max(0.0);
-        if deceleration_dps2 > 0.0 { (speed - deceleration_dps2 * dt).max(end) } else { end }
-    };
-    next * sign
+        (speed_dps - rate_dps2 * dt).max(target_dps)
+    }
 }
 
 #[cfg(test)]
@@ -169,16 +171,21 @@ mod tests {
     }
 
     #[test]
-    fn a_speed_ramps_through_zero_with_both_rates() {
-        let mut speed = 10.0;
-        let mut steps = 0;
-        while speed != -10.0 {
-            speed = ramp(speed, -10.0, 1_000.0, 500.0, DT);
-            steps += 1;
+    fn a_speed_reverses_at_the_acceleration_and_comes_to_rest_at_the_deceleration() {
+        let steps = |from: f32, to: f32| {
+            let mut speed = from;
+            (1..100).find(|_| {
+                speed = ramp(speed, to, 1_000.0, 500.0, DT);
+                speed == to
+            })
+        };
+        for sign in [1.0, -1.0] {
+            assert_eq!(steps(10.0 * sign, -10.0 * sign), Some(20));
+            assert_eq!(steps(0.0, 10.0 * sign), Some(10));
+            assert_eq!(steps(10.0 * sign, 0.0), Some(20));
         }
-        // 10 dps at 0.5 dps a step, then 10 dps at 1 dps a step.
-        assert_eq!(steps, 20 + 10);
         assert_eq!(ramp(0.0, -300.0, 0.0, 0.0, DT), -300.0);
+        assert_eq!(ramp(300.0, -300.0, 0.0, 500.0, DT), -300.0);
         assert_eq!(ramp(200.0, 100.0, 1_000.0, 0.0, DT), 100.0);
     }
 }
