@@ -107,8 +107,9 @@
 //! [10 kHz](super::Parameters::control_period):
 //!
 //! - position: speed = the profile's speed + kp·e + ki·∫e + kd·de/dt;
-//! - speed: current = kp·e + ki·∫e. Within 0.01° of a target, the unit of every commanded angle, the
-//!   integral rests: else static friction would have it break the shaft away for ever;
+//! - speed: current = kp·e + ki·∫e. Where the position loop has the shaft within 0.01°, the unit of
+//!   every commanded angle, the integral rests: else static friction would have it break the shaft
+//!   away for ever;
 //! - current: what is missing comes at a rate of 10000·kp + ki a second, with kp 1 at once. The
 //!   manual's own example of a gain is a current KP of 1.5 (2.2.5), so no gain of this loop changes how
 //!   much current flows in the end.

@@ -210,12 +210,12 @@ pub(super) struct PositionLimits {
 
 impl PositionLimits {
     /// The angle that may be gone to instead of this. Of two limits that leave none, function 7's holds.
-    pub(super) const fn nearest(&self, angle_deg: f64) -> f64 {
+    pub(super) fn nearest(&self, angle_deg: f64) -> f64 {
         angle_deg.min(self.largest_deg).max(self.smallest_deg)
     }
 
     /// Wide enough for a shaft that is here.
-    pub(super) const fn around(&self, angle_deg: f64) -> Self {
+    pub(super) fn around(&self, angle_deg: f64) -> Self {
         Self {
             smallest_deg: self.smallest_deg.min(angle_deg),
             largest_deg: self.largest_deg.max(angle_deg),
