@@ -238,9 +238,9 @@ impl Motor {
         self.stream.waiting().is_some() && self.late.has_room() && !is_to_stop
     }
 
-    /// Whether the set-point is what this motor should be sent next, rather than the request.
+    /// Whether of a motor of which anything may go the set-point should be next, rather than the request.
     pub(super) fn is_set_point_next(&self, request_may_go: bool) -> bool {
-        self.may_send_set_point() && !(request_may_go && self.was_set_point)
+        !request_may_go || (!self.was_set_point && self.may_send_set_point())
     }
 
     pub(super) fn request_packet(&self) -> Option<Packet> {
