@@ -178,9 +178,14 @@ impl Broadcast {
         }
     }
 
-    /// A controller has handed it back: it was never on the bus, and moves nobody.
-    pub(super) fn was_pushed_out(&mut self) {
-        self.moves = false;
+    /// A controller has handed it back: it was never on the bus, and moves nobody. Of an earlier one nobody
+    /// waits for an answer any more.
+    pub(super) fn was_pushed_out(&mut self, packet: &Packet) {
+        if self.packet().as_ref() != Some(packet) {
+            return;
+        }
+        // An earlier one may still move what this would not have moved.
+        self.moves &= !self.kind.is_some_and(Kind::moves);
         if matches!(self.state, State::InFlight | State::Sent) {
             self.state = State::Waiting;
             // Nobody has heard it, so that it need not wait for answers to itself.

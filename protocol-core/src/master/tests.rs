@@ -1,6 +1,8 @@
 //! The rules of the master, one test a rule. Times are chosen by hand: the reply time-out of
 //! [`Config::CAN`] is 20.4 ms, its late window 40.8 ms.
 
+mod odd_orders;
+
 use std::vec::Vec;
 
 use super::*;

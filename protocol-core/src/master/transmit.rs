@@ -105,7 +105,7 @@ impl<const N: usize> Master<N> {
                     motor.drop_what_is_too_old(now);
                 });
             }
-            Channel::Command(Target::All) | Channel::BusId => self.broadcast.was_pushed_out(),
+            Channel::Command(Target::All) | Channel::BusId => self.broadcast.was_pushed_out(packet),
             Channel::Reply(_) | Channel::MotionReply(_) => {}
         }
     }
