@@ -222,6 +222,7 @@ impl<const N: usize> Master<N> {
             return;
         }
         self.broadcast.state = State::Done;
+        self.due = now;
         for motor in self.broadcast.silent().iter() {
             self.change(motor, |motor, config| motor.has_missed(config, now));
         }

@@ -349,6 +349,7 @@ impl<const N: usize> Master<N> {
         if kind.ends_motion() {
             // What was offered may be a set-point that this ends.
             self.offer = None;
+            self.due = now;
             for place in self.places.taken.iter() {
                 self.change_at(place, |motor, config| motor.end_motion_with_all(config, now));
             }

@@ -142,7 +142,12 @@ impl<const N: usize> Master<N> {
 
     fn measured(&mut self, round_trip: Option<Duration>) {
         if let (Some(trips), Some(round_trip)) = (&mut self.round_trips, round_trip) {
+            let before = self.config.reply_timeout;
             trips.measured(round_trip, &mut self.config);
+            // What else is in flight may be late sooner than it was.
+            if self.config.reply_timeout < before {
+                self.due = self.now;
+            }
         }
     }
 
@@ -182,6 +187,7 @@ impl<const N: usize> Master<N> {
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {
         self.now = now;
+        self.due = now;
         let known = self.change(motor, |motor, config| {
             motor.was_heard(config, now);
             motor.has_lost_its_master();

@@ -4,6 +4,12 @@
 use super::*;
 use crate::command::ReadStatus2;
 
+const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
+
+fn patient(attempts: u8, millis: u64) -> Patience {
+    Patience { attempts, reply_timeout: Duration::from_millis(millis) }
+}
+
 #[test]
 fn another_command_to_all_that_was_pushed_out_is_not_the_one_in_flight() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -14,6 +20,42 @@ fn another_command_to_all_that_was_pushed_out_is_not_the_one_in_flight() {
     assert_eq!(sent(&mut master, ms(1)), [packet_to_all(step().encode())]);
     master.handle_pushed_out(&earlier);
     assert_eq!(sent(&mut master, ms(2)), [], "the move would be made twice");
+}
+
+#[test]
+fn a_time_out_that_has_become_shorter_is_looked_at_in_time() {
+    let config = Config { reply_timeout: Duration::from_millis(5), ..Config::CAN };
+    let mut master = Master::<2>::new(config.adapting_up_to(Duration::from_millis(40)));
+    for motor in [1, 2] {
+        master.set_point(id(motor), torque(1.0), ms(0)).unwrap();
+    }
+    sent(&mut master, ms(0));
+    master.handle_timeout(ms(0));
+    reply(&mut master, 1, TORQUE_REPLY, ms(1)).unwrap();
+    let mut told = Vec::new();
+    let mut now = ms(1);
+    for _ in 0..20 {
+        told.extend(events(&mut master, now));
+        let Some(at) = master.poll_at() else { break };
+        assert!(at > now, "{at:?} is past at {now:?}, and nothing is done");
+        now = at;
+    }
+    assert_eq!(told, [Event::SetPointUnanswered { motor: id(2) }]);
+}
+
+#[test]
+fn a_question_that_all_have_ended_can_be_put_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request_with(id(1), step(), patient(3, 20)).unwrap();
+    sent(&mut master, ms(0));
+    // It waits to be sent again when all are told to end their motion.
+    master.handle_timeout(ms(20));
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(20));
+    events(&mut master, ms(20));
+    let _ = master.request(id(1), step()).unwrap();
+    let at = master.poll_at().unwrap();
+    assert_eq!(sent(&mut master, at).len(), 1, "{at:?}");
 }
 
 #[test]
