@@ -68,7 +68,7 @@ impl Motor {
             return;
         }
         let Request::InFlight(asked) = self.request else { return };
-        if asked.attempts_left > 0 {
+        if asked.attempts_left > 0 && !(self.has_restarted && asked.kind().moves()) {
             self.request = Request::Waiting(asked);
             return;
         }

@@ -303,21 +303,20 @@ impl Motor {
             kind.is_motion() == matches!(packet.channel, Channel::Motion(_)) && *data == packet.data
         };
         match self.request {
-            Request::InFlight(mut asked) if is_this(asked.kind(), &asked.data) => {
+            Request::InFlight(mut asked) | Request::Sent(mut asked)
+                if is_this(asked.kind(), &asked.data) =>
+            {
+                // One without a reply, and nobody was told yet that it was sent.
+                if let Request::Sent(_) = self.request {
+                    self.settled_at = Instant::ZERO;
+                }
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
-                self.request = if is_ended && asked.kind().moves() {
-                    Request::Failed(Failure::Stopped)
-                } else {
-                    Request::Waiting(asked)
+                self.request = match asked.kind().moves() {
+                    true if is_ended => Request::Failed(Failure::Stopped),
+                    true if self.has_restarted => Request::Failed(Failure::Dropped),
+                    _ => Request::Waiting(asked),
                 };
-                return;
-            }
-            // One without a reply, and nobody was told yet that it was sent.
-            Request::Sent(mut asked) if is_this(asked.kind(), &asked.data) => {
-                asked.attempts_left = asked.attempts_left.saturating_add(1);
-                self.settled_at = Instant::ZERO;
-                self.request = Request::Waiting(asked);
                 return;
             }
             _ => {}

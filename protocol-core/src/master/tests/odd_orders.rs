@@ -10,6 +10,10 @@ fn patient(attempts: u8, millis: u64) -> Patience {
     Patience { attempts, reply_timeout: Duration::from_millis(millis) }
 }
 
+fn is_restart_told(told: &[Event]) -> bool {
+    told.contains(&Event::Restarted { motor: id(1) })
+}
+
 #[test]
 fn another_command_to_all_that_was_pushed_out_is_not_the_one_in_flight() {
     let mut master = Master::<2>::new(Config::CAN);
@@ -56,6 +60,40 @@ fn a_question_that_all_have_ended_can_be_put_again() {
     let _ = master.request(id(1), step()).unwrap();
     let at = master.poll_at().unwrap();
     assert_eq!(sent(&mut master, at).len(), 1, "{at:?}");
+}
+
+#[test]
+fn a_move_in_flight_goes_no_more_when_a_restart_is_seen() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    let moving = master.request_with(id(1), torque(1.0), patient(3, 600)).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    assert_eq!(sent(&mut master, ms(601)).len(), 1);
+    assert_eq!(sent(&mut master, ms(1_201)), []);
+    let told = events(&mut master, ms(1_201));
+    assert!(is_restart_told(&told), "{told:?}");
+    assert!(told.iter().any(|event| moving.outcome(event).is_some()), "{told:?}");
+}
+
+#[test]
+fn a_move_that_is_pushed_out_after_a_restart_was_seen_is_not_sent_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(10));
+    sent(&mut master, ms(31));
+    sent(&mut master, ms(52));
+    events(&mut master, ms(73));
+    let moving = master.request_with(id(1), step(), patient(1, 2_000)).unwrap();
+    let in_mailbox = sent(&mut master, ms(900))[0];
+    // Something else of it is heard after a second.
+    reply(&mut master, 1, [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0], ms(1_100)).unwrap();
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(sent(&mut master, ms(1_100)), []);
+    let told = events(&mut master, ms(1_100));
+    assert!(is_restart_told(&told), "{told:?}");
+    assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
 }
 
 #[test]
