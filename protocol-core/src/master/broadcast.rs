@@ -69,6 +69,10 @@ impl Broadcast {
         self.state == State::Waiting
     }
 
+    pub(super) fn waits_to_move(&self) -> bool {
+        self.is_waiting() && self.kind.is_some_and(Kind::moves)
+    }
+
     pub(super) fn is_in_flight(&self) -> bool {
         self.state == State::InFlight
     }
@@ -212,8 +216,11 @@ impl Broadcast {
 }
 
 impl<const N: usize> Master<N> {
-    /// Ends a broadcast whose time is up. The silent ones may still answer it late.
+    /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
+        if self.broadcast.waits_to_move() && self.has_any_restarted() {
+            self.broadcast.cancel();
+        }
         if self.broadcast.late_until <= now {
             self.broadcast.may_be_late = false;
             self.broadcast.moves = false;

@@ -332,7 +332,8 @@ impl<const N: usize> Master<N> {
     ///
     /// # Errors
     /// [`RequestError`]: the command has no form for all motors or none on this bus, another
-    /// broadcast is under way, or the motors were stopped.
+    /// broadcast is under way, the motors were stopped, or it moves them and one has
+    /// [restarted](Event::Restarted).
     pub fn broadcast<C: Command>(
         &mut self,
         command: C,
@@ -342,6 +343,9 @@ impl<const N: usize> Master<N> {
         let kind = command.kind().of_bytes(&data);
         let now = self.now;
         self.check(kind, Target::All)?;
+        if kind.moves() && self.has_any_restarted() {
+            return Err(RequestError::Restarted);
+        }
         if self.broadcast.is_active() {
             return Err(RequestError::Busy);
         }
@@ -361,6 +365,10 @@ impl<const N: usize> Master<N> {
     /// it is.
     pub fn resume(&mut self, motor: MotorId) {
         self.change(motor, |motor, _| motor.has_restarted = false);
+    }
+
+    fn has_any_restarted(&self) -> bool {
+        self.at(self.places.taken).any(|(_, motor)| motor.has_restarted)
     }
 
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.

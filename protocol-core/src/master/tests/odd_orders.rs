@@ -97,6 +97,34 @@ fn a_move_that_is_pushed_out_after_a_restart_was_seen_is_not_sent_again() {
 }
 
 #[test]
+fn all_are_not_moved_while_one_has_restarted() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    // A question that is not answered, and an answer after a second.
+    let _ = master.request_with(id(1), ReadModel, patient(1, 20)).unwrap();
+    sent(&mut master, ms(2));
+    events(&mut master, ms(22));
+    // One that waits for that.
+    let _ = master.request_with(id(2), ReadModel, patient(1, 2_000)).unwrap();
+    sent(&mut master, ms(100));
+    master.broadcast(step(), MotorSet::EMPTY).unwrap();
+    reply(&mut master, 1, [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0], ms(1_100)).unwrap();
+    reply(&mut master, 2, [0xB5, b'X', 0, 0, 0, 0, 0, 0], ms(1_101)).unwrap();
+    assert_eq!(sent(&mut master, ms(1_101)), []);
+    let told = events(&mut master, ms(1_101));
+    assert!(is_restart_told(&told), "{told:?}");
+    assert!(told.contains(&Event::BroadcastDone { silent: MotorSet::EMPTY }), "{told:?}");
+    assert_eq!(master.broadcast(step(), MotorSet::EMPTY), Err(RequestError::Restarted));
+    master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(1_300));
+    events(&mut master, ms(1_400));
+    master.resume(id(1));
+    master.broadcast(step(), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(1_500)).len(), 1);
+}
+
+#[test]
 fn a_command_to_all_that_was_pushed_out_says_nothing_of_the_one_before() {
     let mut master = Master::<2>::new(Config::CAN);
     // Nobody answers it, so that the next one need not wait for answers.
