@@ -299,8 +299,7 @@ impl Motor {
             } else if asked.attempts_left > 0 && asked.kind().repeat() == Repeat::Harmless {
                 self.request = Request::Waiting(asked);
             } else {
-                let failed = Request::Failed(Failure::NotExecuted);
-                self.finish_request(failed, config, now);
+                self.request_has_failed(Failure::NotExecuted, config, now);
             }
             return Meaning::Nothing;
         }

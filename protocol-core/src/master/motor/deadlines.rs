@@ -72,13 +72,7 @@ impl Motor {
             self.request = Request::Waiting(asked);
             return;
         }
-        self.give_request_up(config, now);
-        if asked.is_stop() {
-            self.news.insert(News::UNCONFIRMED);
-            self.request = Request::None;
-        } else {
-            self.request = Request::Failed(Failure::NoReply);
-        }
+        self.request_has_failed(Failure::NoReply, config, now);
     }
 
     /// Tells when [`handle_timeout`](Self::handle_timeout) has something to do.

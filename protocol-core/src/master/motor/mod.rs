@@ -365,6 +365,16 @@ impl Motor {
         self.request = outcome;
     }
 
+    /// The request has no answer. Of a stop nobody has a ticket.
+    pub(super) fn request_has_failed(&mut self, why: Failure, config: &Config, now: Instant) {
+        if self.request.under_way().is_some_and(Asked::is_stop) {
+            self.news.insert(News::UNCONFIRMED);
+            self.finish_request(Request::None, config, now);
+        } else {
+            self.finish_request(Request::Failed(why), config, now);
+        }
+    }
+
     /// The bus carries nothing: what waits is dropped but for stops, and late replies come later.
     pub(super) fn bus_is_down(&mut self, now: Instant, config: &Config) {
         self.drop_waiting_set_point();

@@ -125,6 +125,22 @@ fn all_are_not_moved_while_one_has_restarted() {
 }
 
 #[test]
+fn a_last_stop_that_was_ignored_is_an_unconfirmed_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    let mut now = ms(1);
+    for _ in 0..15 {
+        assert_eq!(sent(&mut master, now).len(), 1);
+        now += Duration::from_millis(21);
+    }
+    reply(&mut master, 1, [LOST_MASTER_BYTE; 8], now).unwrap();
+    reply(&mut master, 1, Shutdown.encode(), now);
+    assert_eq!(events(&mut master, now), [Event::StopUnconfirmed { motor: id(1) }]);
+}
+
+#[test]
 fn a_command_to_all_that_was_pushed_out_says_nothing_of_the_one_before() {
     let mut master = Master::<2>::new(Config::CAN);
     // Nobody answers it, so that the next one need not wait for answers.
