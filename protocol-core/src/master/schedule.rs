@@ -3,6 +3,7 @@
 use core::cmp::Reverse;
 
 use crate::master::motor::Motor;
+use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::{Bus, Master, Offer};
 use crate::packet::Packet;
 use crate::time::Instant;
@@ -51,6 +52,13 @@ impl<const N: usize> Master<N> {
         });
         let (place, motor) = most_urgent?;
         Some((Offer::Request(place as u8), motor.request_packet()?))
+    }
+
+    /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.
+    pub(super) fn choose_interruption(&self) -> Option<(Instant, (Offer, Packet))> {
+        let last_sent = self.at(self.places.in_flight).map(|(_, motor)| motor.sent).max()?;
+        let stop = self.choose_stop().filter(|_| !self.broadcast.is_in_flight())?;
+        Some((last_sent + LONGEST_STOP_TIMEOUT, stop))
     }
 
     /// The motor that was served least of those that have something to be sent now.
@@ -172,6 +180,10 @@ impl<const N: usize> Master<N> {
         let is_something_chosen = || self.choose(self.busy_until).is_some();
         if self.config.is_rs485() && !self.is_anything_in_flight() && is_something_chosen() {
             earliest.take(self.busy_until);
+        } else if self.config.is_rs485()
+            && let Some((at, _)) = self.choose_interruption()
+        {
+            earliest.take(at.max(self.busy_until));
         }
         self.broadcast.poll_at(&mut earliest);
         self.broadcast_wait(&mut earliest);

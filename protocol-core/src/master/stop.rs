@@ -31,8 +31,9 @@ impl StopKind {
     }
 }
 
-/// How long a stop's confirmation is waited for at the most before the stop is sent once more.
-const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
+/// How long a stop's confirmation is waited for at the most before the stop is sent once more; and how long a
+/// stop waits on a line for another motor's answer.
+pub(super) const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
 
 impl<const N: usize> Master<N> {
     /// Stops every motor that this master knows and those of `also`, before anything else is sent

@@ -27,10 +27,14 @@ impl<const N: usize> Master<N> {
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Packet> {
         self.now = now;
         self.offer = None;
-        if self.config.is_rs485() && (self.is_anything_in_flight() || self.busy_until > now) {
+        if self.config.is_rs485() && self.busy_until > now {
             return None;
         }
-        let (offer, packet) = self.choose(now)?;
+        let (offer, packet) = if self.config.is_rs485() && self.is_anything_in_flight() {
+            self.choose_interruption().filter(|&(at, _)| at <= now)?.1
+        } else {
+            self.choose(now)?
+        };
         self.offer = Some(offer);
         Some(packet)
     }

@@ -141,6 +141,27 @@ fn a_last_stop_that_was_ignored_is_an_unconfirmed_one() {
 }
 
 #[test]
+fn on_rs485_nobodys_patience_holds_a_stop_up() {
+    let mut master = Master::<4>::new(Config::rs485(115_200, false));
+    let waiting = master.request_with(id(1), ReadMultiTurnAngle, patient(1, 10_000)).unwrap();
+    sent(&mut master, ms(0));
+    master.stop(id(2), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [], "the line is in use");
+    let at = master.poll_at().unwrap();
+    assert!(at <= ms(50), "{at:?}");
+    assert_eq!(sent(&mut master, at)[0].data, Shutdown.encode());
+    // Nothing else goes beside the other exchange, and that may be answered yet.
+    let _ = master.request(id(3), ReadMultiTurnAngle).unwrap();
+    let confirm = Frame { address: Target::Motor(id(2)), data: Shutdown.encode() };
+    let told = master.handle_line(&confirm, at + Duration::from_millis(2));
+    assert_eq!(told, Some(Event::StopConfirmed { motor: id(2) }));
+    assert_eq!(sent(&mut master, ms(100)), []);
+    let answer = Frame { address: Target::Motor(id(1)), data: ANGLE_REPLY };
+    let told = master.handle_line(&answer, ms(101)).unwrap();
+    assert!(waiting.outcome(&told).is_some());
+}
+
+#[test]
 fn a_command_to_all_that_was_pushed_out_says_nothing_of_the_one_before() {
     let mut master = Master::<2>::new(Config::CAN);
     // Nobody answers it, so that the next one need not wait for answers.
