@@ -162,6 +162,30 @@ fn on_rs485_nobodys_patience_holds_a_stop_up() {
 }
 
 #[test]
+fn what_ends_motion_is_answered_beside_a_stream_that_is_not() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let mut ticket = None;
+    for now in 0..1_000 {
+        if now % 10 == 0 {
+            master.set_point(id(1), motion(), ms(now)).unwrap();
+        }
+        if now == 100 {
+            ticket = Some(master.request(id(1), Shutdown).unwrap());
+        }
+        let is_asked = sent(&mut master, ms(now)).iter().any(|it| it.data == Shutdown.encode());
+        if let (Some(ticket), true) = (ticket, is_asked) {
+            let later = ms(now) + Duration::from_micros(800);
+            let told = reply(&mut master, 1, Shutdown.encode(), later);
+            if told.is_some_and(|event| ticket.outcome(&event).is_some()) {
+                return;
+            }
+        }
+        events(&mut master, ms(now));
+    }
+    panic!("no answer");
+}
+
+#[test]
 fn a_command_to_all_that_was_pushed_out_says_nothing_of_the_one_before() {
     let mut master = Master::<2>::new(Config::CAN);
     // Nobody answers it, so that the next one need not wait for answers.
