@@ -92,11 +92,11 @@ impl LateReplies {
     }
 
     /// Something else was answered by what may have been one of these: whose reply is still to come
-    /// nobody knows, so it may come for as long as that of the last.
-    pub(super) fn prolong(&mut self, question: Question, until: Instant) {
-        if let Some(late) = self.0.iter_mut().flatten().find(|late| late.question == question) {
-            late.until = late.until.max(until);
-        }
+    /// nobody knows, so it may come for as long as that of the last. Whether there is such a one.
+    pub(super) fn prolong(&mut self, question: Question, until: Instant) -> bool {
+        let known = self.0.iter_mut().flatten().find(|late| late.question == question);
+        let known = known.map(|late| late.until = late.until.max(until));
+        known.is_some()
     }
 
     /// Takes a reply that is one of these, and gives what it is of. One that may be the last one once more

@@ -236,13 +236,13 @@ impl Motor {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
-            if asked.is_stop() && self.late.take(false, data, may_be_doubled).is_some() {
+            if asked.is_stop() && self.take_late(false, data, may_be_doubled).is_some() {
                 self.send_again(asked, false);
                 return Meaning::Nothing;
             }
             return self.take_answer(id, asked, data, to_all, now, config);
         }
-        match self.late.take(is_motion, data, may_be_doubled) {
+        match self.take_late(is_motion, data, may_be_doubled) {
             Some(Of::Request) => Meaning::Late,
             Some(Of::Stream) if self.has_ignored_one() => Meaning::Late,
             Some(Of::Stream) => match AnyReply::decode(packet, config.firmware) {
@@ -268,10 +268,9 @@ impl Motor {
         config: &Config,
     ) -> Meaning {
         let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
-        self.late.prolong(set_point.question, now + config.late_window);
-        self.stream.take_in_flight();
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
-        let is_one_late = self.late.may_be_mistaken(set_point.question);
+        let is_one_late = self.prolong_late(set_point.question, now + config.late_window);
+        self.stream.take_in_flight();
         if self.has_ignored_one() && (is_one_late || set_point.data == packet.data) {
             return Meaning::SetPointIgnored;
         }

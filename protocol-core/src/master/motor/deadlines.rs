@@ -53,7 +53,7 @@ impl Motor {
         if self.settled_at <= now {
             self.settled_at = Instant::ZERO;
         }
-        if self.moves_until <= now {
+        if self.moves_no_more_at().is_some_and(|at| at <= now) {
             self.moves_until = Instant::ZERO;
         }
         self.drop_what_is_too_old(now);
@@ -81,8 +81,8 @@ impl Motor {
         if self.is_in_flight() && self.chance == Chance::Open && !config.is_rs485() {
             earliest.take(self.sent + config.longest_response);
         }
-        let times = [self.settled_at, self.moves_until].into_iter();
-        let times = times.filter(|&at| at > Instant::ZERO).chain(self.late.next_end());
+        let settled = Some(self.settled_at).filter(|&at| at > Instant::ZERO);
+        let times = settled.into_iter().chain(self.moves_no_more_at()).chain(self.late.next_end());
         times.for_each(|at| earliest.take(at));
     }
 
@@ -97,7 +97,7 @@ impl Motor {
         }
         if let Some(asked) = self.request.waiting() {
             let end = match asked.purpose {
-                _ if self.waits_for_motion(asked, false) => Some(self.moves_until),
+                _ if self.waits_for_motion(asked, false) => self.moves_no_more_at(),
                 Purpose::Stop => None,
                 Purpose::Caller if !self.late.has_room() => self.late.next_end(),
                 Purpose::Caller => self.late.end_of(asked.question),

@@ -80,8 +80,10 @@ pub(super) struct Motor {
     pub(super) sent: Instant,
     /// The motor restarts, or settles after another command without reply: it gets nothing before.
     settled_at: Instant,
-    /// Until when a command that was given up may still reach the drive and move it.
+    /// Until when a command that was given up may still reach the drive and move it, if any may. While nothing
+    /// is heard of the motor that does not end: the bus may be cut, and the command in a mailbox.
     moves_until: Instant,
+    is_unheard: bool,
     /// How long it had run when it said so last, in milliseconds.
     run_time_ms: u32,
     /// What it answered last.
@@ -218,7 +220,18 @@ impl Motor {
 
     /// Whether a command that was given up may still reach the drive and move it.
     pub(super) fn may_yet_move(&self) -> bool {
-        self.moves_until > Instant::ZERO && self.late.may_move()
+        self.moves_until > Instant::ZERO
+    }
+
+    /// When that ends, if it does by itself.
+    fn moves_no_more_at(&self) -> Option<Instant> {
+        (self.may_yet_move() && !self.is_unheard).then_some(self.moves_until)
+    }
+
+    /// What moves was given up.
+    fn may_move_until(&mut self, until: Instant) {
+        self.moves_until = self.moves_until.max(until);
+        self.is_unheard = true;
     }
 
     /// The reply to this question, which was sent so often, may come late.
@@ -226,9 +239,33 @@ impl Motor {
         if replies > 0 {
             self.late.expect(question, of, replies, until);
             if question.kind.moves() {
-                self.moves_until = self.moves_until.max(until);
+                self.may_move_until(until);
             }
         }
+    }
+
+    /// Takes a reply that may come late, or one whose command was never sent; see [`LateReplies::take`].
+    pub(super) fn take_late(
+        &mut self,
+        is_motion: bool,
+        reply: &Data,
+        may_be_doubled: bool,
+    ) -> Option<Of> {
+        let could_move = self.late.may_move();
+        let of = self.late.take(is_motion, reply, may_be_doubled)?;
+        if could_move && !self.late.may_move() {
+            self.moves_until = Instant::ZERO;
+        }
+        Some(of)
+    }
+
+    /// Feedback has come that may be that to another set-point, so that the newest may be still to come.
+    pub(super) fn prolong_late(&mut self, question: Question, until: Instant) -> bool {
+        let is_one_late = self.late.prolong(question, until);
+        if is_one_late {
+            self.may_move_until(until);
+        }
+        is_one_late
     }
 
     /// Whether the set-point that waits may go. What ends motion was asked for before it, and comes first however
@@ -273,6 +310,9 @@ impl Motor {
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if let Some(pause) = pause {
             self.settled_at = self.settled_at.max(now + pause);
+            if asked.kind().moves() {
+                self.may_move_until(late);
+            }
             self.request = Request::Sent(asked);
             return;
         }
@@ -334,7 +374,7 @@ impl Motor {
             }
         } else {
             // A stop went over it, or it was given up: it will not be answered.
-            self.late.take(matches!(packet.channel, Channel::Motion(_)), &packet.data, false);
+            self.take_late(matches!(packet.channel, Channel::Motion(_)), &packet.data, false);
         }
     }
 
@@ -379,7 +419,9 @@ impl Motor {
     pub(super) fn bus_is_down(&mut self, now: Instant, config: &Config) {
         self.drop_waiting_set_point();
         self.late.extend(now + config.late_window);
-        self.moves_until = self.moves_until.max(now + config.late_window);
+        if self.may_yet_move() {
+            self.moves_until = self.moves_until.max(now + config.late_window);
+        }
         if self.request.waiting().is_some_and(|asked| !asked.is_stop()) {
             self.finish_request(Request::Failed(Failure::BusDown), config, now);
         }
@@ -404,6 +446,10 @@ impl Motor {
     /// Something was heard of it. Gives whether that was just after something else, so that it may be the
     /// same once more.
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
+        if core::mem::take(&mut self.is_unheard) && self.moves_until <= now && self.may_yet_move() {
+            // The bus carries again what lay in a mailbox.
+            self.moves_until = now + config.late_window;
+        }
         let Some(before) = self.health.last_seen.replace(now) else { return false };
         let silence = now - before;
         if self.misses > 0 && silence >= RESTART_TAKES {

@@ -186,6 +186,80 @@ fn what_ends_motion_is_answered_beside_a_stream_that_is_not() {
 }
 
 #[test]
+fn a_stop_is_not_confirmed_while_a_set_point_may_wait_whose_feedback_was_that_of_another() {
+    let mut master = Master::<2>::new(Config::CAN);
+    // The first waits in its mailbox until it counts as lost.
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+    // From then on each feedback is that to the one before.
+    for now in (21..121).step_by(5) {
+        master.set_point(id(1), motion(), ms(now)).unwrap();
+        assert_eq!(sent(&mut master, ms(now)).len(), 1, "{now}");
+        motion_feedback(&mut master, ms(now + 2)).unwrap();
+    }
+    // It overtakes the last one.
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(121));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(122)), None);
+    motion_feedback(&mut master, ms(123)).unwrap();
+    assert_eq!(sent(&mut master, ms(123)).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(124)), confirmed);
+}
+
+#[test]
+fn a_set_point_that_waited_in_a_mailbox_while_the_bus_was_cut_follows_no_confirmed_stop() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    motion_feedback(&mut master, ms(1)).unwrap();
+    // Here the bus is cut.
+    master.set_point(id(1), motion(), ms(10)).unwrap();
+    sent(&mut master, ms(10));
+    events(&mut master, ms(31));
+    events(&mut master, ms(200));
+    assert_eq!(master.poll_at(), None);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(500)).len(), 1);
+    // And here it is whole again: the stop goes first, then the set-point.
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(510)), None);
+    motion_feedback(&mut master, ms(511)).unwrap();
+    let at = master.poll_at().unwrap();
+    assert!(at < ms(600), "{at:?}");
+    assert_eq!(sent(&mut master, at).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), at + Duration::from_millis(1)), confirmed);
+}
+
+#[test]
+fn a_raw_move_without_a_reply_follows_nothing_that_ends_motion() {
+    let raw = RawCommand::new([0x55; 8], ReplyRule::Silent, true);
+    // Handed back after all were told to end their motion.
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), raw).unwrap();
+    let in_mailbox = sent(&mut master, ms(0))[0];
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(sent(&mut master, ms(50)), []);
+    // Overtaken by a stop.
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), raw).unwrap();
+    sent(&mut master, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), None);
+    // Its pause, and the time for which it may yet be on its way.
+    let settled = master.poll_at().unwrap();
+    assert_eq!(sent(&mut master, settled), []);
+    let at = master.poll_at().unwrap();
+    assert_eq!(sent(&mut master, at).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), at + Duration::from_millis(1)), confirmed);
+}
+
+#[test]
 fn a_command_to_all_that_was_pushed_out_says_nothing_of_the_one_before() {
     let mut master = Master::<2>::new(Config::CAN);
     // Nobody answers it, so that the next one need not wait for answers.
