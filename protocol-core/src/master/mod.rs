@@ -382,9 +382,7 @@ impl<const N: usize> Master<N> {
                     continue;
                 }
                 self.change_at(place, |motor, config| {
-                    if is_quiet {
-                        motor.bus_is_quiet(now, config);
-                    }
+                    motor.note_chance(is_quiet, now, config);
                     motor.handle_timeout(now, config);
                     motor.due(config, &mut next);
                 });

@@ -4,7 +4,7 @@ use core::cmp::Reverse;
 
 use crate::master::motor::Motor;
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
-use crate::master::{Bus, Master, Offer};
+use crate::master::{Bus, Config, Master, Offer};
 use crate::packet::Packet;
 use crate::time::Instant;
 
@@ -166,7 +166,9 @@ impl<const N: usize> Master<N> {
                 first_sent.take(motor.sent);
             }
         }
-        Some((first_sent.0? + self.config.longest_response).max(self.quiet_at()))
+        let Config { longest_response, reply_timeout, .. } = self.config;
+        let sent = first_sent.0?;
+        Some((sent + longest_response).max(self.quiet_at().min(sent + reply_timeout)))
     }
 
     /// When [`handle_timeout`](Self::handle_timeout) and [`poll_transmit`](Self::poll_transmit) have

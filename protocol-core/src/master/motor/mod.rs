@@ -384,9 +384,12 @@ impl Motor {
         self.is_in_flight() && self.misses == 0 && self.chance == Chance::Open
     }
 
-    /// The bus is quiet: what waited only for that must have come.
-    pub(super) fn bus_is_quiet(&mut self, now: Instant, config: &Config) {
-        if self.is_in_flight() && now - self.sent >= config.longest_response {
+    /// What waited only for a quiet bus must have come when it is, or after the usual time-out: a bus that
+    /// others keep busy is never quiet.
+    pub(super) fn note_chance(&mut self, is_quiet: bool, now: Instant, config: &Config) {
+        let waited = now - self.sent;
+        let is_over = is_quiet || !config.is_rs485() && waited >= config.reply_timeout;
+        if self.is_in_flight() && waited >= config.longest_response && is_over {
             self.chance = Chance::Missed;
         }
     }

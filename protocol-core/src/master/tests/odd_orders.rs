@@ -233,6 +233,27 @@ fn a_set_point_that_waited_in_a_mailbox_while_the_bus_was_cut_follows_no_confirm
 }
 
 #[test]
+fn a_patient_question_to_a_silent_motor_keeps_no_other_back_on_a_bus_that_is_never_quiet() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request_with(id(1), ReadMultiTurnAngle, patient(1, 10_000)).unwrap();
+    sent(&mut master, ms(0));
+    let foreign = Packet { channel: Channel::Command(id(9).into()), data: [0x92; 8] };
+    let mut served = 0;
+    for micros in (0..200_000).step_by(200) {
+        let now = Instant::from_micros(micros);
+        master.handle_frame(&Received::Packet(foreign), now);
+        if micros % 5_000 == 0 {
+            master.set_point(id(2), torque(1.0), now).unwrap();
+        }
+        for _ in sent(&mut master, now) {
+            served += 1;
+            reply(&mut master, 2, TORQUE_REPLY, now + Duration::from_micros(300));
+        }
+    }
+    assert!(served > 30, "{served}");
+}
+
+#[test]
 fn a_raw_move_without_a_reply_follows_nothing_that_ends_motion() {
     let raw = RawCommand::new([0x55; 8], ReplyRule::Silent, true);
     // Handed back after all were told to end their motion.
