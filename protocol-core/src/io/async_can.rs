@@ -137,6 +137,8 @@ pub struct AsyncCanMaster<C, K, const N: usize> {
     master: Master<N>,
     /// Since when the bus has not taken what is offered to it.
     stuck_since: Option<Instant>,
+    /// Until when it was offered something last.
+    offered_at: Instant,
     /// The event of a frame, until somebody takes it. Here rather than in a future, which may be
     /// dropped.
     told: Option<Event>,
@@ -147,7 +149,15 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock.
     pub fn new(can: C, clock: K, config: Config) -> Self {
         let frame_time = config.frame_time;
-        Self { can, clock, master: Master::new(config), stuck_since: None, told: None, frame_time }
+        Self {
+            can,
+            clock,
+            master: Master::new(config),
+            stuck_since: None,
+            offered_at: Instant::ZERO,
+            told: None,
+            frame_time,
+        }
     }
 
     /// The controller and the clock back.
@@ -194,6 +204,10 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     async fn transmit(&mut self) -> Result<Option<Instant>, C::Error> {
         loop {
             let now = self.clock.now();
+            // A task that did something else meanwhile has not found the bus stuck.
+            if now - core::mem::replace(&mut self.offered_at, now) >= STUCK_AFTER {
+                self.stuck_since = None;
+            }
             let is_stuck = self.stuck_since.is_some_and(|since| now - since >= STUCK_AFTER);
             let Some(packet) = self.master.poll_transmit(now) else { return Ok(None) };
             // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
@@ -218,7 +232,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
                     self.master.handle_bus_down(now);
                     return Ok(Some(self.clock.now() + RETRY_AFTER));
                 }
-                Either::Second(()) => {}
+                Either::Second(()) => self.offered_at = self.clock.now(),
             }
             self.receive().await?;
             if self.told.is_some() {
