@@ -157,6 +157,8 @@ pub struct Master<const N: usize> {
     /// Until when the frames that were sent keep the bus busy, or when one was last received. On
     /// RS485: when the line may be used again.
     busy_until: Instant,
+    /// When a frame was last received. Only CAN looks at it.
+    heard_at: Instant,
 }
 
 impl<const N: usize> Master<N> {
@@ -183,6 +185,7 @@ impl<const N: usize> Master<N> {
             now: Instant::ZERO,
             due: Instant::ZERO,
             busy_until: Instant::ZERO,
+            heard_at: Instant::ZERO,
         }
     }
 
@@ -374,6 +377,7 @@ impl<const N: usize> Master<N> {
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
+        let heard_at = self.heard_at;
         let is_quiet = !self.config.is_rs485() && self.quiet_at() <= now;
         if now >= self.due {
             let mut next = Earliest::default();
@@ -383,7 +387,7 @@ impl<const N: usize> Master<N> {
                 }
                 self.change_at(place, |motor, config| {
                     motor.note_chance(is_quiet, now, config);
-                    motor.handle_timeout(now, config);
+                    motor.handle_timeout(now, heard_at, config);
                     motor.due(config, &mut next);
                 });
             }

@@ -71,6 +71,7 @@ impl<const N: usize> Master<N> {
 
     /// A frame on its way to us held up those that are queued.
     fn frame_has_come(&mut self, now: Instant) {
+        self.heard_at = now;
         if self.busy_until > now {
             // What is queued is not answered. Without that bound a bus that is always full would seem busy
             // for ever longer, since frames are shorter than they may be.
@@ -269,7 +270,7 @@ impl Motor {
     ) -> Meaning {
         let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
-        let is_one_late = self.prolong_late(set_point.question, now + config.late_window);
+        let is_one_late = self.prolong_late(set_point.question, config, now);
         self.stream.take_in_flight();
         if self.has_ignored_one() && (is_one_late || set_point.data == packet.data) {
             return Meaning::SetPointIgnored;

@@ -59,7 +59,7 @@ impl<const N: usize> Master<N> {
                 });
                 self.due = now;
                 let round = self.change_at(place, |motor, config| {
-                    motor.request_was_sent(now, pause, now + asked.timeout + config.late_window);
+                    motor.request_was_sent(now, pause, config);
                     note_report(motor, asked.kind(), &asked.data);
                     motor.round
                 });

@@ -48,8 +48,17 @@ impl Motor {
     }
 
     /// Takes note of the time: what is too old is dropped, what is overdue is sent again or given up.
-    pub(in crate::master) fn handle_timeout(&mut self, now: Instant, config: &Config) {
+    /// Something was last heard on the bus at `heard_at`.
+    pub(in crate::master) fn handle_timeout(
+        &mut self,
+        now: Instant,
+        heard_at: Instant,
+        config: &Config,
+    ) {
         self.late.expire(now);
+        if self.is_unheard && heard_at + config.late_window >= self.moves_until {
+            self.bus_is_alive(now, config);
+        }
         if self.settled_at <= now {
             self.settled_at = Instant::ZERO;
         }
@@ -63,7 +72,7 @@ impl Motor {
         self.has_missed(config, now);
         if let Some(set_point) = self.stream.take_in_flight() {
             let until = now + config.late_window;
-            self.expect_late(set_point.question, Of::Stream, 1, until);
+            self.expect_late(set_point.question, Of::Stream, 1, until, config);
             self.news.insert(News::UNANSWERED);
             return;
         }

@@ -80,8 +80,8 @@ pub(super) struct Motor {
     pub(super) sent: Instant,
     /// The motor restarts, or settles after another command without reply: it gets nothing before.
     settled_at: Instant,
-    /// Until when a command that was given up may still reach the drive and move it, if any may. While nothing
-    /// is heard of the motor that does not end: the bus may be cut, and the command in a mailbox.
+    /// Until when a command that was given up may still reach the drive and move it, if any may. On CAN that
+    /// does not end while nothing is heard on the bus: it may be cut, and the command in a mailbox.
     moves_until: Instant,
     is_unheard: bool,
     /// How long it had run when it said so last, in milliseconds.
@@ -229,17 +229,24 @@ impl Motor {
     }
 
     /// What moves was given up.
-    fn may_move_until(&mut self, until: Instant) {
+    fn may_move_until(&mut self, until: Instant, config: &Config) {
         self.moves_until = self.moves_until.max(until);
-        self.is_unheard = true;
+        self.is_unheard = !config.is_rs485();
     }
 
     /// The reply to this question, which was sent so often, may come late.
-    fn expect_late(&mut self, question: Question, of: Of, replies: u8, until: Instant) {
+    fn expect_late(
+        &mut self,
+        question: Question,
+        of: Of,
+        replies: u8,
+        until: Instant,
+        config: &Config,
+    ) {
         if replies > 0 {
             self.late.expect(question, of, replies, until);
             if question.kind.moves() {
-                self.may_move_until(until);
+                self.may_move_until(until, config);
             }
         }
     }
@@ -254,16 +261,22 @@ impl Motor {
         let could_move = self.late.may_move();
         let of = self.late.take(is_motion, reply, may_be_doubled)?;
         if could_move && !self.late.may_move() {
-            self.moves_until = Instant::ZERO;
+            (self.moves_until, self.is_unheard) = (Instant::ZERO, false);
         }
         Some(of)
     }
 
     /// Feedback has come that may be that to another set-point, so that the newest may be still to come.
-    pub(super) fn prolong_late(&mut self, question: Question, until: Instant) -> bool {
+    pub(super) fn prolong_late(
+        &mut self,
+        question: Question,
+        config: &Config,
+        now: Instant,
+    ) -> bool {
+        let until = now + config.late_window;
         let is_one_late = self.late.prolong(question, until);
-        if is_one_late {
-            self.may_move_until(until);
+        if is_one_late && !config.is_rs485() {
+            self.may_move_until(until, config);
         }
         is_one_late
     }
@@ -301,17 +314,18 @@ impl Motor {
         &mut self,
         now: Instant,
         pause: Option<Duration>,
-        late: Instant,
+        config: &Config,
     ) {
         let Request::Waiting(mut asked) = self.request else { return };
         let is_stop = asked.is_stop();
+        let late = now + asked.timeout + config.late_window;
         self.was_sent(now);
         self.was_set_point = false;
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if let Some(pause) = pause {
             self.settled_at = self.settled_at.max(now + pause);
             if asked.kind().moves() {
-                self.may_move_until(late);
+                self.may_move_until(late, config);
             }
             self.request = Request::Sent(asked);
             return;
@@ -321,7 +335,7 @@ impl Motor {
             self.late.extend(late);
         }
         if let Some(set_point) = self.stream.take_in_flight() {
-            self.expect_late(set_point.question, Of::Stream, 1, late);
+            self.expect_late(set_point.question, Of::Stream, 1, late, config);
         }
         asked.unanswered = asked.unanswered.saturating_add(1);
         self.request = Request::InFlight(asked);
@@ -398,7 +412,8 @@ impl Motor {
     fn give_request_up(&mut self, config: &Config, now: Instant) {
         if let Some(asked) = self.request.under_way() {
             let (question, replies) = (asked.question, asked.unanswered);
-            self.expect_late(question, Of::Request, replies, now + config.late_window);
+            let until = now + config.late_window;
+            self.expect_late(question, Of::Request, replies, until, config);
         }
     }
 
@@ -446,13 +461,18 @@ impl Motor {
         self.health.count_answer(round_trip);
     }
 
+    /// Something was heard on the bus after what may move it was given up: if that lay in a mailbox all the
+    /// time, it comes now.
+    pub(super) fn bus_is_alive(&mut self, now: Instant, config: &Config) {
+        if core::mem::take(&mut self.is_unheard) && self.moves_until <= now {
+            self.moves_until = now + config.late_window;
+        }
+    }
+
     /// Something was heard of it. Gives whether that was just after something else, so that it may be the
     /// same once more.
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
-        if core::mem::take(&mut self.is_unheard) && self.moves_until <= now && self.may_yet_move() {
-            // The bus carries again what lay in a mailbox.
-            self.moves_until = now + config.late_window;
-        }
+        self.bus_is_alive(now, config);
         let Some(before) = self.health.last_seen.replace(now) else { return false };
         let silence = now - before;
         if self.misses > 0 && silence >= RESTART_TAKES {
