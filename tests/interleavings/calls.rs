@@ -4,7 +4,7 @@
 //! - Nothing panics.
 //! - While a motor is stopped, nothing is offered to it that could move it.
 //! - Each ticket ends once, and at the latest some time after the last call.
-//! - No set-point is offered to a motor that has restarted, before somebody resumes it.
+//! - Nothing that moves a motor is offered to one that has restarted, before somebody resumes it.
 //! - What `poll_transmit` offers, it offers again until it was taken.
 //! - Nothing happens by itself before `poll_at`.
 //! - No more is counted as answered or lost than was asked.
@@ -18,7 +18,7 @@ use myactuator_protocol_core::command::{
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{
-    Config, Event, Master, MotorSet, Patience, StopKind, Ticket, TicketId,
+    Bus, Config, Event, Master, MotorSet, Patience, StopKind, Ticket, TicketId,
 };
 use myactuator_protocol_core::opcode::{Opcode, ReplyRule};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -159,16 +159,21 @@ fn set_of(bits: u8) -> MotorSet {
     chosen.filter_map(|(_, id)| MotorId::new(id).ok()).collect()
 }
 
-/// What the manual lets move a motor, or let its load fall, and a restart.
-fn is_dangerous(packet: &Packet) -> bool {
-    const BYTES: [u8; 8] = [0xA1, 0xA2, 0xA4, 0xA6, 0xA8, 0xA9, 0x76, 0x77];
+/// What the manual lets move a motor.
+fn moves(packet: &Packet) -> bool {
+    const BYTES: [u8; 6] = [0xA1, 0xA2, 0xA4, 0xA6, 0xA8, 0xA9];
     matches!(packet.channel, Channel::Motion(_)) || BYTES.contains(&packet.data[0])
+}
+
+/// Or let its load fall, and a restart.
+fn is_dangerous(packet: &Packet) -> bool {
+    moves(packet) || matches!(packet.data[0], 0x76 | 0x77)
 }
 
 impl Model {
     fn new(config: Config) -> Self {
         Self {
-            is_rs485: config != Config::CAN,
+            is_rs485: matches!(config.bus, Bus::Rs485 { .. }),
             master: Master::new(config),
             now: Instant::ZERO,
             open: HashSet::new(),
@@ -345,7 +350,7 @@ impl Model {
         let has_open = self.open.iter().any(|open| open.motor() == motor);
         if self.master.forget(motor) {
             prop_assert!(!has_open, "a motor is forgotten whose request is open");
-            self.asking[motor.index()] = 0;
+            // It may be among the silent ones of a command to all yet.
             self.restarted.remove(motor);
         }
         Ok(())
@@ -362,13 +367,16 @@ impl Model {
             _ => self.stops_all || !self.stopped.is_empty(),
         };
         prop_assert!(!(is_stopped && is_dangerous(&packet)), "{packet:?} is offered while stopped");
+        let has_restarted = match packet.channel {
+            Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
+                self.restarted.contains(motor)
+            }
+            _ => !self.restarted.is_empty(),
+        };
+        prop_assert!(!(has_restarted && moves(&packet)), "{packet:?} is offered after a restart");
         self.master.handle_transmitted(self.now);
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
-                let is_motion = matches!(packet.channel, Channel::Motion(_));
-                let is_set_point = is_motion || matches!(packet.data[0], 0xA1 | 0xA4);
-                let is_refused = is_set_point && self.restarted.contains(motor);
-                prop_assert!(!is_refused, "{packet:?} is offered after a restart");
                 self.asking[motor.index()] += 1;
             }
             _ => self.asking.iter_mut().for_each(|asking| *asking += 1),
@@ -476,11 +484,38 @@ fn reply_to(command: &Packet) -> Option<Packet> {
 }
 
 fn run(config: Config, calls: &[Call]) -> Result<(), TestCaseError> {
+    let mut model = run_for_now(config, calls)?;
+    model.end()
+}
+
+fn run_for_now(config: Config, calls: &[Call]) -> Result<Model, TestCaseError> {
     let mut model = Model::new(config);
     for &call in calls {
         model.call(call)?;
     }
-    model.end()
+    Ok(model)
+}
+
+/// All its times are this one.
+fn of_one_time(config: Config, time: Duration) -> Config {
+    let bus = match config.bus {
+        Bus::Can => Bus::Can,
+        Bus::Rs485 { echo, .. } => Bus::Rs485 { turnaround: time, echo },
+    };
+    Config {
+        bus,
+        reply_timeout: time,
+        longest_reply_timeout: time,
+        frame_time: time,
+        shortest_response: time,
+        longest_response: time,
+        late_window: time,
+        set_point_max_age: time,
+        restart_time: time,
+        settle_time: time,
+        attempts: u8::MAX,
+        ..config
+    }
 }
 
 fn calls() -> impl Strategy<Value = Vec<Call>> {
@@ -503,5 +538,21 @@ proptest! {
     #[test]
     fn any_calls_on_rs485(calls in calls()) {
         run(Config::rs485(1_000_000, false), &calls)?;
+    }
+
+    #[test]
+    fn any_calls_with_time_outs_that_adapt(calls in calls(), longest in 0_u64..100_000) {
+        let longest = Duration::from_micros(longest);
+        let can = Config { reply_timeout: Duration::from_millis(2), ..Config::CAN };
+        run(can.adapting_up_to(longest), &calls)?;
+        run(Config::rs485(1_000_000, false).adapting_up_to(longest), &calls)?;
+    }
+
+    #[test]
+    fn any_calls_with_times_of_a_moment_and_of_for_ever(calls in calls()) {
+        for config in [Config::CAN, Config::rs485(1_000_000, false)] {
+            run(of_one_time(config, Duration::from_micros(1)), &calls)?;
+            run_for_now(of_one_time(config, Duration::from_micros(u64::MAX)), &calls)?;
+        }
     }
 }

@@ -296,3 +296,142 @@ fn a_command_to_all_that_was_pushed_out_says_nothing_of_the_one_before() {
     sent(&mut master, ms(1));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None);
 }
+
+#[test]
+fn each_of_two_lost_answers_may_come_late() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for now in [0, 25] {
+        master.set_point(id(1), torque(1.0), ms(now)).unwrap();
+        sent(&mut master, ms(now));
+        events(&mut master, ms(now + 21));
+    }
+    let _ = master.request(id(1), torque(1.0)).unwrap();
+    reply(&mut master, 1, TORQUE_REPLY, ms(47)).unwrap();
+    assert_eq!(sent(&mut master, ms(47)), [], "the other may come yet");
+    reply(&mut master, 1, TORQUE_REPLY, ms(49)).unwrap();
+    assert_eq!(sent(&mut master, ms(49)).len(), 1);
+}
+
+#[test]
+fn an_answer_that_comes_twice_is_not_the_one_that_is_late() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(21));
+    master.set_point(id(1), torque(1.0), ms(22)).unwrap();
+    sent(&mut master, ms(22));
+    reply(&mut master, 1, TORQUE_REPLY, ms(23)).unwrap();
+    reply(&mut master, 1, TORQUE_REPLY, ms(23) + Duration::from_micros(300)).unwrap();
+    let _ = master.request(id(1), torque(1.0)).unwrap();
+    assert_eq!(sent(&mut master, ms(24)), []);
+}
+
+#[test]
+fn what_a_stop_went_over_may_be_answered_for_as_long_as_it_may_be_on_its_way() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(0));
+    reply(&mut master, 1, Shutdown.encode(), ms(1)).unwrap();
+    events(&mut master, ms(1));
+    let _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(sent(&mut master, ms(50)), []);
+    assert_eq!(sent(&mut master, ms(62)).len(), 1);
+}
+
+#[test]
+fn what_was_pushed_out_and_sent_again_has_one_answer() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(2));
+    assert!(master.is_anything_in_flight(), "nothing can come late");
+}
+
+#[test]
+fn how_long_an_answer_took_is_unknown_after_several_sendings() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    assert_eq!(sent(&mut master, ms(21)).len(), 1);
+    reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert_eq!(master.health(id(1)).round_trip, Duration::ZERO);
+}
+
+#[test]
+fn on_a_coarse_clock_an_answer_within_the_step_of_its_command_is_in_time() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let answer = Frame { address: Target::Motor(id(1)), data: ANGLE_REPLY };
+    let ticket = ask(&mut master, 1, ReadMultiTurnAngle, ms(1));
+    assert!(ticket.outcome(&master.handle_line(&answer, ms(1)).unwrap()).is_some());
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    let told = master.handle_line(&answer, ms(2));
+    assert!(matches!(told, Some(Event::BroadcastReply { .. })), "{told:?}");
+}
+
+#[test]
+fn what_was_offered_before_a_stop_is_not_the_stop() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    master.poll_transmit(ms(0)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    master.handle_transmitted(ms(0));
+    assert_eq!(sent(&mut master, ms(0))[0].data, Shutdown.encode());
+}
+
+#[test]
+fn a_stop_after_one_that_was_lifted_is_a_new_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(0));
+    master.lift_stop();
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    for now in [1, 2] {
+        reply(&mut master, 1, Shutdown.encode(), ms(now));
+        let packets = sent(&mut master, ms(now));
+        assert!(packets.iter().all(|it| it.data == Shutdown.encode()), "{packets:?}");
+    }
+}
+
+#[test]
+fn who_answered_one_command_to_all_may_answer_the_next_one_late() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for now in [0, 10] {
+        master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+        assert_eq!(sent(&mut master, ms(now)).len(), 1);
+        if now == 0 {
+            reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+        }
+        events(&mut master, ms(now + 21));
+    }
+    let _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(sent(&mut master, ms(32)), []);
+}
+
+#[test]
+fn a_restart_that_was_seen_is_told_once_and_ends_what_was_reported() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let run_time = |millis: u32| {
+        let [a, b, c, d] = millis.to_le_bytes();
+        [0xB1, 0, 0, 0, a, b, c, d]
+    };
+    let _ = ask(&mut master, 1, report_angle(Switch::On), ms(0));
+    events(&mut master, ms(0));
+    let _ = ask(&mut master, 1, ReadRunTime, ms(10));
+    reply(&mut master, 1, run_time(60_000), ms(11)).unwrap();
+    // Not answered, and then heard after a second.
+    let _ = master.request_with(id(1), ReadModel, patient(1, 20)).unwrap();
+    sent(&mut master, ms(20));
+    events(&mut master, ms(40));
+    let _ = ask(&mut master, 1, ReadRunTime, ms(1_200));
+    reply(&mut master, 1, run_time(500), ms(1_201)).unwrap();
+    assert!(is_restart_told(&events(&mut master, ms(1_201))));
+    let _ = ask(&mut master, 1, ReadRunTime, ms(1_210));
+    reply(&mut master, 1, run_time(510), ms(1_211)).unwrap();
+    assert_eq!(events(&mut master, ms(1_211)), []);
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_ok(), "it reports no more");
+}
