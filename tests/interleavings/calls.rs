@@ -549,10 +549,10 @@ proptest! {
     }
 
     #[test]
-    fn any_calls_with_times_of_a_moment_and_of_for_ever(calls in calls()) {
+    fn any_calls_with_times_of_a_moment_and_of_years(calls in calls()) {
         for config in [Config::CAN, Config::rs485(1_000_000, false)] {
             run(of_one_time(config, Duration::from_micros(1)), &calls)?;
-            run_for_now(of_one_time(config, Duration::from_micros(u64::MAX)), &calls)?;
+            run_for_now(of_one_time(config, Duration::from_secs(1 << 30)), &calls)?;
         }
     }
 }

@@ -1,8 +1,10 @@
 //! The loops that poll.
 
 use core::cell::Cell;
+use core::ops::ControlFlow;
 use std::vec::Vec;
 
+use embedded_can::Frame as _;
 use embedded_can::nb::Can as _;
 
 use super::world::{Broken, TestCan, TestClock, TestSerial, on_can, on_rs485};
@@ -330,4 +332,40 @@ fn what_became_of_an_earlier_set_point_is_not_told_of_the_next() {
     bus.state().transmit_fails = false;
     assert!(arm.set_point_and_wait(id(1), torque()).is_ok());
     assert_eq!(bus.sent().len(), 1);
+}
+
+#[test]
+fn whom_a_stop_has_no_place_for_has_not_confirmed_it() {
+    let (_, _, mut arm) = on_can(CanMaster::<_, _, 1>::new);
+    let both = [1, 2].map(id).into_iter().collect();
+    assert_eq!(arm.stop_all(StopKind::Hold, both), id(2).into());
+}
+
+/// A bus on which answers to moves are lost.
+struct WithoutAnswersToMoves(TestCan);
+
+impl embedded_can::nb::Can for WithoutAnswersToMoves {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> nb::Result<Option<SimpleFrame>, Broken> {
+        self.0.transmit(frame)
+    }
+
+    fn receive(&mut self) -> nb::Result<SimpleFrame, Broken> {
+        let frame = self.0.receive()?;
+        if frame.data()[0] == 0xA8 { Err(nb::Error::WouldBlock) } else { Ok(frame) }
+    }
+}
+
+#[test]
+fn a_relative_move_to_somewhere_is_sent_once() {
+    let (bus, _, mut arm) = on_can(|bus, clock, config| {
+        CanMaster::<_, _, 4>::new(WithoutAnswersToMoves(bus), clock, config)
+    });
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let moved = bring_up::move_to(&mut arm, id(1), step(), &Default::default(), go_on);
+    assert!(moved.is_err_and(|why| why.is_stopped));
+    let moves = bus.sent().iter().filter(|data| data[0] == 0xA8).count();
+    assert_eq!(moves, 1);
 }

@@ -427,11 +427,11 @@ fn a_restart_that_was_seen_is_told_once_and_ends_what_was_reported() {
     let _ = master.request_with(id(1), ReadModel, patient(1, 20)).unwrap();
     sent(&mut master, ms(20));
     events(&mut master, ms(40));
-    let _ = ask(&mut master, 1, ReadRunTime, ms(1_200));
-    reply(&mut master, 1, run_time(500), ms(1_201)).unwrap();
+    let _ = ask(&mut master, 1, ReadModel, ms(1_200));
+    reply(&mut master, 1, [0xB5, b'X', 0, 0, 0, 0, 0, 0], ms(1_201)).unwrap();
     assert!(is_restart_told(&events(&mut master, ms(1_201))));
     let _ = ask(&mut master, 1, ReadRunTime, ms(1_210));
-    reply(&mut master, 1, run_time(510), ms(1_211)).unwrap();
+    reply(&mut master, 1, run_time(500), ms(1_211)).unwrap();
     assert_eq!(events(&mut master, ms(1_211)), []);
     assert!(master.request(id(1), ReadMultiTurnAngle).is_ok(), "it reports no more");
 }
