@@ -370,10 +370,6 @@ impl<const N: usize> Master<N> {
         self.change(motor, |motor, _| motor.has_restarted = false);
     }
 
-    fn has_any_restarted(&self) -> bool {
-        self.at(self.places.taken).any(|(_, motor)| motor.has_restarted)
-    }
-
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;

@@ -1,6 +1,7 @@
 //! What the master keeps for one motor: its request, its stream, and what may still arrive.
 
 mod deadlines;
+mod late_moves;
 
 use bitflags::bitflags;
 
@@ -218,69 +219,6 @@ impl Motor {
         asked.once_more && (is_moved_with_all || self.may_yet_move())
     }
 
-    /// Whether a command that was given up may still reach the drive and move it.
-    pub(super) fn may_yet_move(&self) -> bool {
-        self.moves_until > Instant::ZERO
-    }
-
-    /// When that ends, if it does by itself.
-    fn moves_no_more_at(&self) -> Option<Instant> {
-        (self.may_yet_move() && !self.is_unheard).then_some(self.moves_until)
-    }
-
-    /// What moves was given up.
-    fn may_move_until(&mut self, until: Instant, config: &Config) {
-        self.moves_until = self.moves_until.max(until);
-        self.is_unheard = !config.is_rs485();
-    }
-
-    /// The reply to this question, which was sent so often, may come late.
-    fn expect_late(
-        &mut self,
-        question: Question,
-        of: Of,
-        replies: u8,
-        until: Instant,
-        config: &Config,
-    ) {
-        if replies > 0 {
-            self.late.expect(question, of, replies, until);
-            if question.kind.moves() {
-                self.may_move_until(until, config);
-            }
-        }
-    }
-
-    /// Takes a reply that may come late, or one whose command was never sent; see [`LateReplies::take`].
-    pub(super) fn take_late(
-        &mut self,
-        is_motion: bool,
-        reply: &Data,
-        may_be_doubled: bool,
-    ) -> Option<Of> {
-        let could_move = self.late.may_move();
-        let of = self.late.take(is_motion, reply, may_be_doubled)?;
-        if could_move && !self.late.may_move() {
-            (self.moves_until, self.is_unheard) = (Instant::ZERO, false);
-        }
-        Some(of)
-    }
-
-    /// Feedback has come that may be that to another set-point, so that the newest may be still to come.
-    pub(super) fn prolong_late(
-        &mut self,
-        question: Question,
-        config: &Config,
-        now: Instant,
-    ) -> bool {
-        let until = now + config.late_window;
-        let is_one_late = self.late.prolong(question, until);
-        if is_one_late && !config.is_rs485() {
-            self.may_move_until(until, config);
-        }
-        is_one_late
-    }
-
     /// Whether the set-point that waits may go. What ends motion was asked for before it, and comes first however
     /// often it has to be sent.
     pub(super) fn may_send_set_point(&self) -> bool {
@@ -459,14 +397,6 @@ impl Motor {
     pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
         self.misses = 0;
         self.health.count_answer(round_trip);
-    }
-
-    /// Something was heard on the bus after what may move it was given up: if that lay in a mailbox all the
-    /// time, it comes now.
-    pub(super) fn bus_is_alive(&mut self, now: Instant, config: &Config) {
-        if core::mem::take(&mut self.is_unheard) && self.moves_until <= now {
-            self.moves_until = now + config.late_window;
-        }
     }
 
     /// Something was heard of it. Gives whether that was just after something else, so that it may be the

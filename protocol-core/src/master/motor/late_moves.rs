@@ -1,0 +1,80 @@
+//! What was given up: its replies may come late, and until when it may still move the motor.
+
+use crate::data::Data;
+use crate::master::config::Config;
+use crate::master::late::{Of, Question};
+use crate::master::motor::Motor;
+use crate::time::Instant;
+
+impl Motor {
+    /// Whether a command that was given up may still reach the drive and move it.
+    pub(in crate::master) fn may_yet_move(&self) -> bool {
+        self.moves_until > Instant::ZERO
+    }
+
+    /// When that ends, if it does by itself.
+    pub(super) fn moves_no_more_at(&self) -> Option<Instant> {
+        (self.may_yet_move() && !self.is_unheard).then_some(self.moves_until)
+    }
+
+    /// What moves was given up.
+    pub(super) fn may_move_until(&mut self, until: Instant, config: &Config) {
+        self.moves_until = self.moves_until.max(until);
+        self.is_unheard = !config.is_rs485();
+    }
+
+    /// The reply to this question, which was sent so often, may come late.
+    pub(super) fn expect_late(
+        &mut self,
+        question: Question,
+        of: Of,
+        replies: u8,
+        until: Instant,
+        config: &Config,
+    ) {
+        if replies > 0 {
+            self.late.expect(question, of, replies, until);
+            if question.kind.moves() {
+                self.may_move_until(until, config);
+            }
+        }
+    }
+
+    /// Takes a reply that may come late, or one whose command was never sent; see [`LateReplies::take`](crate::master::late::LateReplies::take).
+    pub(in crate::master) fn take_late(
+        &mut self,
+        is_motion: bool,
+        reply: &Data,
+        may_be_doubled: bool,
+    ) -> Option<Of> {
+        let could_move = self.late.may_move();
+        let of = self.late.take(is_motion, reply, may_be_doubled)?;
+        if could_move && !self.late.may_move() {
+            (self.moves_until, self.is_unheard) = (Instant::ZERO, false);
+        }
+        Some(of)
+    }
+
+    /// Feedback has come that may be that to another set-point, so that the newest may be still to come.
+    pub(in crate::master) fn prolong_late(
+        &mut self,
+        question: Question,
+        config: &Config,
+        now: Instant,
+    ) -> bool {
+        let until = now + config.late_window;
+        let is_one_late = self.late.prolong(question, until);
+        if is_one_late && !config.is_rs485() {
+            self.may_move_until(until, config);
+        }
+        is_one_late
+    }
+
+    /// Something was heard on the bus after what may move it was given up: if that lay in a mailbox all the
+    /// time, it comes now.
+    pub(in crate::master) fn bus_is_alive(&mut self, now: Instant, config: &Config) {
+        if core::mem::take(&mut self.is_unheard) && self.moves_until <= now {
+            self.moves_until = now + config.late_window;
+        }
+    }
+}
