@@ -125,7 +125,7 @@ fn all_are_not_moved_while_one_has_restarted() {
 }
 
 #[test]
-fn a_last_stop_that_was_ignored_is_an_unconfirmed_one() {
+fn a_last_stop_that_was_ignored_goes_again_and_is_then_an_unconfirmed_one() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
@@ -137,7 +137,10 @@ fn a_last_stop_that_was_ignored_is_an_unconfirmed_one() {
     }
     reply(&mut master, 1, [LOST_MASTER_BYTE; 8], now).unwrap();
     reply(&mut master, 1, Shutdown.encode(), now);
-    assert_eq!(events(&mut master, now), [Event::StopUnconfirmed { motor: id(1) }]);
+    assert_eq!(events(&mut master, now), []);
+    assert_eq!(sent(&mut master, now).len(), 1);
+    let over = now + Duration::from_millis(21);
+    assert_eq!(events(&mut master, over), [Event::StopUnconfirmed { motor: id(1) }]);
 }
 
 #[test]
