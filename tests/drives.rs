@@ -4,6 +4,7 @@ mod drives {
     mod fleet;
     mod loops;
     mod manual;
+    mod plant_loads;
     mod plant_physics;
     mod quirks;
     mod runs;

@@ -3,7 +3,7 @@
 
 use std::fmt::Debug;
 
-use myactuator_host_std::sim::plant::{Load, MODELS, MotorParameters, SpringStop};
+use myactuator_host_std::sim::plant::{EndStop, Load, MODELS, MotorParameters};
 use myactuator_host_std::sim::{CanFleet, Fleet, SimulatedDrive};
 use myactuator_protocol_core::command::{
     AccelerationIndex, Command, ForcePosition, MotionSetPoint, PidIndex, Stop, WriteAcceleration,
@@ -295,7 +295,7 @@ fn every_loop_has_a_margin_of_two() {
 fn nothing_winds_up_against_a_stop() {
     each_load(|model, load, case| {
         let mut alone = Alone::new(model, load);
-        let stop = SpringStop { at_deg: 30.0, stiffness_nm_per_rad: 2_000.0 };
+        let stop = EndStop { at_deg: 30.0, stiffness_nm_per_rad: 2_000.0, restitution: 1.0 };
         let walled = Load { inertia_kg_m2: load, upper_stop: Some(stop), ..Load::NONE };
         alone.with(|drive| drive.plant_mut().set_load(walled).unwrap());
         let gently =

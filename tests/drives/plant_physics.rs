@@ -2,24 +2,23 @@
 //!
 //! Every expected value is a closed form in the parameters of the test; none is taken from a run.
 
-use std::f64::consts::{FRAC_PI_2, TAU};
-
 use myactuator_host_std::sim::plant::{
-    CurrentScale, Load, MODELS, MotorParameters, SimulatedMotor, SpringStop, Supply,
+    CurrentScale, EndStop, Load, MODELS, MotorParameters, SimulatedMotor, Supply,
 };
 use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
 use myactuator_protocol_core::time::Duration;
 
-const MS: Duration = Duration::from_millis(1);
-const OFF: Actuation = Actuation { current_a: 0.0, output_on: false, brake_released: true };
+pub(super) const MS: Duration = Duration::from_millis(1);
+pub(super) const OFF: Actuation =
+    Actuation { current_a: 0.0, output_on: false, brake_released: true };
 const BRAKED: Actuation = Actuation { brake_released: false, ..OFF };
 
-fn amps(current_a: f32) -> Actuation {
+pub(super) fn amps(current_a: f32) -> Actuation {
     Actuation { current_a, output_on: true, brake_released: true }
 }
 
 /// A motor of round figures: 0.1 kg·m² at the output, 2 N·m/A, no losses but copper's.
-fn ideal() -> MotorParameters {
+pub(super) fn ideal() -> MotorParameters {
     let mut p = MotorParameters::named("RMD-X8-PRO").unwrap();
     p.gear.ratio = 10.0;
     p.gear.efficiency = 1.0;
@@ -37,13 +36,13 @@ fn ideal() -> MotorParameters {
     p.inverter.idle_power_w = 0.0;
     p
 }
-const INERTIA: f64 = 0.1;
+pub(super) const INERTIA: f64 = 0.1;
 
-fn motor(parameters: MotorParameters) -> SimulatedMotor {
+pub(super) fn motor(parameters: MotorParameters) -> SimulatedMotor {
     SimulatedMotor::new(parameters).unwrap()
 }
 
-fn loaded(parameters: MotorParameters, load: Load) -> SimulatedMotor {
+pub(super) fn loaded(parameters: MotorParameters, load: Load) -> SimulatedMotor {
     let mut m = motor(parameters);
     m.set_load(load).unwrap();
     m
@@ -54,7 +53,7 @@ fn held(parameters: MotorParameters) -> SimulatedMotor {
     loaded(parameters, Load { inertia_kg_m2: 1e6, ..Load::NONE })
 }
 
-fn with_friction(static_nm: f64, coulomb_nm: f64, viscous: f64) -> MotorParameters {
+pub(super) fn with_friction(static_nm: f64, coulomb_nm: f64, viscous: f64) -> MotorParameters {
     let mut p = ideal();
     p.friction.static_nm = static_nm;
     p.friction.coulomb_nm = coulomb_nm;
@@ -62,16 +61,16 @@ fn with_friction(static_nm: f64, coulomb_nm: f64, viscous: f64) -> MotorParamete
     p
 }
 
-fn speed(motor: &SimulatedMotor) -> f64 {
+pub(super) fn speed(motor: &SimulatedMotor) -> f64 {
     motor.output_speed_dps().to_radians()
 }
 
-fn angle(motor: &SimulatedMotor) -> f64 {
+pub(super) fn angle(motor: &SimulatedMotor) -> f64 {
     motor.output_angle_deg().to_radians()
 }
 
 #[track_caller]
-fn close(found: f64, expected: f64, share: f64) {
+pub(super) fn close(found: f64, expected: f64, share: f64) {
     let error = (found - expected).abs();
     assert!(error <= share * expected.abs(), "{found} is not {expected} within {share}");
 }
@@ -168,66 +167,6 @@ fn static_friction_holds_up_to_its_limit() {
     m.advance(&OFF, MS.times(500));
     // One step with 1.001 - 1.0 N·m, then 1.001 - 0.6 N·m: 0.401 * 0.5 / 0.1
     close(speed(&m), 2.005, 1e-3);
-}
-
-/// f = 1/2π √(k/J) for a spring from both sides: 40 N·m/rad and 0.1 kg·m² give 20 rad/s.
-#[test]
-fn a_spring_oscillates_at_its_frequency_and_keeps_its_energy() {
-    let spring = SpringStop { at_deg: 0.0, stiffness_nm_per_rad: 40.0 };
-    let spring = Load { upper_stop: Some(spring), lower_stop: Some(spring), ..Load::NONE };
-    let mut m = loaded(ideal(), spring);
-    m.set_output_angle_deg(30.0).unwrap();
-    let start = angle(&m);
-    let energy = 0.5 * 40.0 * start * start;
-
-    let (mut crossings, mut last_crossing_us, mut before) = (0_u32, 0_u32, start);
-    for step in 1..=320_000_u32 {
-        m.advance(&OFF, Duration::from_micros(100));
-        let now = angle(&m);
-        if before.signum() != now.signum() {
-            crossings += 1;
-            last_crossing_us = step * 100;
-        }
-        before = now;
-        if step % 1000 == 0 {
-            let total = 0.5 * INERTIA * speed(&m) * speed(&m) + 0.5 * 40.0 * now * now;
-            close(total, energy, 1e-3);
-        }
-    }
-    // The first crossing is a quarter period in, the others half a period apart. 32 s: 203 or 204.
-    let expected_s = (FRAC_PI_2 + f64::from(crossings - 1) * TAU / 2.0) / 20.0;
-    assert!(crossings > 200, "{crossings}");
-    close(f64::from(last_crossing_us) * 1e-6, expected_s, 1e-4);
-}
-
-/// A one-sided stop throws the shaft back with the speed it came with; the contact lasts half a
-/// period, π √(J/k).
-#[test]
-fn a_stop_throws_back() {
-    let stop = SpringStop { at_deg: 45.0, stiffness_nm_per_rad: 1000.0 };
-    let mut m = loaded(ideal(), Load { upper_stop: Some(stop), ..Load::NONE });
-    m.set_output_speed_dps(180.0).unwrap();
-    let mut deepest: f64 = 0.0;
-    let mut touching = 0;
-    for _ in 0..5000 {
-        m.advance(&OFF, Duration::from_micros(100));
-        deepest = deepest.max(m.output_angle_deg() - 45.0);
-        touching += u32::from(m.output_angle_deg() > 45.0);
-    }
-    close(m.output_speed_dps(), -180.0, 1e-3);
-    // ½Jω² = ½kx²: x = ω √(J/k) = 180° * 0.01 = 1.8°
-    close(deepest, 1.8, 1e-3);
-    close(f64::from(touching) * 1e-4, TAU / 2.0 * 0.01, 0.01);
-}
-
-/// Leaning on a spring with a constant torque, damped, ends where k x = τ.
-#[test]
-fn a_motor_leaning_on_a_stop_comes_to_rest() {
-    let stop = SpringStop { at_deg: 10.0, stiffness_nm_per_rad: 200.0 };
-    let leaning = Load { upper_stop: Some(stop), ..Load::NONE };
-    let mut m = loaded(with_friction(0.0, 0.0, 2.0), leaning);
-    m.advance(&amps(2.0), Duration::from_secs(5));
-    close(angle(&m), 10_f64.to_radians() + 4.0 / 200.0, 1e-6);
 }
 
 /// The brake holds anything below its limit without giving way, and slips above it.
@@ -384,7 +323,7 @@ fn energy_balances() {
     let mut p = with_friction(0.3, 0.3, 0.2);
     p.inverter.idle_power_w = 3.0;
     p.inverter.mos_resistance_ohm = 0.05;
-    let stop = SpringStop { at_deg: 60.0, stiffness_nm_per_rad: 300.0 };
+    let stop = EndStop { at_deg: 60.0, stiffness_nm_per_rad: 300.0, restitution: 1.0 };
     let (torque_nm, inertia_kg_m2) = (-1.0, 0.05);
     let mut m = loaded(p, Load { torque_nm, inertia_kg_m2, upper_stop: Some(stop), ..Load::NONE });
 
@@ -446,7 +385,7 @@ fn winding_and_output_stage_heat_exponentially_and_cool_again() {
 #[test]
 fn any_split_of_the_time_gives_the_same_bits() {
     let run = |portion_us: u64| {
-        let stop = SpringStop { at_deg: 200.0, stiffness_nm_per_rad: 400.0 };
+        let stop = EndStop { at_deg: 200.0, stiffness_nm_per_rad: 400.0, restitution: 1.0 };
         let load = Load { torque_nm: -1.0, upper_stop: Some(stop), ..Load::NONE };
         let mut m = loaded(MotorParameters::named("RMD-X6-P20-60").unwrap(), load);
         let mut left_us = 1_000_000;

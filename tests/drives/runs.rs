@@ -18,7 +18,7 @@ use std::fmt::{Debug, Write as _};
 use myactuator_host_std::sim::bus::can::{CanBus, frame_bits};
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::bus::trace::{Event as OnBus, Record};
-use myactuator_host_std::sim::plant::{Load, MotorParameters, SpringStop};
+use myactuator_host_std::sim::plant::{EndStop, Load, MotorParameters};
 use myactuator_host_std::sim::{CanFleet, DriveHandle, Fleet};
 use myactuator_host_std::text;
 use myactuator_protocol_core::command::{
@@ -243,7 +243,7 @@ fn communication_loss() {
 /// one, of which 8.1 says that "the motor cannot recover; find the cause and restart it".
 #[test]
 fn stall() {
-    const STOP: SpringStop = SpringStop { at_deg: 30.0, stiffness_nm_per_rad: 1_500.0 };
+    const STOP: EndStop = EndStop { at_deg: 30.0, stiffness_nm_per_rad: 1_500.0, restitution: 1.0 };
     const ROW: Duration = millis(100);
     /// Torque current at the rated torque, and the stall current: the data sheet's 5 and 9.6 A.
     const RATED_A: f32 = 5.0;

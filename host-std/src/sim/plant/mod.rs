@@ -7,7 +7,7 @@
 //! | part | model | where |
 //! |---|---|---|
 //! | mechanics | one inertia (rotor through the gear, gear, load); viscous, Coulomb and static friction; a gear loss in proportion to the torque; a brake that slips | [`SimulatedMotor`] |
-//! | load | a constant torque, an inertia, springs against stops | [`Load`] |
+//! | load | an inertia, a weight on an arm, a spring, a damper, end stops that give back a part, a constant torque | [`Load`] |
 //! | electrics | torque current limited by voltage and back-EMF, phase currents, electronics' own power | [`SimulatedMotor`] |
 //! | supply | a source with internal resistance and a capacitor; feedback raises the voltage | [`Supply`] |
 //! | heat | the winding and the output stage, each cooling to ambient | [`SimulatedMotor`] |
@@ -35,7 +35,7 @@ mod supply;
 mod thermal;
 
 pub use figure::ImpossibleFigure;
-pub use load::{Load, SpringStop};
+pub use load::{Arm, EndStop, Load, Spring};
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{
     BrakeParameters, CurrentScale, EncoderParameters, FrictionParameters, GearParameters,

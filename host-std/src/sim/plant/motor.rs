@@ -35,9 +35,10 @@ fn check_temperature(celsius: f64) -> Result<f64, ImpossibleFigure> {
 ///
 /// One step of [`STEP`] is a leapfrog: half a step of movement, the torques there, the new speed,
 /// the other half of the movement. It is symplectic and of second order, so a spring neither gains
-/// nor loses energy over time; viscous friction is solved exactly within the step. Coulomb and
-/// static friction, the gear's loss and the brake take speed away up to their limit and never turn
-/// it round: what is at rest stays exactly at rest until the other torques exceed the limit.
+/// nor loses energy over time; viscous friction and the load's damper are solved exactly within the
+/// step, however strong. Coulomb and static friction, the gear's loss, the brake and what a stop does
+/// not give back take speed away up to their limit and never turn it round: what is at rest stays
+/// exactly at rest until the other torques exceed the limit.
 ///
 /// The current follows the command at once as far as the supply's voltage, less the back-EMF,
 /// drives it; inductance is left out, for with the voltage to spare at most speeds a current loop
@@ -84,8 +85,8 @@ struct Coefficients {
 
 impl Coefficients {
     fn new(parameters: &MotorParameters, load: &Load) -> Result<Self, ParameterError> {
-        let inertia = parameters.inertia_kg_m2() + load.inertia_kg_m2;
-        let viscous = parameters.friction.viscous_nm_s_per_rad;
+        let inertia = parameters.inertia_kg_m2() + load.total_inertia_kg_m2();
+        let viscous = parameters.friction.viscous_nm_s_per_rad + load.damping_nm_s_per_rad;
         // -expm1(-x)/x tends to 1 as friction vanishes.
         let x = viscous * STEP_S / inertia;
         let mean_kept = if x > 0.0 { -(-x).exp_m1() / x } else { 1.0 };
@@ -106,12 +107,14 @@ impl Coefficients {
                 limit_per_s: MAX_ELECTRIC_RATE_PER_S,
             });
         }
-        let spring_rate_per_s = (load.max_stiffness_nm_per_rad() / inertia).sqrt();
-        if spring_rate_per_s > MAX_SPRING_RATE_PER_S {
-            return Err(ParameterError::TooFast {
-                what: "square root of the stop's stiffness over the inertia at the output shaft",
-                rate_per_s: spring_rate_per_s,
-                limit_per_s: MAX_SPRING_RATE_PER_S,
+        let (part, stiffness_nm_per_rad) = load.stiffness();
+        let most_nm_per_rad = inertia * MAX_SPRING_RATE_PER_S * MAX_SPRING_RATE_PER_S;
+        if stiffness_nm_per_rad > most_nm_per_rad {
+            return Err(ParameterError::TooStiff {
+                part,
+                stiffness_nm_per_rad,
+                most_nm_per_rad,
+                inertia_kg_m2: inertia,
             });
         }
 
@@ -178,13 +181,18 @@ impl SimulatedMotor {
 
     /// Inertia at the output shaft, load included, kg·m².
     pub fn inertia_kg_m2(&self) -> f64 {
-        self.parameters.inertia_kg_m2() + self.load.inertia_kg_m2
+        self.parameters.inertia_kg_m2() + self.load.total_inertia_kg_m2()
+    }
+
+    /// What is fixed to the shaft.
+    pub const fn load(&self) -> &Load {
+        &self.load
     }
 
     /// Fixes a load to the shaft, or [`Load::NONE`]; the speed stays.
     ///
     /// # Errors
-    /// [`ParameterError`] for a load that cannot be or a stop too stiff to simulate.
+    /// [`ParameterError`] for a load that cannot be or is too stiff to simulate; the load before it stays.
     pub fn set_load(&mut self, load: Load) -> Result<(), ParameterError> {
         load.check()?;
         self.coefficients = Coefficients::new(&self.parameters, &load)?;
@@ -338,13 +346,15 @@ impl SimulatedMotor {
     /// The speed after a step under `motor_nm` in the air gap.
     fn speed_after(&self, motor_nm: f64, brake_released: bool) -> f64 {
         let Coefficients { speed_kept, speed_per_torque, gear_loss, .. } = self.coefficients;
-        let torque_nm = motor_nm + self.external_torque_nm + self.load.torque_at(self.angle_rad);
+        let reaction = self.load.reaction_at(self.angle_rad);
+        let torque_nm = motor_nm + self.external_torque_nm + reaction.torque_nm;
         let freely = self.speed_rad_s * speed_kept + torque_nm * speed_per_torque;
 
         let friction = &self.parameters.friction;
         let dry_nm = if self.speed_rad_s == 0.0 { friction.static_nm } else { friction.coulomb_nm };
         let brake_nm = if brake_released { 0.0 } else { self.parameters.brake.holding_torque_nm };
-        let most_taken = (dry_nm + brake_nm + gear_loss * motor_nm.abs()) * speed_per_torque;
+        let taken_nm = dry_nm + brake_nm + gear_loss * motor_nm.abs() + reaction.taken_nm;
+        let most_taken = taken_nm * speed_per_torque;
         if freely.abs() <= most_taken { 0.0 } else { freely - most_taken.copysign(freely) }
     }
 
@@ -381,6 +391,7 @@ impl Plant for SimulatedMotor {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{EndStop, Spring};
     use super::*;
 
     const FREE: Actuation = Actuation { current_a: 0.0, output_on: false, brake_released: true };
@@ -451,11 +462,19 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_too_stiff_for_the_step_is_refused() {
+    fn a_load_too_stiff_for_the_step_is_refused() {
         let mut motor = x6();
-        let stop = super::super::SpringStop { at_deg: 0.0, stiffness_nm_per_rad: 1e7 };
-        let error = motor.set_load(Load { upper_stop: Some(stop), ..Load::NONE }).unwrap_err();
-        assert!(error.to_string().contains("stiffness"), "{error}");
-        assert_eq!(motor.load, Load::NONE);
+        let stop = EndStop { at_deg: 0.0, stiffness_nm_per_rad: 1e7, restitution: 0.5 };
+        let spring = Spring { rest_deg: 0.0, stiffness_nm_per_rad: 1e7 };
+        let ended = Load { upper_stop: Some(stop), ..Load::NONE };
+        let sprung = Load { spring: Some(spring), ..Load::NONE };
+        for (load, part) in [(ended, "end stop"), (sprung, "spring")] {
+            let error = motor.set_load(load).unwrap_err().to_string();
+            assert!(error.contains(&format!("make its {part} softer")), "{error}");
+            assert_eq!(motor.load, Load::NONE);
+            // The other way out that the error names.
+            motor.set_load(Load { inertia_kg_m2: 2.5, ..load }).unwrap();
+            motor.set_load(Load::NONE).unwrap();
+        }
     }
 }

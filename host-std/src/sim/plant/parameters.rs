@@ -370,6 +370,22 @@ pub enum ParameterError {
         /// The fastest that the step can follow, 1/s.
         limit_per_s: f64,
     },
+    /// A load that swings faster than the simulation's step can follow.
+    #[error(
+        "the load is too stiff for the simulation's step: {stiffness_nm_per_rad:.0} N·m/rad, but with \
+         {inertia_kg_m2:.4} kg·m² at the output shaft at most {most_nm_per_rad:.0} N·m/rad: make its \
+         {part} softer or give it more inertia"
+    )]
+    TooStiff {
+        /// The stiffest part.
+        part: &'static str,
+        /// Stiffness of all parts that act together, N·m/rad.
+        stiffness_nm_per_rad: f64,
+        /// The largest that the step can follow with this inertia: 4·10⁶ N·m/rad for each kg·m².
+        most_nm_per_rad: f64,
+        /// Inertia at the output shaft, motor and load, kg·m².
+        inertia_kg_m2: f64,
+    },
 }
 
 #[cfg(test)]
