@@ -2,6 +2,7 @@
 
 mod drives {
     mod fleet;
+    mod loads;
     mod loops;
     mod manual;
     mod plant_loads;

@@ -1,5 +1,6 @@
 //! Several simulated drives on one bus.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,7 +17,7 @@ use crate::sim::bus::can::{CanBus, CanPort, ControllerConfig};
 use crate::sim::bus::rs485::{Rs485Line, SerialPort, TransceiverConfig};
 use crate::sim::bus::{Medium, Node, SimClock, StationId, World};
 use crate::sim::memory::{DriveMemory, StoreError};
-use crate::sim::plant::{MotorParameters, ParameterError, SimulatedMotor};
+use crate::sim::plant::{Load, MotorParameters, ParameterError, SimulatedMotor};
 use crate::sim::seat::Seat;
 use crate::sim::shaft::ShaftFile;
 
@@ -32,9 +33,17 @@ const BANDWIDTH_RAD_S: f32 = 1_000.0;
 /// Why drives cannot be simulated as asked.
 #[derive(Debug, thiserror::Error)]
 pub enum FleetError {
-    /// The model's figures make no motor.
+    /// The model's figures make no motor, or the load or the start angle cannot be.
     #[error("{0}")]
     Model(#[from] ParameterError),
+    /// A load is for a motor that is not there.
+    #[error("there is a load for motor {motor}, but the ids of the fleet are 1 to {count}")]
+    NoSuchMotor {
+        /// The motor that the load is for.
+        motor: MotorId,
+        /// How many motors there are.
+        count: u8,
+    },
     /// The file of a drive's memory cannot be read.
     #[error("{0}")]
     Memory(#[from] StoreError),
@@ -53,6 +62,9 @@ pub struct Fleet {
     seed: u64,
     memory_folder: Option<PathBuf>,
     has_brake: bool,
+    load: Load,
+    loads_of: BTreeMap<MotorId, Load>,
+    start_angle_deg: f64,
 }
 
 impl Fleet {
@@ -69,6 +81,9 @@ impl Fleet {
             seed: 1,
             memory_folder: None,
             has_brake: false,
+            load: Load::NONE,
+            loads_of: BTreeMap::new(),
+            start_angle_deg: 0.0,
         }
     }
 
@@ -137,10 +152,34 @@ impl Fleet {
         self
     }
 
+    /// With this load on each shaft; else with bare ones. A load can be changed later:
+    /// [`SimulatedMotor::set_load`] through [`DriveHandle::with`].
+    #[must_use]
+    pub fn load(mut self, load: Load) -> Self {
+        self.load = load;
+        self
+    }
+
+    /// With this load on one motor's shaft, instead of the others'.
+    #[must_use]
+    pub fn load_of(mut self, motor: MotorId, load: Load) -> Self {
+        self.loads_of.insert(motor, load);
+        self
+    }
+
+    /// With shafts that are at this angle at the start, degrees, turns included, up to ±10⁹; else at 0. Where
+    /// a [`memory_folder`](Self::memory_folder) knows where a shaft was left, it is there instead.
+    #[must_use]
+    pub fn start_angle_deg(mut self, angle_deg: f64) -> Self {
+        self.start_angle_deg = angle_deg;
+        self
+    }
+
     /// Puts the drives on a CAN bus in virtual time.
     ///
     /// # Errors
-    /// [`FleetError`]: the model's figures make no motor, or a memory file cannot be read.
+    /// [`FleetError`]: the model's figures make no motor, a load or the start angle cannot be, a load is for a
+    /// motor that is not there, or a memory file cannot be read.
     pub fn on_can(&self, bit_rate: u32) -> Result<CanFleet, FleetError> {
         let world = World::<CanBus>::new(bit_rate, self.seed);
         self.put_on(world, ControllerConfig::MAILBOXES, Bus::Can, bit_rate)
@@ -166,6 +205,10 @@ impl Fleet {
         Seat: Node<B::Frame>,
     {
         let model = self.made_model()?;
+        let count = self.count;
+        if let Some(&motor) = self.loads_of.keys().find(|motor| motor.get() > count) {
+            return Err(FleetError::NoSuchMotor { motor, count });
+        }
         let mut drives = Vec::new();
         let serving: Arc<dyn Serving> = Arc::new(world.clone());
         for motor in MotorId::all().take(self.count.into()) {
@@ -211,9 +254,10 @@ impl Fleet {
             ..of_model
         };
         let mut plant = SimulatedMotor::new(model.clone())?;
-        if let Some(shaft) = &shaft {
-            plant.set_output_angle_deg(shaft.angle_deg()).map_err(ParameterError::from)?;
-        }
+        plant.set_load(*self.loads_of.get(&motor).unwrap_or(&self.load))?;
+        let kept_deg = shaft.as_ref().and_then(ShaftFile::kept_deg);
+        let angle_deg = kept_deg.unwrap_or(self.start_angle_deg);
+        plant.set_output_angle_deg(angle_deg).map_err(ParameterError::from)?;
         let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
         Ok(Seat { drive, receiver: Receiver::new(), shaft })
     }
@@ -456,6 +500,43 @@ mod tests {
 
         let third = fleet().on_can(1_000_000).unwrap();
         assert!((angle_deg(&third) - 740.0).abs() < 0.1, "its turns are kept");
+    }
+
+    #[test]
+    fn shafts_start_where_it_is_said_unless_they_were_left_elsewhere() {
+        let folder = tempfile::tempdir().unwrap();
+        let kept =
+            |start_deg| Fleet::new(1).memory_folder(folder.path()).start_angle_deg(start_deg);
+        let angles_deg = |fleet: Fleet| {
+            let fleet = fleet.on_can(1_000_000).unwrap();
+            let mut master = fleet.master::<1>();
+            let told = master.ask(MotorId::MIN, ReadMultiTurnAngle).unwrap().angle.degrees();
+            (told, fleet.drives[0].with(|drive| drive.plant().output_angle_deg()))
+        };
+        let is_at = |fleet, expected: f64| {
+            let (told, angle) = angles_deg(fleet);
+            assert!((angle - expected).abs() < 1e-9, "{angle}");
+            assert!((f64::from(told) - expected).abs() <= 0.01, "{told}");
+        };
+        is_at(Fleet::new(1).start_angle_deg(-35.5), -35.5);
+        is_at(kept(90.0), 90.0);
+        is_at(kept(-10.0), 90.0);
+        assert!(Fleet::new(1).start_angle_deg(f64::NAN).on_can(1_000_000).is_err());
+    }
+
+    #[test]
+    fn each_motor_has_its_load_and_none_is_for_a_motor_that_is_not_there() {
+        let inertia = |inertia_kg_m2| Load { inertia_kg_m2, ..Load::NONE };
+        let id = |number| MotorId::new(number).unwrap();
+        let loaded = |motor| Fleet::new(3).load(inertia(1.0)).load_of(id(motor), inertia(2.0));
+        let fleet = loaded(2).on_rs485(115_200).unwrap();
+        let found =
+            fleet.drives.iter().map(|it| it.with(|drive| drive.plant().load().inertia_kg_m2));
+        assert_eq!(found.collect::<Vec<_>>(), [1.0, 2.0, 1.0]);
+        let error = loaded(4).on_can(1_000_000).unwrap_err().to_string();
+        assert_eq!(error, "there is a load for motor 4, but the ids of the fleet are 1 to 3");
+        let error = Fleet::new(1).load(inertia(-1.0)).on_can(1_000_000).unwrap_err().to_string();
+        assert!(error.starts_with("load inertia must be 0 to"), "{error}");
     }
 
     #[test]

@@ -14,18 +14,18 @@ const INTERVAL: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(super) struct ShaftFile {
     path: PathBuf,
-    kept_deg: f64,
+    kept_deg: Option<f64>,
     next: Instant,
 }
 
 impl ShaftFile {
-    /// The angle of the output shaft in this file is [`angle_deg`](Self::angle_deg); 0 without such a file.
     pub(super) fn open(path: PathBuf) -> Result<Self, StoreError> {
-        let kept_deg = memory::load(&path)?.unwrap_or(0.0);
+        let kept_deg = memory::load(&path)?;
         Ok(Self { path, kept_deg, next: Instant::ZERO })
     }
 
-    pub(super) fn angle_deg(&self) -> f64 {
+    /// The angle of the output shaft in this file; none before the first run.
+    pub(super) fn kept_deg(&self) -> Option<f64> {
         self.kept_deg
     }
 
@@ -39,8 +39,10 @@ impl ShaftFile {
 
     /// Notes the angle. Who cannot write it here could not keep a drive's settings either, which is told.
     pub(super) fn keep(&mut self, angle_deg: f64) {
-        if angle_deg != self.kept_deg && memory::store_unflushed(&self.path, &angle_deg).is_ok() {
-            self.kept_deg = angle_deg;
+        if Some(angle_deg) != self.kept_deg
+            && memory::store_unflushed(&self.path, &angle_deg).is_ok()
+        {
+            self.kept_deg = Some(angle_deg);
         }
     }
 }
