@@ -1,7 +1,7 @@
 //! How much faster than time itself a full bus of simulated drives runs.
 //!
-//! 32 drives with their whole physics are on one bus, and a master gives each its next set-point as
-//! soon as it has answered the last. Run it with
+//! 32 drives with their whole physics, each with an arm on its shaft, are on one bus, and a master gives
+//! each its next set-point as soon as it has answered the last. Run it with
 //!
 //! ```text
 //! cargo bench -p myactuator-tests --bench sim_speed
@@ -13,6 +13,7 @@
 use std::time::{Duration as WallDuration, Instant as WallInstant};
 
 use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::plant::{Arm, Load, MotorParameters};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{AbsolutePosition, MotionRanges, MotionSetPoint};
 use myactuator_protocol_core::io::Runner;
@@ -78,13 +79,21 @@ fn stream<R: Runner<32>>(master: &mut R, give: GiveSetPoint<R>) -> u32 {
     answers
 }
 
+/// Drives of the largest model, whose arms of half a metre weigh half of what the motors can hold.
+fn fleet() -> Fleet {
+    let model = MotorParameters::named("RMD-X8-P20-120").expect("a model of the library");
+    let mass_kg = 0.5 * model.rating.torque_nm / (9.81 * 0.5);
+    let arm = Arm { mass_kg, length_m: 0.5, down_deg: 0.0 };
+    Fleet::new(MOTORS).model(model).load(Load { arm: Some(arm), ..Load::NONE })
+}
+
 fn second_on_can() -> u32 {
-    let fleet = Fleet::new(MOTORS).on_can(BIT_RATE).expect("the default model");
+    let fleet = fleet().on_can(BIT_RATE).expect("a bus of the model");
     stream(&mut fleet.master::<32>(), by_motion)
 }
 
 fn second_on_rs485() -> u32 {
-    let fleet = Fleet::new(MOTORS).on_rs485(BIT_RATE).expect("the default model");
+    let fleet = fleet().on_rs485(BIT_RATE).expect("a bus of the model");
     stream(&mut fleet.master::<32>(), by_position)
 }
 
