@@ -356,8 +356,14 @@ impl<const N: usize> App<N> {
     /// Tells what is wrong and stops all motors. What is wrong while they are stopped already changes
     /// nothing.
     fn trouble(&mut self, trouble: Trouble, at: &mut Moment<'_, N, impl Board>) {
-        if !matches!(self.state, State::Stopping { .. } | State::Stopped { .. }) {
-            at.board.log(&Report::Trouble(trouble));
+        if matches!(self.state, State::Stopping { .. } | State::Stopped { .. }) {
+            return;
+        }
+        at.board.log(&Report::Trouble(trouble));
+        // A motor with an error has cut its output and locked its brake: the others are shut down all the same.
+        let goes_on =
+            matches!((&self.state, trouble), (State::ShuttingDown(_), Trouble::Errors { .. }));
+        if !goes_on {
             // Also while they are being shut down: with a brake that is not locked, off is no stop.
             self.stop(self.setup.stop, at);
         }

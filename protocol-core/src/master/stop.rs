@@ -6,7 +6,7 @@ use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::request::Asked;
-use crate::master::{Master, MotorSet};
+use crate::master::{Bus, Master, MotorSet};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::Duration;
@@ -57,6 +57,7 @@ impl<const N: usize> Master<N> {
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
     /// stopped all the same.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
+        self.let_line_answer();
         let is_same_for_all = kind == StopKind::Off || self.switched_off.is_empty();
         self.broadcast.cancel();
         let mut result = Ok(());
@@ -83,10 +84,19 @@ impl<const N: usize> Master<N> {
     /// [`RequestError::TooManyMotors`] if there is no place for it.
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
         let place = self.place_for(motor)?;
+        self.let_line_answer();
         self.broadcast.cancel_what_moves();
         self.put_stop(place, motor, kind);
         self.stopped.insert(motor);
         Ok(())
+    }
+
+    /// On a line the answer to what a stop goes over would meet it: the drive would hear neither.
+    fn let_line_answer(&mut self) {
+        let last_sent = self.at(self.places.in_flight).map(|(_, motor)| motor.sent).max();
+        if let (Bus::Rs485 { .. }, Some(sent)) = (self.config.bus, last_sent) {
+            self.busy_until = self.busy_until.max(sent + self.config.settle_time);
+        }
     }
 
     /// Gives whether it is a new one: where the motor was stopped already, so that nothing has moved it since,

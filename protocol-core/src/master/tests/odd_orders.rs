@@ -438,3 +438,27 @@ fn a_restart_that_was_seen_is_told_once_and_ends_what_was_reported() {
     assert_eq!(events(&mut master, ms(1_211)), []);
     assert!(master.request(id(1), ReadMultiTurnAngle).is_ok(), "it reports no more");
 }
+
+#[test]
+fn on_rs485_no_stop_meets_the_answer_to_what_it_goes_over() {
+    let micros = Instant::from_micros;
+    let stops: [fn(&mut Master<4>); 2] = [
+        |master| master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap(),
+        |master| master.stop(id(1), StopKind::Off).unwrap(),
+    ];
+    for stop in stops {
+        for is_answered in [true, false] {
+            let mut master = Master::<4>::new(Config::rs485(115_200, false));
+            let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+            stop(&mut master);
+            assert_eq!(sent(&mut master, micros(500)), [], "the drive is answering");
+            if is_answered {
+                let answer = Frame { address: Target::Motor(id(1)), data: ANGLE_REPLY };
+                master.handle_line(&answer, micros(1_900));
+            }
+            let at = master.poll_at().unwrap();
+            assert_eq!(at, if is_answered { ms(2) } else { ms(5) });
+            assert_eq!(sent(&mut master, at)[0].data, Shutdown.encode());
+        }
+    }
+}
