@@ -7,7 +7,7 @@ use myactuator_protocol_core::drive::{
 };
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::*;
-use myactuator_protocol_core::{Channel, MotorId, Target};
+use myactuator_protocol_core::{AnyCommand, Channel, MotorId, Opcode, Target};
 use myactuator_tests::bench::*;
 use myactuator_tests::dice::any_data;
 use myactuator_tests::values::*;
@@ -96,6 +96,114 @@ fn rom_needs_shutdown() {
     bench.write(Shutdown);
     bench.write(write);
     assert_eq!(bench.ask(ReadPid { index: write.index }).value, write.value);
+}
+
+/// 0x79 to one motor's identifier, and a byte that is nobody's: the last reply comes once more.
+#[test]
+fn repeats_last_reply() {
+    let to_one = Channel::Command(ID.into());
+    for (repeats_last_reply, times) in [(true, 1), (false, 0)] {
+        for unknown in [[0x79, 0, 1, 0, 0, 0, 0, 0], [0xC0, 0, 0, 0, 0, 0, 0, 0]] {
+            let mut bench = with(Quirks { repeats_last_reply, ..Quirks::default() });
+            assert_eq!(bench.exchange(to_one, unknown), [], "there is none yet");
+            bench.ask(ReadModel);
+            let (_, last) = *bench.sent.last().unwrap();
+            for _ in 0..2 {
+                assert_eq!(bench.exchange(to_one, unknown), vec![last; times]);
+            }
+            bench.restart();
+            assert_eq!(bench.exchange(to_one, unknown), []);
+        }
+    }
+}
+
+/// Function 5 is answered under the new id, and so is everything that is sent to the old one until 0x76.
+#[test]
+fn answers_as_new_id() {
+    let to_old = Channel::Command(ID.into());
+    let new = MotorId::new(7).unwrap();
+    let to_new = Channel::Command(new.into());
+    let renamed = Channel::Reply(new);
+    for (answers_as_new_id, before) in [(true, renamed), (false, Channel::Reply(ID))] {
+        let mut bench = with(Quirks { answers_as_new_id, ..Quirks::default() });
+        let mut from = |channel, data| {
+            let replies = bench.exchange(channel, data);
+            replies.iter().map(|packet| packet.channel).collect::<Vec<_>>()
+        };
+        assert_eq!(from(to_old, ReadModel.encode()), [Channel::Reply(ID)]);
+        assert_eq!(from(to_old, FunctionControl::SetCanId(new).encode()), [before]);
+        assert_eq!(from(to_old, ReadModel.encode()), [before]);
+        assert_eq!(from(to_new, ReadModel.encode()), []);
+        assert_eq!(from(to_old, Reset.encode()), []);
+        assert_eq!(from(to_new, ReadModel.encode()), [renamed]);
+        assert_eq!(from(to_old, ReadModel.encode()), []);
+    }
+}
+
+/// 0x9A says "released" while the drive obeys, and at no other time.
+#[test]
+fn brake_told_by_motion() {
+    let (lock, release) = (BrakeCommand::LOCK, BrakeCommand::RELEASE);
+    for (brake_told_by_motion, idle) in [(true, lock), (false, release)] {
+        let mut bench = with(Quirks { brake_told_by_motion, ..Quirks::default() });
+        let told = |bench: &mut Bench| bench.ask(ReadStatus1).brake;
+        assert_eq!(told(&mut bench), lock);
+        bench.write(ReleaseBrake);
+        assert_eq!((told(&mut bench), bench.state().brake), (idle, release));
+        bench.ask(turn(10.0));
+        assert_eq!(told(&mut bench), release);
+        bench.write(Shutdown);
+        assert_eq!((told(&mut bench), bench.state().brake), (idle, release));
+    }
+}
+
+/// While 0x92 is reported nothing is answered; all is done.
+#[test]
+fn silent_while_reporting() {
+    let report = |enable| ActiveReply {
+        command: ReportedCommand::of(Opcode::ReadMultiTurnAngle).unwrap(),
+        enable,
+        interval: ReportInterval::from_raw(100),
+    };
+    for silent_while_reporting in [true, false] {
+        let mut bench = with(Quirks { silent_while_reporting, ..Quirks::default() });
+        assert_eq!(bench.send(report(Switch::On)), None);
+        assert_eq!(bench.send(ReadMultiTurnAngle), None);
+        assert_eq!(bench.send(ReadStatus2).is_none(), silent_while_reporting);
+        assert_eq!(bench.send(turn(10.0)).is_none(), silent_while_reporting);
+        assert!(bench.state().output_on);
+        bench.sent.clear();
+        bench.run(millis(1_000));
+        assert_eq!(bench.sent.len(), 1, "the report");
+        assert_eq!(bench.send(report(Switch::Off)), None);
+        bench.feedback();
+    }
+}
+
+/// The reply to what changes the ROM comes late, and those behind it with it; all others come as ever.
+#[test]
+fn slow_rom() {
+    let gain = |value| (PidIndex::SPEED_KI, Gain::new(value).unwrap());
+    for (slow_rom, took) in [(true, 15_800), (false, 800)] {
+        let mut bench = with(Quirks { slow_rom, ..Quirks::default() });
+        let mut ask = |command: AnyCommand| {
+            bench.sent.clear();
+            let asked = bench.now;
+            for data in [command.encode(), ReadModel.encode()] {
+                bench.put(Channel::Command(ID.into()), data);
+            }
+            bench.run(millis(30));
+            let took = bench.sent.iter().map(|&(at, _)| (at - asked).as_micros());
+            took.collect::<Vec<_>>()
+        };
+        let (index, value) = gain(0.25);
+        assert_eq!(ask(WritePidRam { index, value }.into()), [800, 800]);
+        assert_eq!(ask(WritePidRom { index, value }.into()), [took, took]);
+        assert_eq!(ask(WritePidRom { index, value }.into()), [800, 800], "it holds that already");
+        let id = MotorId::new(7).unwrap();
+        assert_eq!(ask(FunctionControl::SetCanId(id).into()), [took, took]);
+        assert_eq!(ask(SetCurrentPositionZero.into()), [800, 800], "it is zero already");
+    }
 }
 
 /// The response delay is drawn from its range, by the seed, and replies keep their order.

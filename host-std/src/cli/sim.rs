@@ -61,6 +61,13 @@ Quirks: what drives were seen to do beside the manual
   silent-id-change          function 5 has its effect but no reply
   turns-lost                turns are lost at a restart, even with function 4 on
   rom-needs-shutdown        0x20, 0x32 and 0xB4 change nothing unless shut down (0x80)
+  repeats-last-reply        an unknown command is answered with the last reply once more
+  answers-as-new-id         after function 5 it answers under the new id at once, and hears
+                            only the old one until it restarts
+  brake-told-by-motion      0x9A says release only while the drive obeys a motion command
+  silent-while-reporting    nothing at all is answered while active reply (0xB6) is on
+  broadcast-slots           answers to all (RS485, 0xCD) come one after the other
+  slow-rom                  replies to what is stored come 15 ms later (an estimate)
   echo                      the RS485 adapter hands back what is sent
   echo-noise                it does so, and now and then a random byte with it";
 

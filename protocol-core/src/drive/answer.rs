@@ -40,7 +40,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         if self.reporting.reports(opcode) {
             return Err(IgnoreReason::ReportedActively(opcode));
         }
-        self.carry_out(opcode, &packet.data, now)
+        let answer = self.carry_out(opcode, &packet.data, now)?;
+        let is_silent = quirks.silent_while_reporting && self.reporting.is_on();
+        Ok(answer.filter(|_| !is_silent))
     }
 
     /// The reply to a read that names nothing, which the drive reports by itself.
@@ -130,7 +132,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 let status = Status1 {
                     temperature: celsius(m.motor_temperature_c),
                     mosfet_temperature: celsius(m.mos_temperature_c),
-                    brake: self.brake.command(),
+                    brake: self.told_brake(),
                     voltage: Voltage::saturating_from_volts(m.supply_voltage_v).unwrap_or_default(),
                     errors: self.faults.all(),
                 };
@@ -318,7 +320,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     }
 
     fn motion_feedback(&self) -> RawMotionFeedback {
-        let (id, m) = (self.active.id, &self.measurement);
+        let (id, m) = (self.replies_as(), &self.measurement);
         let number = |x: f32| if x.is_nan() { 0.0 } else { x };
         let feedback = MotionFeedback {
             position_rad: self.encoder.angle_deg().to_radians() as f32,

@@ -65,6 +65,17 @@ impl Brake {
 }
 
 impl<P, M> Drive<P, M> {
+    /// What 0x9A says of it.
+    pub(super) fn told_brake(&self) -> BrakeCommand {
+        if !self.parameters.quirks.brake_told_by_motion {
+            self.brake.command()
+        } else if self.controller.is_off() {
+            BrakeCommand::LOCK
+        } else {
+            BrakeCommand::RELEASE
+        }
+    }
+
     /// When the brake begins to let the shaft go if it gets its command to open now.
     pub(super) fn brake_opens_at(&mut self, now: Instant) -> Instant {
         if self.parameters.quirks.slow_brake {

@@ -11,6 +11,9 @@
 //!   pass. RS485 has no identifiers to filter by, so that 0xCD always reaches a drive there.
 //! - Replies leave in the order of their commands, each after the drive's response delay: the first
 //!   in the queue holds up those behind it, as a drive does one thing after the other.
+//! - Nothing keeps the answers of several drives to 0xCD apart, so that on RS485 they collide: 6.2 has
+//!   them come "at the same time". That it also shows all four, whole, is
+//!   [an option](super::Quirks::broadcast_slots).
 //!
 //! # What is kept, and when it acts
 //! A drive holds its [`Settings`](super::Settings) twice: as they are stored, and as they act.
@@ -182,7 +185,8 @@
 //!   2.34.1), in the order in which they were first enabled. An interval of 0 counts as one step of
 //!   10 ms.
 //! - "The motor no longer replies when it receives a command" (2.34.1): a poll of what is reported
-//!   actively stays unanswered. All other commands are answered as ever.
+//!   actively stays unanswered. All other commands are answered as ever, unless
+//!   [an option](super::Quirks::silent_while_reporting) takes the sentence at its word.
 //! - The first error report (function 3) goes out as soon as there is an error, or reporting is
 //!   switched on.
 //!

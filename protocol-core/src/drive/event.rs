@@ -11,7 +11,8 @@ use crate::packet::Packet;
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub enum Event {
-    /// A packet had no effect and no answer.
+    /// A packet had no effect and no answer, but for the last one once more by
+    /// [a quirk](super::Quirks::repeats_last_reply).
     Ignored {
         /// The packet.
         packet: Packet,
@@ -70,6 +71,18 @@ pub enum IgnoreReason {
     AnothersReply,
     /// The drive reports this by itself, and so does not answer when asked for it (2.34.1).
     ReportedActively(Opcode),
+}
+
+impl IgnoreReason {
+    /// Whether this drive has no such command on the channel that it came on.
+    pub(super) const fn is_of_unknown_command(&self) -> bool {
+        matches!(
+            self,
+            Self::UnknownCommand
+                | Self::CanOnly(_)
+                | Self::Malformed(DecodeError::WrongChannel { .. })
+        )
+    }
 }
 
 impl From<DecodeError> for IgnoreReason {

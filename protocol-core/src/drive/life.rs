@@ -1,7 +1,8 @@
 //! Supply, start and restart (manual 2.26), as [`decisions`](super::decisions) says.
 
 use crate::command::ErrorFlags;
-use crate::drive::{Drive, Event, Memory, Plant, Protection, Reporting, Settings};
+use crate::drive::reply::Replies;
+use crate::drive::{Drive, Event, Memory, Plant, Protection, Quirks, Reporting, Settings};
 use crate::time::{Duration, Instant};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,6 +89,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         self.cut_output();
         self.protection = Protection::default();
         self.reporting = Reporting::default();
+        self.replies = Replies::default();
     }
 
     /// What a drive with function 4 on does before its supply is gone (2.35.4).
@@ -106,6 +108,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         let stored = self.memory.store(&settings).is_ok();
         if stored {
             self.stored = settings;
+            if self.parameters.quirks.slow_rom {
+                self.replies.wait_until(self.clock + Quirks::SLOW_ROM);
+            }
         } else {
             self.memory_failed();
         }

@@ -60,6 +60,7 @@ mod protection;
 mod queue;
 mod quirks;
 mod random;
+mod reply;
 mod reporting;
 mod settings;
 mod state;
@@ -87,6 +88,7 @@ use life::Life;
 use protection::Protection;
 use queue::DropOldest;
 use random::Random;
+use reply::Replies;
 use reporting::{Report, Reporting};
 
 /// How often measurements are held against their limits, where the loops run more often.
@@ -136,6 +138,7 @@ pub struct Drive<P, M> {
     protection: Protection,
     reporting: Reporting,
     random: Random,
+    replies: Replies,
     outgoing: DropOldest<Outgoing, QUEUE_LENGTH>,
     events: DropOldest<Event, QUEUE_LENGTH>,
 }
@@ -172,6 +175,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             faults: Faults::default(),
             protection: Protection::default(),
             reporting: Reporting::default(),
+            replies: Replies::default(),
             outgoing: DropOldest::new(),
             events: DropOldest::new(),
             parameters,
@@ -206,27 +210,35 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         if to_all && self.active.can_id_filter && self.parameters.bus == Bus::Can {
             return self.ignore(packet, IgnoreReason::IdFilter);
         }
-        let command = match AnyCommand::decode(packet, self.parameters.firmware) {
-            Ok(command) => command,
-            Err(error) => return self.ignore(packet, IgnoreReason::Malformed(error)),
-        };
-        let Some(opcode) = command.opcode() else {
-            return self.ignore(packet, IgnoreReason::UnknownCommand);
-        };
-        if self.parameters.bus == Bus::Rs485 && opcode.buses() == Buses::CanOnly {
-            return self.ignore(packet, IgnoreReason::CanOnly(opcode));
-        }
-        let channel = match packet.channel {
-            Channel::BusId => Channel::BusId,
-            Channel::Motion(_) => Channel::MotionReply(self.active.id),
-            _ => Channel::Reply(self.active.id),
-        };
-        match self.answer(opcode, packet, now) {
-            Ok(Some(data)) => self.reply(Packet { channel, data }, now),
+        let answer = self.known(packet).and_then(|opcode| self.answer(opcode, packet, now));
+        match answer {
+            Ok(Some(data)) => {
+                let channel = match packet.channel {
+                    Channel::BusId => Channel::BusId,
+                    Channel::Motion(_) => Channel::MotionReply(self.replies_as()),
+                    _ => Channel::Reply(self.replies_as()),
+                };
+                self.reply(Packet { channel, data }, packet.channel, now);
+            }
             Ok(None) => {}
-            Err(reason) => self.ignore(packet, reason),
+            Err(reason) => {
+                if reason.is_of_unknown_command() {
+                    self.reply_to_unknown(packet.channel, now);
+                }
+                self.ignore(packet, reason);
+            }
         }
         self.follow_reports(now);
+    }
+
+    /// The kind of a command, if this drive knows it.
+    fn known(&self, packet: &Packet) -> Result<Opcode, IgnoreReason> {
+        let command = AnyCommand::decode(packet, self.parameters.firmware)?;
+        let opcode = command.opcode().ok_or(IgnoreReason::UnknownCommand)?;
+        if self.parameters.bus == Bus::Rs485 && opcode.buses() == Buses::CanOnly {
+            return Err(IgnoreReason::CanOnly(opcode));
+        }
+        Ok(opcode)
     }
 
     /// Runs the control loops up to `now`, in whole steps of
@@ -257,7 +269,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         if !matches!(self.life, Life::Running { .. }) {
             return None;
         }
-        let channel = Channel::Reply(self.active.id);
+        let channel = Channel::Reply(self.replies_as());
         let data = match self.reporting.poll(now)? {
             Report::Status1 => self.report(Opcode::ReadStatus1, now)?,
             Report::Heartbeat => [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0],
@@ -446,14 +458,6 @@ impl<P: Plant, M: Memory> Drive<P, M> {
 
     fn protection_timeout(&self) -> Duration {
         Duration::from_millis(self.active.protection_timeout.raw().into())
-    }
-
-    /// Queues a reply. Replies leave in the order of their commands: the first in the queue holds up
-    /// those behind it, as a drive does one thing after the other.
-    fn reply(&mut self, packet: Packet, now: Instant) {
-        let Parameters { response_delay_min: min, response_delay_max: max, .. } = self.parameters;
-        let due = now + self.random.between(min, max);
-        self.outgoing.push(Outgoing { due, packet });
     }
 
     fn ignore(&mut self, packet: &Packet, reason: IgnoreReason) {

@@ -6,7 +6,7 @@ use crate::time::Duration;
 ///
 /// Some reports need no option, because the manual itself says so: polls of what is reported actively
 /// stay unanswered (2.34), and the turns are lost at a restart unless function 4 is on (2.35.4). An
-/// adapter's echo is the bus's affair, not the drive's.
+/// adapter's echo is the bus's affair, not the drive's, and that all motors come with id 1 a fleet's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
@@ -26,6 +26,31 @@ pub struct Quirks {
     /// 0x20, 0x32 and 0xB4 are answered as ever but change nothing unless the motor is shut down
     /// (0x80).
     pub rom_needs_shutdown: bool,
+    /// A command that the drive does not know is answered with its last reply once more, if there was
+    /// one since the start (firmware 2025070202, with 0x79 to one motor's identifier).
+    pub repeats_last_reply: bool,
+    /// The drive answers under a new id as soon as that is stored, the echo of function 5 included, and
+    /// hears only the old one until the restart (firmware 2025070202).
+    pub answers_as_new_id: bool,
+    /// 0x9A says "released" only while the drive obeys a command that moves or holds the motor, whatever
+    /// its brake does (firmware 2025070202).
+    pub brake_told_by_motion: bool,
+    /// While anything is reported actively (0xB6), no command is answered, of whatever kind; each has
+    /// its effect. 2.34.1 can be read so.
+    pub silent_while_reporting: bool,
+    /// On RS485 drives answer commands to all (0xCD) one after the other, by their ids.
+    ///
+    /// Without it each answers after its usual delay, as to a command of its own, and the answers of
+    /// several collide. In 6.2 four drives answer "at the same time", in an order that depends on "the
+    /// delay of each on the bus", and yet all four frames come whole, in the order of the ids. So each
+    /// waits for a time of its own, and the id is the only thing that is surely different: a drive waits
+    /// for as many slots as there are smaller ids, whether somebody has them or not. A slot is a frame's
+    /// time at the drive's bit rate, the spread of its response delay, and
+    /// [`SLOT_GUARD`](Self::SLOT_GUARD). Of how real drives do it there is no report.
+    pub broadcast_slots: bool,
+    /// A change of what is stored (ROM) takes [`SLOW_ROM`](Self::SLOW_ROM): so much later come the reply
+    /// and those to whatever is sent meanwhile.
+    pub slow_rom: bool,
 }
 
 impl Quirks {
@@ -35,4 +60,11 @@ impl Quirks {
     pub const SLOW_BRAKE_MIN: Duration = Duration::from_millis(50);
     /// The longest that a [`slow_brake`](Self::slow_brake) takes.
     pub const SLOW_BRAKE_MAX: Duration = Duration::from_millis(150);
+    /// How long a [`slow_rom`](Self::slow_rom) takes. An estimate, as nobody has reported a figure: masters
+    /// elsewhere wait for 20 ms where others of their time-outs are 3 ms (0x43), and to erase a page of a
+    /// small controller's flash takes about as long.
+    pub const SLOW_ROM: Duration = Duration::from_millis(15);
+    /// The pause between two [slots](Self::broadcast_slots): what a master elsewhere waits for at each
+    /// change of direction.
+    pub const SLOT_GUARD: Duration = Duration::from_micros(100);
 }

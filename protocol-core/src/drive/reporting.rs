@@ -67,6 +67,11 @@ impl Reporting {
         self.commands.contains(&opcode)
     }
 
+    /// Whether anything is reported actively.
+    pub(super) fn is_on(&self) -> bool {
+        !self.commands.is_empty()
+    }
+
     pub(super) fn set_errors_wanted(&mut self, wanted: bool) {
         self.errors_wanted = wanted;
     }
