@@ -4,15 +4,17 @@
 
 use std::fmt::Debug;
 
+use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_host_std::sim::plant::SimulatedMotor;
 use myactuator_host_std::sim::{BusFleet, Fleet, FleetError};
 use myactuator_protocol_core::command::{
     AnyReply, BrakeCommand, CommunicationLossProtection, ErrorFlags, FunctionControl, PidIndex,
-    ReadMultiTurnAngle, ReadPid, ReadStatus1, Reset, Switch, WritePidRam, WritePidRom,
+    ReadMultiTurnAngle, ReadMultiTurnEncoder, ReadPid, ReadStatus1, Reset, Switch, WritePidRam,
+    WritePidRom,
 };
 use myactuator_protocol_core::drive::{Event as Happened, Indicator, NotRunReason, Quirks, State};
 use myactuator_protocol_core::io::{CallError, Runner, bring_up};
-use myactuator_protocol_core::master::{Event, Failure};
+use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::{MotorId, Opcode};
@@ -96,6 +98,36 @@ fn after_a_lost_master_the_first_command_does_nothing<W: Wire>() {
         "{streamed:?}"
     );
     assert!(state(drive).output_on);
+}
+
+// ---- to all ----
+
+/// Which of so many drives a master hears that asks all of them at once, at this bit rate.
+fn answers_to_all(count: u8, bit_rate: u32, broadcast_slots: bool) -> MotorSet {
+    let quirks = Quirks { broadcast_slots, ..Quirks::default() };
+    let bus = Fleet::new(count).quirks(quirks).on_rs485(bit_rate).unwrap();
+    // The last of eight comes after some 12 ms at 115200.
+    let config = Config { reply_timeout: millis(20), ..Config::rs485(bit_rate, false) };
+    let (mut master, _) = Rs485Line::runner::<8>(&bus.world, config);
+    let all = MotorId::all().take(count.into()).collect();
+    master.master().broadcast(ReadMultiTurnEncoder, all).unwrap();
+    let answers = listen(&mut master, millis(30)).into_iter().filter_map(|event| match event {
+        Event::BroadcastReply { motor, .. } => Some(motor),
+        _ => None,
+    });
+    answers.collect()
+}
+
+/// 6.2 shows the answers of four motors to 0xCD 0x60.
+#[test]
+fn answers_to_all_come_whole_if_drives_wait_for_their_turn() {
+    for bit_rate in [115_200, 1_000_000] {
+        for count in [4, 8] {
+            let all = MotorId::all().take(count.into()).collect();
+            assert_eq!(answers_to_all(count, bit_rate, true), all, "{bit_rate}");
+            assert_ne!(answers_to_all(count, bit_rate, false), all, "{bit_rate}");
+        }
+    }
 }
 
 // ---- memory ----

@@ -212,7 +212,7 @@ impl Fleet {
         let mut drives = Vec::new();
         let serving: Arc<dyn Serving> = Arc::new(world.clone());
         for motor in MotorId::all().take(self.count.into()) {
-            let seat = Arc::new(Mutex::new(self.seat(&model, motor, bus)?));
+            let seat = Arc::new(Mutex::new(self.seat(&model, motor, (bus, bit_rate))?));
             let station = world.attach_with(Arc::clone(&seat), attachment);
             drives.push(DriveHandle { motor, station, seat, world: Arc::clone(&serving) });
         }
@@ -233,7 +233,12 @@ impl Fleet {
         Ok(model)
     }
 
-    fn seat(&self, model: &MotorParameters, motor: MotorId, bus: Bus) -> Result<Seat, FleetError> {
+    fn seat(
+        &self,
+        model: &MotorParameters,
+        motor: MotorId,
+        (bus, bit_rate): (Bus, u32),
+    ) -> Result<Seat, FleetError> {
         let file =
             |what| self.memory_folder.as_ref().map(|it| it.join(format!("{what}-{motor}.json")));
         let memory = file("motor").map_or(DriveMemory::Process(None), DriveMemory::File);
@@ -245,6 +250,7 @@ impl Fleet {
         let parameters = Parameters {
             id: motor,
             bus,
+            baud_rate: baud_code(bus, bit_rate).unwrap_or(of_model.baud_rate),
             version_date: self.version_date.unwrap_or(of_model.version_date),
             response_delay_min: self.response.0,
             response_delay_max: self.response.1,
@@ -261,6 +267,18 @@ impl Fleet {
         let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
         Ok(Seat { drive, receiver: Receiver::new(), shaft })
     }
+}
+
+/// The code of the bit rate that a bus has, if the manual gives it one.
+fn baud_code(bus: Bus, bit_rate: u32) -> Option<BaudCode> {
+    let codes = [BaudCode::CAN_500K_RS485_115200, BaudCode::CAN_1M_RS485_500K, BaudCode::RS485_1M];
+    codes.into_iter().find(|code| {
+        let rate = match bus {
+            Bus::Can => code.can_bits_per_second(),
+            Bus::Rs485 => code.rs485_bits_per_second(),
+        };
+        rate == Some(bit_rate)
+    })
 }
 
 /// A drive's parameters for a motor of this model: its firmware, limits, scales and factory gains.
