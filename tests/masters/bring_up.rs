@@ -4,8 +4,8 @@ use std::fmt::Debug;
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::command::{
-    BrakeCommand, ErrorFlags, FunctionControl, MotionLimits, MotionRanges, ReadMultiTurnAngle,
-    ReadMultiTurnEncoderOffset, ReadStatus1, Reset,
+    BrakeCommand, ErrorFlags, MotionLimits, MotionRanges, ReadMultiTurnAngle,
+    ReadMultiTurnEncoderOffset, ReadStatus1,
 };
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
@@ -196,12 +196,12 @@ fn a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to<W: Wire>() {
 }
 
 fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
-    let bus = W::drives(&Fleet::new(2)).unwrap();
-    let runner = &mut master(&bus);
     // As they come from the factory.
-    runner.ask(id(2), FunctionControl::SetCanId(id(1))).expect("it is sent");
-    runner.ask(id(2), Reset).expect("it is sent");
-    listen(runner, millis(3_000));
+    let bus = W::drives(&Fleet::new(2).all_with_id(id(1))).unwrap();
+    let runner = &mut master(&bus);
+    let found = bring_up::scan(runner, MotorSet::ALL, |_, _| {}).expect("a bus");
+    assert!([MotorSet::EMPTY, ids([1])].contains(&found), "{found:?}");
+    assert_eq!(bring_up::is_shared(runner, id(1)), Ok(true));
     let refused = bring_up::change_id(runner, id(1), id(9));
     // On a line both speak at once, so that nobody is understood.
     let none = Err(BringUpError::NotThere(id(1)));

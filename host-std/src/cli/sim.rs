@@ -19,6 +19,7 @@ use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
 use myactuator_host_std::sim::plant::MotorParameters;
 use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::command::MotionRanges;
+use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::{Firmware, MotorId};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
@@ -83,6 +84,9 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 4,
           value_parser = clap::value_parser!(u8).range(1..=MotorId::COUNT as i64))]
     count: u8,
+    /// All with this id instead, as motors come from the factory with 1
+    #[arg(long, value_name = "ID", value_parser = parse::motor_id)]
+    same_id: Option<MotorId>,
     /// Their model: a name, or a file of your own that ends in .toml [default: RMD-X8-PRO]
     #[arg(long, value_name = "NAME|FILE.toml", value_parser = options::model)]
     model: Option<MotorParameters>,
@@ -160,13 +164,21 @@ fn check(arguments: &Arguments) -> Result<(), String> {
     if !arguments.firmware.is_none_or(has_ranges) {
         return Err(parse::RANGES_ARE_MISSING.into());
     }
-    let is_there = |motor: MotorId| motor.get() <= arguments.count;
-    match arguments.faults.iter().find_map(|fault| fault.motor.filter(|&motor| !is_there(motor))) {
-        Some(motor) => Err(format!(
-            "--fault names motor {motor}, but --count is {}: the motors are 1 to {0}",
-            arguments.count
-        )),
+    let motors = arguments.motors();
+    let mut named = arguments.faults.iter().filter_map(|fault| fault.motor);
+    match named.find(|&motor| !motors.contains(motor)) {
+        Some(motor) => Err(format!("--fault names motor {motor}, but the motors are {motors}")),
         None => Ok(()),
+    }
+}
+
+impl Arguments {
+    /// The ids that there are.
+    fn motors(&self) -> MotorSet {
+        match self.same_id {
+            Some(id) => id.into(),
+            None => MotorId::all().take(self.count.into()).collect(),
+        }
     }
 }
 
@@ -180,6 +192,9 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
             .quirks(options::drives_quirks(&arguments.quirks)?)
             .seed(arguments.seed)
             .brakes(arguments.brakes);
+        if let Some(id) = arguments.same_id {
+            fleet = fleet.all_with_id(id);
+        }
         if let Some(model) = &arguments.model {
             fleet = fleet.model(model.clone());
         }
@@ -225,8 +240,7 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
             places.push(Place::on_interface(interface, bit_rate));
         }
     }
-    let motors = MotorId::all().take(arguments.count.into()).collect();
-    for line in places::lines(&places, motors, arguments.json) {
+    for line in places::lines(&places, arguments.motors(), arguments.json) {
         match print_line(&line) {
             // Whoever reads may leave; the drives stay.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => break,

@@ -53,6 +53,8 @@ pub enum FleetError {
 #[derive(Clone, Debug)]
 pub struct Fleet {
     count: u8,
+    /// The id of all, if they share one.
+    shared_id: Option<MotorId>,
     model: Option<MotorParameters>,
     firmware: Option<Firmware>,
     motion_ranges: Option<MotionRanges>,
@@ -72,6 +74,7 @@ impl Fleet {
     pub fn new(count: u8) -> Self {
         Self {
             count: count.min(MotorId::COUNT as u8),
+            shared_id: None,
             model: None,
             firmware: None,
             motion_ranges: None,
@@ -85,6 +88,13 @@ impl Fleet {
             loads_of: BTreeMap::new(),
             start_angle_deg: 0.0,
         }
+    }
+
+    /// All with this id, as motors come from the factory with 1, instead of one after the other.
+    #[must_use]
+    pub fn all_with_id(mut self, id: MotorId) -> Self {
+        self.shared_id = Some(id);
+        self
     }
 
     /// With motors of this model; else of the RMD-X8-PRO.
@@ -211,8 +221,10 @@ impl Fleet {
         }
         let mut drives = Vec::new();
         let serving: Arc<dyn Serving> = Arc::new(world.clone());
-        for motor in MotorId::all().take(self.count.into()) {
-            let seat = Arc::new(Mutex::new(self.seat(&model, motor, (bus, bit_rate))?));
+        for place in MotorId::all().take(self.count.into()) {
+            let motor = self.shared_id.unwrap_or(place);
+            let seat = self.seat(&model, place, motor, (bus, bit_rate))?;
+            let seat = Arc::new(Mutex::new(seat));
             let station = world.attach_with(Arc::clone(&seat), attachment);
             drives.push(DriveHandle { motor, station, seat, world: Arc::clone(&serving) });
         }
@@ -233,19 +245,21 @@ impl Fleet {
         Ok(model)
     }
 
+    /// The drive at this place among the others, which may share its id.
     fn seat(
         &self,
         model: &MotorParameters,
+        place: MotorId,
         motor: MotorId,
         (bus, bit_rate): (Bus, u32),
     ) -> Result<Seat, FleetError> {
         let file =
-            |what| self.memory_folder.as_ref().map(|it| it.join(format!("{what}-{motor}.json")));
+            |what| self.memory_folder.as_ref().map(|it| it.join(format!("{what}-{place}.json")));
         let memory = file("motor").map_or(DriveMemory::Process(None), DriveMemory::File);
         let shaft = file("shaft").map(ShaftFile::open).transpose()?;
         // A stream of chance of its own for each drive.
         let seed =
-            self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(u64::from(motor.get()));
+            self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(u64::from(place.get()));
         let of_model = parameters_of(model)?;
         let parameters = Parameters {
             id: motor,

@@ -69,10 +69,7 @@ fn which(found: MotorSet, id: Option<MotorId>) -> Outcome<MotorId> {
 mod tests {
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::{FunctionControl, Reset};
     use myactuator_protocol_core::drive::Quirks;
-    use myactuator_protocol_core::io::Runner;
-    use myactuator_protocol_core::time::Duration;
 
     use super::super::{odd_drive, simulated::sent};
     use super::*;
@@ -140,17 +137,12 @@ mod tests {
 
     #[test]
     fn nothing_is_written_to_two_motors_of_one_id_on_a_line() {
-        let fleet = Fleet::new(2).on_rs485(115_200).unwrap();
-        let session = || Session {
+        let fleet = Fleet::new(2).all_with_id(id(1)).on_rs485(115_200).unwrap();
+        let mut session = Session {
             master: AnyMaster::SimulatedRs485(fleet.master()),
             ..Session::on(&Fleet::new(1).on_can(1_000_000).unwrap())
         };
-        let mut first = session();
-        first.ask(id(2), FunctionControl::SetCanId(id(1))).unwrap();
-        first.ask(id(2), Reset).unwrap();
-        let later = first.master.now() + Duration::from_secs(2);
-        first.wait_until(later).unwrap();
-        let told = failed(run_on(&mut session(), Some(id(1)), id(7)));
+        let told = failed(run_on(&mut session, Some(id(1)), id(7)));
         let is_refused =
             ["two motors seem to have", "no motor answers"].iter().any(|why| told.contains(why));
         assert!(is_refused, "{told}");
@@ -161,12 +153,7 @@ mod tests {
 
     #[test]
     fn nothing_is_written_to_two_motors_of_one_id() {
-        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
-        let mut session = Session::on(&fleet);
-        session.ask(id(2), FunctionControl::SetCanId(id(1))).unwrap();
-        session.ask(id(2), Reset).unwrap();
-        let later = session.master.now() + Duration::from_secs(2);
-        session.wait_until(later).unwrap();
+        let fleet = Fleet::new(2).all_with_id(id(1)).on_can(1_000_000).unwrap();
         let log = fleet.world.log();
         let told = failed(run_on(&mut Session::on(&fleet), None, id(7)));
         assert!(told.contains("two motors seem to have id 1"), "{told}");
