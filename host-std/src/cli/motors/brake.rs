@@ -81,15 +81,20 @@ impl Session {
 
 #[cfg(test)]
 mod tests {
-    use super::super::odd_drive;
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::drive::Quirks;
+
+    use super::super::simulated::sent;
     use super::*;
 
     #[test]
     fn a_brake_that_says_lock_after_an_acknowledged_release_is_no_failure() {
-        let (fleet, drive) = odd_drive::alone();
+        let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
+        let fleet = Fleet::new(1).brakes(true).quirks(quirks).on_can(1_000_000).unwrap();
+        let log = fleet.world.log();
         let mut session = Session::on(&fleet);
         assert_eq!(session.release_brake(MotorId::MIN), Ok(false));
-        assert!(drive.lock().unwrap().told.starts_with(&[0x77]));
+        assert_eq!(sent(&log)[0].data[0], 0x77);
         // One that does not acknowledge it is one.
         let nobody = MotorId::new(9).unwrap();
         assert!(matches!(session.release_brake(nobody), Err(Unfinished::Failed(_))));

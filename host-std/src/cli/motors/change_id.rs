@@ -117,16 +117,17 @@ mod tests {
 
     #[test]
     fn the_firmware_that_answers_as_the_new_and_hears_the_old_gets_its_id() {
-        let (fleet, drive) = odd_drive::alone();
+        // Firmware 2025070202.
+        let quirks =
+            Quirks { repeats_last_reply: true, answers_as_new_id: true, ..Quirks::default() };
+        let fleet = Fleet::new(1).quirks(quirks).on_can(1_000_000).unwrap();
         assert_eq!(run_on(&mut Session::on(&fleet), None, id(7)), Ok(()));
-        let drive = drive.lock().unwrap();
-        assert_eq!((drive.hears, drive.answers_as), (id(7), id(7)));
+        assert_eq!(fleet.drives[0].with(|drive| drive.id()), id(7));
     }
 
     #[test]
     fn a_drive_that_takes_no_id_is_not_restarted() {
         let (fleet, drive) = odd_drive::alone();
-        drive.lock().unwrap().is_stubborn = true;
         let told = failed(run_on(&mut Session::on(&fleet), None, id(7)));
         assert!(
             told.starts_with("motor 1 has not acknowledged id 7, so it was not restarted"),

@@ -1,6 +1,5 @@
-//! A drive as firmware 2025070202 was reported to be, for tests: its brake's byte says "lock" while it obeys
-//! nothing; 0x79 is unknown to it; what it does not know it answers with its last reply; after function 5 it
-//! answers under the new id at once and hears the old one until 0x76.
+//! A drive that no quirk makes, for tests: it keeps no other id, and runs on after 0x76. What it does not know it
+//! answers with its last reply.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -18,11 +17,6 @@ const RESPONSE: Duration = Duration::from_micros(800);
 
 #[derive(Debug)]
 pub(super) struct OddDrive {
-    pub(super) hears: MotorId,
-    pub(super) answers_as: MotorId,
-    kept: MotorId,
-    /// It keeps no other id.
-    pub(super) is_stubborn: bool,
     /// What it was told, in order.
     pub(super) told: Vec<u8>,
     /// What it says of that.
@@ -36,17 +30,8 @@ pub(super) fn alone() -> (CanFleet, Arc<Mutex<OddDrive>>) {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
     // In place of the usual one.
     fleet.world.cut(fleet.drives[0].station());
-    let one = MotorId::MIN;
-    let drive = OddDrive {
-        hears: one,
-        answers_as: one,
-        kept: one,
-        is_stubborn: false,
-        told: Vec::new(),
-        run_time_ms: 0,
-        last: [0; 8],
-        waiting: VecDeque::new(),
-    };
+    let drive =
+        OddDrive { told: Vec::new(), run_time_ms: 0, last: [0; 8], waiting: VecDeque::new() };
     let drive = Arc::new(Mutex::new(drive));
     fleet.world.attach_with(Arc::clone(&drive), ControllerConfig::MAILBOXES);
     (fleet, drive)
@@ -56,16 +41,8 @@ impl OddDrive {
     fn answer(&mut self, data: Data) -> Option<Data> {
         self.told.push(data[0]);
         match data {
-            [0x20, 5, .., low, _, _, _] if !self.is_stubborn => {
-                self.kept = MotorId::new(low).ok()?;
-                self.answers_as = self.kept;
-                Some(data)
-            }
-            [0x76, ..] => {
-                (self.hears, self.answers_as) = (self.kept, self.kept);
-                None
-            }
-            [0x77 | 0x78 | 0x80 | 0x81, ..] => Some(data),
+            [0x76, ..] => None,
+            [0x80 | 0x81, ..] => Some(data),
             // 48 V.
             [0x9A, ..] => Some([0x9A, 25, 0, 0, 0xE0, 1, 0, 0]),
             [0xB2, ..] => {
@@ -85,11 +62,11 @@ impl OddDrive {
 impl Node<SimpleFrame> for OddDrive {
     fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
         let Received::Packet(Packet { channel, data }) = can::decode(frame) else { return };
-        if channel == Channel::Command(Target::Motor(self.hears))
+        if channel == Channel::Command(Target::Motor(MotorId::MIN))
             && let Some(data) = self.answer(data)
         {
             self.last = data;
-            let answer = Packet { channel: Channel::Reply(self.answers_as), data };
+            let answer = Packet { channel: Channel::Reply(MotorId::MIN), data };
             self.waiting.push_back((now + RESPONSE, answer));
         }
     }
