@@ -10,7 +10,7 @@ use myactuator_protocol_core::command::{
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
+use myactuator_protocol_core::master::{Config, Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::{Firmware, RequestError};
@@ -27,6 +27,7 @@ on_both_buses! {
     a_newer_motor_has_no_model_to_tell
     a_motor_is_waited_for_after_its_power_was_cycled
     a_zero_is_kept_over_a_power_cycle
+    a_zero_is_kept_by_a_drive_that_writes_slowly
     one_of_several_gets_another_id_by_function_5
     an_id_is_not_changed_if_it_is_taken_or_not_acknowledged
     a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to
@@ -150,6 +151,20 @@ fn a_zero_is_kept_over_a_power_cycle<W: Wire>() {
     listen(runner, millis(20));
     let turned = read_angle(runner);
     assert!((turned - 30.0).abs() < 0.1, "{turned}");
+}
+
+/// The time-outs of RS485, some 5 ms, are too short for this estimate of what a drive takes.
+fn a_zero_is_kept_by_a_drive_that_writes_slowly<W: Wire>() {
+    let slow = Quirks { slow_rom: true, ..Quirks::default() };
+    let bus = W::drives(&Fleet::new(1).quirks(slow)).unwrap();
+    let config = Config { reply_timeout: Quirks::SLOW_ROM + millis(5), ..W::CONFIG };
+    let (mut runner, _) = W::runner::<8>(&bus.world, config);
+    turn_to(&bus.drives[0], 90.0);
+    listen(&mut runner, millis(20));
+    let begun = runner.now();
+    bring_up::zero_here(&mut runner, id(1)).expect("it keeps its zero");
+    assert!(runner.now() - begun >= Quirks::SLOW_ROM);
+    assert!(read_angle(&mut runner).abs() < 0.1);
 }
 
 fn one_of_several_gets_another_id_by_function_5<W: Wire>() {

@@ -328,6 +328,15 @@ fn faults_and_quirks_are_those_asked_for() {
     assert_eq!(simulation.end(Signal::INT), ended_well());
 }
 
+#[test]
+fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
+    let simulation = Simulation::start(1, &["--only", "slcan", "--count", "2", "--same-id", "1"]);
+    let bus = simulation.bus("slcan");
+    let (status, told) = run_at(bus, &["id", "--id", "1", "--new-id", "7", "--yes"]);
+    assert_eq!(status, Some(1), "{told}");
+    assert!(told.contains("two motors seem to have id 1"), "{told}");
+}
+
 /// The echo of a stop is the same bytes as its confirmation.
 #[test]
 fn an_echo_that_the_address_does_not_name_is_known_before_the_first_command() {
