@@ -10,7 +10,7 @@ use myactuator_protocol_core::command::{
 use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Config, Failure, MotorSet, StopKind};
+use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_protocol_core::{Firmware, RequestError};
@@ -153,18 +153,18 @@ fn a_zero_is_kept_over_a_power_cycle<W: Wire>() {
     assert!((turned - 30.0).abs() < 0.1, "{turned}");
 }
 
-/// The time-outs of RS485, some 5 ms, are too short for this estimate of what a drive takes.
 fn a_zero_is_kept_by_a_drive_that_writes_slowly<W: Wire>() {
     let slow = Quirks { slow_rom: true, ..Quirks::default() };
     let bus = W::drives(&Fleet::new(1).quirks(slow)).unwrap();
-    let config = Config { reply_timeout: Quirks::SLOW_ROM + millis(5), ..W::CONFIG };
-    let (mut runner, _) = W::runner::<8>(&bus.world, config);
+    let mut runner = master(&bus);
     turn_to(&bus.drives[0], 90.0);
     listen(&mut runner, millis(20));
     let begun = runner.now();
     bring_up::zero_here(&mut runner, id(1)).expect("it keeps its zero");
     assert!(runner.now() - begun >= Quirks::SLOW_ROM);
     assert!(read_angle(&mut runner).abs() < 0.1);
+    let limit = Milliseconds::from_raw(500);
+    assert_eq!(bring_up::protect(&mut runner, id(1), limit), Ok(Protection::Confirmed));
 }
 
 fn one_of_several_gets_another_id_by_function_5<W: Wire>() {

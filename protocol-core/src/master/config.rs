@@ -28,6 +28,9 @@ pub enum Bus {
 /// it.
 const LONGEST_CAN_FRAME_BITS: u32 = 135;
 
+/// What others wait for the reply to a write to ROM (0x43).
+const ROM_TIMEOUT: Duration = Duration::from_millis(20);
+
 /// How a master behaves. Start from [`can`](Self::can) or [`rs485`](Self::rs485).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -39,7 +42,8 @@ pub struct Config {
     /// feedback, reports, answers to broadcasts.
     pub firmware: Firmware,
     /// How long to wait for a reply after a command is sent, at least 1 ms. On a full bus replies queue
-    /// behind other motors' frames, so this is longer than a drive takes.
+    /// behind other motors' frames, so this is longer than a drive takes. To what is sent once only because it
+    /// writes to ROM, 20 ms at least: that takes a drive long, and without its reply nobody knows whether it has.
     pub reply_timeout: Duration,
     /// If this is longer than `reply_timeout`, time-outs follow the measured round trips between the two, and
     /// are the longest before anything was measured: an adapter that holds replies back works without being
@@ -133,11 +137,14 @@ impl Config {
     }
 
     pub(super) fn patience(&self, kind: Kind) -> Patience {
-        let attempts = match kind.repeat() {
-            Repeat::Harmless => self.attempts,
-            Repeat::Stale | Repeat::ActsAgain => 1,
-        };
-        Patience { reply_timeout: self.reply_timeout, attempts }
+        let reply_timeout = self.reply_timeout;
+        match kind.repeat() {
+            Repeat::Harmless => Patience { reply_timeout, attempts: self.attempts },
+            Repeat::ActsAgain if !kind.moves() => {
+                Patience { reply_timeout: reply_timeout.max(ROM_TIMEOUT), attempts: 1 }
+            }
+            Repeat::Stale | Repeat::ActsAgain => Patience { reply_timeout, attempts: 1 },
+        }
     }
 
     /// How long a motor is left alone after a command without reply.
