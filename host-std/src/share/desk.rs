@@ -75,6 +75,7 @@ pub(super) enum Order<E> {
     LiftStop,
     LiftStopOf(MotorId),
     Resume(MotorId),
+    Forget(MotorId),
 }
 
 /// The newest feedback of a motor.
@@ -255,6 +256,13 @@ impl<E> Desk<E> {
         let mut state = self.lock();
         state.slot(motor).refusal = None;
         state.order(Order::Resume(motor))?;
+        self.leave(state);
+        Ok(())
+    }
+
+    pub(super) fn forget(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
+        let mut state = self.lock();
+        state.order(Order::Forget(motor))?;
         self.leave(state);
         Ok(())
     }

@@ -214,6 +214,15 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.0.desk.resume(motor)
     }
 
+    /// Gives up the place of an id at which there is nobody: until then each stop of all waits for it. Nothing
+    /// changes while it is being spoken to. Does not wait.
+    ///
+    /// # Errors
+    /// [`SharedBusError::Panicked`].
+    pub fn forget(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
+        self.0.desk.forget(motor)
+    }
+
     /// The newest feedback of a motor: to its set-points, or reported by itself. `None` if there is none
     /// yet. Does not wait.
     pub fn latest(&self, motor: MotorId) -> Option<Latest> {

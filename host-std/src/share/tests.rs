@@ -157,6 +157,16 @@ fn the_last_handle_stops_the_motors_and_ends_the_thread() {
 }
 
 #[test]
+fn an_id_that_nobody_has_is_forgotten_and_no_stop_waits_for_it() {
+    let (_fleet, bus) = shared(1);
+    assert!(bus.ask(id(7), ReadStatus1).is_err());
+    assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), id(7).into());
+    bus.lift_stop().unwrap();
+    bus.forget(id(7)).unwrap();
+    assert_eq!(bus.stop_all(StopKind::Hold, id(1).into()).unwrap(), MotorSet::EMPTY);
+}
+
+#[test]
 fn who_has_not_confirmed_the_last_stop_is_told_to_subscribers() {
     let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
     let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);

@@ -182,6 +182,10 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             Order::LiftStop => master.lift_stop(),
             Order::LiftStopOf(motor) => master.lift_stop_of(motor),
             Order::Resume(motor) => master.resume(motor),
+            Order::Forget(motor) => {
+                // While it is spoken to it keeps its place, as is documented.
+                let _ = master.forget(motor);
+            }
         }
     }
 

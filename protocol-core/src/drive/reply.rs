@@ -40,9 +40,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
 
     /// What a command that the drive does not know is answered with: nothing, but for a quirk.
     pub(super) fn reply_to_unknown(&mut self, to: Channel, now: Instant) {
-        if self.parameters.quirks.repeats_last_reply
-            && let Some(last) = self.replies.last
-        {
+        let last = self.replies.last.filter(|_| self.parameters.quirks.repeats_last_reply);
+        if let Some(last) = last {
             self.reply(last, to, now);
         }
     }

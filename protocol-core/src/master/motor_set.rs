@@ -12,8 +12,9 @@ use crate::id::MotorId;
 /// let arm: MotorSet = (1..=3).filter_map(|id| MotorId::new(id).ok()).collect();
 /// assert_eq!(arm.len(), 3);
 /// assert_eq!(arm.to_string(), "1 2 3");
+/// assert_eq!(format!("{arm:?}"), "MotorSet(1 2 3)");
 /// ```
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(transparent))]
 pub struct MotorSet(u32);
 
@@ -85,6 +86,12 @@ impl defmt::Format for MotorSet {
             defmt::write!(f, "{=u8}", motor.get());
         }
         defmt::write!(f, "]");
+    }
+}
+
+impl fmt::Debug for MotorSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "MotorSet({self})")
     }
 }
 

@@ -182,10 +182,9 @@ impl<const N: usize> Master<N> {
         let is_something_chosen = || self.choose(self.busy_until).is_some();
         if self.config.is_rs485() && !self.is_anything_in_flight() && is_something_chosen() {
             earliest.take(self.busy_until);
-        } else if self.config.is_rs485()
-            && let Some((at, _)) = self.choose_interruption()
-        {
-            earliest.take(at.max(self.busy_until));
+        } else if self.config.is_rs485() {
+            let interrupted_at = self.choose_interruption().map(|(at, _)| at.max(self.busy_until));
+            interrupted_at.into_iter().for_each(|at| earliest.take(at));
         }
         self.broadcast.poll_at(&mut earliest);
         self.broadcast_wait(&mut earliest);

@@ -52,7 +52,7 @@ fn check(log: &[String]) {
     assert_eq!(log[3], "Err(Failed(NoReply))");
     assert_eq!(log[4], "Err(Failed(NoReply))");
     assert!(log[5].contains("Feedback"), "{}", log[5]);
-    assert_eq!(log[6], "MotorSet(256)", "motor 9 has not confirmed");
+    assert_eq!(log[6], "MotorSet(9)", "motor 9 has not confirmed");
     assert_eq!(log[7], "Err(Request(Stopped))");
 }
 
