@@ -220,7 +220,8 @@ impl<const N: usize> Master<N> {
         self.at(self.places.taken).any(|(_, motor)| motor.has_restarted)
     }
 
-    /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may still answer it late.
+    /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may
+    /// still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         if self.broadcast.waits_to_move() && self.has_any_restarted() {
             self.broadcast.cancel();

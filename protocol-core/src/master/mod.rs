@@ -28,9 +28,10 @@
 //! next request of its kind), if two motors have one id, if another master asks the same at the same
 //! time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no
 //! more and has not heard). A drive that has lost its master sends back the first command and ignores it:
-//! if its message of that is lost, this may be taken for the answer. A drive that restarts within a second without being asked anything meanwhile is not noticed, nor
-//! is one whose run time nobody reads. And a stop cannot be confirmed by a motor whose replies do not come
-//! through: then cut its power. Nothing on this side of the wire can tell more.
+//! if its message of that is lost, this may be taken for the answer. A drive that restarts within a second
+//! without being asked anything meanwhile is not noticed, nor is one whose run time nobody reads. And a stop
+//! cannot be confirmed by a motor whose replies do not come through: then cut its power. Nothing on this side
+//! of the wire can tell more.
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every

@@ -40,7 +40,8 @@ impl Motor {
         }
     }
 
-    /// Takes a reply that may come late, or one whose command was never sent; see [`LateReplies::take`](crate::master::late::LateReplies::take).
+    /// Takes a reply that may come late, or one whose command was never sent; see
+    /// [`LateReplies::take`](crate::master::late::LateReplies::take).
     pub(in crate::master) fn take_late(
         &mut self,
         is_motion: bool,
