@@ -139,10 +139,7 @@ mod tests {
     #[test]
     fn nothing_is_written_to_two_motors_of_one_id_on_a_line() {
         let fleet = Fleet::new(2).all_with_id(id(1)).on_rs485(115_200).unwrap();
-        let mut session = Session {
-            master: AnyMaster::SimulatedRs485(fleet.master()),
-            ..Session::on(&Fleet::new(1).on_can(1_000_000).unwrap())
-        };
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
         let told = failed(run_on(&mut session, Some(id(1)), id(7)));
         let is_refused =
             ["two motors seem to have", "no motor answers"].iter().any(|why| told.contains(why));

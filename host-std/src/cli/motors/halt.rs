@@ -1,8 +1,8 @@
 //! `myactuator stop` and `myactuator shutdown`: what must work without thinking.
 //!
 //! Nothing is asked, and nobody is looked for first: the command itself goes to every id, on RS485 to all at
-//! once before that, and those that confirm are told. Exit status: 0 if the motor, or any motor if all are meant, has confirmed,
-//! else 1.
+//! once before that, and those that confirm are told. Exit status: 0 if the motor, or any motor if all are
+//! meant, has confirmed, else 1.
 
 use myactuator_protocol_core::command::{Command, Shutdown, Stop};
 use myactuator_protocol_core::io::Runner;
@@ -128,8 +128,7 @@ mod tests {
         let port = world.port_with(TransceiverConfig { echo, ..TransceiverConfig::default() });
         let master = SerialMaster::new(port, world.clock(), Config::rs485(115_200, false));
         let log = world.log();
-        let can = Fleet::new(1).on_can(1_000_000).unwrap();
-        (Session { master: AnyMaster::SimulatedRs485(master), ..Session::on(&can) }, log)
+        (Session::by(AnyMaster::SimulatedRs485(master)), log)
     }
 
     #[test]

@@ -175,10 +175,7 @@ mod tests {
     #[test]
     fn on_a_line_the_stop_of_one_motor_is_no_affair_of_the_others() {
         let fleet = Fleet::new(2).on_rs485(115_200).unwrap();
-        let mut session = Session {
-            master: AnyMaster::SimulatedRs485(fleet.master()),
-            ..Session::on(&Fleet::new(1).on_can(1_000_000).unwrap())
-        };
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
         let [one, other] = [1, 2].map(|id| MotorId::new(id).unwrap());
         let hold =
             AbsolutePosition { max_speed: MaxSpeed::from_raw(90), angle: Angle::from_raw(0) };

@@ -171,8 +171,14 @@ impl Session {
     /// A session on simulated drives that a test has a hand on.
     #[cfg(test)]
     pub(super) fn on(fleet: &CanFleet) -> Self {
+        Self::by(AnyMaster::SimulatedCan(fleet.master()))
+    }
+
+    /// A session by this master, for tests.
+    #[cfg(test)]
+    pub(super) fn by(master: AnyMaster<{ MotorId::COUNT }>) -> Self {
         Self {
-            master: AnyMaster::SimulatedCan(fleet.master()),
+            master,
             address: BusAddress::Simulated { motors: 1, kind: BusKind::Can },
             yes: true,
             off: MotorSet::EMPTY,
