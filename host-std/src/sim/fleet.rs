@@ -170,7 +170,8 @@ impl Fleet {
         self
     }
 
-    /// With this load on one motor's shaft, instead of the others'.
+    /// With this load on one motor's shaft, instead of the others'. Where all [share an id](Self::all_with_id) it
+    /// is named by its place, from 1.
     #[must_use]
     pub fn load_of(mut self, motor: MotorId, load: Load) -> Self {
         self.loads_of.insert(motor, load);
@@ -274,7 +275,7 @@ impl Fleet {
             ..of_model
         };
         let mut plant = SimulatedMotor::new(model.clone())?;
-        plant.set_load(*self.loads_of.get(&motor).unwrap_or(&self.load))?;
+        plant.set_load(*self.loads_of.get(&place).unwrap_or(&self.load))?;
         let kept_deg = shaft.as_ref().and_then(ShaftFile::kept_deg);
         let angle_deg = kept_deg.unwrap_or(self.start_angle_deg);
         plant.set_output_angle_deg(angle_deg).map_err(ParameterError::from)?;
@@ -286,13 +287,7 @@ impl Fleet {
 /// The code of the bit rate that a bus has, if the manual gives it one.
 fn baud_code(bus: Bus, bit_rate: u32) -> Option<BaudCode> {
     let codes = [BaudCode::CAN_500K_RS485_115200, BaudCode::CAN_1M_RS485_500K, BaudCode::RS485_1M];
-    codes.into_iter().find(|code| {
-        let rate = match bus {
-            Bus::Can => code.can_bits_per_second(),
-            Bus::Rs485 => code.rs485_bits_per_second(),
-        };
-        rate == Some(bit_rate)
-    })
+    codes.into_iter().find(|&code| bus.bits_per_second(code) == Some(bit_rate))
 }
 
 /// A drive's parameters for a motor of this model: its firmware, limits, scales and factory gains.
@@ -565,6 +560,10 @@ mod tests {
         let found =
             fleet.drives.iter().map(|it| it.with(|drive| drive.plant().load().inertia_kg_m2));
         assert_eq!(found.collect::<Vec<_>>(), [1.0, 2.0, 1.0]);
+        let shared = loaded(2).all_with_id(id(9)).on_can(1_000_000).unwrap();
+        let found =
+            shared.drives.iter().map(|it| it.with(|drive| drive.plant().load().inertia_kg_m2));
+        assert_eq!(found.collect::<Vec<_>>(), [1.0, 2.0, 1.0], "by their places");
         let error = loaded(4).on_can(1_000_000).unwrap_err().to_string();
         assert_eq!(error, "there is a load for motor 4, but the ids of the fleet are 1 to 3");
         let error = Fleet::new(1).load(inertia(-1.0)).on_can(1_000_000).unwrap_err().to_string();

@@ -197,11 +197,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             }
             Opcode::SetBaudRate => {
                 let set = SetBaudRate::decode(data)?;
-                let rate = match self.parameters.bus {
-                    Bus::Can => set.baud_rate.can_bits_per_second(),
-                    Bus::Rs485 => set.baud_rate.rs485_bits_per_second(),
-                };
-                if rate.is_none() {
+                if self.parameters.bus.bits_per_second(set.baud_rate).is_none() {
                     return unknown;
                 }
                 let [a, b, c, d] = self.random.next().to_le_bytes();

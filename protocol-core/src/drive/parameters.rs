@@ -20,6 +20,16 @@ pub enum Bus {
     Rs485,
 }
 
+impl Bus {
+    /// Bits per second that this code means on the bus (2.32); `None` for a code without a meaning there.
+    pub const fn bits_per_second(self, code: BaudCode) -> Option<u32> {
+        match self {
+            Self::Can => code.can_bits_per_second(),
+            Self::Rs485 => code.rs485_bits_per_second(),
+        }
+    }
+}
+
 /// A struct whose fields each have their default beside them.
 macro_rules! defaults {
     ($(#[$attr:meta])* pub struct $name:ident {
