@@ -52,6 +52,7 @@ pub enum FleetError {
 /// What is to be simulated. Build it up, then put it on a bus.
 #[derive(Clone, Debug)]
 pub struct Fleet {
+    name: Option<String>,
     count: u8,
     /// The id of all, if they share one.
     shared_id: Option<MotorId>,
@@ -73,6 +74,7 @@ impl Fleet {
     /// So many motors, with ids from 1; at most 32.
     pub fn new(count: u8) -> Self {
         Self {
+            name: None,
             count: count.min(MotorId::COUNT as u8),
             shared_id: None,
             model: None,
@@ -88,6 +90,13 @@ impl Fleet {
             loads_of: BTreeMap::new(),
             start_angle_deg: 0.0,
         }
+    }
+
+    /// On a bus of this name; else of "can" or "rs485".
+    #[must_use]
+    pub fn name(mut self, name: impl Into<String>) -> Self {
+        self.name = Some(name.into());
+        self
     }
 
     /// All with this id, as motors come from the factory with 1, instead of one after the other.
@@ -229,7 +238,12 @@ impl Fleet {
             let station = world.attach_with(Arc::clone(&seat), attachment);
             drives.push(DriveHandle { motor, station, seat, world: Arc::clone(&serving) });
         }
-        Ok(BusFleet { world, drives, firmware: model.firmware, bit_rate })
+        let kind = match bus {
+            Bus::Can => "can",
+            Bus::Rs485 => "rs485",
+        };
+        let name = self.name.clone().unwrap_or_else(|| kind.to_owned());
+        Ok(BusFleet { name, world, drives, firmware: model.firmware, bit_rate })
     }
 
     /// The model, with the firmware and the scales that were asked for.
@@ -405,6 +419,8 @@ impl DriveHandle {
 /// Drives on a bus.
 #[derive(Debug)]
 pub struct BusFleet<B: Medium> {
+    /// What the bus is called.
+    pub name: String,
     /// The bus and its clock.
     pub world: World<B>,
     /// The drives, in the order of their ids.
