@@ -5,6 +5,7 @@ mod drives {
     mod loads;
     mod loops;
     mod manual;
+    mod mechanics;
     mod plant_loads;
     mod plant_physics;
     mod quirks;

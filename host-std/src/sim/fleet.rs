@@ -366,7 +366,7 @@ fn model_name(name: &str) -> ModelName {
 pub struct DriveHandle {
     motor: MotorId,
     station: StationId,
-    seat: Arc<Mutex<Seat>>,
+    pub(super) seat: Arc<Mutex<Seat>>,
     /// Where the drive is.
     world: Arc<dyn Serving>,
 }

@@ -7,6 +7,7 @@
 //! |---|---|
 //! | [`bus`] | the simulated buses: CAN and RS485, in virtual or real time |
 //! | [`plant`] | the physics behind a simulated drive |
+//! | [`mechanics`] | what moves the shafts, where motors do not by themselves: coupled joints, physics of your own |
 //! | [`memory`] | what a simulated drive remembers over power-off |
 //!
 //! Knows nothing of real buses: what offers simulated drives to other programs is
@@ -54,6 +55,7 @@
 
 pub mod bus;
 mod fleet;
+pub mod mechanics;
 pub mod memory;
 pub mod plant;
 mod seat;

@@ -32,7 +32,7 @@ impl Drop for Seat {
 
 impl Seat {
     /// Lets the drive's own time go on to `now`, however far that is.
-    fn catch_up(&mut self, now: Instant) {
+    pub(super) fn catch_up(&mut self, now: Instant) {
         loop {
             let before = self.drive.clock();
             self.drive.advance(now);

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::faults::{Babble, Fate, Injector};
 use super::medium::{Arrival, Medium, Part, Surroundings};
@@ -56,6 +56,13 @@ enum Late<F> {
     Release(u64),
 }
 
+/// Work that is done once a period.
+pub(crate) struct Regular {
+    pub(crate) period: Nanos,
+    pub(crate) next: Nanos,
+    pub(crate) work: Box<dyn FnMut(Instant) + Send>,
+}
+
 /// By time and then by order of sending: to whom, and what.
 type LateArrivals<F> = BTreeMap<(Nanos, u64), (usize, Late<F>)>;
 
@@ -67,6 +74,7 @@ pub(crate) struct Kernel<B: Medium> {
     stations: Vec<Station<B::Frame>>,
     /// What is still to arrive.
     late: LateArrivals<B::Frame>,
+    pub(crate) regulars: Vec<Regular>,
     sequence: u64,
     /// What has come to the ports so far: received units, and room where it was missed.
     pub(crate) arrivals: u64,
@@ -87,6 +95,7 @@ impl<B: Medium> Kernel<B> {
             },
             stations: Vec::new(),
             late: BTreeMap::new(),
+            regulars: Vec::new(),
             sequence: 0,
             arrivals: 0,
             message: 0,
@@ -128,7 +137,8 @@ impl<B: Medium> Kernel<B> {
     pub(crate) fn next_event(&self) -> Nanos {
         let stations = self.stations.iter().map(Station::due).min().unwrap_or(NEVER);
         let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
-        let next = stations.min(late).min(self.bus.next_event());
+        let regular = self.regulars.iter().map(|it| it.next).min().unwrap_or(NEVER);
+        let next = stations.min(late).min(regular).min(self.bus.next_event());
         if next == NEVER { NEVER } else { next.max(self.around.now) }
     }
 
@@ -160,6 +170,10 @@ impl<B: Medium> Kernel<B> {
                 }
                 Late::Release(_) => {}
             }
+        }
+        for regular in self.regulars.iter_mut().filter(|it| it.next <= self.around.now) {
+            (regular.work)(to_instant(self.around.now));
+            regular.next += regular.period;
         }
         for station in 0..self.stations.len() {
             if self.stations[station].due() <= self.around.now {

@@ -9,9 +9,9 @@ use myactuator_protocol_core::io::{AsyncClock, Clock};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::faults::{Babble, Direction, FaultPlan};
-use super::kernel::Kernel;
+use super::kernel::{Kernel, Regular};
 use super::medium::Medium;
-use super::nanos::{NEVER, Nanos, from_instant, to_instant};
+use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
 use super::node::{Node, StationId};
 use super::trace::{Log, Record};
 use super::waiting::{Awaited, Waiting};
@@ -263,6 +263,16 @@ impl<B: Medium> World<B> {
     /// Lets a station babble from now on; `None` silences it.
     pub fn babble(&self, station: StationId, babble: Option<Babble<B::Frame>>) {
         self.with(|kernel| kernel.babble(station.0, babble));
+    }
+
+    /// Calls `work` once a period of this world's time from now on, before the nodes have their turn; at least
+    /// a microsecond apart. It must not touch the world, which is in the middle of something.
+    pub fn every(&self, period: Duration, work: impl FnMut(Instant) + Send + 'static) {
+        let period = from_duration(period.max(Duration::from_micros(1)));
+        self.with(|kernel| {
+            let next = kernel.around.now + period;
+            kernel.regulars.push(Regular { period, next, work: Box::new(work) });
+        });
     }
 
     /// Calls `observer` for everything that happens from now on. It must not touch the world, which

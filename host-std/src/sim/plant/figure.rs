@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 /// The figure, if it is a number in this range.
-pub(super) fn check(
+pub(in crate::sim) fn check(
     name: &'static str,
     unit: &'static str,
     allowed: RangeInclusive<f64>,

@@ -4,7 +4,7 @@ use super::figure::{ImpossibleFigure, check};
 use serde::{Deserialize, Serialize};
 
 /// Acceleration of a body that falls, m/s².
-const GRAVITY_M_S2: f64 = 9.806_65;
+pub(in crate::sim) const GRAVITY_M_S2: f64 = 9.806_65;
 
 /// What is fixed to the output shaft: any of its parts may be there, and what is there adds up.
 ///

@@ -28,6 +28,7 @@
 //! ```
 
 mod figure;
+mod led;
 mod load;
 mod motor;
 mod parameters;
@@ -35,6 +36,9 @@ mod supply;
 mod thermal;
 
 pub use figure::ImpossibleFigure;
+pub(in crate::sim) use figure::check;
+pub use led::ShaftTorque;
+pub(in crate::sim) use load::GRAVITY_M_S2;
 pub use load::{Arm, EndStop, Load, Spring};
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{

@@ -6,6 +6,7 @@ use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
 use myactuator_protocol_core::time::Duration;
 
 use super::figure::{ImpossibleFigure, check};
+use super::led::{Led, ShaftTorque};
 use super::supply::{Link, check_voltage};
 use super::thermal::ThermalNode;
 use super::{Load, MotorParameters, ParameterError, Supply};
@@ -63,6 +64,8 @@ pub struct SimulatedMotor {
     carried_us: u64,
 
     external_torque_nm: f64,
+    /// What acted on the shaft since it was led last, while it is led at all.
+    led: Option<Led>,
     /// What the encoder shows since it failed: pulses, and speed in degrees per second.
     frozen: Option<(i64, f32)>,
 }
@@ -159,6 +162,7 @@ impl SimulatedMotor {
             ambient_c: REFERENCE_C,
             carried_us: 0,
             external_torque_nm: 0.0,
+            led: None,
             frozen: None,
             parameters,
         })
@@ -236,6 +240,26 @@ impl SimulatedMotor {
     pub fn set_external_torque_nm(&mut self, torque_nm: f64) -> Result<(), ImpossibleFigure> {
         self.external_torque_nm = check("external torque", "N·m", -1e6..=1e6, torque_nm)?;
         Ok(())
+    }
+
+    /// Leads the shaft: puts it to an angle, degrees, turning with a speed, degrees per second, which it keeps
+    /// until it is led again. Neither the load nor the motor's own inertia moves it any more; the latter
+    /// ([`inertia_kg_m2`](MotorParameters::inertia_kg_m2)) is for whoever leads it to mind.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] beyond ±10⁹ degrees or ±10⁶ degrees per second; the shaft goes on as before.
+    pub fn lead(&mut self, angle_deg: f64, speed_dps: f64) -> Result<(), ImpossibleFigure> {
+        let speed_dps = check("output speed", "deg/s", -1e6..=1e6, speed_dps)?;
+        self.set_output_angle_deg(angle_deg)?;
+        self.speed_rad_s = speed_dps.to_radians();
+        self.led = Some(Led::default());
+        Ok(())
+    }
+
+    /// What has acted on the shaft since it was [led](Self::lead) last, in the mean; nothing on one that is not
+    /// led.
+    pub fn acting(&self) -> ShaftTorque {
+        self.led.map(Led::mean).unwrap_or_default()
     }
 
     /// Sets the air's temperature, °C.
@@ -344,18 +368,27 @@ impl SimulatedMotor {
     }
 
     /// The speed after a step under `motor_nm` in the air gap.
-    fn speed_after(&self, motor_nm: f64, brake_released: bool) -> f64 {
-        let Coefficients { speed_kept, speed_per_torque, gear_loss, .. } = self.coefficients;
+    fn speed_after(&mut self, motor_nm: f64, brake_released: bool) -> f64 {
+        let dry_nm = self.dry_friction_nm(motor_nm, brake_released);
+        if let Some(led) = &mut self.led {
+            let viscous_nm = self.parameters.friction.viscous_nm_s_per_rad * self.speed_rad_s;
+            led.add(motor_nm + self.external_torque_nm - viscous_nm, dry_nm);
+            return self.speed_rad_s;
+        }
+        let Coefficients { speed_kept, speed_per_torque, .. } = self.coefficients;
         let reaction = self.load.reaction_at(self.angle_rad);
         let torque_nm = motor_nm + self.external_torque_nm + reaction.torque_nm;
         let freely = self.speed_rad_s * speed_kept + torque_nm * speed_per_torque;
+        let most_taken = (dry_nm + reaction.taken_nm) * speed_per_torque;
+        if freely.abs() <= most_taken { 0.0 } else { freely - most_taken.copysign(freely) }
+    }
 
+    /// What friction, gear and brake take at most, whatever the speed.
+    fn dry_friction_nm(&self, motor_nm: f64, brake_released: bool) -> f64 {
         let friction = &self.parameters.friction;
         let dry_nm = if self.speed_rad_s == 0.0 { friction.static_nm } else { friction.coulomb_nm };
         let brake_nm = if brake_released { 0.0 } else { self.parameters.brake.holding_torque_nm };
-        let taken_nm = dry_nm + brake_nm + gear_loss * motor_nm.abs() + reaction.taken_nm;
-        let most_taken = taken_nm * speed_per_torque;
-        if freely.abs() <= most_taken { 0.0 } else { freely - most_taken.copysign(freely) }
+        dry_nm + brake_nm + self.coefficients.gear_loss * motor_nm.abs()
     }
 
     fn measure(&self) -> Measurement {

@@ -1,0 +1,196 @@
+//! Mechanics of your own: coupled joints, a game engine, MuJoCo, a rig.
+//!
+//! A motor of the [`plant`](super::plant) moves its own shaft, with a load on it alone. Where shafts act on each
+//! other, or where another program has the robot's body, [`Mechanics`] moves them instead: once a period it is
+//! told what the motors put on their shafts and says where these are and how fast they turn. Between, a shaft
+//! keeps its speed. Windings, supply, heat and encoders stay the plant's.
+//!
+//! ```
+//! use myactuator_host_std::protocol::time::Duration;
+//! use myactuator_host_std::sim::Fleet;
+//! use myactuator_host_std::sim::mechanics::{Failure, Mechanics, Shaft};
+//!
+//! /// Two shafts in one, which has 0.5 kg·m².
+//! struct Joined;
+//!
+//! impl Mechanics for Joined {
+//!     fn step(&mut self, period: Duration, shafts: &mut [Shaft]) -> Result<(), Failure> {
+//!         let seconds = period.as_micros() as f64 * 1e-6;
+//!         let torque_nm: f64 = shafts.iter().map(|shaft| shaft.acting.torque_nm).sum();
+//!         for shaft in shafts {
+//!             shaft.angle_deg += shaft.speed_dps * seconds;
+//!             shaft.speed_dps += (torque_nm / 0.5).to_degrees() * seconds;
+//!         }
+//!         Ok(())
+//!     }
+//! }
+//!
+//! let fleet = Fleet::new(2).on_can(1_000_000)?;
+//! let led = fleet.lead(&fleet.drives, Duration::from_micros(500), Joined);
+//! fleet.drives[0].with(|drive| drive.plant_mut().set_external_torque_nm(1.0))?;
+//! fleet.world.run_for(Duration::from_secs(1));
+//! let angle_deg = |place: usize| fleet.drives[place].with(|it| it.plant().output_angle_deg());
+//! // At most 1 N·m / 0.5 kg·m² / 2 * (1 s)², 1 rad; viscous friction takes some.
+//! assert!(angle_deg(0) == angle_deg(1) && (40.0..57.3).contains(&angle_deg(1)));
+//! assert_eq!(led.failure(), None);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # How long a period may be
+//! The drives' loops see a shaft's speed once a period, so a period adds its own length to their delay. With the
+//! motor's own inertia as the smallest that a shaft can have, 200 µs is safe with factory gains; a shaft that
+//! carries four times that does with 1 ms.
+//!
+//! # In another process
+//! [`Remote`] asks a process over a socket, a line of JSON each way and period:
+//!
+//! ```text
+//! to it    {"period_us":1000,"shafts":[{"motor":1,"torque_nm":1.5,"friction_nm":0.2,"angle_deg":0.0,"speed_dps":0.0}]}
+//! from it  {"shafts":[{"angle_deg":0.0,"speed_dps":0.9}]}
+//! ```
+//!
+//! Shafts come and go in the same order. `examples/mechanics.py` of this package is such a process.
+
+mod remote;
+mod two_links;
+
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::time::{Duration, Instant};
+
+use super::bus::Medium;
+use super::plant::ShaftTorque;
+use super::seat::Seat;
+use super::{BusFleet, DriveHandle};
+
+pub use remote::Remote;
+pub use two_links::{Link, TwoLinks};
+
+/// Why mechanics cannot go on.
+pub type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+/// Moves the shafts of simulated motors. See the [module](self).
+pub trait Mechanics: Send {
+    /// Moves the shafts on by a period: what acted on each in it is told; its angle and speed are what they
+    /// were at the period's beginning, and are to be what they are at its end.
+    ///
+    /// # Errors
+    /// Why it cannot go on. It is not asked again, and the shafts stand.
+    fn step(&mut self, period: Duration, shafts: &mut [Shaft]) -> Result<(), Failure>;
+}
+
+/// A motor's output shaft.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shaft {
+    /// The id that its drive started with.
+    pub motor: MotorId,
+    /// What acted on it in the period, in the mean.
+    pub acting: ShaftTorque,
+    /// Its angle, degrees, turns included.
+    pub angle_deg: f64,
+    /// Its speed, degrees per second.
+    pub speed_dps: f64,
+}
+
+/// What leads shafts, for a look at how it goes. It goes on without this, too.
+#[derive(Clone)]
+pub struct Leading(Arc<Mutex<Option<String>>>);
+
+impl Leading {
+    /// Why the shafts stand, if the mechanics failed or led a shaft where none can be.
+    pub fn failure(&self) -> Option<String> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl fmt::Debug for Leading {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Leading").field("failure", &self.failure()).finish()
+    }
+}
+
+impl<B: Medium> BusFleet<B> {
+    /// Has `mechanics` move the shafts of these drives from now on, a step each `period`. Their loads are not
+    /// felt any more. A drive is led by one only.
+    pub fn lead(
+        &self,
+        drives: &[DriveHandle],
+        period: Duration,
+        mechanics: impl Mechanics + 'static,
+    ) -> Leading {
+        let leading = Leading(Arc::default());
+        let mut leader = Leader {
+            seats: drives.iter().map(|drive| Arc::clone(&drive.seat)).collect(),
+            shafts: drives.iter().map(Shaft::of).collect(),
+            period,
+            mechanics,
+            leading: leading.clone(),
+        };
+        self.world.every(period, move |now| leader.step(now));
+        leading
+    }
+}
+
+impl Shaft {
+    fn of(drive: &DriveHandle) -> Self {
+        let (angle_deg, speed_dps) = drive.with(|it| {
+            let (angle_deg, speed_dps) =
+                (it.plant().output_angle_deg(), it.plant().output_speed_dps());
+            // Where it is it can be led to.
+            let _ = it.plant_mut().lead(angle_deg, speed_dps);
+            (angle_deg, speed_dps)
+        });
+        let motor = drive.motor();
+        Self { motor, acting: ShaftTorque::default(), angle_deg, speed_dps }
+    }
+}
+
+struct Leader<M> {
+    /// A seat for each shaft.
+    seats: Vec<Arc<Mutex<Seat>>>,
+    shafts: Vec<Shaft>,
+    period: Duration,
+    mechanics: M,
+    leading: Leading,
+}
+
+impl<M: Mechanics> Leader<M> {
+    fn step(&mut self, now: Instant) {
+        let failed = self.leading.failure().is_some();
+        for (seat, shaft) in self.seats.iter().zip(&mut self.shafts) {
+            let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
+            seat.catch_up(now);
+            shaft.acting = seat.drive.plant().acting();
+        }
+        if failed {
+            return;
+        }
+        let moved = self.mechanics.step(self.period, &mut self.shafts).map_err(|it| it.to_string());
+        if let Err(reason) = moved.and_then(|()| self.lead()) {
+            self.stand();
+            *self.leading.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(reason);
+        }
+    }
+
+    /// Puts all shafts where the mechanics have them.
+    fn lead(&mut self) -> Result<(), String> {
+        for (seat, shaft) in self.seats.iter().zip(&self.shafts) {
+            let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
+            let led = seat.drive.plant_mut().lead(shaft.angle_deg, shaft.speed_dps);
+            led.map_err(|error| format!("the shaft of motor {}: {error}", shaft.motor))?;
+        }
+        Ok(())
+    }
+
+    /// Has all shafts stand where they are.
+    fn stand(&self) {
+        for seat in &self.seats {
+            let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
+            let angle_deg = seat.drive.plant().output_angle_deg();
+            // Where it is it can be led to.
+            let _ = seat.drive.plant_mut().lead(angle_deg, 0.0);
+        }
+    }
+}

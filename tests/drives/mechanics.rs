@@ -1,0 +1,187 @@
+//! Drives whose shafts are moved by mechanics of their own.
+
+use std::os::unix::net::UnixStream;
+
+use myactuator_host_std::sim::mechanics::{Failure, Link, Mechanics, Remote, Shaft, TwoLinks};
+use myactuator_host_std::sim::plant::MotorParameters;
+use myactuator_host_std::sim::{CanFleet, Fleet};
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::{ReadStatus2, ReleaseBrake};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::time::Duration;
+use myactuator_tests::values::{go_to, id, millis};
+
+const PERIOD: Duration = Duration::from_micros(500);
+
+fn model() -> MotorParameters {
+    MotorParameters::named("RMD-X8-P20-120").unwrap()
+}
+
+/// Rods of 4 kg and 2 kg, half a metre long each.
+fn arm() -> TwoLinks {
+    let rod = |mass_kg: f64| Link {
+        mass_kg,
+        length_m: 0.5,
+        centre_m: 0.25,
+        inertia_kg_m2: mass_kg * 0.25 / 12.0,
+    };
+    TwoLinks::new([rod(4.0), rod(2.0)], [model().inertia_kg_m2(); 2]).unwrap()
+}
+
+fn fleet() -> CanFleet {
+    Fleet::new(2).model(model()).on_can(1_000_000).unwrap()
+}
+
+fn angles_deg(fleet: &CanFleet) -> [f64; 2] {
+    [0, 1].map(|place| fleet.drives[place].with(|it| it.plant().output_angle_deg()))
+}
+
+/// Both joints go to 90° and 0°: the arm is held out level.
+fn hold_level(fleet: &CanFleet) {
+    let mut master = fleet.master::<2>();
+    master.ask(id(1), go_to(90.0, 90)).unwrap();
+    master.ask(id(2), go_to(0.0, 90)).unwrap();
+    fleet.world.run_for(Duration::from_secs(4));
+}
+
+#[test]
+fn an_arm_of_two_links_is_held_level_by_what_it_weighs() {
+    let fleet = fleet();
+    let led = fleet.lead(&fleet.drives, PERIOD, arm());
+    hold_level(&fleet);
+    let [shoulder, elbow] = angles_deg(&fleet);
+    assert!((shoulder - 90.0).abs() < 0.1 && elbow.abs() < 0.1, "{shoulder} {elbow}");
+    // Shoulder: 9.81 * (4 kg * 0.25 m + 2 kg * 0.75 m) = 24.5 N·m, elbow: 9.81 * 2 kg * 0.25 m = 4.9 N·m. What
+    // is at rest may lean on its static friction, 1.5 N·m, and on the gear's loss, 1.4 % of the torque.
+    let mut master = fleet.master::<2>();
+    for (motor, weight_nm) in [(1, 24.517), (2, 4.903)] {
+        let current = master.ask(id(motor), ReadStatus2).unwrap().current.amperes();
+        let torque_nm = f64::from(current) * 2.656 / 0.986;
+        assert!((torque_nm - weight_nm).abs() < 1.5 + 0.02 * weight_nm, "{motor}: {torque_nm}");
+    }
+    assert_eq!(led.failure(), None);
+}
+
+#[test]
+fn a_shoulder_that_starts_pushes_the_elbow() {
+    let pushed = |links| {
+        let fleet = fleet();
+        if links {
+            fleet.lead(&fleet.drives, PERIOD, arm());
+        }
+        let mut master = fleet.master::<2>();
+        master.ask(id(1), go_to(90.0, 180)).unwrap();
+        master.ask(id(2), go_to(0.0, 90)).unwrap();
+        let mut widest: f64 = 0.0;
+        for _ in 0..300 {
+            fleet.world.run_for(millis(1));
+            widest = widest.max(angles_deg(&fleet)[1].abs());
+        }
+        widest
+    };
+    assert!(pushed(true) > 0.02 && pushed(false) == 0.0, "{}", pushed(true));
+}
+
+#[test]
+fn a_closed_brake_holds_what_the_mechanics_move() {
+    let fleet = Fleet::new(2).model(model()).brakes(true).start_angle_deg(45.0);
+    let fleet = fleet.on_can(1_000_000).unwrap();
+    fleet.lead(&fleet.drives, PERIOD, arm());
+    fleet.world.run_for(Duration::from_secs(1));
+    assert!(angles_deg(&fleet).iter().all(|angle| (angle - 45.0).abs() < 1e-9));
+    fleet.master::<2>().ask(id(1), ReleaseBrake).unwrap();
+    fleet.world.run_for(Duration::from_secs(1));
+    let [shoulder, elbow] = angles_deg(&fleet);
+    assert!(shoulder < 40.0 && (elbow - 45.0).abs() < 1e-9, "{shoulder} {elbow}");
+}
+
+/// Fails after so many periods.
+struct Failing(u32);
+
+impl Mechanics for Failing {
+    fn step(&mut self, _: Duration, shafts: &mut [Shaft]) -> Result<(), Failure> {
+        self.0 = self.0.checked_sub(1).ok_or("the engine has crashed")?;
+        for shaft in shafts {
+            shaft.angle_deg += 0.5;
+            shaft.speed_dps = 1_000.0;
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn shafts_stand_where_mechanics_fail() {
+    let fleet = fleet();
+    let led = fleet.lead(&fleet.drives[1..], PERIOD, Failing(100));
+    fleet.world.run_for(millis(51));
+    let failed = angles_deg(&fleet);
+    fleet.world.run_for(millis(100));
+    assert_eq!(led.failure().as_deref(), Some("the engine has crashed"));
+    assert_eq!(angles_deg(&fleet), failed);
+    assert!(failed[0] == 0.0 && (failed[1] - 50.0).abs() < 1.0, "{failed:?}");
+
+    let nowhere = |_: Duration, shafts: &mut [Shaft]| shafts[0].angle_deg = f64::NAN;
+    let led = fleet.lead(&fleet.drives[..1], PERIOD, Moving(nowhere));
+    fleet.world.run_for(millis(2));
+    let failure = led.failure().unwrap();
+    assert!(failure.starts_with("the shaft of motor 1: output angle must be"), "{failure}");
+}
+
+struct Moving<F>(F);
+
+impl<F: FnMut(Duration, &mut [Shaft]) + Send> Mechanics for Moving<F> {
+    fn step(&mut self, period: Duration, shafts: &mut [Shaft]) -> Result<(), Failure> {
+        (self.0)(period, shafts);
+        Ok(())
+    }
+}
+
+/// A process that moves the shafts as [`TwoLinks`] does, over a socket.
+fn process(stream: UnixStream) {
+    use std::io::{BufRead, BufReader, Write};
+    let mut arm = arm();
+    let mut answers = stream.try_clone().unwrap();
+    for line in BufReader::new(stream).lines().map_while(Result::ok) {
+        let asked: serde_json::Value = serde_json::from_str(&line).unwrap();
+        let number = |shaft: &serde_json::Value, name: &str| shaft[name].as_f64().unwrap();
+        let shafts = asked["shafts"].as_array().unwrap().iter().map(|it| Shaft {
+            motor: MotorId::new(it["motor"].as_u64().unwrap() as u8).unwrap(),
+            acting: myactuator_host_std::sim::plant::ShaftTorque {
+                torque_nm: number(it, "torque_nm"),
+                friction_nm: number(it, "friction_nm"),
+            },
+            angle_deg: number(it, "angle_deg"),
+            speed_dps: number(it, "speed_dps"),
+        });
+        let mut shafts: Vec<_> = shafts.collect();
+        let period = Duration::from_micros(asked["period_us"].as_u64().unwrap());
+        arm.step(period, &mut shafts).unwrap();
+        let moved = shafts
+            .iter()
+            .map(|it| serde_json::json!({ "angle_deg": it.angle_deg, "speed_dps": it.speed_dps }));
+        let answer = serde_json::json!({ "shafts": moved.collect::<Vec<_>>() });
+        writeln!(answers, "{answer}").unwrap();
+    }
+}
+
+#[test]
+fn another_process_moves_the_shafts_as_exactly_as_this_one() {
+    let run = |mechanics: Option<UnixStream>| {
+        let fleet = fleet();
+        match mechanics {
+            Some(stream) => fleet.lead(&fleet.drives, PERIOD, Remote::new(stream)),
+            None => fleet.lead(&fleet.drives, PERIOD, arm()),
+        };
+        let log = fleet.world.log();
+        let mut master = fleet.master::<2>();
+        master.ask(id(1), go_to(30.0, 90)).unwrap();
+        fleet.world.run_for(millis(300));
+        master.ask(id(2), ReadStatus2).unwrap();
+        (angles_deg(&fleet).map(f64::to_bits), format!("{:?}", log.take()))
+    };
+    let (near, far) = UnixStream::pair().unwrap();
+    let other = std::thread::spawn(move || process(far));
+    let remote = run(Some(near));
+    other.join().unwrap();
+    assert_eq!(remote, run(None));
+}
