@@ -1,6 +1,7 @@
 //! The simulated buses under the virtual clock.
 
 mod buses {
+    mod bursts;
     mod can;
     mod faults;
     mod rs485;

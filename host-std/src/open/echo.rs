@@ -53,9 +53,8 @@ pub(super) fn is_echoing<S: Read + ReadReady + Write>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::open::bursts::Bursty;
     use crate::sim::Fleet;
-    use crate::sim::bus::rs485::{Rs485Line, SerialPort, SerialWorld, TransceiverConfig};
+    use crate::sim::bus::rs485::{SerialWorld, TransceiverConfig};
     use crate::sim::bus::{Node, faults::Babble};
     use myactuator_protocol_core::time::Instant;
     use myactuator_protocol_core::wire::rs485::Frame;
@@ -63,6 +62,7 @@ mod tests {
 
     const BIT_RATE: u32 = 115_200;
     const FRAME_TIME: Duration = Duration::from_micros(1_129);
+    const MILLISECOND: Duration = Duration::from_millis(1);
     const ECHOES: TransceiverConfig = echoing(true);
     const IS_QUIET: TransceiverConfig = echoing(false);
 
@@ -77,9 +77,15 @@ mod tests {
         }
     }
 
-    fn is_found_to_echo(mut adapter: Bursty<SerialPort, Rs485Line, u8>) -> bool {
-        let clock = adapter.clock();
-        is_echoing(&mut adapter, &clock, FRAME_TIME).unwrap()
+    /// Whether an adapter is found to echo that hands over what it received this often.
+    fn is_found_to_echo(
+        world: &SerialWorld,
+        transceiver: TransceiverConfig,
+        every: Duration,
+    ) -> bool {
+        let mut port = world.port_with(transceiver);
+        world.hand_over_every(port.station(), every);
+        is_echoing(&mut port, &world.clock(), FRAME_TIME).unwrap()
     }
 
     fn line() -> SerialWorld {
@@ -90,21 +96,22 @@ mod tests {
     fn an_echo_is_found_with_and_without_drives_noise_and_bursts() {
         let noisy = TransceiverConfig { switch_noise: 1.0, ..ECHOES };
         let with_drives = Fleet::new(2).on_rs485(BIT_RATE).unwrap();
-        for (world, transceiver, every_ms, to_lose) in [
-            (line(), ECHOES, 1, 0),
-            (line(), noisy, 1, 0),
-            (line(), ECHOES, 16, 0),
-            (line(), noisy, 16, 0),
-            // The first probe's echo is spoilt.
-            (line(), ECHOES, 16, 1),
-            (with_drives.world, noisy, 16, 0),
-        ] {
-            let mut adapter = Bursty::new(world.port_with(transceiver), &world, every_ms);
-            adapter.to_lose = to_lose;
-            let case = format!("{transceiver:?}, every {every_ms} ms, {to_lose} lost");
-            assert!(is_found_to_echo(adapter), "{case}");
+        // Somebody speaks into the first probe.
+        let spoilt = line();
+        spoilt.attach(AnswersAll(Some(vec![0])));
+        for (world, transceiver, every_ms, limit_ms) in [
             // The first echo ends it.
-            let limit_ms = if to_lose > 0 { 75 } else { 20 };
+            (line(), ECHOES, 1, 20),
+            (line(), noisy, 1, 20),
+            (line(), ECHOES, 16, 20),
+            (line(), noisy, 16, 20),
+            (with_drives.world, noisy, 16, 20),
+            (spoilt, ECHOES, 16, 80),
+        ] {
+            let case = format!("{transceiver:?}, every {every_ms} ms, until {limit_ms} ms");
+            let every = Duration::from_millis(every_ms);
+            assert!(is_found_to_echo(&world, transceiver, every), "{case}");
+            assert!(limit_ms == 20 || world.now() > Instant::from_millis(50), "{case}");
             assert!(world.now() < Instant::from_millis(limit_ms), "{case}: {:?}", world.now());
         }
     }
@@ -114,7 +121,7 @@ mod tests {
         let drives = Fleet::new(32).on_rs485(BIT_RATE).unwrap().world;
         let log = drives.log();
         for world in [line(), drives] {
-            assert!(!is_found_to_echo(Bursty::new(world.port_with(IS_QUIET), &world, 1)));
+            assert!(!is_found_to_echo(&world, IS_QUIET, MILLISECOND));
             // Two frames and 50 ms behind each, twice.
             let took = world.now();
             assert!(
@@ -155,10 +162,10 @@ mod tests {
     fn an_answer_is_no_echo() {
         let world = line();
         world.attach(AnswersAll::default());
-        assert!(!is_found_to_echo(Bursty::new(world.port_with(IS_QUIET), &world, 1)));
+        assert!(!is_found_to_echo(&world, IS_QUIET, MILLISECOND));
         let world = line();
         world.attach(AnswersAll::default());
-        assert!(is_found_to_echo(Bursty::new(world.port_with(ECHOES), &world, 1)));
+        assert!(is_found_to_echo(&world, ECHOES, MILLISECOND));
     }
 
     #[test]
@@ -167,7 +174,7 @@ mod tests {
         let babbler = world.attach(AnswersAll::default());
         let babble = Babble { interval: Duration::from_millis(1), frame: None };
         world.babble(babbler, Some(babble));
-        assert!(!is_found_to_echo(Bursty::new(world.port_with(IS_QUIET), &world, 1)));
+        assert!(!is_found_to_echo(&world, IS_QUIET, MILLISECOND));
         assert!(world.now() < Instant::from_millis(250), "{:?}", world.now());
     }
 

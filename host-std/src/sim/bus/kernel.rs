@@ -36,6 +36,8 @@ struct Station<F> {
     wants_room: bool,
     /// Nothing may arrive before this: it would overtake what is late.
     not_before: Nanos,
+    /// Arrivals come at multiples of this only.
+    bursts: Nanos,
     /// What waits for the next message to overtake it.
     held: VecDeque<F>,
     /// Which message that was.
@@ -127,6 +129,7 @@ impl<B: Medium> Kernel<B> {
             fate: Fate::default(),
             wants_room: false,
             not_before: 0,
+            bursts: 1,
             held: VecDeque::new(),
             held_message: 0,
         });
@@ -278,7 +281,9 @@ impl<B: Medium> Kernel<B> {
 
     /// Delivers now or later, never ahead of what is late itself.
     fn deliver_in_order(&mut self, to: usize, unit: &B::Frame, late_by: Nanos) {
-        let at = self.around.now.saturating_add(late_by).max(self.stations[to].not_before);
+        let Station { not_before, bursts, .. } = self.stations[to];
+        let at = self.around.now.saturating_add(late_by).max(not_before);
+        let at = at.div_ceil(bursts).saturating_mul(bursts);
         if at <= self.around.now {
             self.deliver(to, unit);
         } else {
@@ -418,6 +423,10 @@ impl<B: Medium> Kernel<B> {
             state.wake = now;
         }
         self.spread();
+    }
+
+    pub(crate) fn hand_over_every(&mut self, station: usize, period: Duration) {
+        self.stations[station].bursts = from_duration(period).max(1);
     }
 
     pub(crate) fn slow_down(&mut self, station: usize, by: Duration) {

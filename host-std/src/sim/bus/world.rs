@@ -260,6 +260,12 @@ impl<B: Medium> World<B> {
         self.with(|kernel| kernel.slow_down(node.0, by));
     }
 
+    /// Has a station get what it hears in bursts, at multiples of this period only, as USB adapters hand it over;
+    /// [`Duration::ZERO`] for at once again.
+    pub fn hand_over_every(&self, station: StationId, period: Duration) {
+        self.with(|kernel| kernel.hand_over_every(station.0, period));
+    }
+
     /// Lets a station babble from now on; `None` silences it.
     pub fn babble(&self, station: StationId, babble: Option<Babble<B::Frame>>) {
         self.with(|kernel| kernel.babble(station.0, babble));

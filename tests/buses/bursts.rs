@@ -1,0 +1,64 @@
+//! Ports that get what they hear in bursts, under the virtual clock.
+
+use embedded_can::nb::Can as _;
+use embedded_io::{Read as _, ReadReady as _};
+use myactuator_host_std::sim::bus::can::CanPort;
+use myactuator_host_std::sim::bus::rs485::SerialPort;
+use myactuator_host_std::sim::{CanFleet, Fleet, LineFleet};
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::ReadMultiTurnAngle;
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::{can, rs485::Frame};
+
+const PERIOD: Duration = Duration::from_millis(16);
+const MOTOR: MotorId = MotorId::MIN;
+
+fn on_can() -> (CanFleet, CanPort) {
+    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    let port = fleet.world.port();
+    fleet.world.hand_over_every(port.station(), PERIOD);
+    (fleet, port)
+}
+
+fn on_line() -> (LineFleet, SerialPort) {
+    let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
+    let port = fleet.world.port();
+    fleet.world.hand_over_every(port.station(), PERIOD);
+    (fleet, port)
+}
+
+#[test]
+fn frames_come_at_multiples_of_the_period_and_all_that_came_until_then() {
+    let (fleet, mut port) = on_can();
+    let ask = can::encode(&ReadMultiTurnAngle.packet(MOTOR)).unwrap();
+    let mut come = Vec::new();
+    for step in 0..500_u64 {
+        // Asked at 0, 3 and 20 ms; the drive answers within 1.2 ms.
+        if [0, 30, 200].contains(&step) {
+            port.transmit(&ask).unwrap();
+        }
+        fleet.world.run_until(Instant::from_micros(100 * (step + 1)));
+        while port.receive().is_ok() {
+            come.push(fleet.world.now().as_micros());
+        }
+    }
+    assert_eq!(come, [16_000, 16_000, 32_000]);
+    // And at once again.
+    fleet.world.hand_over_every(port.station(), Duration::ZERO);
+    port.transmit(&ask).unwrap();
+    fleet.world.run_for(Duration::from_micros(1_300));
+    assert!(port.receive().is_ok());
+}
+
+#[test]
+fn bytes_of_a_frame_come_together() {
+    let (fleet, mut port) = on_line();
+    let ask = Frame::from_packet(&ReadMultiTurnAngle.packet(MOTOR)).unwrap().encode();
+    embedded_io::Write::write_all(&mut port, &ask).unwrap();
+    // Two frames of 1.13 ms and the drive's delay are over long before.
+    fleet.world.run_until(Instant::from_micros(15_999));
+    assert!(!port.read_ready().unwrap());
+    fleet.world.run_until(Instant::from_micros(16_000));
+    let mut bytes = [0; 32];
+    assert_eq!(port.read(&mut bytes).unwrap(), 13);
+}
