@@ -126,7 +126,7 @@ impl Load {
     pub(super) fn reaction_at(&self, angle_rad: f64) -> Reaction {
         let mut torque_nm = self.torque_nm;
         if let Some(arm) = self.arm {
-            torque_nm -= arm.weight_nm() * (angle_rad - arm.down_deg.to_radians()).sin();
+            torque_nm -= arm.weight_nm() * libm::sin(angle_rad - arm.down_deg.to_radians());
         }
         if let Some(spring) = self.spring {
             torque_nm -= spring.stiffness_nm_per_rad * (angle_rad - spring.rest_deg.to_radians());

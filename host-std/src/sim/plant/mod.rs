@@ -13,7 +13,8 @@
 //! | heat | the winding and the output stage, each cooling to ambient | [`SimulatedMotor`] |
 //!
 //! Everything is reckoned at the output shaft, in SI units and f64. The step is fixed,
-//! [`STEP`]; nothing reads a clock or a random number, so the same calls give the same bits.
+//! [`STEP`]; nothing reads a clock or a random number, and sines and exponentials are `libm`'s rather than
+//! the system's, so the same calls give the same bits, on any machine.
 //!
 //! ```
 //! use myactuator_host_std::sim::plant::{MotorParameters, SimulatedMotor};
@@ -47,3 +48,35 @@ pub use parameters::{
     WindingParameters,
 };
 pub use supply::Supply;
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    /// Functions of a float that are exact, or rounded as the standard of floats says, are the same on every
+    /// machine; of these the standard library leaves the last bits to the system.
+    const SYSTEMS_OWN: [&str; 26] = [
+        "sin", "cos", "tan", "sin_cos", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
+        "asinh", "acosh", "atanh", "exp", "exp2", "exp_m1", "ln", "ln_1p", "log", "log2", "log10",
+        "powi", "powf", "cbrt", "hypot",
+    ];
+
+    #[test]
+    fn the_physics_has_its_functions_from_libm() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/src/sim/plant");
+        let mut files = 0;
+        for file in fs::read_dir(folder).unwrap() {
+            let path = file.unwrap().path();
+            let text = fs::read_to_string(&path).unwrap();
+            let code = text.split("#[cfg(test)]").next().unwrap();
+            for name in SYSTEMS_OWN {
+                for call in [format!(".{name}("), format!("f64::{name}"), format!("f32::{name}")] {
+                    let path = path.display();
+                    assert!(!code.contains(&call), "{path} has {call}: take libm's instead");
+                }
+            }
+            files += 1;
+        }
+        assert!(files >= 7, "{files}");
+    }
+}

@@ -92,7 +92,7 @@ impl Coefficients {
         let viscous = parameters.friction.viscous_nm_s_per_rad + load.damping_nm_s_per_rad;
         // -expm1(-x)/x tends to 1 as friction vanishes.
         let x = viscous * STEP_S / inertia;
-        let mean_kept = if x > 0.0 { -(-x).exp_m1() / x } else { 1.0 };
+        let mean_kept = if x > 0.0 { -libm::expm1(-x) / x } else { 1.0 };
 
         // Before any loss: the power that becomes mechanical is this times current times speed.
         let air_gap_nm_per_a =
@@ -122,7 +122,7 @@ impl Coefficients {
         }
 
         Ok(Self {
-            speed_kept: (-x).exp(),
+            speed_kept: libm::exp(-x),
             speed_per_torque: mean_kept * STEP_S / inertia,
             air_gap_nm_per_a,
             gear_loss: 1.0 - parameters.gear.efficiency,
@@ -320,7 +320,7 @@ impl SimulatedMotor {
     fn phase_currents_a(&self) -> [f64; 3] {
         let amplitude = self.current_a * self.coefficients.amplitude_per_a;
         let turns = self.angle_rad * self.coefficients.electrical_turns_per_rad;
-        let (sin, cos) = ((turns - turns.floor()) * TAU).sin_cos();
+        let (sin, cos) = libm::sincos((turns - turns.floor()) * TAU);
         let a = -amplitude * sin;
         // sin(angle - 120°) without a second sine.
         let b = amplitude * (0.5 * sin + HALF_SQRT_3 * cos);
@@ -357,7 +357,8 @@ impl SimulatedMotor {
         self.speed_rad_s = self.speed_after(motor_nm, actuation.brake_released);
         self.angle_rad += self.speed_rad_s * HALF_STEP_S;
 
-        let squared = 1.5 * (amplitude_per_a * self.current_a).powi(2);
+        let amplitude_a = amplitude_per_a * self.current_a;
+        let squared = 1.5 * amplitude_a * amplitude_a;
         let (winding_w, mos_w) = (squared * winding_ohm, squared * mos_ohm);
         let mechanical_w = motor_nm * 0.5 * (speed_before + self.speed_rad_s);
         let idle_w = self.parameters.inverter.idle_power_w;

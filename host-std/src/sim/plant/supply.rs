@@ -69,7 +69,7 @@ const FLOOR_V: f64 = 1.0;
 
 impl Link {
     pub(super) fn new(supply: Supply, step_s: f64) -> Self {
-        let remaining = |resistance: f64| (-step_s / (resistance * supply.capacitance_f)).exp();
+        let remaining = |resistance: f64| libm::exp(-step_s / (resistance * supply.capacitance_f));
         Self {
             voltage_v: supply.voltage_v,
             held_v: None,

@@ -22,7 +22,7 @@ impl ThermalNode {
         resistance_k_per_w: f64,
         step_s: f64,
     ) -> Self {
-        let remaining = (-step_s / (capacity_j_per_k * resistance_k_per_w)).exp();
+        let remaining = libm::exp(-step_s / (capacity_j_per_k * resistance_k_per_w));
         Self { temperature_c, is_held: false, resistance_k_per_w, remaining }
     }
 
