@@ -5,8 +5,8 @@
 
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{
-    Bus, Drive, Event, IdealPlant, IgnoreReason, Measurement, Memory, NotRunReason, Parameters,
-    Settings,
+    Bus, Drive, Event, FaultLimits, IdealPlant, IgnoreReason, Measurement, Memory, NotRunReason,
+    Parameters, Settings,
 };
 use myactuator_protocol_core::opcode::{ReplyRule, Usage};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -581,6 +581,26 @@ fn a_reset_starts_anew() {
     bench.run(millis(300));
     assert!(bench.sent.is_empty(), "{:?}", bench.sent);
     assert!(bench.send(ReadStatus2).is_some());
+}
+
+/// 2.35.4, function 3: what is measured, once a millisecond, is an error after its confirm time and reported then:
+/// the drive asks to be called for it.
+#[test]
+fn an_error_that_is_measured_is_reported_at_once() {
+    for confirm_ms in [3, 8, 13] {
+        let limits = FaultLimits { confirm_time: millis(confirm_ms), ..FaultLimits::default() };
+        let mut bench = Bench::new(Parameters { limits, ..Parameters::default() });
+        bench.write(FunctionControl::ErrorReporting(Switch::On));
+        bench.sent.clear();
+        bench.drive.plant_mut().sensors.supply_voltage_v = 100.0;
+        let since = bench.now;
+        bench.run(millis(50));
+        let (at, packet) = bench.sent[0];
+        assert_eq!(packet.data[0], 0x9A);
+        let after = at - since;
+        let expected = millis(confirm_ms)..=millis(confirm_ms + 1);
+        assert!(expected.contains(&after), "{confirm_ms} ms: {after}");
+    }
 }
 
 /// 2.27, 2.28: 0x77 lets the shaft go, 0x78 locks it, and without power it is locked.

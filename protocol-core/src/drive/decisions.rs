@@ -188,7 +188,7 @@
 //!   actively stays unanswered. All other commands are answered as ever, unless
 //!   [an option](super::Quirks::silent_while_reporting) takes the sentence at its word.
 //! - The first error report (function 3) goes out as soon as there is an error, or reporting is
-//!   switched on.
+//!   switched on. What a drive measures becomes an error within a millisecond.
 //!
 //! # Bit rate
 //! - 0xB4 acts at once. The manual says both that it acts at the next power-on (2.32.1) and that

@@ -76,6 +76,10 @@ impl Reporting {
         self.errors_wanted = wanted;
     }
 
+    pub(super) const fn errors_wanted(&self) -> bool {
+        self.errors_wanted
+    }
+
     /// Takes over what lasts: whether there is an error, whether the master is lost.
     pub(super) fn follow(&mut self, error: bool, master_lost: bool, now: Instant) {
         let keep = |lasts: bool, timer: Option<Timer>, interval| {
