@@ -713,21 +713,28 @@ fn without_protection_the_motor_goes_on() {
     assert!(bench.speed() > 99.0);
 }
 
-/// 2.32: the rate is kept in ROM; a code that is not valid on the bus changes nothing.
+/// 2.32: the rate is kept in ROM and acts when the drive is powered on again; a code that is not valid on the
+/// bus changes nothing.
 #[test]
-fn the_bit_rate_is_kept() {
+fn the_bit_rate_is_kept_and_acts_after_the_next_start() {
     let mut bench = Bench::default();
     let slow = BaudCode::CAN_500K_RS485_115200;
-    bench.send(SetBaudRate { baud_rate: slow });
-    assert_eq!(bench.drive.baud_rate(), slow);
-    assert!(bench.events.contains(&Event::BitRateChanged(slow)));
+    let reply = bench.send(SetBaudRate { baud_rate: slow }).unwrap();
+    assert_eq!(reply[0], 0xB4);
+    assert_eq!(bench.drive.bit_rate(), Some(1_000_000));
+    assert!(!bench.events.contains(&Event::BitRateChanged(slow)));
     bench.power_cycle();
     assert_eq!(bench.drive.baud_rate(), slow);
+    assert_eq!(bench.drive.bit_rate(), Some(500_000));
+    assert!(bench.events.contains(&Event::BitRateChanged(slow)));
     assert_eq!(bench.send(SetBaudRate { baud_rate: BaudCode::RS485_1M }), None);
+    bench.power_cycle();
     assert_eq!(bench.drive.baud_rate(), slow);
     let mut bench = Bench::on_rs485();
     bench.send(SetBaudRate { baud_rate: BaudCode::RS485_1M });
-    assert_eq!(bench.drive.baud_rate(), BaudCode::RS485_1M);
+    assert_eq!(bench.drive.bit_rate(), Some(500_000));
+    bench.restart();
+    assert_eq!(bench.drive.bit_rate(), Some(1_000_000));
 }
 
 fn report(opcode: Opcode, enable: Switch, interval: u16) -> ActiveReply {

@@ -57,8 +57,9 @@ impl BaudCode {
 }
 
 command! {
-    /// Set the bit rate of the bus, in ROM: 0xB4 (2.32). What comes back is garbage, for the drive
-    /// has already changed: do not wait for a reply.
+    /// Set the bit rate of the bus, in ROM: 0xB4 (2.32). It acts when the drive is powered on again
+    /// (2.32.1). What comes back means nothing, and need not be at the old rate (2.32.3): do not wait for
+    /// a reply.
     SetBaudRate -> NoReply {
         /// The new rate.
         baud_rate: BaudCode => 7,

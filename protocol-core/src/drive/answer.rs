@@ -202,15 +202,11 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                 }
                 let [a, b, c, d] = self.random.next().to_le_bytes();
                 let [e, f, g, _] = self.random.next().to_le_bytes();
-                let before = self.active.baud_rate;
                 let garbage = [data[0], a, b, c, d, e, f, g];
-                let answer = self.write_rom(opcode, garbage, |settings| {
-                    settings.baud_rate = set.baud_rate;
-                });
-                if self.active.baud_rate != before {
-                    self.events.push(Event::BitRateChanged(self.active.baud_rate));
+                if self.needs_shutdown(opcode) {
+                    return Ok(Some(garbage));
                 }
-                answer
+                self.keep(Settings { baud_rate: set.baud_rate, ..self.stored }, garbage)
             }
             Opcode::ActiveReply => {
                 let set = ActiveReply::decode(data)?;
@@ -385,10 +381,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         answer: Data,
         change: impl Fn(&mut Settings),
     ) -> Option<Data> {
-        let needs_shutdown = self.parameters.quirks.rom_needs_shutdown
-            && matches!(opcode, Opcode::WritePidRom | Opcode::SetBaudRate);
-        if needs_shutdown && !self.controller.is_off() {
-            self.not_run(opcode, NotRunReason::NotShutDown);
+        if self.needs_shutdown(opcode) {
             return Some(answer);
         }
         let mut stored = self.stored;
@@ -397,6 +390,17 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             change(&mut self.active);
             answer
         })
+    }
+
+    /// Whether this is not stored because the motor is not shut down: a quirk.
+    fn needs_shutdown(&mut self, opcode: Opcode) -> bool {
+        let is_refused = self.parameters.quirks.rom_needs_shutdown
+            && matches!(opcode, Opcode::WritePidRom | Opcode::SetBaudRate)
+            && !self.controller.is_off();
+        if is_refused {
+            self.not_run(opcode, NotRunReason::NotShutDown);
+        }
+        is_refused
     }
 
     /// Changes what is stored only: it acts after a restart.

@@ -21,8 +21,8 @@
 //! | changes | |
 //! |---|---|
 //! | what acts | 0x31 |
-//! | what is stored, which acts after a restart | 0x63, 0x64, 0x79, functions 1, 4 and 5 |
-//! | both | 0x32, 0x43, 0xB3, 0xB4, functions 2, 6 and 7 |
+//! | what is stored, which acts after a restart | 0x63, 0x64, 0x79, 0xB4, functions 1, 4 and 5 |
+//! | both | 0x32, 0x43, 0xB3, functions 2, 6 and 7 |
 //!
 //! - Function 3 and 0xB6 end with a restart: nothing says that they are saved (2.34, 2.35.4).
 //! - Writing to ROM while the motor moves works: the manual advises against it, but forbids nothing
@@ -191,9 +191,9 @@
 //!   switched on. What a drive measures becomes an error within a millisecond.
 //!
 //! # Bit rate
-//! - 0xB4 acts at once. The manual says both that it acts at the next power-on (2.32.1) and that
-//!   the reply is lost because it has acted (2.32.3). Whoever believes the second waits for no
-//!   reply, and is right either way.
+//! - 0xB4 acts at the next start, by 0x76 or power-on, and its reply still has the old rate. The manual
+//!   says both that it acts "when powered on again" (2.32.1) and that the reply is of no use because the
+//!   rate has changed (2.32.3). Whoever believes the second waits for no reply, and is right either way.
 //! - The reply's bytes behind the command byte mean nothing (2.32.3).
 //! - A code without a meaning on the drive's bus, such as 2 on CAN (2.32.4), changes nothing and
 //!   has no answer.

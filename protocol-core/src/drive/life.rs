@@ -72,12 +72,15 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         if let Ok(Some(settings)) = restored {
             self.stored = settings;
         }
-        self.active = self.stored;
+        let before = core::mem::replace(&mut self.active, self.stored);
         let keeps_turns = self.active.save_multi_turn && !self.parameters.quirks.turns_lost;
         let saved = self.active.saved_position.filter(|_| keeps_turns);
         self.encoder.start(self.measurement.encoder_pulses, self.active.zero_offset, saved);
         self.turns_to_clear = 0;
         self.events.push(Event::Started);
+        if self.active.baud_rate != before.baud_rate {
+            self.events.push(Event::BitRateChanged(self.active.baud_rate));
+        }
         self.change_faults(|faults| faults.restart());
         if failed {
             self.memory_failed();

@@ -326,9 +326,14 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     }
 
     /// The bit rate that the drive speaks at. A change (0xB4) acts
-    /// [at once](decisions#bit-rate).
+    /// [after a restart](decisions#bit-rate).
     pub const fn baud_rate(&self) -> BaudCode {
         self.active.baud_rate
+    }
+
+    /// The same in bit/s; `None` where the manual gives that code no rate on the drive's bus.
+    pub const fn bit_rate(&self) -> Option<u32> {
+        self.parameters.bus.bits_per_second(self.active.baud_rate)
     }
 
     /// The settings that act now.
