@@ -1,14 +1,17 @@
 //! What a watcher of a drive wants to know.
 
 use crate::command::{BaudCode, ErrorFlags};
+use crate::drive::QUEUE_LENGTH;
+use crate::drive::queue::DropOldest;
 use crate::error::DecodeError;
 use crate::opcode::Opcode;
 use crate::packet::Packet;
+use crate::time::Instant;
 
 /// Something that happened in a drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "kebab-case"))]
 #[non_exhaustive]
 pub enum Event {
     /// A packet had no effect and no answer, but for the last one once more by
@@ -45,12 +48,39 @@ pub enum Event {
     /// The non-volatile memory could not be read or written. The error flag for lost parameters is
     /// raised with it, and the command that wanted to write is not answered.
     MemoryFailed,
+    /// The current has been at this limit for 10 ms, and the motor does less than it was told to.
+    Limited(Limit),
+    /// This limit acts no more.
+    Unlimited(Limit),
+    /// A position beyond a limit of the drive (functions 6 and 7): it goes as far as it may.
+    TargetLimited {
+        /// The command's kind.
+        opcode: Opcode,
+        /// Where it was to go, degrees.
+        asked_deg: f64,
+        /// Where it goes, degrees.
+        limit_deg: f64,
+    },
+}
+
+/// What keeps the current from being what the loops want.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "kebab-case"))]
+#[non_exhaustive]
+pub enum Limit {
+    /// The torque limit of the command that runs (0xA2, 0xA9).
+    CommandTorque,
+    /// The drive's own, [`stall_current_a`](super::Parameters::stall_current_a).
+    StallCurrent,
+    /// The supply's voltage does not drive more current through the motor at its speed.
+    Voltage,
 }
 
 /// Why a packet had no effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "kebab-case"))]
 #[non_exhaustive]
 pub enum IgnoreReason {
     /// It means nothing, or holds what is not allowed.
@@ -94,7 +124,7 @@ impl From<DecodeError> for IgnoreReason {
 /// Why a command was answered but not carried out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "kebab-case"))]
 #[non_exhaustive]
 pub enum NotRunReason {
     /// An error stands.
@@ -107,4 +137,30 @@ pub enum NotRunReason {
     NotSingleTurn,
     /// The quirk [`rom_needs_shutdown`](super::Quirks::rom_needs_shutdown) holds.
     NotShutDown,
+}
+
+/// Events with their times, until they are polled.
+#[derive(Clone, Debug)]
+pub(super) struct Events {
+    queue: DropOldest<(Instant, Event), QUEUE_LENGTH>,
+    /// When the next ones happen.
+    pub(super) now: Instant,
+}
+
+impl Events {
+    pub(super) const fn new(now: Instant) -> Self {
+        Self { queue: DropOldest::new(), now }
+    }
+
+    pub(super) fn push(&mut self, event: Event) {
+        self.queue.push((self.now, event));
+    }
+
+    pub(super) fn pop(&mut self) -> Option<(Instant, Event)> {
+        self.queue.pop()
+    }
+
+    pub(super) const fn dropped(&self) -> u32 {
+        self.queue.dropped()
+    }
 }

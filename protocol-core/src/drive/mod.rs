@@ -54,8 +54,10 @@ mod event;
 mod faults;
 mod ideal;
 mod life;
+mod limits;
 mod parameters;
 mod plant;
+mod print;
 mod protection;
 mod queue;
 mod quirks;
@@ -65,7 +67,7 @@ mod reporting;
 mod settings;
 mod state;
 
-pub use event::{Event, IgnoreReason, NotRunReason};
+pub use event::{Event, IgnoreReason, Limit, NotRunReason};
 pub use faults::Indicator;
 pub use ideal::IdealPlant;
 pub use parameters::{Bus, FaultLimits, Parameters};
@@ -83,8 +85,10 @@ use crate::time::{Duration, Instant};
 use brake::Brake;
 use control::{Controller, Input};
 use encoder::Encoder;
+use event::Events;
 use faults::Faults;
 use life::Life;
+use limits::Limits;
 use protection::Protection;
 use queue::DropOldest;
 use random::Random;
@@ -140,7 +144,8 @@ pub struct Drive<P, M> {
     random: Random,
     replies: Replies,
     outgoing: DropOldest<Outgoing, QUEUE_LENGTH>,
-    events: DropOldest<Event, QUEUE_LENGTH>,
+    limits: Limits,
+    events: Events,
 }
 
 impl<P: Plant, M: Memory> Drive<P, M> {
@@ -177,7 +182,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             reporting: Reporting::default(),
             replies: Replies::default(),
             outgoing: DropOldest::new(),
-            events: DropOldest::new(),
+            limits: Limits::default(),
+            events: Events::new(now),
             parameters,
             plant,
             memory,
@@ -192,6 +198,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     /// as [`Event::Ignored`]. Does the work of [`advance`](Self::advance) first.
     pub fn handle_packet(&mut self, packet: &Packet, now: Instant) {
         self.advance(now);
+        self.events.now = now;
         let to_all = match packet.channel {
             Channel::Command(Target::All) => true,
             Channel::BusId => false,
@@ -300,6 +307,11 @@ impl<P: Plant, M: Memory> Drive<P, M> {
 
     /// The next thing that happened, oldest first.
     pub fn poll_event(&mut self) -> Option<Event> {
+        self.poll_timed_event().map(|(_, event)| event)
+    }
+
+    /// As [`poll_event`](Self::poll_event), with when it happened.
+    pub fn poll_timed_event(&mut self) -> Option<(Instant, Event)> {
         self.events.pop()
     }
 
@@ -383,6 +395,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
 
     /// One control step, up to `end`.
     fn step(&mut self, end: Instant, period: Duration) {
+        self.events.now = end;
         let input = self.input();
         let mut actuation = Actuation::default();
         if matches!(self.life, Life::Running { .. }) {
@@ -413,6 +426,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             }
             Life::Running { .. } => {
                 if is_time {
+                    self.watch_limits(&actuation, unjudged);
                     let (measurement, parameters) = (self.measurement, self.parameters);
                     self.change_faults(|faults| {
                         faults.observe(&measurement, &parameters, unjudged)
@@ -424,6 +438,21 @@ impl<P: Plant, M: Memory> Drive<P, M> {
                     self.follow_reports(end);
                 }
             }
+        }
+    }
+
+    fn watch_limits(&mut self, actuation: &Actuation, span: Duration) {
+        let stall_a = self.parameters.stall_current_a;
+        let step = actuation.output_on.then(|| limits::Step {
+            wanted_a: actuation.current_a,
+            flows_a: self.measurement.current_a,
+            limit_a: self.controller.limit_a().min(stall_a),
+            stall_a,
+        });
+        if let Some((ended, begun)) = self.limits.observe(step, span) {
+            let ended = ended.map(Event::Unlimited);
+            let begun = begun.map(Event::Limited);
+            [ended, begun].into_iter().flatten().for_each(|event| self.events.push(event));
         }
     }
 

@@ -3,7 +3,7 @@
 
 use crate::command::{Direction, SingleTurnPosition, Speed};
 use crate::drive::control::SetPoint;
-use crate::drive::{Drive, Memory, NotRunReason, Plant};
+use crate::drive::{Drive, Event, Memory, NotRunReason, Plant};
 use crate::opcode::Opcode;
 use crate::units::{MaxSpeed, MaxTorque};
 
@@ -61,14 +61,24 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         max_speed: MaxSpeed,
         limit_a: f32,
     ) {
+        let asked_deg = target_deg;
         let target_deg = self.active.position_limits().nearest(target_deg);
         let max_speed_dps = max_speed.dps();
         let set_point = SetPoint::Position { target_deg, max_speed_dps, limit_a };
-        self.run(opcode, set_point, LockedBrake::Opens);
+        let runs = self.run(opcode, set_point, LockedBrake::Opens);
+        if runs && target_deg != asked_deg {
+            let limit_deg = target_deg;
+            self.events.push(Event::TargetLimited { opcode, asked_deg, limit_deg });
+        }
     }
 
-    /// Takes a set-point over, unless something forbids it.
-    pub(super) fn run(&mut self, opcode: Opcode, set_point: SetPoint, locked_brake: LockedBrake) {
+    /// Takes a set-point over, unless something forbids it; whether it did.
+    pub(super) fn run(
+        &mut self,
+        opcode: Opcode,
+        set_point: SetPoint,
+        locked_brake: LockedBrake,
+    ) -> bool {
         let errors = self.faults.all();
         let forbidden = if !errors.is_empty() {
             Some(NotRunReason::Fault(errors))
@@ -80,7 +90,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             None
         };
         if let Some(reason) = forbidden {
-            return self.not_run(opcode, reason);
+            self.not_run(opcode, reason);
+            return false;
         }
         if locked_brake == LockedBrake::Opens && self.brake.holds() {
             let at = self.brake_opens_at(self.clock);
@@ -88,6 +99,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
         let input = self.input();
         self.controller.set(set_point, &input);
+        true
     }
 }
 

@@ -113,6 +113,16 @@ impl Controller {
         }
     }
 
+    /// The command's own limit of the current, A; infinite for none.
+    pub(super) const fn limit_a(&self) -> f32 {
+        match self.task {
+            Task::Speed { limit_a, .. } | Task::Position { limit_a, .. } => limit_a,
+            Task::Off | Task::Current { .. } | Task::Motion(_) | Task::Stopping { .. } => {
+                f32::INFINITY
+            }
+        }
+    }
+
     /// Takes a set-point, going on smoothly from what runs.
     pub(super) fn set(&mut self, set_point: SetPoint, input: &Input) {
         let before = self.task;

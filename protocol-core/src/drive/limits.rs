@@ -1,0 +1,113 @@
+//! What keeps the current from being what the loops want: told when it begins and when it ends.
+
+use crate::drive::event::Limit;
+use crate::time::Duration;
+
+/// For so long a limit must act, or act no more, before it is told.
+const CONFIRM: Duration = Duration::from_millis(10);
+/// A current this part of its limit counts as at it.
+const AT_LIMIT: f32 = 0.999;
+/// The supply's voltage is the limit if a larger part of the drive's current than this is missing.
+const MISSING: f32 = 0.05;
+
+/// One control step, as far as limits go.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step {
+    /// What the loops ask for, A.
+    pub(super) wanted_a: f32,
+    /// What flows, A.
+    pub(super) flows_a: f32,
+    /// The command's limit, not above that of the drive, A.
+    pub(super) limit_a: f32,
+    /// The drive's own limit, A.
+    pub(super) stall_a: f32,
+}
+
+impl Step {
+    fn limit(self) -> Option<Limit> {
+        let direction = if self.wanted_a < 0.0 { -1.0 } else { 1.0 };
+        let missing_a = self.wanted_a.abs() - self.flows_a * direction;
+        if missing_a > MISSING * self.stall_a {
+            Some(Limit::Voltage)
+        } else if self.wanted_a.abs() < AT_LIMIT * self.limit_a {
+            None
+        } else if self.limit_a < self.stall_a {
+            Some(Limit::CommandTorque)
+        } else {
+            Some(Limit::StallCurrent)
+        }
+    }
+}
+
+/// Which limit acts, as it was told last.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Limits {
+    told: Option<Limit>,
+    /// For how long it has been another.
+    changed: Duration,
+}
+
+impl Limits {
+    /// Takes a step of so long, `None` with the output off. Gives the limit that has ended and the one that has
+    /// begun, if that has changed.
+    pub(super) fn observe(
+        &mut self,
+        step: Option<Step>,
+        span: Duration,
+    ) -> Option<(Option<Limit>, Option<Limit>)> {
+        let now = step.and_then(Step::limit);
+        if now == self.told {
+            self.changed = Duration::ZERO;
+            return None;
+        }
+        self.changed = self.changed + span;
+        // What is switched off is limited no more.
+        if self.changed < CONFIRM && step.is_some() {
+            return None;
+        }
+        self.changed = Duration::ZERO;
+        let ended = core::mem::replace(&mut self.told, now);
+        Some((ended, now))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FREE: Step = Step { wanted_a: 1.0, flows_a: 1.0, limit_a: 12.0, stall_a: 12.0 };
+    const STALL: Step = Step { wanted_a: -12.0, flows_a: -12.0, ..FREE };
+
+    /// What is told in so many steps of 1 ms, and when.
+    fn told(limits: &mut Limits, step: Option<Step>, millis: u32) -> Option<(u32, Option<Limit>)> {
+        let span = Duration::from_millis(1);
+        let told = (1..=millis).map(|at| (at, limits.observe(step, span)));
+        let mut told = told.filter_map(|(at, change)| Some((at, change?.1)));
+        let first = told.next();
+        assert_eq!(told.next(), None);
+        first
+    }
+
+    #[test]
+    fn a_limit_is_told_when_it_begins_and_when_it_ends() {
+        let mut limits = Limits::default();
+        assert_eq!(told(&mut limits, Some(FREE), 100), None);
+        assert_eq!(told(&mut limits, Some(STALL), 9), None);
+        assert_eq!(told(&mut limits, Some(FREE), 1), None);
+        assert_eq!(told(&mut limits, Some(STALL), 100), Some((10, Some(Limit::StallCurrent))));
+        assert_eq!(told(&mut limits, Some(FREE), 100), Some((10, None)));
+        assert_eq!(told(&mut limits, Some(STALL), 10), Some((10, Some(Limit::StallCurrent))));
+        assert_eq!(told(&mut limits, None, 100), Some((1, None)));
+    }
+
+    #[test]
+    fn each_limit_has_its_name() {
+        let by_command = Step { limit_a: 1.0, ..FREE };
+        assert_eq!(by_command.limit(), Some(Limit::CommandTorque));
+        let starved = Step { wanted_a: -10.0, flows_a: -9.0, ..FREE };
+        assert_eq!(starved.limit(), Some(Limit::Voltage));
+        let driven_back = Step { wanted_a: 1.0, flows_a: -1.0, ..FREE };
+        assert_eq!(driven_back.limit(), Some(Limit::Voltage));
+        assert_eq!(Step { flows_a: 0.9, ..FREE }.limit(), None);
+    }
+}
