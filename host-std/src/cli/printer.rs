@@ -46,26 +46,31 @@ impl Printer {
     /// # Errors
     /// What kept something before it from being written.
     pub(super) fn print(&'static self, text: impl Into<Vec<u8>>) -> io::Result<()> {
-        self.put(text, usize::MAX)
+        self.offer(text, usize::MAX).map(|_| ())
     }
 
     /// The same for what may be left out if the reader is slow.
     pub(super) fn show(&'static self, text: impl Into<Vec<u8>>) -> io::Result<()> {
-        self.put(text, ROOM)
+        self.offer(text, ROOM).map(|_| ())
     }
 
-    fn put(&'static self, text: impl Into<Vec<u8>>, room: usize) -> io::Result<()> {
+    /// Prints this unless so many pieces wait already; whether it does.
+    ///
+    /// # Errors
+    /// What kept something before it from being written.
+    pub(super) fn offer(&'static self, text: impl Into<Vec<u8>>, room: usize) -> io::Result<bool> {
         let mut state = self.state();
         state.check()?;
-        if state.waiting.len() < room {
-            state.waiting.push_back(text.into());
+        if state.waiting.len() >= room {
+            return Ok(false);
         }
+        state.waiting.push_back(text.into());
         if !state.has_thread {
             thread::Builder::new().spawn(|| self.write_all())?;
             state.has_thread = true;
         }
         self.changed.notify_all();
-        Ok(())
+        Ok(true)
     }
 
     /// Waits until all is written, or until `gives_up`. Says whether it is.

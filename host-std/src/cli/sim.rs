@@ -1,6 +1,7 @@
 //! `myactuator sim`: simulated drives for other programs, in real time.
 
 mod folders;
+mod log;
 mod options;
 mod places;
 
@@ -9,7 +10,6 @@ use std::io;
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use clap::{Args, ValueEnum};
 use myactuator_host_std::open::{BusAddress, Echo};
@@ -24,8 +24,9 @@ use myactuator_protocol_core::{Firmware, MotorId};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::arguments as parse;
-use super::{FAILED, Outcome, Unfinished, print_line, tell};
+use super::{FAILED, Outcome, Unfinished, interrupt, print_line, tell};
 use folders::{Links, MemoryFolder};
+use log::LogPrinter;
 use places::Place;
 
 /// How likely an adapter with `echo-noise` hears a byte that nobody sent, each time it switches.
@@ -75,8 +76,8 @@ Quirks: what drives were seen to do beside the manual
 /// Serve simulated drives to other programs, in real time
 ///
 /// The drives are on an RS485 line behind a pseudo-terminal, and on a CAN bus behind another one that
-/// speaks SLCAN. Those on RS485 and those on CAN are different drives with the same ids. Ends with
-/// Ctrl-C.
+/// speaks SLCAN. Those on RS485 and those on CAN are different drives with the same ids. What they
+/// ignore, refuse or suffer is told on the standard error. Ends with Ctrl-C.
 #[derive(Debug, Args)]
 #[command(after_help = FAULTS)]
 pub(super) struct Arguments {
@@ -128,7 +129,7 @@ pub(super) struct Arguments {
     /// that another simulation has is refused
     #[arg(long, value_name = "FOLDER")]
     link: Option<PathBuf>,
-    /// Tell where they are as one JSON object a line
+    /// Tell where they are, and what happens in them, as one JSON object a line
     #[arg(long)]
     json: bool,
 }
@@ -247,8 +248,10 @@ fn serve(arguments: &Arguments) -> Result<(), Failure> {
             printed => printed?,
         }
     }
+    let mut log = LogPrinter::new(arguments.json);
     server.run(stop, |notice| {
         let remedy = match notice {
+            Notice::Log(record) => return log.print(&record),
             Notice::WrongRate { asked, .. } => {
                 format!(", or start with --bit-rate {}", asked.bits_per_second())
             }
@@ -273,7 +276,7 @@ fn transceiver(quirks: &[String]) -> TransceiverConfig {
 /// once.
 fn stop_signal() -> io::Result<UnixStream> {
     let (told, tell) = UnixStream::pair()?;
-    let is_told = Arc::new(AtomicBool::new(false));
+    let is_told = interrupt::flag();
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         let now = i32::from(FAILED);
         signal_hook::flag::register_conditional_shutdown(signal, now, Arc::clone(&is_told))?;

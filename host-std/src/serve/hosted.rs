@@ -9,7 +9,7 @@ use myactuator_protocol_core::drive::Event;
 
 use crate::sim::bus::faults::{Babble, Direction, FaultPlan};
 use crate::sim::bus::{Medium, World};
-use crate::sim::{BusFleet, DriveHandle};
+use crate::sim::{BusFleet, DriveHandle, DriveLog, LogRecord};
 
 use super::planned_fault::{FaultKind, PlannedFault};
 
@@ -26,6 +26,9 @@ pub(super) trait Hosted: Debug {
     /// Lets something go wrong.
     fn strike(&mut self, fault: &PlannedFault);
 
+    /// What happened in the drives.
+    fn poll_log(&mut self) -> Vec<LogRecord>;
+
     /// Takes the supply from all drives, which store what they save then. Gives those that could not.
     fn power_off(&self) -> Vec<MotorId>;
 }
@@ -35,6 +38,7 @@ pub(super) trait Hosted: Debug {
 pub(super) struct Host<B: Medium> {
     world: World<B>,
     drives: Vec<DriveHandle>,
+    log: DriveLog,
     /// The plans of all drives that have none of their own, by direction.
     common: [FaultPlan; 2],
     /// Each drive's own plans.
@@ -46,6 +50,7 @@ impl<B: Medium> Host<B> {
         Self {
             world: fleet.world.clone(),
             drives: fleet.drives.clone(),
+            log: DriveLog::of(fleet),
             common: [FaultPlan::NONE; 2],
             own: vec![[None; 2]; fleet.drives.len()],
         }
@@ -111,6 +116,10 @@ impl<B: Medium> Hosted for Host<B> {
                 }
             }
         }
+    }
+
+    fn poll_log(&mut self) -> Vec<LogRecord> {
+        self.log.poll(self.world.now())
     }
 
     fn power_off(&self) -> Vec<MotorId> {

@@ -43,7 +43,7 @@ use rustix::io::Errno;
 use crate::port::{PortError, SocketCan};
 use crate::sim::bus::can::ControllerConfig;
 use crate::sim::bus::rs485::{SerialError, TransceiverConfig};
-use crate::sim::{CanFleet, LineFleet};
+use crate::sim::{CanFleet, LineFleet, LogRecord};
 use crate::text::slcan::Rate;
 
 use adapter::AdapterEnd;
@@ -85,7 +85,11 @@ pub struct Server {
 
 /// What the person in front of a server should know.
 #[derive(Clone, Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum Notice {
+    /// Something happened in a drive.
+    #[error("{0}")]
+    Log(LogRecord),
     /// The process was stopped or the computer was busy: simulated time has left out so much.
     #[error(
         "simulated time stood still for {:.1} s: the program was stopped, or the computer is too slow \
@@ -258,6 +262,9 @@ impl Server {
             self.strike(round - start);
             for end in &mut self.ends {
                 end.pump(notify)?;
+            }
+            for record in self.hosts.iter_mut().flat_map(|host| host.poll_log()) {
+                notify(Notice::Log(record));
             }
             let wait = self.patience(round - start);
             if self.wait(stop, wait)? {

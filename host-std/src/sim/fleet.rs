@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use myactuator_protocol_core::command::{BaudCode, ModelName, MotionRanges, VersionDate};
-use myactuator_protocol_core::drive::{Bus, Drive, FaultLimits, Gains, Parameters, Quirks};
+use myactuator_protocol_core::drive::{Bus, Drive, Event, FaultLimits, Gains, Parameters, Quirks};
 use myactuator_protocol_core::io::{AsyncCanMaster, AsyncSerialMaster, CanMaster, SerialMaster};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -401,6 +401,15 @@ impl DriveHandle {
     /// Its place on the bus, for faults of the wire.
     pub const fn station(&self) -> StationId {
         self.station
+    }
+
+    /// What has happened in the drive and when, and how many events were lost before; the drive itself is left
+    /// alone.
+    pub(super) fn take_events(&self) -> (Vec<(Instant, Event)>, u32) {
+        let mut seat = self.seat.lock().unwrap_or_else(PoisonError::into_inner);
+        let drive = &mut seat.drive;
+        let events = std::iter::from_fn(|| drive.poll_timed_event()).collect();
+        (events, drive.dropped().1)
     }
 
     /// Works on the drive as it is now: raise an error, push the shaft, look at the physics. What that leads

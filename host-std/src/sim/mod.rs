@@ -55,6 +55,7 @@
 
 pub mod bus;
 mod fleet;
+mod log;
 pub mod mechanics;
 pub mod memory;
 pub mod plant;
@@ -64,3 +65,4 @@ mod shaft;
 mod tests;
 
 pub use fleet::{BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive};
+pub use log::{DriveLog, LogRecord};

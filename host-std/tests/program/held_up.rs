@@ -26,7 +26,7 @@ fn speed(bus: &str, for_s: &str) -> Command {
 }
 
 /// A pipe that takes nothing more, and the end from which nobody reads.
-fn full_pipe() -> (io::PipeReader, io::PipeWriter) {
+pub(crate) fn full_pipe() -> (io::PipeReader, io::PipeWriter) {
     let (reader, mut writer) = io::pipe().unwrap();
     rustix::io::ioctl_fionbio(writer.as_fd(), true).unwrap();
     for size in [4096, 1] {

@@ -6,4 +6,5 @@ mod held_up;
 mod motors;
 mod readme;
 mod run;
+mod sim_log;
 mod sim_serve;

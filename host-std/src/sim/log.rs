@@ -1,0 +1,288 @@
+//! A log of what drives did, and of what they did not and why.
+
+use std::fmt;
+use std::mem::discriminant;
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::drive::Event;
+use myactuator_protocol_core::packet::Channel;
+use myactuator_protocol_core::time::{Duration, Instant};
+use serde::Serialize;
+
+use super::bus::Medium;
+use super::{BusFleet, DriveHandle};
+
+/// Records of the same are told once, and then counted for so long.
+const FOLD: Duration = Duration::from_secs(1);
+/// So many different things are counted of each drive at once.
+const MOST_COUNTED: usize = 16;
+
+/// Something that happened in a drive: ignored, refused, limited, faulted, restarted.
+///
+/// As text a line for people, with the reason and what to do about it; as JSON an object.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LogRecord {
+    /// When, in simulated time; in JSON in microseconds.
+    #[serde(rename = "at_us")]
+    pub at: Instant,
+    /// [The bus's name](BusFleet::name).
+    pub bus: String,
+    /// The id that the drive started with.
+    pub motor: MotorId,
+    /// How often it happened. What happens again is told at most once a second, with its number.
+    pub count: u32,
+    /// So many events before this one were lost, as nobody asked for them in time.
+    pub lost: u32,
+    /// What happened; of several the last.
+    pub event: Event,
+}
+
+impl fmt::Display for LogRecord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { at, bus, motor, count, lost, event } = self;
+        let (seconds, micros) = (at.as_micros() / 1_000_000, at.as_micros() % 1_000_000);
+        write!(f, "{seconds}.{micros:06} s  {bus} motor {motor} {event}")?;
+        if *count > 1 {
+            write!(f, " ({count} times)")?;
+        }
+        if *lost > 0 {
+            write!(f, " ({lost} events before it were lost)")?;
+        }
+        Ok(())
+    }
+}
+
+/// Collects what happens in the drives of a bus, from its making on.
+///
+/// It takes the events from the drives: what it tells, [`poll_event`] does not tell again. A drive keeps
+/// [16 events](myactuator_protocol_core::drive::QUEUE_LENGTH), so ask often.
+///
+/// ```
+/// use myactuator_host_std::protocol::MotorId;
+/// use myactuator_host_std::protocol::command::Torque;
+/// use myactuator_host_std::protocol::io::Runner;
+/// use myactuator_host_std::protocol::units::Current;
+/// use myactuator_host_std::sim::{DriveLog, Fleet};
+///
+/// let fleet = Fleet::new(1).brakes(true).on_can(1_000_000)?;
+/// let mut log = DriveLog::of(&fleet);
+/// let current = Current::from_amperes(1.0)?;
+/// fleet.master::<1>().set_point_and_wait(MotorId::new(1)?, Torque { current })?;
+/// let told = log.poll(fleet.world.now());
+/// assert!(told[0].to_string().contains("can motor 1 answers torque (0xA1) and does not run it: its brake is locked"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// [`poll_event`]: myactuator_protocol_core::drive::Drive::poll_event
+#[derive(Debug)]
+pub struct DriveLog {
+    bus: String,
+    drives: Vec<Watched>,
+}
+
+#[derive(Debug)]
+struct Watched {
+    drive: DriveHandle,
+    /// How many events it had lost when this was last told.
+    lost: u32,
+    recent: Vec<Recent>,
+}
+
+/// Something that was told, and what is like it since.
+#[derive(Debug)]
+struct Recent {
+    told: Instant,
+    last: (Instant, Event),
+    count: u32,
+}
+
+impl DriveLog {
+    /// A log of these drives. What happened before is left out.
+    pub fn of<B: Medium>(fleet: &BusFleet<B>) -> Self {
+        let watch = |drive: &DriveHandle| {
+            let (_, lost) = drive.take_events();
+            Watched { drive: drive.clone(), lost, recent: Vec::new() }
+        };
+        Self { bus: fleet.name.clone(), drives: fleet.drives.iter().map(watch).collect() }
+    }
+
+    /// What is to be told at `now`, by drive and then by time.
+    pub fn poll(&mut self, now: Instant) -> Vec<LogRecord> {
+        let mut records = Vec::new();
+        for watched in &mut self.drives {
+            let motor = watched.drive.motor();
+            let mut tell = |at, event, count, lost| {
+                records.push(LogRecord { at, bus: self.bus.clone(), motor, count, lost, event });
+            };
+            let (events, lost) = watched.drive.take_events();
+            let mut newly_lost = lost.wrapping_sub(std::mem::replace(&mut watched.lost, lost));
+            for (at, event) in events {
+                watched.tell_counted(at, &mut tell);
+                let alike = |recent: &&mut Recent| is_alike(&recent.last.1, &event);
+                if let Some(recent) = watched.recent.iter_mut().find(alike) {
+                    recent.last = (at, event);
+                    recent.count += 1;
+                } else {
+                    tell(at, event, 1, std::mem::take(&mut newly_lost));
+                    if watched.recent.len() < MOST_COUNTED {
+                        watched.recent.push(Recent { told: at, last: (at, event), count: 0 });
+                    }
+                }
+            }
+            watched.tell_counted(now, &mut tell);
+        }
+        records
+    }
+}
+
+impl Watched {
+    /// Tells how often things came again, when their second is over. What did not is forgotten.
+    fn tell_counted(&mut self, now: Instant, tell: &mut impl FnMut(Instant, Event, u32, u32)) {
+        self.recent.retain_mut(|recent| {
+            if now - recent.told < FOLD {
+                return true;
+            }
+            let count = std::mem::take(&mut recent.count);
+            if count > 0 {
+                let (at, event) = recent.last;
+                tell(at, event, count, 0);
+                recent.told = now;
+            }
+            count > 0
+        });
+    }
+}
+
+/// Whether two events are the same to whoever reads: what a command asked for makes no difference.
+fn is_alike(a: &Event, b: &Event) -> bool {
+    match (a, b) {
+        (
+            Event::Ignored { packet, reason },
+            Event::Ignored { packet: other, reason: other_reason },
+        ) => {
+            // A motion command begins with its position.
+            let is_motion = matches!(packet.channel, Channel::Motion(_));
+            packet.channel == other.channel
+                && (is_motion || packet.data[0] == other.data[0])
+                && discriminant(reason) == discriminant(other_reason)
+        }
+        (Event::TargetLimited { opcode, .. }, Event::TargetLimited { opcode: other, .. }) => {
+            opcode == other
+        }
+        (a, b) => a == b,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::Fleet;
+    use crate::sim::plant::{EndStop, Load};
+    use myactuator_protocol_core::command::{
+        AbsolutePosition, ForcePosition, FunctionControl, RawMotion, Reset, Shutdown,
+    };
+    use myactuator_protocol_core::drive::{Limit, NotRunReason};
+    use myactuator_protocol_core::io::Runner;
+    use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
+
+    const MOTOR: MotorId = MotorId::MIN;
+
+    #[test]
+    fn a_command_refused_500_times_a_second_is_a_line_with_its_number_a_second() {
+        let fleet = Fleet::new(1).brakes(true).name("arm").on_can(1_000_000).unwrap();
+        let mut log = DriveLog::of(&fleet);
+        let mut master = fleet.master::<1>();
+        let mut told = Vec::new();
+        for tick in 0..1_250_u32 {
+            let motion = RawMotion { position: tick as u16, ..RawMotion::decode(&[0; 8]) };
+            master.set_point(MOTOR, motion).unwrap();
+            let next = master.now() + Duration::from_millis(2);
+            master.run_until(next, |_| {}).unwrap();
+            told.extend(log.poll(fleet.world.now()));
+        }
+        let counts: Vec<u32> = told.iter().map(|record| record.count).collect();
+        // At 0, 1 and 2 s; the rest of the third second is told when that is over.
+        assert_eq!(counts.len(), 3, "{told:?}");
+        assert_eq!(counts[0], 1);
+        assert!(counts[1..].iter().all(|count| (499..=501).contains(count)), "{counts:?}");
+        fleet.world.run_for(Duration::from_secs(1));
+        let rest: Vec<u32> = log.poll(fleet.world.now()).iter().map(|it| it.count).collect();
+        assert_eq!(counts.iter().sum::<u32>() + rest[0], 1_250);
+        fleet.world.run_for(Duration::from_secs(5));
+        assert_eq!(log.poll(fleet.world.now()), []);
+        let Event::NotRun { reason, .. } = told[0].event else { panic!("{}", told[0]) };
+        assert_eq!(reason, NotRunReason::BrakeLocked);
+        assert!(told[1].to_string().contains("s  arm motor 1 answers motion and does not run it"));
+        assert!(told[1].to_string().ends_with(&format!("({} times)", counts[1])), "{}", told[1]);
+    }
+
+    #[test]
+    fn limits_are_told_when_they_begin_and_when_they_end() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let wall = EndStop { at_deg: 0.0, stiffness_nm_per_rad: 200.0, restitution: 0.0 };
+        let load = Load { upper_stop: Some(wall), ..Load::NONE };
+        fleet.drives[0].with(|drive| drive.plant_mut().set_load(load)).unwrap();
+        let mut log = DriveLog::of(&fleet);
+        let mut master = fleet.master::<1>();
+        let mut told = || {
+            fleet.world.run_for(Duration::from_millis(500));
+            let records = log.poll(fleet.world.now());
+            records.into_iter().map(|record| record.event).collect::<Vec<_>>()
+        };
+        let max_speed = MaxSpeed::from_dps(100.0).unwrap();
+        let angle = Angle::from_degrees(90.0).unwrap();
+        let max_torque = MaxTorque::from_percent(20.0).unwrap();
+        master.ask(MOTOR, ForcePosition { max_torque, max_speed, angle }).unwrap();
+        assert_eq!(told(), [Event::Limited(Limit::CommandTorque)]);
+        master.ask(MOTOR, Shutdown).unwrap();
+        assert_eq!(told(), [Event::Unlimited(Limit::CommandTorque)]);
+
+        master.ask(MOTOR, FunctionControl::MaxPositiveAngle(500)).unwrap();
+        assert_eq!(told(), []);
+        master.ask(MOTOR, AbsolutePosition { max_speed, angle }).unwrap();
+        let limited = told();
+        let [Event::TargetLimited { asked_deg: 90.0, limit_deg: 5.0, .. }] = limited[..] else {
+            panic!("{limited:?}");
+        };
+    }
+
+    #[test]
+    fn records_have_their_time_and_are_json() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut log = DriveLog::of(&fleet);
+        let mut master = fleet.master::<1>();
+        let asked = master.now();
+        master.ask(MOTOR, Reset).unwrap();
+        fleet.world.run_for(Duration::from_millis(1));
+        let told = log.poll(fleet.world.now());
+        // A frame of 8 bytes takes 111 µs and up to 24 stuff bits.
+        let after = told[0].at - asked;
+        assert!((111..=135).contains(&after.as_micros()), "{after}");
+        let json = serde_json::to_value(&told[0]).unwrap();
+        let expected = serde_json::json!({
+            "at_us": told[0].at.as_micros(),
+            "bus": "can",
+            "motor": 1,
+            "count": 1,
+            "lost": 0,
+            "event": "reset",
+        });
+        assert_eq!(json, expected);
+    }
+
+    #[test]
+    fn what_was_lost_is_told() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut log = DriveLog::of(&fleet);
+        for _ in 0..20 {
+            fleet.drives[0].with(|drive| {
+                drive.raise_fault(myactuator_protocol_core::command::ErrorFlags::OVER_SPEED);
+                drive.clear_fault(myactuator_protocol_core::command::ErrorFlags::OVER_SPEED);
+            });
+        }
+        let told = log.poll(fleet.world.now());
+        // Of 40 events 16 are kept.
+        assert_eq!(told[0].lost, 24);
+        assert!(told[0].to_string().ends_with("(24 events before it were lost)"), "{}", told[0]);
+    }
+}
