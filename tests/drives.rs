@@ -4,7 +4,6 @@ mod drives {
     mod fleet;
     mod loads;
     mod loops;
-    mod manual;
     mod mechanics;
     mod plant_loads;
     mod plant_physics;

@@ -1,0 +1,126 @@
+//! 1, 3, 4, 6, 7: who hears a command, and who answers where.
+
+use myactuator_protocol_core::command::*;
+use myactuator_protocol_core::drive::{Bus, Event, IgnoreReason, Parameters};
+use myactuator_protocol_core::opcode::ReplyRule;
+use myactuator_protocol_core::wire::rs485;
+use myactuator_protocol_core::{AnyReply, Channel, Kind, Opcode, Packet, Target};
+use myactuator_tests::bench::*;
+use myactuator_tests::values::*;
+use myactuator_tests::vectors::one_of_each;
+
+use super::commands::report;
+
+/// 2 to 7: each kind is answered as its row in the table says.
+#[test]
+fn every_kind_is_answered_by_its_rule() {
+    for command in one_of_each() {
+        let opcode = command.opcode().unwrap();
+        let reply = Bench::default().send(command);
+        let is_same = reply == Some(command.encode());
+        let is_answer = reply.is_some_and(|reply| {
+            Kind::Known(opcode).answers(&command.encode(), &reply)
+                && AnyReply::decode_as(opcode, &reply).is_ok()
+        });
+        let is_right = match opcode.reply_rule() {
+            ReplyRule::Same | ReplyRule::Acknowledge => is_same,
+            ReplyRule::Values => is_answer,
+            ReplyRule::Silent => reply.is_none(),
+            ReplyRule::Garbled => !is_same,
+            other => panic!("{opcode}: {other:?}"),
+        };
+        assert!(is_right, "{opcode}: {reply:02X?}");
+    }
+}
+
+/// 1.1.2, 4.4, 5.3: replies come at 0x240 + ID, those to 0x300 at 0x300, those to 0x400 + ID at
+/// 0x500 + ID.
+#[test]
+fn replies_come_on_their_channels() {
+    let mut bench = Bench::default();
+    let mut channel = |channel, data| bench.exchange(channel, data)[0].channel;
+    let command = Channel::Command(ID.into());
+    assert_eq!(channel(command, ReadStatus2.encode()), Channel::Reply(ID));
+    assert_eq!(channel(Channel::Command(Target::All), ReadStatus2.encode()), Channel::Reply(ID));
+    assert_eq!(channel(Channel::BusId, BusId::Read.encode()), Channel::BusId);
+    assert_eq!(channel(Channel::Motion(ID), [0x80; 8]), Channel::MotionReply(ID));
+}
+
+/// 1.1.2: a command at another's identifier, and another's reply, change nothing.
+#[test]
+fn what_is_for_others_is_not_heard() {
+    let mut bench = Bench::default();
+    for channel in [
+        Channel::Command(Target::Motor(id(2))),
+        Channel::Motion(id(2)),
+        Channel::Reply(ID),
+        Channel::MotionReply(ID),
+    ] {
+        assert_eq!(bench.exchange(channel, [0xA2, 0, 0, 0, 0x10, 0x27, 0, 0]), []);
+    }
+    assert!(!bench.state().output_on);
+    assert_eq!(bench.events, [Event::Started]);
+}
+
+/// 3.2, 6.2: all drives obey a command to all, and each replies under its own id.
+#[test]
+fn a_command_to_all_is_obeyed_and_answered_by_each() {
+    for bus in [Bus::Can, Bus::Rs485] {
+        for motor in (1..=4).map(id) {
+            let mut bench = Bench::new(Parameters { id: motor, bus, ..Parameters::default() });
+            let packets = bench.exchange(Channel::Command(Target::All), Shutdown.encode());
+            let channel = Channel::Reply(motor);
+            assert_eq!(packets, [Packet { channel, data: Shutdown.encode() }]);
+        }
+    }
+}
+
+/// 4.4, 7.4: 0x79 reads the id, on CAN as a reply identifier and on RS485 bare, and sets it.
+#[test]
+fn the_bus_id_is_read_and_set() {
+    for (bus, told) in [(Bus::Can, [0x42, 0x02]), (Bus::Rs485, [0, 2])] {
+        let mut bench = Bench::new(Parameters { bus, ..Parameters::default() });
+        assert_eq!(bench.send(BusId::Write(id(2))), Some(BusId::Write(id(2)).encode()));
+        bench.restart();
+        let replies = bench.exchange(Channel::BusId, BusId::Read.encode());
+        let data = [0x79, 0, 1, 0, 0, 0, told[0], told[1]];
+        assert_eq!(replies, [Packet { channel: Channel::BusId, data }]);
+        let line = rs485::Frame::from_packet(&replies[0]).unwrap();
+        assert_eq!(line.address, Target::All);
+    }
+}
+
+/// 4.1: all that are connected take a new id; their replies, which look like commands, end there.
+#[test]
+fn several_drives_take_the_same_id_and_do_not_answer_each_other() {
+    let mut motors = [1, 2].map(|n| Bench::new(Parameters { id: id(n), ..Parameters::default() }));
+    for data in [BusId::Read.encode(), BusId::Write(id(5)).encode()] {
+        let mut bus = vec![data];
+        let mut packets = 0;
+        while let Some(data) = bus.pop() {
+            packets += 1;
+            assert!(packets <= 3, "they answer each other");
+            for bench in &mut motors {
+                let replies = bench.exchange(Channel::BusId, data);
+                bus.extend(replies.iter().map(|reply| reply.data));
+            }
+        }
+        assert_eq!(packets, 3);
+    }
+    for bench in &motors {
+        assert_eq!(bench.drive.stored_settings().id, id(5));
+    }
+}
+
+/// 2.34.1: CAN only; RS485 does not have it. 5: nor motion mode.
+#[test]
+fn active_reply_and_motion_are_not_on_rs485() {
+    let mut bench = Bench::on_rs485();
+    bench.send(report(Opcode::ReadStatus2, Switch::On, 1));
+    bench.send(RawMotion::decode(&[0x80; 8]));
+    bench.run(millis(100));
+    assert!(bench.sent.is_empty());
+    let can_only = |opcode| move |event: &Event| matches!(event, Event::Ignored { reason: IgnoreReason::CanOnly(o), .. } if *o == opcode);
+    assert!(bench.events.iter().any(can_only(Opcode::ActiveReply)));
+    assert!(bench.events.iter().any(can_only(Opcode::Motion)));
+}

@@ -1,0 +1,84 @@
+//! 2.6 to 2.16, 2.29, 2.30, 2.33: a reading tells what is measured.
+
+use myactuator_protocol_core::command::*;
+use myactuator_protocol_core::drive::Parameters;
+use myactuator_protocol_core::units::*;
+use myactuator_tests::bench::*;
+use myactuator_tests::values::*;
+
+use super::commands::TURN;
+
+/// 2.11.3: single-turn encoder position, raw position and offset.
+#[test]
+fn the_single_turn_encoder_tells_all_three() {
+    let mut bench = Bench::default();
+    bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(9_355) });
+    bench.restart();
+    bench.turn_to(f64::from(16_384 + 11_454) * 360.0 / f64::from(TURN));
+    let reading = bench.ask(ReadSingleTurnEncoder);
+    let told = [reading.position, reading.raw, reading.offset].map(SingleTurnPulses::raw);
+    assert_eq!(told, [2_099, 11_454, 9_355]); // the manual's example, 2.11.4
+}
+
+/// 2.12.3: the angle counts turns, in 0.01 degrees; 2.13.3: within a turn it grows clockwise and begins
+/// anew; 2.15.3: feedback tells it in degrees up to ±32767.
+#[test]
+fn the_angle_counts_turns_and_feedback_saturates() {
+    let mut bench = Bench::default();
+    for (angle, fine, within_a_turn, coarse) in [
+        (0.0, 0, 0, 0),
+        (100.0, 10_000, 10_000, 100),
+        (360.0, 36_000, 0, 360),
+        (400.0, 40_000, 4_000, 400),
+        (-90.0, -9_000, 27_000, -90),
+        (-725.5, -72_550, 35_450, -726),
+        (40_000.0, 4_000_000, 4_000, 32_767),
+        (-40_000.0, -4_000_000, 32_000, -32_767),
+    ] {
+        bench.turn_to(angle);
+        assert_eq!(bench.ask(ReadMultiTurnAngle).angle.raw(), fine);
+        let told = bench.ask(ReadSingleTurnAngle).angle.raw();
+        assert!(told.abs_diff(within_a_turn) <= 1, "{angle}: {told}");
+        assert_eq!(bench.feedback().angle.raw(), coarse);
+    }
+}
+
+/// 2.14.3, 2.16.3: temperatures, brake command, voltage, errors and phase currents are what is measured.
+#[test]
+fn status_tells_what_is_measured() {
+    let mut bench = Bench::with_brake();
+    let sensors = &mut bench.drive.plant_mut().sensors;
+    sensors.motor_temperature_c = 50.0;
+    sensors.mos_temperature_c = 61.0;
+    sensors.supply_voltage_v = 48.5;
+    bench.write(ReleaseBrake);
+    bench.raise(ErrorFlags::ENCODER_CALIBRATION);
+    let status = bench.ask(ReadStatus1);
+    assert_eq!((status.temperature.raw(), status.mosfet_temperature.raw()), (50, 61));
+    assert_eq!((status.voltage.raw(), status.errors), (485, ErrorFlags::ENCODER_CALIBRATION));
+    bench.drive.clear_fault(ErrorFlags::all());
+    bench.write(ReleaseBrake);
+    bench.go(push(2.0), millis(20));
+    let status = bench.ask(ReadStatus3);
+    let phases =
+        [status.phase_a_current, status.phase_b_current, status.phase_c_current].map(Current::raw);
+    assert_eq!(phases, [200, -100, -100]);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::RELEASE);
+    bench.write(LockBrake);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::LOCK);
+}
+
+/// 2.29.3: run time in ms since the start. 2.30, 2.33: version date and model are those of the drive.
+#[test]
+fn system_reads_tell_what_the_drive_is() {
+    let mut bench = Bench::new(Parameters {
+        version_date: VersionDate::from_raw(20_220_206),
+        ..Parameters::default()
+    });
+    bench.run(millis(1_234));
+    assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 1_234);
+    assert_eq!(bench.ask(ReadVersionDate).version_date.raw(), 20_220_206);
+    assert_eq!(bench.ask(ReadModel).model.as_str(), Some("X8S2V10"));
+    bench.power_cycle();
+    assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 1);
+}

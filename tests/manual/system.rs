@@ -1,0 +1,174 @@
+//! 2.26 to 2.34: restart, brake, protection, bit rate, active replies.
+
+use myactuator_protocol_core::command::*;
+use myactuator_protocol_core::drive::{Event, NotRunReason};
+use myactuator_protocol_core::units::*;
+use myactuator_protocol_core::{Channel, Opcode};
+use myactuator_tests::bench::*;
+use myactuator_tests::values::*;
+
+use super::commands::report;
+
+/// 2.26: 0x76 restarts the program: no reply, no mode, run time from 0; and what nothing says is saved ends:
+/// active replies and error reporting.
+#[test]
+fn a_reset_starts_anew() {
+    let mut bench = Bench::default();
+    bench.run(millis(10_000));
+    bench.ask(push(0.1));
+    bench.write(FunctionControl::ErrorReporting(Switch::On));
+    bench.send(report(Opcode::ReadStatus2, Switch::On, 1));
+    bench.restart();
+    assert!(!bench.state().output_on);
+    assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 5);
+    assert!(bench.events.contains(&Event::Reset));
+    bench.sent.clear();
+    bench.raise(ErrorFlags::OVER_VOLTAGE);
+    bench.run(millis(300));
+    assert!(bench.sent.is_empty(), "{:?}", bench.sent);
+    assert!(bench.send(ReadStatus2).is_some());
+}
+
+/// 2.27, 2.28: 0x77 lets the shaft go, 0x78 locks it, and without power it is locked.
+#[test]
+fn the_brake_holds_and_lets_go() {
+    let mut bench = Bench::with_brake();
+    bench.drive.plant_mut().load_nm = 1.0;
+    bench.run(millis(100));
+    assert_eq!(bench.angle(), 0.0);
+    bench.write(ReleaseBrake);
+    bench.run(millis(100));
+    assert!(bench.angle() > 1.0);
+    bench.write(LockBrake);
+    let held = bench.angle();
+    bench.run(millis(100));
+    assert_eq!(bench.angle(), held);
+    bench.write(ReleaseBrake);
+    bench.drive.power_off(bench.now);
+    let held = bench.drive.plant().angle_rad;
+    bench.run(millis(100));
+    assert_eq!(bench.drive.plant().angle_rad, held);
+}
+
+/// 2.28.1: with the brake locked the motor cannot run on.
+#[test]
+fn locking_the_brake_ends_the_run() {
+    let mut bench = Bench::with_brake();
+    bench.go(turn(100.0), millis(200));
+    assert!(bench.speed() > 90.0);
+    bench.write(LockBrake);
+    assert!(!bench.state().output_on);
+    bench.write(Stop); // holds already, and must not open it
+    assert_eq!(bench.not_run(), None, "which is no refusal");
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::LOCK);
+}
+
+fn protected() -> Bench {
+    let mut bench = Bench::with_brake();
+    let timeout = Milliseconds::from_raw(100);
+    bench.write(CommunicationLossProtection { timeout });
+    bench.ask(turn(100.0));
+    bench
+}
+
+/// 2.31.1: beyond the set time without a command the output is cut and the brake locked.
+#[test]
+fn communication_loss_cuts_and_locks() {
+    let mut bench = protected();
+    for _ in 0..20 {
+        bench.run(millis(90));
+        bench.feedback(); // a read keeps it running
+    }
+    assert!(bench.speed() > 99.0);
+    bench.run(millis(94));
+    assert!(bench.state().output_on);
+    bench.run(millis(3));
+    let state = bench.state();
+    assert!(!state.output_on && state.communication_lost);
+    assert_eq!((state.brake, state.measurement.speed_dps), (BrakeCommand::LOCK, 0.0));
+    assert_eq!(bench.events.last(), Some(&Event::ProtectionTripped));
+}
+
+/// 2.31.1: to run again, steady communication must be established first.
+#[test]
+fn the_motor_runs_again_only_once_communication_is_steady() {
+    let mut bench = protected();
+    bench.run(millis(200));
+    let go = turn(100.0);
+    bench.ask(go);
+    bench.write(ReleaseBrake);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::LOCK, "third command, but a read");
+    assert!(bench.events.contains(&Event::ProtectionRecovered));
+    assert!(!bench.state().output_on, "old commands must not come alive");
+    bench.run(millis(200));
+    for _ in 0..5 {
+        bench.run(millis(150)); // too far apart to be steady
+        bench.ask(go);
+        assert_eq!(bench.not_run(), Some(NotRunReason::CommunicationLost));
+    }
+    bench.ask(go);
+    assert_eq!(bench.not_run(), Some(NotRunReason::CommunicationLost));
+    bench.ask(go); // the third in a row
+    assert_eq!(bench.not_run(), None);
+    assert!(bench.state().output_on);
+}
+
+/// 2.31.1, 2.31.4: 0 switches the protection off, and the motor goes on with its command. It is kept.
+#[test]
+fn without_protection_the_motor_goes_on() {
+    let mut bench = protected();
+    bench.power_cycle();
+    assert_eq!(bench.drive.settings().protection_timeout.raw(), 100);
+    bench.write(CommunicationLossProtection { timeout: Milliseconds::from_raw(0) });
+    bench.go(turn(100.0), millis(10_000));
+    assert!(bench.speed() > 99.0);
+}
+
+/// 2.32: the rate is kept in ROM and acts when the drive is powered on again; a code that is not valid on the
+/// bus changes nothing.
+#[test]
+fn the_bit_rate_is_kept_and_acts_after_the_next_start() {
+    let mut bench = Bench::default();
+    let slow = BaudCode::CAN_500K_RS485_115200;
+    let reply = bench.send(SetBaudRate { baud_rate: slow }).unwrap();
+    assert_eq!(reply[0], 0xB4);
+    assert_eq!(bench.drive.bit_rate(), Some(1_000_000));
+    assert!(!bench.events.contains(&Event::BitRateChanged(slow)));
+    bench.power_cycle();
+    assert_eq!(bench.drive.baud_rate(), slow);
+    assert_eq!(bench.drive.bit_rate(), Some(500_000));
+    assert!(bench.events.contains(&Event::BitRateChanged(slow)));
+    assert_eq!(bench.send(SetBaudRate { baud_rate: BaudCode::RS485_1M }), None);
+    bench.power_cycle();
+    assert_eq!(bench.drive.baud_rate(), slow);
+    let mut bench = Bench::on_rs485();
+    bench.send(SetBaudRate { baud_rate: BaudCode::RS485_1M });
+    assert_eq!(bench.drive.bit_rate(), Some(500_000));
+    bench.restart();
+    assert_eq!(bench.drive.bit_rate(), Some(1_000_000));
+}
+
+/// 2.34.1: listed commands are sent by themselves at the interval, in turn; polls of them are not
+/// answered; switched off it ends.
+#[test]
+fn active_replies_take_turns() {
+    let mut bench = Bench::default();
+    bench.send(report(Opcode::ReadMultiTurnEncoder, Switch::On, 2));
+    bench.send(report(Opcode::ReadStatus2, Switch::On, 2));
+    bench.sent.clear();
+    bench.run(millis(100));
+    let bytes: Vec<u8> = bench.sent.iter().map(|(_, packet)| packet.data[0]).collect();
+    assert_eq!(bytes, [0x60, 0x9C, 0x60, 0x9C, 0x60]);
+    for pair in bench.sent.windows(2) {
+        assert_eq!(pair[1].0 - pair[0].0, millis(20));
+    }
+    assert!(bench.sent.iter().all(|(_, packet)| packet.channel == Channel::Reply(ID)));
+    assert_eq!(bench.send(ReadStatus2), None);
+    assert!(bench.send(ReadMultiTurnAngle).is_some(), "others are answered");
+    bench.send(report(Opcode::ReadMultiTurnEncoder, Switch::Off, 0));
+    bench.send(report(Opcode::ReadStatus2, Switch::Off, 0));
+    bench.sent.clear();
+    bench.run(millis(100));
+    assert!(bench.sent.is_empty());
+    assert!(bench.send(ReadStatus2).is_some());
+}
