@@ -124,3 +124,69 @@ fn active_reply_and_motion_are_not_on_rs485() {
     assert!(bench.events.iter().any(can_only(Opcode::ActiveReply)));
     assert!(bench.events.iter().any(can_only(Opcode::Motion)));
 }
+
+/// 1.1.1: CAN runs at 1 Mbit/s, and code 1 (2.32.4) is that rate.
+#[test]
+fn a_new_drive_speaks_at_1_mbit_per_second() {
+    let rate = Bench::default().drive.baud_rate();
+    assert_eq!((rate.raw(), rate.can_bits_per_second()), (1, Some(1_000_000)));
+}
+
+/// 3.1, 6.1: a command to all has the content and the effect of the one to a single motor.
+#[test]
+fn a_command_to_all_is_one_to_each() {
+    for bus in [Bus::Can, Bus::Rs485] {
+        for command in one_of_each() {
+            let opcode = command.opcode().unwrap();
+            if [Opcode::Motion, Opcode::BusId].contains(&opcode) {
+                continue; // 5 has no identifier for all, 4 and 7 no other.
+            }
+            let after = |target| {
+                let mut bench = Bench::new(Parameters { bus, ..Parameters::default() });
+                let packet = command.packet(target).unwrap();
+                let replies = bench.exchange(packet.channel, packet.data);
+                bench.run(millis(100));
+                (replies, bench.state(), *bench.drive.stored_settings())
+            };
+            assert_eq!(after(Target::All), after(ID.into()), "{opcode} on {bus:?}");
+        }
+    }
+}
+
+/// 2.1.4, 2.4.4, 2.22.1, 2.34.2, 2.35.4, 4.1: what is not among those that the manual names has neither
+/// effect nor answer.
+#[test]
+fn what_the_manual_does_not_name_has_no_answer() {
+    let mut bench = Bench::default();
+    let before = *bench.drive.stored_settings();
+    let unnamed: [(u8, &[u8]); 7] = [
+        (0x30, &[0, 3, 6, 10, 255]),
+        (0x31, &[0, 3, 6, 10, 255]),
+        (0x32, &[0, 3, 6, 10, 255]),
+        (0x42, &[4, 255]),
+        (0x43, &[4, 255]),
+        (0x20, &[0, 8, 255]),
+        // 0x9E is in the list of 2.34.2 and is no command of this manual; 0x30 is one, and not in it.
+        (0xB6, &[0x9E, 0x30, 0]),
+    ];
+    for (byte, codes) in unnamed {
+        for &code in codes {
+            let data = [byte, code, 1, 1, 0xE8, 3, 0, 0];
+            assert_eq!(bench.exchange(Channel::Command(ID.into()), data), [], "{data:02X?}");
+        }
+    }
+    for direction in [2, 255] {
+        let data = [0xA6, direction, 100, 0, 0x10, 0x27, 0, 0];
+        assert_eq!(bench.exchange(Channel::Command(ID.into()), data), [], "{data:02X?}");
+    }
+    for id in [0, 33, 255] {
+        assert_eq!(bench.exchange(Channel::BusId, [0x79, 0, 0, 0, 0, 0, 0, id]), [], "{id}");
+    }
+    // 9: 0xA3 and 0xA5 were commands of earlier versions.
+    for byte in [0xA3, 0xA5, 0x00, 0xFF] {
+        let data = [byte, 0, 0, 0, 1, 0, 0, 0];
+        assert_eq!(bench.exchange(Channel::Command(ID.into()), data), [], "{byte:#X}");
+    }
+    assert_eq!(*bench.drive.stored_settings(), before);
+    assert!(!bench.state().output_on);
+}

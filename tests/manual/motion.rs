@@ -316,3 +316,41 @@ fn motion_mode_is_a_spring_a_damper_and_a_torque() {
     assert!((feedback.torque_nm + 5.0).abs() < 0.03, "{}", feedback.torque_nm);
     assert!(feedback.velocity_rad_s.abs() < 0.03);
 }
+
+/// 2.22.1, 2.23.1, 2.24.1: maxSpeed, in dps, is the highest speed of these three as well.
+#[test]
+fn no_position_command_exceeds_its_speed() {
+    let to = within_a_turn(Direction::CLOCKWISE, 90.0);
+    let commands: [AnyCommand; 3] = [
+        SingleTurnPosition { max_speed: up_to(100), ..to }.into(),
+        IncrementalPosition { max_speed: up_to(100), ..on_by(90.0) }.into(),
+        ForcePosition { max_speed: up_to(100), ..force_to(90.0, 100) }.into(),
+    ];
+    for command in commands {
+        let mut bench = Bench::default();
+        bench.send(command);
+        let fastest = most(&mut bench, millis(1_500), |measured| measured.speed_dps);
+        assert!((99.0..103.0).contains(&fastest), "{command}: {fastest}");
+        assert!((bench.angle() - 90.0).abs() < 0.02, "{command}: {}", bench.angle());
+    }
+}
+
+/// 2.23.1: "the current position is the starting point", also of a motor that is on its way.
+#[test]
+fn an_incremental_position_counts_from_where_the_shaft_is() {
+    let mut bench = Bench::default();
+    bench.go(go_to(360.0, 100), millis(1_000));
+    let here = bench.angle();
+    assert!((50.0..110.0).contains(&here), "{here}");
+    ends_at(&mut bench, on_by(90.0), here + 90.0);
+}
+
+/// 2.21.1, 2.24.1: with 0xA9, too, the direction follows from target and position.
+#[test]
+fn a_force_position_is_gone_to_from_either_side() {
+    let mut bench = Bench::default();
+    for target in [360.0, -360.0, 0.0] {
+        bench.go(force_to(target, 100), millis(2_500));
+        assert!((bench.angle() - f64::from(target)).abs() < 0.02, "{target}: {}", bench.angle());
+    }
+}

@@ -2,11 +2,13 @@
 
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::Parameters;
+use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::*;
 use myactuator_tests::bench::*;
 use myactuator_tests::values::*;
+use myactuator_tests::vectors::one_of_each;
 
-use super::commands::TURN;
+use super::commands::{TURN, within_a_turn};
 
 /// 2.11.3: single-turn encoder position, raw position and offset.
 #[test]
@@ -81,4 +83,47 @@ fn system_reads_tell_what_the_drive_is() {
     assert_eq!(bench.ask(ReadModel).model.as_str(), Some("X8S2V10"));
     bench.power_cycle();
     assert_eq!(bench.ask(ReadRunTime).run_time.raw(), 1);
+}
+
+/// 2.15.4, 2.19.4 to 2.24.4: 50 °C, 1 A, 500 dps and 45 degrees, and the same backwards, are told in the
+/// bytes of the examples, by 0x9C and by every command that is answered with feedback.
+#[test]
+fn feedback_is_that_of_the_examples() {
+    let forwards = [50, 0x64, 0x00, 0xF4, 0x01, 0x2D, 0x00];
+    let backwards = [50, 0x9C, 0xFF, 0x0C, 0xFE, 0xD3, 0xFF];
+    for (sign, rest) in [(1.0, forwards), (-1.0, backwards)] {
+        for command in one_of_each() {
+            let byte = command.encode()[0];
+            if ![0x9C, 0xA1, 0xA2, 0xA4, 0xA8, 0xA9].contains(&byte) {
+                continue;
+            }
+            let mut bench = turning(sign as f32, 45.0 * sign);
+            let [opcode, told @ ..] = bench.send(command).unwrap();
+            assert_eq!((opcode, told), (byte, rest), "{byte:#X}");
+        }
+        // 2.22.4: 1000 pulses beyond the motor shaft's zero, in place of the angle.
+        let mut bench = turning(sign as f32, 1_000.0 * 360.0 / f64::from(TURN));
+        let to = within_a_turn(Direction::CLOCKWISE, 360.0);
+        let told = bench.send(to).unwrap();
+        assert_eq!((told[0], &told[1..6]), (0xA6, &rest[..5]));
+        assert_eq!(told[6..], [0xE8, 0x03]);
+    }
+}
+
+/// A motor of 50 °C that passes this angle with 500 dps and 1 A, forwards (1) or backwards (-1).
+fn turning(sign: f32, angle_deg: f64) -> Bench {
+    let mut bench = Bench::default();
+    let motor = bench.drive.plant_mut();
+    motor.sensors.motor_temperature_c = 50.0;
+    // So heavy that no command changes its speed.
+    motor.inertia_kg_m2 = 1e9;
+    motor.friction_nm_s = 0.0;
+    bench.ask(push(sign));
+    let speed_dps = 500.0 * f64::from(sign);
+    let motor = bench.drive.plant_mut();
+    motor.speed_rad_s = speed_dps.to_radians();
+    // A step of the loops is 0.1 ms, and the next one ends at this angle.
+    motor.set_angle_deg(angle_deg - speed_dps * 1e-4);
+    bench.run(Duration::from_micros(100));
+    bench
 }

@@ -141,3 +141,44 @@ fn the_current_position_becomes_the_zero_after_a_reset() {
     bench.restart();
     assert_eq!(bench.told_angle(), 0.0);
 }
+
+/// 2.9.1: a zero that 0x63 writes is in ROM; 2.9.1, 2.10.1: targets count from the new zero.
+#[test]
+fn a_zero_is_kept_and_targets_count_from_it() {
+    for by_0x64 in [false, true] {
+        let mut bench = Bench::default();
+        bench.turn_to(90.0);
+        match by_0x64 {
+            false => bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(TURN / 4) }),
+            true => drop(bench.ask(SetCurrentPositionZero)),
+        }
+        bench.power_cycle();
+        assert_eq!(bench.ask(ReadMultiTurnEncoderOffset).offset.raw(), TURN / 4);
+        assert_eq!(bench.told_angle(), 0.0);
+        bench.go(go_to(45.0, 500), millis(1_500));
+        assert!((bench.told_angle() - 45.0).abs() < 0.02, "{}", bench.told_angle());
+        let shaft = bench.drive.plant().angle_deg();
+        assert!((shaft - 135.0).abs() < 0.02, "{shaft}");
+    }
+}
+
+/// 2.3.1, 2.5.1, 2.9.1, 2.10.1, 2.31.1, 2.35.1 advise against writing while the motor moves. They forbid
+/// nothing, so that it works.
+#[test]
+fn what_is_written_while_the_motor_moves_is_kept() {
+    let mut bench = Bench::default();
+    bench.go(turn(90.0), millis(500));
+    bench.write(WritePidRom { index: PidIndex::SPEED_KI, value: gain(0.25) });
+    plan(&mut bench, AccelerationIndex::SPEED_DECELERATION, 4_321);
+    bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(77) });
+    bench.write(FunctionControl::MaxPositiveAngle(123_456));
+    bench.write(CommunicationLossProtection { timeout: Milliseconds::from_raw(60_000) });
+    assert!(bench.speed() > 80.0, "{}", bench.speed());
+    bench.power_cycle();
+    let kept = bench.drive.settings();
+    assert_eq!(kept.gains.speed_ki, gain(0.25));
+    assert_eq!(kept.accelerations.speed_deceleration.raw(), 4_321);
+    assert_eq!(kept.zero_offset.raw(), 77);
+    assert_eq!(kept.max_positive_angle, Some(Angle::from_raw(123_456)));
+    assert_eq!(kept.protection_timeout.raw(), 60_000);
+}
