@@ -1,4 +1,5 @@
-//! What the manual says that a drive does, sentence by sentence, a module a subject.
+//! What the manual says that a drive does, sentence by sentence, a module a subject; and whether the
+//! list of its requirements, in `requirements/`, is whole and true.
 //!
 //! The documentation of each test gives the section of its sentence and its meaning. Motor of the
 //! drives here: ideal, 0.02 kg·m², 2 N·m/A, friction 0.05 N·m·s; rated current 6 A, stall current
@@ -11,6 +12,7 @@ mod manual {
     mod functions;
     mod motion;
     mod readings;
+    mod requirements;
     mod stored;
     mod system;
 }

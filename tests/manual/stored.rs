@@ -162,12 +162,16 @@ fn a_zero_is_kept_and_targets_count_from_it() {
     }
 }
 
-/// 2.3.1, 2.5.1, 2.9.1, 2.10.1, 2.31.1, 2.35.1 advise against writing while the motor moves. They forbid
+/// 2.2.1, 2.3.1, 2.5.1, 2.9.1, 2.10.1, 2.31.1, 2.35.1 advise against writing while the motor moves. They forbid
 /// nothing, so that it works.
 #[test]
 fn what_is_written_while_the_motor_moves_is_kept() {
     let mut bench = Bench::default();
     bench.go(turn(90.0), millis(500));
+    bench.write(WritePidRam { index: PidIndex::SPEED_KI, value: gain(0.5) });
+    assert_eq!(bench.ask(ReadPid { index: PidIndex::SPEED_KI }).value, gain(0.5));
+    let here = bench.ask(SetCurrentPositionZero).offset;
+    assert_eq!(bench.drive.stored_settings().zero_offset, here);
     bench.write(WritePidRom { index: PidIndex::SPEED_KI, value: gain(0.25) });
     plan(&mut bench, AccelerationIndex::SPEED_DECELERATION, 4_321);
     bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(77) });

@@ -6,6 +6,7 @@ pub mod dice;
 pub mod emulator;
 pub mod fleet;
 pub mod listen;
+pub mod requirements;
 pub mod rig;
 pub mod script;
 pub mod values;

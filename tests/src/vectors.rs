@@ -128,10 +128,15 @@ pub fn one_of_each() -> Vec<AnyCommand> {
 const KINDS: &str = include_str!("../vectors/kinds.txt");
 const INDENT: &str = "    ";
 
+/// The headings of the manual's table of contents, section and title, in its order.
+pub fn headings() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let headings = KINDS.lines().filter(|line| !line.starts_with(INDENT));
+    headings.map(|line| line.split_once(' ').expect("number and heading"))
+}
+
 /// The headings of the manual's table of contents by section.
 pub fn sections() -> BTreeMap<&'static str, &'static str> {
-    let headings = KINDS.lines().filter(|line| !line.starts_with(INDENT));
-    headings.map(|line| line.split_once(' ').expect("number and heading")).collect()
+    headings().collect()
 }
 
 /// A line below a heading in `kinds.txt`.

@@ -1,0 +1,198 @@
+//! Proves that the list of requirements is whole: every section of the manual is there, none is
+//! without a test unless it says why, and what is named exists. That the tests have run as well,
+//! `.ci/manual` looks up in what `cargo test` printed.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use myactuator_tests::requirements::TEXT;
+use myactuator_tests::vectors::headings;
+
+/// A line of the list and those below it.
+#[derive(Debug)]
+struct Requirement {
+    section: &'static str,
+    number: u32,
+    /// By their names, words included.
+    tests: Vec<&'static str>,
+    decided: Option<&'static str>,
+    untested: Option<&'static str>,
+}
+
+/// The list.
+#[derive(Default)]
+struct List {
+    /// The words that stand for tests.
+    words: BTreeMap<&'static str, Vec<&'static str>>,
+    headings: Vec<(&'static str, &'static str)>,
+    requirements: Vec<Requirement>,
+    /// Sections that say why they require nothing.
+    empty: BTreeSet<&'static str>,
+}
+
+impl List {
+    fn read() -> Self {
+        let mut list = Self::default();
+        let begin = TEXT.find("\n# 1 ").expect("a first chapter") + 1;
+        let (introduction, chapters) = TEXT.split_at(begin);
+        for line in introduction.lines().filter_map(|line| line.strip_prefix("  - ")) {
+            let (word, tests) = line.split_once(": ").expect(line);
+            list.words.insert(word, tests.split(", ").map(unquoted).collect());
+        }
+        for line in chapters.lines().filter(|line| !line.is_empty()) {
+            list.read_line(line).unwrap_or_else(|expected| panic!("expected {expected}: {line}"));
+        }
+        list
+    }
+
+    fn read_line(&mut self, line: &'static str) -> Result<(), &'static str> {
+        if line.starts_with('#') {
+            let (hashes, heading) = line.split_once(' ').ok_or("a heading")?;
+            let (section, title) = heading.split_once(' ').ok_or("a section and its title")?;
+            let depth = section.split('.').count();
+            if hashes.len() != depth {
+                return Err("a # for each number of the section");
+            }
+            self.headings.push((section, title));
+        } else if let Some(why) = line.strip_prefix("No requirement: ") {
+            let section = self.headings.last().ok_or("a heading before")?.0;
+            let is_new = self.empty.insert(section);
+            (is_new && why.ends_with('.')).then_some(()).ok_or("one reason, with a full stop")?;
+        } else if let Some(line) = line.strip_prefix("- **") {
+            let (id, rest) = line.split_once("** ").ok_or("- **ID** WHO: TEXT")?;
+            let (section, number) = id.split_once('-').ok_or("an id as 2.4.3-1")?;
+            if self.headings.last().map(|heading| heading.0) != Some(section) {
+                return Err("an id of the section that it stands in");
+            }
+            let number = number.parse().map_err(|_| "an id as 2.4.3-1")?;
+            let (who, text) = rest.split_once(": ").ok_or("who is bound")?;
+            let is_said = text.ends_with('.') && ["frame", "drive", "master"].contains(&who);
+            is_said.then_some(()).ok_or("frame, drive or master, and a sentence")?;
+            let tests = Vec::new();
+            let (decided, untested) = (None, None);
+            self.requirements.push(Requirement { section, number, tests, decided, untested });
+        } else {
+            let (key, value) = line.trim_start().split_once(": ").ok_or("a line of the list")?;
+            let of = self.requirements.last_mut().ok_or("a requirement before")?;
+            let order = "test, decided and untested in this order, each once";
+            match key {
+                "- test" if of.tests.is_empty() && (of.decided, of.untested) == (None, None) => {
+                    of.tests = value.split(", ").map(unquoted).collect();
+                }
+                "- decided" if (of.decided, of.untested) == (None, None) => {
+                    of.decided = Some(value);
+                }
+                "- untested" if of.untested.is_none() => of.untested = Some(value),
+                _ => return Err(order),
+            }
+        }
+        Ok(())
+    }
+
+    /// The tests that a requirement or a word names.
+    fn tests(&self) -> BTreeSet<&'static str> {
+        let of_requirements = self.requirements.iter().flat_map(|of| &of.tests);
+        let named = of_requirements.chain(self.words.values().flatten()).copied();
+        named.filter(|test| !self.words.contains_key(test)).collect()
+    }
+}
+
+fn unquoted(name: &'static str) -> &'static str {
+    name.trim_matches('`')
+}
+
+#[test]
+fn every_section_of_the_manual_is_there() {
+    let list = List::read();
+    assert_eq!(list.headings, headings().collect::<Vec<_>>());
+    for (section, title) in &list.headings {
+        let below = format!("{section}.");
+        let has_sections = list.headings.iter().any(|(other, _)| other.starts_with(&below));
+        let has_lines = list.requirements.iter().any(|of| of.section == *section);
+        let says_why = list.empty.contains(section);
+        assert!(
+            has_lines != says_why || (has_sections && !says_why),
+            "{section} {title}: needs lines, or one that begins with \"No requirement: \""
+        );
+    }
+}
+
+#[test]
+fn ids_are_unique_and_grow() {
+    for pair in List::read().requirements.windows(2) {
+        let [before, of] = pair else { unreachable!("windows of 2") };
+        let grows = of.section != before.section || of.number > before.number;
+        assert!(grows, "{}-{} does not stand in order", of.section, of.number);
+    }
+}
+
+#[test]
+fn none_is_without_a_test_unless_it_says_why() {
+    for of in List::read().requirements {
+        let why = "needs \"  - test: \" or \"  - untested: \"";
+        assert!(!of.tests.is_empty() || of.untested.is_some(), "{of:?} {why}");
+    }
+}
+
+/// The file in which a test's program or package has this name's module, or the one around it.
+fn source(test: &str) -> Option<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut parts = test.split("::").peekable();
+    let mut at = match parts.peek()? {
+        &"myactuator_protocol_core" => root.join("../protocol-core/src"),
+        &"myactuator_host_std" => root.join("../host-std/src"),
+        &program if root.join(program).exists() => root.to_path_buf(),
+        _ => root.join("../host-std/tests"),
+    };
+    if test.starts_with("myactuator_") {
+        parts.next();
+    }
+    let mut found = None;
+    for part in parts {
+        at.push(part);
+        let files = [at.with_extension("rs"), at.join("mod.rs")];
+        found = files.into_iter().find(|file| file.is_file()).or(found);
+    }
+    found
+}
+
+/// For whoever misspells one. Whether it ran is known only to who ran it: `.ci/manual`.
+#[test]
+fn each_named_test_is_in_the_sources() {
+    for test in List::read().tests() {
+        let file = source(test).unwrap_or_else(|| panic!("{test}: there is no such program"));
+        let text = std::fs::read_to_string(&file).expect("a source");
+        let name = test.rsplit("::").next().unwrap();
+        let begin = ["(", "<"].iter().find_map(|end| text.find(&format!("fn {name}{end}")));
+        let begin = begin.unwrap_or_else(|| panic!("{test}: {} has no such test", file.display()));
+        let attributes = text[..begin].rsplit("\n\n").next().unwrap();
+        assert!(!attributes.contains("#[ignore"), "{test} is ignored");
+    }
+}
+
+#[test]
+fn each_word_for_tests_is_used() {
+    let list = List::read();
+    for word in list.words.keys() {
+        let is_used = list.requirements.iter().any(|of| of.tests.contains(word));
+        assert!(is_used, "{word} stands for tests that no line names");
+    }
+}
+
+/// `drive::decisions` says what a drive does, below the heading that a line names.
+#[test]
+fn each_named_decision_is_there() {
+    let decisions = include_str!("../../protocol-core/src/drive/decisions.rs");
+    let headings: BTreeSet<_> =
+        decisions.lines().filter_map(|line| line.strip_prefix("//! # ")).collect();
+    let mut named = BTreeSet::new();
+    for of in List::read().requirements {
+        let Some((_, heading)) = of.decided.unwrap_or("").split_once("`drive::decisions`, ") else {
+            continue;
+        };
+        let heading = heading.trim_end_matches('.');
+        assert!(headings.contains(heading), "{}-{}: no {heading}", of.section, of.number);
+        named.insert(heading);
+    }
+    assert_eq!(named, headings, "every heading of drive::decisions is named");
+}
