@@ -81,6 +81,8 @@ fn the_bus_id_is_read_and_set() {
     for (bus, told) in [(Bus::Can, [0x42, 0x02]), (Bus::Rs485, [0, 2])] {
         let mut bench = Bench::new(Parameters { bus, ..Parameters::default() });
         assert_eq!(bench.send(BusId::Write(id(2))), Some(BusId::Write(id(2)).encode()));
+        let before = bench.exchange(Channel::BusId, BusId::Read.encode())[0].data;
+        assert_eq!(BusId::decode_reply(&before).unwrap().id(), ID, "not before a restart");
         bench.restart();
         let replies = bench.exchange(Channel::BusId, BusId::Read.encode());
         let data = [0x79, 0, 1, 0, 0, 0, told[0], told[1]];

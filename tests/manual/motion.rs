@@ -58,6 +58,8 @@ fn torque_sets_the_current() {
 #[test]
 fn torque_needs_the_brake_released_first() {
     let mut bench = Bench::with_brake();
+    bench.ask(RawMotion::decode(&[0xFF; 8]));
+    assert_eq!(bench.not_run(), Some(NotRunReason::BrakeLocked), "motion mode is torque, too");
     bench.ask(push(1.0));
     assert_eq!(bench.not_run(), Some(NotRunReason::BrakeLocked));
     bench.run(millis(100));
@@ -262,7 +264,7 @@ fn an_incremental_position_adds_up() {
 /// the stall current it is not limited.
 #[test]
 fn a_force_position_limits_its_torque() {
-    for (limit, largest) in [(10, 0.6), (60, 3.6), (255, 12.0)] {
+    for (limit, largest) in [(0, 0.0), (10, 0.6), (60, 3.6), (255, 12.0)] {
         let mut bench = Bench::default();
         bench.drive.plant_mut().load_nm = -30.0; // more than any limit lifts
         bench.ask(force_to(360.0, limit));

@@ -39,6 +39,8 @@ fn the_angle_counts_turns_and_feedback_saturates() {
     ] {
         bench.turn_to(angle);
         assert_eq!(bench.ask(ReadMultiTurnAngle).angle.raw(), fine);
+        let pulses = (angle * f64::from(TURN) / 360.0).round() as i32;
+        assert_eq!(bench.ask(ReadMultiTurnEncoder).position.raw(), pulses);
         let told = bench.ask(ReadSingleTurnAngle).angle.raw();
         assert!(told.abs_diff(within_a_turn) <= 1, "{angle}: {told}");
         assert_eq!(bench.feedback().angle.raw(), coarse);

@@ -138,10 +138,10 @@ fn none_is_without_a_test_unless_it_says_why() {
 fn source(test: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut parts = test.split("::").peekable();
-    let mut at = match parts.peek()? {
-        &"myactuator_protocol_core" => root.join("../protocol-core/src"),
-        &"myactuator_host_std" => root.join("../host-std/src"),
-        &program if root.join(program).exists() => root.to_path_buf(),
+    let mut at = match *parts.peek()? {
+        "myactuator_protocol_core" => root.join("../protocol-core/src"),
+        "myactuator_host_std" => root.join("../host-std/src"),
+        program if root.join(program).exists() => root.to_path_buf(),
         _ => root.join("../host-std/tests"),
     };
     if test.starts_with("myactuator_") {

@@ -116,6 +116,7 @@ fn position_is_raw_less_offset_after_a_restart() {
     let mut bench = Bench::default();
     bench.write(SetEncoderZero { offset: EncoderPulses::from_raw(TURN / 4) });
     assert_eq!(bench.told_angle(), 0.0);
+    assert_eq!(bench.ask(ReadMultiTurnEncoderOffset).offset.raw(), 0);
     bench.restart();
     assert_eq!(bench.told_angle(), -90.0);
     bench.turn_to(180.0);

@@ -3,11 +3,11 @@
 use myactuator_protocol_core::command::*;
 use myactuator_protocol_core::drive::{Event, NotRunReason};
 use myactuator_protocol_core::units::*;
-use myactuator_protocol_core::{Channel, Opcode};
+use myactuator_protocol_core::{AnyCommand, Channel, Opcode};
 use myactuator_tests::bench::*;
 use myactuator_tests::values::*;
 
-use super::commands::report;
+use super::commands::{force_to, on_by, report, within_a_turn};
 
 /// 2.26: 0x76 restarts the program: no reply, no mode, run time from 0; and what nothing says is saved ends:
 /// active replies and error reporting.
@@ -153,7 +153,7 @@ fn the_bit_rate_is_kept_and_acts_after_the_next_start() {
 #[test]
 fn active_replies_take_turns() {
     let mut bench = Bench::default();
-    bench.send(report(Opcode::ReadMultiTurnEncoder, Switch::On, 2));
+    bench.send(report(Opcode::ReadMultiTurnEncoder, Switch::On, 9)); // the last one holds for both
     bench.send(report(Opcode::ReadStatus2, Switch::On, 2));
     bench.sent.clear();
     bench.run(millis(100));
@@ -171,4 +171,43 @@ fn active_replies_take_turns() {
     bench.run(millis(100));
     assert!(bench.sent.is_empty());
     assert!(bench.send(ReadStatus2).is_some());
+}
+
+/// 2.19.1 asks for 0x77 before torque only: speed and position commands open the brake themselves, and 0x80
+/// locks it again, which leaves one open that 0x77 has opened.
+#[test]
+fn what_opened_the_brake_decides_whether_0x80_locks_it() {
+    let commands: [AnyCommand; 5] = [
+        turn(90.0).into(),
+        go_to(90.0, 500).into(),
+        within_a_turn(Direction::CLOCKWISE, 90.0).into(),
+        on_by(90.0).into(),
+        force_to(90.0, 100).into(),
+    ];
+    for command in commands {
+        for by_0x77 in [false, true] {
+            let mut bench = Bench::with_brake();
+            if by_0x77 {
+                bench.write(ReleaseBrake);
+            }
+            bench.send(command);
+            bench.run(millis(200));
+            assert!(bench.angle() > 5.0, "{command}: {}", bench.angle());
+            bench.write(Shutdown);
+            let expected = if by_0x77 { BrakeCommand::RELEASE } else { BrakeCommand::LOCK };
+            assert_eq!(bench.ask(ReadStatus1).brake, expected, "{command}");
+        }
+    }
+}
+
+/// 2.14.3, 2.27.3, 2.28.3: a motor without a brake answers 0x77 and 0x78, turns on, and says "released".
+#[test]
+fn a_motor_without_a_brake_is_released() {
+    let mut bench = Bench::default();
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::RELEASE);
+    bench.go(turn(90.0), millis(500));
+    bench.write(LockBrake);
+    bench.write(ReleaseBrake);
+    assert_eq!(bench.ask(ReadStatus1).brake, BrakeCommand::RELEASE);
+    assert!(bench.state().output_on && bench.speed() > 80.0, "{}", bench.speed());
 }
