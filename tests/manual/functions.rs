@@ -1,6 +1,7 @@
 //! 2.35: the functions of 0x20.
 
 use myactuator_protocol_core::command::*;
+use myactuator_protocol_core::drive::{FaultLimits, Parameters};
 use myactuator_protocol_core::{Channel, Target};
 use myactuator_tests::bench::*;
 use myactuator_tests::values::*;
