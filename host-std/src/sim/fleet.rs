@@ -1,48 +1,50 @@
 //! Several simulated drives on one bus.
 
-use std::collections::BTreeMap;
-use std::fmt;
-use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+mod of_model;
+mod on_bus;
+mod setup;
 
-use myactuator_protocol_core::command::{BaudCode, ModelName, MotionRanges, VersionDate};
-use myactuator_protocol_core::drive::{Bus, Drive, Event, FaultLimits, Gains, Parameters, Quirks};
-use myactuator_protocol_core::io::{AsyncCanMaster, AsyncSerialMaster, CanMaster, SerialMaster};
-use myactuator_protocol_core::master::Config;
-use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::wire::rs485::Receiver;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+
+use myactuator_protocol_core::command::{MotionRanges, VersionDate};
+use myactuator_protocol_core::drive::{Bus, Drive, Quirks};
+use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Firmware, MotorId};
 
-use crate::sim::bus::can::{CanBus, CanPort, ControllerConfig};
-use crate::sim::bus::rs485::{Rs485Line, SerialPort, TransceiverConfig};
-use crate::sim::bus::{Medium, Node, SimClock, StationId, World};
+use crate::sim::bus::can::{CanBus, ControllerConfig};
+use crate::sim::bus::rs485::{Rs485Line, TransceiverConfig};
+use crate::sim::bus::{Medium, Node, World};
 use crate::sim::memory::{DriveMemory, StoreError};
 use crate::sim::plant::{Load, MotorParameters, ParameterError, SimulatedMotor};
 use crate::sim::seat::Seat;
-use crate::sim::shaft::ShaftFile;
+
+pub use on_bus::{BusFleet, CanFleet, DriveHandle, LineFleet};
+pub use setup::MotorSetup;
+
+use on_bus::Serving;
+use setup::{MemoryFiles, Surroundings};
 
 /// A drive with its physics and its memory.
 pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;
 
-/// The default model.
-const DEFAULT_MODEL: &str = "RMD-X8-PRO";
-
-/// The speed loop's bandwidth that factory gains aim at, rad/s.
-const BANDWIDTH_RAD_S: f32 = 1_000.0;
+/// The model of motors that nobody gave another.
+const USUAL_MODEL: &str = "RMD-X8-PRO";
 
 /// Why drives cannot be simulated as asked.
 #[derive(Debug, thiserror::Error)]
 pub enum FleetError {
-    /// The model's figures make no motor, or the load or the start angle cannot be.
+    /// A model's figures make no motor, or a load or a start angle cannot be.
     #[error("{0}")]
     Model(#[from] ParameterError),
-    /// A load is for a motor that is not there.
-    #[error("there is a load for motor {motor}, but the ids of the fleet are 1 to {count}")]
+    /// A motor was set up that is not there.
+    #[error("motor {motor} was set up, but the fleet's motors are {motors}")]
     NoSuchMotor {
-        /// The motor that the load is for.
+        /// The id that none has.
         motor: MotorId,
-        /// How many motors there are.
-        count: u8,
+        /// The ids that there are.
+        motors: MotorSet,
     },
     /// The file of a drive's memory cannot be read.
     #[error("{0}")]
@@ -50,46 +52,29 @@ pub enum FleetError {
 }
 
 /// What is to be simulated. Build it up, then put it on a bus.
+///
+/// What is said of motors is said of all that there are, or with [`motor`](Self::motor) of one; what is said
+/// last counts.
 #[derive(Clone, Debug)]
 pub struct Fleet {
     name: Option<String>,
-    count: u8,
-    /// The id of all, if they share one.
-    shared_id: Option<MotorId>,
-    model: Option<MotorParameters>,
-    firmware: Option<Firmware>,
-    motion_ranges: Option<MotionRanges>,
-    version_date: Option<VersionDate>,
-    quirks: Quirks,
-    response: (Duration, Duration),
+    motors: Vec<MotorSetup>,
+    /// One that was set up, and the motors there were, none of which it is.
+    missing: Option<(MotorId, MotorSet)>,
     seed: u64,
     memory_folder: Option<PathBuf>,
-    has_brake: bool,
-    load: Load,
-    loads_of: BTreeMap<MotorId, Load>,
-    start_angle_deg: f64,
 }
 
 impl Fleet {
-    /// So many motors, with ids from 1; at most 32.
+    /// So many motors of the usual kind, with ids from 1; at most 32.
     pub fn new(count: u8) -> Self {
-        Self {
-            name: None,
-            count: count.min(MotorId::COUNT as u8),
-            shared_id: None,
-            model: None,
-            firmware: None,
-            motion_ranges: None,
-            version_date: None,
-            quirks: Quirks::default(),
-            response: (Duration::from_micros(700), Duration::from_micros(900)),
-            seed: 1,
-            memory_folder: None,
-            has_brake: false,
-            load: Load::NONE,
-            loads_of: BTreeMap::new(),
-            start_angle_deg: 0.0,
-        }
+        Self::of(MotorId::all().take(count.into()).map(MotorSetup::new))
+    }
+
+    /// These motors. Several may have the same id, as they come from the factory with 1.
+    pub fn of(motors: impl IntoIterator<Item = MotorSetup>) -> Self {
+        let motors = motors.into_iter().collect();
+        Self { name: None, motors, missing: None, seed: 1, memory_folder: None }
     }
 
     /// On a bus of this name; else of "can" or "rs485".
@@ -99,54 +84,68 @@ impl Fleet {
         self
     }
 
+    /// The motors.
+    pub fn motors(&self) -> &[MotorSetup] {
+        &self.motors
+    }
+
+    fn all(mut self, change: impl FnMut(&mut MotorSetup)) -> Self {
+        self.motors.iter_mut().for_each(change);
+        self
+    }
+
+    /// Changes the motor with this id, or those that share it.
+    #[must_use]
+    pub fn motor(mut self, id: MotorId, change: impl FnMut(&mut MotorSetup)) -> Self {
+        let ids: MotorSet = self.motors.iter().map(|motor| motor.id).collect();
+        if !ids.contains(id) {
+            self.missing.get_or_insert((id, ids));
+        }
+        self.motors.iter_mut().filter(|motor| motor.id == id).for_each(change);
+        self
+    }
+
     /// All with this id, as motors come from the factory with 1, instead of one after the other.
     #[must_use]
-    pub fn all_with_id(mut self, id: MotorId) -> Self {
-        self.shared_id = Some(id);
-        self
+    pub fn all_with_id(self, id: MotorId) -> Self {
+        self.all(|motor| motor.id = id)
     }
 
     /// With motors of this model; else of the RMD-X8-PRO.
     #[must_use]
-    pub fn model(mut self, model: MotorParameters) -> Self {
-        self.model = Some(model);
-        self
+    pub fn model(self, model: MotorParameters) -> Self {
+        self.all(|motor| motor.model = Some(model.clone()))
     }
 
     /// With drives that speak this revision of the protocol; else their model's. One whose motion mode has
     /// no scales of its own (V4.4) needs [`motion_ranges`](Self::motion_ranges) too.
     #[must_use]
-    pub fn firmware(mut self, firmware: Firmware) -> Self {
-        self.firmware = Some(firmware);
-        self
+    pub fn firmware(self, firmware: Firmware) -> Self {
+        self.all(|motor| motor.firmware = Some(firmware))
     }
 
     /// With these scales of motion mode; else those of the model or of the firmware.
     #[must_use]
-    pub fn motion_ranges(mut self, ranges: MotionRanges) -> Self {
-        self.motion_ranges = Some(ranges);
-        self
+    pub fn motion_ranges(self, ranges: MotionRanges) -> Self {
+        self.all(|motor| motor.motion_ranges = Some(ranges))
     }
 
     /// With drives that report this version date (0xB2); else the one that is known of their firmware.
     #[must_use]
-    pub fn version_date(mut self, date: VersionDate) -> Self {
-        self.version_date = Some(date);
-        self
+    pub fn version_date(self, date: VersionDate) -> Self {
+        self.all(|motor| motor.version_date = Some(date))
     }
 
     /// With drives that behave so beside the manual.
     #[must_use]
-    pub fn quirks(mut self, quirks: Quirks) -> Self {
-        self.quirks = quirks;
-        self
+    pub fn quirks(self, quirks: Quirks) -> Self {
+        self.all(|motor| motor.quirks = quirks)
     }
 
     /// With drives that answer after between `min` and `max`; else after 0.7 to 0.9 ms.
     #[must_use]
-    pub fn response(mut self, min: Duration, max: Duration) -> Self {
-        self.response = (min, max);
-        self
+    pub fn response(self, min: Duration, max: Duration) -> Self {
+        self.all(|motor| motor.response = (min, max))
     }
 
     /// With this seed for everything that happens by chance. The same seed gives the same run.
@@ -157,7 +156,7 @@ impl Fleet {
     }
 
     /// With memories that outlive the process, in this folder: a file each of a drive's settings and of where
-    /// its shaft is.
+    /// its shaft is, named by the id that it starts with.
     #[must_use]
     pub fn memory_folder(mut self, folder: impl Into<PathBuf>) -> Self {
         self.memory_folder = Some(folder.into());
@@ -166,40 +165,35 @@ impl Fleet {
 
     /// With brakes, locked at first.
     #[must_use]
-    pub fn brakes(mut self, has_brake: bool) -> Self {
-        self.has_brake = has_brake;
-        self
+    pub fn brakes(self, has_brake: bool) -> Self {
+        self.all(|motor| motor.has_brake = has_brake)
     }
 
     /// With this load on each shaft; else with bare ones. A load can be changed later:
     /// [`SimulatedMotor::set_load`] through [`DriveHandle::with`].
     #[must_use]
-    pub fn load(mut self, load: Load) -> Self {
-        self.load = load;
-        self
+    pub fn load(self, load: Load) -> Self {
+        self.all(|motor| motor.load = load)
     }
 
-    /// With this load on one motor's shaft, instead of the others'. Where all [share an id](Self::all_with_id) it
-    /// is named by its place, from 1.
+    /// With this load on the shaft of the motor with this id.
     #[must_use]
-    pub fn load_of(mut self, motor: MotorId, load: Load) -> Self {
-        self.loads_of.insert(motor, load);
-        self
+    pub fn load_of(self, motor: MotorId, load: Load) -> Self {
+        self.motor(motor, |motor| motor.load = load)
     }
 
     /// With shafts that are at this angle at the start, degrees, turns included, up to ±10⁹; else at 0. Where
     /// a [`memory_folder`](Self::memory_folder) knows where a shaft was left, it is there instead.
     #[must_use]
-    pub fn start_angle_deg(mut self, angle_deg: f64) -> Self {
-        self.start_angle_deg = angle_deg;
-        self
+    pub fn start_angle_deg(self, angle_deg: f64) -> Self {
+        self.all(|motor| motor.start_angle_deg = angle_deg)
     }
 
     /// Puts the drives on a CAN bus in virtual time.
     ///
     /// # Errors
-    /// [`FleetError`]: the model's figures make no motor, a load or the start angle cannot be, a load is for a
-    /// motor that is not there, or a memory file cannot be read.
+    /// [`FleetError`]: a model's figures make no motor, a load or a start angle cannot be, a motor was set up
+    /// that is not there, or a memory file cannot be read.
     pub fn on_can(&self, bit_rate: u32) -> Result<CanFleet, FleetError> {
         let world = World::<CanBus>::new(bit_rate, self.seed);
         self.put_on(world, ControllerConfig::MAILBOXES, Bus::Can, bit_rate)
@@ -224,265 +218,39 @@ impl Fleet {
     where
         Seat: Node<B::Frame>,
     {
-        let model = self.made_model()?;
-        let count = self.count;
-        if let Some(&motor) = self.loads_of.keys().find(|motor| motor.get() > count) {
-            return Err(FleetError::NoSuchMotor { motor, count });
+        if let Some((motor, motors)) = self.missing {
+            return Err(FleetError::NoSuchMotor { motor, motors });
         }
-        let mut drives = Vec::new();
+        let usual_model = MotorParameters::named(USUAL_MODEL)?;
+        let mut drives: Vec<DriveHandle> = Vec::new();
         let serving: Arc<dyn Serving> = Arc::new(world.clone());
-        for place in MotorId::all().take(self.count.into()) {
-            let motor = self.shared_id.unwrap_or(place);
-            let seat = self.seat(&model, place, motor, (bus, bit_rate))?;
-            let seat = Arc::new(Mutex::new(seat));
+        for (setup, place) in self.motors.iter().zip(1_u64..) {
+            let motor = setup.id;
+            let namesakes = drives.iter().filter(|drive| drive.motor() == motor).count();
+            let surroundings = Surroundings {
+                bus,
+                bit_rate,
+                usual_model: &usual_model,
+                // A stream of chance of its own for each drive.
+                seed: self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(place),
+                files: self
+                    .memory_folder
+                    .as_ref()
+                    .map(|folder| MemoryFiles::of(folder, motor, namesakes)),
+            };
+            let seat = Arc::new(Mutex::new(setup.seat(surroundings)?));
             let station = world.attach_with(Arc::clone(&seat), attachment);
-            drives.push(DriveHandle { motor, station, seat, world: Arc::clone(&serving) });
+            drives.push(DriveHandle::new(motor, station, seat, Arc::clone(&serving)));
         }
         let kind = match bus {
             Bus::Can => "can",
             Bus::Rs485 => "rs485",
         };
         let name = self.name.clone().unwrap_or_else(|| kind.to_owned());
-        Ok(BusFleet { name, world, drives, firmware: model.firmware, bit_rate })
-    }
-
-    /// The model, with the firmware and the scales that were asked for.
-    fn made_model(&self) -> Result<MotorParameters, ParameterError> {
-        let mut model = match &self.model {
-            Some(model) => model.clone(),
-            None => MotorParameters::named(DEFAULT_MODEL)?,
-        };
-        if let Some(firmware) = self.firmware {
-            // The model's scales are those of its own.
-            (model.firmware, model.motion) = (firmware, None);
-        }
-        model.motion = self.motion_ranges.or(model.motion);
-        Ok(model)
-    }
-
-    /// The drive at this place among the others, which may share its id.
-    fn seat(
-        &self,
-        model: &MotorParameters,
-        place: MotorId,
-        motor: MotorId,
-        (bus, bit_rate): (Bus, u32),
-    ) -> Result<Seat, FleetError> {
-        let file =
-            |what| self.memory_folder.as_ref().map(|it| it.join(format!("{what}-{place}.json")));
-        let memory = file("motor").map_or(DriveMemory::Process(None), DriveMemory::File);
-        let shaft = file("shaft").map(ShaftFile::open).transpose()?;
-        // A stream of chance of its own for each drive.
-        let seed =
-            self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(u64::from(place.get()));
-        let of_model = parameters_of(model)?;
-        let parameters = Parameters {
-            id: motor,
-            bus,
-            baud_rate: baud_code(bus, bit_rate).unwrap_or(of_model.baud_rate),
-            version_date: self.version_date.unwrap_or(of_model.version_date),
-            response_delay_min: self.response.0,
-            response_delay_max: self.response.1,
-            quirks: self.quirks,
-            has_brake: self.has_brake,
-            seed: (seed ^ (seed >> 32)) as u32,
-            ..of_model
-        };
-        let mut plant = SimulatedMotor::new(model.clone())?;
-        plant.set_load(*self.loads_of.get(&place).unwrap_or(&self.load))?;
-        let kept_deg = shaft.as_ref().and_then(ShaftFile::kept_deg);
-        let angle_deg = kept_deg.unwrap_or(self.start_angle_deg);
-        plant.set_output_angle_deg(angle_deg).map_err(ParameterError::from)?;
-        let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
-        Ok(Seat { drive, receiver: Receiver::new(), shaft })
-    }
-}
-
-/// The code of the bit rate that a bus has, if the manual gives it one.
-fn baud_code(bus: Bus, bit_rate: u32) -> Option<BaudCode> {
-    let codes = [BaudCode::CAN_500K_RS485_115200, BaudCode::CAN_1M_RS485_500K, BaudCode::RS485_1M];
-    codes.into_iter().find(|&code| bus.bits_per_second(code) == Some(bit_rate))
-}
-
-/// A drive's parameters for a motor of this model: its firmware, limits, scales and factory gains.
-fn parameters_of(model: &MotorParameters) -> Result<Parameters, ParameterError> {
-    let rating = &model.rating;
-    let peak_a = rating.peak_current_a as f32;
-    let no_load_dps = (rating.no_load_speed_rpm * 6.0) as f32;
-    let supply_a = (rating.peak_torque_nm * rating.speed_rpm * std::f64::consts::TAU
-        / 60.0
-        / rating.voltage_v) as f32;
-    // A date that leads to no firmware where none is known of the model's.
-    let dates = model.firmware.version_dates();
-    let version_date = dates.first().copied().unwrap_or(VersionDate::from_raw(0));
-    Ok(Parameters {
-        model: model_name(&model.name),
-        firmware: model.firmware,
-        version_date,
-        motion_ranges: model.motion_ranges()?,
-        baud_rate: BaudCode::CAN_1M_RS485_500K,
-        encoder_bits: model.encoder.bits,
-        gear_ratio: model.gear.ratio,
-        torque_constant_nm_per_a: rating.torque_constant_nm_per_a as f32,
-        rated_current_a: rating.current_a as f32,
-        stall_current_a: peak_a,
-        max_speed_dps: no_load_dps,
-        limits: FaultLimits {
-            under_voltage_v: rating.min_voltage_v as f32 * 0.9,
-            over_voltage_v: rating.max_voltage_v as f32,
-            // Headroom over the peak current's phase amplitude.
-            over_current_a: peak_a * model.motor.current_scale.amplitude_per_ampere() as f32 * 1.5,
-            supply_current_a: supply_a.max(5.0) * 2.0,
-            over_speed_dps: no_load_dps * 1.5,
-            ..FaultLimits::default()
-        },
-        factory_gains: Gains::tuned(
-            model.inertia_kg_m2() as f32,
-            rating.torque_constant_nm_per_a as f32,
-            BANDWIDTH_RAD_S,
-        ),
-        ..Parameters::default()
-    })
-}
-
-/// Up to seven characters of the model's name, without the maker's "RMD-"; of a long one the ends, as the maker's
-/// catalogue has "X8-120" for the RMD-X8-P20-120.
-fn model_name(name: &str) -> ModelName {
-    let name = name.strip_prefix("RMD-").unwrap_or(name);
-    let mut bytes = [0; 7];
-    let ends = name.split_once('-').zip(name.rsplit_once('-'));
-    let short = match ends {
-        Some(((first, _), (_, last))) if name.len() > bytes.len() => format!("{first}-{last}"),
-        _ => name.to_owned(),
-    };
-    for (byte, character) in bytes.iter_mut().zip(short.bytes().filter(u8::is_ascii_graphic)) {
-        *byte = character;
-    }
-    ModelName::from_bytes(bytes)
-}
-
-/// A hand on one simulated drive.
-#[derive(Clone)]
-pub struct DriveHandle {
-    motor: MotorId,
-    station: StationId,
-    pub(super) seat: Arc<Mutex<Seat>>,
-    /// Where the drive is.
-    world: Arc<dyn Serving>,
-}
-
-/// A world, whatever its bus.
-trait Serving: Send + Sync {
-    /// Brings a node's own time up to now, and sends what it has to send.
-    fn serve(&self, node: StationId);
-}
-
-impl<B: Medium> Serving for World<B>
-where
-    B: Send + 'static,
-{
-    fn serve(&self, node: StationId) {
-        World::serve(self, node);
-    }
-}
-
-impl fmt::Debug for DriveHandle {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("DriveHandle").field("motor", &self.motor).finish_non_exhaustive()
-    }
-}
-
-impl DriveHandle {
-    /// The id that the drive started with.
-    pub const fn motor(&self) -> MotorId {
-        self.motor
-    }
-
-    /// Its place on the bus, for faults of the wire.
-    pub const fn station(&self) -> StationId {
-        self.station
-    }
-
-    /// What has happened in the drive and when, and how many events were lost before; the drive itself is left
-    /// alone.
-    pub(super) fn take_events(&self) -> (Vec<(Instant, Event)>, u32) {
-        let mut seat = self.seat.lock().unwrap_or_else(PoisonError::into_inner);
-        let drive = &mut seat.drive;
-        let events = std::iter::from_fn(|| drive.poll_timed_event()).collect();
-        (events, drive.dropped().1)
-    }
-
-    /// Works on the drive as it is now: raise an error, push the shaft, look at the physics. What that leads
-    /// to begins now. Not while the world runs in this thread.
-    pub fn with<T>(&self, work: impl FnOnce(&mut SimulatedDrive) -> T) -> T {
-        self.world.serve(self.station);
-        let mut seat = self.seat.lock().unwrap_or_else(PoisonError::into_inner);
-        let result = work(&mut seat.drive);
-        seat.drive.measure();
-        drop(seat);
-        self.world.serve(self.station);
-        result
-    }
-}
-
-/// Drives on a bus.
-#[derive(Debug)]
-pub struct BusFleet<B: Medium> {
-    /// What the bus is called.
-    pub name: String,
-    /// The bus and its clock.
-    pub world: World<B>,
-    /// The drives, in the order of their ids.
-    pub drives: Vec<DriveHandle>,
-    /// Bits per second.
-    pub bit_rate: u32,
-    firmware: Firmware,
-}
-
-/// Drives on a CAN bus.
-pub type CanFleet = BusFleet<CanBus>;
-
-/// Drives on an RS485 line.
-pub type LineFleet = BusFleet<Rs485Line>;
-
-impl<B: Medium> BusFleet<B> {
-    /// Runs async code on this bus; see [`World::block_on`].
-    pub fn block_on<F: Future>(&self, future: F) -> F::Output {
-        self.world.block_on(future)
-    }
-}
-
-impl CanFleet {
-    /// A master on this bus.
-    pub fn master<const N: usize>(&self) -> CanMaster<CanPort, SimClock<CanBus>, N> {
-        CanMaster::new(self.world.port(), self.world.clock(), self.config())
-    }
-
-    /// An async master on this bus, to be run within [`block_on`](Self::block_on).
-    pub fn async_master<const N: usize>(&self) -> AsyncCanMaster<CanPort, SimClock<CanBus>, N> {
-        AsyncCanMaster::new(self.world.port(), self.world.clock(), self.config())
-    }
-
-    fn config(&self) -> Config {
-        Config { firmware: self.firmware, ..Config::can(self.bit_rate) }
-    }
-}
-
-impl LineFleet {
-    /// A master on this line.
-    pub fn master<const N: usize>(&self) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        SerialMaster::new(self.world.port(), self.world.clock(), self.config())
-    }
-
-    /// An async master on this line, to be run within [`block_on`](Self::block_on).
-    pub fn async_master<const N: usize>(
-        &self,
-    ) -> AsyncSerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        AsyncSerialMaster::new(self.world.port(), self.world.clock(), self.config())
-    }
-
-    fn config(&self) -> Config {
-        Config { firmware: self.firmware, ..Config::rs485(self.bit_rate, false) }
+        // A master decodes all by one firmware.
+        let model = self.motors.first().map(|motor| motor.made_model(&usual_model));
+        let firmware = model.map_or(usual_model.firmware, |model| model.firmware);
+        Ok(BusFleet { name, world, drives, firmware, bit_rate })
     }
 }
 
@@ -588,11 +356,52 @@ mod tests {
         let shared = loaded(2).all_with_id(id(9)).on_can(1_000_000).unwrap();
         let found =
             shared.drives.iter().map(|it| it.with(|drive| drive.plant().load().inertia_kg_m2));
-        assert_eq!(found.collect::<Vec<_>>(), [1.0, 2.0, 1.0], "by their places");
+        assert_eq!(found.collect::<Vec<_>>(), [1.0, 2.0, 1.0], "they keep them");
         let error = loaded(4).on_can(1_000_000).unwrap_err().to_string();
-        assert_eq!(error, "there is a load for motor 4, but the ids of the fleet are 1 to 3");
+        assert_eq!(error, "motor 4 was set up, but the fleet's motors are 1 2 3");
         let error = Fleet::new(1).load(inertia(-1.0)).on_can(1_000_000).unwrap_err().to_string();
         assert!(error.starts_with("load inertia must be 0 to"), "{error}");
+    }
+
+    #[test]
+    fn motors_differ_and_their_ids_need_not_follow_one_another() {
+        let id = |number| MotorId::new(number).unwrap();
+        let x6 = MotorParameters::named("RMD-X6-P20-60").unwrap();
+        let fleet = Fleet::of([7, 3, 7].map(|number| MotorSetup::new(id(number))));
+        let fleet = fleet.brakes(true).motor(id(3), |motor| {
+            motor.model = Some(x6.clone());
+            motor.has_brake = false;
+            motor.start_angle_deg = 12.5;
+        });
+        let fleet = fleet.on_rs485(115_200).unwrap();
+        let found = fleet.drives.iter().map(|it| {
+            it.with(|drive| {
+                let parameters = drive.parameters();
+                let model = parameters.model.as_str().map(str::to_owned).unwrap();
+                (it.motor().get(), model, parameters.has_brake, drive.plant().output_angle_deg())
+            })
+        });
+        let x8 = (7, "X8-PRO".to_owned(), true, 0.0);
+        let expected = [x8.clone(), (3, "X6-60".to_owned(), false, 12.5), x8];
+        assert_eq!(found.collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn memories_are_named_by_the_first_id_of_a_drive() {
+        let folder = tempfile::tempdir().unwrap();
+        let ids = [9, 4, 9].map(|number| MotorSetup::new(MotorId::new(number).unwrap()));
+        let fleet = Fleet::of(ids).memory_folder(folder.path()).on_can(1_000_000).unwrap();
+        fleet.world.run_for(Duration::from_millis(10));
+        for (drive, angle_deg) in fleet.drives.iter().zip([1.0, 2.0, 3.0]) {
+            drive.with(|drive| drive.plant_mut().set_output_angle_deg(angle_deg)).unwrap();
+        }
+        drop(fleet);
+        for (name, angle_deg) in [("shaft-9", 1.0), ("shaft-4", 2.0), ("shaft-9-2", 3.0)] {
+            let file = folder.path().join(format!("{name}.json"));
+            let text = std::fs::read_to_string(&file).unwrap();
+            let kept: f64 = text.lines().nth(1).unwrap().parse().unwrap();
+            assert!((kept - angle_deg).abs() < 1e-9, "{name}: {kept}");
+        }
     }
 
     #[test]
@@ -615,27 +424,13 @@ mod tests {
     }
 
     #[test]
-    fn a_models_name_is_the_catalogues() {
-        let names = [
-            ("RMD-X8-PRO", "X8-PRO"),
-            ("RMD-X8-P20-120", "X8-120"),
-            ("RMD-X6-P20-60", "X6-60"),
-            ("RMD-X4", "X4"),
-            ("a name of my own", "anameof"),
-        ];
-        for (name, short) in names {
-            assert_eq!(model_name(name).as_str(), Some(short));
-        }
-    }
-
-    #[test]
     fn scales_are_never_made_up() {
         let v4_4 = || Fleet::new(1).firmware(Firmware::V4_4);
         let error = v4_4().on_can(1_000_000).unwrap_err().to_string();
         assert!(error.contains("v4.4's motion mode depend on the motor"), "{error}");
         assert!(v4_4().on_rs485(115_200).is_err());
         // Those of a model are of its own firmware.
-        let mut model = MotorParameters::named(DEFAULT_MODEL).unwrap();
+        let mut model = MotorParameters::named(USUAL_MODEL).unwrap();
         model.motion = Some(MotionRanges::V4_3);
         assert!(v4_4().model(model).on_can(1_000_000).is_err());
     }

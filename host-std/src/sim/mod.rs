@@ -64,5 +64,7 @@ mod shaft;
 #[cfg(test)]
 mod tests;
 
-pub use fleet::{BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, SimulatedDrive};
+pub use fleet::{
+    BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, MotorSetup, SimulatedDrive,
+};
 pub use log::{DriveLog, LogRecord};

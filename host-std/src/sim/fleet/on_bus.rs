@@ -1,0 +1,151 @@
+//! Drives that are on a bus, and a hand on each.
+
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use myactuator_protocol_core::drive::Event;
+use myactuator_protocol_core::io::{AsyncCanMaster, AsyncSerialMaster, CanMaster, SerialMaster};
+use myactuator_protocol_core::master::Config;
+use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::{Firmware, MotorId};
+
+use super::SimulatedDrive;
+use crate::sim::bus::can::{CanBus, CanPort};
+use crate::sim::bus::rs485::{Rs485Line, SerialPort};
+use crate::sim::bus::{Medium, SimClock, StationId, World};
+use crate::sim::seat::Seat;
+
+/// A hand on one simulated drive.
+#[derive(Clone)]
+pub struct DriveHandle {
+    motor: MotorId,
+    station: StationId,
+    pub(in crate::sim) seat: Arc<Mutex<Seat>>,
+    /// Where the drive is.
+    world: Arc<dyn Serving>,
+}
+
+/// A world, whatever its bus.
+pub(super) trait Serving: Send + Sync {
+    /// Brings a node's own time up to now, and sends what it has to send.
+    fn serve(&self, node: StationId);
+}
+
+impl<B: Medium> Serving for World<B>
+where
+    B: Send + 'static,
+{
+    fn serve(&self, node: StationId) {
+        World::serve(self, node);
+    }
+}
+
+impl fmt::Debug for DriveHandle {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DriveHandle").field("motor", &self.motor).finish_non_exhaustive()
+    }
+}
+
+impl DriveHandle {
+    pub(super) fn new(
+        motor: MotorId,
+        station: StationId,
+        seat: Arc<Mutex<Seat>>,
+        world: Arc<dyn Serving>,
+    ) -> Self {
+        Self { motor, station, seat, world }
+    }
+
+    /// The id that the drive started with.
+    pub const fn motor(&self) -> MotorId {
+        self.motor
+    }
+
+    /// Its place on the bus, for faults of the wire.
+    pub const fn station(&self) -> StationId {
+        self.station
+    }
+
+    /// What has happened in the drive and when, and how many events were lost before; the drive itself is left
+    /// alone.
+    pub(in crate::sim) fn take_events(&self) -> (Vec<(Instant, Event)>, u32) {
+        let mut seat = self.seat.lock().unwrap_or_else(PoisonError::into_inner);
+        let drive = &mut seat.drive;
+        let events = std::iter::from_fn(|| drive.poll_timed_event()).collect();
+        (events, drive.dropped().1)
+    }
+
+    /// Works on the drive as it is now: raise an error, push the shaft, look at the physics. What that leads
+    /// to begins now. Not while the world runs in this thread.
+    pub fn with<T>(&self, work: impl FnOnce(&mut SimulatedDrive) -> T) -> T {
+        self.world.serve(self.station);
+        let mut seat = self.seat.lock().unwrap_or_else(PoisonError::into_inner);
+        let result = work(&mut seat.drive);
+        seat.drive.measure();
+        drop(seat);
+        self.world.serve(self.station);
+        result
+    }
+}
+
+/// Drives on a bus.
+#[derive(Debug)]
+pub struct BusFleet<B: Medium> {
+    /// What the bus is called.
+    pub name: String,
+    /// The bus and its clock.
+    pub world: World<B>,
+    /// The drives, in the order in which they were given.
+    pub drives: Vec<DriveHandle>,
+    /// Bits per second.
+    pub bit_rate: u32,
+    /// That of the first drive.
+    pub(super) firmware: Firmware,
+}
+
+/// Drives on a CAN bus.
+pub type CanFleet = BusFleet<CanBus>;
+
+/// Drives on an RS485 line.
+pub type LineFleet = BusFleet<Rs485Line>;
+
+impl<B: Medium> BusFleet<B> {
+    /// Runs async code on this bus; see [`World::block_on`].
+    pub fn block_on<F: Future>(&self, future: F) -> F::Output {
+        self.world.block_on(future)
+    }
+}
+
+impl CanFleet {
+    /// A master on this bus, for the firmware of its first drive.
+    pub fn master<const N: usize>(&self) -> CanMaster<CanPort, SimClock<CanBus>, N> {
+        CanMaster::new(self.world.port(), self.world.clock(), self.config())
+    }
+
+    /// An async master on this bus, to be run within [`block_on`](Self::block_on).
+    pub fn async_master<const N: usize>(&self) -> AsyncCanMaster<CanPort, SimClock<CanBus>, N> {
+        AsyncCanMaster::new(self.world.port(), self.world.clock(), self.config())
+    }
+
+    fn config(&self) -> Config {
+        Config { firmware: self.firmware, ..Config::can(self.bit_rate) }
+    }
+}
+
+impl LineFleet {
+    /// A master on this line, for the firmware of its first drive.
+    pub fn master<const N: usize>(&self) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
+        SerialMaster::new(self.world.port(), self.world.clock(), self.config())
+    }
+
+    /// An async master on this line, to be run within [`block_on`](Self::block_on).
+    pub fn async_master<const N: usize>(
+        &self,
+    ) -> AsyncSerialMaster<SerialPort, SimClock<Rs485Line>, N> {
+        AsyncSerialMaster::new(self.world.port(), self.world.clock(), self.config())
+    }
+
+    fn config(&self) -> Config {
+        Config { firmware: self.firmware, ..Config::rs485(self.bit_rate, false) }
+    }
+}

@@ -1,0 +1,140 @@
+//! What one simulated drive is to be, and the drive that comes of it.
+
+use std::path::{Path, PathBuf};
+
+use myactuator_protocol_core::command::{BaudCode, MotionRanges, VersionDate};
+use myactuator_protocol_core::drive::{Bus, Drive, Parameters, Quirks};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::rs485::Receiver;
+use myactuator_protocol_core::{Firmware, MotorId};
+
+use super::FleetError;
+use super::of_model::parameters_of;
+use crate::sim::memory::DriveMemory;
+use crate::sim::plant::{Load, MotorParameters, ParameterError, SimulatedMotor};
+use crate::sim::seat::Seat;
+use crate::sim::shaft::ShaftFile;
+
+/// What one motor of a [`Fleet`](super::Fleet) is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MotorSetup {
+    /// The id that it starts with.
+    pub id: MotorId,
+    /// Its model; `None` for the RMD-X8-PRO.
+    pub model: Option<MotorParameters>,
+    /// The revision of the protocol that its drive speaks; `None` for its model's. One whose motion mode has
+    /// no scales of its own (V4.4) needs [`motion_ranges`](Self::motion_ranges) too.
+    pub firmware: Option<Firmware>,
+    /// The scales of its motion mode; `None` for those of its model or its firmware.
+    pub motion_ranges: Option<MotionRanges>,
+    /// The version date that it reports (0xB2); `None` for the one that is known of its firmware.
+    pub version_date: Option<VersionDate>,
+    /// What it does beside the manual.
+    pub quirks: Quirks,
+    /// The shortest and the longest time after which it answers.
+    pub response: (Duration, Duration),
+    /// Whether it has a brake, which is locked at first.
+    pub has_brake: bool,
+    /// What its shaft carries at the start.
+    pub load: Load,
+    /// Where its shaft is at the start, degrees, turns included, up to ±10⁹, unless it was left elsewhere by a
+    /// run that has kept that in a [memory folder](super::Fleet::memory_folder).
+    pub start_angle_deg: f64,
+}
+
+impl MotorSetup {
+    /// One of the usual kind: an RMD-X8-PRO without a brake, at 0°, with a bare shaft, which answers after 0.7 to
+    /// 0.9 ms.
+    pub fn new(id: MotorId) -> Self {
+        Self {
+            id,
+            model: None,
+            firmware: None,
+            motion_ranges: None,
+            version_date: None,
+            quirks: Quirks::default(),
+            response: (Duration::from_micros(700), Duration::from_micros(900)),
+            has_brake: false,
+            load: Load::NONE,
+            start_angle_deg: 0.0,
+        }
+    }
+
+    /// Its model, with the firmware and the scales that were asked for.
+    pub(super) fn made_model(&self, usual: &MotorParameters) -> MotorParameters {
+        let mut model = self.model.as_ref().unwrap_or(usual).clone();
+        if let Some(firmware) = self.firmware {
+            // The model's scales are those of its own.
+            (model.firmware, model.motion) = (firmware, None);
+        }
+        model.motion = self.motion_ranges.or(model.motion);
+        model
+    }
+
+    /// The drive, where it is to be.
+    pub(super) fn seat(&self, around: Surroundings<'_>) -> Result<Seat, FleetError> {
+        let Surroundings { bus, bit_rate, usual_model, seed, files } = around;
+        let model = self.made_model(usual_model);
+        let (memory, shaft) = match files {
+            Some(files) => (DriveMemory::File(files.motor), Some(ShaftFile::open(files.shaft)?)),
+            None => (DriveMemory::Process(None), None),
+        };
+        let of_model = parameters_of(&model)?;
+        let parameters = Parameters {
+            id: self.id,
+            bus,
+            baud_rate: baud_code(bus, bit_rate).unwrap_or(of_model.baud_rate),
+            version_date: self.version_date.unwrap_or(of_model.version_date),
+            response_delay_min: self.response.0,
+            response_delay_max: self.response.1,
+            quirks: self.quirks,
+            has_brake: self.has_brake,
+            seed: (seed ^ (seed >> 32)) as u32,
+            ..of_model
+        };
+        let mut plant = SimulatedMotor::new(model)?;
+        plant.set_load(self.load)?;
+        let kept_deg = shaft.as_ref().and_then(ShaftFile::kept_deg);
+        let angle_deg = kept_deg.unwrap_or(self.start_angle_deg);
+        plant.set_output_angle_deg(angle_deg).map_err(ParameterError::from)?;
+        let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
+        Ok(Seat { drive, receiver: Receiver::new(), shaft })
+    }
+}
+
+/// Where a drive is to be.
+#[derive(Debug)]
+pub(super) struct Surroundings<'a> {
+    pub(super) bus: Bus,
+    /// Bits per second.
+    pub(super) bit_rate: u32,
+    /// The model of motors that nobody gave another.
+    pub(super) usual_model: &'a MotorParameters,
+    pub(super) seed: u64,
+    pub(super) files: Option<MemoryFiles>,
+}
+
+/// What a drive keeps from one run to the next.
+#[derive(Debug)]
+pub(super) struct MemoryFiles {
+    motor: PathBuf,
+    shaft: PathBuf,
+}
+
+impl MemoryFiles {
+    /// Those of the drive that starts with this id, behind so many others with the same.
+    pub(super) fn of(folder: &Path, motor: MotorId, namesakes: usize) -> Self {
+        let which = match namesakes {
+            0 => motor.to_string(),
+            others => format!("{motor}-{}", others + 1),
+        };
+        let file = |what| folder.join(format!("{what}-{which}.json"));
+        Self { motor: file("motor"), shaft: file("shaft") }
+    }
+}
+
+/// The code of the bit rate that a bus has, if the manual gives it one.
+fn baud_code(bus: Bus, bit_rate: u32) -> Option<BaudCode> {
+    let codes = [BaudCode::CAN_500K_RS485_115200, BaudCode::CAN_1M_RS485_500K, BaudCode::RS485_1M];
+    codes.into_iter().find(|&code| bus.bits_per_second(code) == Some(bit_rate))
+}
