@@ -92,25 +92,28 @@ fn the_bus_id_is_read_and_set() {
     }
 }
 
-/// 4.1: all that are connected take a new id; their replies, which look like commands, end there.
+/// 4.1, 7.1: all that are connected take a new id; their replies, which look like commands, end there.
 #[test]
 fn several_drives_take_the_same_id_and_do_not_answer_each_other() {
-    let mut motors = [1, 2].map(|n| Bench::new(Parameters { id: id(n), ..Parameters::default() }));
-    for data in [BusId::Read.encode(), BusId::Write(id(5)).encode()] {
-        let mut bus = vec![data];
-        let mut packets = 0;
-        while let Some(data) = bus.pop() {
-            packets += 1;
-            assert!(packets <= 3, "they answer each other");
-            for bench in &mut motors {
-                let replies = bench.exchange(Channel::BusId, data);
-                bus.extend(replies.iter().map(|reply| reply.data));
+    for bus in [Bus::Can, Bus::Rs485] {
+        let with_id = |n| Bench::new(Parameters { id: id(n), bus, ..Parameters::default() });
+        let mut motors = [1, 2].map(with_id);
+        for data in [BusId::Read.encode(), BusId::Write(id(5)).encode()] {
+            let mut line = vec![data];
+            let mut packets = 0;
+            while let Some(data) = line.pop() {
+                packets += 1;
+                assert!(packets <= 3, "they answer each other");
+                for bench in &mut motors {
+                    let replies = bench.exchange(Channel::BusId, data);
+                    line.extend(replies.iter().map(|reply| reply.data));
+                }
             }
+            assert_eq!(packets, 3);
         }
-        assert_eq!(packets, 3);
-    }
-    for bench in &motors {
-        assert_eq!(bench.drive.stored_settings().id, id(5));
+        for bench in &motors {
+            assert_eq!(bench.drive.stored_settings().id, id(5));
+        }
     }
 }
 

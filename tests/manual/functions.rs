@@ -63,7 +63,7 @@ fn function_4_saves_the_turns() {
     }
 }
 
-/// 2.35.4, function 5: a new id acts after a restart.
+/// 2.35.4, function 5: a new id acts after a restart and is kept.
 #[test]
 fn function_5_changes_the_id_after_a_restart() {
     let mut bench = Bench::default();
@@ -73,6 +73,8 @@ fn function_5_changes_the_id_after_a_restart() {
     bench.restart();
     assert_eq!(bench.send(ReadStatus2), None);
     let command = Channel::Command(Target::Motor(id(9)));
+    assert_eq!(bench.exchange(command, ReadStatus2.encode())[0].channel, Channel::Reply(id(9)));
+    bench.power_cycle();
     assert_eq!(bench.exchange(command, ReadStatus2.encode())[0].channel, Channel::Reply(id(9)));
 }
 
