@@ -4,33 +4,37 @@ mod folders;
 mod log;
 mod options;
 mod places;
+mod serving;
+mod short_form;
 
-use std::error::Error;
-use std::io;
-use std::os::unix::net::UnixStream;
-use std::path::PathBuf;
-use std::sync::Arc;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use myactuator_host_std::open::{BusAddress, Echo};
-use myactuator_host_std::serve::{Notice, PlannedFault, Server};
-use myactuator_host_std::sim::Fleet;
-use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
+use myactuator_host_std::open::BusAddress;
 use myactuator_host_std::sim::plant::MotorParameters;
+use myactuator_host_std::sim::{PlannedFault, Robot, RobotBus};
 use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::command::MotionRanges;
-use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::{Firmware, MotorId};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use super::arguments as parse;
-use super::{FAILED, Outcome, Unfinished, interrupt, print_line, tell};
-use folders::{Links, MemoryFolder};
-use log::LogPrinter;
-use places::Place;
+use super::{Outcome, Unfinished};
+use serving::Served;
 
-/// How likely an adapter with `echo-noise` hears a byte that nobody sent, each time it switches.
-const ECHO_NOISE: f32 = 0.1;
+/// What a file says, and so no option beside it.
+const SAID_BY_A_FILE: [&str; 11] = [
+    "count",
+    "same_id",
+    "model",
+    "firmware",
+    "ranges",
+    "brakes",
+    "quirks",
+    "faults",
+    "bit_rate",
+    "rs485_rate",
+    "can",
+];
 
 /// What is wrong can be said in one word, and this is how.
 const FAULTS: &str = "\
@@ -75,12 +79,17 @@ Quirks: what drives were seen to do beside the manual
 
 /// Serve simulated drives to other programs, in real time
 ///
-/// The drives are on an RS485 line behind a pseudo-terminal, and on a CAN bus behind another one that
-/// speaks SLCAN. Those on RS485 and those on CAN are different drives with the same ids. What they
-/// ignore, refuse or suffer is told on the standard error. Ends with Ctrl-C.
+/// Without a file the drives are on an RS485 line behind a pseudo-terminal, and on a CAN bus behind another
+/// one that speaks SLCAN. Those on RS485 and those on CAN are different drives with the same ids. A file has
+/// any number of buses, each with its own drives. What drives ignore, refuse or suffer is told on the standard
+/// error. Ends with Ctrl-C.
 #[derive(Debug, Args)]
 #[command(after_help = FAULTS)]
 pub(super) struct Arguments {
+    /// A robot: its buses, and the motors on each, with their models, loads and faults. Its keys are in the
+    /// documentation of `sim::Robot`
+    #[arg(value_name = "ROBOT.toml", conflicts_with_all = SAID_BY_A_FILE, conflicts_with = "only")]
+    robot: Option<PathBuf>,
     /// How many motors on each bus, with ids from 1
     #[arg(long, value_name = "N", default_value_t = 4,
           value_parser = clap::value_parser!(u8).range(1..=MotorId::COUNT as i64))]
@@ -107,9 +116,9 @@ pub(super) struct Arguments {
     /// What goes wrong, see below; as often as you like
     #[arg(long = "fault", value_name = "FAULT")]
     faults: Vec<PlannedFault>,
-    /// Where all chance comes from
-    #[arg(long, value_name = "NUMBER", default_value_t = 1)]
-    seed: u64,
+    /// Where all chance comes from [default: the file's, or 1]
+    #[arg(long, value_name = "NUMBER")]
+    seed: Option<u64>,
     /// Where drives keep their settings, and where their shafts are, from one run to the next [default: nowhere]
     #[arg(long, value_name = "FOLDER")]
     memory: Option<PathBuf>,
@@ -125,8 +134,8 @@ pub(super) struct Arguments {
     /// Serve one way only
     #[arg(long, value_enum, value_name = "WAY")]
     only: Option<Way>,
-    /// Make links rs485 and slcan to the pseudo-terminals in this folder, the same in every run; one
-    /// that another simulation has is refused
+    /// Make links to the pseudo-terminals in this folder, the same in every run: rs485 and slcan, or the names
+    /// of the file's buses; one that another simulation has is refused
     #[arg(long, value_name = "FOLDER")]
     link: Option<PathBuf>,
     /// Tell where they are, and what happens in them, as one JSON object a line
@@ -145,145 +154,23 @@ enum Way {
     Can,
 }
 
-type Failure = Box<dyn Error>;
-
 /// Serves until it is told to stop.
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    check(arguments)?;
-    serve(arguments).map_err(|error| Unfinished::Failed(error.to_string()))
-}
-
-fn check(arguments: &Arguments) -> Result<(), String> {
-    match (arguments.only, &arguments.can) {
-        (Some(Way::Can), None) => Err("--only can needs --can with the interface's name"),
-        (Some(Way::Rs485 | Way::Slcan), Some(_)) => {
-            Err("--can serves an interface, but --only leaves it out: drop one of them")
-        }
-        _ => Ok(()),
-    }?;
-    let has_ranges = |firmware: Firmware| firmware.motion_ranges().or(arguments.ranges).is_some();
-    if !arguments.firmware.is_none_or(has_ranges) {
-        return Err(parse::RANGES_ARE_MISSING.into());
-    }
-    let motors = arguments.motors();
-    let mut named = arguments.faults.iter().filter_map(|fault| fault.motor);
-    match named.find(|&motor| !motors.contains(motor)) {
-        Some(motor) => Err(format!("--fault names motor {motor}, but the motors are {motors}")),
-        None => Ok(()),
-    }
-}
-
-impl Arguments {
-    /// The ids that there are.
-    fn motors(&self) -> MotorSet {
-        match self.same_id {
-            Some(id) => id.into(),
-            None => MotorId::all().take(self.count.into()).collect(),
-        }
-    }
-}
-
-fn serve(arguments: &Arguments) -> Result<(), Failure> {
-    // First of all, so that no signal finds half a simulation.
-    let stop = stop_signal()?;
-    let wanted = |way| arguments.only.is_none_or(|only| only == way);
-    let memory = arguments.memory.as_deref().map(MemoryFolder::open).transpose()?;
-    let fleet = |bus| -> Result<Fleet, Failure> {
-        let mut fleet = Fleet::new(arguments.count)
-            .quirks(options::drives_quirks(&arguments.quirks)?)
-            .seed(arguments.seed)
-            .brakes(arguments.brakes);
-        if let Some(id) = arguments.same_id {
-            fleet = fleet.all_with_id(id);
-        }
-        if let Some(model) = &arguments.model {
-            fleet = fleet.model(model.clone());
-        }
-        if let Some(firmware) = arguments.firmware {
-            fleet = fleet.firmware(firmware);
-        }
-        if let Some(ranges) = arguments.ranges {
-            fleet = fleet.motion_ranges(ranges);
-        }
-        match &memory {
-            Some(memory) => Ok(fleet.memory_folder(memory.of(bus)?)),
-            None => Ok(fleet),
-        }
+    let served = match &arguments.robot {
+        Some(file) => from_file(file, arguments.seed)?,
+        None => short_form::buses(arguments)?,
     };
-    let mut server = Server::new();
-    server.plan(arguments.faults.iter().copied());
-    let mut links = Links::in_folder(arguments.link.as_deref())?;
-    let mut places = Vec::new();
-    if wanted(Way::Rs485) {
-        let bit_rate = arguments.rs485_rate;
-        let line = fleet("rs485")?.on_rs485(bit_rate)?;
-        let adapter = transceiver(&arguments.quirks);
-        let path = server.serve_line(&line, adapter)?;
-        let link = links.add("rs485", &path)?;
-        let echo = if adapter.echo { Echo::Present } else { Echo::Unknown };
-        let address = |path| BusAddress::Rs485 { path, bit_rate, echo };
-        places.push(Place::on_terminal(address, path, link, bit_rate));
-    }
-    let interface = arguments.can.as_ref().filter(|_| wanted(Way::Can));
-    if wanted(Way::Slcan) || interface.is_some() {
-        let rate = arguments.bit_rate;
-        let bit_rate = rate.bits_per_second();
-        let bus = fleet("can")?.on_can(bit_rate)?;
-        server.host_can(&bus);
-        if wanted(Way::Slcan) {
-            let path = server.serve_adapter(&bus)?;
-            let link = links.add("slcan", &path)?;
-            let address = |path| BusAddress::Slcan { path, rate };
-            places.push(Place::on_terminal(address, path, link, bit_rate));
-        }
-        if let Some(interface) = interface {
-            server.serve_interface(&bus, interface)?;
-            places.push(Place::on_interface(interface, bit_rate));
-        }
-    }
-    for line in places::lines(&places, arguments.motors(), arguments.json) {
-        match print_line(&line) {
-            // Whoever reads may leave; the drives stay.
-            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => break,
-            printed => printed?,
-        }
-    }
-    let mut log = LogPrinter::new(arguments.json);
-    server.run(stop, |notice| {
-        let remedy = match notice {
-            Notice::Log(record) => return log.print(&record),
-            Notice::WrongRate { asked, .. } => {
-                format!(", or start with --bit-rate {}", asked.bits_per_second())
-            }
-            _ => String::new(),
-        };
-        tell("note", format_args!("{notice}{remedy}"));
-    })?;
-    Ok(())
+    serving::serve(served, arguments).map_err(|error| Unfinished::Failed(error.to_string()))
 }
 
-fn transceiver(quirks: &[String]) -> TransceiverConfig {
-    let has = |name: &str| quirks.iter().any(|quirk| quirk == name);
-    let has_noise = has(options::ECHO_NOISE);
-    TransceiverConfig {
-        echo: has_noise || has(options::ECHO),
-        switch_noise: if has_noise { ECHO_NOISE } else { 0.0 },
-        ..TransceiverConfig::default()
+/// The buses of a file, all behind pseudo-terminals with their names.
+fn from_file(file: &Path, seed: Option<u64>) -> Result<Vec<Served>, String> {
+    let mut robot = Robot::from_file(file).map_err(|error| error.to_string())?;
+    if let Some(seed) = seed {
+        robot = robot.seed(seed);
     }
-}
-
-/// Something that can be read as soon as the program is told to stop. Who tells it twice means at
-/// once.
-fn stop_signal() -> io::Result<UnixStream> {
-    let (told, tell) = UnixStream::pair()?;
-    let is_told = interrupt::flag();
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        let now = i32::from(FAILED);
-        signal_hook::flag::register_conditional_shutdown(signal, now, Arc::clone(&is_told))?;
-        signal_hook::flag::register(signal, Arc::clone(&is_told))?;
-        signal_hook::low_level::pipe::register(signal, tell.try_clone()?)?;
-    }
-    Ok(told)
+    let served = |bus: RobotBus| Served { link: Some(bus.name().to_owned()), bus };
+    Ok(robot.buses.into_iter().map(served).collect())
 }
 
 #[cfg(test)]

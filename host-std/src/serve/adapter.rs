@@ -24,14 +24,21 @@ const STAMPS_MS: u64 = 60_000;
 #[derive(Debug)]
 pub(super) struct AdapterEnd {
     pty: Pty,
+    /// The name of the bus.
+    bus: String,
     adapter: Adapter,
     /// Written by a program, and not yet looked at.
     unread: VecDeque<u8>,
 }
 
 impl AdapterEnd {
-    pub(super) fn new(pty: Pty, port: CanPort, bit_rate: u32) -> Self {
-        Self { pty, adapter: Adapter::new(port, bit_rate), unread: VecDeque::new() }
+    pub(super) fn new(pty: Pty, port: CanPort, bus: &str, bit_rate: u32) -> Self {
+        Self {
+            pty,
+            bus: bus.to_owned(),
+            adapter: Adapter::new(port, bit_rate),
+            unread: VecDeque::new(),
+        }
     }
 
     /// The next byte from the program.
@@ -56,7 +63,8 @@ impl End for AdapterEnd {
             && let Some(byte) = self.next()?
         {
             if let Some(asked) = self.adapter.feed(byte) {
-                notify(Notice::WrongRate { asked, bit_rate: self.adapter.bit_rate });
+                let (bus, bit_rate) = (self.bus.clone(), self.adapter.bit_rate);
+                notify(Notice::WrongRate { bus, asked, bit_rate });
             }
         }
         self.adapter.receive();

@@ -9,14 +9,15 @@ use myactuator_protocol_core::drive::Event;
 
 use crate::sim::bus::faults::{Babble, Direction, FaultPlan};
 use crate::sim::bus::{Medium, World};
-use crate::sim::{BusFleet, DriveHandle, DriveLog, LogRecord};
-
-use super::planned_fault::{FaultKind, PlannedFault};
+use crate::sim::{BusFleet, DriveHandle, DriveLog, FaultKind, LogRecord, PlannedFault};
 
 const DIRECTIONS: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
 
 /// A bus of either kind that is being served.
 pub(super) trait Hosted: Debug {
+    /// What the bus is called.
+    fn name(&self) -> &str;
+
     /// Has time go on with the wall clock from now on, whatever has passed.
     fn follow_wall_clock(&self);
 
@@ -36,6 +37,7 @@ pub(super) trait Hosted: Debug {
 /// A bus, its drives, and what is wrong with them.
 #[derive(Debug)]
 pub(super) struct Host<B: Medium> {
+    name: String,
     world: World<B>,
     drives: Vec<DriveHandle>,
     log: DriveLog,
@@ -48,6 +50,7 @@ pub(super) struct Host<B: Medium> {
 impl<B: Medium> Host<B> {
     pub(super) fn new(fleet: &BusFleet<B>) -> Self {
         Self {
+            name: fleet.name.clone(),
             world: fleet.world.clone(),
             drives: fleet.drives.clone(),
             log: DriveLog::of(fleet),
@@ -81,6 +84,10 @@ impl<B: Medium> Host<B> {
 }
 
 impl<B: Medium> Hosted for Host<B> {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
     fn follow_wall_clock(&self) {
         self.world.clone().in_real_time();
     }

@@ -25,7 +25,6 @@ mod adapter;
 mod hosted;
 mod interface_end;
 mod line_end;
-mod planned_fault;
 mod pty;
 
 use std::collections::VecDeque;
@@ -52,7 +51,7 @@ use interface_end::InterfaceEnd;
 use line_end::LineEnd;
 use pty::Pty;
 
-pub use planned_fault::{Chance, FaultKind, PlannedFault};
+pub use crate::sim::{Chance, FaultKind, PlannedFault};
 
 /// The longest wait: drives move, and simulated time must not fall behind.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
@@ -80,7 +79,24 @@ pub struct Server {
     hosts: Vec<Box<dyn Hosted>>,
     ends: Vec<Box<dyn End>>,
     /// By time.
-    faults: VecDeque<PlannedFault>,
+    faults: VecDeque<(On, PlannedFault)>,
+}
+
+/// The buses that a fault is for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum On {
+    All,
+    /// Those of this name.
+    Named(String),
+}
+
+impl On {
+    fn is(&self, bus: &str) -> bool {
+        match self {
+            Self::All => true,
+            Self::Named(name) => name == bus,
+        }
+    }
 }
 
 /// What the person in front of a server should know.
@@ -99,11 +115,13 @@ pub enum Notice {
     LeftOut(Duration),
     /// A program asked the SLCAN adapter for another bit rate than the bus has, and was refused.
     #[error(
-        "a program asked the SLCAN adapter for {} bit/s, but the simulated bus runs at {bit_rate}: set \
-         the program to that",
+        "a program asked the SLCAN adapter for {} bit/s, but the simulated bus \"{bus}\" runs at \
+         {bit_rate}: set the program to that",
         asked.bits_per_second()
     )]
     WrongRate {
+        /// The name of the bus.
+        bus: String,
         /// What it asked for.
         asked: Rate,
         /// What the bus has, in bit/s.
@@ -212,7 +230,7 @@ impl Server {
         let queues =
             ControllerConfig { transmit_queue: ADAPTER_QUEUE, ..ControllerConfig::SOCKETCAN };
         let port = fleet.world.port_with(queues);
-        self.ends.push(Box::new(AdapterEnd::new(pty, port, fleet.bit_rate)));
+        self.ends.push(Box::new(AdapterEnd::new(pty, port, &fleet.name, fleet.bit_rate)));
     }
 
     /// Serves [hosted](Self::host_can) drives on a CAN interface. On a real one they answer next to
@@ -228,8 +246,17 @@ impl Server {
 
     /// Plans what goes wrong, on all buses.
     pub fn plan(&mut self, faults: impl IntoIterator<Item = PlannedFault>) {
-        self.faults.extend(faults);
-        self.faults.make_contiguous().sort_by_key(|fault| fault.after);
+        self.plan_all(&On::All, faults);
+    }
+
+    /// Plans what goes wrong on the buses of this [name](crate::sim::BusFleet::name).
+    pub fn plan_on(&mut self, bus: &str, faults: impl IntoIterator<Item = PlannedFault>) {
+        self.plan_all(&On::Named(bus.to_owned()), faults);
+    }
+
+    fn plan_all(&mut self, on: &On, faults: impl IntoIterator<Item = PlannedFault>) {
+        self.faults.extend(faults.into_iter().map(|fault| (on.clone(), fault)));
+        self.faults.make_contiguous().sort_by_key(|(_, fault)| fault.after);
     }
 
     /// Serves until there is something to read from `stop` or it is closed, then takes the supply
@@ -287,10 +314,10 @@ impl Server {
 
     /// Lets go wrong what is due.
     fn strike(&mut self, passed: Duration) {
-        while self.faults.front().is_some_and(|fault| Duration::from(fault.after) <= passed)
-            && let Some(fault) = self.faults.pop_front()
+        while self.faults.front().is_some_and(|(_, fault)| Duration::from(fault.after) <= passed)
+            && let Some((on, fault)) = self.faults.pop_front()
         {
-            for host in &mut self.hosts {
+            for host in self.hosts.iter_mut().filter(|host| on.is(host.name())) {
                 host.strike(&fault);
             }
         }
@@ -301,8 +328,10 @@ impl Server {
         // In this order: what a port gets after it was asked is an event before the next one known.
         let events = self.hosts.iter().filter_map(|host| host.until_next_event()).min();
         let ends = self.ends.iter_mut().filter_map(|end| end.patience()).min();
-        let fault =
-            self.faults.front().map(|fault| Duration::from(fault.after).saturating_sub(passed));
+        let fault = self
+            .faults
+            .front()
+            .map(|(_, fault)| Duration::from(fault.after).saturating_sub(passed));
         [ends, events, fault].into_iter().flatten().fold(LONGEST_WAIT, Duration::min)
     }
 
@@ -356,6 +385,22 @@ mod tests {
         assert_eq!(at(1.0), both(&[Event::FaultRaised(ErrorFlags::OVER_SPEED)]));
         let errors = ErrorFlags::OVER_VOLTAGE | ErrorFlags::OVER_SPEED;
         assert_eq!(at(3.0), both(&[Event::FaultCleared(errors)]));
+    }
+
+    #[test]
+    fn a_fault_of_one_bus_leaves_the_others_alone() {
+        let fleets =
+            ["left", "right"].map(|name| Fleet::new(1).name(name).on_can(1_000_000).unwrap());
+        let mut server = Server::new();
+        fleets.iter().for_each(|fleet| server.host_can(fleet));
+        server.plan_on("right", ["over-speed+1s".parse().unwrap()]);
+        server.plan_on("left", ["over-voltage".parse().unwrap()]);
+        let mut at = |seconds: u64| {
+            server.strike(Duration::from_secs(seconds));
+            [0, 1].map(|bus| fleets[bus].drives[0].with(|drive| drive.state().errors))
+        };
+        assert_eq!(at(0), [ErrorFlags::OVER_VOLTAGE, ErrorFlags::empty()]);
+        assert_eq!(at(1), [ErrorFlags::OVER_VOLTAGE, ErrorFlags::OVER_SPEED]);
     }
 
     #[test]

@@ -84,9 +84,19 @@ impl Fleet {
         self
     }
 
+    /// The name of its bus, if it was given one.
+    pub fn bus_name(&self) -> Option<&str> {
+        self.name.as_deref()
+    }
+
     /// The motors.
     pub fn motors(&self) -> &[MotorSetup] {
         &self.motors
+    }
+
+    /// Their ids.
+    pub fn ids(&self) -> MotorSet {
+        self.motors.iter().map(|motor| motor.id).collect()
     }
 
     fn all(mut self, change: impl FnMut(&mut MotorSetup)) -> Self {
@@ -97,7 +107,7 @@ impl Fleet {
     /// Changes the motor with this id, or those that share it.
     #[must_use]
     pub fn motor(mut self, id: MotorId, change: impl FnMut(&mut MotorSetup)) -> Self {
-        let ids: MotorSet = self.motors.iter().map(|motor| motor.id).collect();
+        let ids = self.ids();
         if !ids.contains(id) {
             self.missing.get_or_insert((id, ids));
         }

@@ -1,7 +1,8 @@
 //! Simulated drives on simulated buses: a robot on a laptop.
 //!
 //! A [`Fleet`] puts whole drives, each with its physics and memory, on one bus. Masters attach with
-//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged, async ones too.
+//! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged, async ones too. A [`Robot`] is several such
+//! buses from one file.
 //!
 //! | module | for |
 //! |---|---|
@@ -58,7 +59,11 @@ mod fleet;
 mod log;
 pub mod mechanics;
 pub mod memory;
+mod model_file;
+mod planned_fault;
 pub mod plant;
+mod quirk_names;
+mod robot;
 mod seat;
 mod shaft;
 #[cfg(test)]
@@ -68,3 +73,7 @@ pub use fleet::{
     BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, MotorSetup, SimulatedDrive,
 };
 pub use log::{DriveLog, LogRecord};
+pub use model_file::named_model;
+pub use planned_fault::{Chance, FaultKind, PlannedFault};
+pub use quirk_names::{quirk_names, quirks_named};
+pub use robot::{Adapter, Robot, RobotBus, RobotError};

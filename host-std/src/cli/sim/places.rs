@@ -3,33 +3,41 @@
 use std::path::PathBuf;
 
 use myactuator_host_std::open::{BusAddress, Echo};
+use myactuator_host_std::sim::RobotBus;
 use myactuator_protocol_core::master::MotorSet;
 use serde_json::{Value, json};
 
 /// A place where drives are served.
 #[derive(Debug)]
 pub(super) struct Place {
+    /// What the bus is called.
+    name: String,
     /// As other subcommands take it.
     address: BusAddress,
     path: Option<PathBuf>,
     link: Option<PathBuf>,
     bit_rate: u32,
+    motors: MotorSet,
 }
 
 impl Place {
     pub(super) fn on_terminal(
+        bus: &RobotBus,
         address: impl FnOnce(PathBuf) -> BusAddress,
         path: PathBuf,
         link: Option<PathBuf>,
-        bit_rate: u32,
     ) -> Self {
         let address = address(link.as_ref().unwrap_or(&path).clone());
-        Self { address, path: Some(path), link, bit_rate }
+        Self { path: Some(path), link, ..Self::of(bus, address) }
     }
 
-    pub(super) fn on_interface(interface: &str, bit_rate: u32) -> Self {
-        let address = BusAddress::SocketCan { interface: interface.to_owned() };
-        Self { address, path: None, link: None, bit_rate }
+    pub(super) fn on_interface(bus: &RobotBus, interface: &str) -> Self {
+        Self::of(bus, BusAddress::SocketCan { interface: interface.to_owned() })
+    }
+
+    fn of(bus: &RobotBus, address: BusAddress) -> Self {
+        let (name, motors) = (bus.name().to_owned(), bus.fleet.ids());
+        Self { name, address, path: None, link: None, bit_rate: bus.bit_rate, motors }
     }
 
     /// Its kind for scripts, and for people.
@@ -41,7 +49,7 @@ impl Place {
         }
     }
 
-    fn text(&self, motors: MotorSet) -> String {
+    fn text(&self, with_name: bool) -> String {
         let place = match (&self.link, &self.path) {
             (Some(link), Some(path)) => format!("{} -> {}", link.display(), path.display()),
             (_, Some(path)) => path.display().to_string(),
@@ -54,11 +62,12 @@ impl Place {
             }
             _ => format!("CAN at {} bit/s", self.bit_rate),
         };
-        format!("{:<12} {place:<12} {rate}   motors {motors}", self.kind().1)
+        let name = if with_name { format!("{:<12} ", self.name) } else { String::new() };
+        format!("{name}{:<12} {place:<12} {rate}   motors {}", self.kind().1, self.motors)
     }
 
-    fn json(&self, motors: MotorSet) -> Value {
-        let mut object = json!({ "kind": self.kind().0 });
+    fn json(&self) -> Value {
+        let mut object = json!({ "name": self.name, "kind": self.kind().0 });
         if let Some(path) = &self.path {
             object["path"] = json!(path);
         }
@@ -69,23 +78,33 @@ impl Place {
             object["interface"] = json!(interface);
         }
         object["bit_rate"] = json!(self.bit_rate);
-        object["motors"] = motors.iter().map(|motor| motor.get()).collect();
+        object["motors"] = self.motors.iter().map(|motor| motor.get()).collect();
         object["bus"] = json!(self.address.to_string());
         object
     }
 }
 
-pub(super) fn lines(places: &[Place], motors: MotorSet, json: bool) -> Vec<String> {
+/// What is told. The buses of a file are named; those of the short form are known by their kinds.
+pub(super) fn lines(places: &[Place], is_file: bool, json: bool) -> Vec<String> {
     if json {
-        return places.iter().map(|place| place.json(motors).to_string()).collect();
+        return places.iter().map(|place| place.json().to_string()).collect();
     }
-    let mut lines: Vec<String> = places.iter().map(|place| place.text(motors)).collect();
+    let mut lines: Vec<String> = places.iter().map(|place| place.text(is_file)).collect();
     let has = |kind| places.iter().any(|place| place.kind().0 == kind);
-    if has("rs485") && places.len() > 1 {
-        lines.push("The motors on RS485 are others than those on CAN, with the same ids.".into());
-    }
-    if has("slcan") && has("can") {
-        lines.push("SLCAN and CAN lead to the same motors.".into());
+    let is_twice = |pair: &[Place]| pair.iter().all(|place| place.name == pair[0].name);
+    if is_file {
+        if places.windows(2).any(is_twice) {
+            lines.push("Places of the same name lead to the same motors.".into());
+        }
+    } else {
+        if has("rs485") && places.len() > 1 {
+            lines.push(
+                "The motors on RS485 are others than those on CAN, with the same ids.".into(),
+            );
+        }
+        if has("slcan") && has("can") {
+            lines.push("SLCAN and CAN lead to the same motors.".into());
+        }
     }
     if let Some(place) = places.first() {
         lines.push(format!("try: myactuator scan --bus {}", place.address));
@@ -97,26 +116,38 @@ pub(super) fn lines(places: &[Place], motors: MotorSet, json: bool) -> Vec<Strin
 #[cfg(test)]
 mod tests {
     use super::*;
+    use myactuator_host_std::BusKind;
+    use myactuator_host_std::sim::{Adapter, Fleet};
     use myactuator_host_std::text::slcan::Rate;
-    use myactuator_protocol_core::MotorId;
 
-    fn told(json: bool) -> Vec<String> {
-        let motors = MotorId::all().take(2).collect();
+    fn bus(name: Option<&str>, kind: BusKind, bit_rate: u32) -> RobotBus {
+        let fleet = Fleet::new(2);
+        let fleet = match name {
+            Some(name) => fleet.name(name),
+            None => fleet,
+        };
+        let (adapter, interface, faults) = (Adapter::Plain, None, Vec::new());
+        RobotBus { fleet, kind, bit_rate, adapter, interface, faults }
+    }
+
+    fn told(names: [Option<&str>; 2], json: bool) -> Vec<String> {
+        let of_line = bus(names[0], BusKind::Rs485, 115_200);
+        let of_can = bus(names[1], BusKind::Can, 500_000);
         let line = |path| BusAddress::Rs485 { path, bit_rate: 115_200, echo: Echo::Present };
         let adapter = |path| BusAddress::Slcan { path, rate: Rate::Kbit500 };
         let (path, link) = (PathBuf::from("/dev/pts/7"), PathBuf::from("here/slcan"));
         let places = [
-            Place::on_terminal(line, path.clone(), None, 115_200),
-            Place::on_terminal(adapter, path, Some(link), 500_000),
-            Place::on_interface("vcan0", 500_000),
+            Place::on_terminal(&of_line, line, path.clone(), None),
+            Place::on_terminal(&of_can, adapter, path, Some(link)),
+            Place::on_interface(&of_can, "vcan0"),
         ];
-        lines(&places, motors, json)
+        lines(&places, names[0].is_some(), json)
     }
 
     #[test]
     fn people_read() {
         assert_eq!(
-            told(false),
+            told([None; 2], false),
             [
                 "RS485 line   /dev/pts/7   115200 bit/s, echo   motors 1 2",
                 "SLCAN        here/slcan -> /dev/pts/7 CAN at 500000 bit/s   motors 1 2",
@@ -127,14 +158,24 @@ mod tests {
                 "Ctrl-C ends it.",
             ]
         );
+        assert_eq!(
+            told([Some("gripper"), Some("arm")], false),
+            [
+                "gripper      RS485 line   /dev/pts/7   115200 bit/s, echo   motors 1 2",
+                "arm          SLCAN        here/slcan -> /dev/pts/7 CAN at 500000 bit/s   motors 1 2",
+                "arm          CAN          vcan0        CAN at 500000 bit/s   motors 1 2",
+                "Places of the same name lead to the same motors.",
+                "try: myactuator scan --bus rs485:/dev/pts/7@115200,echo",
+                "Ctrl-C ends it.",
+            ]
+        );
     }
 
     #[test]
     fn scripts_read() {
-        let rs485 = r#"{"kind":"rs485","path":"/dev/pts/7","bit_rate":115200,"motors":[1,2],"bus":"rs485:/dev/pts/7@115200,echo"}"#;
-        let slcan = r#"{"kind":"slcan","path":"/dev/pts/7","link":"here/slcan","bit_rate":500000,"motors":[1,2],"bus":"slcan:here/slcan@500000"}"#;
-        let can =
-            r#"{"kind":"can","interface":"vcan0","bit_rate":500000,"motors":[1,2],"bus":"vcan0"}"#;
-        assert_eq!(told(true), [rs485, slcan, can]);
+        let rs485 = r#"{"name":"rs485","kind":"rs485","path":"/dev/pts/7","bit_rate":115200,"motors":[1,2],"bus":"rs485:/dev/pts/7@115200,echo"}"#;
+        let slcan = r#"{"name":"can","kind":"slcan","path":"/dev/pts/7","link":"here/slcan","bit_rate":500000,"motors":[1,2],"bus":"slcan:here/slcan@500000"}"#;
+        let can = r#"{"name":"can","kind":"can","interface":"vcan0","bit_rate":500000,"motors":[1,2],"bus":"vcan0"}"#;
+        assert_eq!(told([None; 2], true), [rs485, slcan, can]);
     }
 }

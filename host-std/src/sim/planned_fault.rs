@@ -39,7 +39,7 @@ const USUAL_BABBLE: Duration = Duration::from_millis(10);
 /// counts from the start. Times are numbers with `us`, `ms` or `s`.
 ///
 /// ```
-/// use myactuator_host_std::serve::PlannedFault;
+/// use myactuator_host_std::sim::PlannedFault;
 ///
 /// let fault: PlannedFault = "lose=0.05@from-drives".parse()?;
 /// assert_eq!(fault.motor, None);

@@ -1,0 +1,39 @@
+//! Models by name or by file, and where in a file something is wrong.
+
+use std::fs;
+use std::path::Path;
+
+use super::plant::{MotorParameters, ParameterError};
+
+/// The model of this name, or, if that ends in `.toml`, in the file of this name in `folder`.
+///
+/// # Errors
+/// One sentence: what was expected, and what was found.
+pub fn named_model(name: &str, folder: impl AsRef<Path>) -> Result<MotorParameters, String> {
+    if !name.ends_with(".toml") {
+        return MotorParameters::named(name).map_err(|error| error.to_string());
+    }
+    let path = folder.as_ref().join(name);
+    let file = || format!("the model's file \"{}\"", path.display());
+    let text =
+        fs::read_to_string(&path).map_err(|error| format!("{} cannot be read: {error}", file()))?;
+    MotorParameters::from_toml(&text).map_err(|error| match error {
+        ParameterError::Toml(error) => {
+            let (line, what) = of_toml(&text, &error);
+            format!("{}, line {line}: {what}", file())
+        }
+        other => format!("{}: {other}", file()),
+    })
+}
+
+/// The line of a text in which this byte is, from 1.
+pub(super) fn line_of(text: &str, at: usize) -> usize {
+    let before = text.as_bytes().get(..at).unwrap_or_default();
+    before.iter().filter(|&&byte| byte == b'\n').count() + 1
+}
+
+/// The line in which something is wrong, and what, in one line.
+pub(super) fn of_toml(text: &str, error: &toml::de::Error) -> (usize, String) {
+    let at = error.span().map_or(0, |span| span.start);
+    (line_of(text, at), error.message().trim_end().replace('\n', ", "))
+}

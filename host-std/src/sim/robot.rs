@@ -1,0 +1,319 @@
+//! A robot from one file: its buses, and the motors on each.
+
+mod read;
+mod table;
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::bus::rs485::TransceiverConfig;
+use super::{CanFleet, Fleet, FleetError, LineFleet, PlannedFault};
+use crate::BusKind;
+
+/// How likely an adapter with noise hears a byte that nobody sent, each time it switches.
+const ECHO_NOISE: f32 = 0.1;
+
+/// Several buses with their motors, as one TOML file has them.
+///
+/// ```
+/// use myactuator_host_std::protocol::MotorId;
+/// use myactuator_host_std::protocol::command::ReadMultiTurnAngle;
+/// use myactuator_host_std::protocol::io::Runner;
+/// use myactuator_host_std::sim::Robot;
+///
+/// let file = r#"
+///     [[bus]]
+///     name = "arm"
+///     kind = "can"
+///     bit_rate = 1_000_000
+///     faults = ["cut@2+5s"]
+///
+///     [bus.defaults]
+///     model = "RMD-X8-PRO"
+///     brake = true
+///
+///     [[bus.motor]]
+///     ids = "1-2"
+///     start_angle_deg = 30
+///     load = { inertia_kg_m2 = 0.01, arm = { mass_kg = 0.8, length_m = 0.25, down_deg = 0 } }
+///
+///     [[bus]]
+///     name = "gripper"
+///     kind = "rs485"
+///     bit_rate = 115_200
+///
+///     [[bus.motor]]
+///     id = 7
+///     model = "RMD-X6-P20-60"
+/// "#;
+/// let robot = Robot::from_toml(file, ".")?;
+/// let (arm, gripper) = (robot.can("arm")?, robot.rs485("gripper")?);
+/// let told = arm.master::<2>().ask(MotorId::new(2)?, ReadMultiTurnAngle)?;
+/// assert!((told.angle.degrees() - 30.0).abs() < 0.1);
+/// assert_eq!(gripper.drives.len(), 1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # The file
+///
+/// | key | what it is | without it |
+/// |---|---|---|
+/// | `seed` | where all chance comes from: a whole number | 1 |
+/// | `[[bus]]` | a bus; at least one | |
+///
+/// A `[[bus]]`:
+///
+/// | key | what it is | without it |
+/// |---|---|---|
+/// | `name` | letters, digits, `-` and `_`; no two buses have the same | an error |
+/// | `kind` | `"can"` or `"rs485"` | an error |
+/// | `bit_rate` | bit/s: 10 000 to 1 000 000 on CAN, 1 200 to 12 000 000 on RS485 | an error |
+/// | `adapter` | of whoever serves an RS485 line to other programs: `"echo"` or `"echo-noise"`, see [`Adapter`] | `"plain"` |
+/// | `interface` | a CAN interface such as `"vcan0"` on which to serve a CAN bus as well | none |
+/// | `faults` | what goes wrong while the bus is served, each as in [`PlannedFault`] | nothing |
+/// | `shared_ids` | whether several motors may have the same id, as from the factory | `false` |
+/// | `[bus.defaults]` | what its motors are where they do not say: all keys of a motor but its id | |
+/// | `[[bus.motor]]` | a motor, or several that are equal; at least one | |
+///
+/// A `[[bus.motor]]`, whose keys but the first two may also stand in `[bus.defaults]`:
+///
+/// | key | what it is | without it |
+/// |---|---|---|
+/// | `id` | 1 to 32 | `ids` |
+/// | `ids` | of several equal ones: `"1-6"` or `[1, 2, 5]` | `id` |
+/// | `model` | a name, or a file's that ends in `.toml`, looked for where the robot's file is | `"RMD-X8-PRO"` |
+/// | `firmware` | `"v4.3"` or `"v4.4"` | its model's |
+/// | `motion` | the scales of motion mode, a table as in files of models | the model's or the firmware's |
+/// | `version_date` | what 0xB2 tells: a whole number | the firmware's |
+/// | `quirks` | a list of names as of [`quirk_names`](super::quirk_names) | none |
+/// | `response_ms` | the shortest and the longest time after which it answers, ms | `[0.7, 0.9]` |
+/// | `brake` | whether it has one | `false` |
+/// | `load` | a table with the fields of [`Load`](super::plant::Load) | a bare shaft |
+/// | `start_angle_deg` | where its shaft is at the start, degrees, turns included | 0 |
+///
+/// A key of a motor takes the place of the same key of the defaults, a table as a whole. Keys that are not
+/// listed here are errors.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    /// Its buses, in the order of the file.
+    pub buses: Vec<RobotBus>,
+}
+
+/// A bus of a [`Robot`].
+#[derive(Clone, Debug)]
+pub struct RobotBus {
+    /// Its motors. Other settings, such as a [memory folder](Fleet::memory_folder), can be given until they are
+    /// put on a bus.
+    pub fleet: Fleet,
+    /// What it is.
+    pub kind: BusKind,
+    /// Bits per second.
+    pub bit_rate: u32,
+    /// How programs outside reach an RS485 line.
+    pub adapter: Adapter,
+    /// The CAN interface on which to serve a CAN bus as well.
+    pub interface: Option<String>,
+    /// What goes wrong with its motors, and when. They strike where the bus is served in real time
+    /// (`serve::Server::plan_on`): a program under virtual time does to [`BusFleet::world`](super::BusFleet::world)
+    /// what it likes, when it likes.
+    pub faults: Vec<PlannedFault>,
+}
+
+/// What an RS485 adapter does beside its work.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Adapter {
+    /// Nothing.
+    #[default]
+    Plain,
+    /// It hands back what is sent.
+    Echo,
+    /// It does so, and at every tenth switch of direction it hears a random byte beside.
+    EchoNoise,
+}
+
+impl Adapter {
+    /// Its transceiver.
+    pub fn transceiver(self) -> TransceiverConfig {
+        TransceiverConfig {
+            echo: self != Self::Plain,
+            switch_noise: if self == Self::EchoNoise { ECHO_NOISE } else { 0.0 },
+            ..TransceiverConfig::default()
+        }
+    }
+}
+
+/// Why there is no such robot.
+#[derive(Debug, thiserror::Error)]
+pub enum RobotError {
+    /// The file cannot be read.
+    #[error("the robot's file \"{}\" cannot be read: {error}", file.display())]
+    Unreadable {
+        /// Its path.
+        file: PathBuf,
+        /// What the operating system reports.
+        error: io::Error,
+    },
+    /// Something in the file is not what it must be.
+    #[error("{}line {line}: {what}", of(file.as_deref()))]
+    Wrong {
+        /// Its path, if it is a file's text.
+        file: Option<PathBuf>,
+        /// The line, from 1.
+        line: usize,
+        /// What was expected, and what was found.
+        what: String,
+    },
+    /// No bus has this name.
+    #[error("there is no bus \"{name}\", only {}", buses.join(", "))]
+    NoSuchBus {
+        /// The name.
+        name: String,
+        /// Those there are.
+        buses: Vec<String>,
+    },
+    /// The bus is of the other kind.
+    #[error("the bus \"{name}\" is of the kind {kind}: take its fleet by that one's function")]
+    OtherKind {
+        /// The bus.
+        name: String,
+        /// What it is.
+        kind: BusKind,
+    },
+    /// A fleet of one bus was wanted from a file with another number of them.
+    #[error("one bus was expected, but the file has {0}: take `Robot`")]
+    NotOneBus(usize),
+    /// The drives cannot be put on the bus.
+    #[error("bus \"{name}\": {error}")]
+    Fleet {
+        /// The bus.
+        name: String,
+        /// Why.
+        error: FleetError,
+    },
+}
+
+fn of(file: Option<&Path>) -> String {
+    file.map_or(String::new(), |file| format!("{}, ", file.display()))
+}
+
+impl Robot {
+    /// The robot of this text. Files that it names are looked for in `folder`.
+    ///
+    /// # Errors
+    /// [`RobotError::Wrong`]: the line, what was expected, and what was found.
+    pub fn from_toml(text: &str, folder: impl AsRef<Path>) -> Result<Self, RobotError> {
+        let wrong = |(line, what)| RobotError::Wrong { file: None, line, what };
+        read::robot(text, folder.as_ref()).map_err(wrong)
+    }
+
+    /// The robot of this file. Files that it names are looked for beside it.
+    ///
+    /// # Errors
+    /// [`RobotError::Unreadable`], or [`RobotError::Wrong`] as [`from_toml`](Self::from_toml).
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Self, RobotError> {
+        let path = path.as_ref();
+        let text = fs::read_to_string(path)
+            .map_err(|error| RobotError::Unreadable { file: path.to_owned(), error })?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let wrong = |(line, what)| RobotError::Wrong { file: Some(path.to_owned()), line, what };
+        read::robot(&text, folder).map_err(wrong)
+    }
+
+    /// With this seed for everything that happens by chance, instead of the file's. The same seed gives the same
+    /// run; two buses of a robot have different chance.
+    #[must_use]
+    pub fn seed(mut self, seed: u64) -> Self {
+        for (bus, place) in self.buses.iter_mut().zip(0_u64..) {
+            bus.fleet = bus.fleet.clone().seed(seed.wrapping_add(place << 32));
+        }
+        self
+    }
+
+    /// The bus of this name.
+    ///
+    /// # Errors
+    /// [`RobotError::NoSuchBus`], which lists those there are.
+    pub fn bus(&self, name: &str) -> Result<&RobotBus, RobotError> {
+        self.buses.iter().find(|bus| bus.name() == name).ok_or_else(|| RobotError::NoSuchBus {
+            name: name.to_owned(),
+            buses: self.buses.iter().map(|bus| bus.name().to_owned()).collect(),
+        })
+    }
+
+    /// The motors of the CAN bus of this name on that bus, at the file's bit rate, in virtual time. Each call makes
+    /// new ones.
+    ///
+    /// # Errors
+    /// [`RobotError::NoSuchBus`], or as [`RobotBus::on_can`].
+    pub fn can(&self, name: &str) -> Result<CanFleet, RobotError> {
+        self.bus(name)?.on_can()
+    }
+
+    /// The motors of the RS485 line of this name on that line, at the file's bit rate, in virtual time. Each call
+    /// makes new ones.
+    ///
+    /// # Errors
+    /// [`RobotError::NoSuchBus`], or as [`RobotBus::on_rs485`].
+    pub fn rs485(&self, name: &str) -> Result<LineFleet, RobotError> {
+        self.bus(name)?.on_rs485()
+    }
+}
+
+impl RobotBus {
+    /// What it is called: the name of its [fleet](Self::fleet).
+    pub fn name(&self) -> &str {
+        self.fleet.bus_name().unwrap_or(self.kind.name())
+    }
+
+    /// Its motors on a CAN bus, at its bit rate, in virtual time.
+    ///
+    /// # Errors
+    /// [`RobotError::OtherKind`] or [`RobotError::Fleet`].
+    pub fn on_can(&self) -> Result<CanFleet, RobotError> {
+        self.check_kind(BusKind::Can)?;
+        self.fleet.on_can(self.bit_rate).map_err(|error| self.failed(error))
+    }
+
+    /// Its motors on an RS485 line, at its bit rate, in virtual time.
+    ///
+    /// # Errors
+    /// As [`on_can`](Self::on_can).
+    pub fn on_rs485(&self) -> Result<LineFleet, RobotError> {
+        self.check_kind(BusKind::Rs485)?;
+        self.fleet.on_rs485(self.bit_rate).map_err(|error| self.failed(error))
+    }
+
+    fn check_kind(&self, wanted: BusKind) -> Result<(), RobotError> {
+        if self.kind == wanted {
+            return Ok(());
+        }
+        Err(RobotError::OtherKind { name: self.name().to_owned(), kind: self.kind })
+    }
+
+    fn failed(&self, error: FleetError) -> RobotError {
+        RobotError::Fleet { name: self.name().to_owned(), error }
+    }
+}
+
+impl Fleet {
+    /// The motors of a file that has one bus; see [`Robot`] for the file. What it says of the bus itself but for its
+    /// name is left to whoever puts them on one.
+    ///
+    /// # Errors
+    /// As [`Robot::from_toml`], or [`RobotError::NotOneBus`].
+    pub fn from_toml(text: &str, folder: impl AsRef<Path>) -> Result<Self, RobotError> {
+        let mut buses = Robot::from_toml(text, folder)?.buses;
+        let count = buses.len();
+        match buses.pop() {
+            Some(bus) if count == 1 => Ok(bus.fleet),
+            _ => Err(RobotError::NotOneBus(count)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
