@@ -8,5 +8,6 @@ mod drives {
     mod plant_loads;
     mod plant_physics;
     mod quirks;
+    mod robots;
     mod runs;
 }

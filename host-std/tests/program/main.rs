@@ -7,4 +7,5 @@ mod motors;
 mod readme;
 mod run;
 mod sim_log;
+mod sim_robot;
 mod sim_serve;

@@ -4,6 +4,8 @@ use crate::run::{lines, run_words};
 
 const README: &str = include_str!("../../../README.md");
 const CONTROL_LOOP: &str = include_str!("../../examples/control_loop.rs");
+const TWO_ARMS: &str = include_str!("../../examples/two_arms.rs");
+const TWO_ARMS_FILE: &str = include_str!("../../examples/two_arms.toml");
 const ASK_MOVE_STOP: &str = include_str!("../../examples/ask_move_stop.rs");
 
 #[test]
@@ -19,6 +21,21 @@ fn what_is_shown_of_the_examples_is_what_they_are() {
         assert!(imports.lines().all(|line| line.starts_with("use ")), "{imports}");
         assert!(function.contains("\nfn "), "{function}");
         assert!(example.contains(function), "not in the example:\n{function}");
+    }
+}
+
+/// The rest of that section is run by `.ci/robot`.
+#[test]
+fn what_is_shown_of_the_robot_is_what_it_is() {
+    let (_, section) = README.split_once("## A robot from one file").unwrap();
+    let block = |language: &str| {
+        let (_, block) = section.split_once(&format!("```{language}\n")).unwrap();
+        block.split_once("```").unwrap().0
+    };
+    assert!(TWO_ARMS_FILE.contains(block("toml")));
+    let lines: Vec<&str> = TWO_ARMS.lines().collect();
+    for line in block("rust").lines() {
+        assert!(lines.contains(&line), "not in the example: {line}");
     }
 }
 

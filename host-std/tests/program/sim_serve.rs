@@ -57,6 +57,11 @@ impl Simulation {
         simulation
     }
 
+    /// What it told of the bus of this name.
+    pub(crate) fn named(&self, name: &str) -> &Value {
+        self.places.iter().find(|place| place["name"] == name).unwrap()
+    }
+
     fn place(&self, kind: &str) -> &Value {
         self.places.iter().find(|place| place["kind"] == kind).unwrap()
     }
@@ -76,7 +81,7 @@ impl Simulation {
     }
 
     /// Sends a signal, and gives how it ended and what it complained of.
-    fn end(mut self, signal: Signal) -> (ExitStatus, String) {
+    pub(crate) fn end(mut self, signal: Signal) -> (ExitStatus, String) {
         kill_process(Pid::from_child(&self.process), signal).unwrap();
         let mut told = String::new();
         self.process.stderr.take().unwrap().read_to_string(&mut told).unwrap();
@@ -172,7 +177,7 @@ fn programs_need_not_set_anything_on_the_port() {
     assert_eq!(simulation.end(Signal::INT), ended_well());
 }
 
-fn ended_well() -> (ExitStatus, String) {
+pub(crate) fn ended_well() -> (ExitStatus, String) {
     (ExitStatus::default(), String::new())
 }
 
@@ -258,7 +263,7 @@ fn run_at(bus: &str, arguments: &[&str]) -> (Option<i32>, String) {
 }
 
 /// What it printed; it must have done what was asked.
-fn done_at(bus: &str, arguments: &[&str]) -> String {
+pub(crate) fn done_at(bus: &str, arguments: &[&str]) -> String {
     let (status, told) = run_at(bus, arguments);
     assert_eq!(status, Some(0), "{told}");
     told
