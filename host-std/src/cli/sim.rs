@@ -86,8 +86,8 @@ Quirks: what drives were seen to do beside the manual
 #[derive(Debug, Args)]
 #[command(after_help = FAULTS)]
 pub(super) struct Arguments {
-    /// A robot: its buses, and the motors on each, with their models, loads and faults. Its keys are in the
-    /// documentation of `sim::Robot`
+    /// A robot: its buses, and the motors on each, with their models, loads and faults. README.md shows one, and the
+    /// documentation of `sim::Robot` has all keys
     #[arg(value_name = "ROBOT.toml", conflicts_with_all = SAID_BY_A_FILE, conflicts_with = "only")]
     robot: Option<PathBuf>,
     /// How many motors on each bus, with ids from 1

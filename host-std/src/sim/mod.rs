@@ -53,6 +53,10 @@
 //! assert_eq!(of_arm?.angle, of_hand?.angle);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! A blocking master waits on its own bus alone, and time stands still on the others. Who steps several by hand brings
+//! them to one time after each round: `hand.world.run_until(arm.world.now())`. What works on two buses at once is
+//! two tasks.
 
 pub mod bus;
 mod fleet;

@@ -91,7 +91,7 @@ pub(super) fn lines(places: &[Place], is_file: bool, json: bool) -> Vec<String> 
     }
     let mut lines: Vec<String> = places.iter().map(|place| place.text(is_file)).collect();
     let has = |kind| places.iter().any(|place| place.kind().0 == kind);
-    let is_twice = |pair: &[Place]| pair.iter().all(|place| place.name == pair[0].name);
+    let is_twice = |pair: &[Place]| matches!(pair, [one, other] if one.name == other.name);
     if is_file {
         if places.windows(2).any(is_twice) {
             lines.push("Places of the same name lead to the same motors.".into());

@@ -93,10 +93,10 @@ fn every_key_of_a_motor_is_read_there_and_in_the_defaults() {
         start_angle_deg: -400.5,
     };
     let own = format!("[[bus.motor]]\nid = 3\n{}", keys.replace("TABLE", "bus.motor"));
-    assert_eq!(motors(&own), [expected.clone()]);
+    assert_eq!(motors(&own), std::slice::from_ref(&expected));
     let keys = keys.replace("TABLE", "bus.defaults");
     let shared = format!("[bus.defaults]\n{keys}\n[[bus.motor]]\nid = 3\n");
-    assert_eq!(motors(&shared), [expected.clone()]);
+    assert_eq!(motors(&shared), std::slice::from_ref(&expected));
 
     // What a motor says itself counts, and a load counts as a whole.
     let own = "brake = false\nload = { torque_nm = 2 }\nquirks = []";
