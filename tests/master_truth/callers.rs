@@ -1,15 +1,14 @@
 //! Callers: when they ask, stop and lift, ask for more than the bus carries, and rest; and how a run goes.
 
 use myactuator_host_std::sim::bus::faults::{Babble, Direction};
-use myactuator_protocol_core::command::ReadVersionDate;
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::{Channel, MotorId};
 use myactuator_tests::dice::Dice;
 use myactuator_tests::values::id;
 
 use super::oracle::{Oracle, Totals};
-use super::scenarios::{Echo, Pace, Scenario, Trouble};
+use super::scenarios::{Pace, Scenario, Trouble};
 use super::world::{Rough, RoughError, Stage};
 
 /// An outcome takes at the longest: a restart (2 s), and three attempts with their waiting; behind bursts, each as
@@ -95,7 +94,6 @@ impl<W: Rough> Session<W> {
 
     pub(crate) fn run(mut self) -> Totals {
         let mut quiet = false;
-        self.find_the_echo();
         loop {
             let more = self.oracle.totals.requests < self.scenario.requests;
             if more {
@@ -131,20 +129,6 @@ impl<W: Rough> Session<W> {
         self.judge();
         self.oracle.totals.excused = self.stage.book.open().excused.clone();
         self.oracle.totals
-    }
-
-    /// A loop finds an echo out by itself with the first reads of what is never all zero. Before that
-    /// nothing is asked.
-    fn find_the_echo(&mut self) {
-        if self.scenario.conditions.echo != Echo::Unknown {
-            return;
-        }
-        let channel = Channel::Command(id(1).into());
-        for _ in 0..3 {
-            self.stage.book.open().put(id(1), channel, &ReadVersionDate.encode());
-            // Whether it is answered or not, it was sent.
-            let _ = self.stage.host.ask(id(1), ReadVersionDate);
-        }
     }
 
     fn is_over(&self) -> bool {

@@ -3,12 +3,12 @@
 
 use embassy_futures::select::{Either, select};
 use myactuator_host_std::sim::bus::World;
-use myactuator_protocol_core::command::{Command, SetPoint};
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::SetPoint;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{AsyncClock as _, AsyncRunner, Runner};
 use myactuator_protocol_core::master::{Event, Master};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::{MotorId, io::CallError};
 use myactuator_tests::dice::Dice;
 
 use super::scenarios::{Loop, Scenario};
@@ -57,17 +57,6 @@ impl<W: Rough> Host<W> {
     ) -> Result<(), RequestError> {
         let now = self.now();
         self.master().set_point(motor, command, now)
-    }
-
-    pub(super) fn ask<C: Command>(
-        &mut self,
-        motor: MotorId,
-        command: C,
-    ) -> Result<C::Reply, CallError<RoughError>> {
-        match self {
-            Self::Polled(bus) => bus.ask(motor, command),
-            Self::Async { bus, world, .. } => world.block_on(bus.ask(motor, command)),
-        }
     }
 
     /// One round.

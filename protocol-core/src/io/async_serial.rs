@@ -9,7 +9,7 @@ use embedded_io_async::{Read, Write};
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
 use crate::io::clock::Clock;
-use crate::io::line::{self, Line, READS_A_ROUND};
+use crate::io::line::{Line, READS_A_ROUND};
 use crate::io::runner::{LONGEST_IDLE, STUCK_AFTER};
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
@@ -86,13 +86,11 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
 
     async fn transmit(&mut self) -> Result<(), S::Error> {
         let now = self.clock.now();
-        let Some(frame) = line::offered(&mut self.master, now) else { return Ok(()) };
-        self.line.sent(frame, now);
+        let Some(bytes) = self.line.offered(&mut self.master, now) else { return Ok(()) };
         self.unflushed = true;
         let Self { serial, clock, master, .. } = self;
         let mut sending = CountsAsSent { master, clock, is_over: false };
         let patience = sending.clock.wait_until(now + STUCK_AFTER);
-        let bytes = frame.encode();
         let mut rest = bytes.as_slice();
         let outcome = select(write(serial, &mut rest), patience).await;
         // What the port has taken may be heard, and answered, whatever fails then.

@@ -2,7 +2,7 @@
 
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
-use crate::wire::rs485::Frame;
+use crate::wire::rs485::{FRAME_LENGTH, Frame, HEADER};
 
 /// An echo does not come later after its sending, if somebody looks: adapters hand over what they received every
 /// 16 ms.
@@ -18,9 +18,9 @@ const SENDINGS: usize = 8;
 /// reply that equals its command, an acknowledgement of 0x81 for example, only what is more than was
 /// sent counts: without a drive that answers, nothing is left.
 ///
-/// An echo that nobody configured is found by a command to all motors that comes back, which no drive sends:
-/// a stop of all motors begins with one. Or by two sendings in a row that come back although no reply to them
-/// can be the same bytes; and is none if four of them in a row then do not come back.
+/// An echo that nobody configured is found by what comes back and no drive sends: the loops begin with a frame that
+/// nobody answers, and a stop of all motors with one to all. Or by two sendings in a row that come back although no
+/// reply to them can be the same bytes; and is none if four of them in a row then do not come back.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
@@ -52,6 +52,11 @@ impl EchoFilter {
     /// Whether the adapter echoes, as was said or found.
     pub const fn is_echoing(&self) -> bool {
         !matches!(self.adapter, Adapter::IsQuiet { .. })
+    }
+
+    /// Takes note that the adapter echoes.
+    pub(super) fn is_found(&mut self) {
+        self.adapter = Adapter::FoundEchoing { missing: 0 };
     }
 
     /// Takes note of a frame that was sent.
@@ -118,6 +123,44 @@ impl Adapter {
     }
 }
 
+/// A frame that comes back only as an echo. An adapter that echoes hands it back before the echo of what is sent
+/// after it, so that a stop's echo is known for one however late both are.
+#[derive(Clone, Debug)]
+pub(super) struct Probe {
+    /// How often it is still to be sent.
+    left: u8,
+    /// So many of its bytes have come back in a row.
+    matched: usize,
+}
+
+impl Probe {
+    /// A read of the status (0x9A) from motor 33, which no motor can be (1 to 32): nobody answers it, not even a
+    /// drive that lost its master and hands its first command back.
+    pub(super) const FRAME: [u8; FRAME_LENGTH] =
+        [0x3E, 33, 0x08, 0x9A, 0, 0, 0, 0, 0, 0, 0, 0x73, 0x70];
+
+    /// Noise may spoil one.
+    pub(super) const fn new() -> Self {
+        Self { left: 2, matched: 0 }
+    }
+
+    /// Whether it is to be sent now, rather than anything else.
+    pub(super) fn is_due(&mut self) -> bool {
+        let is_due = self.left > 0;
+        self.left = self.left.saturating_sub(1);
+        is_due
+    }
+
+    /// Whether with this byte it has come back.
+    pub(super) fn has_come_back(&mut self, byte: u8) -> bool {
+        // None of its bytes is like the first.
+        let matched = if byte == HEADER { 0 } else { self.matched };
+        let is_next = Self::FRAME.get(matched) == Some(&byte);
+        self.matched = if is_next { matched + 1 } else { 0 };
+        self.matched == FRAME_LENGTH
+    }
+}
+
 /// Whether a drive can answer a command with the command's own bytes. Not to all motors, and not where the
 /// reply has values that are never all zero: a voltage, a date, a name.
 fn can_be_a_reply(command: &Frame) -> bool {
@@ -156,6 +199,26 @@ mod tests {
         assert!(filter.is_echo(&stop));
         assert!(filter.is_echo(&stop));
         assert!(!filter.is_echo(&stop));
+    }
+
+    #[test]
+    fn the_probe_is_a_good_frame_to_nobody() {
+        use crate::wire::rs485::Fault;
+        assert_eq!(Frame::decode(&Probe::FRAME), Err(Fault::Address));
+        // The CRC over a whole frame comes to 0.
+        let crc = crc::Crc::<u16>::new(&crc::CRC_16_MODBUS).checksum(&Probe::FRAME);
+        assert_eq!(crc, 0);
+        assert_eq!(Probe::FRAME[2..11], frame(ReadStatus1).encode()[2..11]);
+    }
+
+    #[test]
+    fn the_probe_is_known_by_all_of_its_bytes_in_a_row() {
+        let mut probe = Probe::new();
+        let mut backs = |bytes: &[u8]| bytes.iter().filter(|&&it| probe.has_come_back(it)).count();
+        let (start, rest) = Probe::FRAME.split_at(5);
+        assert_eq!(backs(&[0x00, 0x3E]) + backs(&Probe::FRAME), 1);
+        assert_eq!(backs(start) + backs(&[0x55]) + backs(rest), 0);
+        assert_eq!(backs(start) + backs(&Probe::FRAME) + backs(&Probe::FRAME), 2);
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! From the bytes of a serial port to the master: what the blocking and the async loop share.
 
-use crate::io::echo::EchoFilter;
+use crate::io::echo::{EchoFilter, Probe};
 use crate::master::{Bus, Config, Event, Master};
 use crate::time::Instant;
-use crate::wire::rs485::{Fed, Frame, Receiver};
+use crate::wire::rs485::{FRAME_LENGTH, Fed, Frame, Receiver};
 
 /// Bytes read at once.
 const CHUNK: usize = 32;
@@ -15,6 +15,7 @@ pub(super) const READS_A_ROUND: usize = 64;
 pub(super) struct Line {
     receiver: Receiver,
     echoes: EchoFilter,
+    probe: Probe,
     chunk: [u8; CHUNK],
     /// The bytes of `chunk` that are still to be looked at.
     next: usize,
@@ -24,7 +25,8 @@ pub(super) struct Line {
 impl Line {
     pub(super) const fn new(config: &Config) -> Self {
         let echoes = EchoFilter::new(matches!(config.bus, Bus::Rs485 { echo: true, .. }));
-        Self { receiver: Receiver::new(), echoes, chunk: [0; CHUNK], next: 0, end: 0 }
+        let (receiver, probe) = (Receiver::new(), Probe::new());
+        Self { receiver, echoes, probe, chunk: [0; CHUNK], next: 0, end: 0 }
     }
 
     /// Hands on the bytes that were read, up to the first event.
@@ -35,6 +37,9 @@ impl Line {
     ) -> Option<Event> {
         while let Some(&byte) = self.chunk.get(..self.end).and_then(|read| read.get(self.next)) {
             self.next += 1;
+            if self.probe.has_come_back(byte) {
+                self.echoes.is_found();
+            }
             let Fed::Frame(frame) = self.receiver.feed(byte) else { continue };
             if self.echoes.is_echo(&frame) {
                 continue;
@@ -47,9 +52,20 @@ impl Line {
         None
     }
 
-    /// A frame has left.
-    pub(super) fn sent(&mut self, frame: Frame, now: Instant) {
+    /// What is to be sent: what the master offers, which offers nothing that RS485 has no frame for; but first
+    /// of all what shows whether the adapter echoes, unless that is known.
+    pub(super) fn offered<const N: usize>(
+        &mut self,
+        master: &mut Master<N>,
+        now: Instant,
+    ) -> Option<[u8; FRAME_LENGTH]> {
+        let frame = Frame::from_packet(&master.poll_transmit(now)?)?;
+        if !self.echoes.is_echoing() && self.probe.is_due() {
+            master.let_another_go_first(now);
+            return Some(Probe::FRAME);
+        }
         self.echoes.sent(frame, now);
+        Some(frame.encode())
     }
 
     /// The port holds nothing now.
@@ -68,9 +84,4 @@ impl Line {
     pub(super) fn filled(&mut self, bytes: usize) {
         self.end = bytes.min(CHUNK);
     }
-}
-
-/// What the master offers; it offers nothing that RS485 has no frame for.
-pub(super) fn offered<const N: usize>(master: &mut Master<N>, now: Instant) -> Option<Frame> {
-    Frame::from_packet(&master.poll_transmit(now)?)
 }

@@ -3,7 +3,7 @@
 use embedded_io::{Read, ReadReady, Write};
 
 use crate::io::clock::Clock;
-use crate::io::line::{self, Line, READS_A_ROUND};
+use crate::io::line::{Line, READS_A_ROUND};
 use crate::io::runner::Runner;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
@@ -48,9 +48,7 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
     }
 
     fn transmit(&mut self, now: Instant) -> Result<(), S::Error> {
-        let Some(frame) = line::offered(&mut self.master, now) else { return Ok(()) };
-        self.line.sent(frame, now);
-        let bytes = frame.encode();
+        let Some(bytes) = self.line.offered(&mut self.master, now) else { return Ok(()) };
         let mut rest = bytes.as_slice();
         let written = self.write(&mut rest);
         // What the port has taken may be heard, and answered, whatever fails then.

@@ -17,9 +17,9 @@ pub enum Bus {
         /// Pause between the end of a reply and the next command, for the drives to turn around.
         turnaround: Duration,
         /// Whether the adapter hands back what is sent: then the first frame with the same bytes is
-        /// dropped. The loops find out by themselves if this is wrong, at the first stop of all motors or at
-        /// the first reads: see [`EchoFilter`](crate::io::EchoFilter). Until then the echo of what is answered
-        /// with its own bytes passes for the answer, that of a stop of one motor for its confirmation.
+        /// dropped. Where this says no, the loops ask before the first command, by two frames that no drive
+        /// answers: see [`EchoFilter`](crate::io::EchoFilter). If noise takes both echoes, that of a stop of one
+        /// motor may pass for its confirmation until the first stop of all or two reads have shown it.
         echo: bool,
     },
 }

@@ -25,6 +25,14 @@ fn serial() -> (TestSerial, TestClock, SerialMaster<TestSerial, TestClock, 4>) {
     on_rs485(SerialMaster::new)
 }
 
+/// One whose echo was asked for already.
+fn used_serial() -> (TestSerial, TestClock, SerialMaster<TestSerial, TestClock, 4>) {
+    let (port, clock, mut arm) = serial();
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    port.forget();
+    (port, clock, arm)
+}
+
 /// Runs for so long and gives what happened.
 fn run<const N: usize, R: Runner<N, Error = Broken>>(
     arm: &mut R,
@@ -147,7 +155,7 @@ fn a_time_out_of_a_blocking_controller_is_would_block() {
 
 #[test]
 fn a_serial_port_may_move_one_byte_at_a_time() {
-    let (port, clock, mut arm) = serial();
+    let (port, clock, mut arm) = used_serial();
     port.state().at_most = 1;
     port.hear(&[0x00, 0x3E, 0x01]); // what is left of somebody's frame
     assert_eq!(arm.ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees(), 360.0);
@@ -178,7 +186,7 @@ fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
 
 #[test]
 fn what_a_serial_port_has_taken_counts_as_sent_whatever_fails_then() {
-    let (port, clock, mut arm) = serial();
+    let (port, clock, mut arm) = used_serial();
     port.state().flush_fails = true;
     assert_eq!(arm.ask(id(1), step()), Err(CallError::Bus(Broken)));
     port.state().flush_fails = false;
@@ -195,7 +203,7 @@ fn a_closed_port_is_a_silent_one() {
 
 #[test]
 fn a_command_without_reply_is_over_once_it_has_left() {
-    let (port, _, mut arm) = serial();
+    let (port, _, mut arm) = used_serial();
     assert_eq!(arm.ask(id(1), Reset), Ok(NoReply));
     assert!(port.is_flushed() && port.written().len() == 13);
 }
@@ -259,6 +267,20 @@ fn the_echo_of_a_stop_confirms_nothing_however_late_it_is_read() {
     // The program is halted for a while, and its echo waits in the port.
     clock.advance(150_000);
     assert_eq!(run(&mut arm, &clock, 500_000), [Event::StopUnconfirmed { motor: id(9) }]);
+}
+
+#[test]
+fn the_first_stop_on_an_adapter_is_not_confirmed_by_an_echo_that_nobody_told_of() {
+    for echoes in [false, true] {
+        let (port, _, mut arm) = serial();
+        port.state().echoes = echoes;
+        assert!(!arm.stop(id(9), StopKind::Hold), "nobody is there; echoes: {echoes}");
+        let (port, clock, mut arm) = serial();
+        port.state().echoes = echoes;
+        assert!(arm.stop(id(1), StopKind::Hold), "echoes: {echoes}");
+        // Two frames and turnarounds go before it, and 0.8 ms later it is answered.
+        assert!(clock.micros() < 3_400, "by the first: {} us", clock.micros());
+    }
 }
 
 #[test]

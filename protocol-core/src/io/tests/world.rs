@@ -255,6 +255,13 @@ impl TestSerial {
         self.state.borrow().written.clone()
     }
 
+    /// Nothing was written yet.
+    pub(super) fn forget(&self) {
+        let mut state = self.state.borrow_mut();
+        state.written.clear();
+        state.flushed = 0;
+    }
+
     pub(super) fn is_flushed(&self) -> bool {
         let state = self.state.borrow();
         state.flushed == state.written.len()
