@@ -298,20 +298,14 @@ impl<E> Desk<E> {
 
     // ---- the thread's side ----
 
-    /// Hands the clerk what is there: orders, then set-points, then questions. False when it is time to
-    /// end.
+    /// Hands the clerk what is there: orders, then set-points, then questions, then set-points that are newer than
+    /// a question which ends motion. False when it is time to end.
     pub(super) fn take(&self, clerk: &mut impl Clerk<E>) -> bool {
         let mut guard = self.lock();
         let state = &mut *guard;
         (state.is_idle, state.has_news) = (false, false);
         state.orders.drain(..).for_each(|order| clerk.obey(order));
-        for (slot, motor) in state.slots.iter_mut().zip(MotorId::all()) {
-            if let Some(set_point) = slot.set_point.take()
-                && let Err(refusal) = clerk.set_point(motor, set_point)
-            {
-                slot.refusal = Some(refusal);
-            }
-        }
+        state.hand_over_set_points(clerk);
         // What one motor is asked, it is asked in that order.
         let mut busy = MotorSet::EMPTY;
         for question in std::mem::take(&mut state.questions) {
@@ -322,6 +316,7 @@ impl<E> Desk<E> {
                 state.questions.push_back(question);
             }
         }
+        state.hand_over_set_points(clerk);
         matches!(state.life, Life::Running)
     }
 
@@ -406,6 +401,22 @@ impl<E> State<E> {
         }
         self.orders.push(order);
         Ok(())
+    }
+
+    /// Hands the clerk the set-points, but for those of motors that are still to be asked to end their motion: what
+    /// is there for one of these is newer than that, which would drop it.
+    fn hand_over_set_points(&mut self, clerk: &mut impl Clerk<E>) {
+        let ends_motion = |question: &&Question<E>| question.command.kind.ends_motion();
+        let ending: MotorSet =
+            self.questions.iter().filter(ends_motion).map(|question| question.motor).collect();
+        for motor in MotorSet::ALL.without(ending).iter() {
+            let slot = self.slot(motor);
+            if let Some(set_point) = slot.set_point.take()
+                && let Err(refusal) = clerk.set_point(motor, set_point)
+            {
+                slot.refusal = Some(refusal);
+            }
+        }
     }
 
     /// A stop drops whatever is older than it.
