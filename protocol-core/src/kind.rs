@@ -118,9 +118,10 @@ impl Kind {
         data.get(at).copied()
     }
 
-    /// Whether it may set the motor in motion.
+    /// Whether it may set the motor in motion, or open the brake that holds it.
     pub(crate) const fn moves(self) -> bool {
         match self {
+            Self::Known(Opcode::ReleaseBrake) => true,
             Self::Known(opcode) => matches!(opcode.usage(), Usage::SetPoint | Usage::Move),
             Self::Raw { moves, .. } => moves,
         }

@@ -2,7 +2,7 @@
 //! a bus that was cut, patience of a caller's own.
 
 use super::*;
-use crate::command::ReadStatus2;
+use crate::command::{ReadStatus2, ReleaseBrake};
 
 const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
 
@@ -461,4 +461,34 @@ fn on_rs485_no_stop_meets_the_answer_to_what_it_goes_over() {
             assert_eq!(sent(&mut master, at)[0].data, Shutdown.encode());
         }
     }
+}
+
+#[test]
+fn a_brake_that_may_be_released_after_a_stop_leaves_that_unconfirmed() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReleaseBrake, ms(0));
+    // It lies in a mailbox, and the stop overtakes it.
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(1));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None, "a load may fall yet");
+    reply(&mut master, 1, ReleaseBrake.encode(), ms(3)).unwrap();
+    assert_eq!(sent(&mut master, ms(3)).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(4)), confirmed);
+    // Those of all.
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(ReleaseBrake, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(1));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None);
+    // Handed back after all were told to end their motion.
+    let mut master = Master::<2>::new(Config::CAN);
+    let released = master.request(id(1), ReleaseBrake).unwrap();
+    let in_mailbox = sent(&mut master, ms(0))[0];
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(sent(&mut master, ms(50)), [packet_to_all(Shutdown.encode())]);
+    let told = events(&mut master, ms(50));
+    assert!(told.iter().any(|event| released.outcome(event) == Some(Err(Failure::Stopped))));
 }
