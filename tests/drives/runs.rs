@@ -386,7 +386,12 @@ fn trace<W: Wire>(
     let bus = W::drives(&Fleet::new(2)).unwrap();
     let log = bus.world.log();
     exchanges(&mut master(&bus));
-    let records = log.take();
+    let mut records = log.take();
+    // What asks an RS485 adapter whether it echoes is to nobody.
+    records.retain(|record| match &record.event {
+        OnBus::Carried { frame, .. } => W::packet(&mut Receiver::new(), frame, false).is_some(),
+        _ => true,
+    });
     assert_eq!(records.len(), 2 * COMMANDS.len());
     let mut lines = String::new();
     let mut command_over_ns = 0;

@@ -36,7 +36,7 @@ const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 /// | `rs485:/dev/ttyUSB0@115200,echo` | one that hands back what it sends |
 /// | `rs485:/dev/ttyUSB0@115200,noecho` | one that does not |
 ///
-/// Without `echo` and `noecho` it is found out at opening, which takes 0.1 s: see [`Echo::Unknown`].
+/// Without `echo` it is found out in use: see [`Echo::Unknown`].
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
@@ -82,12 +82,10 @@ pub enum BusAddress {
 pub enum Echo {
     /// It does.
     Present,
-    /// It does not. Said wrongly, the echo of a stop of one motor may pass for its confirmation.
+    /// It does not, which is not relied on: see [`Unknown`](Self::Unknown).
     Absent,
-    /// Nothing is said. [`AnyMaster::open`](super::AnyMaster::open) finds it out: it reads the status of
-    /// motor 33, which no motor can be, and looks whether that comes back. One that passes unnoticed
-    /// all the same, because it comes later than after 0.05 s, is found in use, but not before the
-    /// first reads.
+    /// Nothing is said. Before the first command whose echo may pass for its answer the status of motor 33 is read,
+    /// which no motor can be: if that comes back it is an echo.
     #[default]
     Unknown,
 }

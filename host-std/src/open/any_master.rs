@@ -4,10 +4,10 @@ use std::io;
 use std::sync::Arc;
 
 use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
-use myactuator_protocol_core::master::{Bus, Config, Event, Master};
+use myactuator_protocol_core::master::{Config, Event, Master};
 use myactuator_protocol_core::time::Instant;
 
-use super::{BusAddress, BusError, Echo, echo};
+use super::{BusAddress, BusError};
 use crate::BusKind;
 use crate::port::{HostClock, PortError, Rs485, Slcan, SocketCan};
 use crate::sim::Fleet;
@@ -40,8 +40,7 @@ impl<const N: usize> AnyMaster<N> {
     }
 
     /// Opens this bus with a configuration of the caller's, made from
-    /// [its own](BusAddress::config). Where neither that nor the address says that an RS485 adapter
-    /// echoes, or that it does not, it is [found out](Echo::Unknown).
+    /// [its own](BusAddress::config).
     ///
     /// # Errors
     /// As [`open`](Self::open).
@@ -88,15 +87,9 @@ impl<const N: usize> AnyMaster<N> {
                 let (clock, wake) = host(can.clock()?)?;
                 (Self::Slcan(CanMaster::new(can, clock, config)), wake)
             }
-            BusAddress::Rs485 { path, bit_rate, echo } => {
-                let mut serial = Rs485::open(path, *bit_rate)?;
+            BusAddress::Rs485 { path, bit_rate, .. } => {
+                let serial = Rs485::open(path, *bit_rate)?;
                 let (clock, wake) = host(serial.clock()?)?;
-                let mut config = config;
-                if let (Echo::Unknown, Bus::Rs485 { echo: echo @ false, .. }) =
-                    (echo, &mut config.bus)
-                {
-                    *echo = echo::is_echoing(&mut serial, &clock, config.frame_time)?;
-                }
                 (Self::Rs485(SerialMaster::new(serial, clock, config)), wake)
             }
         })

@@ -21,7 +21,6 @@ mod address;
 mod any_master;
 #[cfg(test)]
 mod bursts;
-mod echo;
 mod error;
 
 pub use address::{BusAddress, Echo};

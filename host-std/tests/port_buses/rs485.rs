@@ -68,18 +68,6 @@ fn bytes_pass_unchanged_both_ways() {
 }
 
 #[test]
-fn an_echo_is_looked_for_unless_the_address_says_something_of_it() {
-    for (word, frames) in [("", 2), (",echo", 0), (",noecho", 0)] {
-        let (mut line, path) = pty::open();
-        rustix::io::ioctl_fionbio(&line, true).unwrap();
-        let _master = drive::open(&format!("rs485:{}@2500000{word}", path.display())).unwrap();
-        let mut heard = [0; 64];
-        // Nothing to read is an error.
-        assert_eq!(line.read(&mut heard).unwrap_or(0), frames * 13, "{word}");
-    }
-}
-
-#[test]
 fn what_is_no_serial_port_is_told() {
     let error = |path: &str| Rs485::open(path, 115_200).unwrap_err();
     assert!(matches!(error("/dev/there-is-no-such-port"), PortError::NoSuchPort(_)));

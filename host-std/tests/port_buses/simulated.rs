@@ -13,6 +13,8 @@ fn they_answer_in_virtual_time_with_the_configuration_of_their_kind() {
     for bus in ["sim:2", "sim:2,rs485"] {
         let address: BusAddress = bus.parse().unwrap();
         let mut arm = AnyMaster::<4>::open_with(&address, address.config()).unwrap();
+        // On RS485 this finds out whether there is an echo.
+        arm.ask(motor(1), ReadMultiTurnAngle).unwrap();
         let before = arm.now();
         let reading = arm.ask(motor(2), ReadMultiTurnAngle).unwrap();
         assert_eq!(reading.angle.degrees(), 0.0, "{bus}");

@@ -18,9 +18,10 @@ const SENDINGS: usize = 8;
 /// reply that equals its command, an acknowledgement of 0x81 for example, only what is more than was
 /// sent counts: without a drive that answers, nothing is left.
 ///
-/// An echo that nobody configured is found by what comes back and no drive sends: the loops begin with a frame that
-/// nobody answers, and a stop of all motors with one to all. Or by two sendings in a row that come back although no
-/// reply to them can be the same bytes; and is none if four of them in a row then do not come back.
+/// An echo that nobody configured is found by what comes back and no drive sends: a frame that nobody answers, by
+/// which the loops ask, or one to all, with which a stop of all motors begins. Or by two sendings in a row that
+/// come back although no reply to them can be the same bytes; and is none if four of them in a row then do not
+/// come back.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
@@ -144,7 +145,7 @@ impl Probe {
         Self { left: 2, matched: 0 }
     }
 
-    /// Whether it is to be sent now, rather than anything else.
+    /// Whether it is to be sent now.
     pub(super) fn is_due(&mut self) -> bool {
         let is_due = self.left > 0;
         self.left = self.left.saturating_sub(1);
@@ -163,7 +164,7 @@ impl Probe {
 
 /// Whether a drive can answer a command with the command's own bytes. Not to all motors, and not where the
 /// reply has values that are never all zero: a voltage, a date, a name.
-fn can_be_a_reply(command: &Frame) -> bool {
+pub(super) fn can_be_a_reply(command: &Frame) -> bool {
     if command.as_reply().is_none() {
         return false;
     }

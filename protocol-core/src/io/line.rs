@@ -1,6 +1,6 @@
 //! From the bytes of a serial port to the master: what the blocking and the async loop share.
 
-use crate::io::echo::{EchoFilter, Probe};
+use crate::io::echo::{EchoFilter, Probe, can_be_a_reply};
 use crate::master::{Bus, Config, Event, Master};
 use crate::time::Instant;
 use crate::wire::rs485::{FRAME_LENGTH, Fed, Frame, Receiver};
@@ -52,15 +52,15 @@ impl Line {
         None
     }
 
-    /// What is to be sent: what the master offers, which offers nothing that RS485 has no frame for; but first
-    /// of all what shows whether the adapter echoes, unless that is known.
+    /// What is to be sent: what the master offers, which offers nothing that RS485 has no frame for. But where
+    /// nobody knows whether the adapter echoes, what shows it goes before what its echo may seem to answer.
     pub(super) fn offered<const N: usize>(
         &mut self,
         master: &mut Master<N>,
         now: Instant,
     ) -> Option<[u8; FRAME_LENGTH]> {
         let frame = Frame::from_packet(&master.poll_transmit(now)?)?;
-        if !self.echoes.is_echoing() && self.probe.is_due() {
+        if !self.echoes.is_echoing() && can_be_a_reply(&frame) && self.probe.is_due() {
             master.let_another_go_first(now);
             return Some(Probe::FRAME);
         }

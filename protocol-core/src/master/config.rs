@@ -17,8 +17,8 @@ pub enum Bus {
         /// Pause between the end of a reply and the next command, for the drives to turn around.
         turnaround: Duration,
         /// Whether the adapter hands back what is sent: then the first frame with the same bytes is
-        /// dropped. Where this says no, the loops ask before the first command, by two frames that no drive
-        /// answers: see [`EchoFilter`](crate::io::EchoFilter). If noise takes both echoes, that of a stop of one
+        /// dropped. Where this says no, the loops ask before the first command whose echo may pass for its
+        /// answer, by two frames that no drive answers: see [`EchoFilter`](crate::io::EchoFilter). If noise takes both echoes, that of a stop of one
         /// motor may pass for its confirmation until the first stop of all or two reads have shown it.
         echo: bool,
     },

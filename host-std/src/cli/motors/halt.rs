@@ -54,8 +54,8 @@ fn tell_all<C: Command + Copy>(
     kind: StopKind,
     command: C,
 ) -> Outcome<MotorSet> {
-    // On RS485 one to all goes first: nobody waits behind those that are silent, and an adapter that echoes is
-    // found by it. There is a place for all.
+    // On RS485 one to all goes first: nobody waits behind those that are silent. There is a place for
+    // all.
     let _ = session.master.master().stop_all(kind, MotorSet::EMPTY);
     let mut confirmed = MotorSet::EMPTY;
     for _ in 0..ROUNDS {

@@ -16,8 +16,7 @@ const VARIABLE: &str = "MYACTUATOR_BUS";
 pub(super) struct OnBus {
     /// The bus: can0, slcan:/dev/ttyACM0@1000000, rs485:/dev/ttyUSB0@115200, or N simulated motors: sim,
     /// sim:N, sim:N,rs485 [default: the environment's MYACTUATOR_BUS, else sim for what only reads].
-    /// Behind rs485:..., ",echo" says that the adapter hands back what it sends, ",noecho" that it does
-    /// not; else that is found out, which takes 0.1 s.
+    /// Behind rs485:..., ",echo" says that the adapter hands back what it sends; else that is found out.
     #[arg(long, global = true, value_name = "ADDRESS")]
     bus: Option<BusAddress>,
 }

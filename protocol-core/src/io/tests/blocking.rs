@@ -281,6 +281,10 @@ fn the_first_stop_on_an_adapter_is_not_confirmed_by_an_echo_that_nobody_told_of(
         // Two frames and turnarounds go before it, and 0.8 ms later it is answered.
         assert!(clock.micros() < 3_400, "by the first: {} us", clock.micros());
     }
+    // A stop of all shows it by itself.
+    let (port, _, mut arm) = serial();
+    arm.stop_all(StopKind::Hold, id(1).into());
+    assert_eq!(port.written()[..4], [0x3E, 0xCD, 8, 0x81]);
 }
 
 #[test]
