@@ -109,14 +109,14 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         }
     }
 
-    /// The bus has failed, which one of them is told.
+    /// The bus has failed, which one of them is told. The others may have been sent, and go on.
     pub(super) fn bus_has_failed(&mut self, error: E) {
         if let Some((_, outcome)) = self.open().next() {
             *outcome = Some(Err(CallError::Bus(error)));
         }
     }
 
-    /// What came of each.
+    /// What came of each, once none is open.
     pub(super) fn outcomes(self) -> [Outcome<C, E>; M] {
         let bus_is_down = || Err(CallError::Failed(Failure::BusDown));
         self.0.map(|(_, outcome)| outcome.unwrap_or_else(bus_is_down))

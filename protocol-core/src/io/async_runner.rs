@@ -110,17 +110,13 @@ pub trait AsyncRunner<const N: usize> {
         loop {
             let now = self.now();
             if !askings.put(self.master(), now) {
-                break;
+                return askings.outcomes();
             }
             match run_fairly(self, askings.latest_turn()).await {
                 Ok(event) => event.iter().for_each(|event| askings.note(event)),
-                Err(error) => {
-                    askings.bus_has_failed(error);
-                    break;
-                }
+                Err(error) => askings.bus_has_failed(error),
             }
         }
-        askings.outcomes()
     }
 
     /// Puts a set-point in a motor's stream; see [`Master::set_point`]. It leaves at the next

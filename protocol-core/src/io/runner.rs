@@ -111,8 +111,8 @@ pub trait Runner<const N: usize> {
     /// # let _ = degrees; Ok(()) }
     /// ```
     ///
-    /// When the bus fails, one outcome is the bus's error, and the others that are open are
-    /// told that [the bus is down](crate::master::Failure::BusDown).
+    /// Each error of the bus is the outcome of one question, which may be under way all the same; the others go
+    /// on.
     fn ask_together<C: Command, const M: usize>(
         &mut self,
         questions: [(MotorId, C); M],

@@ -102,7 +102,8 @@ pub enum Failure {
     /// A reply came, but its fields hold what is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop came before it and took its place.
+    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. Where
+    /// it was a restart that had been sent, that is told, too ([`Event::Restarted`]).
     #[error("the motors were stopped first")]
     Stopped,
     /// The bus carried nothing while the command waited.

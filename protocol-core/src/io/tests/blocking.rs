@@ -367,6 +367,34 @@ fn whom_a_stop_has_no_place_for_has_not_confirmed_it() {
     assert_eq!(arm.stop_all(StopKind::Hold, both), id(2).into());
 }
 
+/// A bus that fails once, with the third look.
+struct FailsOnce(TestCan, u8);
+
+impl embedded_can::nb::Can for FailsOnce {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> nb::Result<Option<SimpleFrame>, Broken> {
+        self.0.transmit(frame)
+    }
+
+    fn receive(&mut self) -> nb::Result<SimpleFrame, Broken> {
+        self.1 += 1;
+        if self.1 == 3 { Err(nb::Error::Other(Broken)) } else { self.0.receive() }
+    }
+}
+
+#[test]
+fn what_was_sent_before_an_error_of_the_bus_is_not_told_as_dropped() {
+    let clock = TestClock::default();
+    let bus = TestCan::new(&clock);
+    let mut arm = CanMaster::<_, _, 4>::new(FailsOnce(bus.clone(), 0), clock, Config::CAN);
+    let told = arm.ask_together([1, 2, 3].map(|motor| (id(motor), step())));
+    assert_eq!(bus.sent().len(), 3);
+    assert_eq!(told[0], Err(CallError::Bus(Broken)));
+    assert!(told[1].is_ok() && told[2].is_ok(), "{told:?}");
+}
+
 /// A bus on which answers to moves are lost.
 struct WithoutAnswersToMoves(TestCan);
 

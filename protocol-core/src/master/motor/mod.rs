@@ -15,6 +15,7 @@ use crate::master::health::Health;
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::request::{Asked, Request};
 use crate::master::stream::{SetPoint, Stream};
+use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
@@ -136,6 +137,11 @@ impl Motor {
             }
             Request::Failed(_) => self.news.insert(News::STOPPED),
             _ => {}
+        }
+        let reset = Kind::Known(Opcode::Reset);
+        if matches!(self.request, Request::Sent(asked) if asked.kind() == reset) {
+            // Its outcome does not tell that.
+            self.has_begun_anew(config, now);
         }
         self.give_request_up(config, now);
         self.request = Request::Waiting(stop);

@@ -492,3 +492,20 @@ fn a_brake_that_may_be_released_after_a_stop_leaves_that_unconfirmed() {
     let told = events(&mut master, ms(50));
     assert!(told.iter().any(|event| released.outcome(event) == Some(Err(Failure::Stopped))));
 }
+
+#[test]
+fn a_restart_that_was_sent_before_a_stop_is_told_as_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let reset = ask(&mut master, 1, Reset, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    let told = events(&mut master, ms(1));
+    assert_eq!(reset.outcome(&told[0]), Some(Err(Failure::Stopped)));
+    assert!(is_restart_told(&told), "{told:?}");
+    master.lift_stop();
+    let refused = master.set_point(id(1), torque(1.0), ms(2));
+    assert_eq!(refused, Err(RequestError::Restarted), "nobody knows where it is");
+    // One that was still waiting has restarted nothing.
+    let _waits = master.request(id(2), Reset).unwrap();
+    master.stop(id(2), StopKind::Off).unwrap();
+    assert_eq!(events(&mut master, ms(3)).len(), 1);
+}
