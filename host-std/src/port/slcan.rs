@@ -173,10 +173,20 @@ impl Slcan {
 }
 
 impl Drop for Slcan {
-    /// Takes the adapter off the bus, as far as it still listens.
+    /// Takes the adapter off the bus, as far as it still listens. It answers once it has taken what was sent
+    /// before; what an adapter that does not answer has not taken by then is thrown away.
     fn drop(&mut self) {
+        let takes = self.unsent.is_empty();
+        if takes {
+            AdapterCommand::Nothing.encode(&mut self.unsent);
+            if let Ok(Some(_)) = self.tell(AdapterCommand::Close) {
+                return;
+            }
+        }
         let _ = self.tty.discard_output();
-        let _ = self.tty.write(b"\rC\r");
+        if !takes {
+            let _ = self.tty.write(b"\rC\r");
+        }
     }
 }
 

@@ -113,6 +113,21 @@ fn a_master_asks_through_an_adapter() {
 }
 
 #[test]
+fn what_is_sent_last_is_not_lost_when_the_port_is_closed() {
+    for _ in 0..20 {
+        let (line, path) = pty::open();
+        let device = play(line, Adapter::default());
+        let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
+        can.transmit(&frame(TORQUE)).unwrap();
+        drop(can);
+        let heard = device.join().unwrap();
+        use AdapterCommand as C;
+        let end = [C::Transmit(frame(TORQUE)), C::Nothing, C::Close];
+        assert!(heard.ends_with(&end), "{heard:?}");
+    }
+}
+
+#[test]
 fn an_adapter_that_will_not_open_is_told() {
     let (line, path) = pty::open();
     let device = play(line, Adapter { refuses_to_open: true, ..Adapter::default() });
