@@ -4,5 +4,6 @@ mod buses {
     mod bursts;
     mod can;
     mod faults;
+    mod rates;
     mod rs485;
 }

@@ -360,6 +360,9 @@ impl<B: Medium> Kernel<B> {
         state.wake = NEVER;
         let Some(node) = &mut state.node else { return };
         node.advance(now);
+        if let Some(bit_rate) = node.bit_rate() {
+            self.bus.set_bit_rate(station, bit_rate, &mut self.around);
+        }
         state.is_blocked = true;
         while self.bus.room(station) > state.backlog.len() {
             let Some(frame) = node.poll_transmit(now) else {
@@ -407,6 +410,11 @@ impl<B: Medium> Kernel<B> {
         self.bus.cut(station, is_cut, &mut self.around);
         let event = if is_cut { Event::Cut } else { Event::Mended };
         self.around.record(station, || event);
+        self.spread();
+    }
+
+    pub(crate) fn set_bit_rate(&mut self, station: usize, bit_rate: u32) {
+        self.bus.set_bit_rate(station, bit_rate, &mut self.around);
         self.spread();
     }
 

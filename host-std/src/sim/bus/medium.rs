@@ -102,6 +102,20 @@ pub(crate) mod sealed {
         fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<Self::Frame>);
         /// Empties a station's controller.
         fn reset(&mut self, station: usize, around: &mut Surroundings<Self::Frame>);
+        /// A station's bit rate.
+        fn bit_rate(&mut self, station: usize) -> &mut u32;
+        /// At another bit rate a controller starts anew.
+        fn set_bit_rate(
+            &mut self,
+            station: usize,
+            to: u32,
+            around: &mut Surroundings<Self::Frame>,
+        ) {
+            if *self.bit_rate(station) != to {
+                self.reset(station, around);
+                *self.bit_rate(station) = to;
+            }
+        }
 
         fn flip_bit(frame: &mut Self::Frame, bit: u64);
         fn garbage(random: &mut Random) -> Self::Frame;

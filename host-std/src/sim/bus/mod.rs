@@ -9,6 +9,9 @@
 //!
 //! - [`can`]: arbitration, frame lengths by content, queues, error counters, bus-off.
 //! - [`rs485`]: a half-duplex line with byte times, direction switches, collisions and echo.
+//! - Bit rates: a station has the bus's until it is [given another](World::set_bit_rate) or its node
+//!   [takes one](Node::bit_rate). Stations at different rates do not understand each other: on CAN they
+//!   break each other's frames, on RS485 they read noise.
 //! - [`faults`]: seeded loss, corruption, duplicates, delay, reordering, babble; wires cut and
 //!   mended, participants reset and slowed down.
 //! - [`trace`]: what was on the wire and what became of it, for tests that know the truth.

@@ -33,6 +33,13 @@ pub trait Node<F>: Send {
         let _ = now;
     }
 
+    /// The bit rate that it speaks at from now on, bit/s. Asked after each [`advance`](Self::advance); a
+    /// change [starts its controller anew](super::World::set_bit_rate). `None`, unless implemented, for the
+    /// rate that its station has.
+    fn bit_rate(&self) -> Option<u32> {
+        None
+    }
+
     /// Its power was cycled. Does nothing unless implemented; the controller is emptied in any case.
     fn reset(&mut self, now: Instant) {
         let _ = now;
@@ -58,6 +65,10 @@ impl<F, N: Node<F>> Node<F> for Arc<Mutex<N>> {
 
     fn advance(&mut self, now: Instant) {
         lock(self).advance(now);
+    }
+
+    fn bit_rate(&self) -> Option<u32> {
+        lock(self).bit_rate()
     }
 
     fn reset(&mut self, now: Instant) {

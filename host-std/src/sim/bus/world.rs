@@ -254,6 +254,12 @@ impl<B: Medium> World<B> {
         self.with(|kernel| kernel.reset(station.0));
     }
 
+    /// Sets the bit rate of a station, in bit/s; at first it is the bus's. If that is another than before,
+    /// its controller starts anew. A node with a [rate of its own](Node::bit_rate) keeps to that.
+    pub fn set_bit_rate(&self, station: StationId, bit_rate: u32) {
+        self.with(|kernel| kernel.set_bit_rate(station.0, bit_rate));
+    }
+
     /// Slows a node down: all that it sends gets to its controller that much later.
     /// [`Duration::ZERO`] for its own speed again.
     pub fn slow_down(&self, node: StationId, by: Duration) {

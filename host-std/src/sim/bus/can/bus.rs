@@ -3,7 +3,9 @@
 use embedded_can::{Frame, StandardId};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
-use super::controller::{Controller, ControllerConfig, ErrorState, RECOVERY_SEQUENCES, Recovery};
+use super::controller::{
+    Controller, ControllerConfig, ErrorState, RECOVERY_SEQUENCES, Recovery, Role, SEQUENCE,
+};
 use super::timing::{AFTER_ACKNOWLEDGE, INTERMISSION, frame_bits};
 use crate::sim::bus::faults::Disturbance;
 use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, Wire, sealed::Bus};
@@ -17,8 +19,8 @@ const ERROR_FRAME: u32 = 6 + 6 + 8;
 const LONE_ERROR_FRAME: u32 = 6 + 8;
 /// How much longer an error-passive sender waits.
 const SUSPEND: u32 = 8;
-/// Eleven recessive bits are one sequence towards the end of bus-off.
-const SEQUENCE: u32 = 11;
+/// A stranger signals an error after so many of its own bits, of which five at most may be equal.
+const STRANGE: u32 = 6;
 
 /// How a frame on the wire will end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,6 +41,10 @@ struct Transmission {
     frame: SimpleFrame,
     started: Nanos,
     ending: Ending,
+    /// That of the senders.
+    bit_rate: u32,
+    /// In what bits its end is counted: those of the slowest that signals an error.
+    end_rate: u32,
 }
 
 #[derive(Debug)]
@@ -59,6 +65,7 @@ enum Phase {
 /// A CAN bus and the controllers on it.
 #[derive(Debug)]
 pub struct CanBus {
+    /// That of whoever has no other.
     bit_rate: u32,
     pub(super) controllers: Vec<Controller>,
     /// The common wire, then each station's stub.
@@ -83,10 +90,6 @@ impl CanBus {
         }
     }
 
-    fn bits(&self, count: u32) -> Nanos {
-        bits(count.into(), self.bit_rate)
-    }
-
     /// The wires with somebody on them.
     fn wires(&self) -> Vec<Wire> {
         let stubs = self.controllers.iter().map(|controller| controller.wire);
@@ -103,10 +106,6 @@ impl CanBus {
         all.filter(move |(_, controller)| controller.wire == wire)
     }
 
-    fn recovery_at(&self, recovery: Recovery) -> Nanos {
-        recovery.since.saturating_add(bits(recovery.wanted * u64::from(SEQUENCE), self.bit_rate))
-    }
-
     fn next_on(&self, wire: Wire) -> Nanos {
         match &self.wires[place(wire)] {
             Phase::Sending { until, .. } | Phase::Gap { until } => *until,
@@ -116,8 +115,8 @@ impl CanBus {
                     if let Some((from, _)) = controller.wants_bus() {
                         next = next.min(from.max(*since));
                     }
-                    if let Some(recovery) = controller.recovery {
-                        next = next.min(self.recovery_at(recovery));
+                    if let Some(at) = controller.recovers_at() {
+                        next = next.min(at);
                     }
                 }
                 next
@@ -127,8 +126,8 @@ impl CanBus {
 
     /// The wire is taken from `now` on: counts what silence there was towards the end of bus-off.
     fn end_silence(&mut self, wire: Wire, now: Nanos) {
-        let sequence = self.bits(SEQUENCE);
         for (_, controller) in self.on_mut(wire) {
+            let sequence = controller.bits(SEQUENCE);
             if let Some(recovery) = &mut controller.recovery {
                 let seen = now.saturating_sub(recovery.since) / sequence;
                 recovery.wanted = recovery.wanted.saturating_sub(seen);
@@ -155,9 +154,10 @@ impl CanBus {
         };
         let Some((_, first)) = self.on(wire).filter_map(waiting).min() else { return };
         let Some(frame) = self.controllers[first].next_frame() else { return };
+        let bit_rate = self.controllers[first].bit_rate;
         let senders: Vec<usize> = self
             .on(wire)
-            .filter(|(_, controller)| controller.next_frame() == Some(frame))
+            .filter(|(_, it)| it.bit_rate == bit_rate && it.next_frame() == Some(frame))
             .filter_map(waiting)
             .map(|(_, station)| station)
             .collect();
@@ -165,22 +165,31 @@ impl CanBus {
         for &station in &senders {
             self.controllers[station].begin();
         }
-        let length = frame_bits(&frame);
-        let disturbance = around.injector.disturbance(first, length - INTERMISSION);
-        let alone = !self
-            .on(wire)
-            .any(|(station, controller)| !controller.is_bus_off() && !senders.contains(&station));
+        let length = frame_bits(&frame) - INTERMISSION;
+        let disturbance = around.injector.disturbance(first, length);
+        let (mut is_heard, mut is_broken_after, mut end_rate) = (false, NEVER, bit_rate);
+        for (station, other) in self.on(wire) {
+            if senders.contains(&station) || other.is_bus_off() {
+                continue;
+            }
+            if other.bit_rate == bit_rate {
+                is_heard = true;
+            } else if other.state() == ErrorState::Active {
+                is_broken_after = is_broken_after.min(other.bits(STRANGE));
+                end_rate = end_rate.min(other.bit_rate);
+            }
+        }
         let (ending, taken) = match disturbance {
             Some(Disturbance::Detected(bit)) => (Ending::Broken, bit),
-            _ if alone => (Ending::Unacknowledged, length - INTERMISSION - AFTER_ACKNOWLEDGE),
-            Some(Disturbance::Undetected(bit)) => {
-                (Ending::Sent { flipped: Some(bit) }, length - INTERMISSION)
-            }
-            None => (Ending::Sent { flipped: None }, length - INTERMISSION),
+            _ if is_broken_after < NEVER => (Ending::Broken, length),
+            _ if !is_heard => (Ending::Unacknowledged, length - AFTER_ACKNOWLEDGE),
+            Some(Disturbance::Undetected(bit)) => (Ending::Sent { flipped: Some(bit) }, length),
+            None => (Ending::Sent { flipped: None }, length),
         };
-        let transmission = Transmission { senders, frame, started: now, ending };
-        let until = now + self.bits(taken);
-        self.wires[place(wire)] = Phase::Sending { transmission, until };
+        let taken = bits(taken.into(), bit_rate).min(is_broken_after);
+        let transmission =
+            Transmission { senders, frame, started: now, ending, bit_rate, end_rate };
+        self.wires[place(wire)] = Phase::Sending { transmission, until: now + taken };
     }
 
     fn finish_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
@@ -204,12 +213,10 @@ impl CanBus {
 
     fn recover_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
         for station in 0..self.controllers.len() {
-            let controller = &self.controllers[station];
-            let due = controller.recovery.is_some_and(|recovery| {
-                controller.wire == wire && self.recovery_at(recovery) <= around.now
-            });
-            if due {
-                self.controllers[station].recover();
+            let controller = &mut self.controllers[station];
+            let is_due = controller.recovers_at().is_some_and(|at| at <= around.now);
+            if is_due && controller.wire == wire {
+                controller.recover();
                 around.freed.push(station);
                 around.record(station, || Event::Recovered);
             }
@@ -222,21 +229,26 @@ impl CanBus {
         transmission: Transmission,
         around: &mut Surroundings<SimpleFrame>,
     ) {
-        let Transmission { senders, frame, started: started_ns, ending } = transmission;
+        let Transmission { senders, frame, started: started_ns, ending, bit_rate, end_rate } =
+            transmission;
         let now = around.now;
         let gap = match ending {
             Ending::Sent { .. } => INTERMISSION,
             Ending::Unacknowledged => LONE_ERROR_FRAME + INTERMISSION,
             Ending::Broken => ERROR_FRAME + INTERMISSION,
         };
-        let free_at = now + self.bits(gap);
+        let free_at = now + bits(gap.into(), end_rate);
         self.wires[place(wire)] = Phase::Gap { until: free_at };
         self.begin_silence(wire, free_at);
-        let suspended_until = free_at + self.bits(SUSPEND);
+        let mut deaf = senders.clone();
         for (station, controller) in self.on_mut(wire) {
-            let is_sender = senders.contains(&station);
-            if is_sender || !controller.is_bus_off() {
-                controller.count(ending, is_sender);
+            if senders.contains(&station) {
+                controller.count(ending, Role::Sender);
+            } else if controller.bit_rate != bit_rate {
+                deaf.push(station);
+                controller.count(ending, Role::Stranger);
+            } else {
+                controller.count(ending, Role::Receiver);
             }
         }
         for &station in &senders {
@@ -244,7 +256,9 @@ impl CanBus {
             controller.end(ending);
             match controller.state() {
                 ErrorState::Active => {}
-                ErrorState::Passive => controller.suspended_until = suspended_until,
+                ErrorState::Passive => {
+                    controller.suspended_until = free_at + controller.bits(SUSPEND);
+                }
                 ErrorState::BusOff => {
                     controller.recovery =
                         Some(Recovery { wanted: RECOVERY_SEQUENCES, since: free_at });
@@ -268,7 +282,7 @@ impl CanBus {
             let part = Some(Part { message, index: 0, of: 1, whole: Some(unit) });
             around.arrivals.push(Arrival {
                 sender: senders[0],
-                deaf: senders,
+                deaf,
                 started: started_ns,
                 on: wire,
                 unit,
@@ -302,7 +316,7 @@ impl Bus for CanBus {
     const DELIVERS_CORRUPTED: bool = false;
 
     fn attach(&mut self, config: ControllerConfig) {
-        self.controllers.push(Controller::new(config));
+        self.controllers.push(Controller::new(config, self.bit_rate));
         self.wires.push(Phase::Idle { since: 0 });
     }
 
@@ -354,6 +368,10 @@ impl Bus for CanBus {
         if let Some(recovery) = &mut self.controllers[station].recovery {
             recovery.since = around.now;
         }
+    }
+
+    fn bit_rate(&mut self, station: usize) -> &mut u32 {
+        &mut self.controllers[station].bit_rate
     }
 
     fn reset(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {

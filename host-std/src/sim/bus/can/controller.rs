@@ -7,13 +7,15 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 use super::bus::Ending;
 use super::timing::arbitration_key;
 use crate::sim::bus::medium::Wire;
-use crate::sim::bus::nanos::Nanos;
+use crate::sim::bus::nanos::{Nanos, bits};
 
 /// From this count on, of either counter, a controller is error-passive.
 const PASSIVE: u16 = 128;
 /// Above this transmit error count a controller leaves the bus.
 const BUS_OFF_ABOVE: u16 = 255;
-/// How many times eleven recessive bits end bus-off.
+/// Eleven recessive bits are one sequence towards the end of bus-off.
+pub(super) const SEQUENCE: u32 = 11;
+/// How many of them end it.
 pub(super) const RECOVERY_SEQUENCES: u64 = 128;
 
 /// Which frame of a transmit queue goes first.
@@ -85,6 +87,15 @@ struct Pending {
     on_wire: bool,
 }
 
+/// What a station is to a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Role {
+    Sender,
+    Receiver,
+    /// It speaks at another bit rate, so that it finds an error in every frame.
+    Stranger,
+}
+
 /// A controller that waits for the end of bus-off.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Recovery {
@@ -97,6 +108,7 @@ pub(super) struct Recovery {
 #[derive(Debug)]
 pub(super) struct Controller {
     config: ControllerConfig,
+    pub(super) bit_rate: u32,
     queue: VecDeque<Pending>,
     pub(super) transmit_errors: u16,
     pub(super) receive_errors: u16,
@@ -109,9 +121,10 @@ pub(super) struct Controller {
 }
 
 impl Controller {
-    pub(super) fn new(config: ControllerConfig) -> Self {
+    pub(super) fn new(config: ControllerConfig, bit_rate: u32) -> Self {
         Self {
             config,
+            bit_rate,
             queue: VecDeque::new(),
             transmit_errors: 0,
             receive_errors: 0,
@@ -120,6 +133,17 @@ impl Controller {
             wire: Wire::Common,
             joined: 0,
         }
+    }
+
+    /// How long so many of its bits last.
+    pub(super) fn bits(&self, count: u32) -> Nanos {
+        bits(count.into(), self.bit_rate)
+    }
+
+    /// When silence ends its bus-off.
+    pub(super) fn recovers_at(&self) -> Option<Nanos> {
+        let Recovery { wanted, since } = self.recovery?;
+        Some(since.saturating_add(bits(wanted * u64::from(SEQUENCE), self.bit_rate)))
     }
 
     pub(super) fn state(&self) -> ErrorState {
@@ -222,23 +246,34 @@ impl Controller {
         }
     }
 
-    /// Counts what became of a frame.
-    pub(super) fn count(&mut self, ending: Ending, is_sender: bool) {
-        match ending {
-            // Silence alone leads to error-passive and never to bus-off.
-            Ending::Unacknowledged if !is_sender || self.state() == ErrorState::Passive => {}
-            Ending::Sent { .. } if is_sender => {
+    /// Counts what became of a frame, unless it is another's and this one takes no part.
+    pub(super) fn count(&mut self, ending: Ending, role: Role) {
+        if role != Role::Sender && self.is_bus_off() {
+            return;
+        }
+        let is_active = self.state() == ErrorState::Active;
+        match (role, ending) {
+            (Role::Sender, Ending::Sent { .. }) => {
                 self.transmit_errors = self.transmit_errors.saturating_sub(1);
             }
-            Ending::Sent { .. } => self.receive_errors = self.receive_errors.saturating_sub(1),
-            Ending::Unacknowledged | Ending::Broken if is_sender => {
+            // Silence alone leads to error-passive and never to bus-off.
+            (Role::Sender, Ending::Unacknowledged) if !is_active => {}
+            (Role::Sender, Ending::Unacknowledged | Ending::Broken) => {
                 self.transmit_errors = self.transmit_errors.saturating_add(8);
             }
-            // More tells nothing: the state is the same from 128 on.
-            Ending::Unacknowledged | Ending::Broken => {
-                self.receive_errors = (self.receive_errors + 1).min(PASSIVE);
+            (Role::Receiver, Ending::Sent { .. }) => {
+                self.receive_errors = self.receive_errors.saturating_sub(1);
             }
+            (Role::Receiver, Ending::Unacknowledged) => {}
+            (Role::Receiver, Ending::Broken) => self.count_received(1),
+            // It hears the others' flags behind its own.
+            (Role::Stranger, _) => self.count_received(if is_active { 1 + 8 } else { 1 }),
         }
+    }
+
+    /// More than 128 tells nothing: the state is the same from there on.
+    fn count_received(&mut self, errors: u16) {
+        self.receive_errors = (self.receive_errors + errors).min(PASSIVE);
     }
 
     pub(super) fn recover(&mut self) {

@@ -13,6 +13,13 @@
 //!   again. A frame that nobody acknowledges is sent again too; its sender's count stays at 128 then,
 //!   as ISO 11898-1 has it. An error-passive sender waits 8 bits more. Above 255 it is bus-off: what
 //!   it has queued waits until 128 sequences of 11 recessive bits have passed.
+//! - A station at another bit rate, a stranger to the frame, never hears nor acknowledges it. An
+//!   error-active one breaks it: after six of its own bits it signals an error, and the error frame and the
+//!   intermission are counted in the bits of the slowest. It counts 1 for what it cannot read and 8 for the
+//!   others' flags behind its own, so that it is error-passive after 15 frames and disturbs no more; until
+//!   then the sender, at 8 each, comes to 120, and stays error-active. Simplified: what it samples is not
+//!   looked at, and one whose bits are twice as long or more counts as the others do, though it may not see
+//!   their flags, and would disturb longer; nor does it take a bus for idle that is not.
 //! - A station never receives what it sends.
 //!
 //! Not modelled: CAN FD, overload frames, disturbances seen by some stations only, one-shot mode; bit

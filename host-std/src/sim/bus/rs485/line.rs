@@ -42,6 +42,7 @@ enum Driver {
 #[derive(Debug)]
 struct Station {
     config: TransceiverConfig,
+    bit_rate: u32,
     queue: VecDeque<Message>,
     queued_bytes: usize,
     queued_since: Nanos,
@@ -51,6 +52,13 @@ struct Station {
     run_started: Nanos,
     run_bytes: u64,
     is_cut: bool,
+}
+
+impl Station {
+    /// Whether it sends, and does not hear what is on the line meanwhile.
+    fn is_deaf(&self) -> bool {
+        self.driver != Driver::Off && !self.config.echo
+    }
 }
 
 /// The byte that all receivers are in the middle of.
@@ -65,6 +73,36 @@ struct Heard {
     is_garbled: bool,
 }
 
+/// What a receiver at another bit rate makes of a message. From the edge of a start bit on it looks at the
+/// middle of each of its own bits; what has no stop bit is a byte as well, and then it waits for the line to
+/// be high. Times are counted in units of which a sent bit has `2 * own_rate`.
+fn misread(sent: &[u8], sent_rate: u32, own_rate: u32) -> Vec<u8> {
+    let (sent_bit, own_bit) = (2 * u64::from(own_rate.max(1)), 2 * u64::from(sent_rate.max(1)));
+    let is_high = |at: u64| {
+        let (byte, bit) = (at / sent_bit / BITS_PER_BYTE, at / sent_bit % BITS_PER_BYTE);
+        match sent.get(byte as usize) {
+            Some(byte) => bit > 0 && (u64::from(*byte) | 1 << 8) >> (bit - 1) & 1 == 1,
+            None => true,
+        }
+    };
+    let end = sent.len() as u64 * BITS_PER_BYTE * sent_bit;
+    let (mut at, mut bytes) = (0, Vec::new());
+    while at < end {
+        let is_one = |bit| u8::from(is_high(at + own_bit * bit + own_bit / 2));
+        // The line may be high again in the middle of what looked like a start bit.
+        if is_one(0) == 0 {
+            bytes.push((1..=8).rev().fold(0, |byte, bit| byte << 1 | is_one(bit)));
+            at += own_bit * 9 + own_bit / 2;
+        }
+        for level in [false, true] {
+            while at < end && is_high(at) == level {
+                at = (at / sent_bit + 1) * sent_bit;
+            }
+        }
+    }
+    bytes
+}
+
 /// A byte that nobody but this station hears.
 fn for_itself(station: usize, started: Nanos, byte: u8) -> Arrival<Vec<u8>> {
     let (deaf, unit) = (Vec::new(), vec![byte]);
@@ -74,6 +112,7 @@ fn for_itself(station: usize, started: Nanos, byte: u8) -> Arrival<Vec<u8>> {
 /// An RS485 line and the stations on it.
 #[derive(Debug)]
 pub struct Rs485Line {
+    /// That of whoever has no other.
     bit_rate: u32,
     stations: Vec<Station>,
     heard: Option<Heard>,
@@ -104,10 +143,9 @@ impl Rs485Line {
     fn begin_byte(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
         let now = around.now;
         let disturbed = self.others_drive(station);
-        let bit_rate = self.bit_rate;
         let state = &mut self.stations[station];
         state.run_bytes += 1;
-        let until = state.run_started + bits(BITS_PER_BYTE * state.run_bytes, bit_rate);
+        let until = state.run_started + bits(BITS_PER_BYTE * state.run_bytes, state.bit_rate);
         state.driver = Driver::Sending { since: now, until };
         let Some(message) = state.queue.front_mut() else { return };
         let index = message.begun;
@@ -162,10 +200,10 @@ impl Rs485Line {
             heard.byte = self.random.byte();
             heard.part = None;
         }
-        let is_deaf = |state: &Station| state.driver != Driver::Off && !state.config.echo;
+        let bit_rate = self.stations[heard.sender].bit_rate;
         let stations = self.stations.iter().enumerate();
-        let deaf =
-            stations.filter(|(_, state)| is_deaf(state)).map(|(station, _)| station).collect();
+        let is_deaf = |it: &Station| it.is_deaf() || it.bit_rate != bit_rate;
+        let deaf = stations.filter(|(_, it)| is_deaf(it)).map(|(station, _)| station).collect();
         around.arrivals.push(Arrival {
             sender: heard.sender,
             deaf,
@@ -185,8 +223,8 @@ impl Rs485Line {
             !station.is_cut
                 && matches!(station.driver, Driver::Sending { since, until } if since < now && now < until)
         });
-        if let Some((sender, _)) = rest {
-            let until = now + bits(BITS_PER_BYTE, self.bit_rate);
+        if let Some((sender, station)) = rest {
+            let until = now + bits(BITS_PER_BYTE, station.bit_rate);
             self.heard =
                 Some(Heard { sender, started: now, until, byte: 0, part: None, is_garbled: true });
         }
@@ -212,6 +250,15 @@ impl Rs485Line {
             && let Some(message) = state.queue.pop_front()
         {
             let Message { bytes: frame, started: started_ns, is_garbled, .. } = message;
+            let (is_cut, bit_rate) = (state.is_cut, state.bit_rate);
+            let strangers = self.stations.iter().enumerate().filter(|(_, it)| {
+                it.bit_rate != bit_rate && !it.is_deaf() && !it.is_cut && !is_cut
+            });
+            for (stranger, it) in strangers {
+                let misread = misread(&frame, bit_rate, it.bit_rate);
+                let bytes = misread.into_iter().map(|byte| for_itself(stranger, now, byte));
+                around.arrivals.extend(bytes);
+            }
             around.record(station, || {
                 if is_garbled {
                     Event::Broken { frame, started_ns }
@@ -220,6 +267,7 @@ impl Rs485Line {
                 }
             });
         }
+        let state = &mut self.stations[station];
         if state.queue.is_empty() {
             let until = now + from_duration(state.config.switch_to_receive);
             state.driver = Driver::SwitchingOff { until };
@@ -258,6 +306,7 @@ impl Bus for Rs485Line {
     fn attach(&mut self, config: TransceiverConfig) {
         self.stations.push(Station {
             config,
+            bit_rate: self.bit_rate,
             queue: VecDeque::new(),
             queued_bytes: 0,
             queued_since: 0,
@@ -385,6 +434,10 @@ impl Bus for Rs485Line {
             }
         }
         self.stations[station].is_cut = is_cut;
+    }
+
+    fn bit_rate(&mut self, station: usize) -> &mut u32 {
+        &mut self.stations[station].bit_rate
     }
 
     fn reset(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {

@@ -11,9 +11,12 @@
 //!   first start bit for one byte, so two overlapping bytes are heard as one; if the line is in the
 //!   middle of a byte then, the next one that is heard is garbled too, and so on up to a pause.
 //! - A cut station's bytes reach nobody but its own echo, and nobody reaches it.
+//! - A station at another bit rate reads a message as it samples it at its own: other bytes, and more or
+//!   fewer. Simplified: they come together, with the message's last byte, no fault strikes them, and a
+//!   message that collided is read as it was sent.
 //!
-//! Not modelled: parity and framing errors (a garbled byte is a wrong byte), stations at different
-//! bit rates, reflections.
+//! Not modelled: parity and framing errors (a garbled byte is a wrong byte, and so is one without its stop
+//! bit), reflections.
 
 mod line;
 mod port;

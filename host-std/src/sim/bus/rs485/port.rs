@@ -55,6 +55,11 @@ impl SerialPort {
         self.station
     }
 
+    /// The world that it is in.
+    pub const fn world(&self) -> &World<Rs485Line> {
+        &self.world
+    }
+
     /// How many received bytes were lost because nobody had read those before.
     pub fn overflows(&self) -> u64 {
         self.world.with(|kernel| kernel.received(self.station.0).1)

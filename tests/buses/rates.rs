@@ -1,0 +1,205 @@
+//! Stations at different bit rates on one bus. What is expected is worked out by hand: on CAN in bits, each a
+//! microsecond at 1 Mbit/s and two at 500 kbit/s; on RS485 as a receiver samples what it sees.
+
+use embedded_can::{Frame as _, StandardId, nb::Can as _};
+use embedded_io::{Read as _, ReadReady as _, Write as _};
+use myactuator_host_std::sim::bus::StationId;
+use myactuator_host_std::sim::bus::can::{CanPort, CanWorld, ErrorState};
+use myactuator_host_std::sim::bus::rs485::{SerialWorld, TransceiverConfig};
+use myactuator_host_std::sim::bus::trace::{Event, Record};
+use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::wire::can::SimpleFrame;
+use myactuator_protocol_core::wire::rs485::{Fed, Receiver};
+use myactuator_tests::script::{Hand, READ_PID, Stage as _, broken, micros};
+
+const SLOW: u32 = 500_000;
+const FAST: u32 = 1_000_000;
+
+/// 111 bits, of which the last three are the intermission: no stuff bits.
+fn smooth() -> SimpleFrame {
+    let data = [0x87, 0x87, 0x87, 0x87, 0x87, 0x66, 0x13, 0x87];
+    SimpleFrame::new(StandardId::new(0x61E).unwrap(), &data).unwrap()
+}
+
+/// Transmit errors, receive errors, state.
+fn counts(world: &CanWorld, station: StationId) -> (u16, u16, ErrorState) {
+    let status = world.controller(station);
+    (status.transmit_errors, status.receive_errors, status.state)
+}
+
+/// A bus at this rate with a master's port, another station, and a stranger at another rate; and what the second
+/// hears.
+fn can(bit_rate: u32, strange: u32) -> (CanWorld, CanPort, [StationId; 2], Hand<SimpleFrame>) {
+    let world = CanWorld::new(bit_rate, 1);
+    let port = world.port();
+    let hand = Hand::listening();
+    let listener = world.put(&hand);
+    let stranger = world.silent();
+    world.set_bit_rate(stranger, strange);
+    (world, port, [listener, stranger], hand)
+}
+
+fn starts_us(records: &[Record<SimpleFrame>]) -> Vec<u64> {
+    let started = |record: &Record<_>| match record.event {
+        Event::Broken { started_ns, .. } => Some(started_ns / 1_000),
+        _ => None,
+    };
+    records.iter().filter_map(started).collect()
+}
+
+/// It counts 1 for the frame that it cannot read and 8 for the others' flags behind its own: 15 frames until it
+/// has 128 and disturbs no more. The sender counts 8 each time: 120.
+#[test]
+fn a_stranger_breaks_fifteen_frames_and_is_error_passive_then() {
+    for (bit_rate, strange, broken_after_us, attempt_us, last_us) in [
+        // Six bits of the stranger, then error frame and intermission, 23 bits of the slower.
+        (FAST, SLOW, 12, 12 + 46, 108),
+        (SLOW, FAST, 6, 6 + 46, 216),
+    ] {
+        let (world, mut port, [listener, stranger], hand) = can(bit_rate, strange);
+        let log = world.log();
+        port.transmit(&smooth()).unwrap();
+        for attempt in 0..15 {
+            world.run_until(micros(attempt * attempt_us + broken_after_us - 1));
+            let state = counts(&world, stranger).2;
+            assert_eq!(state, ErrorState::Active, "{attempt}");
+            assert_eq!(u64::from(counts(&world, port.station()).0), attempt * 8);
+            world.run_until(micros(attempt * attempt_us + broken_after_us));
+            assert_eq!(u64::from(counts(&world, port.station()).0), attempt * 8 + 8);
+        }
+        assert_eq!(counts(&world, port.station()), (120, 0, ErrorState::Active));
+        assert_eq!(counts(&world, listener), (0, 15, ErrorState::Active));
+        assert_eq!(counts(&world, stranger), (0, 128, ErrorState::Passive));
+        world.run_for(Duration::from_millis(2));
+        assert_eq!(hand.heard(), [(15 * attempt_us + last_us, smooth())]);
+        let expected: Vec<u64> = (0..15).map(|attempt| attempt * attempt_us).collect();
+        assert_eq!(starts_us(&log.take()), expected);
+        assert_eq!(counts(&world, port.station()), (119, 0, ErrorState::Active));
+        assert_eq!(counts(&world, listener), (0, 14, ErrorState::Active));
+
+        // From now on it is there and disturbs nobody.
+        for _ in 0..5 {
+            port.transmit(&smooth()).unwrap();
+        }
+        world.run_for(Duration::from_millis(2));
+        assert_eq!(hand.heard().len(), 6);
+        assert_eq!(broken(&log.take()).count(), 0);
+        assert_eq!(counts(&world, stranger), (0, 128, ErrorState::Passive));
+    }
+}
+
+/// Those that could acknowledge are strangers to it: they break 15 of its frames, and then nobody says anything,
+/// which leads to error-passive and not to bus-off.
+#[test]
+fn a_sender_that_all_are_strangers_to_is_heard_by_nobody() {
+    let world = CanWorld::new(FAST, 1);
+    let hands = [(); 2].map(|()| Hand::listening());
+    let others = hands.each_ref().map(|hand| world.put(hand));
+    let mut port = world.port();
+    world.set_bit_rate(port.station(), SLOW);
+    let log = world.log();
+    port.transmit(&smooth()).unwrap();
+    // 15 times 6 bits of the others and 23 of its own; then 100 bits up to the acknowledge slot.
+    world.run_until(micros(15 * (6 + 46) + 199));
+    assert_eq!(counts(&world, port.station()), (120, 0, ErrorState::Active));
+    world.run_until(micros(15 * (6 + 46) + 200));
+    assert_eq!(counts(&world, port.station()), (128, 0, ErrorState::Passive));
+    world.run_until(Instant::ZERO + Duration::from_secs(1));
+    assert_eq!(counts(&world, port.station()), (128, 0, ErrorState::Passive));
+    for (other, hand) in others.into_iter().zip(&hands) {
+        assert_eq!(counts(&world, other), (0, 128, ErrorState::Passive));
+        assert_eq!(hand.heard(), []);
+    }
+    let records = log.take();
+    assert_eq!(broken(&records).count(), 15);
+    assert!(records.iter().any(|record| matches!(record.event, Event::Unacknowledged { .. })));
+
+    // At another rate its controller starts anew, without what it had to send.
+    world.set_bit_rate(port.station(), FAST);
+    assert_eq!(counts(&world, port.station()), (0, 0, ErrorState::Active));
+    assert_eq!(world.controller(port.station()).queued, 0);
+    port.transmit(&smooth()).unwrap();
+    world.run_for(Duration::from_millis(1));
+    for (other, hand) in others.into_iter().zip(&hands) {
+        assert_eq!(hand.frames(), [smooth()]);
+        assert_eq!(counts(&world, other), (0, 127, ErrorState::Active));
+    }
+}
+
+/// Who hears good frames meanwhile is error-active again and again, and drives it off the bus.
+#[test]
+fn a_sender_at_another_rate_goes_bus_off_where_others_talk() {
+    let world = CanWorld::new(FAST, 1);
+    world.listener();
+    // A low identifier, so that it goes first, and enough to say: 47 bits and 3 of intermission at the least.
+    let short = SimpleFrame::new(StandardId::new(1).unwrap(), &[]).unwrap();
+    world.sender((0..20_000).map(|at| (at * 60, short)));
+    let mut port = world.port();
+    world.set_bit_rate(port.station(), SLOW);
+    let log = world.log();
+    world.run_until(micros(1));
+    port.transmit(&smooth()).unwrap();
+    world.run_until(micros(1_000_000));
+    let left = log.take().into_iter().find(|record| record.event == Event::BusOff);
+    assert_eq!(left.map(|record| record.station), Some(port.station()));
+}
+
+/// What a receiver at one rate makes of what is sent at another.
+fn misread(sent: &[u8], sent_at: u32, read_at: u32) -> Vec<u8> {
+    let world = SerialWorld::new(sent_at, 1);
+    let fellow = world.listener();
+    let mut stranger = world.port();
+    world.set_bit_rate(stranger.station(), read_at);
+    let log = world.log();
+    world.sender([(0, sent.to_vec())]);
+    world.run_until(micros(10_000));
+    // Others hear what is sent, and nothing collides.
+    assert_eq!(fellow.frames().concat(), sent);
+    assert_eq!(broken(&log.take()).count(), 0);
+    let mut bytes = Vec::new();
+    while stranger.read_ready().unwrap() {
+        let mut byte = [0];
+        stranger.read_exact(&mut byte).unwrap();
+        bytes.extend(byte);
+    }
+    bytes
+}
+
+#[test]
+fn a_receiver_at_another_rate_reads_what_it_samples() {
+    // 0x0F is 0 11110000 1 on the line, and at twice the rate 00 11111111 00000000 11: the bits 0 01111111 1,
+    // then 0 00000001 1, the lowest first.
+    assert_eq!(misread(&[0x0F], SLOW, FAST), [0xFE, 0x80]);
+    // 0 00000000 1, twice; at half the rate every second bit of it: 0 00010000 1.
+    assert_eq!(misread(&[0, 0], FAST, SLOW), [0x08]);
+    // Behind the second bit sampled high, nothing comes any more: the line is idle, high.
+    assert_eq!(misread(&[0], FAST, SLOW), [0xF8]);
+    // So long low that it has no stop bit: a byte nevertheless, and the next edge begins the next.
+    assert_eq!(misread(&[0, 0], 115_200, FAST), [0, 0]);
+    // In the middle of its start bit the line is high again: no byte.
+    assert_eq!(misread(&[0x55, 0x55], FAST, SLOW), [0; 0]);
+}
+
+#[test]
+fn no_frame_is_read_at_another_rate() {
+    let rates = [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000];
+    for (sent_at, read_at) in rates.into_iter().flat_map(|a| rates.map(|b| (a, b))) {
+        let mut receiver = Receiver::new();
+        let bytes = misread(&READ_PID, sent_at, read_at);
+        let is_frame = bytes.iter().any(|&byte| matches!(receiver.feed(byte), Fed::Frame(_)));
+        assert_eq!(is_frame, sent_at == read_at, "{sent_at} {read_at} {bytes:02X?}");
+    }
+}
+
+#[test]
+fn a_byte_lasts_ten_bits_of_its_senders_rate_and_who_sends_hears_itself() {
+    let world = SerialWorld::new(FAST, 1);
+    let mut port = world.port_with(TransceiverConfig { echo: true, ..Default::default() });
+    world.set_bit_rate(port.station(), 115_200);
+    port.write_all(&[0xA5; 1152]).unwrap();
+    port.flush().unwrap();
+    assert_eq!(world.now_ns(), 100_000_000);
+    let mut heard = [0; 1152];
+    port.read_exact(&mut heard).unwrap();
+    assert_eq!(heard, [0xA5; 1152]);
+}
