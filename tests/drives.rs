@@ -8,6 +8,7 @@ mod drives {
     mod plant_loads;
     mod plant_physics;
     mod quirks;
+    mod rates;
     mod robots;
     mod runs;
 }

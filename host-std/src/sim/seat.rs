@@ -73,6 +73,10 @@ impl Node<SimpleFrame> for Seat {
         self.catch_up(now);
     }
 
+    fn bit_rate(&self) -> Option<u32> {
+        self.drive.bit_rate()
+    }
+
     fn reset(&mut self, now: Instant) {
         self.power_cycle(now);
     }
@@ -99,6 +103,10 @@ impl Node<Vec<u8>> for Seat {
 
     fn advance(&mut self, now: Instant) {
         self.catch_up(now);
+    }
+
+    fn bit_rate(&self) -> Option<u32> {
+        self.drive.bit_rate()
     }
 
     fn reset(&mut self, now: Instant) {

@@ -119,7 +119,37 @@ impl<B: Medium> BusFleet<B> {
 impl CanFleet {
     /// A master on this bus, for the firmware of its first drive.
     pub fn master<const N: usize>(&self) -> CanMaster<CanPort, SimClock<CanBus>, N> {
-        CanMaster::new(self.world.port(), self.world.clock(), self.config())
+        self.master_at(self.bit_rate)
+    }
+
+    /// A master that speaks at this bit rate, whatever the bus has. It finds those drives that were set to it
+    /// (0xB4).
+    ///
+    /// ```
+    /// use myactuator_host_std::protocol::MotorId;
+    /// use myactuator_host_std::protocol::command::{BaudCode, ReadStatus1, Reset, SetBaudRate};
+    /// use myactuator_host_std::protocol::io::Runner;
+    /// use myactuator_host_std::protocol::time::Duration;
+    /// use myactuator_host_std::sim::Fleet;
+    ///
+    /// let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    /// let mut master = fleet.master::<1>();
+    /// let slower = SetBaudRate { baud_rate: BaudCode::CAN_500K_RS485_115200 };
+    /// master.ask(MotorId::MIN, slower).unwrap();
+    /// master.ask(MotorId::MIN, Reset).unwrap();
+    /// fleet.world.run_for(Duration::from_secs(2));
+    ///
+    /// let answers_at = |bit_rate| fleet.master_at::<1>(bit_rate).ask(MotorId::MIN, ReadStatus1).is_ok();
+    /// assert_eq!([1_000_000, 500_000].map(answers_at), [false, true]);
+    /// ```
+    pub fn master_at<const N: usize>(
+        &self,
+        bit_rate: u32,
+    ) -> CanMaster<CanPort, SimClock<CanBus>, N> {
+        let port = self.world.port();
+        self.world.set_bit_rate(port.station(), bit_rate);
+        let config = Config { firmware: self.firmware, ..Config::can(bit_rate) };
+        CanMaster::new(port, self.world.clock(), config)
     }
 
     /// An async master on this bus, to be run within [`block_on`](Self::block_on).
@@ -135,7 +165,18 @@ impl CanFleet {
 impl LineFleet {
     /// A master on this line, for the firmware of its first drive.
     pub fn master<const N: usize>(&self) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        SerialMaster::new(self.world.port(), self.world.clock(), self.config())
+        self.master_at(self.bit_rate)
+    }
+
+    /// A master that speaks at this bit rate, as [`CanFleet::master_at`].
+    pub fn master_at<const N: usize>(
+        &self,
+        bit_rate: u32,
+    ) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
+        let port = self.world.port();
+        self.world.set_bit_rate(port.station(), bit_rate);
+        let config = Config { firmware: self.firmware, ..Config::rs485(bit_rate, false) };
+        SerialMaster::new(port, self.world.clock(), config)
     }
 
     /// An async master on this line, to be run within [`block_on`](Self::block_on).

@@ -83,7 +83,7 @@ impl MotorSetup {
         let parameters = Parameters {
             id: self.id,
             bus,
-            baud_rate: baud_code(bus, bit_rate).unwrap_or(of_model.baud_rate),
+            baud_rate: baud_code(bus, bit_rate).unwrap_or(BaudCode::from_raw(0xFF)),
             version_date: self.version_date.unwrap_or(of_model.version_date),
             response_delay_min: self.response.0,
             response_delay_max: self.response.1,
@@ -133,7 +133,8 @@ impl MemoryFiles {
     }
 }
 
-/// The code of the bit rate that a bus has, if the manual gives it one.
+/// The code of the bit rate that a bus has, if the manual gives it one. With a code of no meaning a drive keeps to
+/// its bus.
 fn baud_code(bus: Bus, bit_rate: u32) -> Option<BaudCode> {
     let codes = [BaudCode::CAN_500K_RS485_115200, BaudCode::CAN_1M_RS485_500K, BaudCode::RS485_1M];
     codes.into_iter().find(|&code| bus.bits_per_second(code) == Some(bit_rate))
