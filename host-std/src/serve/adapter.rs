@@ -10,7 +10,7 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 use super::pty::Pty;
 use super::{End, Notice, ServeError};
 use crate::sim::bus::can::{CanPort, ControllerStatus, ErrorState};
-use crate::text::slcan::{AdapterCodec, AdapterCommand, Answer, Rate};
+use crate::text::slcan::{AdapterCodec, AdapterCommand, Answer};
 
 /// Hardware version 1.0, software version 1.3: what widespread adapters tell.
 const VERSION: [u8; 4] = *b"1013";
@@ -88,8 +88,10 @@ enum Channel {
 #[derive(Debug)]
 struct Adapter {
     port: CanPort,
-    /// What the bus runs at, in bit/s.
+    /// What the bus runs at, in bit/s. So does a closed adapter, which disturbs nobody.
     bit_rate: u32,
+    /// What the program wants.
+    asked: u32,
     codec: AdapterCodec,
     channel: Channel,
     has_stamps: bool,
@@ -104,6 +106,7 @@ impl Adapter {
         Self {
             port,
             bit_rate,
+            asked: bit_rate,
             codec: AdapterCodec::default(),
             channel: Channel::Closed,
             has_stamps: false,
@@ -112,11 +115,11 @@ impl Adapter {
         }
     }
 
-    /// Takes a byte from the program, if it [can](Self::is_ready). Gives the bit rate that the program
-    /// asked for if the bus does not have it.
-    fn feed(&mut self, byte: u8) -> Option<Rate> {
+    /// Takes a byte from the program, if it [can](Self::is_ready). Gives the bit rate at which the program
+    /// opens it if the bus does not have that.
+    fn feed(&mut self, byte: u8) -> Option<u32> {
         let command = self.codec.feed(byte)?;
-        let mut wrong_rate = None;
+        let before = self.channel;
         let answer = match (command, self.channel) {
             (AdapterCommand::Nothing, _) => Answer::Done,
             (AdapterCommand::Transmit(frame), Channel::Open) => {
@@ -125,8 +128,8 @@ impl Adapter {
                 return None;
             }
             (AdapterCommand::SetRate(rate), Channel::Closed) => {
-                wrong_rate = Some(rate).filter(|rate| rate.bits_per_second() != self.bit_rate);
-                if wrong_rate.is_none() { Answer::Done } else { Answer::Refused }
+                self.asked = rate.bits_per_second();
+                Answer::Done
             }
             (AdapterCommand::Open, Channel::Closed) => self.turn(Channel::Open),
             (AdapterCommand::Listen, Channel::Closed) => self.turn(Channel::Listening),
@@ -147,25 +150,37 @@ impl Adapter {
             _ => Answer::Refused,
         };
         answer.encode(&mut self.answers);
-        wrong_rate
+        let is_opened = before == Channel::Closed && self.channel != before;
+        (is_opened && self.is_stranger()).then_some(self.asked)
     }
 
     fn turn(&mut self, channel: Channel) -> Answer {
         self.channel = channel;
+        // Who only listens signals no errors, at whatever rate.
+        let bit_rate = if channel == Channel::Open { self.asked } else { self.bit_rate };
+        self.port.world().set_bit_rate(self.port.station(), bit_rate);
         Answer::Done
+    }
+
+    /// Whether the program wants another bit rate than the bus has.
+    const fn is_stranger(&self) -> bool {
+        self.asked != self.bit_rate
     }
 
     fn status(&self) -> ControllerStatus {
         self.port.world().controller(self.port.station())
     }
 
-    /// Whether nothing waits: gives a frame that does to the controller, if that has room now.
+    /// Whether nothing waits: gives a frame that does to the controller, if that has room now. Where nothing
+    /// leaves the controller, a frame that finds no room is refused.
     fn is_ready(&mut self) -> bool {
         let Some(frame) = self.waiting else { return true };
         let answer = match self.port.transmit(&frame) {
             Ok(_) => Answer::Accepted { is_extended: frame.is_extended() },
-            Err(nb::Error::WouldBlock) => return false,
-            Err(nb::Error::Other(_)) => Answer::Refused,
+            Err(nb::Error::WouldBlock) if self.status().state == ErrorState::Active => {
+                return false;
+            }
+            Err(_) => Answer::Refused,
         };
         answer.encode(&mut self.answers);
         self.waiting = None;
@@ -175,7 +190,12 @@ impl Adapter {
     /// Tells the program of the frames from the bus.
     fn receive(&mut self) {
         while let Ok(frame) = self.port.receive() {
-            if self.channel == Channel::Closed {
+            let hears = match self.channel {
+                Channel::Closed => false,
+                Channel::Listening => !self.is_stranger(),
+                Channel::Open => true,
+            };
+            if !hears {
                 continue;
             }
             Answer::Frame(frame).encode(&mut self.answers);
@@ -219,8 +239,8 @@ mod tests {
         String::from_utf8(std::mem::take(&mut adapter.answers)).unwrap()
     }
 
-    /// The answer to a line, and the bit rate that it asks for in vain.
-    fn say(adapter: &mut Adapter, line: &str) -> (String, Option<Rate>) {
+    /// The answer to a line, and the bit rate at which it opens the adapter where the bus has another.
+    fn say(adapter: &mut Adapter, line: &str) -> (String, Option<u32>) {
         let bytes = line.bytes().chain([b'\r']);
         let wrong = bytes.filter_map(|byte| adapter.feed(byte)).last();
         (told(adapter), wrong)
@@ -262,10 +282,31 @@ mod tests {
     }
 
     #[test]
-    fn another_bit_rate_is_refused_and_told() {
-        let (_, mut adapter, _) = adapter(1_000_000, 9);
-        assert_eq!(say(&mut adapter, "S6"), ("\x07".into(), Some(Rate::Kbit500)));
-        assert_eq!(say(&mut adapter, "S8"), ("\r".into(), None));
+    fn at_another_bit_rate_it_is_a_stranger_and_that_is_told() {
+        let (world, mut adapter, mut other) = adapter(1_000_000, 2);
+        let mut hears = |adapter: &mut Adapter| {
+            other.transmit(&can::parse_line("241#9C").unwrap()).unwrap();
+            world.run_for(Duration::from_millis(20));
+            adapter.receive();
+            (!told(adapter).is_empty(), world.controller(other.station()).transmit_errors)
+        };
+        say(&mut adapter, "S6");
+        assert_eq!(say(&mut adapter, "L"), ("\r".into(), Some(500_000)));
+        // It only listens: nobody is disturbed, and it makes out nothing.
+        assert_eq!(hears(&mut adapter), (false, 0));
+        say(&mut adapter, "C");
+        assert_eq!(say(&mut adapter, "O"), ("\r".into(), Some(500_000)));
+        // It breaks 15 frames; after that nobody acknowledges them, up to error-passive.
+        assert_eq!(hears(&mut adapter), (false, 128));
+        // Its own frames stay where they are: there is room for two.
+        for answer in ["z\r", "z\r", "\x07"] {
+            world.run_for(Duration::from_millis(20));
+            assert_eq!(say(&mut adapter, "t1410"), (answer.into(), None));
+        }
+        for line in ["C", "S8", "O"] {
+            assert_eq!(say(&mut adapter, line), ("\r".into(), None));
+        }
+        assert!(hears(&mut adapter).0);
     }
 
     #[test]

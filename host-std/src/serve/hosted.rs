@@ -11,6 +11,8 @@ use crate::sim::bus::faults::{Babble, Direction, FaultPlan};
 use crate::sim::bus::{Medium, World};
 use crate::sim::{BusFleet, DriveHandle, DriveLog, FaultKind, LogRecord, PlannedFault};
 
+use super::Notice;
+
 const DIRECTIONS: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
 
 /// A bus of either kind that is being served.
@@ -23,6 +25,9 @@ pub(super) trait Hosted: Debug {
 
     /// How long it still is until something happens by itself; `None` for nothing ever.
     fn until_next_event(&self) -> Option<Duration>;
+
+    /// Tells of drives that were set to another bit rate than their bus has.
+    fn tell_rates(&self, notify: &mut dyn FnMut(Notice));
 
     /// Lets something go wrong.
     fn strike(&mut self, fault: &PlannedFault);
@@ -39,6 +44,7 @@ pub(super) trait Hosted: Debug {
 pub(super) struct Host<B: Medium> {
     name: String,
     world: World<B>,
+    bit_rate: u32,
     drives: Vec<DriveHandle>,
     log: DriveLog,
     /// The plans of all drives that have none of their own, by direction.
@@ -52,6 +58,7 @@ impl<B: Medium> Host<B> {
         Self {
             name: fleet.name.clone(),
             world: fleet.world.clone(),
+            bit_rate: fleet.bit_rate,
             drives: fleet.drives.clone(),
             log: DriveLog::of(fleet),
             common: [FaultPlan::NONE; 2],
@@ -94,6 +101,16 @@ impl<B: Medium> Hosted for Host<B> {
 
     fn until_next_event(&self) -> Option<Duration> {
         Some((self.world.next_event()? - self.world.now()).into())
+    }
+
+    fn tell_rates(&self, notify: &mut dyn FnMut(Notice)) {
+        let bus_rate = self.bit_rate;
+        for drive in &self.drives {
+            let own = drive.with(|drive| drive.bit_rate()).filter(|&own| own != bus_rate);
+            if let Some(bit_rate) = own {
+                notify(Notice::OwnRate { motor: drive.motor(), bit_rate, bus_rate });
+            }
+        }
     }
 
     fn strike(&mut self, fault: &PlannedFault) {

@@ -7,15 +7,44 @@ use embedded_io::{Read as _, ReadReady as _, Write as _, WriteReady as _};
 
 use super::pty::Pty;
 use super::{End, Notice, ServeError};
+use crate::sim::LineFleet;
 use crate::sim::bus::rs485::SerialPort;
 
 /// An RS485 adapter: a serial port at one end, a transceiver on the simulated line at the other.
 #[derive(Debug)]
 pub(super) struct LineEnd {
-    pub(super) pty: Pty,
-    pub(super) port: SerialPort,
+    pty: Pty,
+    port: SerialPort,
+    /// The line's name.
+    bus: String,
+    /// What the line runs at, in bit/s.
+    line_rate: u32,
+    /// What the transceiver runs at.
+    bit_rate: u32,
     /// Written by a program, and not yet taken by the transceiver.
-    pub(super) waiting: Vec<u8>,
+    waiting: Vec<u8>,
+}
+
+impl LineEnd {
+    pub(super) fn new(pty: Pty, port: SerialPort, fleet: &LineFleet) -> Self {
+        let line_rate = fleet.bit_rate;
+        let bus = fleet.name.clone();
+        Self { pty, port, bus, line_rate, bit_rate: line_rate, waiting: Vec::new() }
+    }
+
+    /// Has the transceiver run at the rate that the program has set. Told once for each change.
+    fn follow_rate(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
+        let Some(asked) = self.pty.bit_rate()?.filter(|&rate| rate != self.bit_rate) else {
+            return Ok(());
+        };
+        self.bit_rate = asked;
+        self.port.world().set_bit_rate(self.port.station(), asked);
+        if asked != self.line_rate {
+            let (bus, bit_rate) = (self.bus.clone(), self.line_rate);
+            notify(Notice::WrongRate { bus, asked, bit_rate });
+        }
+        Ok(())
+    }
 }
 
 impl End for LineEnd {
@@ -23,9 +52,10 @@ impl End for LineEnd {
         self.waiting.is_empty().then(|| self.pty.as_fd())
     }
 
-    fn pump(&mut self, _: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
+    fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
         let mut chunk = [0; 256];
         self.pty.admit_all()?;
+        self.follow_rate(notify)?;
         loop {
             while !self.waiting.is_empty() && self.port.write_ready()? {
                 let taken = self.port.write(&self.waiting)?;

@@ -15,8 +15,12 @@
 //! [`serve_line_on`](Server::serve_line_on), [`serve_adapter_on`](Server::serve_adapter_on).
 //!
 //! An adapter and an interface lead to the same CAN bus: what is sent on one is heard on the other.
-//! Pseudo-terminals have no bit rate, so bytes take their time on the simulated bus alone, and a
-//! program may set what it likes.
+//!
+//! Bytes take their time on the simulated bus alone. The bit rate counts all the same: that which a program
+//! sets a line's pseudo-terminal to, which has the line's while no program sets any, and that which it opens
+//! an SLCAN adapter at. At another rate than the bus's it is a station at another rate: it finds the drives
+//! that were set to that (0xB4), and with the others there is noise on RS485 and errors on CAN. The
+//! pseudo-terminal of an SLCAN adapter may be set to any rate, and a socket has none.
 //!
 //! One thread waits for all programs and for the next thing that happens on a bus, and sleeps
 //! meanwhile.
@@ -35,6 +39,7 @@ use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::MotorSet;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
@@ -43,7 +48,6 @@ use crate::port::{PortError, SocketCan};
 use crate::sim::bus::can::ControllerConfig;
 use crate::sim::bus::rs485::{SerialError, TransceiverConfig};
 use crate::sim::{CanFleet, LineFleet, LogRecord};
-use crate::text::slcan::Rate;
 
 use adapter::AdapterEnd;
 use hosted::{Host, Hosted};
@@ -113,19 +117,31 @@ pub enum Notice {
         .0.as_secs_f64()
     )]
     LeftOut(Duration),
-    /// A program asked the SLCAN adapter for another bit rate than the bus has, and was refused.
+    /// A program speaks at another bit rate than the bus has.
     #[error(
-        "a program asked the SLCAN adapter for {} bit/s, but the simulated bus \"{bus}\" runs at \
-         {bit_rate}: set the program to that",
-        asked.bits_per_second()
+        "a program speaks at {asked} bit/s, but the simulated bus \"{bus}\" runs at {bit_rate}: only drives \
+         that were set to its rate (0xB4) understand it; for the others set it to {bit_rate}"
     )]
     WrongRate {
         /// The name of the bus.
         bus: String,
-        /// What it asked for.
-        asked: Rate,
+        /// The program's, in bit/s.
+        asked: u32,
         /// What the bus has, in bit/s.
         bit_rate: u32,
+    },
+    /// A drive remembers another bit rate than its bus has.
+    #[error(
+        "motor {motor} was set to {bit_rate} bit/s (0xB4), and its bus runs at {bus_rate}: it answers only \
+         at its own rate"
+    )]
+    OwnRate {
+        /// The drive.
+        motor: MotorId,
+        /// Its bit rate, in bit/s.
+        bit_rate: u32,
+        /// What the bus has, in bit/s.
+        bus_rate: u32,
     },
     /// The CAN interface's bus carries nothing, so the drives' frames are lost.
     #[error("replies are lost: {0}")]
@@ -170,7 +186,7 @@ impl Server {
         fleet: &LineFleet,
         transceiver: TransceiverConfig,
     ) -> Result<PathBuf, ServeError> {
-        let (pty, path) = Pty::open()?;
+        let (pty, path) = Pty::open(fleet.bit_rate)?;
         self.add_line(fleet, transceiver, pty);
         Ok(path)
     }
@@ -193,7 +209,7 @@ impl Server {
     fn add_line(&mut self, fleet: &LineFleet, transceiver: TransceiverConfig, pty: Pty) {
         let port = fleet.world.port_with(transceiver);
         self.hosts.push(Box::new(Host::new(fleet)));
-        self.ends.push(Box::new(LineEnd { pty, port, waiting: Vec::new() }));
+        self.ends.push(Box::new(LineEnd::new(pty, port, fleet)));
     }
 
     /// Takes drives on a CAN bus, to serve them by adapters and interfaces. They live without as
@@ -207,7 +223,7 @@ impl Server {
     /// # Errors
     /// [`ServeError::Terminal`].
     pub fn serve_adapter(&mut self, fleet: &CanFleet) -> Result<PathBuf, ServeError> {
-        let (pty, path) = Pty::open()?;
+        let (pty, path) = Pty::open(fleet.bit_rate)?;
         self.add_adapter(fleet, pty);
         Ok(path)
     }
@@ -282,6 +298,9 @@ impl Server {
         stop: BorrowedFd<'_>,
         notify: &mut dyn FnMut(Notice),
     ) -> Result<(), ServeError> {
+        for host in &self.hosts {
+            host.tell_rates(notify);
+        }
         self.follow_wall_clock();
         let mut start = Instant::now();
         loop {
@@ -355,7 +374,6 @@ mod tests {
 
     use super::*;
     use crate::sim::Fleet;
-    use myactuator_protocol_core::MotorId;
     use myactuator_protocol_core::command::ErrorFlags;
     use myactuator_protocol_core::command::ReadMultiTurnAngle;
     use myactuator_protocol_core::drive::Event;

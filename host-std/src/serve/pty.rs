@@ -20,9 +20,9 @@ pub(super) struct Pty {
 }
 
 impl Pty {
-    /// A new one in raw mode: bytes go through as they are, also of programs that set nothing. With the
-    /// path where programs find it.
-    pub(super) fn open() -> io::Result<(Self, PathBuf)> {
+    /// A new one in raw mode and at this bit rate: bytes go through as they are, also of programs that set
+    /// nothing. With the path where programs find it.
+    pub(super) fn open(bit_rate: u32) -> io::Result<(Self, PathBuf)> {
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let device = openpt(flags)?;
         grantpt(&device)?;
@@ -32,6 +32,7 @@ impl Pty {
         let port = ioctl_tiocgptpeer(&device, flags)?;
         let mut settings = tcgetattr(&port)?;
         settings.make_raw();
+        settings.set_speed(bit_rate)?;
         tcsetattr(&port, OptionalActions::Now, &settings)?;
         rustix::io::ioctl_fionbio(&device, true)?;
         Ok((Self { device, port: Some(port) }, path))
@@ -47,6 +48,15 @@ impl Pty {
     /// long as this end is open.
     pub(super) fn admit_all(&self) -> io::Result<()> {
         Ok(self.port.as_ref().map_or(Ok(()), ioctl_tiocnxcl)?)
+    }
+
+    /// The bit rate that programs have set, in bit/s; `None` for a socket, and for a line that is hung up.
+    pub(super) fn bit_rate(&self) -> io::Result<Option<u32>> {
+        if self.port.is_none() {
+            return Ok(None);
+        }
+        let set = tcgetattr(&self.device)?.output_speed();
+        Ok((set > 0).then_some(set))
     }
 
     /// What a program has written; 0 if nothing. An error if a socket's program has gone.

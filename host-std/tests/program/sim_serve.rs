@@ -126,23 +126,57 @@ fn ask(port: &SerialPort, command: impl Into<AnyCommand>) -> AnyReply {
     answer(port, Firmware::V4_3)
 }
 
+/// What a search at all bit rates says, of each motor the beginning.
+fn scan_at_all_rates(bus: &str) -> Vec<String> {
+    let output = run(&["scan", "--all-rates", "--bus", bus]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let lines = text(&output.stdout).lines().map(|line| line.split(" model").next().unwrap());
+    lines.map(str::to_owned).collect()
+}
+
+/// 2.32: motor 2 is set to another rate, and has it from the next run on.
 #[test]
-fn a_scan_at_all_rates_goes_on_where_the_adapter_refuses_one() {
-    let simulation = Simulation::start(2, &["--count", "1", "--bit-rate", "500000"]);
-    let scan = |bus: &str| {
-        let output = run(&["scan", "--all-rates", "--bus", bus]);
-        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-        let lines = text(&output.stdout).lines().map(|line| line.split(" model").next().unwrap());
-        lines.map(str::to_owned).collect::<Vec<_>>()
-    };
+fn a_motor_that_was_set_to_another_rate_is_found_at_that() {
+    let folder = tempfile::tempdir().unwrap();
+    let memory = folder.path().join("memory");
+    let arguments = ["--count", "2", "--memory", memory.to_str().unwrap()];
+    let answers =
+        |bus: &str, id| run_at(bus, &["send", "--id", id, "read-multi-turn-angle"]).0 == Some(0);
+    let first = Simulation::start(2, &arguments);
+    for (kind, rate) in [("slcan", "can-500k-rs485-115200"), ("rs485", "can-1m-rs485-500k")] {
+        let set = ["send", "--yes", "--id", "2", "set-baud-rate", "--baud-rate", rate];
+        done_at(first.bus(kind), &set);
+        assert!(answers(first.bus(kind), "2"));
+    }
+    assert_eq!(first.end(Signal::INT), ended_well());
+
+    let second = Simulation::start(2, &arguments);
     assert_eq!(
-        scan(simulation.bus("slcan")),
-        ["1000000 bit/s: no motor, the bus carries nothing", "500000 bit/s: 1 motor", "motor 1:"]
+        scan_at_all_rates(second.bus("slcan")),
+        ["1000000 bit/s: 1 motor", "motor 1:", "500000 bit/s: 1 motor", "motor 2:"]
     );
-    // A pseudo-terminal has every rate.
-    let rates = [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000];
-    let told = rates.map(|rate| [format!("{rate} bit/s: 1 motor"), "motor 1:".to_owned()]);
-    assert_eq!(scan(simulation.bus("rs485")), told.concat());
+    let fast = second.bus("rs485");
+    let slow = fast.replace("@1000000", "@500000");
+    let both = [fast, &slow];
+    assert_eq!(both.map(|bus| answers(bus, "1")), [true, false]);
+    assert_eq!(both.map(|bus| answers(bus, "2")), [false, true]);
+    let (status, told) = second.end(Signal::INT);
+    assert!(status.success());
+    let beginnings: Vec<&str> = told.lines().map(|line| line.split(',').next().unwrap()).collect();
+    let [drives @ .., a, b, c] = &beginnings[..] else { panic!("{told}") };
+    assert_eq!(drives, ["note: motor 2 was set to 500000 bit/s (0xB4)"; 2]);
+    // Once for each time that a program came with another rate.
+    assert_eq!([*a, *b, *c], ["note: a program speaks at 500000 bit/s"; 3]);
+}
+
+#[test]
+fn where_nobody_has_the_adapters_rate_the_search_goes_on() {
+    let arguments = ["--only", "slcan", "--count", "1", "--bit-rate", "500000"];
+    let simulation = Simulation::start(1, &arguments);
+    assert_eq!(
+        scan_at_all_rates(simulation.bus("slcan")),
+        ["1000000 bit/s: no motor", "500000 bit/s: 1 motor", "motor 1:"]
+    );
 }
 
 #[test]
@@ -202,9 +236,9 @@ fn the_slcan_adapter_answers_and_carries_frames() {
         line(&port)
     };
     assert_eq!(say("V\r"), "V1013\r");
-    assert_eq!(say("S8\r"), "\x07"); // the bus runs at 500 kbit/s
-    assert_eq!(say("S6\r"), "\r");
-    assert_eq!(say("O\r"), "\r");
+    for told in ["S8\r", "O\r", "C\r", "S6\r", "O\r"] {
+        assert_eq!(say(told), "\r");
+    }
     // 2.30.4: 0xB2 asks for the version; the reply repeats the command byte.
     assert_eq!(say("t1418B200000000000000\r"), "z\r");
     let reply = line(&port);
@@ -215,8 +249,12 @@ fn the_slcan_adapter_answers_and_carries_frames() {
     assert!(reply.starts_with("t501801") && reply.len() == 22, "{reply:?}");
     let (status, told) = simulation.end(Signal::TERM);
     assert!(status.success());
-    assert!(told.starts_with("note: ") && told.contains("1000000 bit/s"), "{told:?}");
-    assert_eq!(told.lines().count(), 1);
+    assert_eq!(
+        told,
+        "note: a program speaks at 1000000 bit/s, but the simulated CAN bus runs at 500000: only drives that \
+         were set to its rate (0xB4) understand it; for the others set it to 500000, or start with --bit-rate \
+         1000000\n"
+    );
 }
 
 /// For a machine that is busy with other things.

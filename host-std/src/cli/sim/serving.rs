@@ -57,14 +57,13 @@ pub(super) fn serve(buses: Vec<Served>, arguments: &Arguments) -> Result<(), Fai
     server.run(stop, |notice| {
         let remedy = match &notice {
             Notice::Log(record) => return log.print(record),
-            Notice::WrongRate { asked, .. } => {
-                let rate = asked.bits_per_second();
-                if is_file {
-                    format!(", or give the bus bit_rate = {rate} in the file")
-                } else {
-                    format!(", or start with --bit-rate {rate}")
-                }
+            Notice::WrongRate { asked, .. } if is_file => {
+                format!(", or give the bus bit_rate = {asked} in the file")
             }
+            Notice::WrongRate { bus, asked, .. } if bus == "rs485" => {
+                format!(", or start with --rs485-rate {asked}")
+            }
+            Notice::WrongRate { asked, .. } => format!(", or start with --bit-rate {asked}"),
             _ => String::new(),
         };
         tell("note", format_args!("{notice}{remedy}"));
