@@ -251,7 +251,7 @@ fn the_slcan_adapter_answers_and_carries_frames() {
     assert!(status.success());
     assert_eq!(
         told,
-        "note: a program speaks at 1000000 bit/s, but the simulated CAN bus runs at 500000: only drives that \
+        "note: a program speaks at 1000000 bit/s, but the simulated bus \"can\" runs at 500000: only drives that \
          were set to its rate (0xB4) understand it; for the others set it to 500000, or start with --bit-rate \
          1000000\n"
     );
