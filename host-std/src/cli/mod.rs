@@ -12,6 +12,7 @@ mod names;
 mod outcome;
 mod printer;
 mod sim;
+mod sim_control;
 mod wanted;
 
 use std::error::Error as _;
@@ -40,6 +41,7 @@ enum Subcommand {
     Decode(decode::Arguments),
     Dbc(dbc::Arguments),
     Sim(Box<sim::Arguments>),
+    SimControl(sim_control::Arguments),
     #[command(flatten)]
     Motors(motors::Subcommand),
 }
@@ -59,6 +61,7 @@ pub(crate) fn run() -> ExitCode {
         Subcommand::Decode(arguments) => decode::run(arguments),
         Subcommand::Dbc(arguments) => dbc::run(arguments),
         Subcommand::Sim(arguments) => sim::run(arguments),
+        Subcommand::SimControl(arguments) => sim_control::run(arguments),
         Subcommand::Motors(subcommand) => motors::run(subcommand),
     };
     ExitCode::from(match catch_unwind(AssertUnwindSafe(work)) {

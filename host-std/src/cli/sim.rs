@@ -1,5 +1,6 @@
 //! `myactuator sim`: simulated drives for other programs, in real time.
 
+mod control;
 mod folders;
 mod log;
 mod options;
@@ -38,7 +39,7 @@ const SAID_BY_A_FILE: [&str; 11] = [
 
 /// What is wrong can be said in one word, and this is how.
 const FAULTS: &str = "\
-Faults: KIND[=VALUE][@WHERE][+TIME]
+Faults: KIND[=VALUE][@WHERE][?CONDITION][+TIME]
   lose=0.01                 a frame does not arrive; 0.01 is its chance, from 0 to 1
   corrupt=0.01              a bit is disturbed: CAN repeats the frame, RS485 delivers it
   undetected=0.01           the share of corrupted CAN frames that arrive with a wrong bit
@@ -58,6 +59,9 @@ The first six have the values shown unless told otherwise; so has babble.
 @WHERE: a motor's id, else all; for the first six also to-drives or from-drives,
   or both: lose=0.1@2,from-drives
 +TIME: so long after the start: cut@1+5s mend@1+8s. Times in us, ms or s.
+?CONDITION: as soon as the motor is beyond something, angle (deg), speed (dps),
+  current (A), temperature (of the winding, in degrees Celsius) or voltage (V):
+  \"cut@1?angle>90\" \"stall@2?speed<-10\", in quotes for the shell
 
 Quirks: what drives were seen to do beside the manual
   slow-boot                 deaf for 1.1 s after a restart
@@ -138,6 +142,8 @@ pub(super) struct Arguments {
     /// of the file's buses; one that another simulation has is refused
     #[arg(long, value_name = "FOLDER")]
     link: Option<PathBuf>,
+    #[command(flatten)]
+    control: control::Options,
     /// Tell where they are, and what happens in them, as one JSON object a line
     #[arg(long)]
     json: bool,

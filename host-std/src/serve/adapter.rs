@@ -57,6 +57,18 @@ impl End for AdapterEnd {
         self.adapter.waiting.is_none().then(|| self.pty.as_fd())
     }
 
+    fn hold(&mut self) {
+        self.pty.hold();
+    }
+
+    fn take_in(&mut self) -> Result<(), ServeError> {
+        Ok(self.pty.take_in()?)
+    }
+
+    fn answers_at_once(&self) -> bool {
+        true
+    }
+
     fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
         self.pty.admit_all()?;
         while self.adapter.is_ready()

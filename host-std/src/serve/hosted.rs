@@ -1,17 +1,20 @@
 //! A simulated bus with its drives in real time.
 
 use std::fmt::Debug;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::drive::Event;
+use myactuator_protocol_core::time::Instant;
 
 use crate::sim::bus::faults::{Babble, Direction, FaultPlan};
-use crate::sim::bus::{Medium, World};
+use crate::sim::bus::{Medium, World, trace};
 use crate::sim::{BusFleet, DriveHandle, DriveLog, FaultKind, LogRecord, PlannedFault};
 
 use super::Notice;
+use super::control::state::{BusState, MotorState, Traffic};
 
 const DIRECTIONS: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
 
@@ -19,6 +22,27 @@ const DIRECTIONS: [Direction; 2] = [Direction::ToNodes, Direction::ToPorts];
 pub(super) trait Hosted: Debug {
     /// What the bus is called.
     fn name(&self) -> &str;
+
+    /// Its drives, in the order of their places.
+    fn drives(&self) -> &[DriveHandle];
+
+    /// Its time.
+    fn now(&self) -> Instant;
+
+    /// Under virtual time, when something happens next by itself.
+    fn next_event(&self) -> Option<Instant>;
+
+    /// Under virtual time, lets time go on.
+    fn run_until(&self, at: Instant);
+
+    /// Counts frames from now on.
+    fn count_traffic(&self);
+
+    /// How the bus is, and this motor on it, or all of them.
+    fn state(&self, motor: Option<MotorId>) -> BusState;
+
+    /// Cuts or mends a motor's cable, or everybody's.
+    fn set_cable(&mut self, motor: Option<MotorId>, is_cut: bool);
 
     /// Has time go on with the wall clock from now on, whatever has passed.
     fn follow_wall_clock(&self);
@@ -51,6 +75,15 @@ pub(super) struct Host<B: Medium> {
     common: [FaultPlan; 2],
     /// Each drive's own plans.
     own: Vec<[Option<FaultPlan>; 2]>,
+    /// Whose cables are cut.
+    cut: Vec<bool>,
+    traffic: Arc<Mutex<TrafficNs>>,
+}
+
+#[derive(Debug, Default)]
+struct TrafficNs {
+    counted: Traffic,
+    busy_ns: u64,
 }
 
 impl<B: Medium> Host<B> {
@@ -63,6 +96,8 @@ impl<B: Medium> Host<B> {
             log: DriveLog::of(fleet),
             common: [FaultPlan::NONE; 2],
             own: vec![[None; 2]; fleet.drives.len()],
+            cut: vec![false; fleet.drives.len()],
+            traffic: Arc::default(),
         }
     }
 
@@ -95,6 +130,60 @@ impl<B: Medium> Hosted for Host<B> {
         &self.name
     }
 
+    fn drives(&self) -> &[DriveHandle] {
+        &self.drives
+    }
+
+    fn now(&self) -> Instant {
+        self.world.now()
+    }
+
+    fn next_event(&self) -> Option<Instant> {
+        self.world.next_event()
+    }
+
+    fn run_until(&self, at: Instant) {
+        self.world.run_until(at);
+    }
+
+    fn count_traffic(&self) {
+        let traffic = Arc::clone(&self.traffic);
+        self.world.observe(move |record| {
+            let (started_ns, is_whole) = match record.event {
+                trace::Event::Carried { started_ns, .. } => (started_ns, true),
+                trace::Event::Broken { started_ns, .. }
+                | trace::Event::Unacknowledged { started_ns, .. } => (started_ns, false),
+                _ => return,
+            };
+            let mut traffic = traffic.lock().unwrap_or_else(PoisonError::into_inner);
+            traffic.counted.frames += u64::from(is_whole);
+            traffic.counted.broken += u64::from(!is_whole);
+            traffic.busy_ns += record.at_ns - started_ns;
+        });
+    }
+
+    fn state(&self, motor: Option<MotorId>) -> BusState {
+        let motors = self.drives.iter().zip(&self.cut);
+        let motors = motors.filter(|(drive, _)| motor.is_none_or(|motor| motor == drive.motor()));
+        let of = |(handle, &cut): (&DriveHandle, &bool)| {
+            handle.with(|drive| MotorState::of(handle.motor(), drive, cut))
+        };
+        let motors = motors.map(of).collect();
+        let traffic = self.traffic.lock().unwrap_or_else(PoisonError::into_inner);
+        let traffic = Traffic { busy_us: traffic.busy_ns / 1_000, ..traffic.counted };
+        BusState { bus: self.name.clone(), bit_rate: self.bit_rate, traffic, motors }
+    }
+
+    fn set_cable(&mut self, motor: Option<MotorId>, is_cut: bool) {
+        for (drive, cut) in self.drives.iter().zip(&mut self.cut) {
+            if motor.is_none_or(|motor| motor == drive.motor()) {
+                *cut = is_cut;
+                let station = drive.station();
+                if is_cut { self.world.cut(station) } else { self.world.mend(station) }
+            }
+        }
+    }
+
     fn follow_wall_clock(&self) {
         self.world.clone().in_real_time();
     }
@@ -117,19 +206,20 @@ impl<B: Medium> Hosted for Host<B> {
         if let FaultKind::Chance(chance) = fault.kind {
             return self.change_plans(fault, |plan| chance.add_to(plan));
         }
+        if let FaultKind::Cut | FaultKind::Mend = fault.kind {
+            self.set_cable(fault.motor, fault.kind == FaultKind::Cut);
+        }
         let world = &self.world;
         let struck = |drive: &&DriveHandle| fault.motor.is_none_or(|motor| motor == drive.motor());
         for drive in self.drives.iter().filter(struck) {
             let station = drive.station();
             match fault.kind {
-                FaultKind::Chance(_) => {}
+                FaultKind::Chance(_) | FaultKind::Cut => {}
                 FaultKind::Babble(interval) => {
                     world.babble(station, Some(Babble { interval, frame: None }));
                 }
                 FaultKind::Slow(by) => world.slow_down(station, by),
-                FaultKind::Cut => world.cut(station),
                 FaultKind::Mend => {
-                    world.mend(station);
                     world.slow_down(station, Default::default());
                     world.babble(station, None);
                 }

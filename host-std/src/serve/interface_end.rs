@@ -10,7 +10,7 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 use socketcan::CanFrame;
 
 use super::{End, Notice, ServeError};
-use crate::port::SocketCan;
+use crate::port::{PortError, SocketCan};
 use crate::sim::bus::can::CanPort;
 
 /// How many frames wait for the interface at most; the oldest give way.
@@ -27,13 +27,24 @@ pub(super) struct InterfaceEnd {
     inward: Option<SimpleFrame>,
     /// From the simulated bus, for outside.
     outward: VecDeque<CanFrame>,
+    /// In lock-step, what was taken in.
+    held: Option<VecDeque<CanFrame>>,
     /// It has been told that the bus outside carries nothing.
     is_outage_told: bool,
 }
 
 impl InterfaceEnd {
     pub(super) fn new(socket: SocketCan, port: CanPort) -> Self {
-        Self { socket, port, inward: None, outward: VecDeque::new(), is_outage_told: false }
+        let (inward, outward, held) = (None, VecDeque::new(), None);
+        Self { socket, port, inward, outward, held, is_outage_told: false }
+    }
+
+    /// The next frame from outside.
+    fn receive(&mut self) -> nb::Result<CanFrame, PortError> {
+        match &mut self.held {
+            Some(held) => held.pop_front().ok_or(nb::Error::WouldBlock),
+            None => self.socket.receive(),
+        }
     }
 
     fn pump_inward(&mut self) -> Result<(), ServeError> {
@@ -45,7 +56,7 @@ impl InterfaceEnd {
                     Ok(_) | Err(nb::Error::Other(_)) => self.inward = None,
                 }
             }
-            match self.socket.receive() {
+            match self.receive() {
                 Ok(frame) => self.inward = convert(&frame),
                 Err(nb::Error::WouldBlock) => return Ok(()),
                 Err(nb::Error::Other(error)) => return Err(error.into()),
@@ -80,6 +91,21 @@ impl InterfaceEnd {
 impl End for InterfaceEnd {
     fn source(&self) -> Option<BorrowedFd<'_>> {
         self.inward.is_none().then(|| self.socket.as_fd())
+    }
+
+    fn hold(&mut self) {
+        self.held = Some(VecDeque::new());
+    }
+
+    fn take_in(&mut self) -> Result<(), ServeError> {
+        let Some(held) = &mut self.held else { return Ok(()) };
+        loop {
+            match self.socket.receive() {
+                Ok(frame) => held.push_back(frame),
+                Err(nb::Error::WouldBlock) => return Ok(()),
+                Err(nb::Error::Other(error)) => return Err(error.into()),
+            }
+        }
     }
 
     fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {

@@ -52,6 +52,14 @@ impl End for LineEnd {
         self.waiting.is_empty().then(|| self.pty.as_fd())
     }
 
+    fn hold(&mut self) {
+        self.pty.hold();
+    }
+
+    fn take_in(&mut self) -> Result<(), ServeError> {
+        Ok(self.pty.take_in()?)
+    }
+
     fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
         let mut chunk = [0; 256];
         self.pty.admit_all()?;

@@ -26,21 +26,24 @@
 //! meanwhile.
 
 mod adapter;
+pub mod control;
 mod hosted;
 mod interface_end;
 mod line_end;
+mod lock_step;
 mod pty;
+mod schedule;
 
-use std::collections::VecDeque;
 use std::fmt::Debug;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::net::UnixStream;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::time;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
@@ -50,12 +53,15 @@ use crate::sim::bus::rs485::{SerialError, TransceiverConfig};
 use crate::sim::{CanFleet, LineFleet, LogRecord};
 
 use adapter::AdapterEnd;
+use control::{Control, Request, Scene};
 use hosted::{Host, Hosted};
 use interface_end::InterfaceEnd;
 use line_end::LineEnd;
+use lock_step::Advance;
 use pty::Pty;
+use schedule::Schedule;
 
-pub use crate::sim::{Chance, FaultKind, PlannedFault};
+pub use crate::sim::{Chance, Condition, ConditionQuantity, FaultKind, PlannedFault};
 
 /// The longest wait: drives move, and simulated time must not fall behind.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
@@ -70,6 +76,18 @@ trait End: Debug {
     /// What to wait for, while more is wanted from outside.
     fn source(&self) -> Option<BorrowedFd<'_>>;
 
+    /// From now on time stands between a client's steps, and what programs write counts only when it was
+    /// [taken in](Self::take_in).
+    fn hold(&mut self);
+
+    /// Takes in all that programs have written.
+    fn take_in(&mut self) -> Result<(), ServeError>;
+
+    /// Whether it answers programs itself, also while time stands.
+    fn answers_at_once(&self) -> bool {
+        false
+    }
+
     /// Carries all that waits, both ways.
     fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError>;
 
@@ -82,32 +100,19 @@ trait End: Debug {
 pub struct Server {
     hosts: Vec<Box<dyn Hosted>>,
     ends: Vec<Box<dyn End>>,
-    /// By time.
-    faults: VecDeque<(On, PlannedFault)>,
-}
-
-/// The buses that a fault is for.
-#[derive(Clone, Debug, PartialEq, Eq)]
-enum On {
-    All,
-    /// Those of this name.
-    Named(String),
-}
-
-impl On {
-    fn is(&self, bus: &str) -> bool {
-        match self {
-            Self::All => true,
-            Self::Named(name) => name == bus,
-        }
-    }
+    schedule: Schedule,
+    control: Option<Control>,
+    /// The drives' time when serving began.
+    began: time::Instant,
+    is_in_lock_step: bool,
+    advance: Option<Advance>,
 }
 
 /// What the person in front of a server should know.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Notice {
-    /// Something happened in a drive.
+    /// Something happened in a drive. A server takes its drives' events: nobody else can poll them.
     #[error("{0}")]
     Log(LogRecord),
     /// The process was stopped or the computer was busy: simulated time has left out so much.
@@ -162,6 +167,9 @@ pub enum ServeError {
         "motors {0} could not store their settings and turns: check the folder's permissions and room"
     )]
     NotStored(MotorSet),
+    /// The control socket cannot be made, or another simulation has it.
+    #[error("{0}")]
+    Control(String),
 }
 
 impl From<SerialError> for ServeError {
@@ -262,17 +270,34 @@ impl Server {
 
     /// Plans what goes wrong, on all buses.
     pub fn plan(&mut self, faults: impl IntoIterator<Item = PlannedFault>) {
-        self.plan_all(&On::All, faults);
+        self.plan_all(None, faults);
     }
 
     /// Plans what goes wrong on the buses of this [name](crate::sim::BusFleet::name).
     pub fn plan_on(&mut self, bus: &str, faults: impl IntoIterator<Item = PlannedFault>) {
-        self.plan_all(&On::Named(bus.to_owned()), faults);
+        self.plan_all(Some(bus), faults);
     }
 
-    fn plan_all(&mut self, on: &On, faults: impl IntoIterator<Item = PlannedFault>) {
-        self.faults.extend(faults.into_iter().map(|fault| (on.clone(), fault)));
-        self.faults.make_contiguous().sort_by_key(|(_, fault)| fault.after);
+    fn plan_all(&mut self, bus: Option<&str>, faults: impl IntoIterator<Item = PlannedFault>) {
+        for fault in faults {
+            self.schedule.add(time::Duration::ZERO, bus.map(str::to_owned), fault);
+        }
+    }
+
+    /// Lets programs look at the drives and change what they are in, by a Unix socket at this path. [`control`]
+    /// says how. The socket goes at the end.
+    ///
+    /// # Errors
+    /// [`ServeError::Control`]; also if another simulation has the socket.
+    pub fn control_at(&mut self, path: &Path) -> Result<(), ServeError> {
+        self.control = Some(Control::open(path).map_err(ServeError::Control)?);
+        Ok(())
+    }
+
+    /// Has time stand still but for the steps that a client at the [control socket](Self::control_at)
+    /// [asks for](control#lock-step).
+    pub fn in_lock_step(&mut self) {
+        self.is_in_lock_step = true;
     }
 
     /// Serves until there is something to read from `stop` or it is closed, then takes the supply
@@ -301,25 +326,27 @@ impl Server {
         for host in &self.hosts {
             host.tell_rates(notify);
         }
+        self.began = self.now();
+        if self.control.is_some() {
+            self.hosts.iter().for_each(|host| host.count_traffic());
+        }
+        if self.is_in_lock_step {
+            return self.serve_in_steps(stop, notify);
+        }
         self.follow_wall_clock();
-        let mut start = Instant::now();
         loop {
             let round = Instant::now();
-            self.strike(round - start);
-            for end in &mut self.ends {
-                end.pump(notify)?;
-            }
-            for record in self.hosts.iter_mut().flat_map(|host| host.poll_log()) {
-                notify(Notice::Log(record));
-            }
-            let wait = self.patience(round - start);
+            self.strike(self.passed());
+            self.pump(notify)?;
+            self.tell_log(notify);
+            self.answer_requests(notify)?;
+            let wait = self.patience();
             if self.wait(stop, wait)? {
                 return Ok(());
             }
             let lag = round.elapsed().saturating_sub(wait);
             if lag > LONGEST_LAG {
                 self.follow_wall_clock();
-                start += lag;
                 notify(Notice::LeftOut(lag));
             }
         }
@@ -331,34 +358,90 @@ impl Server {
         }
     }
 
+    /// The drives' time.
+    fn now(&self) -> time::Instant {
+        self.hosts.first().map_or(time::Instant::ZERO, |host| host.now())
+    }
+
+    /// Time since serving began.
+    fn passed(&self) -> time::Duration {
+        self.now() - self.began
+    }
+
     /// Lets go wrong what is due.
-    fn strike(&mut self, passed: Duration) {
-        while self.faults.front().is_some_and(|(_, fault)| Duration::from(fault.after) <= passed)
-            && let Some((on, fault)) = self.faults.pop_front()
-        {
-            for host in self.hosts.iter_mut().filter(|host| on.is(host.name())) {
-                host.strike(&fault);
+    fn strike(&mut self, passed: time::Duration) {
+        self.schedule.strike(passed, &mut self.hosts);
+    }
+
+    fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
+        self.ends.iter_mut().try_for_each(|end| end.pump(notify))
+    }
+
+    fn tell_log(&mut self, notify: &mut dyn FnMut(Notice)) {
+        for record in self.hosts.iter_mut().flat_map(|host| host.poll_log()) {
+            if let Some(control) = &mut self.control {
+                control.tell(&record);
             }
+            notify(Notice::Log(record));
         }
     }
 
+    /// Does what programs at the control socket ask for, one thing each.
+    fn answer_requests(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
+        let Some(mut control) = self.control.take() else { return Ok(()) };
+        control.admit();
+        let requests = control.next_requests();
+        if !requests.is_empty() && self.is_in_lock_step {
+            self.take_in(notify)?;
+        }
+        for (client, request) in requests {
+            let passed = self.passed();
+            let mut scene = Scene { hosts: &mut self.hosts, schedule: &mut self.schedule, passed };
+            let answer = match request {
+                Ok(Request::Advance { us, until_us }) => {
+                    match self.begin_advance(client, us, until_us) {
+                        Ok(()) => continue,
+                        Err(sentence) => Err(sentence),
+                    }
+                }
+                Ok(request) => {
+                    if request == (Request::Log {}) {
+                        control.tell_log_to(client);
+                    }
+                    scene.carry_out(request)
+                }
+                Err(sentence) => Err(sentence),
+            };
+            control.answer(client, answer);
+        }
+        self.control = Some(control);
+        Ok(())
+    }
+
     /// How long to wait for programs at most.
-    fn patience(&mut self, passed: Duration) -> Duration {
+    fn patience(&mut self) -> Duration {
         // In this order: what a port gets after it was asked is an event before the next one known.
         let events = self.hosts.iter().filter_map(|host| host.until_next_event()).min();
         let ends = self.ends.iter_mut().filter_map(|end| end.patience()).min();
-        let fault = self
-            .faults
-            .front()
-            .map(|(_, fault)| Duration::from(fault.after).saturating_sub(passed));
-        [ends, events, fault].into_iter().flatten().fold(LONGEST_WAIT, Duration::min)
+        let fault = self.schedule.until_next(self.passed()).map(Duration::from);
+        let asked = self.is_asked().then_some(Duration::ZERO);
+        [ends, events, fault, asked].into_iter().flatten().fold(LONGEST_WAIT, Duration::min)
+    }
+
+    /// Whether a program has asked something already.
+    fn is_asked(&self) -> bool {
+        self.control.as_ref().is_some_and(Control::is_ready)
     }
 
     /// Waits for programs; true if it is time to stop.
     fn wait(&self, stop: BorrowedFd<'_>, patience: Duration) -> Result<bool, ServeError> {
         let mut sources = vec![PollFd::from_borrowed_fd(stop, PollFlags::IN)];
-        let ends = self.ends.iter().filter_map(|end| end.source());
+        // In lock-step the others are taken in when somebody asks something.
+        let ends = self.ends.iter().filter(|end| !self.is_in_lock_step || end.answers_at_once());
+        let ends = ends.filter_map(|end| end.source());
         sources.extend(ends.map(|end| PollFd::from_borrowed_fd(end, PollFlags::IN)));
+        let control = self.control.iter().flat_map(Control::sources);
+        sources.extend(control.map(|(file, flags)| PollFd::from_borrowed_fd(file, flags)));
         let patience = Timespec::try_from(patience).unwrap_or_default();
         match poll(&mut sources, Some(&patience)) {
             Ok(_) => Ok(sources.first().is_some_and(|stop| !stop.revents().is_empty())),
@@ -389,7 +472,7 @@ mod tests {
         let plan = ["clear+2s", "over-speed+1s", "over-voltage@1"];
         server.plan(plan.map(|fault| fault.parse().unwrap()));
         let mut at = |seconds: f64| {
-            server.strike(Duration::from_secs_f64(seconds));
+            server.strike(Duration::from_secs_f64(seconds).into());
             [&can.drives[0], &line.drives[0]].map(|drive| {
                 let next = || drive.with(|drive| drive.poll_event());
                 std::iter::from_fn(next)
@@ -414,7 +497,7 @@ mod tests {
         server.plan_on("right", ["over-speed+1s".parse().unwrap()]);
         server.plan_on("left", ["over-voltage".parse().unwrap()]);
         let mut at = |seconds: u64| {
-            server.strike(Duration::from_secs(seconds));
+            server.strike(time::Duration::from_secs(seconds));
             [0, 1].map(|bus| fleets[bus].drives[0].with(|drive| drive.state().errors))
         };
         assert_eq!(at(0), [ErrorFlags::OVER_VOLTAGE, ErrorFlags::empty()]);

@@ -1,5 +1,6 @@
 //! What stands in for a serial port: a pseudo-terminal, or a socket.
 
+use std::collections::VecDeque;
 use std::io;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::net::UnixStream;
@@ -17,7 +18,20 @@ pub(super) struct Pty {
     /// A pseudo-terminal's end for programs, kept open so that the device's end does not fail while no
     /// program is there.
     port: Option<OwnedFd>,
+    held: Option<Held>,
 }
+
+/// What goes through in lock-step, where nothing may depend on when it is read.
+#[derive(Debug, Default)]
+struct Held {
+    /// Written by programs, and taken in.
+    taken: VecDeque<u8>,
+    /// For programs, as soon as there is room.
+    unsent: VecDeque<u8>,
+}
+
+/// More than this is not kept for programs that do not read, bytes.
+const MOST_UNSENT: usize = 1 << 20;
 
 impl Pty {
     /// A new one in raw mode and at this bit rate: bytes go through as they are, also of programs that set
@@ -35,13 +49,13 @@ impl Pty {
         settings.set_speed(bit_rate)?;
         tcsetattr(&port, OptionalActions::Now, &settings)?;
         rustix::io::ioctl_fionbio(&device, true)?;
-        Ok((Self { device, port: Some(port) }, path))
+        Ok((Self { device, port: Some(port), held: None }, path))
     }
 
     /// A socket in place of a pseudo-terminal. It ends when the program goes.
     pub(super) fn on(stream: UnixStream) -> io::Result<Self> {
         stream.set_nonblocking(true)?;
-        Ok(Self { device: stream.into(), port: None })
+        Ok(Self { device: stream.into(), port: None, held: None })
     }
 
     /// Lets the next program in: the port of one that asked to be alone stays locked otherwise, as
@@ -59,8 +73,34 @@ impl Pty {
         Ok((set > 0).then_some(set))
     }
 
+    /// From now on, what programs write is read only when it was [taken in](Self::take_in), and what they have
+    /// no room for is kept for them.
+    pub(super) fn hold(&mut self) {
+        self.held = Some(Held::default());
+    }
+
+    /// Takes in all that programs have written.
+    pub(super) fn take_in(&mut self) -> io::Result<()> {
+        let mut chunk = [0; 4096];
+        loop {
+            let length = self.read_device(&mut chunk)?;
+            match &mut self.held {
+                Some(held) if length > 0 => held.taken.extend(&chunk[..length]),
+                _ => break,
+            }
+        }
+        self.write(&[])
+    }
+
     /// What a program has written; 0 if nothing. An error if a socket's program has gone.
-    pub(super) fn read(&self, buffer: &mut [u8]) -> io::Result<usize> {
+    pub(super) fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        match &mut self.held {
+            Some(held) => io::Read::read(&mut held.taken, buffer),
+            None => self.read_device(buffer),
+        }
+    }
+
+    fn read_device(&self, buffer: &mut [u8]) -> io::Result<usize> {
         loop {
             match rustix::io::read(&self.device, &mut *buffer) {
                 Err(Errno::INTR) => {}
@@ -72,16 +112,30 @@ impl Pty {
     }
 
     /// Hands bytes to whoever reads. What finds no room because nobody does is lost.
-    pub(super) fn write(&self, mut bytes: &[u8]) -> io::Result<()> {
-        while !bytes.is_empty() {
-            match rustix::io::write(&self.device, bytes) {
-                Err(Errno::INTR) => {}
-                Ok(0) | Err(Errno::AGAIN) => return Ok(()),
-                done => bytes = bytes.get(done?..).unwrap_or_default(),
-            }
+    pub(super) fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let Some(Held { unsent, .. }) = &mut self.held else {
+            return write_device(&self.device, bytes).map(|_| ());
+        };
+        if unsent.len() + bytes.len() <= MOST_UNSENT {
+            unsent.extend(bytes);
         }
+        let sent = write_device(&self.device, unsent.make_contiguous())?;
+        unsent.drain(..sent);
         Ok(())
     }
+}
+
+/// Gives how many there was room for.
+fn write_device(device: &OwnedFd, bytes: &[u8]) -> io::Result<usize> {
+    let mut sent = 0;
+    while let Some(rest) = bytes.get(sent..).filter(|rest| !rest.is_empty()) {
+        match rustix::io::write(device, rest) {
+            Err(Errno::INTR) => {}
+            Ok(0) | Err(Errno::AGAIN) => break,
+            done => sent += done?,
+        }
+    }
+    Ok(sent)
 }
 
 impl AsFd for Pty {

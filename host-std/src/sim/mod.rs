@@ -59,6 +59,7 @@
 //! two tasks.
 
 pub mod bus;
+mod condition;
 mod fleet;
 mod log;
 pub mod mechanics;
@@ -73,6 +74,7 @@ mod shaft;
 #[cfg(test)]
 mod tests;
 
+pub use condition::{Condition, ConditionQuantity};
 pub use fleet::{
     BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, MotorSetup, SimulatedDrive,
 };

@@ -6,6 +6,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ErrorFlags;
 use myactuator_protocol_core::time::Duration;
 
+use super::condition::Condition;
 use crate::Unexpected;
 use crate::sim::bus::faults::{Direction, FaultPlan};
 
@@ -16,7 +17,7 @@ const USUAL_CHANCE: f32 = 0.01;
 /// The pause between two frames of a babbling drive where nothing is said.
 const USUAL_BABBLE: Duration = Duration::from_millis(10);
 
-/// Something that goes wrong, with whom, and when: `KIND[=VALUE][@WHERE][+TIME]`.
+/// Something that goes wrong, with whom, and when: `KIND[=VALUE][@WHERE][?CONDITION][+TIME]`.
 ///
 /// | kind | value, and what it is without | what happens |
 /// |---|---|---|
@@ -36,7 +37,8 @@ const USUAL_BABBLE: Duration = Duration::from_millis(10);
 ///
 /// `@WHERE` is a motor's id, else all are struck. Faults by chance may have a direction instead or
 /// as well, `@to-drives`, `@from-drives` or `@2,from-drives`, else they strike both ways. `+TIME`
-/// counts from the start. Times are numbers with `us`, `ms` or `s`.
+/// counts from the start. Times are numbers with `us`, `ms` or `s`. With a [`Condition`] on the motor it
+/// names, it begins as soon as that is met, but not before its time: `cut@1?angle>90`.
 ///
 /// ```
 /// use myactuator_host_std::sim::PlannedFault;
@@ -57,6 +59,8 @@ pub struct PlannedFault {
     pub direction: Option<Direction>,
     /// When it begins, after the start.
     pub after: Duration,
+    /// What the motor must come to before it begins, looked at every millisecond.
+    pub condition: Option<Condition>,
 }
 
 /// What can be planned to go wrong.
@@ -130,6 +134,10 @@ impl FromStr for PlannedFault {
             Some((text, after)) => (text, time(after)?),
             None => (text, Duration::ZERO),
         };
+        let (text, condition) = match text.split_once('?') {
+            Some((text, condition)) => (text, Some(condition.parse()?)),
+            None => (text, None),
+        };
         let (text, place) = match text.split_once('@') {
             Some((text, place)) => (text, Some(place)),
             None => (text, None),
@@ -145,7 +153,11 @@ impl FromStr for PlannedFault {
                 format!("{name} without to-drives and from-drives: it is no fault by chance");
             return Err(Unexpected::new(expected, place.unwrap_or_default()));
         }
-        Ok(Self { kind, motor, direction, after })
+        if condition.is_some() && motor.is_none() {
+            let expected = "the motor that the condition is on, as in cut@1?angle>90";
+            return Err(Unexpected::new(expected, place.unwrap_or_default()));
+        }
+        Ok(Self { kind, motor, direction, after, condition })
     }
 }
 
@@ -286,8 +298,13 @@ mod tests {
             ("under-voltage", FaultKind::Error(ErrorFlags::UNDER_VOLTAGE)),
         ];
         for (text, kind) in kinds {
-            let expected =
-                PlannedFault { kind, motor: None, direction: None, after: Duration::ZERO };
+            let expected = PlannedFault {
+                kind,
+                motor: None,
+                direction: None,
+                after: Duration::ZERO,
+                condition: None,
+            };
             assert_eq!(fault(text), expected, "{text}");
         }
     }
@@ -314,6 +331,10 @@ mod tests {
         let way = fault("lose@to-drives");
         assert_eq!((way.motor, way.direction), (None, Some(Direction::ToNodes)));
         assert_eq!(fault("cut@3+20ms").motor, motor);
+        let then = fault("lose=1@3,to-drives?speed<-5.5+2s");
+        assert_eq!((then.motor, then.direction), (motor, Some(Direction::ToNodes)));
+        assert_eq!(then.after, Duration::from_secs(2));
+        assert_eq!(then.condition, Some("speed<-5.5".parse().unwrap()));
     }
 
     #[test]
@@ -329,6 +350,10 @@ mod tests {
         for wrong in ["cut@0", "cut@33", "cut@", "lose@1,2", "lose@sideways"] {
             assert!(refused(wrong).starts_with("expected a motor"), "{wrong}");
         }
+        for wrong in ["cut?angle>5", "lose@to-drives?angle>5"] {
+            assert!(refused(wrong).starts_with("expected the motor that the condition"), "{wrong}");
+        }
+        assert!(refused("cut@1?angle").starts_with("expected angle, speed"));
         assert_eq!(refused("cut=2"), "expected cut without a value, found \"2\"");
         assert!(refused("stall@to-drives").starts_with("expected stall without to-drives"));
     }

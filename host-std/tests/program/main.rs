@@ -6,6 +6,7 @@ mod held_up;
 mod motors;
 mod readme;
 mod run;
+mod sim_control;
 mod sim_log;
 mod sim_robot;
 mod sim_serve;

@@ -62,7 +62,7 @@ impl Simulation {
         self.places.iter().find(|place| place["name"] == name).unwrap()
     }
 
-    fn place(&self, kind: &str) -> &Value {
+    pub(crate) fn place(&self, kind: &str) -> &Value {
         self.places.iter().find(|place| place["kind"] == kind).unwrap()
     }
 

@@ -5,7 +5,7 @@ use std::os::unix::net::UnixStream;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 
-use myactuator_host_std::serve::{ServeError, Server};
+use myactuator_host_std::serve::{Notice, ServeError, Server};
 use myactuator_host_std::sim::bus::can::CanBus;
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::{Rs485Line, TransceiverConfig};
@@ -101,9 +101,12 @@ impl Drives {
         let thread = thread::spawn(move || {
             urgency::take();
             let mut server = Server::new();
-            let served = bus
-                .serve(&mut server, stream)
-                .and_then(|()| server.run(stopped, |notice| push(&notices, notice.to_string())));
+            let told = |notice| match notice {
+                // What drives refuse is the firmware's affair.
+                Notice::Log(_) => {}
+                notice => push(&notices, notice.to_string()),
+            };
+            let served = bus.serve(&mut server, stream).and_then(|()| server.run(stopped, told));
             if let Err(error) = served {
                 push(&notices, error.to_string());
             }

@@ -46,7 +46,9 @@ pub(super) fn serve(buses: Vec<Served>, arguments: &Arguments) -> Result<(), Fai
             BusKind::Can => serve_can(&mut server, &bus, link, &mut links)?,
         });
     }
-    for line in places::lines(&places, is_file, arguments.json) {
+    let control = arguments.control.apply(&mut server, arguments.json)?;
+    let lines = places::lines(&places, is_file, arguments.json);
+    for line in control.into_iter().chain(lines) {
         match print_line(&line) {
             // Whoever reads may leave; the drives stay.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => break,

@@ -66,6 +66,8 @@ pub struct SimulatedMotor {
     external_torque_nm: f64,
     /// What acted on the shaft since it was led last, while it is led at all.
     led: Option<Led>,
+    /// Whether the brake is open, whatever the drive wants.
+    forced_brake: Option<bool>,
     /// What the encoder shows since it failed: pulses, and speed in degrees per second.
     frozen: Option<(i64, f32)>,
 }
@@ -163,6 +165,7 @@ impl SimulatedMotor {
             carried_us: 0,
             external_torque_nm: 0.0,
             led: None,
+            forced_brake: None,
             frozen: None,
             parameters,
         })
@@ -202,6 +205,11 @@ impl SimulatedMotor {
         self.coefficients = Coefficients::new(&self.parameters, &load)?;
         self.load = load;
         Ok(())
+    }
+
+    /// Where its power comes from.
+    pub const fn supply(&self) -> &Supply {
+        &self.link.supply
     }
 
     /// Connects another supply. The capacitor at the drive's input keeps its voltage and follows.
@@ -260,6 +268,11 @@ impl SimulatedMotor {
     /// led.
     pub fn acting(&self) -> ShaftTorque {
         self.led.map(Led::mean).unwrap_or_default()
+    }
+
+    /// The brake sticks, open (`true`) or closed (`false`), whatever the drive does; `None` lets it go.
+    pub fn force_brake(&mut self, open: Option<bool>) {
+        self.forced_brake = open;
     }
 
     /// Sets the air's temperature, °C.
@@ -354,7 +367,8 @@ impl SimulatedMotor {
         let motor_nm = air_gap_nm_per_a * self.current_a;
 
         let speed_before = self.speed_rad_s;
-        self.speed_rad_s = self.speed_after(motor_nm, actuation.brake_released);
+        let brake_released = self.forced_brake.unwrap_or(actuation.brake_released);
+        self.speed_rad_s = self.speed_after(motor_nm, brake_released);
         self.angle_rad += self.speed_rad_s * HALF_STEP_S;
 
         let amplitude_a = amplitude_per_a * self.current_a;
@@ -472,6 +486,21 @@ mod tests {
         let free = motor.advance(&FREE, Duration::from_secs(1));
         assert!(free.motor_temperature_c < 120.0 && free.motor_temperature_c > 100.0);
         assert_eq!(free.mos_temperature_c, 90.0);
+    }
+
+    #[test]
+    fn a_brake_sticks_open_or_closed() {
+        let mut motor = x6();
+        let on = Actuation { current_a: 1.0, output_on: true, brake_released: true };
+        let locked = Actuation { brake_released: false, ..on };
+        let mut turns = |stuck, actuation| {
+            motor.force_brake(stuck);
+            motor.advance(actuation, Duration::from_millis(20)).speed_dps != 0.0
+        };
+        assert!(!turns(None, &locked));
+        assert!(turns(Some(true), &locked));
+        assert!(!turns(Some(false), &on));
+        assert!(turns(None, &on));
     }
 
     #[test]

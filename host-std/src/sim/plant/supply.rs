@@ -55,7 +55,7 @@ pub(super) fn check_voltage(voltage_v: f64) -> Result<f64, ImpossibleFigure> {
 /// The voltage at the drive's input as time goes on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Link {
-    supply: Supply,
+    pub(super) supply: Supply,
     voltage_v: f64,
     /// The voltage that a test holds, whatever is drawn.
     pub(super) held_v: Option<f64>,

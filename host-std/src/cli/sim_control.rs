@@ -1,0 +1,286 @@
+//! `myactuator sim-control`: looks at the drives of a running `sim`, and changes what they are in.
+
+mod table;
+
+use std::io::{self, BufRead as _, BufReader, Write as _};
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+use myactuator_host_std::serve::PlannedFault;
+use myactuator_protocol_core::MotorId;
+use serde_json::{Map, Value, json};
+
+use super::{Outcome, Unfinished, arguments as parse, print_line};
+
+/// Look at the drives of a running `sim --control`, and change what they are in
+#[derive(Debug, Args)]
+pub(super) struct Arguments {
+    /// The socket that `sim --control` was given
+    #[arg(value_name = "PATH")]
+    socket: PathBuf,
+    /// Print answers as they are, one JSON object a line
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// Which motors: all of all buses unless told otherwise.
+#[derive(Clone, Debug, Args)]
+struct Whom {
+    /// On this bus only, such as can or rs485
+    #[arg(long, value_name = "NAME")]
+    bus: Option<String>,
+    /// This motor only
+    #[arg(long, value_name = "ID", value_parser = parse::motor_id)]
+    id: Option<MotorId>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// How things truly are, whatever encoders and drives say
+    State {
+        #[command(flatten)]
+        whom: Whom,
+    },
+    /// Fix a load to the shaft in place of the last
+    Load {
+        #[command(flatten)]
+        whom: Whom,
+        /// As JSON, such as {"arm":{"mass_kg":2,"length_m":0.4,"down_deg":0}}; {} for none
+        #[arg(value_parser = object)]
+        load: Value,
+    },
+    /// Push the shaft from outside, until told another torque
+    #[command(allow_negative_numbers = true)]
+    Push {
+        #[command(flatten)]
+        whom: Whom,
+        /// Torque, N·m
+        torque_nm: f64,
+    },
+    /// Put the shaft to an angle, at rest
+    #[command(allow_negative_numbers = true)]
+    Angle {
+        #[command(flatten)]
+        whom: Whom,
+        /// Degrees, turns included
+        angle_deg: f64,
+    },
+    /// Change the supply; what is not given stays
+    Supply {
+        #[command(flatten)]
+        whom: Whom,
+        /// Voltage without load, V
+        #[arg(long, value_name = "V")]
+        voltage_v: Option<f64>,
+        /// Internal resistance, ohm
+        #[arg(long, value_name = "OHM")]
+        resistance_ohm: Option<f64>,
+        /// Resistance against current that flows back, ohm
+        #[arg(long, value_name = "OHM")]
+        feedback_resistance_ohm: Option<f64>,
+    },
+    /// Set the air's temperature, °C
+    #[command(allow_negative_numbers = true)]
+    Ambient {
+        #[command(flatten)]
+        whom: Whom,
+        /// Degrees Celsius
+        ambient_c: f64,
+    },
+    /// Have the brake stick, or work again
+    Brake {
+        #[command(flatten)]
+        whom: Whom,
+        /// What it does
+        #[arg(value_enum)]
+        state: Brake,
+    },
+    /// Have something go wrong, in the words of `sim --fault`; +TIME counts from now
+    Fault {
+        /// On this bus only
+        #[arg(long, value_name = "NAME")]
+        bus: Option<String>,
+        /// Such as stall@2, cut@1+2s or mend
+        #[arg(value_parser = fault)]
+        fault: String,
+    },
+    /// Tell what drives ignore, refuse and suffer from now on, until Ctrl-C
+    Log,
+    /// With sim --lock-step: let time go on by so much, and wait until it is over
+    Advance {
+        /// Such as 500us, 20ms or 1.5s
+        #[arg(value_parser = time_us)]
+        time: u64,
+    },
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Brake {
+    /// Sticks closed, whatever its drive does
+    Locked,
+    /// Sticks open, whatever its drive does
+    Released,
+    /// Does what its drive wants
+    Works,
+}
+
+fn object(text: &str) -> Result<Value, String> {
+    let value: Value = serde_json::from_str(text).map_err(|error| error.to_string())?;
+    if value.is_object() { Ok(value) } else { Err("expected a JSON object".into()) }
+}
+
+/// Looked at here, so that what is wrong is told as for `sim --fault`.
+fn fault(text: &str) -> Result<String, String> {
+    text.parse::<PlannedFault>().map(|_| text.to_owned()).map_err(|error| error.to_string())
+}
+
+fn time_us(text: &str) -> Result<u64, String> {
+    // As in a fault.
+    let fault: PlannedFault = format!("clear+{text}")
+        .parse()
+        .map_err(|error: myactuator_host_std::Unexpected| error.to_string())?;
+    Ok(fault.after.as_micros())
+}
+
+impl Whom {
+    /// A request to these with this name, and what else it takes.
+    fn request(&self, name: &str, takes: Value) -> Value {
+        let mut all = match takes {
+            Value::Object(takes) => takes,
+            _ => Map::new(),
+        };
+        all.extend(self.bus.as_ref().map(|bus| ("bus".to_owned(), json!(bus))));
+        all.extend(self.id.map(|id| ("motor".to_owned(), json!(id))));
+        // What is not given is left out.
+        all.retain(|_, value| !value.is_null());
+        json!({ name: all })
+    }
+}
+
+impl Command {
+    fn request(&self) -> Value {
+        match self {
+            Self::State { whom } => whom.request("state", Value::Null),
+            Self::Load { whom, load } => whom.request("load", json!({ "load": load })),
+            Self::Push { whom, torque_nm } => {
+                whom.request("push", json!({ "torque_nm": torque_nm }))
+            }
+            Self::Angle { whom, angle_deg } => {
+                whom.request("angle", json!({ "angle_deg": angle_deg }))
+            }
+            Self::Supply { whom, voltage_v, resistance_ohm, feedback_resistance_ohm } => whom
+                .request(
+                    "supply",
+                    json!({
+                        "voltage_v": voltage_v,
+                        "resistance_ohm": resistance_ohm,
+                        "feedback_resistance_ohm": feedback_resistance_ohm,
+                    }),
+                ),
+            Self::Ambient { whom, ambient_c } => {
+                whom.request("ambient", json!({ "ambient_c": ambient_c }))
+            }
+            Self::Brake { whom, state } => {
+                let stuck = match state {
+                    Brake::Locked => json!("locked"),
+                    Brake::Released => json!("released"),
+                    Brake::Works => Value::Null,
+                };
+                whom.request("brake", json!({ "stuck": stuck }))
+            }
+            Self::Fault { bus, fault } => {
+                let whom = Whom { bus: bus.clone(), id: None };
+                whom.request("fault", json!({ "fault": fault }))
+            }
+            Self::Log => json!({ "log": {} }),
+            Self::Advance { time } => json!({ "advance": { "us": time } }),
+        }
+    }
+}
+
+/// Asks, and prints the answer; the log goes on until the simulation ends.
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let path = arguments.socket.display();
+    let broken = |error: io::Error| {
+        Unfinished::Failed(format!(
+            "the simulation at {path} does not answer: {error}; start one with sim --control {path}"
+        ))
+    };
+    let mut stream = UnixStream::connect(&arguments.socket).map_err(broken)?;
+    stream.write_all(format!("{}\n", arguments.command.request()).as_bytes()).map_err(broken)?;
+    let mut lines = BufReader::new(stream).lines();
+    let Some(answer) = lines.next() else {
+        return Err(broken(io::ErrorKind::UnexpectedEof.into()));
+    };
+    let answer: Value = serde_json::from_str(&answer.map_err(broken)?)
+        .map_err(|error| Unfinished::Failed(format!("{path} is no simulation's: {error}")))?;
+    if let Some(sentence) = answer["error"].as_str() {
+        return Err(Unfinished::Failed(sentence.to_owned()));
+    }
+    if arguments.json {
+        print_line(&answer.to_string())?;
+    } else {
+        for line in table::lines(&answer["ok"]) {
+            print_line(&line)?;
+        }
+    }
+    if !matches!(arguments.command, Command::Log) {
+        return Ok(());
+    }
+    for line in lines {
+        let line = line.map_err(broken)?;
+        let record: Value = serde_json::from_str(&line).unwrap_or_default();
+        match record["log"]["text"].as_str() {
+            Some(text) if !arguments.json => print_line(text)?,
+            _ => print_line(&line)?,
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Cli {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    #[test]
+    fn commands_are_requests() {
+        let told = |words: &str| {
+            let words = ["sim-control", "here"].into_iter().chain(words.split(' '));
+            Cli::try_parse_from(words).unwrap().arguments.command.request()
+        };
+        for (words, request) in [
+            ("state", r#"{"state":{}}"#),
+            ("state --bus can --id 3", r#"{"state":{"bus":"can","motor":3}}"#),
+            ("load --id 1 {}", r#"{"load":{"motor":1,"load":{}}}"#),
+            ("push --id 2 -1.5", r#"{"push":{"motor":2,"torque_nm":-1.5}}"#),
+            ("angle 90", r#"{"angle":{"angle_deg":90.0}}"#),
+            ("supply --voltage-v 24", r#"{"supply":{"voltage_v":24.0}}"#),
+            ("ambient -20", r#"{"ambient":{"ambient_c":-20.0}}"#),
+            ("brake --id 1 locked", r#"{"brake":{"motor":1,"stuck":"locked"}}"#),
+            ("brake works", r#"{"brake":{}}"#),
+            ("fault cut@1+2s", r#"{"fault":{"fault":"cut@1+2s"}}"#),
+            ("log", r#"{"log":{}}"#),
+            ("advance 1.5ms", r#"{"advance":{"us":1500}}"#),
+        ] {
+            let request: Value = serde_json::from_str(request).unwrap();
+            assert_eq!(told(words), request, "{words}");
+        }
+        let wrong = |words: &str| {
+            let words = ["sim-control", "here"].into_iter().chain(words.split(' '));
+            Cli::try_parse_from(words).unwrap_err().to_string()
+        };
+        assert!(wrong("fault loose").contains("expected lose, corrupt"));
+        assert!(wrong("advance 5").contains("expected a time with its unit"));
+        assert!(wrong("load 5").contains("expected a JSON object"));
+    }
+}

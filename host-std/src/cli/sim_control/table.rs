@@ -1,0 +1,102 @@
+//! Answers of a simulation for people.
+
+use serde_json::Value;
+
+/// When it was, and a line a motor where motors are told of.
+pub(super) fn lines(answer: &Value) -> Vec<String> {
+    let seconds = answer["at_us"].as_f64().unwrap_or_default() / 1e6;
+    let mut lines = vec![format!("at {seconds:.6} s")];
+    for bus in list(&answer["buses"]) {
+        let traffic = &bus["traffic"];
+        lines.push(format!(
+            "{}: {} bit/s, {} frames carried, {} broken, {:.3} s busy",
+            text(&bus["bus"]),
+            bus["bit_rate"],
+            traffic["frames"],
+            traffic["broken"],
+            traffic["busy_us"].as_f64().unwrap_or_default() / 1e6,
+        ));
+        lines.extend(list(&bus["motors"]).map(motor));
+    }
+    lines
+}
+
+fn motor(motor: &Value) -> String {
+    let number = |key: &str| motor[key].as_f64().unwrap_or_default();
+    let is = |key: &str| motor[key] == true;
+    let mut line = format!(
+        "  motor {}: {:.2} deg, {:.1} dps, {:.2} A, {:.2} N·m (load {:.2} N·m), motor {:.0} °C, mosfet {:.0} °C, \
+         {:.1} V",
+        motor["motor"],
+        number("angle_deg"),
+        number("speed_dps"),
+        number("current_a"),
+        number("torque_nm"),
+        number("load_torque_nm"),
+        number("motor_temperature_c"),
+        number("mosfet_temperature_c"),
+        number("supply_voltage_v"),
+    );
+    let mut add = |part: &str| line.push_str(&format!(", {part}"));
+    match motor["mode"].as_str() {
+        Some(mode) => add(mode),
+        None => add(if is("output_on") { "output on" } else { "output off" }),
+    }
+    add(&format!("brake {}", text(&motor["brake"])));
+    if !is("powered") {
+        add("without supply");
+    } else if !is("running") {
+        add("starting");
+    }
+    if is("communication_lost") {
+        add("communication lost");
+    }
+    if is("cut") {
+        add("cable cut");
+    }
+    for error in list(&motor["errors"]) {
+        add(&format!("error {}", text(error)));
+    }
+    line
+}
+
+fn list(value: &Value) -> impl Iterator<Item = &Value> {
+    value.as_array().into_iter().flatten()
+}
+
+fn text(value: &Value) -> &str {
+    value.as_str().unwrap_or("unknown")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_motor_is_a_line() {
+        let answer = json!({
+            "at_us": 1_500_000,
+            "buses": [{
+                "bus": "can", "bit_rate": 1_000_000,
+                "traffic": { "frames": 12, "broken": 1, "busy_us": 2_000 },
+                "motors": [{
+                    "motor": 3, "angle_deg": 90.004, "speed_dps": -12.0, "current_a": 1.5, "torque_nm": 3.9,
+                    "load_torque_nm": -3.9, "motor_temperature_c": 25.0, "mosfet_temperature_c": 30.0,
+                    "supply_voltage_v": 48.0, "mode": "speed", "output_on": true, "brake": "release",
+                    "powered": true, "running": true, "communication_lost": false, "cut": true,
+                    "errors": ["stall"],
+                }],
+            }],
+        });
+        assert_eq!(
+            lines(&answer),
+            [
+                "at 1.500000 s",
+                "can: 1000000 bit/s, 12 frames carried, 1 broken, 0.002 s busy",
+                "  motor 3: 90.00 deg, -12.0 dps, 1.50 A, 3.90 N·m (load -3.90 N·m), motor 25 °C, mosfet 30 °C, \
+                 48.0 V, speed, brake release, cable cut, error stall",
+            ]
+        );
+    }
+}

@@ -1,0 +1,148 @@
+//! What requests do to simulated buses.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::time::Duration;
+use serde_json::{Value, json};
+
+use super::request::{Request, Stuck};
+use crate::serve::hosted::Hosted;
+use crate::serve::schedule::Schedule;
+use crate::sim::PlannedFault;
+use crate::sim::plant::{SimulatedMotor, Supply};
+
+/// What requests work on.
+#[derive(Debug)]
+pub(in crate::serve) struct Scene<'a> {
+    pub(in crate::serve) hosts: &'a mut [Box<dyn Hosted>],
+    pub(in crate::serve) schedule: &'a mut Schedule,
+    /// Time since serving began.
+    pub(in crate::serve) passed: Duration,
+}
+
+type Done<T = Value> = Result<T, String>;
+
+impl Scene<'_> {
+    /// Does what is asked, all but [`Request::Log`] and [`Request::Advance`]. Gives the answer.
+    ///
+    /// # Errors
+    /// A sentence. Nothing has changed then.
+    pub(in crate::serve) fn carry_out(&mut self, request: Request) -> Done {
+        match request {
+            Request::Time {} | Request::Log {} | Request::Advance { .. } => {}
+            Request::State { bus, motor } => {
+                let places = self.places(bus.as_deref(), motor)?;
+                let buses: Vec<_> =
+                    places.iter().map(|&place| self.hosts[place].state(motor)).collect();
+                let mut answer = self.time();
+                answer["buses"] = json!(buses);
+                return Ok(answer);
+            }
+            Request::Load { bus, motor, load } => {
+                self.change(bus, motor, |motor| motor.set_load(load).map_err(|it| it.to_string()))?;
+            }
+            Request::Supply {
+                bus,
+                motor,
+                voltage_v,
+                resistance_ohm,
+                feedback_resistance_ohm,
+                capacitance_f,
+            } => self.change(bus, motor, |motor| {
+                let old = *motor.supply();
+                let new = Supply {
+                    voltage_v: voltage_v.unwrap_or(old.voltage_v),
+                    resistance_ohm: resistance_ohm.unwrap_or(old.resistance_ohm),
+                    feedback_resistance_ohm: feedback_resistance_ohm
+                        .unwrap_or(old.feedback_resistance_ohm),
+                    capacitance_f: capacitance_f.unwrap_or(old.capacitance_f),
+                };
+                motor.set_supply(new).map_err(|it| it.to_string())
+            })?,
+            Request::Push { bus, motor, torque_nm } => self.change(bus, motor, |motor| {
+                motor.set_external_torque_nm(torque_nm).map_err(|it| it.to_string())
+            })?,
+            Request::Angle { bus, motor, angle_deg } => self.change(bus, motor, |motor| {
+                motor.set_output_angle_deg(angle_deg).map_err(|it| it.to_string())
+            })?,
+            Request::Ambient { bus, motor, ambient_c } => self.change(bus, motor, |motor| {
+                motor.set_ambient_c(ambient_c).map_err(|it| it.to_string())
+            })?,
+            Request::Temperature { bus, motor, motor_c, mosfet_c } => {
+                self.change(bus, motor, |motor| {
+                    motor
+                        .force_motor_temperature_c(motor_c)
+                        .and_then(|()| motor.force_mos_temperature_c(mosfet_c))
+                        .map_err(|it| it.to_string())
+                })?;
+            }
+            Request::Brake { bus, motor, stuck } => self.change(bus, motor, |motor| {
+                motor.force_brake(stuck.map(|stuck| stuck == Stuck::Released));
+                Ok(())
+            })?,
+            Request::Cable { bus, motor, cut } => {
+                for place in self.places(bus.as_deref(), motor)? {
+                    self.hosts[place].set_cable(motor, cut);
+                }
+            }
+            Request::Fault { bus, fault } => {
+                let fault: PlannedFault = fault.parse().map_err(|error| format!("{error}"))?;
+                self.places(bus.as_deref(), fault.motor)?;
+                self.schedule.add(self.passed, bus, fault);
+                self.schedule.strike(self.passed, self.hosts);
+            }
+        }
+        Ok(self.time())
+    }
+
+    /// When it is.
+    pub(super) fn time(&self) -> Value {
+        json!({ "at_us": self.hosts.first().map_or(0, |host| host.now().as_micros()) })
+    }
+
+    /// Where the buses are that are meant: all if none is named, and those with the motor that is.
+    fn places(&self, bus: Option<&str>, motor: Option<MotorId>) -> Done<Vec<usize>> {
+        let names: Vec<&str> = self.hosts.iter().map(|host| host.name()).collect();
+        let is_meant = |name: &str| bus.is_none_or(|bus| bus == name);
+        if let Some(bus) = bus
+            && !names.contains(&bus)
+        {
+            return Err(format!("there is no bus \"{bus}\": there are {}", names.join(", ")));
+        }
+        let has_motor = |host: &dyn Hosted| {
+            motor.is_none_or(|motor| host.drives().iter().any(|drive| drive.motor() == motor))
+        };
+        let places: Vec<usize> = self
+            .hosts
+            .iter()
+            .enumerate()
+            .filter(|(_, host)| is_meant(host.name()) && has_motor(&***host))
+            .map(|(place, _)| place)
+            .collect();
+        match motor {
+            Some(motor) if places.is_empty() => {
+                let on = bus.map_or_else(|| names.join(" or "), str::to_owned);
+                Err(format!("there is no motor {motor} on {on}"))
+            }
+            _ => Ok(places),
+        }
+    }
+
+    /// Changes the motors that are meant, or none of them if one of them cannot be changed so.
+    fn change(
+        &mut self,
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        work: impl Fn(&mut SimulatedMotor) -> Done<()>,
+    ) -> Done<()> {
+        let places = self.places(bus.as_deref(), motor)?;
+        let drives: Vec<_> = places
+            .into_iter()
+            .flat_map(|place| self.hosts[place].drives())
+            .filter(|drive| motor.is_none_or(|motor| drive.motor() == motor))
+            .collect();
+        for drive in &drives {
+            drive.with(|drive| work(&mut drive.plant().clone()))?;
+        }
+        drives.into_iter().try_for_each(|drive| drive.with(|drive| work(drive.plant_mut())))
+    }
+}

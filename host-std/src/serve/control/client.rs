@@ -1,0 +1,219 @@
+//! A program at the control socket: its lines, and what it has not read yet.
+
+use std::collections::VecDeque;
+use std::io::{self, Read as _, Write as _};
+use std::os::fd::{AsFd, BorrowedFd};
+use std::os::unix::net::UnixStream;
+
+use rustix::event::PollFlags;
+
+/// The longest line, bytes.
+pub(super) const LONGEST_LINE: usize = 64 * 1024;
+/// With more than this to be read a client is asked nothing more, and the log is left out for it, bytes.
+const MOST_UNREAD: usize = 256 * 1024;
+
+#[derive(Debug)]
+pub(super) struct Client {
+    stream: UnixStream,
+    received: VecDeque<u8>,
+    unread: VecDeque<u8>,
+    state: State,
+    /// Since when the log is told, and how many records were left out since the last that was told.
+    pub(super) log: Option<u32>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Talking,
+    /// Its last request has no answer yet.
+    Waiting,
+    /// It sends nothing more, or what it sends is no use: it gets its answers still.
+    Leaving,
+    Gone,
+}
+
+impl Client {
+    pub(super) fn new(stream: UnixStream) -> io::Result<Self> {
+        stream.set_nonblocking(true)?;
+        let (received, unread) = (VecDeque::new(), VecDeque::new());
+        Ok(Self { stream, received, unread, state: State::Talking, log: None })
+    }
+
+    pub(super) fn is_gone(&self) -> bool {
+        self.state == State::Gone || (self.state == State::Leaving && self.unread.is_empty())
+    }
+
+    /// What to wait for.
+    pub(super) fn source(&self) -> (BorrowedFd<'_>, PollFlags) {
+        let mut flags = PollFlags::empty();
+        if self.is_heard() && !self.has_line() {
+            flags |= PollFlags::IN;
+        }
+        if !self.unread.is_empty() {
+            flags |= PollFlags::OUT;
+        }
+        (self.stream.as_fd(), flags)
+    }
+
+    /// Whether it may ask something now.
+    fn is_heard(&self) -> bool {
+        self.state == State::Talking && self.unread.len() <= MOST_UNREAD
+    }
+
+    fn has_line(&self) -> bool {
+        self.received.contains(&b'\n')
+    }
+
+    /// Whether [`next`](Self::next) has a line without waiting.
+    pub(super) fn is_ready(&self) -> bool {
+        self.is_heard() && self.has_line()
+    }
+
+    /// The next line, if one is complete. The next comes when this is [answered](Self::answer).
+    pub(super) fn next(&mut self) -> Option<Result<Vec<u8>, String>> {
+        if !self.is_heard() {
+            return None;
+        }
+        if !self.has_line() {
+            self.receive();
+        }
+        let Some(end) = self.received.iter().position(|&byte| byte == b'\n') else {
+            if self.received.len() > LONGEST_LINE {
+                self.received.clear();
+                self.state = State::Leaving;
+                return Some(Err(format!(
+                    "expected a line of at most {LONGEST_LINE} bytes, found no end of one"
+                )));
+            }
+            return None;
+        };
+        self.state = State::Waiting;
+        let mut line: Vec<u8> = self.received.drain(..=end).collect();
+        line.pop();
+        Some(Ok(line))
+    }
+
+    fn receive(&mut self) {
+        let mut chunk = [0; 4096];
+        loop {
+            match self.stream.read(&mut chunk) {
+                Ok(0) => return self.state = State::Leaving,
+                Ok(length) => self.received.extend(&chunk[..length]),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                Err(_) => return self.state = State::Gone,
+            }
+            if self.has_line() || self.received.len() > LONGEST_LINE {
+                return;
+            }
+        }
+    }
+
+    /// Answers what it asked last.
+    pub(super) fn answer(&mut self, line: &str) {
+        if self.state == State::Waiting {
+            self.state = State::Talking;
+        }
+        self.tell(line);
+    }
+
+    fn tell(&mut self, line: &str) {
+        self.unread.extend(line.bytes().chain([b'\n']));
+        self.flush();
+    }
+
+    /// Tells a record of the log, unless it reads too slowly.
+    pub(super) fn tell_log(&mut self, line: &str) {
+        let Some(left_out) = &mut self.log else { return };
+        if self.unread.len() > MOST_UNREAD {
+            *left_out = left_out.saturating_add(1);
+            return;
+        }
+        let left_out = std::mem::take(left_out);
+        if left_out > 0 {
+            self.tell(&format!("{{\"left_out\":{left_out}}}"));
+        }
+        self.tell(line);
+    }
+
+    /// Sends what it has room for.
+    pub(super) fn flush(&mut self) {
+        while !self.unread.is_empty() && self.state != State::Gone {
+            match self.stream.write(self.unread.as_slices().0) {
+                Ok(sent) => drop(self.unread.drain(..sent)),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                Err(_) => self.state = State::Gone,
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pair() -> (UnixStream, Client) {
+        let (program, end) = UnixStream::pair().unwrap();
+        (program, Client::new(end).unwrap())
+    }
+
+    #[test]
+    fn lines_come_one_by_one_each_after_the_answer_to_the_last() {
+        let (mut program, mut client) = pair();
+        program.write_all(b"one\ntwo\nthr").unwrap();
+        assert_eq!(client.next(), Some(Ok(b"one".to_vec())));
+        assert_eq!(client.next(), None);
+        client.answer("1");
+        assert!(client.is_ready());
+        assert_eq!(client.next(), Some(Ok(b"two".to_vec())));
+        client.answer("2");
+        assert_eq!(client.next(), None);
+        program.write_all(b"ee\n").unwrap();
+        assert_eq!(client.next(), Some(Ok(b"three".to_vec())));
+        client.answer("3");
+        drop(program);
+        assert_eq!((client.next(), client.is_gone()), (None, true));
+    }
+
+    #[test]
+    fn a_line_without_end_is_the_last() {
+        let (mut program, mut client) = pair();
+        let writing = std::thread::spawn(move || {
+            let _ = program.write_all(&[b' '; LONGEST_LINE + 4096]);
+            program
+        });
+        let told = loop {
+            if let Some(told) = client.next() {
+                break told.unwrap_err();
+            }
+        };
+        assert!(told.starts_with("expected a line of at most 65536 bytes"), "{told}");
+        client.answer(&told);
+        assert!(client.is_gone());
+        drop(client);
+        drop(writing.join().unwrap());
+    }
+
+    #[test]
+    fn who_does_not_read_is_asked_nothing_more_and_misses_the_log() {
+        let (mut program, mut client) = pair();
+        client.log = Some(0);
+        let line = "x".repeat(1000);
+        for _ in 0..2000 {
+            client.tell_log(&line);
+        }
+        let left_out = client.log.unwrap();
+        assert!(left_out > 1000, "{left_out}");
+        program.write_all(b"one\n").unwrap();
+        assert_eq!((client.next(), client.is_ready()), (None, false));
+        let mut read = vec![0; 1 << 20];
+        while client.next().is_none() {
+            let _ = program.read(&mut read).unwrap();
+            client.flush();
+        }
+        client.answer("done");
+        client.tell_log("last");
+        assert_eq!(client.log, Some(0));
+    }
+}

@@ -1,0 +1,109 @@
+//! What can be asked for.
+
+use myactuator_protocol_core::MotorId;
+use serde::Deserialize;
+
+use crate::sim::plant::Load;
+
+/// A request: an object with one key, its name, and what belongs to it.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub(in crate::serve) enum Request {
+    Time {},
+    State {
+        bus: Option<String>,
+        motor: Option<MotorId>,
+    },
+    Log {},
+    Load {
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        load: Load,
+    },
+    Supply {
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        voltage_v: Option<f64>,
+        resistance_ohm: Option<f64>,
+        feedback_resistance_ohm: Option<f64>,
+        capacitance_f: Option<f64>,
+    },
+    Push {
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        torque_nm: f64,
+    },
+    Angle {
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        angle_deg: f64,
+    },
+    Ambient {
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        ambient_c: f64,
+    },
+    Temperature {
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        motor_c: Option<f64>,
+        mosfet_c: Option<f64>,
+    },
+    Brake {
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        stuck: Option<Stuck>,
+    },
+    Cable {
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        cut: bool,
+    },
+    Fault {
+        bus: Option<String>,
+        fault: String,
+    },
+    Advance {
+        us: Option<u64>,
+        until_us: Option<u64>,
+    },
+}
+
+/// How a brake sticks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(in crate::serve) enum Stuck {
+    Locked,
+    Released,
+}
+
+impl Request {
+    /// Reads a line.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub(super) fn parse(line: &[u8]) -> Result<Self, String> {
+        serde_json::from_slice(line).map_err(|error| {
+            format!(
+                "expected a request, such as {{\"state\":{{\"motor\":1}}}}, on one line: {error}"
+            )
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_wrong_with_a_request_is_told() {
+        let wrong = |line: &str| Request::parse(line.as_bytes()).unwrap_err();
+        assert!(wrong("hello").contains("expected value"), "{}", wrong("hello"));
+        assert!(wrong(r#"{"stat":{}}"#).contains("unknown variant `stat`, expected one of `time`"));
+        assert!(wrong(r#"{"state":{"moter":1}}"#).contains("unknown field `moter`"));
+        assert!(wrong(r#"{"state":{"motor":33}}"#).contains("motor id"));
+        assert!(wrong(r#"{"push":{"motor":1}}"#).contains("missing field `torque_nm`"));
+        assert!(wrong(r#"{"load":{"load":{"weight":1}}}"#).contains("unknown field `weight`"));
+        assert!(wrong(r#"{"time":{}} {"time":{}}"#).contains("trailing"));
+    }
+}

@@ -1,0 +1,101 @@
+//! How things truly are, in JSON.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::ErrorFlags;
+use serde::Serialize;
+
+use crate::sim::SimulatedDrive;
+use crate::sim::plant::{Load, Supply};
+
+/// A bus, with the motors that were asked for.
+#[derive(Clone, Debug, Serialize)]
+pub(in crate::serve) struct BusState {
+    pub(in crate::serve) bus: String,
+    pub(in crate::serve) bit_rate: u32,
+    pub(in crate::serve) traffic: Traffic,
+    pub(in crate::serve) motors: Vec<MotorState>,
+}
+
+/// What was on the wire since serving began.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(in crate::serve) struct Traffic {
+    /// Frames that were carried whole.
+    pub(in crate::serve) frames: u64,
+    /// Frames that went wrong.
+    pub(in crate::serve) broken: u64,
+    /// For how long the wire was taken by either.
+    pub(in crate::serve) busy_us: u64,
+}
+
+/// A motor as it is, whatever its encoder and its drive say.
+#[derive(Clone, Debug, Serialize)]
+pub(in crate::serve) struct MotorState {
+    /// The id that it started with, and the one that it listens to.
+    motor: MotorId,
+    id: MotorId,
+    /// Of the output shaft, turns included.
+    angle_deg: f64,
+    speed_dps: f64,
+    /// The angle that its drive tells, from its own zero.
+    told_angle_deg: f64,
+    current_a: f32,
+    /// What the current makes at the output shaft, before friction.
+    torque_nm: f64,
+    /// What the load makes there.
+    load_torque_nm: f64,
+    motor_temperature_c: f32,
+    mosfet_temperature_c: f32,
+    supply_voltage_v: f32,
+    supply_current_a: f32,
+    errors: Vec<String>,
+    /// The loop that runs, `null` for none.
+    mode: Option<&'static str>,
+    output_on: bool,
+    /// The drive's last command to its brake.
+    brake: Option<&'static str>,
+    powered: bool,
+    /// Whether it hears commands.
+    running: bool,
+    communication_lost: bool,
+    /// Whether its cable is cut.
+    cut: bool,
+    load: Load,
+    supply: Supply,
+}
+
+impl MotorState {
+    pub(in crate::serve) fn of(motor: MotorId, drive: &SimulatedDrive, cut: bool) -> Self {
+        let (state, plant) = (drive.state(), drive.plant());
+        let measured = state.measurement;
+        let (angle_deg, speed_dps) = (plant.output_angle_deg(), plant.output_speed_dps());
+        let name = |error: ErrorFlags| match error.name() {
+            Some(name) => name.to_owned(),
+            None => format!("0x{:04X}", error.bits()),
+        };
+        Self {
+            motor,
+            id: drive.id(),
+            angle_deg,
+            speed_dps,
+            told_angle_deg: state.angle_deg,
+            current_a: measured.current_a,
+            torque_nm: plant.parameters().motor.torque_constant_nm_per_a
+                * f64::from(measured.current_a),
+            load_torque_nm: plant.load().torque_at(angle_deg.to_radians(), speed_dps.to_radians()),
+            motor_temperature_c: measured.motor_temperature_c,
+            mosfet_temperature_c: measured.mos_temperature_c,
+            supply_voltage_v: measured.supply_voltage_v,
+            supply_current_a: measured.supply_current_a,
+            errors: state.errors.each().map(name).collect(),
+            mode: state.mode.name(),
+            output_on: state.output_on,
+            brake: state.brake.name(),
+            powered: state.powered,
+            running: state.running,
+            communication_lost: state.communication_lost,
+            cut,
+            load: *plant.load(),
+            supply: *plant.supply(),
+        }
+    }
+}

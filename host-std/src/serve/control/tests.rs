@@ -1,0 +1,320 @@
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::thread::JoinHandle;
+
+use serde_json::Value;
+
+use super::*;
+use crate::serve::{ServeError, Server};
+use crate::sim::Fleet;
+
+/// A server in a thread, which ends with this.
+struct Served {
+    stop: Option<UnixStream>,
+    thread: Option<JoinHandle<Result<(), ServeError>>>,
+    folder: tempfile::TempDir,
+}
+
+impl Served {
+    fn start(prepare: impl FnOnce(&mut Server) + Send + 'static) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("control");
+        let (stop, told) = UnixStream::pair().unwrap();
+        let (ready, is_ready) = std::sync::mpsc::channel();
+        let thread = std::thread::spawn(move || {
+            let mut server = Server::new();
+            prepare(&mut server);
+            server.control_at(&path).unwrap();
+            ready.send(()).unwrap();
+            server.run(told, |_| {})
+        });
+        is_ready.recv().unwrap();
+        Self { stop: Some(stop), thread: Some(thread), folder }
+    }
+
+    fn path(&self) -> PathBuf {
+        self.folder.path().join("control")
+    }
+
+    fn client(&self) -> Client {
+        let stream = UnixStream::connect(self.path()).unwrap();
+        Client { lines: BufReader::new(stream.try_clone().unwrap()).lines(), stream }
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        self.thread.take().unwrap().join().unwrap().unwrap();
+        assert!(!self.path().exists(), "the socket goes with its server");
+    }
+}
+
+struct Client {
+    stream: UnixStream,
+    lines: std::io::Lines<BufReader<UnixStream>>,
+}
+
+impl Client {
+    fn send(&mut self, line: &str) {
+        writeln!(self.stream, "{line}").unwrap();
+    }
+
+    fn next(&mut self) -> Value {
+        serde_json::from_str(&self.lines.next().unwrap().unwrap()).unwrap()
+    }
+
+    fn ask(&mut self, line: &str) -> Value {
+        self.send(line);
+        self.next()
+    }
+}
+
+fn one_in_lock_step(server: &mut Server) {
+    server.host_can(&Fleet::new(1).on_can(1_000_000).unwrap());
+    server.in_lock_step();
+}
+
+/// Whether all that is expected is there; more may be.
+fn assert_has(found: &Value, expected: &Value, line: &str) {
+    match (found, expected) {
+        (Value::Object(found), Value::Object(expected)) => {
+            for (key, expected) in expected {
+                assert_has(found.get(key).unwrap_or(&Value::Null), expected, line);
+            }
+        }
+        (Value::Array(found), Value::Array(expected)) => {
+            assert_eq!(found.len(), expected.len(), "{line}");
+            found.iter().zip(expected).for_each(|(found, it)| assert_has(found, it, line));
+        }
+        _ => assert_eq!(found, expected, "{line}"),
+    }
+}
+
+#[test]
+fn the_lines_of_the_documentation_are_true() {
+    let served = Served::start(one_in_lock_step);
+    let mut client = served.client();
+    let mut shown = 0;
+    for line in include_str!("protocol.md").lines() {
+        if let Some(request) = line.strip_prefix("> ") {
+            client.send(request);
+        } else if let Some(answer) = line.strip_prefix("< ") {
+            assert_has(&client.next(), &serde_json::from_str(answer).unwrap(), line);
+            shown += 1;
+        }
+    }
+    assert_eq!(shown, 18);
+}
+
+#[test]
+fn one_simulation_has_a_socket_and_one_left_by_a_killed_one_is_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("control");
+    let open = |path: &Path| Control::open(path);
+    let first = open(&path).unwrap();
+    assert!(open(&path).unwrap_err().starts_with("another simulation has the control socket "));
+    drop(first);
+    assert!(!path.exists());
+    // The file stays, and nobody listens.
+    drop(UnixListener::bind(&path).unwrap());
+    assert!(path.exists());
+    let second = open(&path).unwrap();
+    // Somebody puts another in its place.
+    fs::remove_file(&path).unwrap();
+    let third = open(&path).unwrap();
+    drop(second);
+    assert!(path.exists());
+    drop(third);
+    fs::write(&path, "mine").unwrap();
+    assert!(open(&path).unwrap_err().ends_with("something that is no socket has this name"));
+}
+
+#[test]
+fn several_programs_ask_at_once_and_one_that_is_stuck_holds_nobody_up() {
+    let served = Served::start(|server| {
+        server.host_can(&Fleet::new(2).on_can(1_000_000).unwrap());
+        server.host_can(&Fleet::new(2).name("arm").on_can(1_000_000).unwrap());
+    });
+    let (mut stuck, mut half) = (served.client(), served.client());
+    stuck.stream.set_nonblocking(true).unwrap();
+    // It reads none of its answers.
+    while stuck.stream.write(b"{\"state\":{}}\n").is_ok() {}
+    half.stream.write_all(b"{\"ti").unwrap();
+    let mut others = [served.client(), served.client()];
+    for other in &mut others {
+        for _ in 0..10 {
+            assert!(other.ask(r#"{"time":{}}"#)["ok"]["at_us"].is_u64());
+        }
+    }
+    let [other, _] = &mut others;
+    let arm = other.ask(r#"{"angle":{"bus":"arm","motor":2,"angle_deg":10}}"#);
+    assert!(arm["ok"].is_object(), "{arm}");
+    let state = other.ask(r#"{"state":{"motor":2}}"#);
+    let angles = [0, 1].map(|bus| state["ok"]["buses"][bus]["motors"][0]["angle_deg"].as_f64());
+    assert_eq!(angles, [Some(0.0), Some(10.0)]);
+    // In real time nobody says how far time goes.
+    let refused = other.ask(r#"{"advance":{"us":1}}"#);
+    assert!(refused["error"].as_str().unwrap().contains("--lock-step"), "{refused}");
+    half.stream.write_all(b"me\":{}}\n").unwrap();
+    assert!(half.next()["ok"].is_object());
+}
+
+#[test]
+fn what_cannot_be_changes_no_motor_at_all() {
+    use crate::sim::plant::{MotorParameters, SimulatedMotor};
+
+    let mut models = ["RMD-X8-PRO", "RMD-X6-P20-60"].map(|name| {
+        let model = MotorParameters::named(name).unwrap();
+        (SimulatedMotor::new(model.clone()).unwrap().inertia_kg_m2(), model)
+    });
+    models.sort_by(|a, b| b.0.total_cmp(&a.0));
+    // The largest stiffness is in proportion to the inertia: too much for the second, not for the first.
+    let stiffness = 4e6 * (models[0].0 * models[1].0).sqrt();
+    let served = Served::start(|server| {
+        for (_, model) in models {
+            server.host_can(&Fleet::new(1).model(model).on_can(1_000_000).unwrap());
+        }
+        server.in_lock_step();
+    });
+    let mut client = served.client();
+    let stiff = format!(
+        r#"{{"load":{{"load":{{"spring":{{"rest_deg":0,"stiffness_nm_per_rad":{stiffness}}}}}}}}}"#
+    );
+    assert!(client.ask(&stiff)["error"].as_str().unwrap().contains("spring"));
+    let buses = client.ask(r#"{"state":{}}"#)["ok"]["buses"].take();
+    for bus in buses.as_array().unwrap() {
+        assert_eq!(bus["motors"][0]["load"]["spring"], Value::Null);
+    }
+}
+
+/// A program that asks four motors by an SLCAN adapter and an RS485 line for 0.2 s, and takes its time for that or
+/// does not: what it gets by each, and how the motors are then.
+fn run_in_lock_step(seed: u64, is_slow: bool) -> (Vec<u8>, Vec<u8>, String) {
+    use std::fs::File;
+    use std::io::Read as _;
+
+    let (places, where_) = std::sync::mpsc::channel();
+    let served = Served::start(move |server| {
+        let fleet = Fleet::new(4).seed(seed);
+        let can = fleet.on_can(1_000_000).unwrap();
+        server.host_can(&can);
+        places.send(server.serve_adapter(&can).unwrap()).unwrap();
+        let line = fleet.on_rs485(1_000_000).unwrap();
+        places.send(server.serve_line(&line, Default::default()).unwrap()).unwrap();
+        // Chance belongs to it.
+        server.plan(["lose=0.1", "stall@2+100ms"].map(|fault| fault.parse().unwrap()));
+        server.in_lock_step();
+    });
+    let [mut slcan, mut rs485] = [(); 2].map(|()| {
+        let file = File::options().read(true).write(true).open(where_.recv().unwrap()).unwrap();
+        rustix::io::ioctl_fionbio(&file, true).unwrap();
+        file
+    });
+    let mut client = served.client();
+    let mut got = (Vec::new(), Vec::new());
+    slcan.write_all(b"O\r").unwrap();
+    for tick in 0..100_u32 {
+        for motor in 1..=4_u8 {
+            // 0xA2 at 100 to 1090 dps, and 0x92.
+            let speed = (10_000 + tick * 1_000).to_le_bytes().map(|byte| format!("{byte:02X}"));
+            write!(slcan, "t14{motor}8A2000000{}\r", speed.concat()).unwrap();
+        }
+        let asked = 1 + (tick % 4) as u8;
+        let motor = myactuator_protocol_core::MotorId::new(asked).unwrap();
+        let ask = myactuator_protocol_core::command::ReadMultiTurnAngle.packet(motor);
+        let frame = myactuator_protocol_core::wire::rs485::Frame::from_packet(&ask).unwrap();
+        // In two pieces, which are one message.
+        let (first, second) = (&frame.encode()[..5], &frame.encode()[5..]);
+        rs485.write_all(first).unwrap();
+        if is_slow {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        rs485.write_all(second).unwrap();
+        let answer = client.ask(r#"{"advance":{"us":2000}}"#);
+        assert_eq!(answer["ok"]["at_us"], 2_000 * (tick + 1));
+        let _ = slcan.read_to_end(&mut got.0);
+        let _ = rs485.read_to_end(&mut got.1);
+    }
+    let state = client.ask(r#"{"state":{}}"#).to_string();
+    (got.0, got.1, state)
+}
+
+#[test]
+fn in_lock_step_the_same_calls_give_the_same_bytes() {
+    let (slcan, rs485, state) = run_in_lock_step(7, false);
+    // Of 400 replies of 22 characters and 100 of 13 bytes four fifths come: a tenth of the questions is lost, and of
+    // the answers.
+    assert!(slcan.len() > 300 * 22 && rs485.len() > 70 * 13, "{} {}", slcan.len(), rs485.len());
+    let again = run_in_lock_step(7, true);
+    assert!(slcan == again.0, "the adapter's bytes differ");
+    assert!(rs485 == again.1, "the line's bytes differ");
+    assert_eq!(state, again.2);
+    assert_ne!(slcan, run_in_lock_step(8, false).0);
+}
+
+#[test]
+fn a_second_of_four_motors_takes_far_less_in_lock_step() {
+    let served = Served::start(|server| {
+        let can = Fleet::new(4).on_can(1_000_000).unwrap();
+        server.host_can(&can);
+        server.serve_adapter(&can).unwrap();
+        server.in_lock_step();
+    });
+    let mut client = served.client();
+    let start = std::time::Instant::now();
+    for _ in 0..100 {
+        client.ask(r#"{"advance":{"us":10000}}"#);
+    }
+    let took = start.elapsed();
+    assert!(took.as_secs_f64() < 0.7, "{took:?}");
+    assert_eq!(client.ask(r#"{"time":{}}"#)["ok"]["at_us"], 1_000_000);
+}
+
+#[test]
+fn time_stands_until_a_program_says_how_far_it_may_go() {
+    let served = Served::start(one_in_lock_step);
+    let (mut one, mut other) = (served.client(), served.client());
+    std::thread::sleep(std::time::Duration::from_millis(20));
+    assert_eq!(one.ask(r#"{"time":{}}"#)["ok"]["at_us"], 0);
+    for wrong in [r#"{"advance":{}}"#, r#"{"advance":{"us":1,"until_us":1}}"#] {
+        assert_eq!(one.ask(wrong)["error"], "expected either us or until_us");
+    }
+    // A long way; who asks meanwhile is answered, and may not go its own.
+    one.send(r#"{"advance":{"us":20000000}}"#);
+    let refused = loop {
+        let answer = other.ask(r#"{"advance":{"us":0}}"#);
+        if answer["error"].is_string() {
+            break answer;
+        }
+    };
+    assert!(refused["error"].as_str().unwrap().starts_with("another program lets time go on"));
+    let now = other.ask(r#"{"time":{}}"#)["ok"]["at_us"].as_u64().unwrap();
+    assert!(now < 20_000_000, "{now}");
+    assert_eq!(one.next()["ok"]["at_us"], 20_000_000);
+}
+
+#[test]
+fn a_fault_waits_for_its_condition_and_strikes_once() {
+    let served = Served::start(|server| {
+        server.host_can(&Fleet::new(2).on_can(1_000_000).unwrap());
+        server.plan(["over-speed@2?angle>90+10ms".parse().unwrap()]);
+        server.in_lock_step();
+    });
+    let mut client = served.client();
+    let mut errors = |line: &str| {
+        assert!(client.ask(line)["ok"].is_object(), "{line}");
+        let step = client.ask(r#"{"advance":{"us":5000}}"#);
+        assert!(step["ok"].is_object());
+        let motors = client.ask(r#"{"state":{}}"#)["ok"]["buses"][0]["motors"].take();
+        [0, 1].map(|motor| motors[motor]["errors"].as_array().unwrap().len())
+    };
+    // The other motor is none of its business, and neither is the time before it may begin.
+    assert_eq!(errors(r#"{"angle":{"motor":1,"angle_deg":95}}"#), [0, 0]);
+    assert_eq!(errors(r#"{"angle":{"motor":2,"angle_deg":95}}"#), [0, 1]);
+    assert_eq!(errors(r#"{"fault":{"fault":"clear"}}"#), [0, 0]);
+    assert_eq!(errors(r#"{"angle":{"motor":2,"angle_deg":100}}"#), [0, 0]);
+    assert_eq!(errors(r#"{"fault":{"fault":"stall@1?angle<-5"}}"#), [0, 0]);
+    assert_eq!(errors(r#"{"angle":{"angle_deg":-10}}"#), [1, 0]);
+}
