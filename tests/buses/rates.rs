@@ -5,7 +5,7 @@ use embedded_can::{Frame as _, StandardId, nb::Can as _};
 use embedded_io::{Read as _, ReadReady as _, Write as _};
 use myactuator_host_std::sim::bus::StationId;
 use myactuator_host_std::sim::bus::can::{CanPort, CanWorld, ErrorState};
-use myactuator_host_std::sim::bus::rs485::{SerialWorld, TransceiverConfig};
+use myactuator_host_std::sim::bus::rs485::{SerialPort, SerialWorld, TransceiverConfig};
 use myactuator_host_std::sim::bus::trace::{Event, Record};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::SimpleFrame;
@@ -27,16 +27,14 @@ fn counts(world: &CanWorld, station: StationId) -> (u16, u16, ErrorState) {
     (status.transmit_errors, status.receive_errors, status.state)
 }
 
-/// A bus at this rate with a master's port, another station, and a stranger at another rate; and what the second
-/// hears.
-fn can(bit_rate: u32, strange: u32) -> (CanWorld, CanPort, [StationId; 2], Hand<SimpleFrame>) {
+/// A bus at this rate with a master's port, a listener, and a stranger that listens at another rate.
+fn can(bit_rate: u32, strange: u32) -> (CanWorld, CanPort, [StationId; 2], [Hand<SimpleFrame>; 2]) {
     let world = CanWorld::new(bit_rate, 1);
     let port = world.port();
-    let hand = Hand::listening();
-    let listener = world.put(&hand);
-    let stranger = world.silent();
-    world.set_bit_rate(stranger, strange);
-    (world, port, [listener, stranger], hand)
+    let hands = [(); 2].map(|()| Hand::listening());
+    let stations = hands.each_ref().map(|hand| world.put(hand));
+    world.set_bit_rate(stations[1], strange);
+    (world, port, stations, hands)
 }
 
 fn starts_us(records: &[Record<SimpleFrame>]) -> Vec<u64> {
@@ -56,7 +54,7 @@ fn a_stranger_breaks_fifteen_frames_and_is_error_passive_then() {
         (FAST, SLOW, 12, 12 + 46, 108),
         (SLOW, FAST, 6, 6 + 46, 216),
     ] {
-        let (world, mut port, [listener, stranger], hand) = can(bit_rate, strange);
+        let (world, mut port, [listener, stranger], [heard, misheard]) = can(bit_rate, strange);
         let log = world.log();
         port.transmit(&smooth()).unwrap();
         for attempt in 0..15 {
@@ -71,7 +69,7 @@ fn a_stranger_breaks_fifteen_frames_and_is_error_passive_then() {
         assert_eq!(counts(&world, listener), (0, 15, ErrorState::Active));
         assert_eq!(counts(&world, stranger), (0, 128, ErrorState::Passive));
         world.run_for(Duration::from_millis(2));
-        assert_eq!(hand.heard(), [(15 * attempt_us + last_us, smooth())]);
+        assert_eq!(heard.heard(), [(15 * attempt_us + last_us, smooth())]);
         let expected: Vec<u64> = (0..15).map(|attempt| attempt * attempt_us).collect();
         assert_eq!(starts_us(&log.take()), expected);
         assert_eq!(counts(&world, port.station()), (119, 0, ErrorState::Active));
@@ -82,7 +80,7 @@ fn a_stranger_breaks_fifteen_frames_and_is_error_passive_then() {
             port.transmit(&smooth()).unwrap();
         }
         world.run_for(Duration::from_millis(2));
-        assert_eq!(hand.heard().len(), 6);
+        assert_eq!((heard.heard().len(), misheard.heard()), (6, vec![]));
         assert_eq!(broken(&log.take()).count(), 0);
         assert_eq!(counts(&world, stranger), (0, 128, ErrorState::Passive));
     }
@@ -114,6 +112,14 @@ fn a_sender_that_all_are_strangers_to_is_heard_by_nobody() {
     assert_eq!(broken(&records).count(), 15);
     assert!(records.iter().any(|record| matches!(record.event, Event::Unacknowledged { .. })));
 
+    // Nobody signals an error with it any more, so that what it cannot read counts 1.
+    let short = SimpleFrame::new(StandardId::new(1).unwrap(), &[]).unwrap();
+    world.port().transmit(&short).unwrap();
+    while hands[0].heard().is_empty() {
+        assert!(world.step());
+    }
+    assert_eq!(counts(&world, port.station()), (128, 1, ErrorState::Passive));
+
     // At another rate its controller starts anew, without what it had to send.
     world.set_bit_rate(port.station(), FAST);
     assert_eq!(counts(&world, port.station()), (0, 0, ErrorState::Active));
@@ -121,8 +127,8 @@ fn a_sender_that_all_are_strangers_to_is_heard_by_nobody() {
     port.transmit(&smooth()).unwrap();
     world.run_for(Duration::from_millis(1));
     for (other, hand) in others.into_iter().zip(&hands) {
-        assert_eq!(hand.frames(), [smooth()]);
-        assert_eq!(counts(&world, other), (0, 127, ErrorState::Active));
+        assert_eq!(hand.frames(), [short, smooth()]);
+        assert_eq!(counts(&world, other), (0, 126, ErrorState::Active));
     }
 }
 
@@ -142,6 +148,19 @@ fn a_sender_at_another_rate_goes_bus_off_where_others_talk() {
     world.run_until(micros(1_000_000));
     let left = log.take().into_iter().find(|record| record.event == Event::BusOff);
     assert_eq!(left.map(|record| record.station), Some(port.station()));
+}
+
+/// At one rate they would be one frame on the wire. Here the second is a stranger to the first, and so is the
+/// listener to the second.
+#[test]
+fn the_same_frame_at_two_rates_is_two_frames() {
+    let world = CanWorld::new(FAST, 1);
+    let [first, second] = [(); 2].map(|()| world.sender([(10, smooth())]));
+    world.set_bit_rate(second, SLOW);
+    let listener = world.listener();
+    world.run_until(micros(100_000));
+    assert_eq!(listener.frames(), [smooth()]);
+    assert_eq!([first, second].map(|it| world.controller(it).queued), [0, 1]);
 }
 
 /// What a receiver at one rate makes of what is sent at another.
@@ -178,6 +197,27 @@ fn a_receiver_at_another_rate_reads_what_it_samples() {
     assert_eq!(misread(&[0, 0], 115_200, FAST), [0, 0]);
     // In the middle of its start bit the line is high again: no byte.
     assert_eq!(misread(&[0x55, 0x55], FAST, SLOW), [0; 0]);
+}
+
+#[test]
+fn a_receiver_at_another_rate_reads_nothing_while_it_sends_or_a_wire_is_cut() {
+    // From 0 to 20, sent at 1 Mbit/s.
+    let count = |prepare: fn(&SerialWorld, StationId, &mut SerialPort)| {
+        let world = SerialWorld::new(FAST, 1);
+        let sender = world.sender([(0, vec![0, 0])]);
+        let mut stranger = world.port();
+        world.set_bit_rate(stranger.station(), SLOW);
+        prepare(&world, sender, &mut stranger);
+        world.run_until(micros(1_000));
+        let mut bytes = [0; 9];
+        if stranger.read_ready().unwrap() { stranger.read(&mut bytes).unwrap() } else { 0 }
+    };
+    assert_eq!(count(|_, _, _| {}), 1);
+    assert_eq!(count(|world, sender, _| world.cut(sender)), 0);
+    assert_eq!(count(|world, _, stranger| world.cut(stranger.station())), 0);
+    // A byte of its own, from 0 to 20 as well.
+    assert_eq!(count(|_, _, stranger| stranger.write_all(&[1]).unwrap()), 0);
+    assert_eq!(count(|_, _, stranger| stranger.write_all(&[1, 2]).unwrap()), 0);
 }
 
 #[test]

@@ -22,6 +22,9 @@
 //! that were set to that (0xB4), and with the others there is noise on RS485 and errors on CAN. The
 //! pseudo-terminal of an SLCAN adapter may be set to any rate, and a socket has none.
 //!
+//! What drives do, and why they do not, is told as [`Notice::Log`]. By [`control`] programs see how things
+//! truly are, change loads, supplies and faults, and say how far time may go.
+//!
 //! One thread waits for all programs and for the next thing that happens on a bus, and sleeps
 //! meanwhile.
 
