@@ -13,6 +13,7 @@ use super::kernel::{Kernel, Regular};
 use super::medium::Medium;
 use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
 use super::node::{Node, StationId};
+use super::port::Port;
 use super::trace::{Log, Record};
 use super::waiting::{Awaited, Waiting};
 
@@ -217,8 +218,9 @@ impl<B: Medium> World<B> {
         self.with(|kernel| StationId(kernel.attach(Some(Box::new(node)), attachment, 0)))
     }
 
-    pub(super) fn attach_port(&self, attachment: B::Attachment, receive_queue: usize) -> StationId {
-        self.with(|kernel| StationId(kernel.attach(None, attachment, receive_queue)))
+    pub(super) fn attach_port(&self, attachment: B::Attachment, receive_queue: usize) -> Port<B> {
+        let station = self.with(|kernel| StationId(kernel.attach(None, attachment, receive_queue)));
+        Port { world: self.clone(), station }
     }
 
     /// Brings a node's own time up to now, and sends what it has to send.

@@ -62,7 +62,7 @@ impl World<CanBus> {
 
     /// A port for a master.
     pub fn port_with(&self, controller: ControllerConfig) -> CanPort {
-        CanPort::new(self.clone(), self.attach_port(controller, controller.receive_queue))
+        self.attach_port(controller, controller.receive_queue)
     }
 
     /// How a station's controller stands.

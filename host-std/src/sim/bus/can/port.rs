@@ -5,8 +5,8 @@ use myactuator_protocol_core::io::AsyncCan;
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
 use super::CanBus;
+use crate::sim::bus::Port;
 use crate::sim::bus::waiting::Awaited;
-use crate::sim::bus::{StationId, World};
 
 /// What a port's calls can fail with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -30,29 +30,7 @@ impl embedded_can::Error for CanError {
 /// No time passes in its calls. In virtual time, a loop that does nothing but poll would therefore
 /// poll forever: let a [`SimClock`](crate::sim::bus::SimClock) idle between polls. As an [`AsyncCan`] it
 /// waits, and [`World::block_on`] lets time go on meanwhile.
-///
-/// A clone is the same port.
-#[derive(Clone, Debug)]
-pub struct CanPort {
-    world: World<CanBus>,
-    station: StationId,
-}
-
-impl CanPort {
-    pub(super) const fn new(world: World<CanBus>, station: StationId) -> Self {
-        Self { world, station }
-    }
-
-    /// Its place on the bus.
-    pub const fn station(&self) -> StationId {
-        self.station
-    }
-
-    /// The world that it is in.
-    pub const fn world(&self) -> &World<CanBus> {
-        &self.world
-    }
-}
+pub type CanPort = Port<CanBus>;
 
 impl embedded_can::nb::Can for CanPort {
     type Frame = SimpleFrame;

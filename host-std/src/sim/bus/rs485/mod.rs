@@ -84,6 +84,6 @@ impl World<Rs485Line> {
 
     /// A port for a master.
     pub fn port_with(&self, transceiver: TransceiverConfig) -> SerialPort {
-        SerialPort::new(self.clone(), self.attach_port(transceiver, transceiver.receive_buffer))
+        self.attach_port(transceiver, transceiver.receive_buffer)
     }
 }

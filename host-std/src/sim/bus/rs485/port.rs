@@ -4,11 +4,11 @@ use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
 use myactuator_protocol_core::time::Duration;
 
 use super::Rs485Line;
+use crate::sim::bus::Port;
 use crate::sim::bus::kernel::Kernel;
 use crate::sim::bus::medium::sealed::Bus as _;
 use crate::sim::bus::nanos::from_duration;
 use crate::sim::bus::waiting::Awaited;
-use crate::sim::bus::{StationId, World};
 
 /// How long calls wait.
 const GIVE_UP: Duration = Duration::from_secs(1);
@@ -37,29 +37,9 @@ impl embedded_io::Error for SerialError {
 ///
 /// Its blocking calls let time go on until they have what they want, but not longer than a second. The
 /// async ones wait for as long as it takes, and may be dropped: what has arrived is for the next call.
-///
-/// A clone is the same port.
-#[derive(Clone, Debug)]
-pub struct SerialPort {
-    world: World<Rs485Line>,
-    station: StationId,
-}
+pub type SerialPort = Port<Rs485Line>;
 
 impl SerialPort {
-    pub(super) const fn new(world: World<Rs485Line>, station: StationId) -> Self {
-        Self { world, station }
-    }
-
-    /// Its place on the line.
-    pub const fn station(&self) -> StationId {
-        self.station
-    }
-
-    /// The world that it is in.
-    pub const fn world(&self) -> &World<Rs485Line> {
-        &self.world
-    }
-
     /// How many received bytes were lost because nobody had read those before.
     pub fn overflows(&self) -> u64 {
         self.world.with(|kernel| kernel.received(self.station.0).1)
