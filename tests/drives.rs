@@ -1,14 +1,17 @@
 //! The simulated drive: its motor, what it answers and does, alone and in a fleet.
 
 mod drives {
+    mod energy;
     mod fleet;
     mod loads;
     mod loops;
     mod mechanics;
+    mod models;
     mod plant_loads;
     mod plant_physics;
     mod quirks;
     mod rates;
+    mod responses;
     mod robots;
     mod runs;
 }

@@ -40,7 +40,8 @@ fn holding(model: &MotorParameters, share: f64, brake: bool) -> CanFleet {
     let fleet = Fleet::new(1).model(model.clone()).load(arm(model, share)).brakes(brake);
     let fleet = fleet.on_can(1_000_000).unwrap();
     fleet.master::<1>().ask(MOTOR, go_to(90.0, 90)).unwrap();
-    fleet.world.run_for(Duration::from_secs(5));
+    // The last hundredths, at which friction holds the shaft, take the speed loop's integral.
+    fleet.world.run_for(Duration::from_secs(8));
     fleet
 }
 
@@ -89,7 +90,8 @@ fn a_drive_holds_what_is_put_on_while_it_runs() {
         let fleet = holding(&model, 0.2, false);
         let drive = &fleet.drives[0];
         for (share, push) in [(0.6, 0.0), (0.6, 0.3), (0.2, 0.0)] {
-            let push_nm = -push * model.rating.torque_nm;
+            // Static friction would take a push of twice as much, either way.
+            let push_nm = -push * (model.rating.torque_nm + 8.0 * model.friction.static_nm);
             drive.with(|drive| {
                 drive.plant_mut().set_load(arm(&model, share)).unwrap();
                 drive.plant_mut().set_external_torque_nm(push_nm).unwrap();

@@ -37,7 +37,7 @@ const ROBOT: &str = r#"
 
     [[bus.motor]]
     ids = "1-2"
-    model = "RMD-X6-P20-60"
+    model = "RMD-X8-P20-120"
     response_ms = [2, 3]
 "#;
 
@@ -81,8 +81,8 @@ fn two_buses_of_a_robot_are_two_tasks_of_one_clock() {
         },
         async { (of_tool.ask(id(2), ReadModel).await.unwrap().model, of_tool.now()) },
     );
-    let ((x8, at_arm), (x6, at_tool)) = bus::block_on(&[&arm.world, &tool.world], both);
-    assert_eq!((x8.as_str(), x6.as_str()), (Some("X8-PRO"), Some("X6-60")));
+    let ((x6, at_arm), (x8, at_tool)) = bus::block_on(&[&arm.world, &tool.world], both);
+    assert_eq!((x6.as_str(), x8.as_str()), (Some("X6-60"), Some("X8-120")));
     // Two answers after 0.7 to 0.9 ms on CAN; one after 2 to 3 ms, and 2 * 13 bytes of 87 us, on RS485.
     let within = |at: Instant, from, to| (from..=to).contains(&at.as_micros());
     assert!(within(at_arm, 1_600, 2_500), "{at_arm:?}");

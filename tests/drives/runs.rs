@@ -39,7 +39,7 @@ use myactuator_tests::values::{degrees, go_to, id, millis, percent, turn, up_to}
 use myactuator_tests::wire::Wire;
 
 const MOTOR: MotorId = MotorId::MIN;
-const MODEL: &str = "RMD-X8-PRO";
+const MODEL: &str = "RMD-X6-P20-60";
 
 fn one_drive(brake: bool) -> CanFleet {
     let model = MotorParameters::named(MODEL).unwrap();
@@ -121,9 +121,9 @@ fn position_profile() {
     master.ask(MOTOR, go_to(WAY_DEG as f32, MAX_SPEED_DPS as u16)).unwrap();
 
     let friction = &drive.with(|drive| drive.plant().parameters().clone()).friction;
-    // Cruising, the current only overcomes friction: its torque over 2.6 N·m/A (the data sheet's).
+    // Cruising, the current only overcomes friction: its torque over 2.1 N·m/A (the data sheet's).
     let cruising_a =
-        (friction.coulomb_nm + friction.viscous_nm_s_per_rad * MAX_SPEED_DPS.to_radians()) / 2.6;
+        (friction.coulomb_nm + friction.viscous_nm_s_per_rad * MAX_SPEED_DPS.to_radians()) / 2.1;
     let mut table =
         String::from(" time    angle    speed  current\n   ms      deg    deg/s        A\n");
     for step in 0..=20 {
@@ -160,7 +160,7 @@ fn position_profile() {
     assert!((arrived - 90.0).abs() < 0.2, "{arrived}");
     assert_picture!(
         "position_profile",
-        "An RMD-X8-PRO goes to 90 deg at 180 deg/s at the most, 1000 deg/s² up and down.",
+        "An RMD-X6-P20-60 goes to 90 deg at 180 deg/s at the most, 1000 deg/s² up and down.",
         table
     );
 }
@@ -245,9 +245,9 @@ fn communication_loss() {
 fn stall() {
     const STOP: EndStop = EndStop { at_deg: 30.0, stiffness_nm_per_rad: 1_500.0, restitution: 1.0 };
     const ROW: Duration = millis(100);
-    /// Torque current at the rated torque, and the stall current: the data sheet's 5 and 9.6 A.
-    const RATED_A: f32 = 5.0;
-    const STALL_A: f32 = 9.6;
+    /// Torque current at the rated torque, and the stall current: the data sheet's 9.5 and 29.1 A.
+    const RATED_A: f32 = 9.5;
+    const STALL_A: f32 = 29.1;
 
     let fleet = one_drive(true);
     let drive = &fleet.drives[0];

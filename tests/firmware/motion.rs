@@ -79,8 +79,8 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
     for id in 1..=DRIVES {
         let found = firmware.wait_for("Found", PATIENCE);
         assert_eq!(found.number("motor"), Some(id.into()), "{found}");
-        // RMD-X8-PRO, without the maker's part.
-        assert!(found.text.contains("X8-PRO"), "{found}");
+        // RMD-X6-P20-60, as the maker's catalogue calls it.
+        assert!(found.text.contains("X6-60"), "{found}");
         assert!(found.text.contains("20250512"), "{found}");
     }
     for id in 1..=DRIVES {

@@ -97,7 +97,7 @@ fn a_motor_tells_what_it_is<W: Wire>() {
     let runner = &mut master(&bus);
     listen(runner, millis(300));
     let identity = bring_up::identify(runner, id(2)).expect("it is there");
-    assert_eq!(identity.model.map(|model| model.to_string()).as_deref(), Some("X8-PRO"));
+    assert_eq!(identity.model.map(|model| model.to_string()).as_deref(), Some("X6-60"));
     assert_eq!(identity.status.errors, ErrorFlags::empty());
     assert!((290..=400).contains(&identity.run_time.raw()), "{}", identity.run_time);
     let nobody = bring_up::identify(runner, id(7)).expect_err("nobody is there");

@@ -101,7 +101,7 @@ pub(super) struct Arguments {
     /// All with this id instead, as motors come from the factory with 1
     #[arg(long, value_name = "ID", value_parser = parse::motor_id)]
     same_id: Option<MotorId>,
-    /// Their model: a name, or a file of your own that ends in .toml [default: RMD-X8-PRO]
+    /// Their model: a name, or a file of your own that ends in .toml [default: RMD-X6-P20-60]
     #[arg(long, value_name = "NAME|FILE.toml", value_parser = options::model)]
     model: Option<MotorParameters>,
     /// The revision of the protocol that they speak: v4.3 or v4.4 [default: the model's]

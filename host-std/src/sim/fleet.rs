@@ -30,7 +30,7 @@ use setup::{MemoryFiles, Surroundings};
 pub type SimulatedDrive = Drive<SimulatedMotor, DriveMemory>;
 
 /// The model of motors that nobody gave another.
-const USUAL_MODEL: &str = "RMD-X8-PRO";
+const USUAL_MODEL: &str = "RMD-X6-P20-60";
 
 /// Why drives cannot be simulated as asked.
 #[derive(Debug, thiserror::Error)]
@@ -121,7 +121,7 @@ impl Fleet {
         self.all(|motor| motor.id = id)
     }
 
-    /// With motors of this model; else of the RMD-X8-PRO.
+    /// With motors of this model; else of the RMD-X6-P20-60, whose line V4.3 is made for.
     #[must_use]
     pub fn model(self, model: MotorParameters) -> Self {
         self.all(|motor| motor.model = Some(model.clone()))
@@ -376,10 +376,10 @@ mod tests {
     #[test]
     fn motors_differ_and_their_ids_need_not_follow_one_another() {
         let id = |number| MotorId::new(number).unwrap();
-        let x6 = MotorParameters::named("RMD-X6-P20-60").unwrap();
+        let x8 = MotorParameters::named("RMD-X8-P20-120").unwrap();
         let fleet = Fleet::of([7, 3, 7].map(|number| MotorSetup::new(id(number))));
         let fleet = fleet.brakes(true).motor(id(3), |motor| {
-            motor.model = Some(x6.clone());
+            motor.model = Some(x8.clone());
             motor.has_brake = false;
             motor.start_angle_deg = 12.5;
         });
@@ -391,8 +391,8 @@ mod tests {
                 (it.motor().get(), model, parameters.has_brake, drive.plant().output_angle_deg())
             })
         });
-        let x8 = (7, "X8-PRO".to_owned(), true, 0.0);
-        let expected = [x8.clone(), (3, "X6-60".to_owned(), false, 12.5), x8];
+        let x6 = (7, "X6-60".to_owned(), true, 0.0);
+        let expected = [x6.clone(), (3, "X8-120".to_owned(), false, 12.5), x6];
         assert_eq!(found.collect::<Vec<_>>(), expected);
     }
 

@@ -18,7 +18,7 @@ fn four_drives_are_found_moved_and_shut_down_on_either_bus() {
         let told = demo(bus);
         for sentence in [
             "4 answer (1 2 3 4)",
-            "motor 4: X8-PRO",
+            "motor 4: X6-60",
             "It has arrived.",
             way,
             "Shut down: all 4 have confirmed",

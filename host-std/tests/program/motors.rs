@@ -50,14 +50,14 @@ fn before(line: &str, unit: &str) -> f64 {
 fn scan_finds_the_motors_that_there_are() {
     let lines = done("scan");
     assert_eq!(lines.len(), 4);
-    assert!(lines[3].starts_with("motor 4: model X8-PRO, "), "{}", lines[3]);
+    assert!(lines[3].starts_with("motor 4: model X6-60, "), "{}", lines[3]);
     assert!(lines[3].ends_with("voltage 48 V, no error"), "{}", lines[3]);
     for bus in ["sim:32", "sim:3,rs485"] {
         let motors = objects(&format!("scan --json --bus {bus}"));
         let ids: Vec<u64> = motors.iter().map(|motor| motor["id"].as_u64().unwrap()).collect();
         let count = if bus == "sim:32" { 32 } else { 3 };
         assert_eq!(ids, (1..=count).collect::<Vec<u64>>());
-        assert!(motors.iter().all(|motor| motor["bus"] == bus && motor["model"] == "X8-PRO"));
+        assert!(motors.iter().all(|motor| motor["bus"] == bus && motor["model"] == "X6-60"));
     }
 }
 
@@ -65,12 +65,12 @@ fn scan_finds_the_motors_that_there_are() {
 fn info_tells_what_motors_are() {
     let lines = done("info --id 2");
     assert_eq!(lines[0], "motor 2");
-    assert!(lines[1].starts_with("  model X8-PRO, version date "), "{}", lines[1]);
+    assert!(lines[1].starts_with("  model X6-60, version date "), "{}", lines[1]);
     assert!(lines[2].contains(" ms, nothing runs (mode 0), offset "), "{}", lines[2]);
     let motors = objects("info --json --bus sim:2,rs485");
     assert_eq!(motors.len(), 2);
     assert_eq!(motors[1]["id"], 2);
-    assert_eq!(motors[1]["model"], "X8-PRO");
+    assert_eq!(motors[1]["model"], "X6-60");
     assert_eq!(motors[1]["offset_pulses"], 0);
     assert!(motors[1]["run_time_ms"].as_u64().unwrap() < 10_000);
 }
@@ -137,12 +137,12 @@ fn speed_turns_the_motor_and_then_holds_it() {
 
 #[test]
 fn torque_releases_the_brake_and_locks_it_again() {
-    let lines = done("torque --id 1 --current-a 0.5 --for-s 0.5");
+    let lines = done("torque --id 1 --current-a 1 --for-s 0.5");
     let (end, way) = lines.split_last().unwrap();
     assert!(end.ends_with("its brake locked again (0x78) and it is off (0x80)"), "{end}");
     // Against a locked brake it would stand still.
     assert!(before(way.last().unwrap(), "dps") > 100.0, "{way:?}");
-    assert_eq!(before(way.last().unwrap(), "A"), 0.5);
+    assert_eq!(before(way.last().unwrap(), "A"), 1.0);
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn motion_runs_to_its_position_by_the_ranges_told() {
 const ANSWERS: &str = "
 --id 2 read-multi-turn-angle => 242#9200000000000000  motor 2  reply  read-multi-turn-angle (0x92): angle 0 deg
 --id 2 raw 92 0 0 0 0 0 0 0 => 242#9200000000000000  motor 2  reply  read-multi-turn-angle (0x92): angle 0 deg
---bus sim:1,rs485 --id 1 read-model => 3E 01 08 B5 58 38 2D 50 52 4F 00 C5 D8  motor 1  reply  read-model (0xB5): model X8-PRO
+--bus sim:1,rs485 --id 1 read-model => 3E 01 08 B5 58 36 2D 36 30 00 00 4F 90  motor 1  reply  read-model (0xB5): model X6-60
 --bus sim:1 bus-id --access read => 300#7900010000004102  all motors  reply  bus-id (0x79): access read (1), motor id 1
 write-pid-rom --index speed-kp --value 0.5 --id 1 => 241#320400000000003F  motor 1  reply  write-pid-rom (0x32): index speed-kp (4), value 0.5
 --id 1 reset => motor 1: sent reset (0x76); no reply is awaited

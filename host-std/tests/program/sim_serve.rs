@@ -203,7 +203,7 @@ fn programs_need_not_set_anything_on_the_port() {
     assert_eq!(answered, 1, "no answer");
     let mut reply = [0; 13];
     port.read_exact(&mut reply).unwrap();
-    assert_eq!(&reply[..11], b"\x3E\x01\x08\xB5X8-PRO\0");
+    assert_eq!(&reply[..11], b"\x3E\x01\x08\xB5X6-60\0\0");
     // Nothing was handed back before it.
     let at_once = Timespec::default();
     assert_eq!(poll(&mut [PollFd::new(&port, PollFlags::IN)], Some(&at_once)).unwrap(), 0);

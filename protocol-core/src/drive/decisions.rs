@@ -51,13 +51,13 @@
 //!
 //! # Turns and zero
 //! Three numbers give every reading of place: *pulses* of the motor shaft, as the plant measures
-//! them; the *raw* position, which is the pulses less some whole turns of the output shaft that are
-//! chosen at the start; and the position, which is the raw one less the zero offset (2.6.3).
+//! them; the *raw* position, which is the pulses less some whole turns, of the output shaft or (with one
+//! encoder, on the motor shaft) of the motor shaft, that are chosen at the start; and the position, which is the raw one less the zero offset (2.6.3).
 //!
 //! - At a start without saved turns the angle is within half a turn of the zero: -180° to less than
-//!   180°.
+//!   180°. With one encoder it is within half a turn of the motor shaft, as such drives report.
 //! - With saved turns (function 4) the raw position is the closest to the saved one that the
-//!   shaft's place allows: right as long as the shaft was turned by less than half a turn while the
+//!   shaft's place allows: right as long as that shaft was turned by less than half a turn while the
 //!   drive was off. Turns are saved at a restart as well as at power-off. The first start after
 //!   function 4 was switched on has none to restore.
 //! - Function 1 takes the shaft's place within its turn for the new zero. The turns before it are

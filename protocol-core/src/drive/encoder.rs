@@ -1,7 +1,7 @@
 //! Turns, zero and angles: what the drive makes of its encoder, as [`decisions`](super::decisions)
 //! says.
 //!
-//! Raw position = pulses − `base`, which is whole turns of the output shaft; position = raw − zero
+//! Raw position = pulses − `base`, which is whole turns of the shaft whose place is known at a start; position = raw − zero
 //! offset; angle = position · 360° / pulses in a turn of the output shaft.
 
 use crate::drive::parameters::Parameters;
@@ -13,6 +13,8 @@ pub(super) struct Encoder {
     motor_turn: i64,
     /// Pulses in a turn of the output shaft, exactly: with a gear of 19.612 they are no whole number.
     output_turn: f64,
+    /// Pulses in a turn of the shaft whose place is known at a start.
+    known_turn: f64,
     pulses: i64,
     base: i64,
     offset: i64,
@@ -20,9 +22,12 @@ pub(super) struct Encoder {
 
 impl Encoder {
     pub(super) fn new(parameters: &Parameters) -> Self {
+        let motor_turn = parameters.pulses_per_motor_turn();
+        let output_turn = parameters.exact_pulses_per_output_turn();
         Self {
-            motor_turn: parameters.pulses_per_motor_turn(),
-            output_turn: parameters.exact_pulses_per_output_turn(),
+            motor_turn,
+            output_turn,
+            known_turn: if parameters.output_encoder { output_turn } else { motor_turn as f64 },
             pulses: 0,
             base: 0,
             offset: 0,
@@ -36,8 +41,8 @@ impl Encoder {
         let near = saved.unwrap_or(self.offset);
         // The whole turns that lie nearest.
         let away = pulses.saturating_sub(near) as f64;
-        let half = self.output_turn / 2.0;
-        self.base = round_f64(away + half - rest(away + half, self.output_turn)) as i64;
+        let half = self.known_turn / 2.0;
+        self.base = round_f64(away + half - rest(away + half, self.known_turn)) as i64;
     }
 
     pub(super) fn measure(&mut self, pulses: i64) {
@@ -146,6 +151,31 @@ mod tests {
         assert_eq!(started(-5 * TURN - 1, 0, None).raw(), -1);
         // A zero many turns away is still a zero.
         assert_eq!(started(8_192, 10 * TURN as i32, None).angle_deg(), 30.0);
+    }
+
+    #[test]
+    fn with_one_encoder_the_angle_is_within_half_a_turn_of_the_motor() {
+        let parameters = Parameters { output_encoder: false, ..Parameters::default() };
+        let angle_deg = |pulses, offset, saved| {
+            let mut encoder = Encoder::new(&parameters);
+            encoder.start(pulses, EncoderPulses::from_raw(offset), saved);
+            encoder.angle_deg()
+        };
+        // A turn of the motor is 60 degrees of the output, so that the half of it is 30.
+        assert_eq!(angle_deg(16_384 + 4_096, 0, None), 15.0);
+        assert_eq!(angle_deg(5 * 16_384 - 4_096, 0, None), -15.0);
+        assert_eq!(angle_deg(16_384 / 2, 0, None), -30.0);
+        assert_eq!(angle_deg(4_096, 2 * 16_384, None), 15.0);
+        // Saved turns are right as long as it was turned by less than that.
+        let saved = TURN + 3 * 16_384;
+        assert_eq!(
+            angle_deg(3 * 16_384 + 8_191, 0, Some(saved)),
+            540.0 + 8_191.0 * 60.0 / 16_384.0
+        );
+        assert_eq!(
+            angle_deg(3 * 16_384 + 8_193, 0, Some(saved)),
+            480.0 + 8_193.0 * 60.0 / 16_384.0
+        );
     }
 
     #[test]

@@ -120,6 +120,9 @@ defaults! {
         pub version_date: VersionDate = VersionDate::from_raw(20_250_512),
         /// Bits of the encoder on the motor shaft: 14 for 16384 pulses in a turn. At most 24.
         pub encoder_bits: u8 = 14,
+        /// Whether there is a second encoder on the output shaft. With the one on the motor shaft alone the drive
+        /// knows after a start where the output is within a turn of the motor shaft only.
+        pub output_encoder: bool = true,
         /// Turns of the motor shaft in one of the output shaft.
         pub gear_ratio: f64 = 6.0,
         /// Torque at the output shaft for a current of 1 A, N·m/A.

@@ -100,7 +100,8 @@ mod tests {
     fn runs(fleet: &Fleet, options: &str) {
         let (outcome, degrees, _) = to_half_a_radian(fleet, options);
         assert_eq!(outcome, Ok(()));
-        assert!((degrees - 28.6).abs() < 1.0, "{degrees}");
+        // Where friction holds it: 1.6 N·m over 40 N·m/rad are 2.3 degrees.
+        assert!((degrees - 28.6).abs() < 2.3, "{degrees}");
     }
 
     #[test]

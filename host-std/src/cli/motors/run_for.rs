@@ -186,7 +186,8 @@ mod tests {
         let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         assert!(session.release_brake(MotorId::MIN).unwrap());
-        let torque = Torque { current: Current::from_raw(50) };
+        // More than friction holds: 1 A are 2.3 N·m.
+        let torque = Torque { current: Current::from_raw(100) };
         repeat(&mut session, &typed("--id 1"), torque, |_| String::new()).unwrap();
         assert!(session.standing(MotorId::MIN).is_err());
         let log = fleet.world.log();

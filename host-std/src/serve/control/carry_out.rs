@@ -55,6 +55,7 @@ impl Scene<'_> {
                     feedback_resistance_ohm: feedback_resistance_ohm
                         .unwrap_or(old.feedback_resistance_ohm),
                     capacitance_f: capacitance_f.unwrap_or(old.capacitance_f),
+                    ..old
                 };
                 motor.set_supply(new).map_err(|it| it.to_string())
             })?,

@@ -26,6 +26,7 @@ pub(super) fn parameters_of(model: &MotorParameters) -> Result<Parameters, Param
         motion_ranges: model.motion_ranges()?,
         baud_rate: BaudCode::CAN_1M_RS485_500K,
         encoder_bits: model.encoder.bits,
+        output_encoder: model.encoder.output_bits > 0,
         gear_ratio: model.gear.ratio,
         torque_constant_nm_per_a: rating.torque_constant_nm_per_a as f32,
         rated_current_a: rating.current_a as f32,

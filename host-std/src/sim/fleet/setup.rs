@@ -20,7 +20,7 @@ use crate::sim::shaft::ShaftFile;
 pub struct MotorSetup {
     /// The id that it starts with.
     pub id: MotorId,
-    /// Its model; `None` for the RMD-X8-PRO.
+    /// Its model; `None` for the RMD-X6-P20-60.
     pub model: Option<MotorParameters>,
     /// The revision of the protocol that its drive speaks; `None` for its model's. One whose motion mode has
     /// no scales of its own (V4.4) needs [`motion_ranges`](Self::motion_ranges) too.
@@ -43,7 +43,7 @@ pub struct MotorSetup {
 }
 
 impl MotorSetup {
-    /// One of the usual kind: an RMD-X8-PRO without a brake, at 0°, with a bare shaft, which answers after 0.7 to
+    /// One of the usual kind: an RMD-X6-P20-60 without a brake, at 0°, with a bare shaft, which answers after 0.7 to
     /// 0.9 ms.
     pub fn new(id: MotorId) -> Self {
         Self {

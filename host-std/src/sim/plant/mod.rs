@@ -8,8 +8,8 @@
 //! |---|---|---|
 //! | mechanics | one inertia (rotor through the gear, gear, load); viscous, Coulomb and static friction; a gear loss in proportion to the torque; a brake that slips | [`SimulatedMotor`] |
 //! | load | an inertia, a weight on an arm, a spring, a damper, end stops that give back a part, a constant torque | [`Load`] |
-//! | electrics | torque current limited by voltage and back-EMF, phase currents, electronics' own power | [`SimulatedMotor`] |
-//! | supply | a source with internal resistance and a capacitor; feedback raises the voltage | [`Supply`] |
+//! | electrics | torque current limited by voltage and back-EMF, diodes, phase currents, electronics' own power | [`SimulatedMotor`] |
+//! | supply | a source with internal resistance, cable included, and a capacitor; feedback raises the voltage, up to a brake resistor | [`Supply`] |
 //! | heat | the winding and the output stage, each cooling to ambient | [`SimulatedMotor`] |
 //!
 //! Everything is reckoned at the output shaft, in SI units and f64. The step is fixed,
@@ -31,6 +31,7 @@
 mod figure;
 mod led;
 mod load;
+mod models;
 mod motor;
 mod parameters;
 mod supply;
@@ -41,13 +42,14 @@ pub(in crate::sim) use figure::check;
 pub use led::ShaftTorque;
 pub(in crate::sim) use load::GRAVITY_M_S2;
 pub use load::{Arm, EndStop, Load, Spring};
+pub use models::{MODELS, Model};
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{
     BrakeParameters, CurrentScale, EncoderParameters, FrictionParameters, GearParameters,
-    InverterParameters, MODELS, Model, MotorParameters, ParameterError, Rating, ThermalParameters,
+    InverterParameters, MotorParameters, ParameterError, Rating, ThermalParameters,
     WindingParameters,
 };
-pub use supply::Supply;
+pub use supply::{BrakeResistor, Supply};
 
 #[cfg(test)]
 mod tests {

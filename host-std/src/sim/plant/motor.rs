@@ -28,6 +28,10 @@ const MAX_SPRING_RATE_PER_S: f64 = 0.2 / STEP_S;
 
 const HALF_SQRT_3: f64 = 0.866_025_403_784_438_6;
 
+/// Amplitude of a phase's back-EMF at which the diodes begin to conduct, as a share of the supply's voltage:
+/// 1/√3, for between two phases there is √3 times as much.
+const DIODES_SHARE: f64 = 0.577_350_269_189_625_8;
+
 fn check_temperature(celsius: f64) -> Result<f64, ImpossibleFigure> {
     check("temperature", "°C", -273.15..=10_000.0, celsius)
 }
@@ -43,8 +47,9 @@ fn check_temperature(celsius: f64) -> Result<f64, ImpossibleFigure> {
 ///
 /// The current follows the command at once as far as the supply's voltage, less the back-EMF,
 /// drives it; inductance is left out, for with the voltage to spare at most speeds a current loop
-/// sets the current within a step or two. With the output off the motor turns freely: the diodes of the
-/// output stage are left out.
+/// sets the current within a step or two. With the output off the motor turns freely until the back-EMF
+/// between two phases is above the supply's voltage: then the diodes of the output stage feed the supply
+/// and brake the shaft. Their own drop is left out.
 ///
 /// Everything a test may want to do to a motor is a `set_*` or `force_*` here.
 #[derive(Clone, Debug)]
@@ -351,10 +356,10 @@ impl SimulatedMotor {
         let warmth = (1.0 + motor.resistance_coefficient_per_k * warmer_k).max(0.1);
         let winding_ohm = motor.phase_resistance_ohm * warmth;
         let mos_ohm = self.parameters.inverter.mos_resistance_ohm;
+        let emf_v = emf_v_s_per_rad * self.speed_rad_s;
+        let ohm = amplitude_per_a * (winding_ohm + mos_ohm);
         self.current_a = if actuation.output_on {
             let limit_v = self.parameters.inverter.modulation_limit * self.link.voltage_v();
-            let emf_v = emf_v_s_per_rad * self.speed_rad_s;
-            let ohm = amplitude_per_a * (winding_ohm + mos_ohm);
             let wanted_v = command_a * ohm + emf_v;
             if wanted_v.abs() <= limit_v {
                 command_a
@@ -362,7 +367,8 @@ impl SimulatedMotor {
                 (limit_v.copysign(wanted_v) - emf_v) / ohm
             }
         } else {
-            0.0
+            let limit_v = DIODES_SHARE * self.link.voltage_v();
+            if emf_v.abs() <= limit_v { 0.0 } else { (limit_v.copysign(emf_v) - emf_v) / ohm }
         };
         let motor_nm = air_gap_nm_per_a * self.current_a;
 

@@ -1,26 +1,10 @@
 //! What a motor is like: the figures of a data sheet, from a TOML file, checked.
 
 use super::figure::{ImpossibleFigure, check};
+use super::models::MODELS;
 use myactuator_protocol_core::Firmware;
 use myactuator_protocol_core::command::MotionRanges;
 use serde::{Deserialize, Serialize};
-
-/// A motor model that comes with the library.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Model {
-    /// Name for [`MotorParameters::named`].
-    pub name: &'static str,
-    /// The parameter file: where each figure comes from stands in its comments. A good start for a
-    /// file of one's own.
-    pub toml: &'static str,
-}
-
-/// The models that come with the library.
-pub const MODELS: [Model; 3] = [
-    Model { name: "RMD-X6-P20-60", toml: include_str!("../../../models/rmd-x6-p20-60.toml") },
-    Model { name: "RMD-X8-P20-120", toml: include_str!("../../../models/rmd-x8-p20-120.toml") },
-    Model { name: "RMD-X8-PRO", toml: include_str!("../../../models/rmd-x8-pro.toml") },
-];
 
 /// One table of the file: its struct, and the range of each of its figures beside the figure.
 macro_rules! table {
@@ -136,10 +120,13 @@ table! {
 }
 
 table! {
-    /// `[encoder]`: the one on the motor shaft.
+    /// `[encoder]`: the one on the motor shaft, and whether there is one on the output shaft.
     EncoderParameters ["encoder"] {
         /// Bits: a turn of the motor shaft is 2 to the power of this many pulses.
         bits: u8, "encoder bits", "", 8.0..=24.0;
+        /// Bits of the encoder on the output shaft; 0 where there is none. Without it the drive knows after a
+        /// start where the output is within a turn of the motor shaft only. Angles are read from the other one.
+        output_bits: u8, "output encoder bits", "", 0.0..=24.0;
     }
 }
 
@@ -392,8 +379,10 @@ pub enum ParameterError {
 mod tests {
     use super::*;
 
+    const X6: crate::sim::plant::Model = MODELS[5];
+
     fn edited(from: &str, to: &str) -> Result<MotorParameters, ParameterError> {
-        let text = MODELS[0].toml;
+        let text = X6.toml;
         assert_eq!(text.matches(from).count(), 1, "{from} in the model file");
         MotorParameters::from_toml(&text.replace(from, to))
     }
@@ -433,7 +422,7 @@ mod tests {
         assert_eq!(edited(v4_3, v4_4), Err(ParameterError::NoMotionRanges(Firmware::V4_4)));
         let motion = |torque: &str| {
             let values = "position_rad = 12.566\nvelocity_rad_s = 45\nkp = 500\nkd = 5";
-            let text = MODELS[0].toml.replace(v4_3, v4_4);
+            let text = X6.toml.replace(v4_3, v4_4);
             MotorParameters::from_toml(&format!("{text}\n[motion]\n{values}\n{torque}\n"))
         };
         let parameters = motion("torque_nm = 60").unwrap();
@@ -454,7 +443,7 @@ mod tests {
     /// No figure of the file is taken unchecked.
     #[test]
     fn every_figure_has_a_range() {
-        let whole: toml::Table = MODELS[0].toml.parse().unwrap();
+        let whole: toml::Table = X6.toml.parse().unwrap();
         let refuses = |table: &str, key: &str, wrong: toml::Value| {
             let mut changed = whole.clone();
             changed[table][key] = wrong;
@@ -475,6 +464,7 @@ mod tests {
                     toml::Value::Integer(_) if key == "pole_pairs" || key == "bits" => {
                         &[0.into(), 127.into()]
                     }
+                    toml::Value::Integer(_) if key == "output_bits" => &[127.into()],
                     _ => &[(-1.0).into(), f64::NAN.into(), f64::INFINITY.into()],
                 };
                 for wrong in wrong {
@@ -483,7 +473,7 @@ mod tests {
                 figures += 1;
             }
         }
-        assert_eq!(figures, 31);
+        assert_eq!(figures, 32);
         refuses("gear", "ratio", 0.0.into());
         refuses("motor", "rotor_inertia_kg_m2", 0.0.into());
     }

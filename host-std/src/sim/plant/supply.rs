@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// While the drive draws power its voltage sags by current times resistance. While the motor feeds
 /// back, the voltage rises by current times *feedback* resistance: small for a battery, large for a
-/// power supply that takes nothing back.
+/// power supply that takes nothing back. A brake resistor burns what nobody takes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Supply {
@@ -19,6 +19,21 @@ pub struct Supply {
     pub feedback_resistance_ohm: f64,
     /// Capacitor at the drive's input, F.
     pub capacitance_f: f64,
+    /// What burns power that is fed back; `None` by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub brake_resistor: Option<BrakeResistor>,
+}
+
+/// A resistor across the drive's input that is switched on while the voltage is too high.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BrakeResistor {
+    /// It goes on above this voltage, V.
+    pub on_above_v: f64,
+    /// It goes off below this voltage, V; at most [`on_above_v`](Self::on_above_v), and above the supply's own.
+    pub off_below_v: f64,
+    /// Resistance, Ω.
+    pub resistance_ohm: f64,
 }
 
 impl Supply {
@@ -30,6 +45,7 @@ impl Supply {
             resistance_ohm: 0.05,
             feedback_resistance_ohm: 0.05,
             capacitance_f: 1000e-6,
+            brake_resistor: None,
         }
     }
 
@@ -44,6 +60,12 @@ impl Supply {
             check("supply resistance", "Ω", 0.000_1..=1_000_000.0, resistance_ohm)?;
         }
         check("input capacitance", "F", 0.000_1..=100.0, self.capacitance_f)?;
+        if let Some(brake) = self.brake_resistor {
+            let on_above_v = check_voltage(brake.on_above_v)?;
+            let off = "voltage at which the brake resistor goes off";
+            check(off, "V", self.voltage_v..=on_above_v, brake.off_below_v)?;
+            check("brake resistor", "Ω", 0.01..=1_000_000.0, brake.resistance_ohm)?;
+        }
         Ok(())
     }
 }
@@ -59,9 +81,33 @@ pub(super) struct Link {
     voltage_v: f64,
     /// The voltage that a test holds, whatever is drawn.
     pub(super) held_v: Option<f64>,
+    drawn: Path,
+    fed_back: Path,
+    /// While the brake resistor is on.
+    burnt: Path,
+    burns: bool,
+}
+
+/// What the capacitor sees as long as nothing is switched: a voltage behind a resistance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Path {
+    source_v: f64,
+    resistance_ohm: f64,
     /// Share of the distance to the steady voltage that is left after one step.
     remaining: f64,
-    remaining_feedback: f64,
+}
+
+impl Path {
+    fn new(source_v: f64, resistance_ohm: f64, capacitance_f: f64, step_s: f64) -> Self {
+        let remaining = libm::exp(-step_s / (resistance_ohm * capacitance_f));
+        Self { source_v, resistance_ohm, remaining }
+    }
+
+    /// The voltage a step after `voltage_v`, if the drive draws this current.
+    fn after(&self, voltage_v: f64, current_a: f64) -> f64 {
+        let steady_v = self.source_v - self.resistance_ohm * current_a;
+        (steady_v + (voltage_v - steady_v) * self.remaining).max(0.0)
+    }
 }
 
 /// Below this voltage the current is reckoned as if at it: power through zero volts has no meaning.
@@ -69,14 +115,18 @@ const FLOOR_V: f64 = 1.0;
 
 impl Link {
     pub(super) fn new(supply: Supply, step_s: f64) -> Self {
-        let remaining = |resistance: f64| libm::exp(-step_s / (resistance * supply.capacitance_f));
-        Self {
-            voltage_v: supply.voltage_v,
-            held_v: None,
-            remaining: remaining(supply.resistance_ohm),
-            remaining_feedback: remaining(supply.feedback_resistance_ohm),
-            supply,
-        }
+        let Supply { voltage_v, resistance_ohm, feedback_resistance_ohm, capacitance_f, .. } =
+            supply;
+        let path = |source_v, ohm| Path::new(source_v, ohm, capacitance_f, step_s);
+        let fed_back = path(voltage_v, feedback_resistance_ohm);
+        // Both resistances at once are a divider of the source's voltage.
+        let burnt =
+            supply.brake_resistor.map_or(fed_back, |BrakeResistor { resistance_ohm, .. }| {
+                let share = resistance_ohm / (feedback_resistance_ohm + resistance_ohm);
+                path(voltage_v * share, feedback_resistance_ohm * share)
+            });
+        let drawn = path(voltage_v, resistance_ohm);
+        Self { voltage_v, held_v: None, drawn, fed_back, burnt, burns: false, supply }
     }
 
     pub(super) fn voltage_v(&self) -> f64 {
@@ -94,14 +144,16 @@ impl Link {
     pub(super) fn step(&mut self, power_w: f64) -> f64 {
         let current_a = power_w / self.voltage_v().max(FLOOR_V);
         if self.held_v.is_none() {
-            let source_v = self.supply.voltage_v;
-            let (resistance_ohm, remaining) = if self.voltage_v > source_v {
-                (self.supply.feedback_resistance_ohm, self.remaining_feedback)
-            } else {
-                (self.supply.resistance_ohm, self.remaining)
+            if let Some(brake) = self.supply.brake_resistor {
+                let limit_v = if self.burns { brake.off_below_v } else { brake.on_above_v };
+                self.burns = self.voltage_v > limit_v;
+            }
+            let path = match self.voltage_v > self.supply.voltage_v {
+                true if self.burns => &self.burnt,
+                true => &self.fed_back,
+                false => &self.drawn,
             };
-            let steady_v = source_v - resistance_ohm * current_a;
-            self.voltage_v = (steady_v + (self.voltage_v - steady_v) * remaining).max(0.0);
+            self.voltage_v = path.after(self.voltage_v, current_a);
         }
         current_a
     }

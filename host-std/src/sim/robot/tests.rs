@@ -181,7 +181,7 @@ fn what_is_wrong_is_told_with_its_line() {
         (in_motor("id = 1\nbrake = 1"), "line 7: invalid type: integer `1`, expected a boolean"),
         (
             in_motor("id = 1\nmodel = \"RMD-X9\""),
-            "line 7: no motor model is called \"RMD-X9\"; there are RMD-X6",
+            "line 7: no motor model is called \"RMD-X9\"; there are RMD-X2",
         ),
         (
             in_motor("id = 1\nmodel = \"none.toml\""),

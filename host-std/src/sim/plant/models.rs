@@ -1,0 +1,34 @@
+//! The models that come with the library.
+
+/// A motor model that comes with the library.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Model {
+    /// Name for [`MotorParameters::named`](super::MotorParameters::named).
+    pub name: &'static str,
+    /// The parameter file: where each figure comes from stands in its comments. A good start for a
+    /// file of one's own.
+    pub toml: &'static str,
+}
+
+/// A model of the folder `models`.
+macro_rules! model {
+    ($name:literal, $file:literal) => {
+        Model { name: $name, toml: include_str!(concat!("../../../models/", $file)) }
+    };
+}
+
+/// The models that come with the library, the smaller ones first.
+pub const MODELS: [Model; 12] = [
+    model!("RMD-X2-P28-7", "rmd-x2-p28-7.toml"),
+    model!("RMD-X4-P12.5-10", "rmd-x4-p12.5-10.toml"),
+    model!("RMD-X4-P36-36", "rmd-x4-p36-36.toml"),
+    model!("RMD-X6-P8-8", "rmd-x6-p8-8.toml"),
+    model!("RMD-X8-PRO", "rmd-x8-pro.toml"),
+    model!("RMD-X6-P20-60", "rmd-x6-p20-60.toml"),
+    model!("RMD-X10-P7-40", "rmd-x10-p7-40.toml"),
+    model!("RMD-X10-P35-100", "rmd-x10-p35-100.toml"),
+    model!("RMD-X8-P20-120", "rmd-x8-p20-120.toml"),
+    model!("RMD-X8-P33-150", "rmd-x8-p33-150.toml"),
+    model!("RMD-X12-P20-320", "rmd-x12-p20-320.toml"),
+    model!("RMD-X15-P20-450", "rmd-x15-p20-450.toml"),
+];
