@@ -215,7 +215,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Gives up the place of an id at which there is nobody: until then each stop of all waits for it. Nothing
-    /// changes while it is being spoken to. Does not wait.
+    /// changes while it is being spoken to, or may yet be moved by what was sent. Does not wait.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].

@@ -82,7 +82,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
             Event::Report { motor, .. } | Event::LostMaster { motor } => (motor, true),
             _ => continue,
         };
-        if there {
+        if there && candidates.contains(motor) {
             found.insert(motor);
         }
         if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {

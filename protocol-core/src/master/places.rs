@@ -114,7 +114,7 @@ impl<const N: usize> Master<N> {
 
     /// Gives a motor's place and counters up, so that another motor can have it. `false`, and
     /// nothing changes, while it has a request or a set-point under way or an event that was not
-    /// polled.
+    /// polled, or while something that was sent and not answered may move it yet, out of a mailbox for example.
     ///
     /// A late reply that may still come is no longer guarded against: leave the motor alone for
     /// [`Config::late_window`] after a request that was not answered.

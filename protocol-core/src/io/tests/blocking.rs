@@ -230,6 +230,14 @@ fn a_scan_tells_only_of_those_whom_it_asks() {
 }
 
 #[test]
+fn a_scan_finds_none_but_its_candidates() {
+    let (bus, _, mut arm) = can();
+    let of_another = Packet { channel: Channel::Reply(id(7)), data: [0xF1, 0, 0, 0, 0, 0, 0, 0] };
+    bus.hear(&of_another);
+    assert_eq!(bring_up::scan(&mut arm, id(1).into(), |_, _| {}), Ok(id(1).into()));
+}
+
+#[test]
 fn a_motor_that_answers_once_shares_its_id_with_nobody() {
     let (_, _, mut arm) = can();
     assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(false));

@@ -146,6 +146,12 @@ impl TestCan {
         self.state.borrow_mut()
     }
 
+    /// Somebody says this.
+    pub(super) fn hear(&self, packet: &Packet) {
+        let now = self.clock.micros();
+        self.state().replies.push_back((now, can::encode(packet).unwrap()));
+    }
+
     pub(super) fn sent(&self) -> Vec<Data> {
         self.state.borrow().sent.iter().map(|frame| frame.data().try_into().unwrap()).collect()
     }

@@ -108,10 +108,10 @@ impl Motor {
         self.request.waiting().is_some_and(Asked::is_stop)
     }
 
-    /// Whether it has nothing under way and nothing to tell.
+    /// Whether it has nothing under way and nothing to tell, and nothing that was sent may move it yet.
     pub(super) fn is_idle(&self, now: Instant) -> bool {
         let has_nothing = self.request.is_none() && !self.is_waiting() && !self.is_in_flight();
-        has_nothing && self.news.is_empty() && self.settled_at <= now
+        has_nothing && self.news.is_empty() && self.settled_at <= now && !self.may_yet_move()
     }
 
     pub(super) fn has_news(&self) -> bool {

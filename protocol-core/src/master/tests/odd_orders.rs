@@ -509,3 +509,25 @@ fn a_restart_that_was_sent_before_a_stop_is_told_as_one() {
     master.stop(id(2), StopKind::Off).unwrap();
     assert_eq!(events(&mut master, ms(3)).len(), 1);
 }
+
+#[test]
+fn what_may_yet_move_a_motor_is_not_forgotten_with_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    // It waits in a mailbox until it counts as lost.
+    sent(&mut master, ms(0));
+    assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+    assert!(!master.forget(id(1)));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(22));
+    assert_eq!(
+        reply(&mut master, 1, Shutdown.encode(), ms(23)),
+        None,
+        "it may come behind the stop"
+    );
+    // Of a question that was given up nothing of the kind is to be feared.
+    let _ = master.request_with(id(2), ReadMultiTurnAngle, patient(1, 20)).unwrap();
+    sent(&mut master, ms(23));
+    events(&mut master, ms(50));
+    assert!(master.forget(id(2)));
+}
