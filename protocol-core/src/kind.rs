@@ -118,13 +118,17 @@ impl Kind {
         data.get(at).copied()
     }
 
-    /// Whether it may set the motor in motion, or open the brake that holds it.
+    /// Whether it may set the motor in motion.
     pub(crate) const fn moves(self) -> bool {
         match self {
-            Self::Known(Opcode::ReleaseBrake) => true,
             Self::Known(opcode) => matches!(opcode.usage(), Usage::SetPoint | Usage::Move),
             Self::Raw { moves, .. } => moves,
         }
+    }
+
+    /// Whether it may set the motor in motion, or open the brake that holds its load.
+    pub(crate) const fn may_move(self) -> bool {
+        self.moves() || matches!(self, Self::Known(Opcode::ReleaseBrake))
     }
 
     /// The channel on which a command of this kind reaches `target`.

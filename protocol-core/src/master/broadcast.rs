@@ -5,7 +5,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::schedule::Earliest;
-use crate::master::{Master, MotorSet};
+use crate::master::{Config, Master, MotorSet};
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
@@ -39,6 +39,8 @@ pub(super) struct Broadcast {
     ended_motion: Option<Instant>,
     /// It may move whoever has not answered it.
     moves: bool,
+    /// Nothing was heard on the bus since: it may be cut, and what moves in a mailbox, for as long as that lasts.
+    is_unheard: bool,
     /// While `may_be_late` or `moves`: until when.
     late_until: Instant,
 }
@@ -105,17 +107,25 @@ impl Broadcast {
         (self.kind, self.data)
     }
 
-    pub(super) fn was_sent(&mut self, now: Instant, timeout: Duration, late_window: Duration) {
+    pub(super) fn was_sent(&mut self, now: Instant, config: &Config) {
         let has_reply = self.kind.is_some_and(Kind::has_reply);
         let awaits_reply = has_reply && !self.expected.is_empty();
         self.state = if awaits_reply { State::InFlight } else { State::Sent };
         self.sent = now;
-        self.deadline = now + timeout;
+        self.deadline = now + config.reply_timeout;
         self.may_be_late = has_reply;
         self.sent_byte = self.data[0];
         self.heard = MotorSet::EMPTY;
-        self.moves |= self.kind.is_some_and(Kind::moves);
-        self.late_until = self.late_until.max(self.deadline + late_window);
+        self.moves |= self.kind.is_some_and(Kind::may_move);
+        self.is_unheard = self.moves && !config.is_rs485();
+        self.late_until = self.late_until.max(self.deadline + config.late_window);
+    }
+
+    /// Something was heard on the bus: what lay in a mailbox all the time comes now.
+    pub(super) fn bus_is_alive(&mut self, now: Instant, late_window: Duration) {
+        if core::mem::take(&mut self.is_unheard) && self.late_until <= now {
+            self.late_until = now + late_window;
+        }
     }
 
     /// Whether the answer of one of `motors` to the last broadcast may still come, expected or not,
@@ -189,7 +199,7 @@ impl Broadcast {
             return;
         }
         // An earlier one may still move what this would not have moved.
-        self.moves &= !self.kind.is_some_and(Kind::moves);
+        self.moves &= !self.kind.is_some_and(Kind::may_move);
         if matches!(self.state, State::InFlight | State::Sent) {
             self.state = State::Waiting;
             // Nobody has heard it, so that it need not wait for answers to itself.
@@ -199,7 +209,7 @@ impl Broadcast {
 
     /// Until when something may have to wait for late answers.
     pub(super) fn late_until(&self) -> Option<Instant> {
-        (self.may_be_late || self.moves).then_some(self.late_until)
+        (self.may_be_late || self.moves && !self.is_unheard).then_some(self.late_until)
     }
 
     /// The silent ones of a broadcast that is over, once.
@@ -228,7 +238,7 @@ impl<const N: usize> Master<N> {
         }
         if self.broadcast.late_until <= now {
             self.broadcast.may_be_late = false;
-            self.broadcast.moves = false;
+            self.broadcast.moves &= self.broadcast.is_unheard;
         }
         if !self.broadcast.is_in_flight() || self.broadcast.deadline > now {
             return;

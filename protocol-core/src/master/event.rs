@@ -196,7 +196,7 @@ pub enum Event {
     },
     /// A motor has restarted, as far as the protocol shows: it was silent for a second, which is told when it
     /// does not answer and once more when it does again, or has run for less long than it said before (0xB1).
-    /// Its turns may be lost. Whatever moves it or opens its brake is refused until
+    /// Its turns may be lost. Whatever moves it is refused until
     /// [`Master::resume`](crate::master::Master::resume).
     Restarted {
         /// The motor.

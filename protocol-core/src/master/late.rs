@@ -66,7 +66,7 @@ impl LateReplies {
         }
         // Without room, which only stops bring about, the one that ends first makes way, but none that may yet
         // move the motor if there is another: a stop that it comes after would count.
-        let is_worth = |late: &Option<Late>| late.map(|it| (it.question.kind.moves(), it.until));
+        let is_worth = |late: &Option<Late>| late.map(|it| (it.question.kind.may_move(), it.until));
         if let Some(place) = self.0.iter_mut().min_by_key(|place| is_worth(place)) {
             *place = Some(Late { question, of, replies, until });
         }
@@ -88,7 +88,7 @@ impl LateReplies {
 
     /// Whether a command is among them that may move the motor: it may not have reached it yet.
     pub(super) fn may_move(&self) -> bool {
-        self.0.iter().flatten().any(|late| late.question.kind.moves())
+        self.0.iter().flatten().any(|late| late.question.kind.may_move())
     }
 
     /// Something else was answered by what may have been one of these: whose reply is still to come

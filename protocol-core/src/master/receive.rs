@@ -72,6 +72,7 @@ impl<const N: usize> Master<N> {
     /// A frame on its way to us held up those that are queued.
     fn frame_has_come(&mut self, now: Instant) {
         self.heard_at = now;
+        self.broadcast.bus_is_alive(now, self.config.late_window);
         if self.busy_until > now {
             // What is queued is not answered. Without that bound a bus that is always full would seem busy
             // for ever longer, since frames are shorter than they may be.

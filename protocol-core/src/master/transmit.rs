@@ -5,7 +5,7 @@ use crate::data::Data;
 use crate::id::Target;
 use crate::kind::Kind;
 use crate::master::motor::Motor;
-use crate::master::{Config, Master, reported_bit};
+use crate::master::{Master, reported_bit};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -83,8 +83,7 @@ impl<const N: usize> Master<N> {
                         self.change_at(place, |motor, _| note_report(motor, kind, &data));
                     }
                 }
-                let Config { reply_timeout, late_window, .. } = self.config;
-                self.broadcast.was_sent(now, reply_timeout, late_window);
+                self.broadcast.was_sent(now, &self.config);
             }
             Offer::StopToAll => {
                 self.stop_to_all = None;

@@ -55,15 +55,17 @@ impl Motor {
         heard_at: Instant,
         config: &Config,
     ) {
-        self.late.expire(now);
         if self.is_unheard && heard_at + config.late_window >= self.moves_until {
             self.bus_is_alive(now, config);
         }
+        let could_move = self.late.may_move();
+        self.late.expire(now);
+        self.is_beyond_late |= self.is_unheard && could_move && !self.late.may_move();
         if self.settled_at <= now {
             self.settled_at = Instant::ZERO;
         }
         if self.moves_no_more_at().is_some_and(|at| at <= now) {
-            self.moves_until = Instant::ZERO;
+            (self.moves_until, self.is_beyond_late) = (Instant::ZERO, false);
         }
         self.drop_what_is_too_old(now);
         if self.deadline(config).is_none_or(|deadline| deadline > now) {

@@ -34,7 +34,7 @@ impl Motor {
     ) {
         if replies > 0 {
             self.late.expect(question, of, replies, until);
-            if question.kind.moves() {
+            if question.kind.may_move() {
                 self.may_move_until(until, config);
             }
         }
@@ -50,7 +50,7 @@ impl Motor {
     ) -> Option<Of> {
         let could_move = self.late.may_move();
         let of = self.late.take(is_motion, reply, may_be_doubled)?;
-        if could_move && !self.late.may_move() {
+        if could_move && !self.late.may_move() && !self.is_beyond_late {
             (self.moves_until, self.is_unheard) = (Instant::ZERO, false);
         }
         Some(of)

@@ -86,6 +86,8 @@ pub(super) struct Motor {
     /// does not end while nothing is heard on the bus: it may be cut, and the command in a mailbox.
     moves_until: Instant,
     is_unheard: bool,
+    /// Some of it is no more among `late`, whose end then says nothing of it.
+    is_beyond_late: bool,
     /// How long it had run when it said so last, in milliseconds.
     run_time_ms: u32,
     /// What it answered last.
@@ -168,7 +170,7 @@ impl Motor {
     }
 
     fn drop_waiting_move(&mut self, why: Failure, config: &Config, now: Instant) {
-        if self.request.waiting().is_some_and(|asked| asked.kind().moves()) {
+        if self.request.waiting().is_some_and(|asked| asked.kind().may_move()) {
             self.finish_request(Request::Failed(why), config, now);
         }
     }
@@ -268,7 +270,7 @@ impl Motor {
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if let Some(pause) = pause {
             self.settled_at = self.settled_at.max(now + pause);
-            if asked.kind().moves() {
+            if asked.kind().may_move() {
                 self.may_move_until(late, config);
             }
             self.request = Request::Sent(asked);
@@ -310,11 +312,21 @@ impl Motor {
                 }
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
-                self.request = match asked.kind().moves() {
+                self.request = match asked.kind().may_move() {
                     true if is_ended => Request::Failed(Failure::Stopped),
                     true if self.has_restarted => Request::Failed(Failure::Dropped),
                     _ => Request::Waiting(asked),
                 };
+                return;
+            }
+            // Its time was up: it counted as lost, and is to be sent again.
+            Request::Waiting(mut asked)
+                if asked.unanswered > 0 && is_this(asked.kind(), &asked.data) =>
+            {
+                asked.attempts_left = asked.attempts_left.saturating_add(1);
+                asked.unanswered -= 1;
+                self.request = Request::Waiting(asked);
+                self.health.lost = self.health.lost.saturating_sub(1);
                 return;
             }
             _ => {}

@@ -531,3 +531,73 @@ fn what_may_yet_move_a_motor_is_not_forgotten_with_it() {
     events(&mut master, ms(50));
     assert!(master.forget(id(2)));
 }
+
+#[test]
+fn a_move_of_all_that_waited_in_a_mailbox_while_the_bus_was_cut_follows_no_confirmed_stop() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    // Here the bus is cut.
+    master.broadcast(step(), MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(10));
+    events(&mut master, ms(31));
+    events(&mut master, ms(200));
+    assert_eq!(master.poll_at(), None);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(500)).len(), 1);
+    // And here it is whole again: the stop goes first, then the move.
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(510)), None);
+    let at = master.poll_at().unwrap();
+    assert!(at > ms(510) && at < ms(600), "{at:?}");
+    assert_eq!(sent(&mut master, at).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), at + Duration::from_millis(1)), confirmed);
+    // Where anything was heard after it, it has gone or was lost.
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(step(), MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(10));
+    reply(&mut master, 9, ANGLE_REPLY, ms(12));
+    events(&mut master, ms(200));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(200));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(201)), confirmed);
+}
+
+#[test]
+fn of_two_set_points_that_waited_in_mailboxes_the_feedback_of_one_says_nothing_of_the_other() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for now in [0, 200] {
+        master.set_point(id(1), motion(), ms(now)).unwrap();
+        assert_eq!(sent(&mut master, ms(now)).len(), 1);
+        assert_eq!(events(&mut master, ms(now + 21)), [Event::SetPointUnanswered { motor: id(1) }]);
+        events(&mut master, ms(now + 30));
+        events(&mut master, ms(if now == 0 { 100 } else { 240 }));
+    }
+    // The bus is whole again, the first one goes, and the stop overtakes the second.
+    motion_feedback(&mut master, ms(250)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(250));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(251)), None);
+    motion_feedback(&mut master, ms(252)).unwrap();
+    let at = master.poll_at().unwrap();
+    assert!(at < ms(320), "{at:?}");
+    assert_eq!(sent(&mut master, at).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), at + Duration::from_millis(1)), confirmed);
+}
+
+#[test]
+fn what_is_handed_back_after_its_time_was_up_was_neither_sent_nor_lost() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request_with(id(1), ReadMultiTurnAngle, patient(2, 20)).unwrap();
+    let in_mailbox = sent(&mut master, ms(0))[0];
+    master.handle_timeout(ms(21));
+    assert_eq!(master.health(id(1)).lost, 1);
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(master.health(id(1)).lost, 0);
+    for now in [21, 42] {
+        assert_eq!(sent(&mut master, ms(now)).len(), 1, "both attempts are left");
+    }
+    events(&mut master, ms(63));
+    assert_eq!(master.health(id(1)).lost, 2);
+}
