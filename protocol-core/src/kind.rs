@@ -119,6 +119,7 @@ impl Kind {
     }
 
     /// Whether it may set the motor in motion.
+    #[inline(never)]
     pub(crate) const fn moves(self) -> bool {
         match self {
             Self::Known(opcode) => matches!(opcode.usage(), Usage::SetPoint | Usage::Move),
@@ -127,6 +128,7 @@ impl Kind {
     }
 
     /// Whether it may set the motor in motion, or open the brake that holds its load.
+    #[inline(never)]
     pub(crate) const fn may_move(self) -> bool {
         self.moves() || matches!(self, Self::Known(Opcode::ReleaseBrake))
     }

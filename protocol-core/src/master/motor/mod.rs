@@ -303,12 +303,19 @@ impl Motor {
             kind.is_motion() == matches!(packet.channel, Channel::Motion(_)) && *data == packet.data
         };
         match self.request {
-            Request::InFlight(mut asked) | Request::Sent(mut asked)
+            // It was not sent yet, so that this is another like it.
+            Request::Waiting(asked) if asked.unanswered == 0 => {}
+            Request::InFlight(mut asked)
+            | Request::Sent(mut asked)
+            | Request::Waiting(mut asked)
                 if is_this(asked.kind(), &asked.data) =>
             {
-                // One without a reply, and nobody was told yet that it was sent.
-                if let Request::Sent(_) = self.request {
-                    self.settled_at = Instant::ZERO;
+                match self.request {
+                    // One without a reply, and nobody was told yet that it was sent.
+                    Request::Sent(_) => self.settled_at = Instant::ZERO,
+                    // Its time was up, and it counted as lost.
+                    Request::Waiting(_) => self.health.lost = self.health.lost.saturating_sub(1),
+                    _ => {}
                 }
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
@@ -317,16 +324,6 @@ impl Motor {
                     true if self.has_restarted => Request::Failed(Failure::Dropped),
                     _ => Request::Waiting(asked),
                 };
-                return;
-            }
-            // Its time was up: it counted as lost, and is to be sent again.
-            Request::Waiting(mut asked)
-                if asked.unanswered > 0 && is_this(asked.kind(), &asked.data) =>
-            {
-                asked.attempts_left = asked.attempts_left.saturating_add(1);
-                asked.unanswered -= 1;
-                self.request = Request::Waiting(asked);
-                self.health.lost = self.health.lost.saturating_sub(1);
                 return;
             }
             _ => {}
