@@ -31,8 +31,7 @@ pub struct Health {
     pub round_trip: Duration,
     /// Replies that came in time.
     pub answered: u32,
-    /// Commands without a reply in time, each attempt counted. One too many if the late reply to a set-point passes
-    /// for that to the next, and a controller then hands that next one back.
+    /// Commands without a reply in time, each attempt counted.
     pub lost: u16,
     /// Replies that nothing waited for.
     pub stray: u16,

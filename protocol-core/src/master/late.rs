@@ -33,6 +33,8 @@ impl Question {
 pub(super) enum Of {
     Request,
     Stream,
+    /// So was one of a stream, and a reply has come since that was taken for that to the next.
+    StreamAnswered,
 }
 
 /// Replies that may still come, to one question.
@@ -95,7 +97,10 @@ impl LateReplies {
     /// nobody knows, so it may come for as long as that of the last. Whether there is such a one.
     pub(super) fn prolong(&mut self, question: Question, until: Instant) -> bool {
         let known = self.0.iter_mut().flatten().find(|late| late.question == question);
-        let known = known.map(|late| late.until = late.until.max(until));
+        let known = known.map(|late| {
+            late.until = late.until.max(until);
+            late.of = Of::StreamAnswered;
+        });
         known.is_some()
     }
 

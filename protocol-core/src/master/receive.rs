@@ -246,8 +246,8 @@ impl Motor {
         }
         match self.take_late(is_motion, data, may_be_doubled) {
             Some(Of::Request) => Meaning::Late,
-            Some(Of::Stream) if self.has_ignored_one() => Meaning::Late,
-            Some(Of::Stream) => match AnyReply::decode(packet, config.firmware) {
+            Some(_) if self.has_ignored_one() => Meaning::Late,
+            Some(_) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, None, now),
                 Err(_) => Meaning::Late,
             },

@@ -341,7 +341,12 @@ impl Motor {
             }
         } else {
             // A stop went over it, or it was given up: it will not be answered.
-            self.take_late(matches!(packet.channel, Channel::Motion(_)), &packet.data, false);
+            let is_motion = matches!(packet.channel, Channel::Motion(_));
+            let of = self.take_late(is_motion, &packet.data, false);
+            if of == Some(Of::StreamAnswered) {
+                // What was taken for its answer came late, to one that counted as lost.
+                self.health.answered = self.health.answered.saturating_sub(1);
+            }
         }
     }
 

@@ -601,3 +601,17 @@ fn what_is_handed_back_after_its_time_was_up_was_neither_sent_nor_lost() {
     events(&mut master, ms(63));
     assert_eq!(master.health(id(1)).lost, 2);
 }
+
+#[test]
+fn a_set_point_that_is_handed_back_after_its_answer_seemed_to_come_was_not_answered() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+    master.set_point(id(1), motion(), ms(22)).unwrap();
+    let in_mailbox = sent(&mut master, ms(22))[0];
+    motion_feedback(&mut master, ms(23)).unwrap();
+    master.handle_pushed_out(&in_mailbox);
+    let health = master.health(id(1));
+    assert_eq!((health.answered, health.lost), (0, 1), "of one command");
+}
