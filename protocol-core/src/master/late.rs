@@ -32,6 +32,8 @@ impl Question {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Of {
     Request,
+    /// So was an attempt of a request that has its answer.
+    RequestAnswered,
     Stream,
     /// So was one of a stream, and a reply has come since that was taken for that to the next.
     StreamAnswered,

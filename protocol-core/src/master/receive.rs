@@ -245,7 +245,7 @@ impl Motor {
             return self.take_answer(id, asked, data, to_all, now, config);
         }
         match self.take_late(is_motion, data, may_be_doubled) {
-            Some(Of::Request) => Meaning::Late,
+            Some(Of::Request | Of::RequestAnswered) => Meaning::Late,
             Some(_) if self.has_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, None, now),

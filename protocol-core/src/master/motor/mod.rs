@@ -145,7 +145,7 @@ impl Motor {
             // Its outcome does not tell that.
             self.has_begun_anew(config, now);
         }
-        self.give_request_up(config, now);
+        self.give_request_up(Of::Request, config, now);
         self.request = Request::Waiting(stop);
     }
 
@@ -343,7 +343,7 @@ impl Motor {
             // A stop went over it, or it was given up: it will not be answered.
             let is_motion = matches!(packet.channel, Channel::Motion(_));
             let of = self.take_late(is_motion, &packet.data, false);
-            if of == Some(Of::StreamAnswered) {
+            if matches!(of, Some(Of::StreamAnswered | Of::RequestAnswered)) {
                 // What was taken for its answer came late, to one that counted as lost.
                 self.health.answered = self.health.answered.saturating_sub(1);
             }
@@ -367,17 +367,18 @@ impl Motor {
     }
 
     /// Replies to the request that is under way may come too late from now on.
-    fn give_request_up(&mut self, config: &Config, now: Instant) {
+    fn give_request_up(&mut self, of: Of, config: &Config, now: Instant) {
         if let Some(asked) = self.request.under_way() {
             let (question, replies) = (asked.question, asked.unanswered);
             let until = now + config.late_window;
-            self.expect_late(question, Of::Request, replies, until, config);
+            self.expect_late(question, of, replies, until, config);
         }
     }
 
     /// The request is over.
     pub(super) fn finish_request(&mut self, outcome: Request, config: &Config, now: Instant) {
-        self.give_request_up(config, now);
+        let of = if outcome.is_none() { Of::RequestAnswered } else { Of::Request };
+        self.give_request_up(of, config, now);
         self.request = outcome;
     }
 

@@ -615,3 +615,15 @@ fn a_set_point_that_is_handed_back_after_its_answer_seemed_to_come_was_not_answe
     let health = master.health(id(1));
     assert_eq!((health.answered, health.lost), (0, 1), "of one command");
 }
+
+#[test]
+fn an_attempt_that_is_handed_back_after_the_answer_to_the_first_was_not_answered() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    let in_mailbox = sent(&mut master, ms(21))[0];
+    let told = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(read.outcome(&told).is_some());
+    master.handle_pushed_out(&in_mailbox);
+    let health = master.health(id(1));
+    assert_eq!((health.answered, health.lost), (0, 1), "of one command");
+}
