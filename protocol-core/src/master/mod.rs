@@ -29,10 +29,9 @@
 //! time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no
 //! more and has not heard). A drive that has lost its master sends back the first command and ignores it:
 //! if its message of that is lost, this may be taken for the answer. A drive that restarts within a second
-//! without being asked anything meanwhile is not noticed, nor is one whose run time nobody reads. An RS485 adapter's echo of a stop confirms it if nobody
-//! said that there is one and noise has taken all echoes that would have shown it. And a stop
-//! cannot be confirmed by a motor whose replies do not come through: then cut its power. Nothing on this side
-//! of the wire can tell more.
+//! without being asked anything meanwhile is not noticed, nor is one whose run time nobody reads. An echo on RS485 that
+//! nobody told of confirms a stop if noise has taken all echoes that would have shown it. And a stop cannot be
+//! confirmed by a motor whose replies do not come through: then cut its power. Nothing here can tell more.
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
