@@ -1,11 +1,9 @@
-//! Between the firmware and the bus is an adapter that holds back what it receives, and on RS485 hands back
-//! what it is given to send, of which the firmware was told nothing.
+//! Between the firmware and the bus is an adapter that is not kind, of which the firmware was told nothing: what it
+//! hears it hands over in bursts; on RS485 it hands back what it is given to send, and on CAN it sends by priority.
 
 use std::thread;
-use std::time::Duration;
 
-use myactuator_tests::emulator::adapter::Adapter;
-use myactuator_tests::emulator::board::Wire;
+use myactuator_tests::emulator::drives::Adapter;
 
 use super::running::{PATIENCE, Program, WATCHED, go, millis, on, stopped_behind, stops_for};
 
@@ -14,12 +12,8 @@ on! {
     a_stop_that_no_drive_heard_is_not_confirmed
 }
 
-/// On RS485 each exchange waits for one: with longer bursts the set-points are so few that shafts go in steps.
-const BURSTS: Duration = Duration::from_millis(2);
-
 fn a_stop_that_no_drive_heard_is_not_confirmed(program: Program) {
-    let echo = Wire::of_program(program.1) == Ok(Wire::Rs485);
-    let mut firmware = stopped_behind(program, Some(Adapter { bursts: BURSTS, echo }));
+    let mut firmware = stopped_behind(program, Adapter::Unkind);
     firmware.check_stays_stopped(WATCHED);
     go(&mut firmware);
     firmware.skip();

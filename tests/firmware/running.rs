@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use myactuator_host_std::sim::Fleet;
-use myactuator_tests::emulator::adapter::Adapter;
 use myactuator_tests::emulator::board::Board;
+use myactuator_tests::emulator::drives::Adapter;
 use myactuator_tests::emulator::firmware::Firmware;
 use myactuator_tests::emulator::log::Line;
 
@@ -61,11 +61,11 @@ pub(crate) fn millis(millis: u64) -> Duration {
 
 /// A firmware that waits for the button.
 pub(crate) fn stopped(program: Program) -> Firmware {
-    stopped_behind(program, None)
+    stopped_behind(program, Adapter::Kind)
 }
 
 /// The same, behind an adapter.
-pub(crate) fn stopped_behind((board, program): Program, adapter: Option<Adapter>) -> Firmware {
+pub(crate) fn stopped_behind((board, program): Program, adapter: Adapter) -> Firmware {
     let fleet = Fleet::new(DRIVES).brakes(true);
     let mut firmware = Firmware::start(board, program, &fleet, adapter);
     firmware.wait_for("Started { cause: Power }", PATIENCE);

@@ -78,6 +78,7 @@ Quirks: what drives were seen to do beside the manual
   silent-while-reporting    nothing at all is answered while active reply (0xB6) is on
   broadcast-slots           answers to all (RS485, 0xCD) come one after the other
   slow-rom                  replies to what is stored come 15 ms later (an estimate)
+  bursts                    adapters hand over what they hear every 16 ms, as many USB adapters do
   echo                      the RS485 adapter hands back what is sent
   echo-noise                it does so, and now and then a random byte with it";
 

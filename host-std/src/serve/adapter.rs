@@ -96,6 +96,15 @@ enum Channel {
     Listening,
 }
 
+/// A frame that waits for room in the controller.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Waiting {
+    /// The program waits for the answer.
+    Unanswered(SimpleFrame),
+    /// The program was told that it is taken; a more urgent one has pushed it out of its mailbox.
+    PushedOut(SimpleFrame),
+}
+
 /// What an adapter does with what it is told.
 #[derive(Debug)]
 struct Adapter {
@@ -108,7 +117,7 @@ struct Adapter {
     channel: Channel,
     has_stamps: bool,
     /// A frame that the controller has no room for.
-    waiting: Option<SimpleFrame>,
+    waiting: Option<Waiting>,
     /// What is to be told to the program.
     answers: Vec<u8>,
 }
@@ -135,7 +144,7 @@ impl Adapter {
         let answer = match (command, self.channel) {
             (AdapterCommand::Nothing, _) => Answer::Done,
             (AdapterCommand::Transmit(frame), Channel::Open) => {
-                self.waiting = Some(frame);
+                self.waiting = Some(Waiting::Unanswered(frame));
                 self.is_ready();
                 return None;
             }
@@ -186,16 +195,22 @@ impl Adapter {
     /// Whether nothing waits: gives a frame that does to the controller, if that has room now. Where nothing
     /// leaves the controller, a frame that finds no room is refused.
     fn is_ready(&mut self) -> bool {
-        let Some(frame) = self.waiting else { return true };
-        let answer = match self.port.transmit(&frame) {
-            Ok(_) => Answer::Accepted { is_extended: frame.is_extended() },
-            Err(nb::Error::WouldBlock) if self.status().state == ErrorState::Active => {
-                return false;
+        while let Some(Waiting::Unanswered(frame) | Waiting::PushedOut(frame)) = self.waiting {
+            let (answer, next) = match self.port.transmit(&frame) {
+                Ok(pushed_out) => {
+                    let answer = Answer::Accepted { is_extended: frame.is_extended() };
+                    (answer, pushed_out.map(Waiting::PushedOut))
+                }
+                Err(nb::Error::WouldBlock) if self.status().state == ErrorState::Active => {
+                    return false;
+                }
+                Err(_) => (Answer::Refused, None),
+            };
+            if matches!(self.waiting, Some(Waiting::Unanswered(_))) {
+                answer.encode(&mut self.answers);
             }
-            Err(_) => Answer::Refused,
-        };
-        answer.encode(&mut self.answers);
-        self.waiting = None;
+            self.waiting = next;
+        }
         true
     }
 
@@ -332,6 +347,28 @@ mod tests {
         assert!(adapter.is_ready() && adapter.waiting.is_none());
         assert_eq!(told(&mut adapter), "z\r");
         assert_eq!(adapter.status().queued, 1);
+    }
+
+    #[test]
+    fn a_frame_that_a_more_urgent_one_pushes_out_waits_and_is_answered_once() {
+        let world = CanWorld::new(1_000_000, 1);
+        let port = world.port_with(ControllerConfig::MAILBOXES);
+        let (mut adapter, mut other) = (Adapter::new(port, 1_000_000), world.port());
+        say(&mut adapter, "O");
+        // Three mailboxes, of which one is on the wire; 141 takes the place of 403.
+        for line in ["t4010", "t4020", "t4030"] {
+            assert_eq!(say(&mut adapter, line).0, "z\r");
+        }
+        world.run_for(Duration::from_micros(10));
+        assert_eq!(say(&mut adapter, "t1410").0, "z\r");
+        assert!(!adapter.is_ready());
+        world.run_for(Duration::from_micros(100));
+        assert!(adapter.is_ready());
+        world.run_for(Duration::from_millis(1));
+        let heard = std::iter::from_fn(|| other.receive().ok());
+        let heard: Vec<_> = heard.map(|frame| can::frame(&frame)).collect();
+        assert_eq!(heard, ["401#", "141#", "402#", "403#"]);
+        assert_eq!(told(&mut adapter), "");
     }
 
     #[test]

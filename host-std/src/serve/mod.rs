@@ -71,8 +71,9 @@ const LONGEST_WAIT: Duration = Duration::from_millis(100);
 /// Time that passes beyond a wait is made up for, unless it is more than this: then the process was
 /// stopped, or the computer is too slow.
 const LONGEST_LAG: Duration = Duration::from_millis(500);
-/// How many frames a simulated USB adapter keeps for the bus.
-const ADAPTER_QUEUE: usize = 64;
+/// The controller of a simulated USB adapter, with frames that it keeps for the bus.
+const ADAPTER: ControllerConfig =
+    ControllerConfig { transmit_queue: 64, ..ControllerConfig::SOCKETCAN };
 
 /// A way between a port of a simulated bus and a program outside.
 trait End: Debug {
@@ -103,6 +104,8 @@ trait End: Debug {
 pub struct Server {
     hosts: Vec<Box<dyn Hosted>>,
     ends: Vec<Box<dyn End>>,
+    /// How often adapters hand over what they hear.
+    bursts: time::Duration,
     schedule: Schedule,
     control: Option<Control>,
     /// The drives' time when serving began.
@@ -187,6 +190,12 @@ impl Server {
         Self::default()
     }
 
+    /// Has adapters that are served from now on hand over what they hear in bursts, at multiples of this period
+    /// only, as USB adapters do.
+    pub fn hand_over_every(&mut self, period: time::Duration) {
+        self.bursts = period;
+    }
+
     /// Serves drives on an RS485 line, by an adapter with these properties. Gives the path of its
     /// serial port.
     ///
@@ -219,6 +228,7 @@ impl Server {
 
     fn add_line(&mut self, fleet: &LineFleet, transceiver: TransceiverConfig, pty: Pty) {
         let port = fleet.world.port_with(transceiver);
+        fleet.world.hand_over_every(port.station(), self.bursts);
         self.hosts.push(Box::new(Host::new(fleet)));
         self.ends.push(Box::new(LineEnd::new(pty, port, fleet)));
     }
@@ -235,28 +245,28 @@ impl Server {
     /// [`ServeError::Terminal`].
     pub fn serve_adapter(&mut self, fleet: &CanFleet) -> Result<PathBuf, ServeError> {
         let (pty, path) = Pty::open(fleet.bit_rate)?;
-        self.add_adapter(fleet, pty);
+        self.add_adapter(fleet, ADAPTER, pty);
         Ok(path)
     }
 
-    /// As [`serve_adapter`](Self::serve_adapter), with a socket in place of the serial port, for an
-    /// emulator. Serving ends when the other end is closed.
+    /// As [`serve_adapter`](Self::serve_adapter), by an adapter with this controller, with a socket in place of
+    /// the serial port, for an emulator. Serving ends when the other end is closed.
     ///
     /// # Errors
     /// [`ServeError::Terminal`].
     pub fn serve_adapter_on(
         &mut self,
         fleet: &CanFleet,
+        controller: ControllerConfig,
         stream: UnixStream,
     ) -> Result<(), ServeError> {
-        self.add_adapter(fleet, Pty::on(stream)?);
+        self.add_adapter(fleet, controller, Pty::on(stream)?);
         Ok(())
     }
 
-    fn add_adapter(&mut self, fleet: &CanFleet, pty: Pty) {
-        let queues =
-            ControllerConfig { transmit_queue: ADAPTER_QUEUE, ..ControllerConfig::SOCKETCAN };
-        let port = fleet.world.port_with(queues);
+    fn add_adapter(&mut self, fleet: &CanFleet, controller: ControllerConfig, pty: Pty) {
+        let port = fleet.world.port_with(controller);
+        fleet.world.hand_over_every(port.station(), self.bursts);
         self.ends.push(Box::new(AdapterEnd::new(pty, port, &fleet.name, fleet.bit_rate)));
     }
 

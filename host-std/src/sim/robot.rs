@@ -7,6 +7,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use myactuator_protocol_core::time::Duration;
 use serde::Deserialize;
 
 use super::bus::rs485::TransceiverConfig;
@@ -72,6 +73,7 @@ const ECHO_NOISE: f32 = 0.1;
 /// | `kind` | `"can"` or `"rs485"` | an error |
 /// | `bit_rate` | bit/s: 10 000 to 1 000 000 on CAN, 1 200 to 12 000 000 on RS485 | an error |
 /// | `adapter` | of whoever serves an RS485 line to other programs: `"echo"` or `"echo-noise"`, see [`Adapter`] | `"plain"` |
+/// | `bursts_ms` | how often whoever serves the bus to other programs hands over what is heard, ms, as USB adapters do: 16 is usual | at once |
 /// | `interface` | a CAN interface such as `"vcan0"` on which to serve a CAN bus as well | none |
 /// | `faults` | what goes wrong while the bus is served, each as in [`PlannedFault`] | nothing |
 /// | `shared_ids` | whether several motors may have the same id, as from the factory | `false` |
@@ -84,7 +86,7 @@ const ECHO_NOISE: f32 = 0.1;
 /// |---|---|---|
 /// | `id` | 1 to 32 | `ids` |
 /// | `ids` | of several equal ones: `"1-6"` or `[1, 2, 5]` | `id` |
-/// | `model` | a name, or a file's that ends in `.toml`, looked for where the robot's file is | `"RMD-X8-PRO"` |
+/// | `model` | a name, or a file's that ends in `.toml`, looked for where the robot's file is | `"RMD-X6-P20-60"` |
 /// | `firmware` | `"v4.3"` or `"v4.4"` | its model's |
 /// | `motion` | the scales of motion mode, a table as in files of models | the model's or the firmware's |
 /// | `version_date` | what 0xB2 tells: a whole number | the firmware's |
@@ -114,6 +116,8 @@ pub struct RobotBus {
     pub bit_rate: u32,
     /// How programs outside reach an RS485 line.
     pub adapter: Adapter,
+    /// How often adapters hand over to programs outside what they hear; zero for at once.
+    pub bursts: Duration,
     /// The CAN interface on which to serve a CAN bus as well.
     pub interface: Option<String>,
     /// What goes wrong with its motors, and when. They strike where the bus is served in real time

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 
 use myactuator_host_std::serve::{Notice, ServeError, Server};
-use myactuator_host_std::sim::bus::can::CanBus;
+use myactuator_host_std::sim::bus::can::{CanBus, ControllerConfig};
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::{Rs485Line, TransceiverConfig};
 use myactuator_host_std::sim::bus::trace::Event;
@@ -16,11 +16,10 @@ use myactuator_host_std::sim::{BusFleet, DriveHandle, Fleet};
 use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::command::VersionDate;
 use myactuator_protocol_core::drive::{Drive, Parameters};
-use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::{Fed, Receiver};
 
-use super::adapter::Adapter;
 use super::board::Wire;
 use super::{Failure, urgency};
 
@@ -38,12 +37,25 @@ pub struct Heard {
 
 type Shared<T> = Arc<Mutex<Vec<T>>>;
 
+/// What lies between the firmware and the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Adapter {
+    /// It is as quick as it can be, and sends in order.
+    Kind,
+    /// It hands over what it hears every 2 ms. On RS485 it hands back what it is given to send; on CAN it sends
+    /// by priority, from three mailboxes, and takes a frame back for a more urgent one.
+    Unkind,
+}
+
+/// On RS485 each exchange waits for one: with longer bursts the set-points are so few that shafts go in steps.
+const BURSTS: Duration = Duration::from_millis(2);
+
 /// Simulated drives, in real time. They stop when this is dropped.
 pub struct Drives {
     bus: Arc<dyn Bus>,
     heard: Shared<Heard>,
     notices: Shared<String>,
-    adapter: Option<Adapter>,
+    adapter: Adapter,
     server: Option<Running>,
 }
 
@@ -73,14 +85,14 @@ impl Drives {
             bus,
             heard: Shared::default(),
             notices: Shared::default(),
-            adapter: None,
+            adapter: Adapter::Kind,
             server: None,
         })
     }
 
     /// The same, behind this adapter.
     #[must_use]
-    pub fn behind(mut self, adapter: Option<Adapter>) -> Self {
+    pub fn behind(mut self, adapter: Adapter) -> Self {
         self.adapter = adapter;
         self
     }
@@ -91,11 +103,8 @@ impl Drives {
     /// # Errors
     /// The operating system's.
     pub fn serve(&mut self, stream: UnixStream) -> Result<(), Failure> {
-        let stream = match self.adapter {
-            Some(adapter) => adapter.put_between(stream)?,
-            None => stream,
-        };
         let (stop, stopped) = UnixStream::pair()?;
+        let adapter = self.adapter;
         let (bus, notices) = (Arc::clone(&self.bus), Arc::clone(&self.notices));
         // A server stays in the thread that made it.
         let thread = thread::spawn(move || {
@@ -106,7 +115,8 @@ impl Drives {
                 Notice::Log(_) => {}
                 notice => push(&notices, notice.to_string()),
             };
-            let served = bus.serve(&mut server, stream).and_then(|()| server.run(stopped, told));
+            let served =
+                bus.serve(&mut server, adapter, stream).and_then(|()| server.run(stopped, told));
             if let Err(error) = served {
                 push(&notices, error.to_string());
             }
@@ -195,7 +205,12 @@ fn push<T>(list: &Shared<T>, item: T) {
 
 /// Drives on a bus of either kind.
 trait Bus: Send + Sync {
-    fn serve(&self, server: &mut Server, stream: UnixStream) -> Result<(), ServeError>;
+    fn serve(
+        &self,
+        server: &mut Server,
+        adapter: Adapter,
+        stream: UnixStream,
+    ) -> Result<(), ServeError>;
     fn handles(&self) -> &[DriveHandle];
     fn now(&self) -> Instant;
     fn disturb(&self, plan: FaultPlan);
@@ -206,8 +221,16 @@ trait Bus: Send + Sync {
 }
 
 impl<B: Served> Bus for BusFleet<B> {
-    fn serve(&self, server: &mut Server, stream: UnixStream) -> Result<(), ServeError> {
-        B::serve(self, server, stream)
+    fn serve(
+        &self,
+        server: &mut Server,
+        adapter: Adapter,
+        stream: UnixStream,
+    ) -> Result<(), ServeError> {
+        if adapter == Adapter::Unkind {
+            server.hand_over_every(BURSTS);
+        }
+        B::serve(self, server, adapter, stream)
     }
 
     fn handles(&self) -> &[DriveHandle] {
@@ -256,6 +279,7 @@ trait Served: Medium + Sized {
     fn serve(
         fleet: &BusFleet<Self>,
         server: &mut Server,
+        adapter: Adapter,
         stream: UnixStream,
     ) -> Result<(), ServeError>;
     fn hear(ear: &mut Self::Ear, frame: &Self::Frame, note: impl FnMut(Packet));
@@ -267,9 +291,11 @@ impl Served for Rs485Line {
     fn serve(
         fleet: &BusFleet<Self>,
         server: &mut Server,
+        adapter: Adapter,
         stream: UnixStream,
     ) -> Result<(), ServeError> {
-        server.serve_line_on(fleet, TransceiverConfig::default(), stream)
+        let echo = adapter == Adapter::Unkind;
+        server.serve_line_on(fleet, TransceiverConfig { echo, ..Default::default() }, stream)
     }
 
     fn hear(ear: &mut Receiver, bytes: &Vec<u8>, mut note: impl FnMut(Packet)) {
@@ -287,10 +313,15 @@ impl Served for CanBus {
     fn serve(
         fleet: &BusFleet<Self>,
         server: &mut Server,
+        adapter: Adapter,
         stream: UnixStream,
     ) -> Result<(), ServeError> {
         server.host_can(fleet);
-        server.serve_adapter_on(fleet, stream)
+        let controller = match adapter {
+            Adapter::Kind => ControllerConfig { transmit_queue: 64, ..ControllerConfig::SOCKETCAN },
+            Adapter::Unkind => ControllerConfig::MAILBOXES,
+        };
+        server.serve_adapter_on(fleet, controller, stream)
     }
 
     fn hear((): &mut (), frame: &SimpleFrame, mut note: impl FnMut(Packet)) {

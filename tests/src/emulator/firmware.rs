@@ -7,9 +7,8 @@ use std::time::{Duration, Instant as WallTime};
 use myactuator_host_std::sim::{DriveHandle, Fleet};
 use myactuator_protocol_core::time::Instant;
 
-use super::adapter::Adapter;
 use super::board::{Board, Wire};
-use super::drives::Drives;
+use super::drives::{Adapter, Drives};
 use super::image;
 use super::log::{Line, Mark, Second};
 use super::panel::Breakage;
@@ -52,7 +51,7 @@ impl Firmware {
     ///
     /// # Panics
     /// If it does not start: what is missing, and how to get it.
-    pub fn start(board: Board, program: &str, fleet: &Fleet, adapter: Option<Adapter>) -> Self {
+    pub fn start(board: Board, program: &str, fleet: &Fleet, adapter: Adapter) -> Self {
         let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
         match Self::try_start(board, program, fleet, adapter, alone) {
             Ok(firmware) => firmware,
@@ -64,7 +63,7 @@ impl Firmware {
         board: Board,
         program: &str,
         fleet: &Fleet,
-        adapter: Option<Adapter>,
+        adapter: Adapter,
         alone: MutexGuard<'static, ()>,
     ) -> Result<Self, Failure> {
         let wire = Wire::of_program(program)?;

@@ -17,7 +17,6 @@
 //! | [`qemu`] | the emulator's process |
 //! | [`panel`] | the button, and ways to break the firmware |
 //! | [`log`] | what the firmware tells |
-//! | [`adapter`] | what may lie between the firmware and the bus |
 //! | [`drives`] | the simulated drives: disturbed, and asked what they heard |
 //! | [`truth`] | where the shafts really were, and when they stood still |
 //! | [`urgency`] | the processor's time for all of this |
@@ -28,7 +27,6 @@
 //! pseudo-terminal, though the drives have one for programs: Linux hands a pseudo-terminal's bytes over in
 //! a thread of its own, which on a busy machine comes milliseconds late.
 
-pub mod adapter;
 pub mod board;
 pub mod drives;
 mod emulated;

@@ -4,15 +4,21 @@ use myactuator_host_std::Unexpected;
 use myactuator_host_std::sim::plant::MotorParameters;
 use myactuator_host_std::sim::{self, Adapter};
 use myactuator_protocol_core::drive::Quirks;
+use myactuator_protocol_core::time::Duration;
 
 /// The RS485 adapter's quirks: it hands back what is sent, without noise or with it.
 const ECHO: &str = "echo";
 const ECHO_NOISE: &str = "echo-noise";
+/// The quirk of all adapters, and how often those with FTDI's chips hand over what they hear.
+const BURSTS: &str = "bursts";
+const USUAL_BURSTS: Duration = Duration::from_millis(16);
+
+const OF_ADAPTERS: [&str; 3] = [ECHO, ECHO_NOISE, BURSTS];
 
 /// All quirks: the drives' and the adapter's.
 pub(super) fn quirk_names() -> Vec<String> {
     let of_drives = sim::quirk_names().into_iter();
-    of_drives.chain([ECHO.to_owned(), ECHO_NOISE.to_owned()]).collect()
+    of_drives.chain(OF_ADAPTERS.map(str::to_owned)).collect()
 }
 
 pub(super) fn quirk(text: &str) -> Result<String, String> {
@@ -23,19 +29,27 @@ pub(super) fn quirk(text: &str) -> Result<String, String> {
 
 /// The drives' quirks among these.
 pub(super) fn drives_quirks(quirks: &[String]) -> Result<Quirks, Unexpected> {
-    sim::quirks_named(quirks.iter().filter(|name| *name != ECHO && *name != ECHO_NOISE))
+    sim::quirks_named(quirks.iter().filter(|name| !OF_ADAPTERS.contains(&name.as_str())))
 }
 
 /// The adapter that they make.
 pub(super) fn adapter(quirks: &[String]) -> Adapter {
-    let has = |name: &str| quirks.iter().any(|quirk| quirk == name);
-    if has(ECHO_NOISE) {
+    if has(quirks, ECHO_NOISE) {
         Adapter::EchoNoise
-    } else if has(ECHO) {
+    } else if has(quirks, ECHO) {
         Adapter::Echo
     } else {
         Adapter::Plain
     }
+}
+
+/// How often adapters hand over what they hear; zero for at once.
+pub(super) fn bursts(quirks: &[String]) -> Duration {
+    if has(quirks, BURSTS) { USUAL_BURSTS } else { Duration::ZERO }
+}
+
+fn has(quirks: &[String], name: &str) -> bool {
+    quirks.iter().any(|quirk| quirk == name)
 }
 
 /// The model of this name, or in this file.
@@ -52,9 +66,13 @@ mod tests {
         for name in quirk_names() {
             let quirk = quirk(&name).unwrap();
             let quirks = std::slice::from_ref(&quirk);
-            let is_the_drives = !name.starts_with("echo");
-            assert_eq!(drives_quirks(quirks).unwrap() != Quirks::default(), is_the_drives);
-            assert_eq!(adapter(quirks) == Adapter::Plain, is_the_drives, "{name}");
+            let is_an_adapters =
+                adapter(quirks) != Adapter::Plain || bursts(quirks).as_millis() == 16;
+            assert_eq!(
+                drives_quirks(quirks).unwrap() == Quirks::default(),
+                is_an_adapters,
+                "{name}"
+            );
         }
         assert!(quirk("slow_boot").unwrap_err().contains("slow-boot, slow-brake"));
         assert_eq!(adapter(&["echo".to_owned()]), Adapter::Echo);

@@ -119,6 +119,7 @@ mod tests {
     use myactuator_host_std::BusKind;
     use myactuator_host_std::sim::{Adapter, Fleet};
     use myactuator_host_std::text::slcan::Rate;
+    use myactuator_protocol_core::time::Duration;
 
     fn bus(name: Option<&str>, kind: BusKind, bit_rate: u32) -> RobotBus {
         let fleet = Fleet::new(2);
@@ -127,7 +128,7 @@ mod tests {
             None => fleet,
         };
         let (adapter, interface, faults) = (Adapter::Plain, None, Vec::new());
-        RobotBus { fleet, kind, bit_rate, adapter, interface, faults }
+        RobotBus { fleet, kind, bit_rate, adapter, bursts: Duration::ZERO, interface, faults }
     }
 
     fn told(names: [Option<&str>; 2], json: bool) -> Vec<String> {

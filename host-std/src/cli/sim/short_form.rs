@@ -17,6 +17,7 @@ pub(super) fn buses(arguments: &Arguments) -> Result<Vec<Served>, String> {
         kind,
         bit_rate,
         adapter: options::adapter(&arguments.quirks),
+        bursts: options::bursts(&arguments.quirks),
         interface: None,
         faults: arguments.faults.clone(),
     };

@@ -107,6 +107,7 @@ impl File<'_> {
             kind,
             bit_rate,
             adapter: bus.adapter.map(Spanned::into_inner).unwrap_or_default(),
+            bursts: Duration::from_millis(bus.bursts_ms.unwrap_or(0).into()),
             interface: bus.interface.map(Spanned::into_inner),
             faults: bus.faults.iter().map(|fault| fault.get_ref().0).collect(),
         })

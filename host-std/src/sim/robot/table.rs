@@ -30,6 +30,7 @@ pub(super) struct BusTable {
     pub(super) kind: Word<BusKind>,
     pub(super) bit_rate: Spanned<u32>,
     pub(super) adapter: Option<Spanned<Adapter>>,
+    pub(super) bursts_ms: Option<u16>,
     pub(super) interface: Option<Spanned<String>>,
     #[serde(default)]
     pub(super) faults: Vec<Spanned<Word<PlannedFault>>>,

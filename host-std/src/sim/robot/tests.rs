@@ -132,6 +132,7 @@ fn every_key_of_a_bus_is_read() {
         kind = "rs485"
         bit_rate = 115_200
         adapter = "echo-noise"
+        bursts_ms = 16
         motor = [{ id = 9 }]
         "#,
     );
@@ -143,6 +144,7 @@ fn every_key_of_a_bus_is_read() {
     assert_eq!(arm.faults[0].kind, FaultKind::Cut);
     assert_eq!((tool.name(), tool.kind, tool.bit_rate), ("tool", BusKind::Rs485, 115_200));
     assert_eq!((tool.adapter, &tool.interface), (Adapter::EchoNoise, &None));
+    assert_eq!(tool.bursts.as_millis(), 16);
     assert!(tool.adapter.transceiver().echo && tool.adapter.transceiver().switch_noise > 0.0);
     assert!(!Adapter::Plain.transceiver().echo);
 
