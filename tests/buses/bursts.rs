@@ -3,7 +3,7 @@
 use embedded_can::nb::Can as _;
 use embedded_io::{Read as _, ReadReady as _};
 use myactuator_host_std::sim::bus::can::CanPort;
-use myactuator_host_std::sim::bus::rs485::SerialPort;
+use myactuator_host_std::sim::bus::rs485::{SerialPort, SerialWorld};
 use myactuator_host_std::sim::{CanFleet, Fleet, LineFleet};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
@@ -61,4 +61,18 @@ fn bytes_of_a_frame_come_together() {
     fleet.world.run_until(Instant::from_micros(16_000));
     let mut bytes = [0; 32];
     assert_eq!(port.read(&mut bytes).unwrap(), 13);
+}
+
+/// Bytes of 10 us and bursts of 20 us: every second byte ends just when the one before it is handed over.
+#[test]
+fn a_byte_that_ends_with_a_burst_stays_behind_the_others() {
+    let world = SerialWorld::new(1_000_000, 1);
+    let (mut sender, mut listener) = (world.port(), world.port());
+    world.hand_over_every(listener.station(), Duration::from_micros(20));
+    let sent: Vec<u8> = (1..=13).collect();
+    embedded_io::Write::write_all(&mut sender, &sent).unwrap();
+    world.run_for(Duration::from_millis(1));
+    let mut heard = [0; 13];
+    assert_eq!(listener.read(&mut heard).unwrap(), 13);
+    assert_eq!(heard, *sent);
 }

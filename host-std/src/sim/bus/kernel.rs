@@ -284,7 +284,8 @@ impl<B: Medium> Kernel<B> {
         let Station { not_before, bursts, .. } = self.stations[to];
         let at = self.around.now.saturating_add(late_by).max(not_before);
         let at = at.div_ceil(bursts).saturating_mul(bursts);
-        if at <= self.around.now {
+        // What is due now may still wait for its turn.
+        if at <= self.around.now && not_before != self.around.now {
             self.deliver(to, unit);
         } else {
             self.stations[to].not_before = at;
