@@ -13,7 +13,7 @@ use myactuator_protocol_core::master::Config;
 #[entry]
 fn main() -> ! {
     // Gentle: 5 degrees away from where it is to be, a motor turns back with less than 2 N·m.
-    let movement = Movement::Motion { ranges: MotionRanges::V4_3, kp: 20.0, kd: 1.0 };
+    let movement = Movement::Motion { ranges: MotionRanges::V4_3, kp: 50.0, kd: 2.0 };
     let setup = Setup::new(movement);
     let Parts { cause, clock, uart, mut board } = start(Bus::Slcan, SLCAN_LINE_RATE, &setup);
     let can = Slcan::open(uart, clock);
