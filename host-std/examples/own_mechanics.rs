@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let model = MotorParameters::named("RMD-X8-P20-120")?;
     let fleet = Fleet::new(2).model(model).on_can(1_000_000)?;
-    let led = fleet.lead(&fleet.drives, Duration::from_micros(500), Remote::new(process));
+    fleet.lead(&fleet.drives, Duration::from_micros(500), Remote::new(process));
 
     // Motor 1 turns; motor 2, which nobody drives, is drawn along by the spring between the two.
     let turn = AbsolutePosition {
@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let seconds = fleet.world.now().as_micros() as f64 / 1e6;
         println!("{seconds:.1}s: {first:.2} deg, {second:.2} deg");
     }
-    match led.failure() {
+    match fleet.mechanics_failure() {
         Some(failure) => Err(failure.into()),
         None => Ok(()),
     }

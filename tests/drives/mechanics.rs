@@ -1,10 +1,10 @@
 //! Drives whose shafts are moved by mechanics of their own.
 
-use std::os::unix::net::UnixStream;
+use std::os::unix::net::{UnixListener, UnixStream};
 
 use myactuator_host_std::sim::mechanics::{Failure, Link, Mechanics, Remote, Shaft, TwoLinks};
 use myactuator_host_std::sim::plant::MotorParameters;
-use myactuator_host_std::sim::{CanFleet, Fleet};
+use myactuator_host_std::sim::{CanFleet, Fleet, Robot};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadStatus2, ReleaseBrake};
 use myactuator_protocol_core::io::Runner;
@@ -47,7 +47,7 @@ fn hold_level(fleet: &CanFleet) {
 #[test]
 fn an_arm_of_two_links_is_held_level_by_what_it_weighs() {
     let fleet = fleet();
-    let led = fleet.lead(&fleet.drives, PERIOD, arm());
+    fleet.lead(&fleet.drives, PERIOD, arm());
     hold_level(&fleet);
     let [shoulder, elbow] = angles_deg(&fleet);
     assert!((shoulder - 90.0).abs() < 0.1 && elbow.abs() < 0.1, "{shoulder} {elbow}");
@@ -59,7 +59,7 @@ fn an_arm_of_two_links_is_held_level_by_what_it_weighs() {
         let torque_nm = f64::from(current) * 2.656 / 0.986;
         assert!((torque_nm - weight_nm).abs() < 1.5 + 0.02 * weight_nm, "{motor}: {torque_nm}");
     }
-    assert_eq!(led.failure(), None);
+    assert_eq!(fleet.mechanics_failure(), None);
 }
 
 #[test]
@@ -112,18 +112,19 @@ impl Mechanics for Failing {
 #[test]
 fn shafts_stand_where_mechanics_fail() {
     let fleet = fleet();
-    let led = fleet.lead(&fleet.drives[1..], PERIOD, Failing(100));
+    fleet.lead(&fleet.drives[1..], PERIOD, Failing(100));
     fleet.world.run_for(millis(51));
     let failed = angles_deg(&fleet);
     fleet.world.run_for(millis(100));
-    assert_eq!(led.failure().as_deref(), Some("the engine has crashed"));
+    assert_eq!(fleet.mechanics_failure().as_deref(), Some("the engine has crashed"));
     assert_eq!(angles_deg(&fleet), failed);
     assert!(failed[0] == 0.0 && (failed[1] - 50.0).abs() < 1.0, "{failed:?}");
 
+    let fleet = self::fleet();
     let nowhere = |_: Duration, shafts: &mut [Shaft]| shafts[0].angle_deg = f64::NAN;
-    let led = fleet.lead(&fleet.drives[..1], PERIOD, Moving(nowhere));
+    fleet.lead(&fleet.drives[..1], PERIOD, Moving(nowhere));
     fleet.world.run_for(millis(2));
-    let failure = led.failure().unwrap();
+    let failure = fleet.mechanics_failure().unwrap();
     assert!(failure.starts_with("the shaft of motor 1: output angle must be"), "{failure}");
 }
 
@@ -162,6 +163,41 @@ fn process(stream: UnixStream) {
         let answer = serde_json::json!({ "shafts": moved.collect::<Vec<_>>() });
         writeln!(answers, "{answer}").unwrap();
     }
+}
+
+#[test]
+fn a_process_that_a_robots_file_names_moves_the_shafts_of_its_bus() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = r#"
+        [[bus]]
+        name = "arm"
+        kind = "can"
+        bit_rate = 1_000_000
+        mechanics = { socket = "arm.sock", period_us = 500 }
+
+        [[bus.motor]]
+        ids = "1-2"
+        model = "RMD-X8-P20-120"
+        start_angle_deg = 90
+    "#;
+    let robot = Robot::from_toml(file, folder.path()).unwrap();
+    let nobody = robot.can("arm").unwrap_err().to_string();
+    assert!(nobody.contains("arm.sock\": start the process that listens there first"), "{nobody}");
+
+    let listener = UnixListener::bind(folder.path().join("arm.sock")).unwrap();
+    let other = std::thread::spawn(move || process(listener.accept().unwrap().0));
+    let fleet = robot.can("arm").unwrap();
+    // Level and folded back, with nobody who holds it: it falls.
+    fleet.world.run_for(millis(500));
+    let [shoulder, _] = angles_deg(&fleet);
+    assert!(shoulder < 80.0, "{shoulder}");
+    assert_eq!(fleet.mechanics_failure(), None);
+    drop(fleet);
+    other.join().unwrap();
+
+    let slow = file.replace("period_us = 500", "period_us = 99");
+    let error = Robot::from_toml(&slow, folder.path()).unwrap_err().to_string();
+    assert_eq!(error, "line 6: expected a period of 100 to 100000 us, found 99");
 }
 
 #[test]

@@ -56,6 +56,9 @@ pub(super) trait Hosted: Debug {
     /// Lets something go wrong.
     fn strike(&mut self, fault: &PlannedFault);
 
+    /// Why shafts stand, said once.
+    fn poll_mechanics_failure(&mut self) -> Option<String>;
+
     /// What happened in the drives.
     fn poll_log(&mut self) -> Vec<LogRecord>;
 
@@ -71,6 +74,8 @@ pub(super) struct Host<B: Medium> {
     bit_rate: u32,
     drives: Vec<DriveHandle>,
     log: DriveLog,
+    /// Why shafts stand, until that was said.
+    mechanics_failure: Option<Arc<Mutex<Option<String>>>>,
     /// The plans of all drives that have none of their own, by direction.
     common: [FaultPlan; 2],
     /// Each drive's own plans.
@@ -94,6 +99,7 @@ impl<B: Medium> Host<B> {
             bit_rate: fleet.bit_rate,
             drives: fleet.drives.clone(),
             log: DriveLog::of(fleet),
+            mechanics_failure: Some(Arc::clone(&fleet.mechanics_failure)),
             common: [FaultPlan::NONE; 2],
             own: vec![[None; 2]; fleet.drives.len()],
             cut: vec![false; fleet.drives.len()],
@@ -232,6 +238,15 @@ impl<B: Medium> Hosted for Host<B> {
         }
     }
 
+    fn poll_mechanics_failure(&mut self) -> Option<String> {
+        let said = |failure: &Mutex<Option<String>>| {
+            failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        };
+        let reason = said(self.mechanics_failure.as_deref()?)?;
+        self.mechanics_failure = None;
+        Some(reason)
+    }
+
     fn poll_log(&mut self) -> Vec<LogRecord> {
         self.log.poll(self.world.now())
     }
@@ -254,9 +269,11 @@ impl<B: Medium> Hosted for Host<B> {
 mod tests {
     use super::*;
     use crate::sim::Fleet;
+    use crate::sim::mechanics::{Failure, Mechanics, Shaft};
     use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus1};
     use myactuator_protocol_core::io::{CanMaster, Runner};
     use myactuator_protocol_core::master::Config;
+    use myactuator_protocol_core::time;
 
     /// Two drives under virtual time, what hosts them, and whether each of them answers.
     fn answers(faults: &[&str]) -> [bool; 2] {
@@ -287,6 +304,23 @@ mod tests {
         assert_eq!(answers(&["lose=1@2", "lose=0"]), [true, true]);
         assert_eq!(answers(&["lose=1", "lose=0@2"]), [false, true]);
         assert_eq!(answers(&["cut", "slow=1s", "babble@1", "mend"]), [true, true]);
+    }
+
+    #[test]
+    fn a_failure_of_the_mechanics_is_said_once() {
+        struct Failing;
+        impl Mechanics for Failing {
+            fn step(&mut self, _: time::Duration, _: &mut [Shaft]) -> Result<(), Failure> {
+                Err("the engine has crashed".into())
+            }
+        }
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut host = Host::new(&fleet);
+        fleet.lead(&fleet.drives, time::Duration::from_millis(1), Failing);
+        assert_eq!(host.poll_mechanics_failure(), None);
+        fleet.world.run_for(time::Duration::from_millis(2));
+        let said = [(); 2].map(|()| host.poll_mechanics_failure());
+        assert_eq!(said, [Some("the engine has crashed".to_owned()), None]);
     }
 
     #[test]

@@ -154,6 +154,14 @@ pub enum Notice {
         /// What the bus has, in bit/s.
         bus_rate: u32,
     },
+    /// What moves the shafts of a bus has failed.
+    #[error("the shafts of bus \"{bus}\" stand: {reason}")]
+    ShaftsStand {
+        /// The name of the bus.
+        bus: String,
+        /// Why.
+        reason: String,
+    },
     /// The CAN interface's bus carries nothing, so the drives' frames are lost.
     #[error("replies are lost: {0}")]
     Outage(PortError),
@@ -391,6 +399,11 @@ impl Server {
     }
 
     fn tell_log(&mut self, notify: &mut dyn FnMut(Notice)) {
+        for host in &mut self.hosts {
+            if let Some(reason) = host.poll_mechanics_failure() {
+                notify(Notice::ShaftsStand { bus: host.name().to_owned(), reason });
+            }
+        }
         for record in self.hosts.iter_mut().flat_map(|host| host.poll_log()) {
             if let Some(control) = &mut self.control {
                 control.tell(&record);

@@ -82,4 +82,4 @@ pub use log::{DriveLog, LogRecord};
 pub use model_file::named_model;
 pub use planned_fault::{Chance, FaultKind, PlannedFault};
 pub use quirk_names::{quirk_names, quirks_named};
-pub use robot::{Adapter, Robot, RobotBus, RobotError};
+pub use robot::{Adapter, MechanicsProcess, Robot, RobotBus, RobotError};

@@ -5,15 +5,20 @@ mod table;
 
 use std::fs;
 use std::io;
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 
 use myactuator_protocol_core::time::Duration;
 use serde::Deserialize;
 
+use super::bus::Medium;
 use super::bus::rs485::TransceiverConfig;
-use super::{CanFleet, Fleet, FleetError, LineFleet, PlannedFault};
+use super::mechanics::Remote;
+use super::{BusFleet, CanFleet, Fleet, FleetError, LineFleet, PlannedFault};
 use crate::BusKind;
 
+/// A process that does not answer for so long is taken for dead.
+const MECHANICS_PATIENCE: std::time::Duration = std::time::Duration::from_secs(5);
 /// How likely an adapter with noise hears a byte that nobody sent, each time it switches.
 const ECHO_NOISE: f32 = 0.1;
 
@@ -74,6 +79,7 @@ const ECHO_NOISE: f32 = 0.1;
 /// | `bit_rate` | bit/s: 10 000 to 1 000 000 on CAN, 1 200 to 12 000 000 on RS485 | an error |
 /// | `adapter` | of whoever serves an RS485 line to other programs: `"echo"` or `"echo-noise"`, see [`Adapter`] | `"plain"` |
 /// | `bursts_ms` | how often whoever serves the bus to other programs hands over what is heard, ms, as USB adapters do: 16 is usual | at once |
+/// | `mechanics` | what moves the shafts of this bus in place of the motors and their loads: `{ socket = "…", period_us = 500 }`, a Unix socket where a process [listens](super::mechanics), and how often it is asked, 100 to 100 000 µs | nothing |
 /// | `interface` | a CAN interface such as `"vcan0"` on which to serve a CAN bus as well | none |
 /// | `faults` | what goes wrong while the bus is served, each as in [`PlannedFault`] | nothing |
 /// | `shared_ids` | whether several motors may have the same id, as from the factory | `false` |
@@ -118,12 +124,23 @@ pub struct RobotBus {
     pub adapter: Adapter,
     /// How often adapters hand over to programs outside what they hear; zero for at once.
     pub bursts: Duration,
+    /// The process that moves the shafts, where the motors do not by themselves.
+    pub mechanics: Option<MechanicsProcess>,
     /// The CAN interface on which to serve a CAN bus as well.
     pub interface: Option<String>,
     /// What goes wrong with its motors, and when. They strike where the bus is served in real time
     /// (`serve::Server::plan_on`): a program under virtual time does to [`BusFleet::world`](super::BusFleet::world)
     /// what it likes, when it likes.
     pub faults: Vec<PlannedFault>,
+}
+
+/// A process that moves shafts; see [`mechanics`](super::mechanics).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MechanicsProcess {
+    /// The Unix socket where it listens.
+    pub socket: PathBuf,
+    /// How often it is asked.
+    pub period: Duration,
 }
 
 /// What an RS485 adapter does beside its work.
@@ -186,6 +203,20 @@ pub enum RobotError {
         name: String,
         /// What it is.
         kind: BusKind,
+    },
+    /// The process that moves its shafts cannot be reached.
+    #[error(
+        "bus \"{name}\": nobody moves the shafts at \"{}\": start the process that listens there first: \
+         {error}",
+        socket.display()
+    )]
+    NoMechanics {
+        /// The bus.
+        name: String,
+        /// Where the process was to listen.
+        socket: PathBuf,
+        /// What the operating system reports.
+        error: io::Error,
     },
     /// A fleet of one bus was wanted from a file with another number of them.
     #[error("one bus was expected, but the file has {0}: take `Robot`")]
@@ -276,10 +307,11 @@ impl RobotBus {
     /// Its motors on a CAN bus, at its bit rate, in virtual time.
     ///
     /// # Errors
-    /// [`RobotError::OtherKind`] or [`RobotError::Fleet`].
+    /// [`RobotError::OtherKind`], [`RobotError::Fleet`] or [`RobotError::NoMechanics`].
     pub fn on_can(&self) -> Result<CanFleet, RobotError> {
         self.check_kind(BusKind::Can)?;
-        self.fleet.on_can(self.bit_rate).map_err(|error| self.failed(error))
+        let fleet = self.fleet.on_can(self.bit_rate).map_err(|error| self.failed(error))?;
+        self.put_into_mechanics(fleet)
     }
 
     /// Its motors on an RS485 line, at its bit rate, in virtual time.
@@ -288,7 +320,25 @@ impl RobotBus {
     /// As [`on_can`](Self::on_can).
     pub fn on_rs485(&self) -> Result<LineFleet, RobotError> {
         self.check_kind(BusKind::Rs485)?;
-        self.fleet.on_rs485(self.bit_rate).map_err(|error| self.failed(error))
+        let fleet = self.fleet.on_rs485(self.bit_rate).map_err(|error| self.failed(error))?;
+        self.put_into_mechanics(fleet)
+    }
+
+    /// Has the process move the shafts, if there is one.
+    fn put_into_mechanics<B: Medium>(&self, fleet: BusFleet<B>) -> Result<BusFleet<B>, RobotError> {
+        let Some(MechanicsProcess { socket, period }) = &self.mechanics else { return Ok(fleet) };
+        let connected = UnixStream::connect(socket).and_then(|stream| {
+            stream.set_read_timeout(Some(MECHANICS_PATIENCE))?;
+            stream.set_write_timeout(Some(MECHANICS_PATIENCE))?;
+            Ok(stream)
+        });
+        let stream = connected.map_err(|error| RobotError::NoMechanics {
+            name: self.name().to_owned(),
+            socket: socket.clone(),
+            error,
+        })?;
+        fleet.lead(&fleet.drives, *period, Remote::new(stream));
+        Ok(fleet)
     }
 
     fn check_kind(&self, wanted: BusKind) -> Result<(), RobotError> {

@@ -128,7 +128,8 @@ mod tests {
             None => fleet,
         };
         let (adapter, interface, faults) = (Adapter::Plain, None, Vec::new());
-        RobotBus { fleet, kind, bit_rate, adapter, bursts: Duration::ZERO, interface, faults }
+        let bursts = Duration::ZERO;
+        RobotBus { fleet, kind, bit_rate, adapter, bursts, mechanics: None, interface, faults }
     }
 
     fn told(names: [Option<&str>; 2], json: bool) -> Vec<String> {

@@ -18,6 +18,7 @@ pub(super) fn buses(arguments: &Arguments) -> Result<Vec<Served>, String> {
         bit_rate,
         adapter: options::adapter(&arguments.quirks),
         bursts: options::bursts(&arguments.quirks),
+        mechanics: None,
         interface: None,
         faults: arguments.faults.clone(),
     };

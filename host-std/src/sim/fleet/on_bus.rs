@@ -101,6 +101,7 @@ pub struct BusFleet<B: Medium> {
     pub bit_rate: u32,
     /// That of the first drive.
     pub(super) firmware: Firmware,
+    pub(crate) mechanics_failure: Arc<Mutex<Option<String>>>,
 }
 
 /// Drives on a CAN bus.

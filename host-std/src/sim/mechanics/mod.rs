@@ -26,13 +26,13 @@
 //! }
 //!
 //! let fleet = Fleet::new(2).on_can(1_000_000)?;
-//! let led = fleet.lead(&fleet.drives, Duration::from_micros(500), Joined);
+//! fleet.lead(&fleet.drives, Duration::from_micros(500), Joined);
 //! fleet.drives[0].with(|drive| drive.plant_mut().set_external_torque_nm(1.0))?;
 //! fleet.world.run_for(Duration::from_secs(1));
 //! let angle_deg = |place: usize| fleet.drives[place].with(|it| it.plant().output_angle_deg());
 //! // At most 1 N·m / 0.5 kg·m² / 2 * (1 s)², 1 rad; viscous friction takes some.
 //! assert!(angle_deg(0) == angle_deg(1) && (40.0..57.3).contains(&angle_deg(1)));
-//! assert_eq!(led.failure(), None);
+//! assert_eq!(fleet.mechanics_failure(), None);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
@@ -54,7 +54,6 @@
 mod remote;
 mod two_links;
 
-use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use myactuator_protocol_core::MotorId;
@@ -77,7 +76,8 @@ pub trait Mechanics: Send {
     /// were at the period's beginning, and are to be what they are at its end.
     ///
     /// # Errors
-    /// Why it cannot go on. It is not asked again, and the shafts stand.
+    /// Why it cannot go on. It is not asked again, the shafts stand, and
+    /// [`BusFleet::mechanics_failure`] tells.
     fn step(&mut self, period: Duration, shafts: &mut [Shaft]) -> Result<(), Failure>;
 }
 
@@ -94,23 +94,6 @@ pub struct Shaft {
     pub speed_dps: f64,
 }
 
-/// What leads shafts, for a look at how it goes. It goes on without this, too.
-#[derive(Clone)]
-pub struct Leading(Arc<Mutex<Option<String>>>);
-
-impl Leading {
-    /// Why the shafts stand, if the mechanics failed or led a shaft where none can be.
-    pub fn failure(&self) -> Option<String> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-}
-
-impl fmt::Debug for Leading {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Leading").field("failure", &self.failure()).finish()
-    }
-}
-
 impl<B: Medium> BusFleet<B> {
     /// Has `mechanics` move the shafts of these drives from now on, a step each `period`. Their loads are not
     /// felt any more. A drive is led by one only.
@@ -119,17 +102,21 @@ impl<B: Medium> BusFleet<B> {
         drives: &[DriveHandle],
         period: Duration,
         mechanics: impl Mechanics + 'static,
-    ) -> Leading {
-        let leading = Leading(Arc::default());
+    ) {
         let mut leader = Leader {
             seats: drives.iter().map(|drive| Arc::clone(&drive.seat)).collect(),
             shafts: drives.iter().map(Shaft::of).collect(),
             period,
             mechanics,
-            leading: leading.clone(),
+            has_failed: false,
+            failure: Arc::clone(&self.mechanics_failure),
         };
         self.world.every(period, move |now| leader.step(now));
-        leading
+    }
+
+    /// Why shafts stand, if their mechanics failed or led them where none can be.
+    pub fn mechanics_failure(&self) -> Option<String> {
+        self.mechanics_failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
@@ -153,24 +140,26 @@ struct Leader<M> {
     shafts: Vec<Shaft>,
     period: Duration,
     mechanics: M,
-    leading: Leading,
+    has_failed: bool,
+    /// Where the first failure is told.
+    failure: Arc<Mutex<Option<String>>>,
 }
 
 impl<M: Mechanics> Leader<M> {
     fn step(&mut self, now: Instant) {
-        let failed = self.leading.failure().is_some();
         for (seat, shaft) in self.seats.iter().zip(&mut self.shafts) {
             let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
             seat.catch_up(now);
             shaft.acting = seat.drive.plant().acting();
         }
-        if failed {
+        if self.has_failed {
             return;
         }
         let moved = self.mechanics.step(self.period, &mut self.shafts).map_err(|it| it.to_string());
         if let Err(reason) = moved.and_then(|()| self.lead()) {
             self.stand();
-            *self.leading.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(reason);
+            self.has_failed = true;
+            self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
         }
     }
 

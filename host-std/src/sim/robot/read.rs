@@ -9,8 +9,8 @@ use myactuator_protocol_core::command::VersionDate;
 use myactuator_protocol_core::time::Duration;
 use toml::Spanned;
 
-use super::table::{BusTable, Ids, MotorTable, QuirkNames, RobotTable, Word};
-use super::{Robot, RobotBus};
+use super::table::{BusTable, Ids, MechanicsTable, MotorTable, QuirkNames, RobotTable, Word};
+use super::{MechanicsProcess, Robot, RobotBus};
 use crate::BusKind;
 use crate::sim::model_file::{line_of, named_model, of_toml};
 use crate::sim::plant::MotorParameters;
@@ -23,6 +23,8 @@ type Wrong = (usize, String);
 const CAN_RATES: RangeInclusive<u32> = 10_000..=1_000_000;
 /// What serial lines have.
 const RS485_RATES: RangeInclusive<u32> = 1_200..=12_000_000;
+/// From the plant's step to what no loop of a drive goes along with.
+const MECHANICS_PERIODS_US: RangeInclusive<u64> = 100..=100_000;
 /// The longest that a drive may take to answer, ms.
 const LONGEST_RESPONSE_MS: f64 = 1_000.0;
 /// The longest name of a bus, which becomes one of a file.
@@ -108,6 +110,7 @@ impl File<'_> {
             bit_rate,
             adapter: bus.adapter.map(Spanned::into_inner).unwrap_or_default(),
             bursts: Duration::from_millis(bus.bursts_ms.unwrap_or(0).into()),
+            mechanics: bus.mechanics.map(|it| self.mechanics(it)).transpose()?,
             interface: bus.interface.map(Spanned::into_inner),
             faults: bus.faults.iter().map(|fault| fault.get_ref().0).collect(),
         })
@@ -122,6 +125,16 @@ impl File<'_> {
         }
         let expected = format!("expected 1 to {LONGEST_NAME} letters, digits, \"-\" or \"_\"");
         Err(self.wrong(&name.span(), format!("{expected}, found \"{text}\"")))
+    }
+
+    fn mechanics(&self, table: MechanicsTable) -> Result<MechanicsProcess, Wrong> {
+        let (socket, given_us) = (self.folder.join(table.socket), *table.period_us.get_ref());
+        if MECHANICS_PERIODS_US.contains(&given_us) {
+            return Ok(MechanicsProcess { socket, period: Duration::from_micros(given_us) });
+        }
+        let (min, max) = MECHANICS_PERIODS_US.into_inner();
+        let what = format!("expected a period of {min} to {max} us, found {given_us}");
+        Err(self.wrong(&table.period_us.span(), what))
     }
 
     fn bit_rate(&self, kind: BusKind, rate: &Spanned<u32>) -> Result<u32, Wrong> {

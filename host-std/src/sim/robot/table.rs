@@ -1,6 +1,7 @@
 //! The tables of a robot's file, as they are written.
 
 use std::fmt;
+use std::path::PathBuf;
 use std::str::FromStr;
 
 use myactuator_protocol_core::command::MotionRanges;
@@ -31,6 +32,7 @@ pub(super) struct BusTable {
     pub(super) bit_rate: Spanned<u32>,
     pub(super) adapter: Option<Spanned<Adapter>>,
     pub(super) bursts_ms: Option<u16>,
+    pub(super) mechanics: Option<MechanicsTable>,
     pub(super) interface: Option<Spanned<String>>,
     #[serde(default)]
     pub(super) faults: Vec<Spanned<Word<PlannedFault>>>,
@@ -39,6 +41,13 @@ pub(super) struct BusTable {
     pub(super) defaults: Option<Spanned<MotorTable>>,
     #[serde(default)]
     pub(super) motor: Vec<Spanned<MotorTable>>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MechanicsTable {
+    pub(super) socket: PathBuf,
+    pub(super) period_us: Spanned<u64>,
 }
 
 #[derive(Debug, Default, Deserialize)]
