@@ -37,7 +37,9 @@ impl List {
         let (introduction, chapters) = TEXT.split_at(begin);
         for line in introduction.lines().filter_map(|line| line.strip_prefix("  - ")) {
             let (word, tests) = line.split_once(": ").expect(line);
-            list.words.insert(word, tests.split(", ").map(unquoted).collect());
+            let tests =
+                list.names(tests).unwrap_or_else(|expected| panic!("expected {expected}: {line}"));
+            list.words.insert(word, tests);
         }
         for line in chapters.lines().filter(|line| !line.is_empty()) {
             list.read_line(line).unwrap_or_else(|expected| panic!("expected {expected}: {line}"));
@@ -72,21 +74,35 @@ impl List {
             let (decided, untested) = (None, None);
             self.requirements.push(Requirement { section, number, tests, decided, untested });
         } else {
-            let (key, value) = line.trim_start().split_once(": ").ok_or("a line of the list")?;
+            let line = line.strip_prefix("  - ").ok_or("a line of the list")?;
+            let (key, value) = line.split_once(": ").ok_or("a line of the list")?;
+            let tests = if key == "test" { self.names(value)? } else { Vec::new() };
             let of = self.requirements.last_mut().ok_or("a requirement before")?;
             let order = "test, decided and untested in this order, each once";
             match key {
-                "- test" if of.tests.is_empty() && (of.decided, of.untested) == (None, None) => {
-                    of.tests = value.split(", ").map(unquoted).collect();
+                "test" if of.tests.is_empty() && (of.decided, of.untested) == (None, None) => {
+                    of.tests = tests;
                 }
-                "- decided" if (of.decided, of.untested) == (None, None) => {
+                "decided" if (of.decided, of.untested) == (None, None) => {
                     of.decided = Some(value);
                 }
-                "- untested" if of.untested.is_none() => of.untested = Some(value),
+                "untested" if of.untested.is_none() => of.untested = Some(value),
                 _ => return Err(order),
             }
         }
         Ok(())
+    }
+
+    /// What is named: words, and tests in the form by which `.ci/manual` finds them.
+    fn names(&self, value: &'static str) -> Result<Vec<&'static str>, &'static str> {
+        let is_name = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "_:".contains(c);
+        let name = |name: &'static str| match name.strip_prefix('`')?.strip_suffix('`') {
+            Some(test) if test.contains("::") && test.chars().all(is_name) => Some(test),
+            _ => None,
+        };
+        let word = |name| self.words.get_key_value(name).map(|(word, _)| *word);
+        let names = value.split(", ").map(|it| name(it).or_else(|| word(it)));
+        names.collect::<Option<_>>().ok_or("words, and tests as `program::module::name`")
     }
 
     /// The tests that a requirement or a word names.
@@ -95,10 +111,6 @@ impl List {
         let named = of_requirements.chain(self.words.values().flatten()).copied();
         named.filter(|test| !self.words.contains_key(test)).collect()
     }
-}
-
-fn unquoted(name: &'static str) -> &'static str {
-    name.trim_matches('`')
 }
 
 #[test]
@@ -154,6 +166,28 @@ fn source(test: &str) -> Option<PathBuf> {
         found = files.into_iter().find(|file| file.is_file()).or(found);
     }
     found
+}
+
+/// One that `.ci/manual` passed over could be a test that never runs.
+#[test]
+fn a_name_that_would_not_be_looked_up_is_refused() {
+    let mut list = List::default();
+    list.words.insert("examples", vec!["manual::buses::one"]);
+    for line in ["# 1 Buses", "- **1-1** drive: Hears."] {
+        list.read_line(line).unwrap();
+    }
+    for wrong in [
+        "  - test: manual::buses::one",
+        "  - test: `one`",
+        "  - test: `manual::buses::One`",
+        "  - test: example",
+        "    - test: `manual::buses::one`",
+        "- test: `manual::buses::one`",
+    ] {
+        assert!(list.read_line(wrong).is_err(), "{wrong}");
+    }
+    list.read_line("  - test: `manual::buses::one`, examples").unwrap();
+    assert_eq!(list.requirements[0].tests, ["manual::buses::one", "examples"]);
 }
 
 /// For whoever misspells one. Whether it ran is known only to who ran it: `.ci/manual`.
