@@ -282,6 +282,28 @@ fn errors_lead_to_bus_off_and_silence_back() {
 }
 
 #[test]
+fn a_controller_that_is_bus_off_takes_no_part() {
+    let world = CanWorld::new(1_000_000, 1);
+    let (mut port, mut other) = (world.port(), world.port());
+    break_until_bus_off(&world, &mut port);
+    let counts = |port: &CanPort| {
+        let status = world.controller(port.station());
+        (status.transmit_errors, status.receive_errors)
+    };
+    assert_eq!((counts(&port), counts(&other)), ((256, 0), (0, 32)));
+    // It counts no errors of others, and acknowledges nothing.
+    send(&mut other, frame(0x142));
+    while counts(&other).0 == 0 {
+        assert!(world.step());
+    }
+    world.set_faults(Direction::ToNodes, FaultPlan::NONE);
+    while counts(&other).0 == 8 {
+        assert!(world.step());
+    }
+    assert_eq!((counts(&port), counts(&other)), ((256, 0), (16, 32)));
+}
+
+#[test]
 fn a_busy_bus_ends_bus_off_later() {
     let (world, mut port, _listener) = scene();
     let log = world.log();

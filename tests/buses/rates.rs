@@ -86,6 +86,23 @@ fn a_stranger_breaks_fifteen_frames_and_is_error_passive_then() {
     }
 }
 
+/// The fastest finds the error first, and the slowest signals it for longest, whatever their order.
+#[test]
+fn of_several_strangers_the_fastest_breaks_a_frame_and_the_slowest_ends_it() {
+    for strangers in [[FAST, SLOW / 2], [SLOW / 2, FAST]] {
+        let (world, mut port, ..) = can(SLOW, strangers[0]);
+        let second = world.silent();
+        world.set_bit_rate(second, strangers[1]);
+        let log = world.log();
+        port.transmit(&smooth()).unwrap();
+        // Six bits of a microsecond; then 23 of four.
+        world.run_until(micros(6 + 92));
+        assert_eq!(counts(&world, port.station()).0, 8);
+        world.run_until(micros(6 + 92 + 6));
+        assert_eq!(starts_us(&log.take()), [0, 6 + 92]);
+    }
+}
+
 /// Those that could acknowledge are strangers to it: they break 15 of its frames, and then nobody says anything,
 /// which leads to error-passive and not to bus-off.
 #[test]
@@ -242,4 +259,41 @@ fn a_byte_lasts_ten_bits_of_its_senders_rate_and_who_sends_hears_itself() {
     let mut heard = [0; 1152];
     port.read_exact(&mut heard).unwrap();
     assert_eq!(heard, [0xA5; 1152]);
+}
+
+/// The acknowledge slot is behind 100 bits. Who has gone before it acknowledges nothing, and who comes in
+/// mid-frame waits for its end: it counts no error, whatever its rate.
+#[test]
+fn who_changes_in_mid_frame_has_no_part_in_it() {
+    type Change = fn(&CanWorld, StationId);
+    let changes: [Change; 3] = [
+        |world, station| world.reset(station),
+        |world, station| world.cut(station),
+        |world, station| world.set_bit_rate(station, SLOW),
+    ];
+    for (change, at_us) in changes.into_iter().flat_map(|it| [(it, 99), (it, 101)]) {
+        let world = CanWorld::new(FAST, 1);
+        let mut port = world.port();
+        let receiver = world.silent();
+        port.transmit(&smooth()).unwrap();
+        world.run_until(micros(at_us));
+        change(&world, receiver);
+        world.run_until(micros(100));
+        let errors = if at_us < 100 { 8 } else { 0 };
+        assert_eq!(counts(&world, port.station()).0, errors, "{at_us}");
+        world.run_until(micros(108));
+        assert_eq!(counts(&world, port.station()), (errors, 0, ErrorState::Active));
+        assert_eq!(world.controller(port.station()).queued, usize::from(at_us < 100));
+        assert_eq!(counts(&world, receiver), (0, 0, ErrorState::Active));
+    }
+    // Somebody else acknowledges it.
+    for change in changes {
+        let (world, mut port, [_, other], [heard, _]) = can(FAST, FAST);
+        port.transmit(&smooth()).unwrap();
+        world.run_until(micros(50));
+        change(&world, other);
+        world.run_until(micros(108));
+        assert_eq!(heard.heard(), [(108, smooth())]);
+        assert_eq!(counts(&world, other), (0, 0, ErrorState::Active));
+    }
 }

@@ -146,6 +146,14 @@ impl CanBus {
         }
     }
 
+    /// Whether somebody has followed what these send from its beginning, and acknowledges it.
+    fn is_heard(&self, wire: Wire, senders: &[usize], bit_rate: u32, started: Nanos) -> bool {
+        let mut others = self.on(wire).filter(|(station, _)| !senders.contains(station));
+        others.any(|(_, other)| {
+            other.bit_rate == bit_rate && other.joined <= started && !other.is_bus_off()
+        })
+    }
+
     fn start_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
         let now = around.now;
         let waiting = |(station, controller): (usize, &Controller)| {
@@ -167,14 +175,10 @@ impl CanBus {
         }
         let length = frame_bits(&frame) - INTERMISSION;
         let disturbance = around.injector.disturbance(first, length);
-        let (mut is_heard, mut is_broken_after, mut end_rate) = (false, NEVER, bit_rate);
-        for (station, other) in self.on(wire) {
-            if senders.contains(&station) || other.is_bus_off() {
-                continue;
-            }
-            if other.bit_rate == bit_rate {
-                is_heard = true;
-            } else if other.state() == ErrorState::Active {
+        let is_heard = self.is_heard(wire, &senders, bit_rate, now);
+        let (mut is_broken_after, mut end_rate) = (NEVER, bit_rate);
+        for (_, other) in self.on(wire) {
+            if other.bit_rate != bit_rate && other.state() == ErrorState::Active {
                 is_broken_after = is_broken_after.min(other.bits(STRANGE));
                 end_rate = end_rate.min(other.bit_rate);
             }
@@ -244,6 +248,8 @@ impl CanBus {
         for (station, controller) in self.on_mut(wire) {
             if senders.contains(&station) {
                 controller.count(ending, Role::Sender);
+            } else if controller.joined > started_ns {
+                // It waits for the end of what it has not heard begin.
             } else if controller.bit_rate != bit_rate {
                 deaf.push(station);
                 controller.count(ending, Role::Stranger);
@@ -291,19 +297,31 @@ impl CanBus {
         }
     }
 
-    /// Ends what a station has on its wire, because it is leaving it or is being reset.
+    /// Ends a station's part in what is on its wire, because it is leaving that or is being reset: it follows what
+    /// begins from now on.
     fn break_off(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {
         let wire = self.controllers[station].wire;
+        self.controllers[station].joined = around.now;
         let Phase::Sending { transmission, until } = &mut self.wires[place(wire)] else { return };
         if transmission.senders == [station] {
             transmission.ending = Ending::Broken;
             *until = around.now;
-            self.finish_on(wire, around);
-        } else {
-            // The wire sees no change.
-            transmission.senders.retain(|&sender| sender != station);
-            self.controllers[station].end(Ending::Broken);
+            return self.finish_on(wire, around);
         }
+        // The wire sees no change, unless nobody is left to acknowledge.
+        transmission.senders.retain(|&sender| sender != station);
+        let Transmission { started, bit_rate, ending, .. } = *transmission;
+        let slot_bits = frame_bits(&transmission.frame) - INTERMISSION - AFTER_ACKNOWLEDGE;
+        let slot = started + bits(slot_bits.into(), bit_rate);
+        let senders = transmission.senders.clone();
+        let is_open = matches!(ending, Ending::Sent { .. }) && around.now < slot;
+        if is_open
+            && !self.is_heard(wire, &senders, bit_rate, started)
+            && let Phase::Sending { transmission, until } = &mut self.wires[place(wire)]
+        {
+            (transmission.ending, *until) = (Ending::Unacknowledged, slot);
+        }
+        self.controllers[station].end(Ending::Broken);
     }
 }
 
@@ -361,7 +379,6 @@ impl Bus for CanBus {
         }
         self.break_off(station, around);
         self.controllers[station].wire = wire;
-        self.controllers[station].joined = around.now;
         if is_cut {
             self.wires[place(wire)] = Phase::Idle { since: around.now };
         }
@@ -377,7 +394,6 @@ impl Bus for CanBus {
     fn reset(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {
         self.break_off(station, around);
         self.controllers[station].clear();
-        self.controllers[station].joined = around.now;
         around.freed.push(station);
     }
 
