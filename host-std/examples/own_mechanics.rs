@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let model = MotorParameters::named("RMD-X8-P20-120")?;
     let fleet = Fleet::new(2).model(model).on_can(1_000_000)?;
-    fleet.lead(&fleet.drives, Duration::from_micros(500), Remote::new(process));
+    fleet.lead(&fleet.drives, Duration::from_micros(500), Remote::new(process))?;
 
     // Motor 1 turns; motor 2, which nobody drives, is drawn along by the spring between the two.
     let turn = AbsolutePosition {

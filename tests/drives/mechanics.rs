@@ -2,11 +2,14 @@
 
 use std::os::unix::net::{UnixListener, UnixStream};
 
-use myactuator_host_std::sim::mechanics::{Failure, Link, Mechanics, Remote, Shaft, TwoLinks};
-use myactuator_host_std::sim::plant::MotorParameters;
+use myactuator_host_std::sim::mechanics::{
+    AlreadyLed, Failure, Link, Mechanics, Remote, Shaft, TwoLinks,
+};
+use myactuator_host_std::sim::plant::{MotorParameters, SimulatedMotor};
 use myactuator_host_std::sim::{CanFleet, Fleet, Robot};
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{ReadStatus2, ReleaseBrake};
+use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus2, ReleaseBrake};
+use myactuator_protocol_core::drive::{Actuation, Plant as _};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::time::Duration;
 use myactuator_tests::values::{go_to, id, millis};
@@ -47,7 +50,7 @@ fn hold_level(fleet: &CanFleet) {
 #[test]
 fn an_arm_of_two_links_is_held_level_by_what_it_weighs() {
     let fleet = fleet();
-    fleet.lead(&fleet.drives, PERIOD, arm());
+    fleet.lead(&fleet.drives, PERIOD, arm()).unwrap();
     hold_level(&fleet);
     let [shoulder, elbow] = angles_deg(&fleet);
     assert!((shoulder - 90.0).abs() < 0.1 && elbow.abs() < 0.1, "{shoulder} {elbow}");
@@ -67,7 +70,7 @@ fn a_shoulder_that_starts_pushes_the_elbow() {
     let pushed = |links| {
         let fleet = fleet();
         if links {
-            fleet.lead(&fleet.drives, PERIOD, arm());
+            fleet.lead(&fleet.drives, PERIOD, arm()).unwrap();
         }
         let mut master = fleet.master::<2>();
         master.ask(id(1), go_to(90.0, 180)).unwrap();
@@ -86,7 +89,7 @@ fn a_shoulder_that_starts_pushes_the_elbow() {
 fn a_closed_brake_holds_what_the_mechanics_move() {
     let fleet = Fleet::new(2).model(model()).brakes(true).start_angle_deg(45.0);
     let fleet = fleet.on_can(1_000_000).unwrap();
-    fleet.lead(&fleet.drives, PERIOD, arm());
+    fleet.lead(&fleet.drives, PERIOD, arm()).unwrap();
     fleet.world.run_for(Duration::from_secs(1));
     assert!(angles_deg(&fleet).iter().all(|angle| (angle - 45.0).abs() < 1e-9));
     fleet.master::<2>().ask(id(1), ReleaseBrake).unwrap();
@@ -95,12 +98,34 @@ fn a_closed_brake_holds_what_the_mechanics_move() {
     assert!(shoulder < 40.0 && (elbow - 45.0).abs() < 1e-9, "{shoulder} {elbow}");
 }
 
-/// Fails after so many periods.
+/// A led shaft feels the motor and a hand, less viscous friction; dry friction is told apart.
+#[test]
+fn what_acts_on_a_led_shaft_is_told() {
+    let friction = model().friction;
+    let mut motor = SimulatedMotor::new(model()).unwrap();
+    motor.set_external_torque_nm(2.0).unwrap();
+    let off = Actuation { current_a: 0.0, output_on: false, brake_released: true };
+    for (speed_dps, dry_nm) in [(0.0, friction.static_nm), (90.0, friction.coulomb_nm)] {
+        motor.lead(0.0, speed_dps).unwrap();
+        motor.advance(&off, millis(10));
+        let acting = motor.acting();
+        let expected_nm = 2.0 - friction.viscous_nm_s_per_rad * speed_dps.to_radians();
+        assert!((acting.torque_nm - expected_nm).abs() < 1e-9, "{acting:?}");
+        assert!((acting.friction_nm - dry_nm).abs() < 1e-9, "{acting:?}");
+    }
+    assert!(friction.viscous_nm_s_per_rad > 0.0);
+}
+
+/// Fails once, after so many periods.
 struct Failing(u32);
 
 impl Mechanics for Failing {
     fn step(&mut self, _: Duration, shafts: &mut [Shaft]) -> Result<(), Failure> {
-        self.0 = self.0.checked_sub(1).ok_or("the engine has crashed")?;
+        if self.0 == 0 {
+            self.0 = u32::MAX;
+            return Err("the engine has crashed".into());
+        }
+        self.0 -= 1;
         for shaft in shafts {
             shaft.angle_deg += 0.5;
             shaft.speed_dps = 1_000.0;
@@ -112,7 +137,7 @@ impl Mechanics for Failing {
 #[test]
 fn shafts_stand_where_mechanics_fail() {
     let fleet = fleet();
-    fleet.lead(&fleet.drives[1..], PERIOD, Failing(100));
+    fleet.lead(&fleet.drives[1..], PERIOD, Failing(100)).unwrap();
     fleet.world.run_for(millis(51));
     let failed = angles_deg(&fleet);
     fleet.world.run_for(millis(100));
@@ -122,10 +147,52 @@ fn shafts_stand_where_mechanics_fail() {
 
     let fleet = self::fleet();
     let nowhere = |_: Duration, shafts: &mut [Shaft]| shafts[0].angle_deg = f64::NAN;
-    fleet.lead(&fleet.drives[..1], PERIOD, Moving(nowhere));
+    fleet.lead(&fleet.drives[..1], PERIOD, Moving(nowhere)).unwrap();
     fleet.world.run_for(millis(2));
     let failure = fleet.mechanics_failure().unwrap();
     assert!(failure.starts_with("the shaft of motor 1: output angle must be"), "{failure}");
+}
+
+#[test]
+fn a_drive_is_led_by_one_until_that_has_failed() {
+    let fleet = fleet();
+    let put = |angle_deg: f64| {
+        Moving(move |_: Duration, shafts: &mut [Shaft]| {
+            shafts.iter_mut().for_each(|shaft| shaft.angle_deg = angle_deg);
+        })
+    };
+    let twice = [0, 1, 0].map(|place| fleet.drives[place].clone());
+    assert_eq!(fleet.lead(&twice, PERIOD, put(70.0)), Err(AlreadyLed { motor: id(1) }));
+    fleet.lead(&fleet.drives[1..], PERIOD, Failing(10)).unwrap();
+    let second = fleet.lead(&fleet.drives, PERIOD, put(60.0));
+    assert_eq!(second, Err(AlreadyLed { motor: id(2) }));
+    fleet.world.run_for(millis(4));
+    let [free, led] = angles_deg(&fleet);
+    assert!(free == 0.0 && led < 10.0, "{free} {led}");
+    fleet.world.run_for(millis(4));
+    assert_eq!(fleet.mechanics_failure().as_deref(), Some("the engine has crashed"));
+    fleet.lead(&fleet.drives, PERIOD, put(50.0)).unwrap();
+    fleet.world.run_for(millis(2));
+    assert!(angles_deg(&fleet).iter().all(|angle| (angle - 50.0).abs() < 1e-9));
+}
+
+/// What moves a shaft does so whatever its drive does.
+#[test]
+fn a_led_shaft_turns_on_while_its_drive_has_no_power() {
+    let fleet = fleet();
+    let turning = |period: Duration, shafts: &mut [Shaft]| {
+        shafts[0].speed_dps = 100.0;
+        shafts[0].angle_deg += 100.0 * period.as_micros() as f64 * 1e-6;
+    };
+    fleet.lead(&fleet.drives[..1], PERIOD, Moving(turning)).unwrap();
+    fleet.world.run_for(millis(100));
+    fleet.world.reset(fleet.drives[0].station());
+    fleet.world.run_for(millis(900));
+    let [angle, _] = angles_deg(&fleet);
+    assert!((angle - 100.0).abs() < 0.2, "{angle}");
+    let told = fleet.master::<1>().ask(id(1), ReadMultiTurnAngle).unwrap().angle.degrees();
+    assert!((told - 100.0).abs() < 0.5, "{told}");
+    assert_eq!(fleet.mechanics_failure(), None);
 }
 
 struct Moving<F>(F);
@@ -207,7 +274,8 @@ fn another_process_moves_the_shafts_as_exactly_as_this_one() {
         match mechanics {
             Some(stream) => fleet.lead(&fleet.drives, PERIOD, Remote::new(stream)),
             None => fleet.lead(&fleet.drives, PERIOD, arm()),
-        };
+        }
+        .unwrap();
         let log = fleet.world.log();
         let mut master = fleet.master::<2>();
         master.ask(id(1), go_to(30.0, 90)).unwrap();

@@ -316,7 +316,7 @@ mod tests {
         }
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut host = Host::new(&fleet);
-        fleet.lead(&fleet.drives, time::Duration::from_millis(1), Failing);
+        fleet.lead(&fleet.drives, time::Duration::from_millis(1), Failing).unwrap();
         assert_eq!(host.poll_mechanics_failure(), None);
         fleet.world.run_for(time::Duration::from_millis(2));
         let said = [(); 2].map(|()| host.poll_mechanics_failure());

@@ -337,7 +337,8 @@ impl RobotBus {
             socket: socket.clone(),
             error,
         })?;
-        fleet.lead(&fleet.drives, *period, Remote::new(stream));
+        // Nobody leads new drives.
+        let _ = fleet.lead(&fleet.drives, *period, Remote::new(stream));
         Ok(fleet)
     }
 

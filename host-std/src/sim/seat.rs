@@ -18,6 +18,8 @@ pub(super) struct Seat {
     pub(super) receiver: Receiver,
     /// Where its shaft is kept, if that is to outlive the process.
     pub(super) shaft: Option<ShaftFile>,
+    /// Whether mechanics lead its shaft.
+    pub(super) is_led: bool,
 }
 
 impl Drop for Seat {

@@ -98,7 +98,7 @@ impl MotorSetup {
         let angle_deg = kept_deg.unwrap_or(self.start_angle_deg);
         plant.set_output_angle_deg(angle_deg).map_err(ParameterError::from)?;
         let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
-        Ok(Seat { drive, receiver: Receiver::new(), shaft })
+        Ok(Seat { drive, receiver: Receiver::new(), shaft, is_led: false })
     }
 }
 

@@ -26,7 +26,7 @@
 //! }
 //!
 //! let fleet = Fleet::new(2).on_can(1_000_000)?;
-//! fleet.lead(&fleet.drives, Duration::from_micros(500), Joined);
+//! fleet.lead(&fleet.drives, Duration::from_micros(500), Joined)?;
 //! fleet.drives[0].with(|drive| drive.plant_mut().set_external_torque_nm(1.0))?;
 //! fleet.world.run_for(Duration::from_secs(1));
 //! let angle_deg = |place: usize| fleet.drives[place].with(|it| it.plant().output_angle_deg());
@@ -94,15 +94,38 @@ pub struct Shaft {
     pub speed_dps: f64,
 }
 
+/// Other mechanics move the shaft.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("motor {motor} is led already: one mechanics moves a shaft, and may move several")]
+pub struct AlreadyLed {
+    /// The id that its drive started with.
+    pub motor: MotorId,
+}
+
+/// Whether it was led before.
+fn set_led(seat: &Mutex<Seat>, is_led: bool) -> bool {
+    let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
+    std::mem::replace(&mut seat.is_led, is_led)
+}
+
 impl<B: Medium> BusFleet<B> {
     /// Has `mechanics` move the shafts of these drives from now on, a step each `period`. Their loads are not
-    /// felt any more. A drive is led by one only.
+    /// felt any more. A drive is led by one only, until that has failed.
+    ///
+    /// # Errors
+    /// [`AlreadyLed`]: these mechanics move nothing then.
     pub fn lead(
         &self,
         drives: &[DriveHandle],
         period: Duration,
         mechanics: impl Mechanics + 'static,
-    ) {
+    ) -> Result<(), AlreadyLed> {
+        if let Some(place) = drives.iter().position(|drive| set_led(&drive.seat, true)) {
+            for drive in drives.iter().take(place) {
+                set_led(&drive.seat, false);
+            }
+            return Err(AlreadyLed { motor: drives[place].motor() });
+        }
         let mut leader = Leader {
             seats: drives.iter().map(|drive| Arc::clone(&drive.seat)).collect(),
             shafts: drives.iter().map(Shaft::of).collect(),
@@ -112,6 +135,7 @@ impl<B: Medium> BusFleet<B> {
             failure: Arc::clone(&self.mechanics_failure),
         };
         self.world.every(period, move |now| leader.step(now));
+        Ok(())
     }
 
     /// Why shafts stand, if their mechanics failed or led them where none can be.
@@ -147,13 +171,13 @@ struct Leader<M> {
 
 impl<M: Mechanics> Leader<M> {
     fn step(&mut self, now: Instant) {
+        if self.has_failed {
+            return;
+        }
         for (seat, shaft) in self.seats.iter().zip(&mut self.shafts) {
             let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
             seat.catch_up(now);
             shaft.acting = seat.drive.plant().acting();
-        }
-        if self.has_failed {
-            return;
         }
         let moved = self.mechanics.step(self.period, &mut self.shafts).map_err(|it| it.to_string());
         if let Err(reason) = moved.and_then(|()| self.lead()) {
@@ -180,6 +204,7 @@ impl<M: Mechanics> Leader<M> {
             let angle_deg = seat.drive.plant().output_angle_deg();
             // Where it is it can be led to.
             let _ = seat.drive.plant_mut().lead(angle_deg, 0.0);
+            seat.is_led = false;
         }
     }
 }

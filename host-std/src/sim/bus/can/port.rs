@@ -29,7 +29,7 @@ impl embedded_can::Error for CanError {
 ///
 /// No time passes in its calls. In virtual time, a loop that does nothing but poll would therefore
 /// poll forever: let a [`SimClock`](crate::sim::bus::SimClock) idle between polls. As an [`AsyncCan`] it
-/// waits, and [`World::block_on`] lets time go on meanwhile.
+/// waits, and [`World::block_on`](crate::sim::bus::World::block_on) lets time go on meanwhile.
 pub type CanPort = Port<CanBus>;
 
 impl embedded_can::nb::Can for CanPort {
