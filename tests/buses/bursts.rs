@@ -3,12 +3,14 @@
 use embedded_can::nb::Can as _;
 use embedded_io::{Read as _, ReadReady as _};
 use myactuator_host_std::sim::bus::can::CanPort;
+use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::rs485::{SerialPort, SerialWorld};
 use myactuator_host_std::sim::{CanFleet, Fleet, LineFleet};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::{can, rs485::Frame};
+use myactuator_tests::script::late_by;
 
 const PERIOD: Duration = Duration::from_millis(16);
 const MOTOR: MotorId = MotorId::MIN;
@@ -48,6 +50,28 @@ fn frames_come_at_multiples_of_the_period_and_all_that_came_until_then() {
     port.transmit(&ask).unwrap();
     fleet.world.run_for(Duration::from_micros(1_300));
     assert!(port.receive().is_ok());
+}
+
+/// Frames that are late or behind the next one are no exception.
+#[test]
+fn faults_change_nothing_about_bursts() {
+    for plan in [late_by(Duration::from_millis(3)), FaultPlan { reorder: 1.0, ..FaultPlan::NONE }] {
+        let (fleet, mut port) = on_can();
+        fleet.world.set_faults(Direction::ToPorts, plan);
+        let ask = can::encode(&ReadMultiTurnAngle.packet(MOTOR)).unwrap();
+        let mut come = 0;
+        for step in 1..=1_000_u64 {
+            if step % 100 == 0 {
+                port.transmit(&ask).unwrap();
+            }
+            fleet.world.run_until(Instant::from_micros(100 * step));
+            while port.receive().is_ok() {
+                come += 1;
+                assert_eq!(fleet.world.now().as_micros() % PERIOD.as_micros(), 0);
+            }
+        }
+        assert!((6..=9).contains(&come), "{come}");
+    }
 }
 
 #[test]

@@ -1,5 +1,8 @@
 //! Faults by chance and by hand, on both simulated buses, under the virtual clock.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use embedded_can::{Frame, StandardId, nb::Can as _};
 use embedded_io::Write as _;
 use myactuator_host_std::sim::bus::can::{
@@ -395,6 +398,18 @@ fn a_slow_node_answers_late_and_in_order() {
 }
 
 #[test]
+fn what_a_slow_node_has_under_way_is_lost_by_a_reset() {
+    let (world, mut port) = can();
+    let station = world.mirror();
+    world.slow_down(station, Duration::from_millis(5));
+    assert_eq!(port.transmit(&frame(1)), Ok(None));
+    world.run_until(micros(1_000));
+    world.reset(station);
+    world.run_until(seconds(1));
+    assert_eq!(receive_all(&mut port), []);
+}
+
+#[test]
 fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
     let world = CanWorld::new(1_000_000, 1);
     let station = world.sender([(0, frame(1))]);
@@ -407,6 +422,28 @@ fn a_slow_nodes_frames_wait_for_room_behind_its_babble() {
     let mut port = world.port();
     world.run_until(micros(20_000));
     assert_eq!(receive_all(&mut port), [frame(5), frame(5), frame(5), frame(1)]);
+}
+
+/// Periods and pauses that never end are none.
+#[test]
+fn what_comes_after_the_end_of_time_does_not_come() {
+    let (world, _) = can();
+    let station = world.silent();
+    let forever = Duration::from_micros(u64::MAX);
+    let calls = Arc::new(AtomicU32::new(0));
+    world.run_for(Duration::from_millis(1));
+    for period in [forever, Duration::from_millis(1), Duration::from_millis(1)] {
+        let calls = Arc::clone(&calls);
+        world.every(period, move |_| {
+            calls.fetch_add(1, Ordering::Relaxed);
+        });
+    }
+    let log = world.log();
+    world.babble(station, Some(Babble { interval: forever, frame: Some(frame(1)) }));
+    world.run_for(Duration::from_millis(10));
+    assert_eq!(calls.load(Ordering::Relaxed), 2 * 10);
+    let is_carried = |record: &&Record<_>| matches!(record.event, Event::Carried { .. });
+    assert_eq!(log.take().iter().filter(is_carried).count(), 1);
 }
 
 #[test]
@@ -536,6 +573,7 @@ fn a_reset_on_rs485_stops_what_is_being_sent() {
     // Three whole bytes, and the rest of the fourth.
     assert_eq!(heard.len(), 4);
     assert_eq!(bytes(&heard)[..3], READ_PID[..3]);
+    assert_ne!(bytes(&heard)[3], READ_PID[3]);
 }
 
 #[test]

@@ -176,7 +176,7 @@ impl<B: Medium> Kernel<B> {
         }
         for regular in self.regulars.iter_mut().filter(|it| it.next <= self.around.now) {
             (regular.work)(to_instant(self.around.now));
-            regular.next += regular.period;
+            regular.next = regular.next.saturating_add(regular.period);
         }
         for station in 0..self.stations.len() {
             if self.stations[station].due() <= self.around.now {
@@ -337,7 +337,7 @@ impl<B: Medium> Kernel<B> {
         {
             let random = &mut self.around.injector.babble;
             let frame = babble.frame.clone().unwrap_or_else(|| B::garbage(random));
-            state.babble_at = now + from_duration(babble.interval).max(MICROSECOND);
+            state.babble_at = now.saturating_add(from_duration(babble.interval).max(MICROSECOND));
             // A full queue loses it: there is more where it came from.
             self.bus.submit(station, frame, now);
         }

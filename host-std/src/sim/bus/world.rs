@@ -284,7 +284,7 @@ impl<B: Medium> World<B> {
     pub fn every(&self, period: Duration, work: impl FnMut(Instant) + Send + 'static) {
         let period = from_duration(period.max(Duration::from_micros(1)));
         self.with(|kernel| {
-            let next = kernel.around.now + period;
+            let next = kernel.around.now.saturating_add(period);
             kernel.regulars.push(Regular { period, next, work: Box::new(work) });
         });
     }
