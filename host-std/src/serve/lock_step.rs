@@ -30,6 +30,10 @@ impl Server {
         self.ends.iter_mut().for_each(|end| end.hold());
         loop {
             self.answer_requests(notify)?;
+            // Nobody else could end it.
+            let is_there =
+                |it: &Advance| self.control.as_ref().is_some_and(|all| all.has(it.client));
+            self.advance = self.advance.filter(is_there);
             if let Some(Advance { client, until }) = self.advance
                 && self.go_on(until, notify)?
             {

@@ -5,7 +5,7 @@ use std::io::{self, Read as _, Write as _};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::net::UnixStream;
 
-use rustix::event::PollFlags;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 /// The longest line, bytes.
 pub(super) const LONGEST_LINE: usize = 64 * 1024;
@@ -41,6 +41,15 @@ impl Client {
 
     pub(super) fn is_gone(&self) -> bool {
         self.state == State::Gone || (self.state == State::Leaving && self.unread.is_empty())
+    }
+
+    /// Notices if it has left while it waits for its answer: nobody reads from it then.
+    pub(super) fn look(&mut self) {
+        let mut end = [PollFd::new(&self.stream, PollFlags::empty())];
+        let is_up = poll(&mut end, Some(&Timespec::default())).is_ok_and(|count| count > 0);
+        if self.state == State::Waiting && is_up {
+            self.state = State::Gone;
+        }
     }
 
     /// What to wait for.

@@ -54,11 +54,16 @@ impl Control {
             if !found.file_type().is_socket() {
                 return Err(told(io::Error::other("something that is no socket has this name")));
             }
-            if UnixStream::connect(path).is_ok() {
-                let path = path.display();
-                return Err(format!(
-                    "another simulation has the control socket {path}: end it, or take another path"
-                ));
+            match UnixStream::connect(path) {
+                // Nobody listens: it was left.
+                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
+                Err(error) => return Err(told(error)),
+                Ok(_) => {
+                    let path = path.display();
+                    return Err(format!(
+                        "another simulation has the control socket {path}: end it, or take another path"
+                    ));
+                }
             }
             fs::remove_file(path).map_err(told)?;
         }
@@ -85,6 +90,7 @@ impl Control {
     pub(super) fn admit(&mut self) {
         for it in &mut self.clients {
             it.client.flush();
+            it.client.look();
         }
         self.clients.retain(|it| !it.client.is_gone());
         while self.clients.len() < MOST_CLIENTS
@@ -106,6 +112,11 @@ impl Control {
             Some((*number, line.and_then(|line| Request::parse(&line))))
         };
         self.clients.iter_mut().filter_map(next).collect()
+    }
+
+    /// Whether the program with this number is still there.
+    pub(super) fn has(&self, number: u64) -> bool {
+        self.clients.iter().any(|it| it.number == number)
     }
 
     /// Answers the program with this number, if it is still there.

@@ -129,6 +129,11 @@ fn one_simulation_has_a_socket_and_one_left_by_a_killed_one_is_replaced() {
     drop(third);
     fs::write(&path, "mine").unwrap();
     assert!(open(&path).unwrap_err().ends_with("something that is no socket has this name"));
+    // Somebody's socket of another kind, such as a log's.
+    fs::remove_file(&path).unwrap();
+    let _others = std::os::unix::net::UnixDatagram::bind(&path).unwrap();
+    assert!(open(&path).unwrap_err().starts_with("the control socket "));
+    assert!(path.exists());
 }
 
 #[test]
@@ -293,6 +298,139 @@ fn time_stands_until_a_program_says_how_far_it_may_go() {
     let now = other.ask(r#"{"time":{}}"#)["ok"]["at_us"].as_u64().unwrap();
     assert!(now < 20_000_000, "{now}");
     assert_eq!(one.next()["ok"]["at_us"], 20_000_000);
+}
+
+#[test]
+fn each_request_does_what_it_says() {
+    let served = Served::start(|server| {
+        server.host_can(&Fleet::new(2).on_can(1_000_000).unwrap());
+        server.in_lock_step();
+    });
+    let mut client = served.client();
+    let mut after = |us: u32, requests: &[&str]| {
+        let advance = format!(r#"{{"advance":{{"us":{us}}}}}"#);
+        for request in requests.iter().copied().chain([&*advance]) {
+            assert!(client.ask(request)["ok"].is_object(), "{request}");
+        }
+        client.ask(r#"{"state":{"motor":1}}"#)["ok"]["buses"][0].take()
+    };
+    let number = |bus: &Value, name: &str| bus["motors"][0][name].as_f64().unwrap();
+    let arm = r#"{"load":{"load":{"arm":{"mass_kg":2,"length_m":0.5,"down_deg":0}}}}"#;
+    let level = after(0, &[arm, r#"{"angle":{"angle_deg":90}}"#]);
+    // It pulls down: 2 kg * 9.80665 m/s² * 0.5 m.
+    assert!((number(&level, "load_torque_nm") + 9.80665).abs() < 1e-9, "{level}");
+    let held = after(2_000, &[r#"{"temperature":{"motor_c":60,"mosfet_c":70}}"#]);
+    let told = ["motor_temperature_c", "mosfet_temperature_c"].map(|name| number(&held, name));
+    assert_eq!(told, [60.0, 70.0]);
+    let warm = after(1_000_000, &[r#"{"temperature":{}}"#, r#"{"ambient":{"ambient_c":500}}"#]);
+    assert!(number(&warm, "motor_temperature_c") > 60.01, "{warm}");
+    let pushed = after(100_000, &[r#"{"load":{"load":{}}}"#, r#"{"push":{"torque_nm":-5}}"#]);
+    assert!(number(&pushed, "speed_dps") < -1.0, "{pushed}");
+    let supply = r#"{"supply":{"feedback_resistance_ohm":3,"capacitance_f":0.002}}"#;
+    let expected = json!({ "voltage_v": 48.0, "resistance_ohm": 0.05, "feedback_resistance_ohm": 3.0, "capacitance_f": 0.002 });
+    assert_has(&after(0, &[supply])["motors"][0]["supply"], &expected, supply);
+    // Ten frames of 44 bits at least and 8 bytes, up to 132 with stuff bits.
+    let traffic = after(9_500, &[r#"{"fault":{"fault":"babble=1ms@1"}}"#])["traffic"].take();
+    let [frames, busy_us] = ["frames", "busy_us"].map(|name| traffic[name].as_u64().unwrap());
+    assert!(frames == 10 && (440..=1_320).contains(&busy_us), "{traffic}");
+}
+
+/// What finds no room in a pseudo-terminal is kept, and what is written while time goes on waits for its end.
+#[test]
+fn in_lock_step_nothing_is_lost_or_too_early() {
+    use std::io::Read as _;
+
+    let (places, where_) = std::sync::mpsc::channel();
+    let served = Served::start(move |server| {
+        let can = Fleet::new(1).on_can(1_000_000).unwrap();
+        server.host_can(&can);
+        places.send(server.serve_adapter(&can).unwrap()).unwrap();
+        server.in_lock_step();
+    });
+    let path = where_.recv().unwrap();
+    let mut slcan = std::fs::File::options().read(true).write(true).open(path).unwrap();
+    rustix::io::ioctl_fionbio(&slcan, true).unwrap();
+    let (mut client, mut other) = (served.client(), served.client());
+    slcan.write_all(b"O\r").unwrap();
+    client.send(r#"{"advance":{"us":10000000}}"#);
+    while other.ask(r#"{"time":{}}"#)["ok"]["at_us"] == 0 {}
+    slcan.write_all(b"t14189C00000000000000\r").unwrap();
+    while other.ask(r#"{"advance":{"us":0}}"#)["error"].is_string() {}
+    let mut frames = |line: &str| {
+        assert!(other.ask(line)["ok"].is_object());
+        other.ask(r#"{"state":{}}"#)["ok"]["buses"][0]["traffic"]["frames"].as_u64().unwrap()
+    };
+    assert_eq!(frames(r#"{"time":{}}"#), 0);
+    frames(r#"{"fault":{"fault":"babble=200us"}}"#);
+    // Of some 14 characters each: more than a pseudo-terminal holds. Two are the question and its answer.
+    let sent = frames(r#"{"advance":{"us":4000000}}"#);
+    assert!(sent > 19_000, "{sent}");
+    let mut got = Vec::new();
+    let lines = |got: &[u8]| got.iter().filter(|&&byte| byte == b'\r').count() as u64;
+    let begun = std::time::Instant::now();
+    // The adapter's answers to O and to the question, and what it has heard: all but the question.
+    while lines(&got) < sent + 1 && begun.elapsed().as_secs() < 2 {
+        let _ = slcan.read_to_end(&mut got);
+        frames(r#"{"time":{}}"#);
+    }
+    assert_eq!(lines(&got), sent + 1);
+}
+
+#[test]
+fn time_stands_where_the_program_has_left_that_let_it_go_on() {
+    let served = Served::start(one_in_lock_step);
+    let (mut one, mut other) = (served.client(), served.client());
+    one.send(&format!(r#"{{"advance":{{"us":{}}}}}"#, u64::MAX));
+    let goes_on = |other: &mut Client| other.ask(r#"{"advance":{"us":0}}"#)["error"].is_string();
+    while !goes_on(&mut other) {}
+    // One that only has nothing more to say waits for its answer.
+    one.stream.shutdown(std::net::Shutdown::Write).unwrap();
+    assert!(goes_on(&mut other));
+    drop(one);
+    let left = std::time::Instant::now();
+    while goes_on(&mut other) {
+        assert!(left.elapsed().as_secs() < 2, "it goes on");
+    }
+}
+
+/// A program that never stops writing, whether that is sense or not, and never reads.
+#[test]
+fn a_flood_holds_nobody_up() {
+    use std::io::Write as _;
+
+    for is_in_lock_step in [false, true] {
+        let (places, where_) = std::sync::mpsc::channel();
+        let served = Served::start(move |server| {
+            let fleet = Fleet::new(1);
+            let can = fleet.on_can(1_000_000).unwrap();
+            server.host_can(&can);
+            places.send(server.serve_adapter(&can).unwrap()).unwrap();
+            let line = fleet.on_rs485(1_000_000).unwrap();
+            places.send(server.serve_line(&line, Default::default()).unwrap()).unwrap();
+            if is_in_lock_step {
+                server.in_lock_step();
+            }
+        });
+        let is_over = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+        let floods = [&b"V\r"[..], &[0x3E]].map(|sense| {
+            let path = where_.recv().unwrap();
+            let is_over = std::sync::Arc::clone(&is_over);
+            std::thread::spawn(move || {
+                let mut file = std::fs::File::options().read(true).write(true).open(path).unwrap();
+                rustix::io::ioctl_fionbio(&file, true).unwrap();
+                let flood = sense.repeat(1024);
+                while !is_over.load(std::sync::atomic::Ordering::Relaxed) {
+                    let _ = file.write(&flood);
+                }
+            })
+        });
+        let mut client = served.client();
+        for _ in 0..50 {
+            assert!(client.ask(r#"{"time":{}}"#)["ok"].is_object());
+        }
+        is_over.store(true, std::sync::atomic::Ordering::Relaxed);
+        floods.into_iter().for_each(|flood| flood.join().unwrap());
+    }
 }
 
 #[test]
