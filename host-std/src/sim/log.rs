@@ -179,7 +179,7 @@ mod tests {
     use crate::sim::Fleet;
     use crate::sim::plant::{EndStop, Load};
     use myactuator_protocol_core::command::{
-        AbsolutePosition, ForcePosition, FunctionControl, RawMotion, Reset, Shutdown,
+        AbsolutePosition, ErrorFlags, ForcePosition, FunctionControl, RawMotion, Reset, Shutdown,
     };
     use myactuator_protocol_core::drive::{Limit, NotRunReason};
     use myactuator_protocol_core::io::Runner;
@@ -244,6 +244,12 @@ mod tests {
         let [Event::TargetLimited { asked_deg: 90.0, limit_deg: 5.0, .. }] = limited[..] else {
             panic!("{limited:?}");
         };
+        // What does not run has no target.
+        fleet.drives[0].with(|drive| drive.raise_fault(ErrorFlags::OVER_SPEED));
+        told();
+        master.ask(MOTOR, AbsolutePosition { max_speed, angle }).unwrap();
+        let not_run = told();
+        assert!(matches!(not_run[..], [Event::NotRun { .. }]), "{not_run:?}");
     }
 
     #[test]
@@ -276,8 +282,8 @@ mod tests {
         let mut log = DriveLog::of(&fleet);
         for _ in 0..20 {
             fleet.drives[0].with(|drive| {
-                drive.raise_fault(myactuator_protocol_core::command::ErrorFlags::OVER_SPEED);
-                drive.clear_fault(myactuator_protocol_core::command::ErrorFlags::OVER_SPEED);
+                drive.raise_fault(ErrorFlags::OVER_SPEED);
+                drive.clear_fault(ErrorFlags::OVER_SPEED);
             });
         }
         let told = log.poll(fleet.world.now());
