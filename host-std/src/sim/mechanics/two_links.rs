@@ -60,7 +60,7 @@ impl TwoLinks {
     /// Inertia between the joints at these angles, kg·m²: torques are this times accelerations.
     fn inertia(&self, angle_rad: [f64; 2]) -> [[f64; 2]; 2] {
         let [upper, fore] = self.links;
-        let coupling = fore.mass_kg * upper.length_m * fore.centre_m * angle_rad[1].cos();
+        let coupling = fore.mass_kg * upper.length_m * fore.centre_m * libm::cos(angle_rad[1]);
         let of_fore = fore.inertia_kg_m2 + fore.mass_kg * fore.centre_m * fore.centre_m;
         let of_upper = upper.inertia_kg_m2
             + upper.mass_kg * upper.centre_m * upper.centre_m
@@ -75,11 +75,11 @@ impl TwoLinks {
     /// What gravity and the movement itself put on the joints, N·m.
     fn own_torque_nm(&self, angle_rad: [f64; 2], speed: [f64; 2]) -> [f64; 2] {
         let [upper, fore] = self.links;
-        let whirl = fore.mass_kg * upper.length_m * fore.centre_m * angle_rad[1].sin();
+        let whirl = fore.mass_kg * upper.length_m * fore.centre_m * libm::sin(angle_rad[1]);
         let shoulder_kg_m = upper.mass_kg * upper.centre_m + fore.mass_kg * upper.length_m;
         let fore_nm =
-            GRAVITY_M_S2 * fore.mass_kg * fore.centre_m * (angle_rad[0] + angle_rad[1]).sin();
-        let upper_nm = GRAVITY_M_S2 * shoulder_kg_m * angle_rad[0].sin() + fore_nm;
+            GRAVITY_M_S2 * fore.mass_kg * fore.centre_m * libm::sin(angle_rad[0] + angle_rad[1]);
+        let upper_nm = GRAVITY_M_S2 * shoulder_kg_m * libm::sin(angle_rad[0]) + fore_nm;
         let turning = speed[1] * (2.0 * speed[0] + speed[1]);
         [whirl * turning - upper_nm, -whirl * speed[0] * speed[0] - fore_nm]
     }
