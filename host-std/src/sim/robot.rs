@@ -92,7 +92,7 @@ const ECHO_NOISE: f32 = 0.1;
 /// |---|---|---|
 /// | `id` | 1 to 32 | `ids` |
 /// | `ids` | of several equal ones: `"1-6"` or `[1, 2, 5]` | `id` |
-/// | `model` | a name, or a file's that ends in `.toml`, looked for where the robot's file is | `"RMD-X6-P20-60"` |
+/// | `model` | a name such as `"RMD-X8-P20-120"` or `"X8-120"`, or a file's that ends in `.toml`, looked for where the robot's file is | `"RMD-X6-P20-60"` |
 /// | `firmware` | `"v4.3"` or `"v4.4"` | its model's |
 /// | `motion` | the scales of motion mode, a table as in files of models | the model's or the firmware's |
 /// | `version_date` | what 0xB2 tells: a whole number | the firmware's |

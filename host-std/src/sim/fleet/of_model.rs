@@ -3,7 +3,7 @@
 use myactuator_protocol_core::command::{BaudCode, ModelName, VersionDate};
 use myactuator_protocol_core::drive::{FaultLimits, Gains, Parameters};
 
-use crate::sim::plant::{MotorParameters, ParameterError};
+use crate::sim::plant::{MotorParameters, ParameterError, catalogue_name};
 
 /// The speed loop's bandwidth that factory gains aim at, rad/s.
 const BANDWIDTH_RAD_S: f32 = 1_000.0;
@@ -50,16 +50,11 @@ pub(super) fn parameters_of(model: &MotorParameters) -> Result<Parameters, Param
     })
 }
 
-/// Up to seven characters of the model's name, without the maker's "RMD-"; of a long one the ends, as the maker's
-/// catalogue has "X8-120" for the RMD-X8-P20-120.
+/// Up to seven characters of the model's name, without the maker's "RMD-"; of a long one what the catalogue has.
 fn model_name(name: &str) -> ModelName {
-    let name = name.strip_prefix("RMD-").unwrap_or(name);
     let mut bytes = [0; 7];
-    let ends = name.split_once('-').zip(name.rsplit_once('-'));
-    let short = match ends {
-        Some(((first, _), (_, last))) if name.len() > bytes.len() => format!("{first}-{last}"),
-        _ => name.to_owned(),
-    };
+    let whole = name.strip_prefix("RMD-").unwrap_or(name);
+    let short = if whole.len() > bytes.len() { catalogue_name(name) } else { whole.to_owned() };
     for (byte, character) in bytes.iter_mut().zip(short.bytes().filter(u8::is_ascii_graphic)) {
         *byte = character;
     }

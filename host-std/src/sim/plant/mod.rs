@@ -42,6 +42,7 @@ pub(in crate::sim) use figure::check;
 pub use led::ShaftTorque;
 pub(in crate::sim) use load::GRAVITY_M_S2;
 pub use load::{Arm, EndStop, Load, Spring};
+pub(in crate::sim) use models::catalogue_name;
 pub use models::{MODELS, Model};
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{

@@ -3,11 +3,27 @@
 /// A motor model that comes with the library.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Model {
-    /// Name for [`MotorParameters::named`](super::MotorParameters::named).
+    /// The maker's full name, for [`MotorParameters::named`](super::MotorParameters::named).
     pub name: &'static str,
     /// The parameter file: where each figure comes from stands in its comments. A good start for a
     /// file of one's own.
     pub toml: &'static str,
+}
+
+impl Model {
+    /// Whether this is its full name, or that of the maker's catalogue; capitals do not matter.
+    pub(super) fn is_called(&self, name: &str) -> bool {
+        self.name.eq_ignore_ascii_case(name) || catalogue_name(self.name).eq_ignore_ascii_case(name)
+    }
+}
+
+/// A model's name as the maker's catalogue has it, and drives tell it: "X8-120" for the RMD-X8-P20-120.
+pub(in crate::sim) fn catalogue_name(name: &str) -> String {
+    let name = name.strip_prefix("RMD-").unwrap_or(name);
+    match name.split_once('-').zip(name.rsplit_once('-')) {
+        Some(((first, _), (_, last))) => format!("{first}-{last}"),
+        None => name.to_owned(),
+    }
 }
 
 /// A model of the folder `models`.

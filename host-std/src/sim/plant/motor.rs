@@ -255,6 +255,11 @@ impl SimulatedMotor {
         Ok(())
     }
 
+    /// What [a hand](Self::set_external_torque_nm) puts on the shaft, N·m.
+    pub const fn external_torque_nm(&self) -> f64 {
+        self.external_torque_nm
+    }
+
     /// Leads the shaft: puts it to an angle, degrees, turning with a speed, degrees per second, which it keeps
     /// until it is led again. Neither the load nor the motor's own inertia moves it any more; the latter
     /// ([`inertia_kg_m2`](MotorParameters::inertia_kg_m2)) is for whoever leads it to mind.
@@ -278,6 +283,11 @@ impl SimulatedMotor {
     /// The brake sticks, open (`true`) or closed (`false`), whatever the drive does; `None` lets it go.
     pub fn force_brake(&mut self, open: Option<bool>) {
         self.forced_brake = open;
+    }
+
+    /// How [the brake sticks](Self::force_brake); `None` if it works.
+    pub const fn forced_brake(&self) -> Option<bool> {
+        self.forced_brake
     }
 
     /// Sets the air's temperature, °C.

@@ -221,12 +221,13 @@ pub struct MotorParameters {
 }
 
 impl MotorParameters {
-    /// A model that comes with the library; capitals do not matter.
+    /// A model that comes with the library, by its full name or by that of the maker's catalogue, which drives
+    /// tell: "RMD-X8-P20-120" or "X8-120". Capitals do not matter.
     ///
     /// # Errors
     /// [`ParameterError::UnknownModel`], which lists those that there are.
     pub fn named(name: &str) -> Result<Self, ParameterError> {
-        match MODELS.iter().find(|model| model.name.eq_ignore_ascii_case(name.trim())) {
+        match MODELS.iter().find(|model| model.is_called(name.trim())) {
             Some(model) => Self::from_toml(model.toml),
             None => Err(ParameterError::UnknownModel { name: name.to_owned() }),
         }
@@ -378,6 +379,7 @@ pub enum ParameterError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::plant::catalogue_name;
 
     const X6: crate::sim::plant::Model = MODELS[5];
 
@@ -392,6 +394,8 @@ mod tests {
         for model in MODELS {
             let parameters = MotorParameters::named(&model.name.to_lowercase()).unwrap();
             assert!(parameters.name.starts_with(model.name), "{}", parameters.name);
+            let catalogue = catalogue_name(model.name);
+            assert_eq!(MotorParameters::named(&catalogue).as_ref(), Ok(&parameters), "{catalogue}");
             let text = toml::to_string(&parameters).unwrap();
             assert_eq!(MotorParameters::from_toml(&text), Ok(parameters));
         }

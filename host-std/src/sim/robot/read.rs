@@ -32,7 +32,7 @@ const LONGEST_NAME: usize = 64;
 
 pub(super) fn robot(text: &str, folder: &Path) -> Result<Robot, Wrong> {
     let file = File { text, folder };
-    let robot: RobotTable = toml::from_str(text).map_err(|error| of_toml(text, &error))?;
+    let robot: RobotTable = toml::from_str(text).map_err(|error| wrong_table(text, &error))?;
     if robot.bus.is_empty() {
         return Err((1, "expected at least one [[bus]], found none".into()));
     }
@@ -48,6 +48,19 @@ pub(super) fn robot(text: &str, folder: &Path) -> Result<Robot, Wrong> {
         buses.push(file.bus(bus, at)?);
     }
     Ok(Robot { buses }.seed(robot.seed.unwrap_or(1)))
+}
+
+/// What is wrong with a file's tables; brackets that are one where two are needed are told as that.
+fn wrong_table(text: &str, error: &toml::de::Error) -> Wrong {
+    let (line, what) = of_toml(text, error);
+    let found =
+        text.lines().nth(line - 1).unwrap_or_default().split('#').next().unwrap_or_default();
+    match found.trim() {
+        header @ ("[bus]" | "[bus.motor]") => {
+            (line, format!("expected [{header}], for there may be several, found {header}"))
+        }
+        _ => (line, what),
+    }
 }
 
 struct File<'a> {

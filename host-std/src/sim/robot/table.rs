@@ -83,6 +83,11 @@ pub(super) struct QuirkNames(pub(super) Quirks);
 impl<'de> Deserialize<'de> for QuirkNames {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let names = Vec::<String>::deserialize(deserializer)?;
+        if let Some(name) = names.iter().find(|name| matches!(name.as_str(), "echo" | "echo-noise"))
+        {
+            let what = format!("\"{name}\" is the line's: say adapter = \"{name}\" in its [[bus]]");
+            return Err(D::Error::custom(what));
+        }
         quirks_named(names).map(Self).map_err(D::Error::custom)
     }
 }

@@ -41,6 +41,20 @@ fn a_motor_of_which_nothing_is_said_is_a_usual_one() {
     assert_eq!(motors("[[bus.motor]]\nid = 5"), [MotorSetup::new(id(5))]);
 }
 
+/// What the documentation says of a key in its third column.
+fn without_it(key: &str) -> &'static str {
+    let row = format!("/// | `{key}` | ");
+    let row = include_str!("../robot.rs").lines().find_map(|line| line.strip_prefix(&row));
+    row.unwrap().trim_end_matches(" |").rsplit(" | ").next().unwrap()
+}
+
+#[test]
+fn the_documentation_names_the_usual_model() {
+    let fleet = robot(&format!("{BUS}{MOTOR}id = 1")).can("arm").unwrap();
+    let name = fleet.drives[0].with(|drive| drive.plant().parameters().name.clone());
+    assert_eq!(without_it("model"), format!("`\"{name}\"`"));
+}
+
 #[test]
 fn every_key_of_a_motor_is_read_there_and_in_the_defaults() {
     let keys = r#"
@@ -261,6 +275,22 @@ fn what_is_wrong_is_told_with_its_line() {
         ("seed = -3".to_owned(), "line 1: invalid value: integer `-3`, expected u64"),
         ("robots = 3".to_owned(), "line 1: unknown field `robots`, expected `seed` or `bus`"),
         ("\n[[bus".to_owned(), "line 2: "),
+        (
+            "[bus] # one".to_owned(),
+            "line 1: expected [[bus]], for there may be several, found [bus]",
+        ),
+        (
+            format!("{BUS}{MOTOR}id = 1\n[bus]\nname = \"leg\""),
+            "line 7: expected [[bus]], for there may be several, found [bus]",
+        ),
+        (
+            format!("{BUS}[bus.motor]\nid = 1"),
+            "line 5: expected [[bus.motor]], for there may be several, found [bus.motor]",
+        ),
+        (
+            format!("{BUS}{MOTOR}id = 1\nquirks = [\"slow-boot\", \"echo\"]"),
+            "line 7: \"echo\" is the line's: say adapter = \"echo\" in its [[bus]]",
+        ),
     ] {
         let told = refused(&text);
         if !told.starts_with(expected) || told.contains('\n') {
