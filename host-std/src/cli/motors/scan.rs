@@ -7,12 +7,12 @@ use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadModel, ReadStatus1};
 use myactuator_protocol_core::io::{CallError, Runner, bring_up};
-use myactuator_protocol_core::master::{Failure, MotorSet};
+use myactuator_protocol_core::master::{Event, Failure, MotorSet};
 
 use super::group::Group;
 use super::on_bus::OnBus;
 use super::session::{Session, nobody_on, say};
-use crate::cli::{Outcome, Unfinished};
+use crate::cli::{Outcome, Unfinished, tell};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
 const LINE_RATES: [u32; 5] = [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000];
@@ -106,15 +106,24 @@ fn told_of_rate(address: &BusAddress, found: &Found) -> String {
 }
 
 fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome {
-    let read = session.ask(motor, ReadStatus1).and_then(|status| {
+    let mut answers_again = false;
+    let hear = |event| {
+        answers_again |= matches!(event, Event::Stray { motor: who, .. } if who == motor);
+    };
+    let model = match session.master.ask(motor, ReadModel) {
+        Ok(model) => Ok(Group::default().and(&model)),
         // Firmware V4.4 does not answer this.
-        let model = match session.master.ask(motor, ReadModel) {
-            Ok(model) => Group::default().and(&model),
-            Err(CallError::Failed(Failure::NoReply)) => Group::default(),
-            Err(error) => return Err(Unfinished::of_motor(motor)(error)),
-        };
-        Ok(model.and(&status))
-    });
+        Err(CallError::Failed(Failure::NoReply)) => Ok(Group::default()),
+        Err(error) => Err(Unfinished::of_motor(motor)(error)),
+    };
+    // Meanwhile another motor's answer to that comes.
+    let status = session.master.ask_with(motor, ReadStatus1, None, hear);
+    let status = status.map_err(Unfinished::of_motor(motor));
+    let read = model.and_then(|model| Ok(model.and(&status?)));
+    // A closer look takes half a second, so not without a reason.
+    if answers_again && bring_up::is_shared(&mut session.master, motor)? {
+        tell("note", format_args!("two motors seem to have id {motor}: connect only one of them"));
+    }
     match read {
         Ok(group) if as_json => say(&session.json(motor, &[group])),
         Ok(group) => say(&format!("motor {motor}: {group}")),
