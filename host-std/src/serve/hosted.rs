@@ -203,7 +203,8 @@ impl<B: Medium> Hosted for Host<B> {
         for drive in &self.drives {
             let own = drive.with(|drive| drive.bit_rate()).filter(|&own| own != bus_rate);
             if let Some(bit_rate) = own {
-                notify(Notice::OwnRate { motor: drive.motor(), bit_rate, bus_rate });
+                let (bus, motor) = (self.name.clone(), drive.motor());
+                notify(Notice::OwnRate { bus, motor, bit_rate, bus_rate });
             }
         }
     }

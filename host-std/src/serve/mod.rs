@@ -143,10 +143,12 @@ pub enum Notice {
     },
     /// A drive remembers another bit rate than its bus has.
     #[error(
-        "motor {motor} was set to {bit_rate} bit/s (0xB4), and its bus runs at {bus_rate}: it answers only \
-         at its own rate"
+        "motor {motor} of the bus \"{bus}\" was set to {bit_rate} bit/s (0xB4), and the bus runs at \
+         {bus_rate}: it answers only at its own rate"
     )]
     OwnRate {
+        /// The name of the bus.
+        bus: String,
         /// The drive.
         motor: MotorId,
         /// Its bit rate, in bit/s.

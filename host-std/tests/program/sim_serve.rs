@@ -164,7 +164,9 @@ fn a_motor_that_was_set_to_another_rate_is_found_at_that() {
     assert!(status.success());
     let beginnings: Vec<&str> = told.lines().map(|line| line.split(',').next().unwrap()).collect();
     let [drives @ .., a, b, c] = &beginnings[..] else { panic!("{told}") };
-    assert_eq!(drives, ["note: motor 2 was set to 500000 bit/s (0xB4)"; 2]);
+    let of =
+        |bus: &str| format!("note: motor 2 of the bus \"{bus}\" was set to 500000 bit/s (0xB4)");
+    assert_eq!(drives, ["rs485", "can"].map(of));
     // Once for each time that a program came with another rate.
     assert_eq!([*a, *b, *c], ["note: a program speaks at 500000 bit/s"; 3]);
 }
