@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use myactuator_host_std::open::{BusAddress, Echo};
 use myactuator_host_std::sim::RobotBus;
-use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::MotorId;
 use serde_json::{Value, json};
 
 /// A place where drives are served.
@@ -17,7 +17,8 @@ pub(super) struct Place {
     path: Option<PathBuf>,
     link: Option<PathBuf>,
     bit_rate: u32,
-    motors: MotorSet,
+    /// In order; some may have the same id.
+    motors: Vec<MotorId>,
 }
 
 impl Place {
@@ -36,7 +37,9 @@ impl Place {
     }
 
     fn of(bus: &RobotBus, address: BusAddress) -> Self {
-        let (name, motors) = (bus.name().to_owned(), bus.fleet.ids());
+        let name = bus.name().to_owned();
+        let mut motors: Vec<MotorId> = bus.fleet.motors().iter().map(|motor| motor.id).collect();
+        motors.sort_unstable();
         Self { name, address, path: None, link: None, bit_rate: bus.bit_rate, motors }
     }
 
@@ -63,7 +66,8 @@ impl Place {
             _ => format!("CAN at {} bit/s", self.bit_rate),
         };
         let name = if with_name { format!("{:<12} ", self.name) } else { String::new() };
-        format!("{name}{:<12} {place:<12} {rate}   motors {}", self.kind().1, self.motors)
+        let motors: String = self.motors.iter().map(|motor| format!(" {motor}")).collect();
+        format!("{name}{:<12} {place:<12} {rate}   motors{motors}", self.kind().1)
     }
 
     fn json(&self) -> Value {
@@ -171,6 +175,15 @@ mod tests {
                 "Ctrl-C ends it.",
             ]
         );
+    }
+
+    #[test]
+    fn motors_with_the_same_id_are_told_each() {
+        let mut bus = bus(None, BusKind::Can, 500_000);
+        bus.fleet = Fleet::new(3).all_with_id(MotorId::MIN);
+        let place = Place::on_interface(&bus, "vcan0");
+        assert!(place.text(false).ends_with("motors 1 1 1"), "{}", place.text(false));
+        assert_eq!(place.json()["motors"], json!([1, 1, 1]));
     }
 
     #[test]
