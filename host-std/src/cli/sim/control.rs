@@ -32,8 +32,15 @@ impl Options {
         Ok(Some(if is_json {
             json!({ "kind": "control", "path": path, "lock_step": self.lock_step }).to_string()
         } else {
-            let time = if self.lock_step { "   time stands until it is told to go on" } else { "" };
-            format!("{:<12} {}{time}", "control", path.display())
+            let path = path.display();
+            let time = if self.lock_step {
+                format!(
+                    "   time stands until it is told to go on: myactuator sim-control {path} advance 10ms"
+                )
+            } else {
+                String::new()
+            };
+            format!("{:<12} {path}{time}", "control")
         }))
     }
 }
