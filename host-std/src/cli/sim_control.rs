@@ -69,18 +69,22 @@ enum Command {
         angle_deg: f64,
     },
     /// Change the supply; what is not given stays
+    #[command(group = clap::ArgGroup::new("what").multiple(true).required(true))]
     Supply {
         #[command(flatten)]
         whom: Whom,
         /// Voltage without load, V
-        #[arg(long, value_name = "V")]
+        #[arg(long, group = "what", value_name = "V")]
         voltage_v: Option<f64>,
         /// Internal resistance, ohm
-        #[arg(long, value_name = "OHM")]
+        #[arg(long, group = "what", value_name = "OHM")]
         resistance_ohm: Option<f64>,
         /// Resistance against current that flows back, ohm
-        #[arg(long, value_name = "OHM")]
+        #[arg(long, group = "what", value_name = "OHM")]
         feedback_resistance_ohm: Option<f64>,
+        /// Capacitance at the drive's input, F
+        #[arg(long, group = "what", value_name = "F")]
+        capacitance_f: Option<f64>,
     },
     /// Set the air's temperature, °C
     #[command(allow_negative_numbers = true)]
@@ -90,6 +94,18 @@ enum Command {
         /// Degrees Celsius
         ambient_c: f64,
     },
+    /// Hold temperatures, °C; what is not given goes on by itself
+    #[command(allow_negative_numbers = true)]
+    Temperature {
+        #[command(flatten)]
+        whom: Whom,
+        /// The winding's, °C
+        #[arg(long, value_name = "C")]
+        motor_c: Option<f64>,
+        /// The output stage's, °C
+        #[arg(long, value_name = "C")]
+        mosfet_c: Option<f64>,
+    },
     /// Have the brake stick, or work again
     Brake {
         #[command(flatten)]
@@ -97,6 +113,14 @@ enum Command {
         /// What it does
         #[arg(value_enum)]
         state: Brake,
+    },
+    /// Cut a motor's cable, or mend it
+    Cable {
+        #[command(flatten)]
+        whom: Whom,
+        /// How it is from now on
+        #[arg(value_enum)]
+        state: Cable,
     },
     /// Have something go wrong, in the words of `sim --fault`; +TIME counts from now
     Fault {
@@ -125,6 +149,14 @@ enum Brake {
     Released,
     /// Does what its drive wants
     Works,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Cable {
+    /// The motor hears and says nothing
+    Cut,
+    /// It does again
+    Whole,
 }
 
 fn object(text: &str) -> Result<Value, String> {
@@ -171,17 +203,29 @@ impl Command {
             Self::Angle { whom, angle_deg } => {
                 whom.request("angle", json!({ "angle_deg": angle_deg }))
             }
-            Self::Supply { whom, voltage_v, resistance_ohm, feedback_resistance_ohm } => whom
-                .request(
-                    "supply",
-                    json!({
-                        "voltage_v": voltage_v,
-                        "resistance_ohm": resistance_ohm,
-                        "feedback_resistance_ohm": feedback_resistance_ohm,
-                    }),
-                ),
+            Self::Supply {
+                whom,
+                voltage_v,
+                resistance_ohm,
+                feedback_resistance_ohm,
+                capacitance_f,
+            } => whom.request(
+                "supply",
+                json!({
+                    "voltage_v": voltage_v,
+                    "resistance_ohm": resistance_ohm,
+                    "feedback_resistance_ohm": feedback_resistance_ohm,
+                    "capacitance_f": capacitance_f,
+                }),
+            ),
             Self::Ambient { whom, ambient_c } => {
                 whom.request("ambient", json!({ "ambient_c": ambient_c }))
+            }
+            Self::Temperature { whom, motor_c, mosfet_c } => {
+                whom.request("temperature", json!({ "motor_c": motor_c, "mosfet_c": mosfet_c }))
+            }
+            Self::Cable { whom, state } => {
+                whom.request("cable", json!({ "cut": *state == Cable::Cut }))
             }
             Self::Brake { whom, state } => {
                 let stuck = match state {
@@ -265,6 +309,11 @@ mod tests {
             ("push --id 2 -1.5", r#"{"push":{"motor":2,"torque_nm":-1.5}}"#),
             ("angle 90", r#"{"angle":{"angle_deg":90.0}}"#),
             ("supply --voltage-v 24", r#"{"supply":{"voltage_v":24.0}}"#),
+            ("supply --capacitance-f 0.01", r#"{"supply":{"capacitance_f":0.01}}"#),
+            ("temperature --id 2 --motor-c -5", r#"{"temperature":{"motor":2,"motor_c":-5.0}}"#),
+            ("temperature", r#"{"temperature":{}}"#),
+            ("cable --bus can cut", r#"{"cable":{"bus":"can","cut":true}}"#),
+            ("cable --id 3 whole", r#"{"cable":{"motor":3,"cut":false}}"#),
             ("ambient -20", r#"{"ambient":{"ambient_c":-20.0}}"#),
             ("brake --id 1 locked", r#"{"brake":{"motor":1,"stuck":"locked"}}"#),
             ("brake works", r#"{"brake":{}}"#),
@@ -281,6 +330,7 @@ mod tests {
         };
         assert!(wrong("fault loose").contains("expected lose, corrupt"));
         assert!(wrong("advance 5").contains("expected a time with its unit"));
+        assert!(wrong("supply --id 1").contains("--voltage-v"), "nothing would change");
         assert!(wrong("load 5").contains("expected a JSON object"));
     }
 }

@@ -172,7 +172,7 @@ impl<B: Medium> Hosted for Host<B> {
         let motors = self.drives.iter().zip(&self.cut);
         let motors = motors.filter(|(drive, _)| motor.is_none_or(|motor| motor == drive.motor()));
         let of = |(handle, &cut): (&DriveHandle, &bool)| {
-            handle.with(|drive| MotorState::of(handle.motor(), drive, cut))
+            handle.with(|drive| MotorState::of(handle.motor(), drive, self.bit_rate, cut))
         };
         let motors = motors.map(of).collect();
         let traffic = self.traffic.lock().unwrap_or_else(PoisonError::into_inner);

@@ -16,12 +16,13 @@ pub(super) fn lines(answer: &Value) -> Vec<String> {
             traffic["broken"],
             traffic["busy_us"].as_f64().unwrap_or_default() / 1e6,
         ));
+        let motor = |it| motor(it, &bus["bit_rate"]);
         lines.extend(list(&bus["motors"]).map(motor));
     }
     lines
 }
 
-fn motor(motor: &Value) -> String {
+fn motor(motor: &Value, bus_rate: &Value) -> String {
     let number = |key: &str| motor[key].as_f64().unwrap_or_default();
     let is = |key: &str| motor[key] == true;
     let mut line = format!(
@@ -43,6 +44,15 @@ fn motor(motor: &Value) -> String {
         None => add(if is("output_on") { "output on" } else { "output off" }),
     }
     add(&format!("brake {}", text(&motor["brake"])));
+    if let Some(stuck) = motor["brake_stuck"].as_str() {
+        add(&format!("stuck {stuck}"));
+    }
+    if number("push_nm") != 0.0 {
+        add(&format!("pushed by {:.2} N·m", number("push_nm")));
+    }
+    if motor["bit_rate"] != *bus_rate {
+        add(&format!("hears {} bit/s only", motor["bit_rate"]));
+    }
     if !is("powered") {
         add("without supply");
     } else if !is("running") {
@@ -81,9 +91,9 @@ mod tests {
                 "bus": "can", "bit_rate": 1_000_000,
                 "traffic": { "frames": 12, "broken": 1, "busy_us": 2_000 },
                 "motors": [{
-                    "motor": 3, "angle_deg": 90.004, "speed_dps": -12.0, "current_a": 1.5, "torque_nm": 3.9,
-                    "load_torque_nm": -3.9, "motor_temperature_c": 25.0, "mosfet_temperature_c": 30.0,
-                    "supply_voltage_v": 48.0, "mode": "speed", "output_on": true, "brake": "release",
+                    "motor": 3, "bit_rate": 500_000, "angle_deg": 90.004, "speed_dps": -12.0, "current_a": 1.5, "torque_nm": 3.9,
+                    "load_torque_nm": -3.9, "push_nm": -2.0, "motor_temperature_c": 25.0, "mosfet_temperature_c": 30.0,
+                    "supply_voltage_v": 48.0, "mode": "speed", "output_on": true, "brake": "release", "brake_stuck": "locked",
                     "powered": true, "running": true, "communication_lost": false, "cut": true,
                     "errors": ["stall"],
                 }],
@@ -95,7 +105,7 @@ mod tests {
                 "at 1.500000 s",
                 "can: 1000000 bit/s, 12 frames carried, 1 broken, 0.002 s busy",
                 "  motor 3: 90.00 deg, -12.0 dps, 1.50 A, 3.90 N·m (load -3.90 N·m), motor 25 °C, mosfet 30 °C, \
-                 48.0 V, speed, brake release, cable cut, error stall",
+                 48.0 V, speed, brake release, stuck locked, pushed by -2.00 N·m, hears 500000 bit/s only, cable cut, error stall",
             ]
         );
     }

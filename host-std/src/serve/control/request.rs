@@ -1,7 +1,7 @@
 //! What can be asked for.
 
 use myactuator_protocol_core::MotorId;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::sim::plant::Load;
 
@@ -70,7 +70,7 @@ pub(in crate::serve) enum Request {
 }
 
 /// How a brake sticks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(in crate::serve) enum Stuck {
     Locked,

@@ -4,6 +4,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ErrorFlags;
 use serde::Serialize;
 
+use super::request::Stuck;
 use crate::sim::SimulatedDrive;
 use crate::sim::plant::{Load, Supply};
 
@@ -33,6 +34,8 @@ pub(in crate::serve) struct MotorState {
     /// The id that it started with, and the one that it listens to.
     motor: MotorId,
     id: MotorId,
+    /// Its own, which need not be the bus's (0xB4).
+    bit_rate: u32,
     /// Of the output shaft, turns included.
     angle_deg: f64,
     speed_dps: f64,
@@ -43,6 +46,8 @@ pub(in crate::serve) struct MotorState {
     torque_nm: f64,
     /// What the load makes there.
     load_torque_nm: f64,
+    /// What a hand makes there.
+    push_nm: f64,
     motor_temperature_c: f32,
     mosfet_temperature_c: f32,
     supply_voltage_v: f32,
@@ -53,6 +58,8 @@ pub(in crate::serve) struct MotorState {
     output_on: bool,
     /// The drive's last command to its brake.
     brake: Option<&'static str>,
+    /// How the brake sticks, whatever its drive commands; `null` if it works.
+    brake_stuck: Option<Stuck>,
     powered: bool,
     /// Whether it hears commands.
     running: bool,
@@ -64,7 +71,12 @@ pub(in crate::serve) struct MotorState {
 }
 
 impl MotorState {
-    pub(in crate::serve) fn of(motor: MotorId, drive: &SimulatedDrive, cut: bool) -> Self {
+    pub(in crate::serve) fn of(
+        motor: MotorId,
+        drive: &SimulatedDrive,
+        bus_rate: u32,
+        cut: bool,
+    ) -> Self {
         let (state, plant) = (drive.state(), drive.plant());
         let measured = state.measurement;
         let (angle_deg, speed_dps) = (plant.output_angle_deg(), plant.output_speed_dps());
@@ -75,6 +87,7 @@ impl MotorState {
         Self {
             motor,
             id: drive.id(),
+            bit_rate: drive.bit_rate().unwrap_or(bus_rate),
             angle_deg,
             speed_dps,
             told_angle_deg: state.angle_deg,
@@ -82,6 +95,7 @@ impl MotorState {
             torque_nm: plant.parameters().motor.torque_constant_nm_per_a
                 * f64::from(measured.current_a),
             load_torque_nm: plant.load().torque_at(angle_deg.to_radians(), speed_dps.to_radians()),
+            push_nm: plant.external_torque_nm(),
             motor_temperature_c: measured.motor_temperature_c,
             mosfet_temperature_c: measured.mos_temperature_c,
             supply_voltage_v: measured.supply_voltage_v,
@@ -90,6 +104,9 @@ impl MotorState {
             mode: state.mode.name(),
             output_on: state.output_on,
             brake: state.brake.name(),
+            brake_stuck: plant
+                .forced_brake()
+                .map(|open| if open { Stuck::Released } else { Stuck::Locked }),
             powered: state.powered,
             running: state.running,
             communication_lost: state.communication_lost,

@@ -109,6 +109,19 @@ fn the_lines_of_the_documentation_are_true() {
 }
 
 #[test]
+fn every_field_of_a_motor_is_explained() {
+    let served = Served::start(one_in_lock_step);
+    let state = served.client().ask(r#"{"state":{}}"#);
+    let motor = state["ok"]["buses"][0]["motors"][0].as_object().unwrap().clone();
+    let rows = include_str!("protocol.md").lines().filter_map(|line| line.strip_prefix("| "));
+    let named: Vec<&str> = rows.filter_map(|row| row.split(" |").next()).collect();
+    for field in motor.keys() {
+        let field = format!("`{field}`");
+        assert!(named.iter().any(|names| names.split(", ").any(|it| it == field)), "{field}");
+    }
+}
+
+#[test]
 fn one_simulation_has_a_socket_and_one_left_by_a_killed_one_is_replaced() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("control");
