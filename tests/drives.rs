@@ -1,6 +1,7 @@
 //! The simulated drive: its motor, what it answers and does, alone and in a fleet.
 
 mod drives {
+    mod backlash;
     mod energy;
     mod fleet;
     mod loads;

@@ -14,6 +14,65 @@ use super::plant_physics::{OFF, amps, angle, speed};
 const STEP_S: f64 = STEP.as_micros() as f64 * 1e-6;
 const GRAVITY_M_S2: f64 = 9.80665;
 
+/// Both sides of the gear's play, as anyone can see them.
+#[derive(Clone, Copy)]
+struct Sides {
+    angle: f64,
+    motor_speed: f64,
+    load_speed: f64,
+    ahead: f64,
+    half_play: f64,
+    motor_inertia: f64,
+    load_inertia: f64,
+}
+
+impl Sides {
+    fn of(motor: &SimulatedMotor) -> Self {
+        let parameters = motor.parameters();
+        let output = parameters.gear.output_inertia_kg_m2;
+        Self {
+            angle: angle(motor),
+            motor_speed: motor.motor_side_speed_dps().to_radians(),
+            load_speed: speed(motor),
+            ahead: motor.motor_side_angle_deg().to_radians() - angle(motor),
+            half_play: (parameters.gear.backlash_arcmin / 60.0).to_radians() / 2.0,
+            motor_inertia: parameters.inertia_kg_m2() - output,
+            load_inertia: output + motor.load().total_inertia_kg_m2(),
+        }
+    }
+
+    fn touch(&self) -> bool {
+        self.motor_speed == self.load_speed && self.ahead.abs() > self.half_play - 1e-9
+    }
+
+    /// What is lost when the sides become one, and their speed then.
+    fn meet(&self) -> (f64, f64) {
+        let Self { motor_inertia, load_inertia, motor_speed, load_speed, .. } = *self;
+        let sum = motor_inertia + load_inertia;
+        let differ = motor_speed - load_speed;
+        let lost = motor_inertia * load_inertia / sum * differ * differ / 2.0;
+        (lost, (motor_inertia * motor_speed + load_inertia * load_speed) / sum)
+    }
+
+    /// Half a step later, at these speeds until the sides meet; and what is lost then.
+    fn half_a_step_later(mut self) -> (Self, f64) {
+        let span = STEP_S / 2.0;
+        let closing = self.motor_speed - self.load_speed;
+        let ahead = self.ahead + closing * span;
+        if ahead.abs() <= self.half_play + 1e-12 {
+            self.ahead = ahead;
+            self.angle += self.load_speed * span;
+            return (self, 0.0);
+        }
+        let side = self.half_play.copysign(ahead);
+        let until = (side - self.ahead) / closing;
+        let (lost, both) = self.meet();
+        self.angle += self.load_speed * until + both * (span - until);
+        (self.motor_speed, self.load_speed, self.ahead) = (both, both, side);
+        (self, lost)
+    }
+}
+
 /// Where the energy went since the start, J. What is stored counts from the start, too.
 #[derive(Debug, Default)]
 struct Ledger {
@@ -28,6 +87,7 @@ struct Ledger {
     friction: f64,
     damper: f64,
     stops: f64,
+    teeth: f64,
     // Stored.
     capacitor: f64,
     moving: f64,
@@ -37,30 +97,67 @@ struct Ledger {
 }
 
 impl Ledger {
-    fn taken(&self) -> [f64; 8] {
+    fn taken(&self) -> [f64; 9] {
         let Self {
-            cable, winding, output_stage, electronics, gear, friction, damper, stops, ..
+            cable,
+            winding,
+            output_stage,
+            electronics,
+            gear,
+            friction,
+            damper,
+            stops,
+            teeth,
+            ..
         } = *self;
-        [cable, winding, output_stage, electronics, gear, friction, damper, stops]
+        [cable, winding, output_stage, electronics, gear, friction, damper, stops, teeth]
     }
 
     fn stored(&self) -> f64 {
         self.capacitor + self.moving + self.lifted + self.spring + self.pressed
     }
 
-    /// A step that began at `before` with `speed_before`, and how the motor is after it.
+    /// A step that began at `before` with these sides, and how the motor is after it.
     fn book(
         &mut self,
         motor: &SimulatedMotor,
         supply: &Supply,
         before: &Measurement,
-        speed_before: f64,
+        sides: Sides,
         now: &Measurement,
     ) {
         let MotorParameters { motor: winding, friction, gear, inverter, .. } = motor.parameters();
         let load = motor.load();
-        let mean_speed = (speed_before + speed(motor)) / 2.0;
+        let arm = load.arm.unwrap();
+        let weight_nm = arm.mass_kg * GRAVITY_M_S2 * arm.length_m;
+        let spring_nm_per_rad = load.spring.unwrap().stiffness_nm_per_rad;
+        let pressed = |angle_rad: f64| (angle_rad.abs() - END_DEG.to_radians()).max(0.0);
+        let stop = load.upper_stop.unwrap();
+        let given_back = stop.restitution * stop.restitution;
+
+        // A movement of half a step, the torques there, the other half of the movement.
+        let (halfway, lost) = sides.half_a_step_later();
+        self.teeth += lost;
+        let stop_nm = stop.stiffness_nm_per_rad * pressed(halfway.angle);
+        let mut pushed = Sides::of(motor);
+        if pushed.touch() && !halfway.touch() {
+            // They have met since: before, the load had gained what its torques give, the motor the rest.
+            let (_, both) = pushed.meet();
+            let stops_share =
+                if halfway.angle * halfway.load_speed > 0.0 { 1.0 } else { given_back };
+            let torque_nm = -weight_nm * halfway.angle.sin()
+                - spring_nm_per_rad * halfway.angle
+                - stop_nm * stops_share * halfway.angle.signum()
+                - load.damping_nm_s_per_rad * halfway.load_speed;
+            pushed.load_speed = halfway.load_speed + torque_nm * STEP_S / pushed.load_inertia;
+            pushed.motor_speed =
+                both + (both - pushed.load_speed) * pushed.load_inertia / pushed.motor_inertia;
+            self.teeth += pushed.meet().0;
+        }
+        let mean_speed = (halfway.motor_speed + pushed.motor_speed) / 2.0;
         let way = (mean_speed * STEP_S).abs();
+        let load_speed = (halfway.load_speed + pushed.load_speed) / 2.0;
+        let load_way = (load_speed * STEP_S).abs();
 
         let [volts_before, volts] = [before, now].map(|m| f64::from(m.supply_voltage_v));
         let source_a = f64::from(now.supply_current_a)
@@ -81,26 +178,23 @@ impl Ledger {
 
         let air_gap_nm = winding.torque_constant_nm_per_a / gear.efficiency * current_a.abs();
         self.gear += (1.0 - gear.efficiency) * air_gap_nm * way;
-        let dry_nm = if speed_before == 0.0 { friction.static_nm } else { friction.coulomb_nm };
+        let dry_nm =
+            if halfway.motor_speed == 0.0 { friction.static_nm } else { friction.coulomb_nm };
         self.friction += (dry_nm + friction.viscous_nm_s_per_rad * mean_speed.abs()) * way;
-        self.damper += load.damping_nm_s_per_rad * mean_speed.abs() * way;
+        self.damper += load.damping_nm_s_per_rad * load_speed.abs() * load_way;
 
-        let pressed = |angle_rad: f64| (angle_rad.abs() - END_DEG.to_radians()).max(0.0);
-        let stop = load.upper_stop.unwrap();
-        let given_back = stop.restitution * stop.restitution;
-        let halfway = angle(motor) - speed(motor) * STEP_S / 2.0;
         // It pushes out with the share that it gives back of what it pushes in: half of the difference is against
         // any movement, like friction, and the mean is a spring.
-        let stop_nm = stop.stiffness_nm_per_rad * pressed(halfway);
-        self.stops += stop_nm * (1.0 - given_back) / 2.0 * way;
+        self.stops += stop_nm * (1.0 - given_back) / 2.0 * load_way;
         self.pressed = stop.stiffness_nm_per_rad * (1.0 + given_back) / 2.0
             * pressed(angle(motor)).powi(2)
             / 2.0;
 
-        self.moving = motor.inertia_kg_m2() * speed(motor).powi(2) / 2.0;
-        let arm = load.arm.unwrap();
-        self.lifted = arm.mass_kg * GRAVITY_M_S2 * arm.length_m * (1.0 - angle(motor).cos());
-        self.spring = load.spring.unwrap().stiffness_nm_per_rad * angle(motor).powi(2) / 2.0;
+        let Sides { motor_inertia, load_inertia, motor_speed, load_speed, .. } = Sides::of(motor);
+        self.moving =
+            motor_inertia * motor_speed.powi(2) / 2.0 + load_inertia * load_speed.powi(2) / 2.0;
+        self.lifted = weight_nm * (1.0 - angle(motor).cos());
+        self.spring = spring_nm_per_rad * angle(motor).powi(2) / 2.0;
     }
 }
 
@@ -155,17 +249,19 @@ fn energy_is_conserved_over_a_minute_of_hard_motion() {
                 even if even % 2 == 0 => amps(hard_a),
                 _ => amps(-hard_a),
             };
-            let speed_before = speed(&motor);
+            let sides = Sides::of(&motor);
             let now = motor.advance(&command, STEP);
-            ledger.book(&motor, &supply, &before, speed_before, &now);
+            ledger.book(&motor, &supply, &before, sides, &now);
             fed_back |= now.supply_current_a < -0.5;
             before = now;
         }
 
         let name = model.name;
         let taken = ledger.taken();
-        let [gear, rest @ ..] = [4, 0, 1, 2, 3, 5, 6, 7].map(|place: usize| taken[place]);
+        let [gear, teeth, rest @ ..] = [4, 8, 0, 1, 2, 3, 5, 6, 7].map(|place: usize| taken[place]);
         let smallest = 2e-4 * ledger.source;
+        let has_play = motor.parameters().gear.backlash_arcmin > 0.0;
+        assert_eq!(teeth > smallest, has_play, "{name}: all take part: {ledger:?}");
         let lossless_gear = motor.parameters().gear.efficiency == 1.0;
         assert!(rest.iter().all(|part| *part > smallest), "{name}: all take part: {ledger:?}");
         assert!(gear > smallest || lossless_gear, "{name}: all take part: {ledger:?}");

@@ -20,8 +20,9 @@ fn models() -> impl Iterator<Item = MotorParameters> {
     MODELS.iter().map(|model| MotorParameters::named(model.name).unwrap())
 }
 
+/// On the motor's side of the gear's play, for that is what a drive holds.
 fn angle_deg(drive: &DriveHandle) -> f64 {
-    drive.with(|drive| drive.plant().output_angle_deg())
+    drive.with(|drive| drive.plant().motor_side_angle_deg())
 }
 
 /// The smallest and the largest angle, looked at every millisecond.

@@ -70,12 +70,13 @@ impl Alone {
         });
     }
 
+    /// On the motor's side of the gear's play, for that is what the loops see.
     pub(super) fn angle_deg(&mut self) -> f64 {
-        self.with(|drive| drive.plant().output_angle_deg())
+        self.with(|drive| drive.plant().motor_side_angle_deg())
     }
 
     pub(super) fn speed_dps(&mut self) -> f64 {
-        self.with(|drive| drive.plant().output_speed_dps())
+        self.with(|drive| drive.plant().motor_side_speed_dps())
     }
 
     /// The smallest and the largest angle, looked at every millisecond.

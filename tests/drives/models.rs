@@ -55,8 +55,11 @@ const SHEETS: [Sheet; 12] = [
 ];
 
 impl Sheet {
+    /// With the gear's teeth closed: these are figures of a motor that has taken its load along.
     fn parameters(&self) -> MotorParameters {
-        MotorParameters::named(self.name).unwrap()
+        let mut parameters = MotorParameters::named(self.name).unwrap();
+        parameters.gear.backlash_arcmin = 0.0;
+        parameters
     }
 
     /// At the nominal voltage, whatever is drawn.

@@ -310,8 +310,8 @@ fn stall() {
                 assert!((current_a - RATED_A).abs() < 0.1, "row {row}: {current_a}");
                 assert_eq!(state.errors, ErrorFlags::empty());
                 // The motor's torque bends the spring, give or take what friction and gear hold.
-                let bent_nm =
-                    STOP.stiffness_nm_per_rad * (state.angle_deg - STOP.at_deg).to_radians();
+                let angle_deg = drive.with(|drive| drive.plant().output_angle_deg());
+                let bent_nm = STOP.stiffness_nm_per_rad * (angle_deg - STOP.at_deg).to_radians();
                 let off_nm = (bent_nm - motor_nm).abs();
                 assert!(off_nm <= held_nm, "row {row}: {bent_nm} N·m, expected {motor_nm}");
             }

@@ -7,6 +7,7 @@
 //! | part | model | where |
 //! |---|---|---|
 //! | mechanics | one inertia (rotor through the gear, gear, load); viscous, Coulomb and static friction; a gear loss in proportion to the torque; a brake that slips | [`SimulatedMotor`] |
+//! | backlash | two inertias, motor with friction and brake on one side and output with load on the other, that meet without bouncing | [`GearParameters`] |
 //! | load | an inertia, a weight on an arm, a spring, a damper, end stops that give back a part, a constant torque | [`Load`] |
 //! | electrics | torque current limited by voltage and back-EMF, diodes, phase currents, electronics' own power | [`SimulatedMotor`] |
 //! | supply | a source with internal resistance, cable included, and a capacitor; feedback raises the voltage, up to a brake resistor | [`Supply`] |
@@ -34,6 +35,7 @@ mod load;
 mod models;
 mod motor;
 mod parameters;
+mod shaft;
 mod supply;
 mod thermal;
 

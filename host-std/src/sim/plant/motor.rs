@@ -7,6 +7,7 @@ use myactuator_protocol_core::time::Duration;
 
 use super::figure::{ImpossibleFigure, check};
 use super::led::{Led, ShaftTorque};
+use super::shaft::{Acting, Inertia, Play, Shaft};
 use super::supply::{Link, check_voltage};
 use super::thermal::ThermalNode;
 use super::{Load, MotorParameters, ParameterError, Supply};
@@ -25,6 +26,8 @@ const MAX_ELECTRIC_RATE_PER_S: f64 = 0.5 / STEP_S;
 /// Highest angular frequency of a spring, 1/s: 31 steps a period, at which the period is right to
 /// 0.2 %.
 const MAX_SPRING_RATE_PER_S: f64 = 0.2 / STEP_S;
+/// The same for a load alone, while it crosses the gear's play: it only has to stay stable, which ends at 2.
+const MAX_LOOSE_RATE_PER_S: f64 = 1.0 / STEP_S;
 
 const HALF_SQRT_3: f64 = 0.866_025_403_784_438_6;
 
@@ -58,8 +61,7 @@ pub struct SimulatedMotor {
     coefficients: Coefficients,
     load: Load,
 
-    angle_rad: f64,
-    speed_rad_s: f64,
+    shaft: Shaft,
     current_a: f64,
     supply_current_a: f64,
     link: Link,
@@ -80,10 +82,10 @@ pub struct SimulatedMotor {
 /// What one step needs and only a change of load alters.
 #[derive(Clone, Copy, Debug)]
 struct Coefficients {
-    /// Share of the speed that viscous friction leaves after one step.
-    speed_kept: f64,
-    /// Speed that 1 N·m gives in one step, rad/s.
-    speed_per_torque: f64,
+    /// Motor, gear and load together.
+    whole: Inertia,
+    /// What is on either side of the gear's play, if it has any.
+    play: Option<Play>,
     air_gap_nm_per_a: f64,
     gear_loss: f64,
     amplitude_per_a: f64,
@@ -96,10 +98,16 @@ struct Coefficients {
 impl Coefficients {
     fn new(parameters: &MotorParameters, load: &Load) -> Result<Self, ParameterError> {
         let inertia = parameters.inertia_kg_m2() + load.total_inertia_kg_m2();
-        let viscous = parameters.friction.viscous_nm_s_per_rad + load.damping_nm_s_per_rad;
-        // -expm1(-x)/x tends to 1 as friction vanishes.
-        let x = viscous * STEP_S / inertia;
-        let mean_kept = if x > 0.0 { -libm::expm1(-x) / x } else { 1.0 };
+        let load_inertia = parameters.gear.output_inertia_kg_m2 + load.total_inertia_kg_m2();
+        let motor_inertia = inertia - load_inertia;
+        let friction = parameters.friction.viscous_nm_s_per_rad;
+        let damping = load.damping_nm_s_per_rad;
+        let has_play = parameters.gear.backlash_arcmin > 0.0;
+        let play = has_play.then(|| Play {
+            half_rad: (parameters.gear.backlash_arcmin / 120.0).to_radians(),
+            motor: Inertia::new(motor_inertia, friction, STEP_S),
+            load: Inertia::new(load_inertia, damping, STEP_S),
+        });
 
         // Before any loss: the power that becomes mechanical is this times current times speed.
         let air_gap_nm_per_a =
@@ -109,7 +117,8 @@ impl Coefficients {
         let emf_v_s_per_rad = air_gap_nm_per_a / (1.5 * amplitude_per_a);
 
         let resistance = parameters.motor.phase_resistance_ohm;
-        let electric_rate_per_s = 1.5 * emf_v_s_per_rad * emf_v_s_per_rad / (resistance * inertia);
+        let electric_rate_per_s = 1.5 * emf_v_s_per_rad * emf_v_s_per_rad
+            / (resistance * if has_play { motor_inertia } else { inertia });
         if electric_rate_per_s > MAX_ELECTRIC_RATE_PER_S {
             return Err(ParameterError::TooFast {
                 what: "torque constant squared over phase resistance and inertia",
@@ -118,19 +127,23 @@ impl Coefficients {
             });
         }
         let (part, stiffness_nm_per_rad) = load.stiffness();
-        let most_nm_per_rad = inertia * MAX_SPRING_RATE_PER_S * MAX_SPRING_RATE_PER_S;
-        if stiffness_nm_per_rad > most_nm_per_rad {
-            return Err(ParameterError::TooStiff {
-                part,
-                stiffness_nm_per_rad,
-                most_nm_per_rad,
-                inertia_kg_m2: inertia,
-            });
+        let loosely = has_play.then_some((load_inertia, MAX_LOOSE_RATE_PER_S));
+        let limits = [(inertia, MAX_SPRING_RATE_PER_S)].into_iter().chain(loosely);
+        for (inertia_kg_m2, rate_per_s) in limits {
+            let most_nm_per_rad = inertia_kg_m2 * rate_per_s * rate_per_s;
+            if stiffness_nm_per_rad > most_nm_per_rad {
+                return Err(ParameterError::TooStiff {
+                    part,
+                    stiffness_nm_per_rad,
+                    most_nm_per_rad,
+                    inertia_kg_m2,
+                });
+            }
         }
 
         Ok(Self {
-            speed_kept: libm::exp(-x),
-            speed_per_torque: mean_kept * STEP_S / inertia,
+            whole: Inertia::new(inertia, friction + damping, STEP_S),
+            play,
             air_gap_nm_per_a,
             gear_loss: 1.0 - parameters.gear.efficiency,
             amplitude_per_a,
@@ -159,8 +172,7 @@ impl SimulatedMotor {
         Ok(Self {
             coefficients,
             load: Load::NONE,
-            angle_rad: 0.0,
-            speed_rad_s: 0.0,
+            shaft: Shaft::at(0.0, 0.0, coefficients.play.is_some()),
             current_a: 0.0,
             supply_current_a: 0.0,
             link: Link::new(Supply::battery(parameters.rating.voltage_v), STEP_S),
@@ -183,12 +195,23 @@ impl SimulatedMotor {
 
     /// Angle of the output shaft, degrees, turns included.
     pub fn output_angle_deg(&self) -> f64 {
-        self.angle_rad.to_degrees()
+        self.shaft.angle_rad.to_degrees()
     }
 
     /// True speed of the output shaft, degrees per second, whatever the encoder says.
     pub fn output_speed_dps(&self) -> f64 {
-        self.speed_rad_s.to_degrees()
+        self.shaft.speed_rad_s.to_degrees()
+    }
+
+    /// Angle of the motor's side of the gear, in degrees of the output shaft: up to half of the gear's backlash
+    /// ahead of or behind [it](Self::output_angle_deg).
+    pub fn motor_side_angle_deg(&self) -> f64 {
+        self.shaft.motor_angle_rad().to_degrees()
+    }
+
+    /// Speed of the motor's side of the gear, in degrees of the output shaft per second.
+    pub fn motor_side_speed_dps(&self) -> f64 {
+        self.shaft.motor_speed_rad_s().to_degrees()
     }
 
     /// Inertia at the output shaft, load included, kg·m².
@@ -227,13 +250,13 @@ impl SimulatedMotor {
         Ok(())
     }
 
-    /// Turns the shaft to an angle, degrees, at rest.
+    /// Turns the shaft to an angle, degrees, at rest; the gear's teeth are in the middle of their play.
     ///
     /// # Errors
     /// [`ImpossibleFigure`] beyond ±10⁹ degrees.
     pub fn set_output_angle_deg(&mut self, angle_deg: f64) -> Result<(), ImpossibleFigure> {
-        self.angle_rad = check("output angle", "deg", -1e9..=1e9, angle_deg)?.to_radians();
-        self.speed_rad_s = 0.0;
+        let angle_rad = check("output angle", "deg", -1e9..=1e9, angle_deg)?.to_radians();
+        self.shaft = Shaft::at(angle_rad, 0.0, self.coefficients.play.is_some());
         Ok(())
     }
 
@@ -242,7 +265,8 @@ impl SimulatedMotor {
     /// # Errors
     /// [`ImpossibleFigure`] beyond ±10⁶ degrees per second.
     pub fn set_output_speed_dps(&mut self, speed_dps: f64) -> Result<(), ImpossibleFigure> {
-        self.speed_rad_s = check("output speed", "deg/s", -1e6..=1e6, speed_dps)?.to_radians();
+        let speed_dps = check("output speed", "deg/s", -1e6..=1e6, speed_dps)?;
+        self.shaft.set_speed(speed_dps.to_radians());
         Ok(())
     }
 
@@ -262,14 +286,15 @@ impl SimulatedMotor {
 
     /// Leads the shaft: puts it to an angle, degrees, turning with a speed, degrees per second, which it keeps
     /// until it is led again. Neither the load nor the motor's own inertia moves it any more; the latter
-    /// ([`inertia_kg_m2`](MotorParameters::inertia_kg_m2)) is for whoever leads it to mind.
+    /// ([`inertia_kg_m2`](MotorParameters::inertia_kg_m2)) is for whoever leads it to mind. The gear of a led
+    /// shaft has no play.
     ///
     /// # Errors
     /// [`ImpossibleFigure`] beyond ±10⁹ degrees or ±10⁶ degrees per second; the shaft goes on as before.
     pub fn lead(&mut self, angle_deg: f64, speed_dps: f64) -> Result<(), ImpossibleFigure> {
         let speed_dps = check("output speed", "deg/s", -1e6..=1e6, speed_dps)?;
-        self.set_output_angle_deg(angle_deg)?;
-        self.speed_rad_s = speed_dps.to_radians();
+        let angle_deg = check("output angle", "deg", -1e9..=1e9, angle_deg)?;
+        self.shaft = Shaft::at(angle_deg.to_radians(), speed_dps.to_radians(), false);
         self.led = Some(Led::default());
         Ok(())
     }
@@ -339,15 +364,16 @@ impl SimulatedMotor {
     }
 
     fn seen_by_encoder(&self) -> (i64, f32) {
-        let pulses = (self.angle_rad * self.coefficients.pulses_per_rad).floor() as i64;
-        (pulses, self.output_speed_dps() as f32)
+        let pulses =
+            (self.shaft.motor_angle_rad() * self.coefficients.pulses_per_rad).floor() as i64;
+        (pulses, self.motor_side_speed_dps() as f32)
     }
 
     /// Currents of the phases A, B and C, A. All of the current makes torque (the flux current is
     /// 0), and their sum is 0.
     fn phase_currents_a(&self) -> [f64; 3] {
         let amplitude = self.current_a * self.coefficients.amplitude_per_a;
-        let turns = self.angle_rad * self.coefficients.electrical_turns_per_rad;
+        let turns = self.shaft.motor_angle_rad() * self.coefficients.electrical_turns_per_rad;
         let (sin, cos) = libm::sincos((turns - turns.floor()) * TAU);
         let a = -amplitude * sin;
         // sin(angle - 120°) without a second sine.
@@ -356,9 +382,10 @@ impl SimulatedMotor {
     }
 
     fn step(&mut self, command_a: f64, actuation: &Actuation) {
-        let Coefficients { air_gap_nm_per_a, amplitude_per_a, emf_v_s_per_rad, .. } =
+        let Coefficients { air_gap_nm_per_a, amplitude_per_a, emf_v_s_per_rad, play, .. } =
             self.coefficients;
-        self.angle_rad += self.speed_rad_s * HALF_STEP_S;
+        self.shaft.drift(play.as_ref(), HALF_STEP_S);
+        let speed_before = self.shaft.motor_speed_rad_s();
 
         let motor = &self.parameters.motor;
         let warmer_k = self.winding.temperature_c() - REFERENCE_C;
@@ -366,7 +393,7 @@ impl SimulatedMotor {
         let warmth = (1.0 + motor.resistance_coefficient_per_k * warmer_k).max(0.1);
         let winding_ohm = motor.phase_resistance_ohm * warmth;
         let mos_ohm = self.parameters.inverter.mos_resistance_ohm;
-        let emf_v = emf_v_s_per_rad * self.speed_rad_s;
+        let emf_v = emf_v_s_per_rad * speed_before;
         let ohm = amplitude_per_a * (winding_ohm + mos_ohm);
         self.current_a = if actuation.output_on {
             let limit_v = self.parameters.inverter.modulation_limit * self.link.voltage_v();
@@ -382,15 +409,15 @@ impl SimulatedMotor {
         };
         let motor_nm = air_gap_nm_per_a * self.current_a;
 
-        let speed_before = self.speed_rad_s;
         let brake_released = self.forced_brake.unwrap_or(actuation.brake_released);
-        self.speed_rad_s = self.speed_after(motor_nm, brake_released);
-        self.angle_rad += self.speed_rad_s * HALF_STEP_S;
+        self.push(motor_nm, brake_released);
+        let mean_speed = 0.5 * (speed_before + self.shaft.motor_speed_rad_s());
+        self.shaft.drift(play.as_ref(), HALF_STEP_S);
 
         let amplitude_a = amplitude_per_a * self.current_a;
         let squared = 1.5 * amplitude_a * amplitude_a;
         let (winding_w, mos_w) = (squared * winding_ohm, squared * mos_ohm);
-        let mechanical_w = motor_nm * 0.5 * (speed_before + self.speed_rad_s);
+        let mechanical_w = motor_nm * mean_speed;
         let idle_w = self.parameters.inverter.idle_power_w;
         self.supply_current_a = self.link.step(winding_w + mos_w + mechanical_w + idle_w);
 
@@ -398,26 +425,27 @@ impl SimulatedMotor {
         self.mos.step(mos_w, self.ambient_c);
     }
 
-    /// The speed after a step under `motor_nm` in the air gap.
-    fn speed_after(&mut self, motor_nm: f64, brake_released: bool) -> f64 {
+    /// The speeds after a step under `motor_nm` in the air gap.
+    fn push(&mut self, motor_nm: f64, brake_released: bool) {
         let dry_nm = self.dry_friction_nm(motor_nm, brake_released);
         if let Some(led) = &mut self.led {
-            let viscous_nm = self.parameters.friction.viscous_nm_s_per_rad * self.speed_rad_s;
+            let viscous_nm = self.parameters.friction.viscous_nm_s_per_rad * self.shaft.speed_rad_s;
             led.add(motor_nm + self.external_torque_nm - viscous_nm, dry_nm);
-            return self.speed_rad_s;
+            return;
         }
-        let Coefficients { speed_kept, speed_per_torque, .. } = self.coefficients;
-        let reaction = self.load.reaction_at(self.angle_rad);
-        let torque_nm = motor_nm + self.external_torque_nm + reaction.torque_nm;
-        let freely = self.speed_rad_s * speed_kept + torque_nm * speed_per_torque;
-        let most_taken = (dry_nm + reaction.taken_nm) * speed_per_torque;
-        if freely.abs() <= most_taken { 0.0 } else { freely - most_taken.copysign(freely) }
+        let Coefficients { whole, play, .. } = &self.coefficients;
+        let reaction = self.load.reaction_at(self.shaft.angle_rad);
+        let motor = Acting { torque_nm: motor_nm, dry_nm };
+        let torque_nm = self.external_torque_nm + reaction.torque_nm;
+        let load = Acting { torque_nm, dry_nm: reaction.taken_nm };
+        self.shaft.push(whole, play.as_ref(), motor, load);
     }
 
     /// What friction, gear and brake take at most, whatever the speed.
     fn dry_friction_nm(&self, motor_nm: f64, brake_released: bool) -> f64 {
         let friction = &self.parameters.friction;
-        let dry_nm = if self.speed_rad_s == 0.0 { friction.static_nm } else { friction.coulomb_nm };
+        let at_rest = self.shaft.motor_speed_rad_s() == 0.0;
+        let dry_nm = if at_rest { friction.static_nm } else { friction.coulomb_nm };
         let brake_nm = if brake_released { 0.0 } else { self.parameters.brake.holding_torque_nm };
         dry_nm + brake_nm + self.coefficients.gear_loss * motor_nm.abs()
     }

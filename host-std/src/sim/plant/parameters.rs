@@ -75,6 +75,10 @@ table! {
         efficiency: f64, "gear efficiency", "", 0.05..=1.0;
         /// Inertia of what turns with the output shaft, kg·m².
         output_inertia_kg_m2: f64, "output inertia", "kg·m²", 0.0..=10_000.0;
+        /// How far the output turns between the teeth's two sides while the motor stands, minutes of arc; 0,
+        /// which is the default, for a gear without play. With it the output needs an inertia.
+        #[serde(default)]
+        backlash_arcmin: f64, "backlash", "arcmin", 0.0..=600.0;
     }
 }
 
@@ -233,8 +237,8 @@ impl MotorParameters {
         }
     }
 
-    /// The parameters in a file's text. Every key is required but for [`motion`](Self::motion), no other
-    /// is allowed.
+    /// The parameters in a file's text. Every key is required but for [`motion`](Self::motion) and those that
+    /// say what they are by default, no other is allowed.
     ///
     /// # Errors
     /// [`ParameterError`]: it names the key, what was expected and what was found.
@@ -260,6 +264,14 @@ impl MotorParameters {
         self.inverter.check()?;
         self.thermal.check()?;
         self.motion_ranges()?;
+        if self.gear.backlash_arcmin > 0.0 {
+            let given = self.gear.output_inertia_kg_m2;
+            check("output inertia of a gear with backlash", "kg·m²", 1e-9..=10_000.0, given)
+                .map_err(|error| ParameterError::OutOfRange {
+                    key: "gear.output_inertia_kg_m2",
+                    error,
+                })?;
+        }
 
         let Rating { voltage_v, min_voltage_v, max_voltage_v, .. } = self.rating;
         at_most("rating.min_voltage_v", min_voltage_v, "rating.voltage_v", voltage_v)?;
@@ -369,9 +381,10 @@ pub enum ParameterError {
         part: &'static str,
         /// Stiffness of all parts that act together, N·m/rad.
         stiffness_nm_per_rad: f64,
-        /// The largest that the step can follow with this inertia: 4·10⁶ N·m/rad for each kg·m².
+        /// The largest that the step can follow with this inertia: 4·10⁶ N·m/rad for each kg·m², or 10⁸ for
+        /// each of the load's own behind a gear with backlash.
         most_nm_per_rad: f64,
-        /// Inertia at the output shaft, motor and load, kg·m².
+        /// Inertia at the output shaft, kg·m²: motor and load, or only the load behind a gear with backlash.
         inertia_kg_m2: f64,
     },
 }
@@ -477,7 +490,7 @@ mod tests {
                 figures += 1;
             }
         }
-        assert_eq!(figures, 32);
+        assert_eq!(figures, 33);
         refuses("gear", "ratio", 0.0.into());
         refuses("motor", "rotor_inertia_kg_m2", 0.0.into());
     }
