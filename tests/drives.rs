@@ -2,6 +2,7 @@
 
 mod drives {
     mod backlash;
+    mod cogging;
     mod energy;
     mod fleet;
     mod loads;

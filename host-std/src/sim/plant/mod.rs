@@ -7,6 +7,7 @@
 //! | part | model | where |
 //! |---|---|---|
 //! | mechanics | one inertia (rotor through the gear, gear, load); viscous, Coulomb and static friction; a gear loss in proportion to the torque; a brake that slips | [`SimulatedMotor`] |
+//! | cogging | a sine of the motor's angle; it stores energy and gives it back | [`WindingParameters`] |
 //! | backlash | two inertias, motor with friction and brake on one side and output with load on the other, that meet without bouncing | [`GearParameters`] |
 //! | load | an inertia, a weight on an arm, a spring, a damper, end stops that give back a part, a constant torque | [`Load`] |
 //! | electrics | torque current limited by voltage and back-EMF, diodes, phase currents, electronics' own power | [`SimulatedMotor`] |

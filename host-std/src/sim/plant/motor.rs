@@ -92,6 +92,8 @@ struct Coefficients {
     /// Amplitude of a phase's back-EMF per speed of the output shaft, V·s/rad.
     emf_v_s_per_rad: f64,
     pulses_per_rad: f64,
+    /// Radians of the cogging torque's period per radian of the output shaft.
+    cogging_per_rad: f64,
     electrical_turns_per_rad: f64,
 }
 
@@ -116,14 +118,26 @@ impl Coefficients {
         // Power balance: 3/2 of EMF amplitude times current amplitude is torque times speed.
         let emf_v_s_per_rad = air_gap_nm_per_a / (1.5 * amplitude_per_a);
 
+        // What the motor turns when it turns the least.
+        let turned_kg_m2 = if has_play { motor_inertia } else { inertia };
         let resistance = parameters.motor.phase_resistance_ohm;
-        let electric_rate_per_s = 1.5 * emf_v_s_per_rad * emf_v_s_per_rad
-            / (resistance * if has_play { motor_inertia } else { inertia });
+        let electric_rate_per_s =
+            1.5 * emf_v_s_per_rad * emf_v_s_per_rad / (resistance * turned_kg_m2);
         if electric_rate_per_s > MAX_ELECTRIC_RATE_PER_S {
             return Err(ParameterError::TooFast {
                 what: "torque constant squared over phase resistance and inertia",
                 rate_per_s: electric_rate_per_s,
                 limit_per_s: MAX_ELECTRIC_RATE_PER_S,
+            });
+        }
+        let cogging_per_rad = parameters.gear.ratio * f64::from(parameters.motor.cogging_periods);
+        let cogging_rate_per_s =
+            (parameters.motor.cogging_nm * cogging_per_rad / turned_kg_m2).sqrt();
+        if cogging_rate_per_s > MAX_SPRING_RATE_PER_S {
+            return Err(ParameterError::TooFast {
+                what: "square root of cogging torque times its periods times gear ratio over inertia",
+                rate_per_s: cogging_rate_per_s,
+                limit_per_s: MAX_SPRING_RATE_PER_S,
             });
         }
         let (part, stiffness_nm_per_rad) = load.stiffness();
@@ -150,6 +164,7 @@ impl Coefficients {
             emf_v_s_per_rad,
             pulses_per_rad: parameters.gear.ratio * f64::from(1_u32 << parameters.encoder.bits)
                 / TAU,
+            cogging_per_rad,
             electrical_turns_per_rad: parameters.gear.ratio
                 * f64::from(parameters.motor.pole_pairs)
                 / TAU,
@@ -428,6 +443,7 @@ impl SimulatedMotor {
     /// The speeds after a step under `motor_nm` in the air gap.
     fn push(&mut self, motor_nm: f64, brake_released: bool) {
         let dry_nm = self.dry_friction_nm(motor_nm, brake_released);
+        let motor_nm = motor_nm + self.cogging_nm();
         if let Some(led) = &mut self.led {
             let viscous_nm = self.parameters.friction.viscous_nm_s_per_rad * self.shaft.speed_rad_s;
             led.add(motor_nm + self.external_torque_nm - viscous_nm, dry_nm);
@@ -439,6 +455,15 @@ impl SimulatedMotor {
         let torque_nm = self.external_torque_nm + reaction.torque_nm;
         let load = Acting { torque_nm, dry_nm: reaction.taken_nm };
         self.shaft.push(whole, play.as_ref(), motor, load);
+    }
+
+    /// The magnets cling to the iron's teeth; at 0° one rests on a tooth.
+    fn cogging_nm(&self) -> f64 {
+        let amplitude_nm = self.parameters.motor.cogging_nm;
+        if amplitude_nm == 0.0 {
+            return 0.0;
+        }
+        -amplitude_nm * libm::sin(self.shaft.motor_angle_rad() * self.coefficients.cogging_per_rad)
     }
 
     /// What friction, gear and brake take at most, whatever the speed.

@@ -96,6 +96,14 @@ table! {
         torque_constant_nm_per_a: f64, "torque constant", "N·m/A", 0.000_1..=10_000.0;
         /// Inertia of the rotor at the motor shaft, kg·m².
         rotor_inertia_kg_m2: f64, "rotor inertia", "kg·m²", 0.000_000_001..=100.0;
+        /// Amplitude of the torque with which the magnets cling to the teeth of the iron, N·m at the output shaft;
+        /// 0 by default.
+        #[serde(default)]
+        cogging_nm: f64, "cogging torque", "N·m", 0.0..=10_000.0;
+        /// How often that goes up and down in a turn of the motor shaft: the least common multiple of poles and
+        /// slots; 0 by default.
+        #[serde(default)]
+        cogging_periods: u16, "cogging periods", "", 0.0..=10_000.0;
         @plain {
             /// What an ampere of torque current is.
             current_scale: CurrentScale
