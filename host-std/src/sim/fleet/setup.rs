@@ -93,6 +93,7 @@ impl MotorSetup {
             ..of_model
         };
         let mut plant = SimulatedMotor::new(model)?;
+        plant.set_noise_seed(seed);
         plant.set_load(self.load)?;
         let kept_deg = shaft.as_ref().and_then(ShaftFile::kept_deg);
         let angle_deg = kept_deg.unwrap_or(self.start_angle_deg);

@@ -11,11 +11,12 @@
 //! | backlash | two inertias, motor with friction and brake on one side and output with load on the other, that meet without bouncing | [`GearParameters`] |
 //! | load | an inertia, a weight on an arm, a spring, a damper, end stops that give back a part, a constant torque | [`Load`] |
 //! | electrics | torque current limited by voltage and back-EMF, diodes, phase currents, electronics' own power | [`SimulatedMotor`] |
+//! | encoders | whole pulses, one on the motor's side with noise, one on the output | [`EncoderParameters`] |
 //! | supply | a source with internal resistance, cable included, and a capacitor; feedback raises the voltage, up to a brake resistor | [`Supply`] |
 //! | heat | the winding and the output stage, each cooling to ambient | [`SimulatedMotor`] |
 //!
 //! Everything is reckoned at the output shaft, in SI units and f64. The step is fixed,
-//! [`STEP`]; nothing reads a clock or a random number, and sines and exponentials are `libm`'s rather than
+//! [`STEP`]; nothing reads a clock, noise is a function of a seed and of the step, and sines and exponentials are `libm`'s rather than
 //! the system's, so the same calls give the same bits, on any machine.
 //!
 //! ```
@@ -30,6 +31,7 @@
 //! # Ok::<(), myactuator_host_std::sim::plant::ParameterError>(())
 //! ```
 
+mod encoder;
 mod figure;
 mod led;
 mod load;

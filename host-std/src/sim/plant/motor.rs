@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
 use myactuator_protocol_core::time::Duration;
 
+use super::encoder::{self, Noise};
 use super::figure::{ImpossibleFigure, check};
 use super::led::{Led, ShaftTorque};
 use super::shaft::{Acting, Inertia, Play, Shaft};
@@ -69,6 +70,7 @@ pub struct SimulatedMotor {
     mos: ThermalNode,
     ambient_c: f64,
     carried_us: u64,
+    noise: Noise,
 
     external_torque_nm: f64,
     /// What acted on the shaft since it was led last, while it is led at all.
@@ -195,6 +197,7 @@ impl SimulatedMotor {
             mos: node(thermal.mos_capacity_j_per_k, thermal.mos_resistance_k_per_w),
             ambient_c: REFERENCE_C,
             carried_us: 0,
+            noise: Noise::new(0),
             external_torque_nm: 0.0,
             led: None,
             forced_brake: None,
@@ -330,6 +333,18 @@ impl SimulatedMotor {
         self.forced_brake
     }
 
+    /// Takes another seed for the encoder's [noise](super::EncoderParameters::noise_pulses); the first is 0.
+    pub const fn set_noise_seed(&mut self, seed: u64) {
+        self.noise.reseed(seed);
+    }
+
+    /// What the encoder on the output shaft shows, pulses of its own, turns included: it sees the load's side of
+    /// the gear's play. `None` where there is none.
+    pub fn output_encoder_pulses(&self) -> Option<i64> {
+        let bits = self.parameters.encoder.output_bits;
+        (bits > 0).then(|| encoder::pulses(self.shaft.angle_rad, bits))
+    }
+
     /// Sets the air's temperature, °C.
     ///
     /// # Errors
@@ -379,9 +394,12 @@ impl SimulatedMotor {
     }
 
     fn seen_by_encoder(&self) -> (i64, f32) {
-        let pulses =
-            (self.shaft.motor_angle_rad() * self.coefficients.pulses_per_rad).floor() as i64;
-        (pulses, self.motor_side_speed_dps() as f32)
+        let mut pulses = self.shaft.motor_angle_rad() * self.coefficients.pulses_per_rad;
+        let noise_pulses = self.parameters.encoder.noise_pulses;
+        if noise_pulses > 0.0 {
+            pulses += noise_pulses * self.noise.now();
+        }
+        (pulses.floor() as i64, self.motor_side_speed_dps() as f32)
     }
 
     /// Currents of the phases A, B and C, A. All of the current makes torque (the flux current is
@@ -399,6 +417,7 @@ impl SimulatedMotor {
     fn step(&mut self, command_a: f64, actuation: &Actuation) {
         let Coefficients { air_gap_nm_per_a, amplitude_per_a, emf_v_s_per_rad, play, .. } =
             self.coefficients;
+        self.noise.step();
         self.shaft.drift(play.as_ref(), HALF_STEP_S);
         let speed_before = self.shaft.motor_speed_rad_s();
 

@@ -1,0 +1,97 @@
+//! What the encoders show of a shaft.
+
+use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::plant::{MotorParameters, STEP, SimulatedMotor};
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::ReadMultiTurnEncoderRaw;
+use myactuator_protocol_core::drive::{Actuation, Plant};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::time::Duration;
+
+use super::plant_physics::{MS, OFF, ideal, motor};
+
+fn noisy(noise_pulses: f64) -> MotorParameters {
+    let mut p = ideal();
+    p.encoder.noise_pulses = noise_pulses;
+    p
+}
+
+fn seeded(seed: u64) -> SimulatedMotor {
+    let mut m = motor(noisy(3.0));
+    m.set_noise_seed(seed);
+    m
+}
+
+fn pulses(m: &mut SimulatedMotor, span: Duration) -> i64 {
+    m.advance(&OFF, span).encoder_pulses
+}
+
+/// 3 pulses rms about half a pulse below the place, for whole pulses are rounded down; √(9 + 1/12) with what
+/// that adds. 20,000 steps know the mean to 0.02 and the rms to 0.015 (one sigma), and none is beyond 2√3 · 3.
+#[test]
+fn noise_is_as_large_as_the_file_says() {
+    let mut m = seeded(1);
+    let seen: Vec<f64> = (0..20_000).map(|_| pulses(&mut m, STEP) as f64 + 0.5).collect();
+    let mean = seen.iter().sum::<f64>() / 20_000.0;
+    let rms = (seen.iter().map(|it| it * it).sum::<f64>() / 20_000.0).sqrt();
+    assert!(mean.abs() < 0.08, "{mean}");
+    assert!((rms - 3.0139).abs() < 0.06, "{rms}");
+    assert!(seen.iter().all(|it| it.abs() < 10.4 + 1.0));
+    // It does not go on from step to step: neighbours have nothing in common.
+    let product = seen.windows(2).map(|it| it[0] * it[1]).sum::<f64>() / 20_000.0;
+    assert!(product.abs() < 9.0 * 0.03, "{product}");
+}
+
+/// Who looks more often sees the same, and the same seed gives the same.
+#[test]
+fn looking_changes_nothing() {
+    let (mut seldom, mut often, mut other) = (seeded(7), seeded(7), seeded(8));
+    let mut differ = false;
+    for _ in 0..100 {
+        for _ in 0..9 {
+            often.advance(&OFF, STEP);
+            often.advance(&OFF, Duration::ZERO);
+        }
+        let looks = [STEP, Duration::ZERO, Duration::ZERO].map(|span| pulses(&mut often, span));
+        let seen = pulses(&mut seldom, MS);
+        assert_eq!(looks, [seen; 3]);
+        differ |= pulses(&mut other, MS) != seen;
+    }
+    assert!(differ);
+}
+
+/// Motors of a fleet are noisy each by itself, and in each run alike.
+#[test]
+fn a_fleets_seed_is_its_noise() {
+    let told = |seed| {
+        let mut model = MotorParameters::named("RMD-X8-P20-120").unwrap();
+        model.encoder.noise_pulses = 50.0;
+        let fleet = Fleet::new(2).model(model).seed(seed).on_can(1_000_000).unwrap();
+        let mut master = fleet.master::<2>();
+        [1, 2].map(|id| master.ask(MotorId::new(id).unwrap(), ReadMultiTurnEncoderRaw).unwrap())
+    };
+    assert_eq!(told(1), told(1));
+    assert_ne!(told(1), told(2));
+    assert_ne!(told(1)[0], told(1)[1]);
+}
+
+/// A degree of play, held by the brake: the output's encoder of 10 bits sees half a degree, 1.42 of its pulses,
+/// and -1.42, rounded down; the motor's sees nothing.
+#[test]
+fn the_outputs_encoder_sees_the_loads_side() {
+    let mut p = ideal();
+    p.gear.backlash_arcmin = 60.0;
+    assert_eq!(motor(p.clone()).output_encoder_pulses(), None);
+    p.encoder.output_bits = 10;
+    let mut m = motor(p);
+    let held = Actuation { brake_released: false, ..OFF };
+    for (hand_nm, expected) in [(0.01, 1), (-0.01, -2)] {
+        m.set_external_torque_nm(hand_nm).unwrap();
+        let seen = m.advance(&held, Duration::from_secs(1));
+        assert_eq!(m.output_encoder_pulses(), Some(expected));
+        assert!(seen.encoder_pulses.abs() <= 2, "{}", seen.encoder_pulses);
+    }
+    // Turns are counted: 720 degrees are 2048 pulses.
+    m.set_output_angle_deg(720.1).unwrap();
+    assert_eq!(m.output_encoder_pulses(), Some(2048));
+}
