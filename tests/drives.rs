@@ -3,6 +3,7 @@
 mod drives {
     mod backlash;
     mod cogging;
+    mod derating;
     mod encoders;
     mod energy;
     mod fleet;

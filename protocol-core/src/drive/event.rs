@@ -73,6 +73,8 @@ pub enum Limit {
     CommandTorque,
     /// The drive's own, [`stall_current_a`](super::Parameters::stall_current_a).
     StallCurrent,
+    /// The drive's own while it is hot, [`derating`](super::Parameters::derating).
+    Temperature,
     /// The supply's voltage does not drive more current through the motor at its speed.
     Voltage,
 }

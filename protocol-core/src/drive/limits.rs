@@ -19,7 +19,9 @@ pub(super) struct Step {
     pub(super) flows_a: f32,
     /// The command's limit, not above that of the drive, A.
     pub(super) limit_a: f32,
-    /// The drive's own limit, A.
+    /// The drive's own limit, as hot as it is, A.
+    pub(super) largest_a: f32,
+    /// The drive's own limit when cold, A.
     pub(super) stall_a: f32,
 }
 
@@ -31,8 +33,10 @@ impl Step {
             Some(Limit::Voltage)
         } else if self.wanted_a.abs() < AT_LIMIT * self.limit_a {
             None
-        } else if self.limit_a < self.stall_a {
+        } else if self.limit_a < self.largest_a {
             Some(Limit::CommandTorque)
+        } else if self.largest_a < self.stall_a {
+            Some(Limit::Temperature)
         } else {
             Some(Limit::StallCurrent)
         }
@@ -75,7 +79,8 @@ impl Limits {
 mod tests {
     use super::*;
 
-    const FREE: Step = Step { wanted_a: 1.0, flows_a: 1.0, limit_a: 12.0, stall_a: 12.0 };
+    const FREE: Step =
+        Step { wanted_a: 1.0, flows_a: 1.0, limit_a: 12.0, largest_a: 12.0, stall_a: 12.0 };
     const STALL: Step = Step { wanted_a: -12.0, flows_a: -12.0, ..FREE };
 
     /// What is told in so many steps of 1 ms, and when.
@@ -104,6 +109,8 @@ mod tests {
     fn each_limit_has_its_name() {
         let by_command = Step { limit_a: 1.0, ..FREE };
         assert_eq!(by_command.limit(), Some(Limit::CommandTorque));
+        let hot = Step { limit_a: 0.5, largest_a: 0.5, ..FREE };
+        assert_eq!(hot.limit(), Some(Limit::Temperature));
         let starved = Step { wanted_a: -10.0, flows_a: -9.0, ..FREE };
         assert_eq!(starved.limit(), Some(Limit::Voltage));
         let driven_back = Step { wanted_a: 1.0, flows_a: -1.0, ..FREE };

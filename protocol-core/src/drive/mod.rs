@@ -49,6 +49,7 @@ mod answer;
 mod brake;
 mod control;
 pub mod decisions;
+mod derating;
 mod encoder;
 mod event;
 mod faults;
@@ -67,6 +68,7 @@ mod reporting;
 mod settings;
 mod state;
 
+pub use derating::Derating;
 pub use event::{Event, IgnoreReason, Limit, NotRunReason};
 pub use faults::Indicator;
 pub use ideal::IdealPlant;
@@ -441,12 +443,20 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
     }
 
+    /// The largest current, as hot as it is, A.
+    fn largest_a(&self) -> f32 {
+        let share = self.parameters.derating.map_or(1.0, |it| it.share(&self.measurement));
+        self.parameters.stall_current_a * share
+    }
+
     fn watch_limits(&mut self, actuation: &Actuation, span: Duration) {
         let stall_a = self.parameters.stall_current_a;
+        let largest_a = self.largest_a();
         let step = actuation.output_on.then(|| limits::Step {
             wanted_a: actuation.current_a,
             flows_a: self.measurement.current_a,
-            limit_a: self.controller.limit_a().min(stall_a),
+            limit_a: self.controller.limit_a().min(largest_a),
+            largest_a,
             stall_a,
         });
         if let Some((ended, begun)) = self.limits.observe(step, span) {
@@ -461,7 +471,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             angle_deg: self.encoder.angle_deg(),
             speed_dps: self.measurement.speed_dps,
             current_a: self.measurement.current_a,
-            stall_current_a: self.parameters.stall_current_a,
+            stall_current_a: self.largest_a(),
             torque_constant_nm_per_a: self.parameters.torque_constant_nm_per_a,
             max_speed_dps: self.parameters.max_speed_dps,
         }

@@ -1,6 +1,7 @@
 //! What makes one drive another than the next: its motor, its bus, its limits.
 
 use crate::command::{BaudCode, ModelName, MotionRanges, VersionDate};
+use crate::drive::derating::Derating;
 use crate::drive::quirks::Quirks;
 use crate::drive::settings::Gains;
 use crate::firmware::Firmware;
@@ -131,6 +132,8 @@ defaults! {
         pub rated_current_a: f32 = 6.0,
         /// Stall current, A: the largest that any command gets.
         pub stall_current_a: f32 = 12.0,
+        /// How that falls with heat; `None` if it does not.
+        pub derating: Option<Derating> = None,
         /// The fastest that a planned position profile turns the output shaft, degrees per second,
         /// where its command sets no limit.
         pub max_speed_dps: f32 = 1_500.0,

@@ -36,6 +36,9 @@ impl Display for Event {
             Self::Unlimited(Limit::StallCurrent) => {
                 f.write_str("is below its largest current again")
             }
+            Self::Unlimited(Limit::Temperature) => {
+                f.write_str("is below the current again that its heat leaves it")
+            }
             Self::Unlimited(Limit::Voltage) => f.write_str("has voltage enough again"),
             Self::TargetLimited { opcode, asked_deg, limit_deg } => write!(
                 f,
@@ -96,6 +99,9 @@ impl Display for Limit {
         f.write_str(match self {
             Self::CommandTorque => "the command's own torque limit (0xA2, 0xA9)",
             Self::StallCurrent => "it gives its largest current; the load is too heavy or the way too steep",
+            Self::Temperature => {
+                "it is hot and gives less current; let it cool, or ask less of it"
+            }
             Self::Voltage => {
                 "its supply's voltage drives no more current at this speed; go slower, or raise the voltage"
             }

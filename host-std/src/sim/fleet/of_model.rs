@@ -1,7 +1,7 @@
 //! What the drive of a motor model is like.
 
 use myactuator_protocol_core::command::{BaudCode, ModelName, VersionDate};
-use myactuator_protocol_core::drive::{FaultLimits, Gains, Parameters};
+use myactuator_protocol_core::drive::{Derating, FaultLimits, Gains, Parameters};
 
 use crate::sim::plant::{MotorParameters, ParameterError, catalogue_name};
 
@@ -32,6 +32,12 @@ pub(super) fn parameters_of(model: &MotorParameters) -> Result<Parameters, Param
         rated_current_a: rating.current_a as f32,
         stall_current_a: peak_a,
         max_speed_dps: no_load_dps,
+        derating: model.derating.as_ref().map(|it| Derating {
+            motor_from_c: it.motor_from_c as f32,
+            motor_to_c: it.motor_to_c as f32,
+            mos_from_c: it.mos_from_c as f32,
+            mos_to_c: it.mos_to_c as f32,
+        }),
         limits: FaultLimits {
             under_voltage_v: rating.min_voltage_v as f32 * 0.9,
             over_voltage_v: rating.max_voltage_v as f32,

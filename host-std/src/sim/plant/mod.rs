@@ -51,8 +51,8 @@ pub(in crate::sim) use models::catalogue_name;
 pub use models::{MODELS, Model};
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{
-    BrakeParameters, CurrentScale, EncoderParameters, FrictionParameters, GearParameters,
-    InverterParameters, MotorParameters, ParameterError, Rating, ThermalParameters,
+    BrakeParameters, CurrentScale, DeratingParameters, EncoderParameters, FrictionParameters,
+    GearParameters, InverterParameters, MotorParameters, ParameterError, Rating, ThermalParameters,
     WindingParameters,
 };
 pub use supply::{BrakeResistor, Supply};

@@ -173,6 +173,20 @@ table! {
     }
 }
 
+table! {
+    /// `[derating]`: how the drive's largest current falls with heat, in a straight line from all of it to none.
+    DeratingParameters ["derating"] {
+        /// Winding temperature from which there is less, °C.
+        motor_from_c: f64, "motor temperature where derating begins", "°C", 0.0..=1_000.0;
+        /// Winding temperature from which there is nothing, °C.
+        motor_to_c: f64, "motor temperature where derating ends", "°C", 0.0..=1_000.0;
+        /// Temperature of the output stage from which there is less, °C.
+        mos_from_c: f64, "output stage temperature where derating begins", "°C", 0.0..=1_000.0;
+        /// Temperature of the output stage from which there is nothing, °C.
+        mos_to_c: f64, "output stage temperature where derating ends", "°C", 0.0..=1_000.0;
+    }
+}
+
 /// What an ampere of torque current is: data sheets print either.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -230,8 +244,11 @@ pub struct MotorParameters {
     pub inverter: InverterParameters,
     /// Heating and cooling.
     pub thermal: ThermalParameters,
-    /// The scales of motion mode, where they are not the firmware's own: the one table that a file may
-    /// leave out, unless they depend on the motor.
+    /// How the drive gives less when it is hot; a file may leave it out, for one that does not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub derating: Option<DeratingParameters>,
+    /// The scales of motion mode, where they are not the firmware's own; a file may leave them out, unless they
+    /// depend on the motor.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion: Option<MotionRanges>,
 }
@@ -249,7 +266,7 @@ impl MotorParameters {
         }
     }
 
-    /// The parameters in a file's text. Every key is required but for [`motion`](Self::motion) and those that
+    /// The parameters in a file's text. Every key is required but for the tables [`derating`](Self::derating) and [`motion`](Self::motion) and those that
     /// say what they are by default, no other is allowed.
     ///
     /// # Errors
@@ -275,6 +292,12 @@ impl MotorParameters {
         self.encoder.check()?;
         self.inverter.check()?;
         self.thermal.check()?;
+        if let Some(derating) = &self.derating {
+            derating.check()?;
+            let DeratingParameters { motor_from_c, motor_to_c, mos_from_c, mos_to_c } = *derating;
+            at_most("derating.motor_from_c", motor_from_c, "derating.motor_to_c", motor_to_c)?;
+            at_most("derating.mos_from_c", mos_from_c, "derating.mos_to_c", mos_to_c)?;
+        }
         self.motion_ranges()?;
         if self.gear.backlash_arcmin > 0.0 {
             let given = self.gear.output_inertia_kg_m2;

@@ -210,13 +210,16 @@ impl Controller {
             Task::Motion(set_point) => (motion_current(set_point, input), stall_a),
             Task::Speed { target_dps, now_dps, limit_a } => {
                 let next_dps = ramp(*now_dps, *target_dps, speed_up, slow_down, dt);
-                (follow(loops, gains, now_dps, next_dps, input, *limit_a, dt), *limit_a)
+                // Heat may have lowered the drive's own since.
+                let limit_a = limit_a.min(stall_a);
+                (follow(loops, gains, now_dps, next_dps, input, limit_a, dt), limit_a)
             }
             Task::Stopping { now_dps } => {
                 let next_dps = ramp(*now_dps, 0.0, speed_up, slow_down, dt);
                 (follow(loops, gains, now_dps, next_dps, input, stall_a, dt), stall_a)
             }
             Task::Position { target_deg, max_speed_dps, limit_a, plan } => {
+                let limit_a = limit_a.min(stall_a);
                 let set_limit = (*max_speed_dps > 0.0).then_some(*max_speed_dps);
                 let own_limit = input.max_speed_dps;
                 let (now, goal, max_dps) = match pace(accelerations, set_limit, own_limit) {
@@ -243,9 +246,9 @@ impl Controller {
                 let wrong_dps = speed_dps - input.speed_dps;
                 let is_there = error_deg.abs() < THERE_DEG && wrong_dps.abs() < STANDING_DPS;
                 let output = if is_there {
-                    loops.speed_at_rest(gains, wrong_dps, *limit_a)
+                    loops.speed_at_rest(gains, wrong_dps, limit_a)
                 } else {
-                    loops.speed(gains, wrong_dps, *limit_a, dt)
+                    loops.speed(gains, wrong_dps, limit_a, dt)
                 };
                 *plan = now.map_or(Plan::None, |now| {
                     let further_deg = (goal.position_deg - now.position_deg) as f32;
@@ -257,7 +260,7 @@ impl Controller {
                         Plan::Moves(goal)
                     }
                 });
-                (output.value, *limit_a)
+                (output.value, limit_a)
             }
         };
         let limit_a = limit_a.min(stall_a);

@@ -1,0 +1,49 @@
+//! A drive that is hot.
+
+use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::plant::{DeratingParameters, Load, MotorParameters};
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::drive::{Event, Limit};
+use myactuator_protocol_core::io::Runner;
+use myactuator_tests::values::{go_to, millis};
+
+/// An X8-120, whose stall current is 43.8 A, on its way with a load that hardly moves; from 80 to 120 °C of the
+/// motor and from 70 to 100 °C of the output stage it loses all of that.
+#[test]
+fn a_hot_motor_gives_less_and_says_so() {
+    let mut model = MotorParameters::named("RMD-X8-P20-120").unwrap();
+    model.derating = Some(DeratingParameters {
+        motor_from_c: 80.0,
+        motor_to_c: 120.0,
+        mos_from_c: 70.0,
+        mos_to_c: 100.0,
+    });
+    let load = Load { inertia_kg_m2: 1e4, ..Load::NONE };
+    let fleet = Fleet::new(1).model(model).load(load).on_can(1_000_000).unwrap();
+    let drive = &fleet.drives[0];
+    let gives = |motor_c: f64, mos_c: f64| {
+        drive.with(|drive| {
+            drive.plant_mut().force_motor_temperature_c(Some(motor_c)).unwrap();
+            drive.plant_mut().force_mos_temperature_c(Some(mos_c)).unwrap();
+        });
+        fleet.world.run_for(millis(100));
+        drive.with(|drive| {
+            let mut told = Vec::new();
+            while let Some(event) = drive.poll_event() {
+                if let Event::Limited(limit) = event {
+                    told.push(limit);
+                }
+            }
+            (drive.state().measurement.current_a, told)
+        })
+    };
+    fleet.master::<1>().ask(MotorId::MIN, go_to(9_000.0, 900)).unwrap();
+    assert_eq!(gives(25.0, 25.0), (43.8, vec![Limit::StallCurrent]));
+    // 30 of 40 degrees are left; no error comes below 90 °C of the motor and 85 °C of the output stage.
+    assert_eq!(gives(90.0, 25.0), (0.75 * 43.8, vec![Limit::Temperature]));
+    // 20 of 30 degrees are left.
+    let (current_a, told) = gives(90.0, 80.0);
+    assert!((current_a - 43.8 * 2.0 / 3.0).abs() < 1e-4, "{current_a}");
+    assert_eq!(told, []);
+    assert_eq!(gives(25.0, 25.0), (43.8, vec![Limit::StallCurrent]));
+}
