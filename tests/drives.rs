@@ -7,6 +7,7 @@ mod drives {
     mod encoders;
     mod energy;
     mod fleet;
+    mod housing;
     mod loads;
     mod loops;
     mod mechanics;

@@ -13,7 +13,7 @@
 //! | electrics | torque current limited by voltage and back-EMF, diodes, phase currents, electronics' own power | [`SimulatedMotor`] |
 //! | encoders | whole pulses, one on the motor's side with noise, one on the output | [`EncoderParameters`] |
 //! | supply | a source with internal resistance, cable included, and a capacitor; feedback raises the voltage, up to a brake resistor | [`Supply`] |
-//! | heat | the winding and the output stage, each cooling to ambient | [`SimulatedMotor`] |
+//! | heat | the winding, by way of a housing where the file has one, and the output stage, each cooling to ambient | [`SimulatedMotor`] |
 //!
 //! Everything is reckoned at the output shaft, in SI units and f64. The step is fixed,
 //! [`STEP`]; nothing reads a clock, noise is a function of a seed and of the step, and sines and exponentials are `libm`'s rather than

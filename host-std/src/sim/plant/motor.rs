@@ -67,6 +67,8 @@ pub struct SimulatedMotor {
     supply_current_a: f64,
     link: Link,
     winding: ThermalNode,
+    /// Between winding and air, if it has figures of its own.
+    housing: Option<ThermalNode>,
     mos: ThermalNode,
     ambient_c: f64,
     carried_us: u64,
@@ -184,6 +186,7 @@ impl SimulatedMotor {
         parameters.check()?;
         let coefficients = Coefficients::new(&parameters, &Load::NONE)?;
         let thermal = &parameters.thermal;
+        let has_housing = thermal.housing_capacity_j_per_k > 0.0;
         let node =
             |capacity, resistance| ThermalNode::new(REFERENCE_C, capacity, resistance, STEP_S);
         Ok(Self {
@@ -193,7 +196,14 @@ impl SimulatedMotor {
             current_a: 0.0,
             supply_current_a: 0.0,
             link: Link::new(Supply::battery(parameters.rating.voltage_v), STEP_S),
-            winding: node(thermal.winding_capacity_j_per_k, thermal.winding_resistance_k_per_w),
+            winding: node(
+                thermal.winding_capacity_j_per_k,
+                thermal.winding_resistance_k_per_w
+                    - if has_housing { thermal.housing_resistance_k_per_w } else { 0.0 },
+            ),
+            housing: has_housing.then(|| {
+                node(thermal.housing_capacity_j_per_k, thermal.housing_resistance_k_per_w)
+            }),
             mos: node(thermal.mos_capacity_j_per_k, thermal.mos_resistance_k_per_w),
             ambient_c: REFERENCE_C,
             carried_us: 0,
@@ -345,6 +355,11 @@ impl SimulatedMotor {
         (bits > 0).then(|| encoder::pulses(self.shaft.angle_rad, bits))
     }
 
+    /// Temperature of the housing, °C; `None` for a motor whose file has no figures for it.
+    pub fn housing_temperature_c(&self) -> Option<f64> {
+        self.housing.as_ref().map(ThermalNode::temperature_c)
+    }
+
     /// Sets the air's temperature, °C.
     ///
     /// # Errors
@@ -455,7 +470,16 @@ impl SimulatedMotor {
         let idle_w = self.parameters.inverter.idle_power_w;
         self.supply_current_a = self.link.step(winding_w + mos_w + mechanical_w + idle_w);
 
-        self.winding.step(winding_w, self.ambient_c);
+        match &mut self.housing {
+            Some(housing) => {
+                let housing_c = housing.temperature_c();
+                let passed_w = self.winding.step(winding_w, housing_c);
+                housing.step(passed_w, self.ambient_c);
+            }
+            None => {
+                self.winding.step(winding_w, self.ambient_c);
+            }
+        }
         self.mos.step(mos_w, self.ambient_c);
     }
 

@@ -160,12 +160,20 @@ table! {
 }
 
 table! {
-    /// `[thermal]`: two nodes, each cooling to the air by itself.
+    /// `[thermal]`: winding and output stage, each cooling to the air by itself; the winding by way of the housing,
+    /// if that has figures.
     ThermalParameters ["thermal"] {
         /// Heat that warms the winding by 1 K, J/K.
         winding_capacity_j_per_k: f64, "winding heat capacity", "J/K", 0.001..=1_000_000.0;
         /// Steady rise of the winding per watt of copper loss, K/W.
         winding_resistance_k_per_w: f64, "winding thermal resistance", "K/W", 0.000_1..=10_000.0;
+        /// Heat that warms the housing by 1 K, J/K; 0, which is the default, for none between winding and air.
+        #[serde(default)]
+        housing_capacity_j_per_k: f64, "housing heat capacity", "J/K", 0.0..=1_000_000.0;
+        /// Which part of the winding's thermal resistance is that of the housing to the air, K/W; 0 by default,
+        /// and above that with a capacity.
+        #[serde(default)]
+        housing_resistance_k_per_w: f64, "housing thermal resistance", "K/W", 0.0..=10_000.0;
         /// Heat that warms the output stage by 1 K, J/K.
         mos_capacity_j_per_k: f64, "output stage heat capacity", "J/K", 0.001..=1_000_000.0;
         /// Steady rise of the output stage per watt of its loss, K/W.
@@ -292,6 +300,16 @@ impl MotorParameters {
         self.encoder.check()?;
         self.inverter.check()?;
         self.thermal.check()?;
+        let ThermalParameters { housing_resistance_k_per_w, winding_resistance_k_per_w, .. } =
+            self.thermal;
+        if self.thermal.housing_capacity_j_per_k > 0.0 {
+            let most = 0.999 * winding_resistance_k_per_w;
+            check("housing thermal resistance", "K/W", 0.000_1..=most, housing_resistance_k_per_w)
+                .map_err(|error| ParameterError::OutOfRange {
+                    key: "thermal.housing_resistance_k_per_w",
+                    error,
+                })?;
+        }
         if let Some(derating) = &self.derating {
             derating.check()?;
             let DeratingParameters { motor_from_c, motor_to_c, mos_from_c, mos_to_c } = *derating;

@@ -26,13 +26,15 @@ impl ThermalNode {
         Self { temperature_c, is_held: false, resistance_k_per_w, remaining }
     }
 
-    /// One step with `loss_w` watts of heating in air of `ambient_c`, unless it is held.
-    pub(super) fn step(&mut self, loss_w: f64, ambient_c: f64) {
-        if self.is_held {
-            return;
+    /// One step with `loss_w` watts of heating in air (or in a housing) of `ambient_c`, unless it is held. Gives
+    /// the power that it passes on to that, in the mean of the step, W.
+    pub(super) fn step(&mut self, loss_w: f64, ambient_c: f64) -> f64 {
+        let before_c = self.temperature_c;
+        if !self.is_held {
+            let steady_c = ambient_c + loss_w * self.resistance_k_per_w;
+            self.temperature_c = steady_c + (before_c - steady_c) * self.remaining;
         }
-        let steady_c = ambient_c + loss_w * self.resistance_k_per_w;
-        self.temperature_c = steady_c + (self.temperature_c - steady_c) * self.remaining;
+        (0.5 * (before_c + self.temperature_c) - ambient_c) / self.resistance_k_per_w
     }
 
     /// The temperature, °C.
