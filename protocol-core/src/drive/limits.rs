@@ -1,6 +1,7 @@
 //! What keeps the current from being what the loops want: told when it begins and when it ends.
 
 use crate::drive::event::Limit;
+use crate::drive::{Actuation, Drive, Event, Memory, Plant};
 use crate::time::Duration;
 
 /// For so long a limit must act, or act no more, before it is told.
@@ -72,6 +73,32 @@ impl Limits {
         self.changed = Duration::ZERO;
         let ended = core::mem::replace(&mut self.told, now);
         Some((ended, now))
+    }
+}
+
+impl<P: Plant, M: Memory> Drive<P, M> {
+    /// The largest current, as hot as it is, A.
+    pub(super) fn largest_a(&self) -> f32 {
+        let share = self.parameters.derating.map_or(1.0, |it| it.share(&self.measurement));
+        self.parameters.stall_current_a * share
+    }
+
+    /// Tells which limit of the current begins to act, and which ends.
+    pub(super) fn watch_limits(&mut self, actuation: &Actuation, span: Duration) {
+        let stall_a = self.parameters.stall_current_a;
+        let largest_a = self.largest_a();
+        let step = actuation.output_on.then(|| Step {
+            wanted_a: actuation.current_a,
+            flows_a: self.measurement.current_a,
+            limit_a: self.controller.limit_a().min(largest_a),
+            largest_a,
+            stall_a,
+        });
+        if let Some((ended, begun)) = self.limits.observe(step, span) {
+            let ended = ended.map(Event::Unlimited);
+            let begun = begun.map(Event::Limited);
+            [ended, begun].into_iter().flatten().for_each(|event| self.events.push(event));
+        }
     }
 }
 

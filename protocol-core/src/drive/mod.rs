@@ -443,29 +443,6 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
     }
 
-    /// The largest current, as hot as it is, A.
-    fn largest_a(&self) -> f32 {
-        let share = self.parameters.derating.map_or(1.0, |it| it.share(&self.measurement));
-        self.parameters.stall_current_a * share
-    }
-
-    fn watch_limits(&mut self, actuation: &Actuation, span: Duration) {
-        let stall_a = self.parameters.stall_current_a;
-        let largest_a = self.largest_a();
-        let step = actuation.output_on.then(|| limits::Step {
-            wanted_a: actuation.current_a,
-            flows_a: self.measurement.current_a,
-            limit_a: self.controller.limit_a().min(largest_a),
-            largest_a,
-            stall_a,
-        });
-        if let Some((ended, begun)) = self.limits.observe(step, span) {
-            let ended = ended.map(Event::Unlimited);
-            let begun = begun.map(Event::Limited);
-            [ended, begun].into_iter().flatten().for_each(|event| self.events.push(event));
-        }
-    }
-
     fn input(&self) -> Input {
         Input {
             angle_deg: self.encoder.angle_deg(),
