@@ -5,7 +5,7 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use myactuator_host_std::sim::mechanics::{
     AlreadyLed, Failure, Link, Mechanics, Remote, Shaft, TwoLinks,
 };
-use myactuator_host_std::sim::plant::{MotorParameters, SimulatedMotor};
+use myactuator_host_std::sim::plant::{MODELS, MotorParameters, SimulatedMotor};
 use myactuator_host_std::sim::{CanFleet, Fleet, Robot};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus2, ReleaseBrake};
@@ -288,4 +288,48 @@ fn another_process_moves_the_shafts_as_exactly_as_this_one() {
     let remote = run(Some(near));
     other.join().unwrap();
     assert_eq!(remote, run(None));
+}
+
+/// Shafts of one inertia each, with nothing on them.
+struct Bare {
+    inertia_kg_m2: f64,
+}
+
+impl Mechanics for Bare {
+    fn step(&mut self, period: Duration, shafts: &mut [Shaft]) -> Result<(), Failure> {
+        let seconds = period.as_micros() as f64 * 1e-6;
+        for shaft in shafts {
+            let freely = shaft.speed_dps
+                + (shaft.acting.torque_nm / self.inertia_kg_m2).to_degrees() * seconds;
+            let taken = (shaft.acting.friction_nm / self.inertia_kg_m2).to_degrees() * seconds;
+            shaft.speed_dps = (freely.abs() - taken).max(0.0).copysign(freely);
+            shaft.angle_deg += shaft.speed_dps * seconds;
+        }
+        Ok(())
+    }
+}
+
+/// As the documentation of `mechanics` says: the smallest inertia that there can be with 200 us, four times that
+/// with 1 ms.
+#[test]
+fn every_models_loops_are_calm_with_the_periods_that_are_called_safe() {
+    for (times, period_us) in [(1.0, 200), (4.0, 1_000)] {
+        for model in MODELS.iter().map(|it| MotorParameters::named(it.name).unwrap()) {
+            let inertia_kg_m2 = times * model.inertia_kg_m2();
+            let case = format!("{} with {times} times its inertia", model.name);
+            let fleet = Fleet::new(1).model(model).on_can(1_000_000).unwrap();
+            let bare = Bare { inertia_kg_m2 };
+            fleet.lead(&fleet.drives, Duration::from_micros(period_us), bare).unwrap();
+            fleet.master::<1>().ask(id(1), go_to(20.0, 90)).unwrap();
+            fleet.world.run_for(millis(700));
+            let speeds_dps = (0..100).map(|_| {
+                fleet.world.run_for(millis(1));
+                fleet.drives[0].with(|it| it.plant().output_speed_dps().abs())
+            });
+            let fastest_dps = speeds_dps.fold(0.0, f64::max);
+            assert!(fastest_dps < 1.0, "{case}: {fastest_dps}");
+            let angle = fleet.drives[0].with(|it| it.plant().output_angle_deg());
+            assert!((angle - 20.0).abs() < 0.5, "{case}: {angle}");
+        }
+    }
 }
