@@ -31,6 +31,7 @@
 //! # Ok::<(), myactuator_host_std::sim::plant::ParameterError>(())
 //! ```
 
+mod coefficients;
 mod encoder;
 mod figure;
 mod led;

@@ -5,10 +5,11 @@ use std::f64::consts::TAU;
 use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
 use myactuator_protocol_core::time::Duration;
 
+use super::coefficients::Coefficients;
 use super::encoder::{self, Noise};
 use super::figure::{ImpossibleFigure, check};
 use super::led::{Led, ShaftTorque};
-use super::shaft::{Acting, Inertia, Play, Shaft};
+use super::shaft::{Acting, Shaft};
 use super::supply::{Link, check_voltage};
 use super::thermal::ThermalNode;
 use super::{Load, MotorParameters, ParameterError, Supply};
@@ -16,19 +17,11 @@ use super::{Load, MotorParameters, ParameterError, Supply};
 /// The simulation's step. Time that is left over is carried to the next call.
 pub const STEP: Duration = Duration::from_micros(100);
 
-const STEP_S: f64 = STEP.as_micros() as f64 * 1e-6;
+pub(super) const STEP_S: f64 = STEP.as_micros() as f64 * 1e-6;
 const HALF_STEP_S: f64 = STEP_S / 2.0;
 
 /// Temperature at which the phase resistance is given, °C; also the air's, until set.
 const REFERENCE_C: f64 = 25.0;
-
-/// Fastest electromechanical rate, 1/s: half of the speed error corrected in one step.
-const MAX_ELECTRIC_RATE_PER_S: f64 = 0.5 / STEP_S;
-/// Highest angular frequency of a spring, 1/s: 31 steps a period, at which the period is right to
-/// 0.2 %.
-const MAX_SPRING_RATE_PER_S: f64 = 0.2 / STEP_S;
-/// The same for a load alone, while it crosses the gear's play: it only has to stay stable, which ends at 2.
-const MAX_LOOSE_RATE_PER_S: f64 = 1.0 / STEP_S;
 
 const HALF_SQRT_3: f64 = 0.866_025_403_784_438_6;
 
@@ -81,99 +74,6 @@ pub struct SimulatedMotor {
     forced_brake: Option<bool>,
     /// What the encoder shows since it failed: pulses, and speed in degrees per second.
     frozen: Option<(i64, f32)>,
-}
-
-/// What one step needs and only a change of load alters.
-#[derive(Clone, Copy, Debug)]
-struct Coefficients {
-    /// Motor, gear and load together.
-    whole: Inertia,
-    /// What is on either side of the gear's play, if it has any.
-    play: Option<Play>,
-    air_gap_nm_per_a: f64,
-    gear_loss: f64,
-    amplitude_per_a: f64,
-    /// Amplitude of a phase's back-EMF per speed of the output shaft, V·s/rad.
-    emf_v_s_per_rad: f64,
-    pulses_per_rad: f64,
-    /// Radians of the cogging torque's period per radian of the output shaft.
-    cogging_per_rad: f64,
-    electrical_turns_per_rad: f64,
-}
-
-impl Coefficients {
-    fn new(parameters: &MotorParameters, load: &Load) -> Result<Self, ParameterError> {
-        let inertia = parameters.inertia_kg_m2() + load.total_inertia_kg_m2();
-        let load_inertia = parameters.gear.output_inertia_kg_m2 + load.total_inertia_kg_m2();
-        let motor_inertia = inertia - load_inertia;
-        let friction = parameters.friction.viscous_nm_s_per_rad;
-        let damping = load.damping_nm_s_per_rad;
-        let has_play = parameters.gear.backlash_arcmin > 0.0;
-        let play = has_play.then(|| Play {
-            half_rad: (parameters.gear.backlash_arcmin / 120.0).to_radians(),
-            motor: Inertia::new(motor_inertia, friction, STEP_S),
-            load: Inertia::new(load_inertia, damping, STEP_S),
-        });
-
-        // Before any loss: the power that becomes mechanical is this times current times speed.
-        let air_gap_nm_per_a =
-            parameters.motor.torque_constant_nm_per_a / parameters.gear.efficiency;
-        let amplitude_per_a = parameters.motor.current_scale.amplitude_per_ampere();
-        // Power balance: 3/2 of EMF amplitude times current amplitude is torque times speed.
-        let emf_v_s_per_rad = air_gap_nm_per_a / (1.5 * amplitude_per_a);
-
-        // What the motor turns when it turns the least.
-        let turned_kg_m2 = if has_play { motor_inertia } else { inertia };
-        let resistance = parameters.motor.phase_resistance_ohm;
-        let electric_rate_per_s =
-            1.5 * emf_v_s_per_rad * emf_v_s_per_rad / (resistance * turned_kg_m2);
-        if electric_rate_per_s > MAX_ELECTRIC_RATE_PER_S {
-            return Err(ParameterError::TooFast {
-                what: "torque constant squared over phase resistance and inertia",
-                rate_per_s: electric_rate_per_s,
-                limit_per_s: MAX_ELECTRIC_RATE_PER_S,
-            });
-        }
-        let cogging_per_rad = parameters.gear.ratio * f64::from(parameters.motor.cogging_periods);
-        let cogging_rate_per_s =
-            (parameters.motor.cogging_nm * cogging_per_rad / turned_kg_m2).sqrt();
-        if cogging_rate_per_s > MAX_SPRING_RATE_PER_S {
-            return Err(ParameterError::TooFast {
-                what: "square root of cogging torque times its periods times gear ratio over inertia",
-                rate_per_s: cogging_rate_per_s,
-                limit_per_s: MAX_SPRING_RATE_PER_S,
-            });
-        }
-        let (part, stiffness_nm_per_rad) = load.stiffness();
-        let loosely = has_play.then_some((load_inertia, MAX_LOOSE_RATE_PER_S));
-        let limits = [(inertia, MAX_SPRING_RATE_PER_S)].into_iter().chain(loosely);
-        for (inertia_kg_m2, rate_per_s) in limits {
-            let most_nm_per_rad = inertia_kg_m2 * rate_per_s * rate_per_s;
-            if stiffness_nm_per_rad > most_nm_per_rad {
-                return Err(ParameterError::TooStiff {
-                    part,
-                    stiffness_nm_per_rad,
-                    most_nm_per_rad,
-                    inertia_kg_m2,
-                });
-            }
-        }
-
-        Ok(Self {
-            whole: Inertia::new(inertia, friction + damping, STEP_S),
-            play,
-            air_gap_nm_per_a,
-            gear_loss: 1.0 - parameters.gear.efficiency,
-            amplitude_per_a,
-            emf_v_s_per_rad,
-            pulses_per_rad: parameters.gear.ratio * f64::from(1_u32 << parameters.encoder.bits)
-                / TAU,
-            cogging_per_rad,
-            electrical_turns_per_rad: parameters.gear.ratio
-                * f64::from(parameters.motor.pole_pairs)
-                / TAU,
-        })
-    }
 }
 
 impl SimulatedMotor {
