@@ -38,7 +38,7 @@ const ECHO_NOISE: f32 = 0.1;
 ///     faults = ["cut@2+5s"]
 ///
 ///     [bus.defaults]
-///     model = "RMD-X8-PRO"
+///     model = "RMD-X8-P20-120"
 ///     brake = true
 ///
 ///     [[bus.motor]]
