@@ -118,7 +118,7 @@ impl Kind {
         data.get(at).copied()
     }
 
-    /// Whether it may set the motor in motion.
+    /// Whether it may set the motor in motion. Once in the firmware: it is asked in many places.
     #[inline(never)]
     pub(crate) const fn moves(self) -> bool {
         match self {

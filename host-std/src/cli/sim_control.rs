@@ -7,7 +7,7 @@ use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand, ValueEnum};
-use myactuator_host_std::serve::PlannedFault;
+use myactuator_host_std::sim::{PlannedFault, parse_time};
 use myactuator_protocol_core::MotorId;
 use serde_json::{Map, Value, json};
 
@@ -170,11 +170,7 @@ fn fault(text: &str) -> Result<String, String> {
 }
 
 fn time_us(text: &str) -> Result<u64, String> {
-    // As in a fault.
-    let fault: PlannedFault = format!("clear+{text}")
-        .parse()
-        .map_err(|error: myactuator_host_std::Unexpected| error.to_string())?;
-    Ok(fault.after.as_micros())
+    parse_time(text).map(|time| time.as_micros()).map_err(|error| error.to_string())
 }
 
 impl Whom {

@@ -11,6 +11,7 @@ use myactuator_protocol_core::time::Instant;
 
 use crate::sim::bus::faults::{Babble, Direction, FaultPlan};
 use crate::sim::bus::{Medium, World, trace};
+use crate::sim::mechanics::MechanicsFailure;
 use crate::sim::{BusFleet, DriveHandle, DriveLog, FaultKind, LogRecord, PlannedFault};
 
 use super::Notice;
@@ -29,7 +30,7 @@ pub(super) trait Hosted: Debug {
     /// Its time.
     fn now(&self) -> Instant;
 
-    /// Under virtual time, when something happens next by itself.
+    /// When something happens next by itself; `None` for never.
     fn next_event(&self) -> Option<Instant>;
 
     /// Under virtual time, lets time go on.
@@ -48,7 +49,9 @@ pub(super) trait Hosted: Debug {
     fn follow_wall_clock(&self);
 
     /// How long it still is until something happens by itself; `None` for nothing ever.
-    fn until_next_event(&self) -> Option<Duration>;
+    fn until_next_event(&self) -> Option<Duration> {
+        Some((self.next_event()? - self.now()).into())
+    }
 
     /// Tells of drives that were set to another bit rate than their bus has.
     fn tell_rates(&self, notify: &mut dyn FnMut(Notice));
@@ -75,7 +78,7 @@ pub(super) struct Host<B: Medium> {
     drives: Vec<DriveHandle>,
     log: DriveLog,
     /// Why shafts stand, until that was said.
-    mechanics_failure: Option<Arc<Mutex<Option<String>>>>,
+    mechanics_failure: Option<MechanicsFailure>,
     /// The plans of all drives that have none of their own, by direction.
     common: [FaultPlan; 2],
     /// Each drive's own plans.
@@ -99,7 +102,7 @@ impl<B: Medium> Host<B> {
             bit_rate: fleet.bit_rate,
             drives: fleet.drives.clone(),
             log: DriveLog::of(fleet),
-            mechanics_failure: Some(Arc::clone(&fleet.mechanics_failure)),
+            mechanics_failure: Some(fleet.mechanics_failure.clone()),
             common: [FaultPlan::NONE; 2],
             own: vec![[None; 2]; fleet.drives.len()],
             cut: vec![false; fleet.drives.len()],
@@ -194,10 +197,6 @@ impl<B: Medium> Hosted for Host<B> {
         self.world.clone().in_real_time();
     }
 
-    fn until_next_event(&self) -> Option<Duration> {
-        Some((self.world.next_event()? - self.world.now()).into())
-    }
-
     fn tell_rates(&self, notify: &mut dyn FnMut(Notice)) {
         let bus_rate = self.bit_rate;
         for drive in &self.drives {
@@ -240,10 +239,7 @@ impl<B: Medium> Hosted for Host<B> {
     }
 
     fn poll_mechanics_failure(&mut self) -> Option<String> {
-        let said = |failure: &Mutex<Option<String>>| {
-            failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
-        };
-        let reason = said(self.mechanics_failure.as_deref()?)?;
+        let reason = self.mechanics_failure.as_ref()?.reason()?;
         self.mechanics_failure = None;
         Some(reason)
     }

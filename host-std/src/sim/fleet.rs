@@ -260,7 +260,7 @@ impl Fleet {
         // A master decodes all by one firmware.
         let model = self.motors.first().map(|motor| motor.made_model(&usual_model));
         let firmware = model.map_or(usual_model.firmware, |model| model.firmware);
-        let mechanics_failure = Arc::default();
+        let mechanics_failure = Default::default();
         Ok(BusFleet { name, world, drives, firmware, bit_rate, mechanics_failure })
     }
 }

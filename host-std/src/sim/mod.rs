@@ -80,6 +80,6 @@ pub use fleet::{
 };
 pub use log::{DriveLog, LogRecord};
 pub use model_file::named_model;
-pub use planned_fault::{Chance, FaultKind, PlannedFault};
+pub use planned_fault::{Chance, FaultKind, PlannedFault, parse_time};
 pub use quirk_names::{quirk_names, quirks_named};
 pub use robot::{Adapter, MechanicsProcess, Robot, RobotBus, RobotError};

@@ -131,7 +131,7 @@ impl FromStr for PlannedFault {
 
     fn from_str(text: &str) -> Result<Self, Unexpected> {
         let (text, after) = match text.rsplit_once('+') {
-            Some((text, after)) => (text, time(after)?),
+            Some((text, after)) => (text, parse_time(after)?),
             None => (text, Duration::ZERO),
         };
         let (text, condition) = match text.split_once('?') {
@@ -180,8 +180,8 @@ fn kind(name: &str, value: Option<&str>) -> Result<FaultKind, Unexpected> {
         "duplicate" => FaultKind::Chance(Chance::Duplicate(usual()?)),
         "delay" => FaultKind::Chance(delay(value)?),
         "reorder" => FaultKind::Chance(Chance::Reorder(usual()?)),
-        "babble" => FaultKind::Babble(value.map_or(Ok(USUAL_BABBLE), time)?),
-        "slow" => FaultKind::Slow(time(value.unwrap_or_default())?),
+        "babble" => FaultKind::Babble(value.map_or(Ok(USUAL_BABBLE), parse_time)?),
+        "slow" => FaultKind::Slow(parse_time(value.unwrap_or_default())?),
         _ => {
             let kind = match name {
                 "cut" => FaultKind::Cut,
@@ -212,7 +212,7 @@ fn delay(value: Option<&str>) -> Result<Chance, Unexpected> {
         return Ok(Chance::Delay { chance: chance(value)?, min, max });
     };
     let (least, most) = late.split_once("..").unwrap_or((late, late));
-    let (min, max) = (time(least)?, time(most)?);
+    let (min, max) = (parse_time(least)?, parse_time(most)?);
     if min > max {
         return Err(Unexpected::new(TIME, late));
     }
@@ -224,7 +224,11 @@ fn chance(text: &str) -> Result<f32, Unexpected> {
     chance.ok_or_else(|| Unexpected::new("a chance from 0 to 1 such as 0.01", text))
 }
 
-fn time(text: &str) -> Result<Duration, Unexpected> {
+/// A time with its unit, such as `500us`, `2ms` or `1.5s`, as in faults.
+///
+/// # Errors
+/// [`Unexpected`]: also beyond a year.
+pub fn parse_time(text: &str) -> Result<Duration, Unexpected> {
     /// The longest that makes sense, in microseconds: a year.
     const LONGEST_US: f64 = 365.0 * 86_400.0 * 1e6;
     let wrong = || Unexpected::new(TIME, text);

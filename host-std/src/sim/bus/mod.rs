@@ -67,6 +67,7 @@ mod world;
 
 pub use executor::{Timeline, block_on};
 pub use medium::Medium;
+pub(in crate::sim) use node::lock;
 pub use node::{Node, StationId};
 pub use port::Port;
 pub use world::{SimClock, World};

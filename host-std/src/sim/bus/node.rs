@@ -1,6 +1,6 @@
 //! Who is on a bus.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use myactuator_protocol_core::time::Instant;
 
@@ -46,8 +46,9 @@ pub trait Node<F>: Send {
     }
 }
 
-fn lock<N>(node: &Mutex<N>) -> std::sync::MutexGuard<'_, N> {
-    node.lock().unwrap_or_else(PoisonError::into_inner)
+/// Locks it, also after a panic of whoever had it.
+pub(in crate::sim) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl<F, N: Node<F>> Node<F> for Arc<Mutex<N>> {

@@ -1,9 +1,9 @@
 //! What really happened on a bus.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use super::nanos::to_instant;
-use super::node::StationId;
+use super::node::{StationId, lock};
 use myactuator_protocol_core::time::Instant;
 
 /// Something that happened.
@@ -97,6 +97,6 @@ pub struct Log<F>(pub(super) Arc<Mutex<Vec<Record<F>>>>);
 impl<F> Log<F> {
     /// Hands over what was noted so far and starts anew.
     pub fn take(&self) -> Vec<Record<F>> {
-        std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut *lock(&self.0))
     }
 }

@@ -12,7 +12,7 @@ use super::faults::{Babble, Direction, FaultPlan};
 use super::kernel::{Kernel, Regular};
 use super::medium::Medium;
 use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
-use super::node::{Node, StationId};
+use super::node::{Node, StationId, lock};
 use super::port::Port;
 use super::trace::{Log, Record};
 use super::waiting::{Awaited, Waiting};
@@ -75,7 +75,7 @@ impl<B: Medium> World<B> {
     }
 
     fn lock(&self) -> MutexGuard<'_, State<B>> {
-        self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0.state)
     }
 
     /// Works on the world as it is now.
@@ -300,7 +300,7 @@ impl<B: Medium> World<B> {
         let records = Arc::new(Mutex::new(Vec::new()));
         let log = Log(Arc::clone(&records));
         self.observe(move |record| {
-            records.lock().unwrap_or_else(PoisonError::into_inner).push(record.clone());
+            lock(&records).push(record.clone());
         });
         log
     }

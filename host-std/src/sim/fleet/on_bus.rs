@@ -1,7 +1,7 @@
 //! Drives that are on a bus, and a hand on each.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use myactuator_protocol_core::drive::Event;
 use myactuator_protocol_core::io::{AsyncCanMaster, AsyncSerialMaster, CanMaster, SerialMaster};
@@ -12,7 +12,8 @@ use myactuator_protocol_core::{Firmware, MotorId};
 use super::SimulatedDrive;
 use crate::sim::bus::can::{CanBus, CanPort};
 use crate::sim::bus::rs485::{Rs485Line, SerialPort};
-use crate::sim::bus::{Medium, SimClock, StationId, World};
+use crate::sim::bus::{Medium, SimClock, StationId, World, lock};
+use crate::sim::mechanics::MechanicsFailure;
 use crate::sim::seat::Seat;
 
 /// A hand on one simulated drive.
@@ -69,7 +70,7 @@ impl DriveHandle {
     /// What has happened in the drive and when, and how many events were lost before; the drive itself is left
     /// alone.
     pub(in crate::sim) fn take_events(&self) -> (Vec<(Instant, Event)>, u32) {
-        let mut seat = self.seat.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut seat = lock(&self.seat);
         let drive = &mut seat.drive;
         let events = std::iter::from_fn(|| drive.poll_timed_event()).collect();
         (events, drive.dropped().1)
@@ -79,7 +80,7 @@ impl DriveHandle {
     /// to begins now. Not while the world runs in this thread.
     pub fn with<T>(&self, work: impl FnOnce(&mut SimulatedDrive) -> T) -> T {
         self.world.serve(self.station);
-        let mut seat = self.seat.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut seat = lock(&self.seat);
         let result = work(&mut seat.drive);
         seat.drive.measure();
         drop(seat);
@@ -101,7 +102,7 @@ pub struct BusFleet<B: Medium> {
     pub bit_rate: u32,
     /// That of the first drive.
     pub(super) firmware: Firmware,
-    pub(crate) mechanics_failure: Arc<Mutex<Option<String>>>,
+    pub(crate) mechanics_failure: MechanicsFailure,
 }
 
 /// Drives on a CAN bus.
@@ -149,17 +150,16 @@ impl CanFleet {
     ) -> CanMaster<CanPort, SimClock<CanBus>, N> {
         let port = self.world.port();
         self.world.set_bit_rate(port.station(), bit_rate);
-        let config = Config { firmware: self.firmware, ..Config::can(bit_rate) };
-        CanMaster::new(port, self.world.clock(), config)
+        CanMaster::new(port, self.world.clock(), self.config(bit_rate))
     }
 
     /// An async master on this bus, to be run within [`block_on`](Self::block_on).
     pub fn async_master<const N: usize>(&self) -> AsyncCanMaster<CanPort, SimClock<CanBus>, N> {
-        AsyncCanMaster::new(self.world.port(), self.world.clock(), self.config())
+        AsyncCanMaster::new(self.world.port(), self.world.clock(), self.config(self.bit_rate))
     }
 
-    fn config(&self) -> Config {
-        Config { firmware: self.firmware, ..Config::can(self.bit_rate) }
+    fn config(&self, bit_rate: u32) -> Config {
+        Config { firmware: self.firmware, ..Config::can(bit_rate) }
     }
 }
 
@@ -176,18 +176,17 @@ impl LineFleet {
     ) -> SerialMaster<SerialPort, SimClock<Rs485Line>, N> {
         let port = self.world.port();
         self.world.set_bit_rate(port.station(), bit_rate);
-        let config = Config { firmware: self.firmware, ..Config::rs485(bit_rate, false) };
-        SerialMaster::new(port, self.world.clock(), config)
+        SerialMaster::new(port, self.world.clock(), self.config(bit_rate))
     }
 
     /// An async master on this line, to be run within [`block_on`](Self::block_on).
     pub fn async_master<const N: usize>(
         &self,
     ) -> AsyncSerialMaster<SerialPort, SimClock<Rs485Line>, N> {
-        AsyncSerialMaster::new(self.world.port(), self.world.clock(), self.config())
+        AsyncSerialMaster::new(self.world.port(), self.world.clock(), self.config(self.bit_rate))
     }
 
-    fn config(&self) -> Config {
-        Config { firmware: self.firmware, ..Config::rs485(self.bit_rate, false) }
+    fn config(&self, bit_rate: u32) -> Config {
+        Config { firmware: self.firmware, ..Config::rs485(bit_rate, false) }
     }
 }

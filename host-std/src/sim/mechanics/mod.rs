@@ -54,12 +54,12 @@
 mod remote;
 mod two_links;
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::time::{Duration, Instant};
 
-use super::bus::Medium;
+use super::bus::{Medium, lock};
 use super::plant::ShaftTorque;
 use super::seat::Seat;
 use super::{BusFleet, DriveHandle};
@@ -104,8 +104,21 @@ pub struct AlreadyLed {
 
 /// Whether it was led before.
 fn set_led(seat: &Mutex<Seat>, is_led: bool) -> bool {
-    let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
-    std::mem::replace(&mut seat.is_led, is_led)
+    std::mem::replace(&mut lock(seat).is_led, is_led)
+}
+
+/// Why shafts of a fleet stand: the first reason. Clones are the same.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct MechanicsFailure(Arc<Mutex<Option<String>>>);
+
+impl MechanicsFailure {
+    pub(crate) fn reason(&self) -> Option<String> {
+        lock(&self.0).clone()
+    }
+
+    fn tell(&self, reason: String) {
+        lock(&self.0).get_or_insert(reason);
+    }
 }
 
 impl<B: Medium> BusFleet<B> {
@@ -132,7 +145,7 @@ impl<B: Medium> BusFleet<B> {
             period,
             mechanics,
             has_failed: false,
-            failure: Arc::clone(&self.mechanics_failure),
+            failure: self.mechanics_failure.clone(),
         };
         self.world.every(period, move |now| leader.step(now));
         Ok(())
@@ -140,7 +153,7 @@ impl<B: Medium> BusFleet<B> {
 
     /// Why shafts stand, if their mechanics failed or led them where none can be.
     pub fn mechanics_failure(&self) -> Option<String> {
-        self.mechanics_failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.mechanics_failure.reason()
     }
 }
 
@@ -165,8 +178,7 @@ struct Leader<M> {
     period: Duration,
     mechanics: M,
     has_failed: bool,
-    /// Where the first failure is told.
-    failure: Arc<Mutex<Option<String>>>,
+    failure: MechanicsFailure,
 }
 
 impl<M: Mechanics> Leader<M> {
@@ -175,7 +187,7 @@ impl<M: Mechanics> Leader<M> {
             return;
         }
         for (seat, shaft) in self.seats.iter().zip(&mut self.shafts) {
-            let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut seat = lock(seat);
             seat.catch_up(now);
             shaft.acting = seat.drive.plant().acting();
         }
@@ -183,14 +195,14 @@ impl<M: Mechanics> Leader<M> {
         if let Err(reason) = moved.and_then(|()| self.lead()) {
             self.stand();
             self.has_failed = true;
-            self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+            self.failure.tell(reason);
         }
     }
 
     /// Puts all shafts where the mechanics have them.
     fn lead(&mut self) -> Result<(), String> {
         for (seat, shaft) in self.seats.iter().zip(&self.shafts) {
-            let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut seat = lock(seat);
             let led = seat.drive.plant_mut().lead(shaft.angle_deg, shaft.speed_dps);
             led.map_err(|error| format!("the shaft of motor {}: {error}", shaft.motor))?;
         }
@@ -200,7 +212,7 @@ impl<M: Mechanics> Leader<M> {
     /// Has all shafts stand where they are.
     fn stand(&self) {
         for seat in &self.seats {
-            let mut seat = seat.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut seat = lock(seat);
             let angle_deg = seat.drive.plant().output_angle_deg();
             // Where it is it can be led to.
             let _ = seat.drive.plant_mut().lead(angle_deg, 0.0);
