@@ -204,7 +204,9 @@ fn nothing_is_lost(program: Program, seconds: u32) {
             firmware.fail(&format!("{told:?}: more and more bytes wait, {queued} at first"));
         }
         if second == seconds {
-            println!("{program:?} after {seconds} s, up to {excused} lost replies excused: {told:?}");
+            println!(
+                "{program:?} after {seconds} s, up to {excused} lost replies excused: {told:?}"
+            );
         }
     }
     firmware.check_log();
