@@ -10,7 +10,8 @@ use myactuator_protocol_core::{Channel, MotorId, Packet};
 
 use crate::stage::{INTERMISSION_S, Seen, Stage, Surroundings};
 use crate::{
-    Kind, LIMIT, RESPONSE_MAX, RESPONSE_MIN, SETTLE, SPAN, command, cycle_s, reference, swing,
+    Kind, LIMIT, RESPONSE_MAX, RESPONSE_MIN, SETTLE, SPAN, command, cycle_s, for_each_count,
+    reference, swing,
 };
 
 const LONGEST_PAUSE: Duration = Duration::from_millis(1);
@@ -228,8 +229,7 @@ pub(crate) fn table() -> bool {
     for case in &CASES {
         let &Case(kind, controller, looking, loss, ceilings) = case;
         let mut worst = Ratios { mean: 0.0, slowest: 0.0 };
-        for motors in 1..=MotorId::COUNT as u8 {
-            let ratios = case.measure(motors);
+        for (_, ratios) in for_each_count(|motors| case.measure(motors)) {
             worst.mean = worst.mean.max(ratios.mean);
             worst.slowest = worst.slowest.max(ratios.slowest);
         }
