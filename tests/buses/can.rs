@@ -415,6 +415,39 @@ fn a_node_is_asked_again_when_its_mailboxes_have_room() {
     assert_eq!(listener.frames(), sent);
 }
 
+/// Takes one frame, and sends what it was handed, with another identifier.
+struct Filtered(Option<SimpleFrame>);
+
+impl Node<SimpleFrame> for Filtered {
+    fn accepts(&self, received: &SimpleFrame) -> bool {
+        *received == frame(0x142)
+    }
+
+    fn handle_frame(&mut self, received: &SimpleFrame, _: Instant) {
+        self.0 = Some(if *received == frame(0x142) { frame(0x242) } else { frame(0x7FF) });
+    }
+
+    fn poll_transmit(&mut self, _: Instant) -> Option<SimpleFrame> {
+        self.0.take()
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        None
+    }
+}
+
+#[test]
+fn a_node_gets_what_it_accepts() {
+    let world = world();
+    let listener = world.listener();
+    world.attach(Filtered(None));
+    let sent = [0x141, 0x142, 0x143].map(frame);
+    world.sender([(100, sent[0].clone()), (1_000, sent[1].clone()), (2_000, sent[2].clone())]);
+    world.run_until(micros(5_000));
+    let [first, second, third] = sent;
+    assert_eq!(listener.frames(), [first, second, frame(0x242), third]);
+}
+
 #[test]
 fn a_node_that_is_never_satisfied_does_not_stop_time() {
     let world = world();

@@ -55,8 +55,12 @@ impl Seat {
 }
 
 impl Node<SimpleFrame> for Seat {
-    fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
+    fn accepts(&self, frame: &SimpleFrame) -> bool {
         // Real drives ignore short, remote and foreign frames.
+        matches!(can::decode(frame), can::Received::Packet(packet) if self.drive.is_addressed(packet.channel))
+    }
+
+    fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
         if let can::Received::Packet(packet) = can::decode(frame) {
             self.catch_up(now);
             self.drive.handle_packet(&packet, now);

@@ -194,6 +194,15 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         Ok(drive)
     }
 
+    /// Whether a packet on this channel is for this drive, as far as identifiers say.
+    pub fn is_addressed(&self, channel: Channel) -> bool {
+        match channel {
+            Channel::Command(Target::All) | Channel::BusId => true,
+            Channel::Command(Target::Motor(id)) | Channel::Motion(id) => id == self.id(),
+            Channel::Reply(_) | Channel::MotionReply(_) => false,
+        }
+    }
+
     /// Takes a packet from the bus. What is not for this drive changes nothing.
     ///
     /// A malformed, unknown or out-of-range command is ignored, as a real drive would, and reported
@@ -201,15 +210,10 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     pub fn handle_packet(&mut self, packet: &Packet, now: Instant) {
         self.advance(now);
         self.events.now = now;
-        let to_all = match packet.channel {
-            Channel::Command(Target::All) => true,
-            Channel::BusId => false,
-            Channel::Command(Target::Motor(id)) | Channel::Motion(id) if id == self.id() => false,
-            Channel::Command(Target::Motor(_))
-            | Channel::Motion(_)
-            | Channel::Reply(_)
-            | Channel::MotionReply(_) => return,
-        };
+        if !self.is_addressed(packet.channel) {
+            return;
+        }
+        let to_all = packet.channel == Channel::Command(Target::All);
         match self.life {
             Life::Off => return self.ignore(packet, IgnoreReason::PoweredOff),
             Life::Booting { .. } => return self.ignore(packet, IgnoreReason::Starting),

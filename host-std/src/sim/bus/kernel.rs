@@ -308,8 +308,10 @@ impl<B: Medium> Kernel<B> {
         let now = self.around.now;
         let state = &mut self.stations[to];
         if let Some(node) = &mut state.node {
-            node.handle_frame(unit, to_instant(now));
-            self.serve_node(to);
+            if node.accepts(unit) {
+                node.handle_frame(unit, to_instant(now));
+                self.serve_node(to);
+            }
             return;
         }
         if state.received.len() >= state.receive_queue {

@@ -17,6 +17,13 @@ use myactuator_protocol_core::time::Instant;
 /// To keep a hand on a node, attach an `Arc<Mutex<N>>` of it. Its lock must not be held while the
 /// world runs.
 pub trait Node<F>: Send {
+    /// Whether it takes this frame from the bus, as a controller's acceptance filter says: what it does not
+    /// take is not handed to it, and it is not asked after it. All, unless implemented.
+    fn accepts(&self, frame: &F) -> bool {
+        let _ = frame;
+        true
+    }
+
     /// A frame received from the bus.
     fn handle_frame(&mut self, frame: &F, now: Instant);
 
@@ -52,6 +59,10 @@ pub(in crate::sim) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl<F, N: Node<F>> Node<F> for Arc<Mutex<N>> {
+    fn accepts(&self, frame: &F) -> bool {
+        lock(self).accepts(frame)
+    }
+
     fn handle_frame(&mut self, frame: &F, now: Instant) {
         lock(self).handle_frame(frame, now);
     }
