@@ -3,10 +3,10 @@
 //!
 //! 64 drives, 32 on CAN and 32 on RS485, at first with nobody who asks: the server's processor time. Then a
 //! program asks a motor at each bus over its pseudo-terminal, one exchange after the other: from the command's
-//! last byte to the reply's, against what the bus and the drive take, which answers after 0.8 ms here.
+//! last byte to the reply's, against what the same exchange takes under virtual time.
 
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::{Read as _, Write as _};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::process::ExitCode;
@@ -14,21 +14,20 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration as WallDuration, Instant};
 
+use embedded_can::nb::Can as _;
+use embedded_io::{Read as _, ReadReady as _, Write as _};
 use myactuator_host_std::serve::Server;
 use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
-use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::Frame;
+use myactuator_protocol_core::{MotorId, Packet};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use rustix::time::{ClockId, clock_gettime};
 
 const RESPONSE: Duration = Duration::from_micros(800);
-/// 13 bytes of ten bits at 1 Mbit/s, each way.
-const ON_LINE: WallDuration = WallDuration::from_micros(260);
-/// Eight bytes in a frame of about 117 bits, stuffing included, each way.
-const ON_CAN: WallDuration = WallDuration::from_micros(235);
 const IDLE: WallDuration = WallDuration::from_secs(5);
 const EXCHANGES: usize = 1_000;
 /// What the server may take of a core while nobody asks.
@@ -40,7 +39,6 @@ fn main() -> ExitCode {
     let (told, paths) = mpsc::channel();
     let (stop, stopped) = UnixStream::pair().expect("sockets");
     let server = thread::spawn(move || {
-        let fleet = || Fleet::new(32).response(RESPONSE, RESPONSE);
         let can = fleet().on_can(1_000_000).expect("drives");
         let line = fleet().on_rs485(1_000_000).expect("drives");
         let mut server = Server::new();
@@ -64,12 +62,12 @@ fn main() -> ExitCode {
 
     let ask = ReadMultiTurnAngle.packet(MotorId::MIN);
     let line_command = Frame::from_packet(&ask).expect("a frame").encode();
-    let on_line = median(&rs485, &line_command, 13, ON_LINE);
+    let on_line = median(&rs485, &line_command, 13, exact_on_line(&line_command));
     let mut adapter = open(&slcan);
     adapter.write_all(b"S8\rO\r").expect("an adapter");
     adapter.read_exact(&mut [0; 2]).expect("an adapter that answers");
     // `z\r` for the command, and a line of 22 bytes.
-    let on_can = median(&slcan, b"t14189200000000000000\r", 24, ON_CAN);
+    let on_can = median(&slcan, b"t14189200000000000000\r", 24, exact_on_can(&ask));
     drop(stop);
     server.join().expect("it ends");
 
@@ -82,6 +80,39 @@ fn main() -> ExitCode {
     }
     let is_good = share <= MOST_IDLE && late.iter().all(|(_, off)| *off <= MOST_LATE);
     if is_good { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn fleet() -> Fleet {
+    Fleet::new(32).response(RESPONSE, RESPONSE)
+}
+
+/// What an exchange takes on RS485 and in the drive.
+fn exact_on_line(command: &[u8]) -> WallDuration {
+    let line = fleet().on_rs485(1_000_000).expect("drives");
+    let mut port = line.world.port();
+    let mut reply = Vec::<u8>::new();
+    let _ = port.write(command).expect("room");
+    while reply.len() < command.len() {
+        assert!(line.world.step(), "no reply");
+        let mut chunk = [0; 16];
+        if port.read_ready().expect("a port") {
+            let length = port.read(&mut chunk).expect("a port");
+            reply.extend(&chunk[..length]);
+        }
+    }
+    WallDuration::from_micros(line.world.now().as_micros())
+}
+
+/// What an exchange takes on CAN and in the drive.
+fn exact_on_can(ask: &Packet) -> WallDuration {
+    let can = fleet().on_can(1_000_000).expect("drives");
+    let mut port = can.world.port();
+    let frame: SimpleFrame = can::encode(ask).expect("a frame");
+    let _ = port.transmit(&frame).expect("room");
+    while port.receive().is_err() {
+        assert!(can.world.step(), "no reply");
+    }
+    WallDuration::from_micros(can.world.now().as_micros())
 }
 
 fn processor_time() -> WallDuration {
@@ -100,8 +131,8 @@ fn open(path: &Path) -> File {
     port
 }
 
-/// How much longer the median exchange takes than `on_bus` and the drive.
-fn median(path: &Path, command: &[u8], length: usize, on_bus: WallDuration) -> WallDuration {
+/// How much longer the median exchange takes than the `exact` time.
+fn median(path: &Path, command: &[u8], length: usize, exact: WallDuration) -> WallDuration {
     let mut port = open(path);
     let mut reply = vec![0; length];
     let mut times: Vec<WallDuration> = (0..EXCHANGES)
@@ -113,5 +144,5 @@ fn median(path: &Path, command: &[u8], length: usize, on_bus: WallDuration) -> W
         })
         .collect();
     times.sort_unstable();
-    times[EXCHANGES / 2].saturating_sub(on_bus + RESPONSE.into())
+    times[EXCHANGES / 2].saturating_sub(exact)
 }

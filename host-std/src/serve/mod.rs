@@ -34,6 +34,7 @@ mod hosted;
 mod interface_end;
 mod line_end;
 mod lock_step;
+mod oversleep;
 mod pty;
 mod schedule;
 
@@ -61,6 +62,7 @@ use hosted::{Host, Hosted};
 use interface_end::InterfaceEnd;
 use line_end::LineEnd;
 use lock_step::Advance;
+use oversleep::Oversleep;
 use pty::Pty;
 use schedule::Schedule;
 
@@ -112,6 +114,7 @@ pub struct Server {
     began: time::Instant,
     is_in_lock_step: bool,
     advance: Option<Advance>,
+    oversleep: Oversleep,
 }
 
 /// What the person in front of a server should know.
@@ -461,8 +464,10 @@ impl Server {
         self.control.as_ref().is_some_and(Control::is_ready)
     }
 
-    /// Waits for programs; true if it is time to stop.
-    fn wait(&self, stop: BorrowedFd<'_>, patience: Duration) -> Result<bool, ServeError> {
+    /// Waits for programs; true if it is time to stop. May end a little early.
+    fn wait(&mut self, stop: BorrowedFd<'_>, patience: Duration) -> Result<bool, ServeError> {
+        let patience = self.oversleep.shorten(patience);
+        let began = Instant::now();
         let mut sources = vec![PollFd::from_borrowed_fd(stop, PollFlags::IN)];
         // In lock-step the others are taken in when somebody asks something.
         let ends = self.ends.iter().filter(|end| !self.is_in_lock_step || end.answers_at_once());
@@ -470,8 +475,12 @@ impl Server {
         sources.extend(ends.map(|end| PollFd::from_borrowed_fd(end, PollFlags::IN)));
         let control = self.control.iter().flat_map(Control::sources);
         sources.extend(control.map(|(file, flags)| PollFd::from_borrowed_fd(file, flags)));
-        let patience = Timespec::try_from(patience).unwrap_or_default();
-        match poll(&mut sources, Some(&patience)) {
+        let timeout = Timespec::try_from(patience).unwrap_or_default();
+        match poll(&mut sources, Some(&timeout)) {
+            Ok(0) => {
+                self.oversleep.learn(patience, began.elapsed());
+                Ok(false)
+            }
             Ok(_) => Ok(sources.first().is_some_and(|stop| !stop.revents().is_empty())),
             Err(Errno::INTR) => Ok(false),
             Err(error) => Err(ServeError::Terminal(error.into())),

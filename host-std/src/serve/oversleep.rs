@@ -1,0 +1,49 @@
+//! Who sleeps wakes late: Linux lets its timers slip by 50 µs, and an idle processor takes its time to begin.
+
+use std::time::Duration;
+
+/// A busy machine is late by milliseconds. Nobody stays awake for so long.
+const LONGEST: Duration = Duration::from_micros(200);
+/// How much of the mean the latest sleep makes: one of so many.
+const WEIGHT: u32 = 8;
+
+/// By how much sleeps are too long, on average.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Oversleep(Duration);
+
+impl Oversleep {
+    /// How long to sleep so as to be awake after `wait`: what is left of it then is spent awake.
+    pub(super) fn shorten(self, wait: Duration) -> Duration {
+        wait.saturating_sub(self.0)
+    }
+
+    /// A sleep that was to last so long has lasted so long.
+    pub(super) fn learn(&mut self, planned: Duration, lasted: Duration) {
+        if !planned.is_zero() {
+            let late = lasted.saturating_sub(planned).min(LONGEST);
+            self.0 = (self.0 * (WEIGHT - 1) + late) / WEIGHT;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sleeps_are_shortened_by_what_they_are_late() {
+        let mut oversleep = Oversleep::default();
+        let millisecond = Duration::from_millis(1);
+        assert_eq!(oversleep.shorten(millisecond), millisecond);
+        let lasted = Duration::from_micros(1_080);
+        (0..100).for_each(|_| oversleep.learn(millisecond, lasted));
+        let slept = oversleep.shorten(millisecond);
+        assert!(slept.abs_diff(Duration::from_micros(920)) < Duration::from_micros(1), "{slept:?}");
+        assert_eq!(oversleep.shorten(Duration::from_micros(50)), Duration::ZERO);
+        // Who did not sleep was not late.
+        (0..100).for_each(|_| oversleep.learn(Duration::ZERO, Duration::from_micros(2)));
+        assert_eq!(oversleep.shorten(millisecond), slept);
+        (0..100).for_each(|_| oversleep.learn(millisecond, Duration::from_secs(1)));
+        assert!(oversleep.shorten(millisecond) >= Duration::from_micros(800));
+    }
+}
