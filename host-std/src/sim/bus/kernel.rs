@@ -23,15 +23,11 @@ struct Station<F> {
     slowness: Nanos,
     /// Frames on their slow way, with the time they get there.
     backlog: VecDeque<(Nanos, F)>,
-    /// The first of them is there and finds no room.
-    is_backlog_stuck: bool,
     babble: Option<Babble<F>>,
     babble_at: Nanos,
     received: VecDeque<F>,
     receive_queue: usize,
     overflows: u64,
-    /// What happens to the message that is on its way to it.
-    fate: Fate,
     /// Somebody waits to send.
     wants_room: bool,
     /// Nothing may arrive before this: it would overtake what is late.
@@ -42,14 +38,6 @@ struct Station<F> {
     held: VecDeque<F>,
     /// Which message that was.
     held_message: u64,
-}
-
-impl<F> Station<F> {
-    fn due(&self) -> Nanos {
-        let backlog = self.backlog.front().filter(|_| !self.is_backlog_stuck);
-        let backlog = backlog.map_or(NEVER, |(at, _)| *at);
-        self.wake.min(backlog).min(self.babble_at)
-    }
 }
 
 enum Late<F> {
@@ -82,6 +70,8 @@ pub(crate) struct Kernel<B: Medium> {
     pub(crate) arrivals: u64,
     /// The message whose fates are drawn.
     message: u64,
+    /// What happens to it at each receiver.
+    fates: BTreeMap<usize, Fate>,
 }
 
 impl<B: Medium> Kernel<B> {
@@ -101,6 +91,7 @@ impl<B: Medium> Kernel<B> {
             sequence: 0,
             arrivals: 0,
             message: 0,
+            fates: BTreeMap::new(),
         }
     }
 
@@ -120,13 +111,11 @@ impl<B: Medium> Kernel<B> {
             is_blocked: false,
             slowness: 0,
             backlog: VecDeque::new(),
-            is_backlog_stuck: false,
             babble: None,
             babble_at: NEVER,
             received: VecDeque::new(),
             receive_queue,
             overflows: 0,
-            fate: Fate::default(),
             wants_room: false,
             not_before: 0,
             bursts: 1,
@@ -136,9 +125,18 @@ impl<B: Medium> Kernel<B> {
         self.stations.len() - 1
     }
 
+    /// When a station does something by itself.
+    fn due(&self, station: usize) -> Nanos {
+        let Station { wake, backlog, babble_at, .. } = &self.stations[station];
+        // What is there and finds no room waits for some.
+        let finds_room = |at| at > self.around.now || self.bus.room(station) > 0;
+        let backlog = backlog.front().map(|(at, _)| *at).filter(|at| finds_room(*at));
+        (*wake).min(*babble_at).min(backlog.unwrap_or(NEVER))
+    }
+
     /// When something happens next, `NEVER` for not at all.
     pub(crate) fn next_event(&self) -> Nanos {
-        let stations = self.stations.iter().map(Station::due).min().unwrap_or(NEVER);
+        let stations = (0..self.stations.len()).map(|it| self.due(it)).min().unwrap_or(NEVER);
         let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
         let regular = self.regulars.iter().map(|it| it.next).min().unwrap_or(NEVER);
         let next = stations.min(late).min(regular).min(self.bus.next_event());
@@ -179,7 +177,7 @@ impl<B: Medium> Kernel<B> {
             regular.next = regular.next.saturating_add(regular.period);
         }
         for station in 0..self.stations.len() {
-            if self.stations[station].due() <= self.around.now {
+            if self.due(station) <= self.around.now {
                 self.serve(station);
             }
         }
@@ -190,12 +188,11 @@ impl<B: Medium> Kernel<B> {
     /// Passes on what the bus has done.
     fn spread(&mut self) {
         for arrival in std::mem::take(&mut self.around.arrivals) {
-            self.arrive(arrival);
+            self.arrive(&arrival);
         }
         for station in std::mem::take(&mut self.around.freed) {
             let now = self.around.now;
             let state = &mut self.stations[station];
-            state.is_backlog_stuck = false;
             if state.is_blocked {
                 state.wake = now;
             }
@@ -206,32 +203,29 @@ impl<B: Medium> Kernel<B> {
     }
 
     /// Brings what is complete on the wire to everyone who hears it.
-    fn arrive(&mut self, arrival: Arrival<B::Frame>) {
-        let Arrival { sender, .. } = arrival;
+    fn arrive(&mut self, arrival: &Arrival<B::Frame>) {
+        let Arrival { sender, hearers, unit, part } = arrival;
+        let injector = &mut self.around.injector;
         // Nothing can befall what a collision left.
-        let part = arrival.part.as_ref().filter(|_| !self.around.injector.is_quiet());
-        let is_new = part.is_some_and(|part| part.message != self.message);
-        for receiver in 0..self.stations.len() {
-            let hears = self.bus.hears(receiver, &arrival);
-            let strikes = part.filter(|_| hears && receiver != sender);
-            if is_new {
-                self.stations[receiver].fate = strikes.map_or(Fate::default(), |part| {
-                    self.around.injector.fate(sender, receiver, part.of, B::DELIVERS_CORRUPTED)
-                });
-            }
-            match part {
-                _ if !hears => {}
-                Some(part) => self.arrive_by_fate(receiver, &arrival, part),
-                None => self.deliver_in_order(receiver, &arrival.unit, 0),
-            }
-        }
-        if let Some(part) = part {
+        let part = part.as_ref().filter(|_| !injector.is_quiet());
+        if let Some(part) = part.filter(|part| part.message != self.message) {
             self.message = part.message;
+            let others = hearers.iter().filter(|&hearer| hearer != sender);
+            let fates = others.map(|&hearer| {
+                (hearer, injector.fate(*sender, hearer, part.of, B::DELIVERS_CORRUPTED))
+            });
+            self.fates = fates.collect();
+        }
+        for &hearer in hearers {
+            match part {
+                Some(part) => self.arrive_by_fate(hearer, arrival, part),
+                None => self.deliver_in_order(hearer, unit, 0),
+            }
         }
     }
 
     fn arrive_by_fate(&mut self, to: usize, arrival: &Arrival<B::Frame>, part: &Part<B::Frame>) {
-        let fate = self.stations[to].fate;
+        let fate = self.fates.get(&to).copied().unwrap_or_default();
         let now = self.around.now;
         let from = super::StationId(arrival.sender);
         let mut note = |fault| self.around.record(to, || Event::Faulted { from, fault });
@@ -333,7 +327,6 @@ impl<B: Medium> Kernel<B> {
         {
             self.bus.submit(station, frame, now);
         }
-        state.is_backlog_stuck = state.backlog.front().is_some_and(|(at, _)| *at <= now);
         if state.babble_at <= now
             && let Some(babble) = &state.babble
         {
@@ -427,7 +420,6 @@ impl<B: Medium> Kernel<B> {
         self.around.record(station, || Event::Reset);
         let state = &mut self.stations[station];
         state.backlog.clear();
-        state.is_backlog_stuck = false;
         state.received.clear();
         if let Some(node) = &mut state.node {
             node.reset(to_instant(now));

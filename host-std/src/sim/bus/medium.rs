@@ -12,15 +12,11 @@ pub trait Medium: sealed::Bus {}
 
 /// Something complete on the wire: a CAN frame, or a byte of a message on the line.
 #[derive(Debug)]
-pub struct Arrival<F> {
+pub(crate) struct Arrival<F> {
     /// Who sent it; faults are drawn for this one.
     pub(crate) sender: usize,
-    /// Who does not hear it.
-    pub(crate) deaf: Vec<usize>,
-    /// When it began: who joined the wire later does not hear it.
-    pub(crate) started: Nanos,
-    /// Where it is: on the common wire, or on a cut-off station's own.
-    pub(crate) on: Wire,
+    /// Who hears it, in the order of attaching.
+    pub(crate) hearers: Vec<usize>,
     pub(crate) unit: F,
     /// Which message it is part of; `None` where collisions left nothing to tell.
     pub(crate) part: Option<Part<F>>,
@@ -34,15 +30,6 @@ pub(crate) struct Part<F> {
     pub(crate) of: usize,
     /// The whole message, with its last part.
     pub(crate) whole: Option<F>,
-}
-
-/// Where a station is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Wire {
-    /// On the common wire.
-    Common,
-    /// Cut off, alone on its stub.
-    Stub(usize),
 }
 
 /// What a bus acts on besides itself.
@@ -74,7 +61,7 @@ impl<F> Surroundings<F> {
 pub(crate) mod sealed {
     use std::fmt;
 
-    use super::{Arrival, Nanos, Random, Surroundings};
+    use super::{Nanos, Random, Surroundings};
 
     /// The events of a bus. Stations are counted from 0 in the order of attaching.
     pub trait Bus: fmt::Debug + Send + 'static {
@@ -97,7 +84,6 @@ pub(crate) mod sealed {
         fn room(&self, station: usize) -> usize;
         /// Takes a frame if there is room.
         fn submit(&mut self, station: usize, frame: Self::Frame, now: Nanos) -> bool;
-        fn hears(&self, station: usize, arrival: &Arrival<Self::Frame>) -> bool;
         /// Cuts or mends a wire.
         fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<Self::Frame>);
         /// Empties a station's controller.

@@ -3,12 +3,10 @@
 use embedded_can::{Frame, StandardId};
 use myactuator_protocol_core::wire::can::SimpleFrame;
 
-use super::controller::{
-    Controller, ControllerConfig, ErrorState, RECOVERY_SEQUENCES, Recovery, Role, SEQUENCE,
-};
+use super::controller::{COMMON_WIRE, Controller, ControllerConfig, ErrorState, Role};
 use super::timing::{AFTER_ACKNOWLEDGE, INTERMISSION, frame_bits};
 use crate::sim::bus::faults::Disturbance;
-use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, Wire, sealed::Bus};
+use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, sealed::Bus};
 use crate::sim::bus::nanos::{NEVER, Nanos, bits};
 use crate::sim::bus::random::Random;
 use crate::sim::bus::trace::Event;
@@ -17,8 +15,6 @@ use crate::sim::bus::trace::Event;
 const ERROR_FRAME: u32 = 6 + 6 + 8;
 /// The flag of a sender that nobody hears has no echo.
 const LONE_ERROR_FRAME: u32 = 6 + 8;
-/// How much longer an error-passive sender waits.
-const SUSPEND: u32 = 8;
 /// A stranger signals an error after so many of its own bits, of which five at most may be equal.
 const STRANGE: u32 = 6;
 
@@ -47,6 +43,29 @@ struct Transmission {
     end_rate: u32,
 }
 
+impl Transmission {
+    /// What a station on its wire is to it; `None` for one that takes no part.
+    fn role(&self, station: usize, controller: &Controller) -> Option<Role> {
+        if self.senders.contains(&station) {
+            Some(Role::Sender)
+        } else if controller.joined > self.started || controller.is_bus_off() {
+            // It waits for the end of what it has not heard begin.
+            None
+        } else if controller.bit_rate != self.bit_rate {
+            Some(Role::Stranger)
+        } else {
+            Some(Role::Receiver)
+        }
+    }
+
+    /// Whether somebody acknowledges it.
+    fn is_heard(&self, wire: usize, controllers: &[Controller]) -> bool {
+        controllers.iter().enumerate().any(|(station, controller)| {
+            controller.wire == wire && self.role(station, controller) == Some(Role::Receiver)
+        })
+    }
+}
+
 #[derive(Debug)]
 enum Phase {
     Idle {
@@ -73,13 +92,6 @@ pub struct CanBus {
     messages: u64,
 }
 
-const fn place(wire: Wire) -> usize {
-    match wire {
-        Wire::Common => 0,
-        Wire::Stub(station) => station + 1,
-    }
-}
-
 impl CanBus {
     pub(super) fn new(bit_rate: u32) -> Self {
         Self {
@@ -90,24 +102,22 @@ impl CanBus {
         }
     }
 
-    /// The wires with somebody on them.
-    fn wires(&self) -> Vec<Wire> {
-        let stubs = self.controllers.iter().map(|controller| controller.wire);
-        let stubs = stubs.filter(|&wire| wire != Wire::Common);
-        std::iter::once(Wire::Common).chain(stubs).collect()
+    /// Whether somebody is on that wire.
+    fn is_used(&self, wire: usize) -> bool {
+        wire == COMMON_WIRE || self.controllers[wire - 1].wire == wire
     }
 
-    fn on(&self, wire: Wire) -> impl Iterator<Item = (usize, &Controller)> {
+    fn on(&self, wire: usize) -> impl Iterator<Item = (usize, &Controller)> {
         self.controllers.iter().enumerate().filter(move |(_, controller)| controller.wire == wire)
     }
 
-    fn on_mut(&mut self, wire: Wire) -> impl Iterator<Item = (usize, &mut Controller)> {
+    fn on_mut(&mut self, wire: usize) -> impl Iterator<Item = (usize, &mut Controller)> {
         let all = self.controllers.iter_mut().enumerate();
         all.filter(move |(_, controller)| controller.wire == wire)
     }
 
-    fn next_on(&self, wire: Wire) -> Nanos {
-        match &self.wires[place(wire)] {
+    fn next_on(&self, wire: usize) -> Nanos {
+        match &self.wires[wire] {
             Phase::Sending { until, .. } | Phase::Gap { until } => *until,
             Phase::Idle { since } => {
                 let mut next = NEVER;
@@ -124,37 +134,8 @@ impl CanBus {
         }
     }
 
-    /// The wire is taken from `now` on: counts what silence there was towards the end of bus-off.
-    fn end_silence(&mut self, wire: Wire, now: Nanos) {
-        for (_, controller) in self.on_mut(wire) {
-            let sequence = controller.bits(SEQUENCE);
-            if let Some(recovery) = &mut controller.recovery {
-                let seen = now.saturating_sub(recovery.since) / sequence;
-                recovery.wanted = recovery.wanted.saturating_sub(seen);
-            }
-        }
-    }
-
-    /// The wire is free again at `until`; the delimiter, end of frame and intermission before were
-    /// one sequence of eleven recessive bits.
-    fn begin_silence(&mut self, wire: Wire, until: Nanos) {
-        for (_, controller) in self.on_mut(wire) {
-            if let Some(recovery) = &mut controller.recovery {
-                recovery.wanted = recovery.wanted.saturating_sub(1);
-                recovery.since = until;
-            }
-        }
-    }
-
-    /// Whether somebody has followed what these send from its beginning, and acknowledges it.
-    fn is_heard(&self, wire: Wire, senders: &[usize], bit_rate: u32, started: Nanos) -> bool {
-        let mut others = self.on(wire).filter(|(station, _)| !senders.contains(station));
-        others.any(|(_, other)| {
-            other.bit_rate == bit_rate && other.joined <= started && !other.is_bus_off()
-        })
-    }
-
-    fn start_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
+    fn start_on(&mut self, wire: usize, around: &mut Surroundings<SimpleFrame>) {
+        let Phase::Idle { .. } = self.wires[wire] else { return };
         let now = around.now;
         let waiting = |(station, controller): (usize, &Controller)| {
             let (from, key) = controller.wants_bus()?;
@@ -169,41 +150,43 @@ impl CanBus {
             .filter_map(waiting)
             .map(|(_, station)| station)
             .collect();
-        self.end_silence(wire, now);
         for &station in &senders {
             self.controllers[station].begin();
         }
-        let length = frame_bits(&frame) - INTERMISSION;
-        let disturbance = around.injector.disturbance(first, length);
-        let is_heard = self.is_heard(wire, &senders, bit_rate, now);
         let (mut is_broken_after, mut end_rate) = (NEVER, bit_rate);
-        for (_, other) in self.on(wire) {
-            if other.bit_rate != bit_rate && other.state() == ErrorState::Active {
-                is_broken_after = is_broken_after.min(other.bits(STRANGE));
-                end_rate = end_rate.min(other.bit_rate);
+        for (_, controller) in self.on_mut(wire) {
+            controller.end_silence(now);
+            if controller.bit_rate != bit_rate && controller.state() == ErrorState::Active {
+                is_broken_after = is_broken_after.min(controller.bits(STRANGE));
+                end_rate = end_rate.min(controller.bit_rate);
             }
         }
-        let (ending, taken) = match disturbance {
+        let length = frame_bits(&frame) - INTERMISSION;
+        let ending = Ending::Sent { flipped: None };
+        let mut transmission =
+            Transmission { senders, frame, started: now, ending, bit_rate, end_rate };
+        let taken;
+        (transmission.ending, taken) = match around.injector.disturbance(first, length) {
             Some(Disturbance::Detected(bit)) => (Ending::Broken, bit),
             _ if is_broken_after < NEVER => (Ending::Broken, length),
-            _ if !is_heard => (Ending::Unacknowledged, length - AFTER_ACKNOWLEDGE),
+            _ if !transmission.is_heard(wire, &self.controllers) => {
+                (Ending::Unacknowledged, length - AFTER_ACKNOWLEDGE)
+            }
             Some(Disturbance::Undetected(bit)) => (Ending::Sent { flipped: Some(bit) }, length),
-            None => (Ending::Sent { flipped: None }, length),
+            None => (ending, length),
         };
-        let taken = bits(taken.into(), bit_rate).min(is_broken_after);
-        let transmission =
-            Transmission { senders, frame, started: now, ending, bit_rate, end_rate };
-        self.wires[place(wire)] = Phase::Sending { transmission, until: now + taken };
+        let until = now + bits(taken.into(), bit_rate).min(is_broken_after);
+        self.wires[wire] = Phase::Sending { transmission, until };
     }
 
-    fn finish_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
+    fn finish_on(&mut self, wire: usize, around: &mut Surroundings<SimpleFrame>) {
         let now = around.now;
-        let phase = &mut self.wires[place(wire)];
+        let phase = &mut self.wires[wire];
         match phase {
             Phase::Sending { until, .. } if *until <= now => {
                 let sent = std::mem::replace(phase, Phase::Gap { until: now });
                 if let Phase::Sending { transmission, .. } = sent {
-                    self.end_transmission(wire, transmission, around);
+                    self.end_transmission(wire, &transmission, around);
                 }
             }
             Phase::Gap { until } if *until <= now => {
@@ -215,11 +198,9 @@ impl CanBus {
         }
     }
 
-    fn recover_on(&mut self, wire: Wire, around: &mut Surroundings<SimpleFrame>) {
-        for station in 0..self.controllers.len() {
-            let controller = &mut self.controllers[station];
-            let is_due = controller.recovers_at().is_some_and(|at| at <= around.now);
-            if is_due && controller.wire == wire {
+    fn recover_on(&mut self, wire: usize, around: &mut Surroundings<SimpleFrame>) {
+        for (station, controller) in self.on_mut(wire) {
+            if controller.recovers_at().is_some_and(|at| at <= around.now) {
                 controller.recover();
                 around.freed.push(station);
                 around.record(station, || Event::Recovered);
@@ -229,71 +210,51 @@ impl CanBus {
 
     fn end_transmission(
         &mut self,
-        wire: Wire,
-        transmission: Transmission,
+        wire: usize,
+        transmission: &Transmission,
         around: &mut Surroundings<SimpleFrame>,
     ) {
-        let Transmission { senders, frame, started: started_ns, ending, bit_rate, end_rate } =
-            transmission;
-        let now = around.now;
+        let &Transmission { frame, started: started_ns, ending, end_rate, .. } = transmission;
         let gap = match ending {
             Ending::Sent { .. } => INTERMISSION,
             Ending::Unacknowledged => LONE_ERROR_FRAME + INTERMISSION,
             Ending::Broken => ERROR_FRAME + INTERMISSION,
         };
-        let free_at = now + bits(gap.into(), end_rate);
-        self.wires[place(wire)] = Phase::Gap { until: free_at };
-        self.begin_silence(wire, free_at);
-        let mut deaf = senders.clone();
+        let free_at = around.now + bits(gap.into(), end_rate);
+        self.wires[wire] = Phase::Gap { until: free_at };
+        let mut hearers = Vec::new();
         for (station, controller) in self.on_mut(wire) {
-            if senders.contains(&station) {
-                controller.count(ending, Role::Sender);
-            } else if controller.joined > started_ns {
-                // It waits for the end of what it has not heard begin.
-            } else if controller.bit_rate != bit_rate {
-                deaf.push(station);
-                controller.count(ending, Role::Stranger);
-            } else {
-                controller.count(ending, Role::Receiver);
-            }
-        }
-        for &station in &senders {
-            let controller = &mut self.controllers[station];
-            controller.end(ending);
-            match controller.state() {
-                ErrorState::Active => {}
-                ErrorState::Passive => {
-                    controller.suspended_until = free_at + controller.bits(SUSPEND);
-                }
-                ErrorState::BusOff => {
-                    controller.recovery =
-                        Some(Recovery { wanted: RECOVERY_SEQUENCES, since: free_at });
-                    around.record(station, || Event::BusOff);
+            // The delimiter, end of frame and intermission were one sequence of recessive bits.
+            controller.begin_silence(free_at, 1);
+            let Some(role) = transmission.role(station, controller) else { continue };
+            controller.count(ending, role);
+            match role {
+                Role::Receiver => hearers.push(station),
+                Role::Stranger => {}
+                Role::Sender => {
+                    controller.end(ending);
+                    controller.stand_back(free_at);
+                    if controller.is_bus_off() {
+                        around.record(station, || Event::BusOff);
+                    }
+                    around.record(station, || match ending {
+                        Ending::Sent { .. } => Event::Carried { frame, started_ns },
+                        Ending::Unacknowledged => Event::Unacknowledged { frame, started_ns },
+                        Ending::Broken => Event::Broken { frame, started_ns },
+                    });
                 }
             }
-            around.record(station, || match ending {
-                Ending::Sent { .. } => Event::Carried { frame, started_ns },
-                Ending::Unacknowledged => Event::Unacknowledged { frame, started_ns },
-                Ending::Broken => Event::Broken { frame, started_ns },
-            });
         }
         if let Ending::Sent { flipped } = ending {
-            around.freed.extend(&senders);
+            around.freed.extend(&transmission.senders);
             let mut unit = frame;
             if let Some(bit) = flipped {
                 Self::flip_bit(&mut unit, bit);
             }
             self.messages += 1;
-            let message = self.messages;
-            let part = Some(Part { message, index: 0, of: 1, whole: Some(unit) });
-            around.arrivals.push(Arrival {
-                sender: senders[0],
-                deaf,
-                started: started_ns,
-                on: wire,
-                unit,
-                part,
-            });
+            let part = Part { message: self.messages, index: 0, of: 1, whole: Some(unit) };
+            let sender = transmission.senders[0];
+            around.arrivals.push(Arrival { sender, hearers, unit, part: Some(part) });
         }
     }
 
@@ -302,26 +263,23 @@ impl CanBus {
     fn break_off(&mut self, station: usize, around: &mut Surroundings<SimpleFrame>) {
         let wire = self.controllers[station].wire;
         self.controllers[station].joined = around.now;
-        let Phase::Sending { transmission, until } = &mut self.wires[place(wire)] else { return };
+        let Phase::Sending { transmission, until } = &mut self.wires[wire] else { return };
         if transmission.senders == [station] {
             transmission.ending = Ending::Broken;
             *until = around.now;
             return self.finish_on(wire, around);
         }
-        // The wire sees no change, unless nobody is left to acknowledge.
         transmission.senders.retain(|&sender| sender != station);
-        let Transmission { started, bit_rate, ending, .. } = *transmission;
+        self.controllers[station].end(Ending::Broken);
+        // The wire sees no change, unless nobody is left to acknowledge.
         let slot_bits = frame_bits(&transmission.frame) - INTERMISSION - AFTER_ACKNOWLEDGE;
-        let slot = started + bits(slot_bits.into(), bit_rate);
-        let senders = transmission.senders.clone();
-        let is_open = matches!(ending, Ending::Sent { .. }) && around.now < slot;
-        if is_open
-            && !self.is_heard(wire, &senders, bit_rate, started)
-            && let Phase::Sending { transmission, until } = &mut self.wires[place(wire)]
+        let slot = transmission.started + bits(slot_bits.into(), transmission.bit_rate);
+        if matches!(transmission.ending, Ending::Sent { .. })
+            && around.now < slot
+            && !transmission.is_heard(wire, &self.controllers)
         {
             (transmission.ending, *until) = (Ending::Unacknowledged, slot);
         }
-        self.controllers[station].end(Ending::Broken);
     }
 }
 
@@ -339,18 +297,21 @@ impl Bus for CanBus {
     }
 
     fn next_event(&self) -> Nanos {
-        self.wires().into_iter().map(|wire| self.next_on(wire)).min().unwrap_or(NEVER)
+        let wires = (0..self.wires.len()).filter(|&wire| self.is_used(wire));
+        wires.map(|wire| self.next_on(wire)).min().unwrap_or(NEVER)
     }
 
     fn finish(&mut self, around: &mut Surroundings<SimpleFrame>) {
-        for wire in self.wires() {
-            self.finish_on(wire, around);
+        for wire in 0..self.wires.len() {
+            if self.is_used(wire) {
+                self.finish_on(wire, around);
+            }
         }
     }
 
     fn start(&mut self, around: &mut Surroundings<SimpleFrame>) {
-        for wire in self.wires() {
-            if let Phase::Idle { .. } = self.wires[place(wire)] {
+        for wire in 0..self.wires.len() {
+            if self.is_used(wire) {
                 self.start_on(wire, around);
             }
         }
@@ -364,27 +325,17 @@ impl Bus for CanBus {
         self.controllers[station].push(frame, now)
     }
 
-    fn hears(&self, station: usize, arrival: &Arrival<SimpleFrame>) -> bool {
-        let controller = &self.controllers[station];
-        controller.wire == arrival.on
-            && controller.joined <= arrival.started
-            && !controller.is_bus_off()
-            && !arrival.deaf.contains(&station)
-    }
-
     fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<SimpleFrame>) {
-        let wire = if is_cut { Wire::Stub(station) } else { Wire::Common };
+        let wire = if is_cut { station + 1 } else { COMMON_WIRE };
         if self.controllers[station].wire == wire {
             return;
         }
         self.break_off(station, around);
         self.controllers[station].wire = wire;
         if is_cut {
-            self.wires[place(wire)] = Phase::Idle { since: around.now };
+            self.wires[wire] = Phase::Idle { since: around.now };
         }
-        if let Some(recovery) = &mut self.controllers[station].recovery {
-            recovery.since = around.now;
-        }
+        self.controllers[station].begin_silence(around.now, 0);
     }
 
     fn bit_rate(&mut self, station: usize) -> &mut u32 {

@@ -6,17 +6,20 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 
 use super::bus::Ending;
 use super::timing::arbitration_key;
-use crate::sim::bus::medium::Wire;
 use crate::sim::bus::nanos::{Nanos, bits};
 
 /// From this count on, of either counter, a controller is error-passive.
 const PASSIVE: u16 = 128;
 /// Above this transmit error count a controller leaves the bus.
 const BUS_OFF_ABOVE: u16 = 255;
+/// How much longer an error-passive sender waits.
+const SUSPEND: u32 = 8;
 /// Eleven recessive bits are one sequence towards the end of bus-off.
-pub(super) const SEQUENCE: u32 = 11;
+const SEQUENCE: u32 = 11;
 /// How many of them end it.
-pub(super) const RECOVERY_SEQUENCES: u64 = 128;
+const RECOVERY_SEQUENCES: u64 = 128;
+/// The wire of all whose own was not cut.
+pub(super) const COMMON_WIRE: usize = 0;
 
 /// Which frame of a transmit queue goes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,24 +101,26 @@ pub(super) enum Role {
 
 /// A controller that waits for the end of bus-off.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Recovery {
+struct Recovery {
     /// Sequences of eleven recessive bits that are still wanted.
-    pub(super) wanted: u64,
+    wanted: u64,
     /// From when on the bus has been idle.
-    pub(super) since: Nanos,
+    since: Nanos,
 }
 
 #[derive(Debug)]
 pub(super) struct Controller {
     config: ControllerConfig,
     pub(super) bit_rate: u32,
+    /// In the order of sending.
     queue: VecDeque<Pending>,
-    pub(super) transmit_errors: u16,
-    pub(super) receive_errors: u16,
+    transmit_errors: u16,
+    receive_errors: u16,
     /// An error-passive sender waits until then.
-    pub(super) suspended_until: Nanos,
-    pub(super) recovery: Option<Recovery>,
-    pub(super) wire: Wire,
+    suspended_until: Nanos,
+    recovery: Option<Recovery>,
+    /// [`COMMON_WIRE`], or its own stub.
+    pub(super) wire: usize,
     /// From when on it follows what is on its wire.
     pub(super) joined: Nanos,
 }
@@ -130,7 +135,7 @@ impl Controller {
             receive_errors: 0,
             suspended_until: 0,
             recovery: None,
-            wire: Wire::Common,
+            wire: COMMON_WIRE,
             joined: 0,
         }
     }
@@ -181,7 +186,7 @@ impl Controller {
         if self.is_bus_off() {
             return None;
         }
-        let pending = self.queue.get(self.head()?)?;
+        let pending = self.queue.front()?;
         Some((pending.since.max(self.suspended_until), pending.key))
     }
 
@@ -190,32 +195,34 @@ impl Controller {
             return false;
         }
         let key = arbitration_key(&frame);
-        self.queue.push_back(Pending { frame, key, since: now, on_wire: false });
+        let place = match self.config.order {
+            QueueOrder::Fifo => self.queue.len(),
+            QueueOrder::Priority => self.queue.partition_point(|pending| pending.key <= key),
+        };
+        self.queue.insert(place, Pending { frame, key, since: now, on_wire: false });
         true
     }
 
-    /// Takes back a frame that waits with a lower priority than this one. Never the one on the wire.
+    /// Takes back a frame that waits with a lower priority than this one: the youngest of the lowest. Never the
+    /// one on the wire.
     pub(super) fn displace(&mut self, by: &SimpleFrame) -> Option<SimpleFrame> {
         if self.config.order != QueueOrder::Priority {
             return None;
         }
         let key = arbitration_key(by);
-        let waiting = self.queue.iter().enumerate().filter(|(_, pending)| !pending.on_wire);
-        // The youngest of the lowest priority.
-        let (place, _) = waiting
-            .filter(|(_, pending)| pending.key > key)
-            .max_by_key(|(_, pending)| pending.key)?;
+        let gives_way = |pending: &Pending| pending.key > key && !pending.on_wire;
+        let place = self.queue.iter().rposition(gives_way)?;
         Some(self.queue.remove(place)?.frame)
     }
 
     /// The frame that goes first.
     pub(super) fn next_frame(&self) -> Option<SimpleFrame> {
-        Some(self.queue.get(self.head()?)?.frame)
+        Some(self.queue.front()?.frame)
     }
 
     /// Puts the first frame on the wire.
     pub(super) fn begin(&mut self) {
-        if let Some(pending) = self.head().and_then(|head| self.queue.get_mut(head)) {
+        if let Some(pending) = self.queue.front_mut() {
             pending.on_wire = true;
         }
     }
@@ -230,27 +237,41 @@ impl Controller {
         }
     }
 
+    /// After a frame of its own: what its errors forbid it from then on, when the bus is free again.
+    pub(super) fn stand_back(&mut self, free_at: Nanos) {
+        match self.state() {
+            ErrorState::Active => {}
+            ErrorState::Passive => self.suspended_until = free_at + self.bits(SUSPEND),
+            ErrorState::BusOff => {
+                self.recovery = Some(Recovery { wanted: RECOVERY_SEQUENCES, since: free_at });
+            }
+        }
+    }
+
+    /// Silence begins at `at`, behind so many sequences of recessive bits.
+    pub(super) fn begin_silence(&mut self, at: Nanos, sequences: u64) {
+        if let Some(recovery) = &mut self.recovery {
+            recovery.wanted = recovery.wanted.saturating_sub(sequences);
+            recovery.since = at;
+        }
+    }
+
+    /// The wire is taken from `at` on: counts what silence there was towards the end of bus-off.
+    pub(super) fn end_silence(&mut self, at: Nanos) {
+        let sequence = self.bits(SEQUENCE);
+        if let Some(recovery) = &mut self.recovery {
+            let seen = at.saturating_sub(recovery.since) / sequence;
+            recovery.wanted = recovery.wanted.saturating_sub(seen);
+        }
+    }
+
     pub(super) fn clear(&mut self) {
         self.queue.clear();
         self.recover();
     }
 
-    /// Where the frame is that goes first.
-    fn head(&self) -> Option<usize> {
-        match self.config.order {
-            QueueOrder::Fifo => Some(0),
-            QueueOrder::Priority => {
-                let keys = self.queue.iter().enumerate();
-                keys.min_by_key(|(_, pending)| pending.key).map(|(place, _)| place)
-            }
-        }
-    }
-
-    /// Counts what became of a frame, unless it is another's and this one takes no part.
+    /// Counts what became of a frame.
     pub(super) fn count(&mut self, ending: Ending, role: Role) {
-        if role != Role::Sender && self.is_bus_off() {
-            return;
-        }
         let is_active = self.state() == ErrorState::Active;
         match (role, ending) {
             (Role::Sender, Ending::Sent { .. }) => {

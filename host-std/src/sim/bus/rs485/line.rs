@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::TransceiverConfig;
-use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, Wire, sealed::Bus};
+use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, sealed::Bus};
 use crate::sim::bus::nanos::{NEVER, Nanos, bits, from_duration};
 use crate::sim::bus::random::{Random, Stream};
 use crate::sim::bus::trace::Event;
@@ -15,8 +15,9 @@ const BITS_PER_BYTE: u64 = 10;
 struct Message {
     number: u64,
     bytes: Vec<u8>,
-    /// How many of them have begun.
-    begun: usize,
+    /// How many of them are over.
+    ended: usize,
+    /// When its first byte began; until then, when it was queued.
     started: Nanos,
     is_garbled: bool,
 }
@@ -44,8 +45,6 @@ struct Station {
     config: TransceiverConfig,
     bit_rate: u32,
     queue: VecDeque<Message>,
-    queued_bytes: usize,
-    queued_since: Nanos,
     driver: Driver,
     /// When the run of bytes without a gap began, and how many bytes it has: a byte's end is counted
     /// from there, so that roundings do not add up.
@@ -55,9 +54,9 @@ struct Station {
 }
 
 impl Station {
-    /// Whether it sends, and does not hear what is on the line meanwhile.
-    fn is_deaf(&self) -> bool {
-        self.driver != Driver::Off && !self.config.echo
+    /// Whether it hears what is on the line.
+    fn listens(&self) -> bool {
+        !self.is_cut && (self.driver == Driver::Off || self.config.echo)
     }
 }
 
@@ -65,7 +64,6 @@ impl Station {
 #[derive(Debug)]
 struct Heard {
     sender: usize,
-    started: Nanos,
     until: Nanos,
     byte: u8,
     part: Option<Part<Vec<u8>>>,
@@ -104,9 +102,8 @@ fn misread(sent: &[u8], sent_rate: u32, own_rate: u32) -> Vec<u8> {
 }
 
 /// A byte that nobody but this station hears.
-fn for_itself(station: usize, started: Nanos, byte: u8) -> Arrival<Vec<u8>> {
-    let (deaf, unit) = (Vec::new(), vec![byte]);
-    Arrival { sender: station, deaf, started, on: Wire::Stub(station), unit, part: None }
+fn for_itself(station: usize, byte: u8) -> Arrival<Vec<u8>> {
+    Arrival { sender: station, hearers: vec![station], unit: vec![byte], part: None }
 }
 
 /// An RS485 line and the stations on it.
@@ -148,48 +145,42 @@ impl Rs485Line {
         let until = state.run_started + bits(BITS_PER_BYTE * state.run_bytes, state.bit_rate);
         state.driver = Driver::Sending { since: now, until };
         let Some(message) = state.queue.front_mut() else { return };
-        let index = message.begun;
-        message.begun += 1;
+        let (index, of) = (message.ended, message.bytes.len());
         if index == 0 {
             message.started = now;
         }
         message.is_garbled |= disturbed;
-        let byte = message.bytes[index];
-        let of = message.bytes.len();
-        let whole = (index + 1 == of).then(|| message.bytes.clone());
-        let part = Some(Part { message: message.number, index, of, whole });
         if state.is_cut {
             return;
-        }
-        if disturbed {
-            self.garble();
         }
         match &mut self.heard {
             // Heard as part of the byte that began before.
             Some(heard) => heard.is_garbled = true,
             None => {
-                self.heard = Some(Heard {
-                    sender: station,
-                    started: now,
-                    until,
-                    byte,
-                    part,
-                    is_garbled: disturbed,
-                });
+                let whole = (index + 1 == of).then(|| message.bytes.clone());
+                let part = Some(Part { message: message.number, index, of, whole });
+                let byte = message.bytes[index];
+                let is_garbled = disturbed;
+                self.heard = Some(Heard { sender: station, until, byte, part, is_garbled });
+            }
+        }
+        if disturbed {
+            // A collision: nothing that is on the line now arrives as it was sent.
+            for station in 0..self.stations.len() {
+                if !self.stations[station].is_cut {
+                    self.spoil_byte(station);
+                }
             }
         }
     }
 
-    /// A collision: nothing that is on the line now arrives as it was sent.
-    fn garble(&mut self) {
-        if let Some(heard) = &mut self.heard {
-            heard.is_garbled = true;
-        }
-        for station in self.stations.iter_mut().filter(|station| !station.is_cut) {
-            if let (Driver::Sending { .. }, Some(message)) =
-                (station.driver, station.queue.front_mut())
-            {
-                message.is_garbled = true;
+    /// What a station is sending now, if anything, does not arrive as it was sent.
+    fn spoil_byte(&mut self, station: usize) {
+        let state = &mut self.stations[station];
+        if let (Driver::Sending { .. }, Some(message)) = (state.driver, state.queue.front_mut()) {
+            message.is_garbled = true;
+            if let Some(heard) = &mut self.heard {
+                heard.is_garbled = true;
             }
         }
     }
@@ -201,17 +192,11 @@ impl Rs485Line {
             heard.part = None;
         }
         let bit_rate = self.stations[heard.sender].bit_rate;
+        let hears = |it: &Station| it.bit_rate == bit_rate && it.listens();
         let stations = self.stations.iter().enumerate();
-        let is_deaf = |it: &Station| it.is_deaf() || it.bit_rate != bit_rate;
-        let deaf = stations.filter(|(_, it)| is_deaf(it)).map(|(station, _)| station).collect();
-        around.arrivals.push(Arrival {
-            sender: heard.sender,
-            deaf,
-            started: heard.started,
-            on: Wire::Common,
-            unit: vec![heard.byte],
-            part: heard.part,
-        });
+        let hearers = stations.filter(|(_, it)| hears(it)).map(|(station, _)| station).collect();
+        let (unit, part) = (vec![heard.byte], heard.part);
+        around.arrivals.push(Arrival { sender: heard.sender, hearers, unit, part });
     }
 
     /// After a collision receivers may fall into the middle of a byte.
@@ -225,8 +210,7 @@ impl Rs485Line {
         });
         if let Some((sender, station)) = rest {
             let until = now + bits(BITS_PER_BYTE, station.bit_rate);
-            self.heard =
-                Some(Heard { sender, started: now, until, byte: 0, part: None, is_garbled: true });
+            self.heard = Some(Heard { sender, until, byte: 0, part: None, is_garbled: true });
         }
     }
 
@@ -236,48 +220,47 @@ impl Rs485Line {
 
     /// A station's byte is over. If it has more to send, its driver stays as it is.
     fn end_byte(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
-        let now = around.now;
-        let state = &mut self.stations[station];
-        state.queued_bytes -= 1;
         around.freed.push(station);
-        if state.is_cut
-            && state.config.echo
-            && let Some(message) = state.queue.front()
-        {
-            around.arrivals.push(for_itself(station, now, message.bytes[message.begun - 1]));
+        let state = &mut self.stations[station];
+        let Some(message) = state.queue.front_mut() else { return };
+        if state.is_cut && state.config.echo {
+            around.arrivals.push(for_itself(station, message.bytes[message.ended]));
         }
-        if state.queue.front().is_some_and(|message| message.begun == message.bytes.len())
+        message.ended += 1;
+        if message.ended == message.bytes.len()
             && let Some(message) = state.queue.pop_front()
         {
-            let Message { bytes: frame, started: started_ns, is_garbled, .. } = message;
-            let (is_cut, bit_rate) = (state.is_cut, state.bit_rate);
-            let strangers = self.stations.iter().enumerate().filter(|(_, it)| {
-                it.bit_rate != bit_rate && !it.is_deaf() && !it.is_cut && !is_cut
-            });
-            for (stranger, it) in strangers {
-                let misread = misread(&frame, bit_rate, it.bit_rate);
-                let bytes = misread.into_iter().map(|byte| for_itself(stranger, now, byte));
-                around.arrivals.extend(bytes);
-            }
-            around.record(station, || {
-                if is_garbled {
-                    Event::Broken { frame, started_ns }
-                } else {
-                    Event::Carried { frame, started_ns }
-                }
-            });
+            self.end_message(station, message, around);
         }
         let state = &mut self.stations[station];
         if state.queue.is_empty() {
-            let until = now + from_duration(state.config.switch_to_receive);
+            let until = around.now + from_duration(state.config.switch_to_receive);
             state.driver = Driver::SwitchingOff { until };
         }
+    }
+
+    fn end_message(&self, station: usize, message: Message, around: &mut Surroundings<Vec<u8>>) {
+        let Message { bytes: frame, started: started_ns, is_garbled, .. } = message;
+        let sender = &self.stations[station];
+        for (stranger, it) in self.stations.iter().enumerate() {
+            if !sender.is_cut && it.bit_rate != sender.bit_rate && it.listens() {
+                let misread = misread(&frame, sender.bit_rate, it.bit_rate);
+                around.arrivals.extend(misread.into_iter().map(|byte| for_itself(stranger, byte)));
+            }
+        }
+        around.record(station, || {
+            if is_garbled {
+                Event::Broken { frame, started_ns }
+            } else {
+                Event::Carried { frame, started_ns }
+            }
+        });
     }
 
     /// A direction switch may be heard.
     fn switch(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
         if self.random.chance(self.stations[station].config.switch_noise) {
-            around.arrivals.push(for_itself(station, around.now, self.random.byte()));
+            around.arrivals.push(for_itself(station, self.random.byte()));
         }
     }
 
@@ -308,8 +291,6 @@ impl Bus for Rs485Line {
             config,
             bit_rate: self.bit_rate,
             queue: VecDeque::new(),
-            queued_bytes: 0,
-            queued_since: 0,
             driver: Driver::Off,
             run_started: 0,
             run_bytes: 0,
@@ -318,13 +299,11 @@ impl Bus for Rs485Line {
     }
 
     fn next_event(&self) -> Nanos {
-        let stations = self.stations.iter().map(|station| match station.driver {
-            Driver::Off if station.queue.is_empty() => NEVER,
-            Driver::Off => station.queued_since,
-            Driver::SwitchingOff { .. } if !station.queue.is_empty() => station.queued_since,
-            Driver::SwitchingOn { until }
-            | Driver::Sending { until, .. }
-            | Driver::SwitchingOff { until } => until,
+        let stations = self.stations.iter().map(|it| match (it.driver, it.queue.front()) {
+            (Driver::Off, None) => NEVER,
+            (Driver::Off | Driver::SwitchingOff { .. }, Some(queued)) => queued.started,
+            (Driver::SwitchingOn { until } | Driver::Sending { until, .. }, _)
+            | (Driver::SwitchingOff { until }, None) => until,
         });
         let heard = self.heard.as_ref().map(|heard| heard.until);
         stations.chain(heard).min().unwrap_or(NEVER)
@@ -366,28 +345,27 @@ impl Bus for Rs485Line {
             if state.queue.is_empty() {
                 continue;
             }
-            match state.driver {
-                Driver::Off => {
-                    let until = now + from_duration(state.config.switch_to_send);
-                    state.driver = Driver::SwitchingOn { until };
-                    self.switch(station, around);
-                    if until <= now {
-                        self.start_sending(station, around);
-                    }
-                }
-                Driver::SwitchingOn { until } if until <= now => {
-                    self.start_sending(station, around)
-                }
-                // The driver is still on: no switch is needed.
-                Driver::SwitchingOff { .. } => self.start_sending(station, around),
-                Driver::SwitchingOn { .. } | Driver::Sending { .. } => {}
+            if state.driver == Driver::Off {
+                let until = now + from_duration(state.config.switch_to_send);
+                state.driver = Driver::SwitchingOn { until };
+                self.switch(station, around);
+            }
+            let is_on = match self.stations[station].driver {
+                Driver::SwitchingOn { until } => until <= now,
+                // No switch is needed.
+                Driver::SwitchingOff { .. } => true,
+                Driver::Off | Driver::Sending { .. } => false,
+            };
+            if is_on {
+                self.start_sending(station, around);
             }
         }
     }
 
     fn room(&self, station: usize) -> usize {
-        let station = &self.stations[station];
-        station.config.transmit_buffer.max(1).saturating_sub(station.queued_bytes)
+        let Station { config, queue, .. } = &self.stations[station];
+        let queued: usize = queue.iter().map(|message| message.bytes.len() - message.ended).sum();
+        config.transmit_buffer.max(1).saturating_sub(queued)
     }
 
     fn submit(&mut self, station: usize, bytes: Vec<u8>, now: Nanos) -> bool {
@@ -397,27 +375,11 @@ impl Bus for Rs485Line {
         if self.room(station) == 0 {
             return false;
         }
-        let state = &mut self.stations[station];
         self.messages += 1;
-        state.queued_bytes += bytes.len();
-        if state.queue.is_empty() {
-            state.queued_since = now;
-        }
-        state.queue.push_back(Message {
-            number: self.messages,
-            bytes,
-            begun: 0,
-            started: now,
-            is_garbled: false,
-        });
+        let (number, started) = (self.messages, now);
+        let message = Message { number, bytes, ended: 0, started, is_garbled: false };
+        self.stations[station].queue.push_back(message);
         true
-    }
-
-    fn hears(&self, station: usize, arrival: &Arrival<Vec<u8>>) -> bool {
-        match arrival.on {
-            Wire::Stub(own) => own == station,
-            Wire::Common => !self.stations[station].is_cut && !arrival.deaf.contains(&station),
-        }
     }
 
     fn cut(&mut self, station: usize, is_cut: bool, _: &mut Surroundings<Vec<u8>>) {
@@ -425,14 +387,7 @@ impl Bus for Rs485Line {
             return;
         }
         // What changes within a byte spoils it.
-        if let Driver::Sending { .. } = self.stations[station].driver {
-            if let Some(heard) = &mut self.heard {
-                heard.is_garbled = true;
-            }
-            if let Some(message) = self.stations[station].queue.front_mut() {
-                message.is_garbled = true;
-            }
-        }
+        self.spoil_byte(station);
         self.stations[station].is_cut = is_cut;
     }
 
@@ -441,15 +396,11 @@ impl Bus for Rs485Line {
     }
 
     fn reset(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
-        let state = &mut self.stations[station];
-        if let Driver::Sending { .. } = state.driver
-            && !state.is_cut
-            && let Some(heard) = &mut self.heard
-        {
-            heard.is_garbled = true;
+        if !self.stations[station].is_cut {
+            self.spoil_byte(station);
         }
+        let state = &mut self.stations[station];
         state.queue.clear();
-        state.queued_bytes = 0;
         state.driver = Driver::Off;
         around.freed.push(station);
     }
