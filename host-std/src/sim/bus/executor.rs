@@ -13,8 +13,6 @@ use super::world::World;
 const FREE_TURNS: u32 = 100;
 /// What each further one takes, so that a task which goes round and round sees time pass.
 const TURN: Nanos = 10_000;
-/// The longest sleep in real time: another thread may have used the world meanwhile.
-const LONGEST_SLEEP: Nanos = 1_000_000;
 
 /// A simulated bus, whichever: what [`block_on`] lets time go on for. Only this library has any.
 pub trait Timeline: sealed::Passing {}
@@ -35,12 +33,7 @@ impl<B: Medium> Timeline for World<B> {}
 
 impl<B: Medium> sealed::Passing for World<B> {
     fn until_next(&self) -> Option<Nanos> {
-        let next = World::until_next(self);
-        if self.is_in_real_time() {
-            Some(next.unwrap_or(LONGEST_SLEEP).min(LONGEST_SLEEP))
-        } else {
-            next
-        }
+        World::until_next(self)
     }
 
     fn pass(&self, span: Nanos) {

@@ -23,8 +23,8 @@ struct Station<F> {
     slowness: Nanos,
     /// Frames on their slow way, with the time they get there.
     backlog: VecDeque<(Nanos, F)>,
-    babble: Option<Babble<F>>,
-    babble_at: Nanos,
+    /// What it babbles, and when again.
+    babble: Option<(Babble<F>, Nanos)>,
     received: VecDeque<F>,
     receive_queue: usize,
     overflows: u64,
@@ -112,7 +112,6 @@ impl<B: Medium> Kernel<B> {
             slowness: 0,
             backlog: VecDeque::new(),
             babble: None,
-            babble_at: NEVER,
             received: VecDeque::new(),
             receive_queue,
             overflows: 0,
@@ -127,11 +126,12 @@ impl<B: Medium> Kernel<B> {
 
     /// When a station does something by itself.
     fn due(&self, station: usize) -> Nanos {
-        let Station { wake, backlog, babble_at, .. } = &self.stations[station];
+        let Station { wake, backlog, babble, .. } = &self.stations[station];
         // What is there and finds no room waits for some.
-        let finds_room = |at| at > self.around.now || self.bus.room(station) > 0;
+        let finds_room = |at| at > self.around.now || self.has_room(station);
         let backlog = backlog.front().map(|(at, _)| *at).filter(|at| finds_room(*at));
-        (*wake).min(*babble_at).min(backlog.unwrap_or(NEVER))
+        let babble = babble.as_ref().map(|(_, at)| *at);
+        [backlog, babble].into_iter().flatten().fold(*wake, Nanos::min)
     }
 
     /// When something happens next, `NEVER` for not at all.
@@ -327,12 +327,12 @@ impl<B: Medium> Kernel<B> {
         {
             self.bus.submit(station, frame, now);
         }
-        if state.babble_at <= now
-            && let Some(babble) = &state.babble
+        if let Some((babble, at)) = &mut state.babble
+            && *at <= now
         {
             let random = &mut self.around.injector.babble;
             let frame = babble.frame.clone().unwrap_or_else(|| B::garbage(random));
-            state.babble_at = now.saturating_add(from_duration(babble.interval).max(MICROSECOND));
+            *at = now.saturating_add(from_duration(babble.interval).max(MICROSECOND));
             // A full queue loses it: there is more where it came from.
             self.bus.submit(station, frame, now);
         }
@@ -391,6 +391,14 @@ impl<B: Medium> Kernel<B> {
         taken
     }
 
+    pub(crate) fn has_room(&self, station: usize) -> bool {
+        self.bus.room(station) > 0
+    }
+
+    pub(crate) fn has_received(&self, station: usize) -> bool {
+        !self.stations[station].received.is_empty()
+    }
+
     /// Takes the oldest unit that a port has received.
     pub(crate) fn read(&mut self, station: usize) -> Option<B::Frame> {
         self.stations[station].received.pop_front()
@@ -438,8 +446,6 @@ impl<B: Medium> Kernel<B> {
 
     pub(crate) fn babble(&mut self, station: usize, babble: Option<Babble<B::Frame>>) {
         let now = self.around.now;
-        let state = &mut self.stations[station];
-        state.babble_at = if babble.is_some() { now } else { NEVER };
-        state.babble = babble;
+        self.stations[station].babble = babble.map(|babble| (babble, now));
     }
 }

@@ -1,6 +1,8 @@
 //! A master's place on a bus.
 
+use super::kernel::Kernel;
 use super::medium::Medium;
+use super::waiting::Awaited;
 use super::{StationId, World};
 
 /// A master's port on a simulated bus: [`CanPort`](super::can::CanPort) or
@@ -26,5 +28,19 @@ impl<B: Medium> Port<B> {
     /// The world that it is in.
     pub const fn world(&self) -> &World<B> {
         &self.world
+    }
+
+    /// Tries now, and again as soon as that is so of its station, until there is a result.
+    pub(super) async fn until_done<T>(
+        &self,
+        is_so: fn(&Kernel<B>, usize) -> bool,
+        mut attempt: impl FnMut(&mut Kernel<B>) -> Option<T>,
+    ) -> T {
+        loop {
+            if let Some(result) = self.world.with(&mut attempt) {
+                return result;
+            }
+            self.world.come(Awaited::Station(self.station.0, is_so)).await;
+        }
     }
 }

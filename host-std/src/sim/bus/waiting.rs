@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::pin::Pin;
 use std::task::{Context, Poll, Waker};
 
-use super::StationId;
 use super::kernel::Kernel;
 use super::medium::Medium;
 use super::nanos::{NEVER, Nanos};
@@ -14,7 +13,7 @@ use super::world::{State, World};
 pub(crate) enum Awaited<B: Medium> {
     /// The clock to show this.
     Time(Nanos),
-    /// This to be so of this station.
+    /// That to be so of this station.
     Station(usize, fn(&Kernel<B>, usize) -> bool),
 }
 
@@ -27,21 +26,6 @@ impl<B: Medium> Clone for Awaited<B> {
 impl<B: Medium> Copy for Awaited<B> {}
 
 impl<B: Medium> Awaited<B> {
-    /// This to be so of this station.
-    pub(crate) const fn of(station: StationId, is_so: fn(&Kernel<B>, usize) -> bool) -> Self {
-        Self::Station(station.0, is_so)
-    }
-
-    /// Something for this station to read.
-    pub(crate) fn received_at(station: StationId) -> Self {
-        Self::of(station, |kernel, station| kernel.received(station).0 > 0)
-    }
-
-    /// Room for what this station sends.
-    pub(crate) fn room_at(station: StationId) -> Self {
-        Self::of(station, |kernel, station| kernel.bus.room(station) > 0)
-    }
-
     fn has_come(self, kernel: &Kernel<B>) -> bool {
         match self {
             Self::Time(at) => kernel.around.now >= at,

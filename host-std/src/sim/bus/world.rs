@@ -17,6 +17,9 @@ use super::port::Port;
 use super::trace::{Log, Record};
 use super::waiting::{Awaited, Waiting};
 
+/// The longest sleep of who waits in real time: another thread may have used the world meanwhile.
+const LONGEST_SLEEP: Nanos = 1_000_000;
+
 pub(super) struct State<B: Medium> {
     pub(super) kernel: Kernel<B>,
     /// Tasks.
@@ -109,11 +112,10 @@ impl<B: Medium> World<B> {
         mut done: impl FnMut(&mut Kernel<B>) -> Option<T>,
     ) -> Option<T> {
         let mut state = self.lock();
-        loop {
+        let result = loop {
             state.catch_up();
             if let Some(result) = done(&mut state.kernel) {
-                self.leave(state);
-                return Some(result);
+                break Some(result);
             }
             let next = state.kernel.next_event();
             match state.wall_zero {
@@ -121,23 +123,20 @@ impl<B: Medium> World<B> {
                     if until != NEVER {
                         state.kernel.run_until(until);
                     }
-                    self.leave(state);
-                    return None;
+                    break None;
                 }
                 None => state.kernel.step(next),
+                Some(_) if state.kernel.around.now >= until => break None,
                 Some(zero) => {
-                    if state.kernel.around.now >= until {
-                        self.leave(state);
-                        return None;
-                    }
-                    let wake = next.min(until);
-                    let ahead =
-                        std::time::Duration::from_nanos(wake).saturating_sub(zero.elapsed());
+                    let wake = std::time::Duration::from_nanos(next.min(until));
+                    let ahead = wake.saturating_sub(zero.elapsed());
                     let sleep = self.0.changed.wait_timeout(state, ahead);
                     (state, _) = sleep.unwrap_or_else(PoisonError::into_inner);
                 }
             }
-        }
+        };
+        self.leave(state);
+        result
     }
 
     /// Has the world follow the wall clock from now on.
@@ -195,13 +194,10 @@ impl<B: Medium> World<B> {
     /// now. `None` for never, if nobody does anything.
     pub(super) fn until_next(&self) -> Option<Nanos> {
         let state = self.lock();
-        let next = state.kernel.next_event().min(state.waiting.next_time());
-        (next != NEVER).then(|| next.saturating_sub(state.kernel.around.now))
-    }
-
-    /// Whether it follows the wall clock.
-    pub(super) fn is_in_real_time(&self) -> bool {
-        self.lock().wall_zero.is_some()
+        let now = state.kernel.around.now;
+        let limit = state.wall_zero.map_or(NEVER, |_| now.saturating_add(LONGEST_SLEEP));
+        let next = state.kernel.next_event().min(state.waiting.next_time()).min(limit);
+        (next != NEVER).then(|| next.saturating_sub(now))
     }
 
     /// A clock for masters in this world.

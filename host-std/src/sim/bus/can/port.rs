@@ -6,7 +6,7 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 
 use super::CanBus;
 use crate::sim::bus::Port;
-use crate::sim::bus::waiting::Awaited;
+use crate::sim::bus::kernel::Kernel;
 
 /// What a port's calls can fail with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -32,24 +32,30 @@ impl embedded_can::Error for CanError {
 /// waits, and [`World::block_on`](crate::sim::bus::World::block_on) lets time go on meanwhile.
 pub type CanPort = Port<CanBus>;
 
+/// Queues a frame, unless there is no room.
+fn transmit(
+    kernel: &mut Kernel<CanBus>,
+    station: usize,
+    frame: &SimpleFrame,
+) -> Option<Result<Option<SimpleFrame>, CanError>> {
+    if kernel.bus.controllers[station].is_bus_off() {
+        return Some(Err(CanError::BusOff));
+    }
+    if kernel.submit(station, *frame) {
+        return Some(Ok(None));
+    }
+    let displaced = kernel.bus.controllers[station].displace(frame)?;
+    kernel.submit(station, *frame);
+    Some(Ok(Some(displaced)))
+}
+
 impl embedded_can::nb::Can for CanPort {
     type Frame = SimpleFrame;
     type Error = CanError;
 
     fn transmit(&mut self, frame: &SimpleFrame) -> nb::Result<Option<SimpleFrame>, CanError> {
-        let station = self.station.0;
-        self.world.with(|kernel| {
-            if kernel.bus.controllers[station].is_bus_off() {
-                return Err(nb::Error::Other(CanError::BusOff));
-            }
-            if kernel.submit(station, *frame) {
-                return Ok(None);
-            }
-            let controller = &mut kernel.bus.controllers[station];
-            let displaced = controller.displace(frame).ok_or(nb::Error::WouldBlock)?;
-            kernel.submit(station, *frame);
-            Ok(Some(displaced))
-        })
+        let done = self.world.with(|kernel| transmit(kernel, self.station.0, frame));
+        done.ok_or(nb::Error::WouldBlock)?.map_err(nb::Error::Other)
     }
 
     fn receive(&mut self) -> nb::Result<SimpleFrame, CanError> {
@@ -62,24 +68,12 @@ impl AsyncCan for CanPort {
     type Error = CanError;
 
     async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, CanError> {
-        loop {
-            match embedded_can::nb::Can::transmit(self, frame) {
-                Err(nb::Error::WouldBlock) => {}
-                Err(nb::Error::Other(error)) => return Err(error),
-                Ok(displaced) => return Ok(displaced),
-            }
-            self.world.come(Awaited::room_at(self.station)).await;
-        }
+        let attempt = |kernel: &mut _| transmit(kernel, self.station.0, frame);
+        self.until_done(Kernel::has_room, attempt).await
     }
 
     async fn receive(&mut self) -> Result<SimpleFrame, CanError> {
-        loop {
-            match embedded_can::nb::Can::receive(self) {
-                Err(nb::Error::WouldBlock) => {}
-                Err(nb::Error::Other(error)) => return Err(error),
-                Ok(frame) => return Ok(frame),
-            }
-            self.world.come(Awaited::received_at(self.station)).await;
-        }
+        let attempt = |kernel: &mut Kernel<_>| kernel.read(self.station.0);
+        Ok(self.until_done(Kernel::has_received, attempt).await)
     }
 }

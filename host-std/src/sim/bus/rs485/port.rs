@@ -60,13 +60,13 @@ impl ErrorType for SerialPort {
 
 impl ReadReady for SerialPort {
     fn read_ready(&mut self) -> Result<bool, SerialError> {
-        Ok(self.world.with(|kernel| kernel.received(self.station.0).0 > 0))
+        Ok(self.world.with(|kernel| kernel.has_received(self.station.0)))
     }
 }
 
 impl WriteReady for SerialPort {
     fn write_ready(&mut self) -> Result<bool, SerialError> {
-        Ok(self.world.with(|kernel| kernel.bus.room(self.station.0) > 0))
+        Ok(self.world.with(|kernel| kernel.has_room(self.station.0)))
     }
 }
 
@@ -112,29 +112,21 @@ fn write(kernel: &mut Kernel<Rs485Line>, station: usize, buf: &[u8]) -> Option<u
 
 impl embedded_io_async::Read for SerialPort {
     async fn read(&mut self, buf: &mut [u8]) -> Result<usize, SerialError> {
-        loop {
-            if let Some(count) = self.world.with(|kernel| read(kernel, self.station.0, buf)) {
-                return Ok(count);
-            }
-            self.world.come(Awaited::received_at(self.station)).await;
-        }
+        let attempt = |kernel: &mut _| read(kernel, self.station.0, buf);
+        Ok(self.until_done(Kernel::has_received, attempt).await)
     }
 }
 
 impl embedded_io_async::Write for SerialPort {
     async fn write(&mut self, buf: &[u8]) -> Result<usize, SerialError> {
-        loop {
-            if let Some(count) = self.world.with(|kernel| write(kernel, self.station.0, buf)) {
-                return Ok(count);
-            }
-            self.world.come(Awaited::room_at(self.station)).await;
-        }
+        let attempt = |kernel: &mut _| write(kernel, self.station.0, buf);
+        Ok(self.until_done(Kernel::has_room, attempt).await)
     }
 
     /// Waits until the last byte has left and the station listens again.
     async fn flush(&mut self) -> Result<(), SerialError> {
         let is_drained = |kernel: &Kernel<Rs485Line>, station| kernel.bus.is_drained(station);
-        self.world.come(Awaited::of(self.station, is_drained)).await;
+        self.world.come(Awaited::Station(self.station.0, is_drained)).await;
         Ok(())
     }
 }
