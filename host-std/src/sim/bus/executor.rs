@@ -6,22 +6,26 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll, Wake, Waker};
 
 use super::medium::Medium;
-use super::nanos::Nanos;
+use super::nanos::{NEVER, Nanos};
 use super::world::World;
+use sealed::Passing;
 
 /// So many turns in a row take no time.
 const FREE_TURNS: u32 = 100;
 /// What each further one takes, so that a task which goes round and round sees time pass.
 const TURN: Nanos = 10_000;
+/// The longest sleep in real time: another thread may have used the world meanwhile.
+const LONGEST_SLEEP: Nanos = 1_000_000;
 
 /// A simulated bus, whichever: what [`block_on`] lets time go on for. Only this library has any.
-pub trait Timeline: sealed::Passing {}
+pub trait Timeline: Passing {}
 
 mod sealed {
     use super::Nanos;
 
     pub trait Passing {
-        /// How long from now something is due; `None` if nothing ever is.
+        /// How long from now something is due, for the world or for a task that waits for a time; `None` if
+        /// nothing ever is.
         fn until_next(&self) -> Option<Nanos>;
 
         /// Lets so much time pass.
@@ -31,9 +35,13 @@ mod sealed {
 
 impl<B: Medium> Timeline for World<B> {}
 
-impl<B: Medium> sealed::Passing for World<B> {
+impl<B: Medium> Passing for World<B> {
     fn until_next(&self) -> Option<Nanos> {
-        World::until_next(self)
+        let state = self.lock();
+        let now = state.kernel.around.now;
+        let limit = state.wall_zero.map_or(NEVER, |_| now.saturating_add(LONGEST_SLEEP));
+        let next = state.kernel.next_event().min(state.waiting.next_time()).min(limit);
+        (next != NEVER).then(|| next.saturating_sub(now))
     }
 
     fn pass(&self, span: Nanos) {

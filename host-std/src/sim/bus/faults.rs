@@ -73,10 +73,9 @@ impl FaultPlan {
     };
 
     fn is_quiet(&self) -> bool {
-        [self.lose, self.corrupt, self.duplicate, self.delay, self.reorder].iter().all(|&p| {
-            // NaN is never, like 0.
-            p.is_nan() || p <= 0.0
-        })
+        let chances = [self.lose, self.corrupt, self.duplicate, self.delay, self.reorder];
+        // NaN is never, like 0.
+        !chances.iter().any(|&chance| chance > 0.0)
     }
 }
 

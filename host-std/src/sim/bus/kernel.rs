@@ -228,32 +228,28 @@ impl<B: Medium> Kernel<B> {
         let fate = self.fates.get(&to).copied().unwrap_or_default();
         let now = self.around.now;
         let from = super::StationId(arrival.sender);
-        let mut note = |fault| self.around.record(to, || Event::Faulted { from, fault });
         let is_first = part.index == 0;
-        if fate.lost {
-            if is_first {
-                note(Fault::Lost);
+        let mut note = |is_so, fault| {
+            if is_so {
+                self.around.record(to, || Event::Faulted { from, fault });
             }
+        };
+        note(is_first && fate.lost, Fault::Lost);
+        if fate.lost {
             return;
         }
         let mut unit = arrival.unit.clone();
-        if let Some((index, bit)) = fate.flipped
-            && index == part.index
-        {
-            note(Fault::Corrupted);
+        if let Some((_, bit)) = fate.flipped.filter(|(index, _)| *index == part.index) {
+            note(true, Fault::Corrupted);
             B::flip_bit(&mut unit, bit);
         }
-        if is_first && fate.duplicated {
-            note(Fault::Duplicated);
-        }
+        note(is_first && fate.duplicated, Fault::Duplicated);
         let copy = part.whole.as_ref().filter(|_| fate.duplicated);
         let units = std::iter::once(unit).chain(copy.map(B::units).unwrap_or_default());
         let state = &mut self.stations[to];
         let is_its_turn_to_wait = state.held.is_empty() || state.held_message == part.message;
         if let Some(wait) = fate.held_for.filter(|_| is_its_turn_to_wait) {
-            if is_first {
-                note(Fault::Reordered);
-            }
+            note(is_first, Fault::Reordered);
             let is_new = state.held.is_empty();
             state.held.extend(units);
             state.held_message = part.message;
@@ -262,11 +258,10 @@ impl<B: Medium> Kernel<B> {
             }
             return;
         }
-        if let Some(by) = fate.late_by.filter(|_| is_first) {
-            note(Fault::Delayed(by));
-        }
+        let late_by = fate.late_by.unwrap_or(0);
+        note(is_first && fate.late_by.is_some(), Fault::Delayed(late_by));
         for unit in units {
-            self.deliver_in_order(to, &unit, fate.late_by.unwrap_or(0));
+            self.deliver_in_order(to, &unit, late_by);
         }
         if part.whole.is_some() {
             self.release(to);

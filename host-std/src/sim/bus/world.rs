@@ -17,15 +17,12 @@ use super::port::Port;
 use super::trace::{Log, Record};
 use super::waiting::{Awaited, Waiting};
 
-/// The longest sleep of who waits in real time: another thread may have used the world meanwhile.
-const LONGEST_SLEEP: Nanos = 1_000_000;
-
 pub(super) struct State<B: Medium> {
     pub(super) kernel: Kernel<B>,
     /// Tasks.
     pub(super) waiting: Waiting<B>,
     /// Time 0 on the wall clock; `None` in virtual time, which goes on by whoever waits.
-    wall_zero: Option<std::time::Instant>,
+    pub(super) wall_zero: Option<std::time::Instant>,
 }
 
 impl<B: Medium> State<B> {
@@ -77,7 +74,7 @@ impl<B: Medium> World<B> {
         Self(Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() }))
     }
 
-    fn lock(&self) -> MutexGuard<'_, State<B>> {
+    pub(super) fn lock(&self) -> MutexGuard<'_, State<B>> {
         lock(&self.0.state)
     }
 
@@ -188,16 +185,6 @@ impl<B: Medium> World<B> {
     /// Ends the idling of this world's clocks, in whatever thread, as an arrival does.
     pub fn wake(&self) {
         self.with(|kernel| kernel.arrivals += 1);
-    }
-
-    /// When something is next due, for the world or for a task that waits for a time: how long from
-    /// now. `None` for never, if nobody does anything.
-    pub(super) fn until_next(&self) -> Option<Nanos> {
-        let state = self.lock();
-        let now = state.kernel.around.now;
-        let limit = state.wall_zero.map_or(NEVER, |_| now.saturating_add(LONGEST_SLEEP));
-        let next = state.kernel.next_event().min(state.waiting.next_time()).min(limit);
-        (next != NEVER).then(|| next.saturating_sub(now))
     }
 
     /// A clock for masters in this world.

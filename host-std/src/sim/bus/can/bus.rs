@@ -6,7 +6,7 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 use super::controller::{COMMON_WIRE, Controller, ControllerConfig, ErrorState, Role};
 use super::timing::{AFTER_ACKNOWLEDGE, INTERMISSION, frame_bits};
 use crate::sim::bus::faults::Disturbance;
-use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, sealed::Bus};
+use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, flip_bit_of, sealed::Bus};
 use crate::sim::bus::nanos::{NEVER, Nanos, bits};
 use crate::sim::bus::random::Random;
 use crate::sim::bus::trace::Event;
@@ -183,24 +183,19 @@ impl CanBus {
         let now = around.now;
         let phase = &mut self.wires[wire];
         match phase {
-            Phase::Sending { until, .. } if *until <= now => {
+            Phase::Sending { until, .. } | Phase::Gap { until } if *until > now => return,
+            Phase::Sending { .. } => {
                 let sent = std::mem::replace(phase, Phase::Gap { until: now });
                 if let Phase::Sending { transmission, .. } = sent {
                     self.end_transmission(wire, &transmission, around);
                 }
+                return;
             }
-            Phase::Gap { until } if *until <= now => {
-                *phase = Phase::Idle { since: *until };
-                self.recover_on(wire, around);
-            }
-            Phase::Idle { .. } => self.recover_on(wire, around),
-            Phase::Sending { .. } | Phase::Gap { .. } => {}
+            Phase::Gap { until } => *phase = Phase::Idle { since: *until },
+            Phase::Idle { .. } => {}
         }
-    }
-
-    fn recover_on(&mut self, wire: usize, around: &mut Surroundings<SimpleFrame>) {
         for (station, controller) in self.on_mut(wire) {
-            if controller.recovers_at().is_some_and(|at| at <= around.now) {
+            if controller.recovers_at().is_some_and(|at| at <= now) {
                 controller.recover();
                 around.freed.push(station);
                 around.record(station, || Event::Recovered);
@@ -349,15 +344,11 @@ impl Bus for CanBus {
     }
 
     fn flip_bit(frame: &mut SimpleFrame, bit: u64) {
-        let mut data = [0; 8];
-        let length = frame.data().len();
-        if length == 0 {
-            return;
-        }
-        data[..length].copy_from_slice(frame.data());
-        let bit = bit as usize % (length * 8);
-        data[bit / 8] ^= 1 << (bit % 8);
-        if let Some(flipped) = SimpleFrame::new(frame.id(), &data[..length]) {
+        let mut data = frame.data().to_vec();
+        // One without data, which may be a remote frame, stays as it is.
+        if flip_bit_of(&mut data, bit)
+            && let Some(flipped) = SimpleFrame::new(frame.id(), &data)
+        {
             *frame = flipped;
         }
     }

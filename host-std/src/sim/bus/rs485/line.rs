@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::TransceiverConfig;
-use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, sealed::Bus};
+use crate::sim::bus::medium::{Arrival, Medium, Part, Surroundings, flip_bit_of, sealed::Bus};
 use crate::sim::bus::nanos::{NEVER, Nanos, bits, from_duration};
 use crate::sim::bus::random::{Random, Stream};
 use crate::sim::bus::trace::Event;
@@ -65,10 +65,8 @@ impl Station {
 struct Heard {
     sender: usize,
     until: Nanos,
-    byte: u8,
-    part: Option<Part<Vec<u8>>>,
-    /// Another driver was on meanwhile.
-    is_garbled: bool,
+    /// What it is; `None` if another driver was on meanwhile.
+    byte: Option<(u8, Part<Vec<u8>>)>,
 }
 
 /// What a receiver at another bit rate makes of a message. From the edge of a start bit on it looks at the
@@ -155,13 +153,12 @@ impl Rs485Line {
         }
         match &mut self.heard {
             // Heard as part of the byte that began before.
-            Some(heard) => heard.is_garbled = true,
+            Some(heard) => heard.byte = None,
             None => {
                 let whole = (index + 1 == of).then(|| message.bytes.clone());
-                let part = Some(Part { message: message.number, index, of, whole });
-                let byte = message.bytes[index];
-                let is_garbled = disturbed;
-                self.heard = Some(Heard { sender: station, until, byte, part, is_garbled });
+                let part = Part { message: message.number, index, of, whole };
+                let byte = Some((message.bytes[index], part));
+                self.heard = Some(Heard { sender: station, until, byte });
             }
         }
         if disturbed {
@@ -180,23 +177,21 @@ impl Rs485Line {
         if let (Driver::Sending { .. }, Some(message)) = (state.driver, state.queue.front_mut()) {
             message.is_garbled = true;
             if let Some(heard) = &mut self.heard {
-                heard.is_garbled = true;
+                heard.byte = None;
             }
         }
     }
 
     fn end_heard(&mut self, around: &mut Surroundings<Vec<u8>>) {
-        let Some(mut heard) = self.heard.take_if(|heard| heard.until <= around.now) else { return };
-        if heard.is_garbled {
-            heard.byte = self.random.byte();
-            heard.part = None;
-        }
-        let bit_rate = self.stations[heard.sender].bit_rate;
+        let Some(heard) = self.heard.take_if(|heard| heard.until <= around.now) else { return };
+        let Heard { sender, byte, .. } = heard;
+        let (byte, part) =
+            byte.map_or_else(|| (self.random.byte(), None), |(it, part)| (it, Some(part)));
+        let bit_rate = self.stations[sender].bit_rate;
         let hears = |it: &Station| it.bit_rate == bit_rate && it.listens();
         let stations = self.stations.iter().enumerate();
         let hearers = stations.filter(|(_, it)| hears(it)).map(|(station, _)| station).collect();
-        let (unit, part) = (vec![heard.byte], heard.part);
-        around.arrivals.push(Arrival { sender: heard.sender, hearers, unit, part });
+        around.arrivals.push(Arrival { sender, hearers, unit: vec![byte], part });
     }
 
     /// After a collision receivers may fall into the middle of a byte.
@@ -210,7 +205,7 @@ impl Rs485Line {
         });
         if let Some((sender, station)) = rest {
             let until = now + bits(BITS_PER_BYTE, station.bit_rate);
-            self.heard = Some(Heard { sender, until, byte: 0, part: None, is_garbled: true });
+            self.heard = Some(Heard { sender, until, byte: None });
         }
     }
 
@@ -406,11 +401,7 @@ impl Bus for Rs485Line {
     }
 
     fn flip_bit(bytes: &mut Vec<u8>, bit: u64) {
-        let length = bytes.len().max(1);
-        let bit = bit as usize % (length * 8);
-        if let Some(byte) = bytes.get_mut(bit / 8) {
-            *byte ^= 1 << (bit % 8);
-        }
+        flip_bit_of(bytes, bit);
     }
 
     fn garbage(random: &mut Random) -> Vec<u8> {
