@@ -127,11 +127,11 @@ impl<B: Medium> Kernel<B> {
     /// When a station does something by itself.
     fn due(&self, station: usize) -> Nanos {
         let Station { wake, backlog, babble, .. } = &self.stations[station];
+        let babble = babble.as_ref().map_or(NEVER, |(_, at)| *at);
         // What is there and finds no room waits for some.
-        let finds_room = |at| at > self.around.now || self.has_room(station);
-        let backlog = backlog.front().map(|(at, _)| *at).filter(|at| finds_room(*at));
-        let babble = babble.as_ref().map(|(_, at)| *at);
-        [backlog, babble].into_iter().flatten().fold(*wake, Nanos::min)
+        let backlog = backlog.front().map_or(NEVER, |(at, _)| *at);
+        let is_stuck = backlog <= self.around.now && !self.has_room(station);
+        (*wake).min(babble).min(if is_stuck { NEVER } else { backlog })
     }
 
     /// When something happens next, `NEVER` for not at all.

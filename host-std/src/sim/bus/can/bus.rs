@@ -120,16 +120,9 @@ impl CanBus {
         match &self.wires[wire] {
             Phase::Sending { until, .. } | Phase::Gap { until } => *until,
             Phase::Idle { since } => {
-                let mut next = NEVER;
-                for (_, controller) in self.on(wire) {
-                    if let Some((from, _)) = controller.wants_bus() {
-                        next = next.min(from.max(*since));
-                    }
-                    if let Some(at) = controller.recovers_at() {
-                        next = next.min(at);
-                    }
-                }
-                next
+                let sends_at = |it: &Controller| Some(it.wants_bus()?.0.max(*since));
+                let times = self.on(wire).flat_map(|(_, it)| [sends_at(it), it.recovers_at()]);
+                times.flatten().min().unwrap_or(NEVER)
             }
         }
     }
@@ -144,19 +137,15 @@ impl CanBus {
         let Some((_, first)) = self.on(wire).filter_map(waiting).min() else { return };
         let Some(frame) = self.controllers[first].next_frame() else { return };
         let bit_rate = self.controllers[first].bit_rate;
-        let senders: Vec<usize> = self
-            .on(wire)
-            .filter(|(_, it)| it.bit_rate == bit_rate && it.next_frame() == Some(frame))
-            .filter_map(waiting)
-            .map(|(_, station)| station)
-            .collect();
-        for &station in &senders {
-            self.controllers[station].begin();
-        }
-        let (mut is_broken_after, mut end_rate) = (NEVER, bit_rate);
-        for (_, controller) in self.on_mut(wire) {
+        let (mut senders, mut is_broken_after, mut end_rate) = (Vec::new(), NEVER, bit_rate);
+        for (station, controller) in self.on_mut(wire) {
             controller.end_silence(now);
-            if controller.bit_rate != bit_rate && controller.state() == ErrorState::Active {
+            let is_ready = waiting((station, controller)).is_some();
+            if is_ready && controller.bit_rate == bit_rate && controller.next_frame() == Some(frame)
+            {
+                controller.begin();
+                senders.push(station);
+            } else if controller.bit_rate != bit_rate && controller.state() == ErrorState::Active {
                 is_broken_after = is_broken_after.min(controller.bits(STRANGE));
                 end_rate = end_rate.min(controller.bit_rate);
             }
