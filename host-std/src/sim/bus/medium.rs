@@ -58,13 +58,11 @@ impl<F> Surroundings<F> {
     }
 }
 
-/// Flips one of the bits of these bytes, unless there is none. Places beyond the last begin anew.
-pub(crate) fn flip_bit_of(bytes: &mut [u8], bit: u64) -> bool {
-    let place = (bit as usize).checked_rem(bytes.len() * 8);
-    if let Some(place) = place {
+/// Flips one of the bits of these bytes, if there is one. Places beyond the last begin anew.
+pub(crate) fn flip_bit_of(bytes: &mut [u8], bit: u64) {
+    if let Some(place) = (bit as usize).checked_rem(bytes.len() * 8) {
         bytes[place / 8] ^= 1 << (place % 8);
     }
-    place.is_some()
 }
 
 pub(crate) mod sealed {

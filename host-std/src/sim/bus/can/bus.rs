@@ -16,7 +16,7 @@ const ERROR_FRAME: u32 = 6 + 6 + 8;
 /// The flag of a sender that nobody hears has no echo.
 const LONE_ERROR_FRAME: u32 = 6 + 8;
 /// A stranger signals an error after so many of its own bits, of which five at most may be equal.
-const STRANGE: u32 = 6;
+const STRANGE: u64 = 6;
 
 /// How a frame on the wire will end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -206,7 +206,7 @@ impl CanBus {
         };
         let free_at = around.now + bits(gap.into(), end_rate);
         self.wires[wire] = Phase::Gap { until: free_at };
-        let mut hearers = Vec::new();
+        let mut hearers = Vec::with_capacity(self.controllers.len());
         for (station, controller) in self.on_mut(wire) {
             // The delimiter, end of frame and intermission were one sequence of recessive bits.
             controller.begin_silence(free_at, 1);
@@ -334,8 +334,8 @@ impl Bus for CanBus {
 
     fn flip_bit(frame: &mut SimpleFrame, bit: u64) {
         let mut data = frame.data().to_vec();
-        // One without data, which may be a remote frame, stays as it is.
-        if flip_bit_of(&mut data, bit)
+        flip_bit_of(&mut data, bit);
+        if !frame.is_remote_frame()
             && let Some(flipped) = SimpleFrame::new(frame.id(), &data)
         {
             *frame = flipped;

@@ -13,9 +13,9 @@ const PASSIVE: u16 = 128;
 /// Above this transmit error count a controller leaves the bus.
 const BUS_OFF_ABOVE: u16 = 255;
 /// How much longer an error-passive sender waits.
-const SUSPEND: u32 = 8;
+const SUSPEND: u64 = 8;
 /// Eleven recessive bits are one sequence towards the end of bus-off.
-const SEQUENCE: u32 = 11;
+const SEQUENCE: u64 = 11;
 /// How many of them end it.
 const RECOVERY_SEQUENCES: u64 = 128;
 /// The wire of all whose own was not cut.
@@ -141,14 +141,14 @@ impl Controller {
     }
 
     /// How long so many of its bits last.
-    pub(super) fn bits(&self, count: u32) -> Nanos {
-        bits(count.into(), self.bit_rate)
+    pub(super) fn bits(&self, count: u64) -> Nanos {
+        bits(count, self.bit_rate)
     }
 
     /// When silence ends its bus-off.
     pub(super) fn recovers_at(&self) -> Option<Nanos> {
         let Recovery { wanted, since } = self.recovery?;
-        Some(since.saturating_add(bits(wanted * u64::from(SEQUENCE), self.bit_rate)))
+        Some(since.saturating_add(self.bits(wanted * SEQUENCE)))
     }
 
     pub(super) fn state(&self) -> ErrorState {

@@ -188,9 +188,12 @@ impl Rs485Line {
         let (byte, part) =
             byte.map_or_else(|| (self.random.byte(), None), |(it, part)| (it, Some(part)));
         let bit_rate = self.stations[sender].bit_rate;
-        let hears = |it: &Station| it.bit_rate == bit_rate && it.listens();
-        let stations = self.stations.iter().enumerate();
-        let hearers = stations.filter(|(_, it)| hears(it)).map(|(station, _)| station).collect();
+        let mut hearers = Vec::with_capacity(self.stations.len());
+        for (station, it) in self.stations.iter().enumerate() {
+            if it.bit_rate == bit_rate && it.listens() {
+                hearers.push(station);
+            }
+        }
         around.arrivals.push(Arrival { sender, hearers, unit: vec![byte], part });
     }
 
