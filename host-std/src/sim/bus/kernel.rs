@@ -23,6 +23,8 @@ struct Station<F> {
     slowness: Nanos,
     /// Frames on their slow way, with the time they get there.
     backlog: VecDeque<(Nanos, F)>,
+    /// The first of them is there and finds no room.
+    is_backlog_stuck: bool,
     /// What it babbles, and when again.
     babble: Option<(Babble<F>, Nanos)>,
     received: VecDeque<F>,
@@ -38,6 +40,15 @@ struct Station<F> {
     held: VecDeque<F>,
     /// Which message that was.
     held_message: u64,
+}
+
+impl<F> Station<F> {
+    /// When it does something by itself.
+    fn due(&self) -> Nanos {
+        let babble = self.babble.as_ref().map_or(NEVER, |(_, at)| *at);
+        let backlog = self.backlog.front().filter(|_| !self.is_backlog_stuck);
+        self.wake.min(babble).min(backlog.map_or(NEVER, |(at, _)| *at))
+    }
 }
 
 enum Late<F> {
@@ -111,6 +122,7 @@ impl<B: Medium> Kernel<B> {
             is_blocked: false,
             slowness: 0,
             backlog: VecDeque::new(),
+            is_backlog_stuck: false,
             babble: None,
             received: VecDeque::new(),
             receive_queue,
@@ -124,19 +136,9 @@ impl<B: Medium> Kernel<B> {
         self.stations.len() - 1
     }
 
-    /// When a station does something by itself.
-    fn due(&self, station: usize) -> Nanos {
-        let Station { wake, backlog, babble, .. } = &self.stations[station];
-        let babble = babble.as_ref().map_or(NEVER, |(_, at)| *at);
-        // What is there and finds no room waits for some.
-        let backlog = backlog.front().map_or(NEVER, |(at, _)| *at);
-        let is_stuck = backlog <= self.around.now && !self.has_room(station);
-        (*wake).min(babble).min(if is_stuck { NEVER } else { backlog })
-    }
-
     /// When something happens next, `NEVER` for not at all.
     pub(crate) fn next_event(&self) -> Nanos {
-        let stations = (0..self.stations.len()).map(|it| self.due(it)).min().unwrap_or(NEVER);
+        let stations = self.stations.iter().map(Station::due).min().unwrap_or(NEVER);
         let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
         let regular = self.regulars.iter().map(|it| it.next).min().unwrap_or(NEVER);
         let next = stations.min(late).min(regular).min(self.bus.next_event());
@@ -177,7 +179,7 @@ impl<B: Medium> Kernel<B> {
             regular.next = regular.next.saturating_add(regular.period);
         }
         for station in 0..self.stations.len() {
-            if self.due(station) <= self.around.now {
+            if self.stations[station].due() <= self.around.now {
                 self.serve(station);
             }
         }
@@ -193,6 +195,7 @@ impl<B: Medium> Kernel<B> {
         for station in std::mem::take(&mut self.around.freed) {
             let now = self.around.now;
             let state = &mut self.stations[station];
+            state.is_backlog_stuck = false;
             if state.is_blocked {
                 state.wake = now;
             }
@@ -322,6 +325,7 @@ impl<B: Medium> Kernel<B> {
         {
             self.bus.submit(station, frame, now);
         }
+        state.is_backlog_stuck = state.backlog.front().is_some_and(|(at, _)| *at <= now);
         if let Some((babble, at)) = &mut state.babble
             && *at <= now
         {
@@ -423,6 +427,7 @@ impl<B: Medium> Kernel<B> {
         self.around.record(station, || Event::Reset);
         let state = &mut self.stations[station];
         state.backlog.clear();
+        state.is_backlog_stuck = false;
         state.received.clear();
         if let Some(node) = &mut state.node {
             node.reset(to_instant(now));
