@@ -143,6 +143,17 @@ fn what_is_written_meanwhile_follows_without_a_gap() {
 }
 
 #[test]
+fn whose_cable_is_cut_collides_with_nobody() {
+    let (world, ..) = line(1);
+    let stations = [(0, 0x11), (5, 0x22)].map(|(at, byte)| world.sender([(at, vec![byte])]));
+    world.cut(stations[1]);
+    let log = world.log();
+    world.run_until(micros(1_000));
+    let is_broken = |event: &Event<_>| matches!(event, Event::Broken { .. });
+    assert!(!log.take().iter().any(|record| is_broken(&record.event)));
+}
+
+#[test]
 fn overlapping_bytes_are_broken_for_both_senders() {
     let (world, _, listener) = line(1);
     let stations = [(0, 0x11), (5, 0x22)].map(|(at, byte)| world.sender([(at, vec![byte])]));

@@ -137,7 +137,7 @@ impl Rs485Line {
     /// Puts the next byte of a station on the line. It must have one.
     fn begin_byte(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
         let now = around.now;
-        let disturbed = self.others_drive(station);
+        let disturbed = !self.stations[station].is_cut && self.others_drive(station);
         let state = &mut self.stations[station];
         state.run_bytes += 1;
         let until = state.run_started + bits(BITS_PER_BYTE * state.run_bytes, state.bit_rate);
