@@ -56,12 +56,12 @@ impl Group {
 
 impl Session {
     /// A motor's fields as one JSON object.
-    pub(super) fn json(&self, motor: MotorId, groups: &[Group]) -> String {
+    pub(super) fn json(&self, motor: MotorId, groups: &[Group]) -> Value {
         let mut object = json!({ "bus": self.address.to_string(), "id": motor.get() });
         if let Value::Object(object) = &mut object {
             object.extend(groups.iter().flat_map(Group::values));
         }
-        object.to_string()
+        object
     }
 }
 

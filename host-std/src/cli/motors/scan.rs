@@ -30,7 +30,7 @@ pub(in crate::cli) struct Arguments {
     /// disturbs those who talk: let no motor run meanwhile.
     #[arg(long)]
     all_rates: bool,
-    /// Print one JSON object a motor.
+    /// Print one JSON object a motor, with a note if two seem to have its id.
     #[arg(long)]
     json: bool,
 }
@@ -61,7 +61,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         if let (Some(session), Ok(motors)) = (&mut session, found) {
             anybody |= !motors.is_empty();
             for motor in motors.iter() {
-                describe(session, motor, arguments.json)?;
+                say(&describe(session, motor, arguments.json)?)?;
             }
         }
     }
@@ -105,7 +105,9 @@ fn told_of_rate(address: &BusAddress, found: &Found) -> String {
     format!("{} bit/s: {told}", address.bit_rate().unwrap_or_default())
 }
 
-fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome {
+/// The line about a motor that answers. That two motors have its id is told beside the output, and is a part of
+/// the JSON.
+fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<String> {
     let mut answers_again = false;
     let hear = |event| {
         answers_again |= matches!(event, Event::Stray { motor: who, .. } if who == motor);
@@ -120,19 +122,31 @@ fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome {
     let status = session.master.ask_with(motor, ReadStatus1, None, hear);
     let status = status.map_err(Unfinished::of_motor(motor));
     let read = model.and_then(|model| Ok(model.and(&status?)));
+    let mut note = None;
     // A closer look takes half a second, so not without a reason.
     if answers_again && bring_up::is_shared(&mut session.master, motor)? {
-        tell("note", format_args!("two motors seem to have id {motor}: connect only one of them"));
+        let shared = format!("two motors seem to have id {motor}: connect only one of them");
+        tell("note", &shared);
+        note = Some(shared);
     }
-    match read {
-        Ok(group) if as_json => say(&session.json(motor, &[group])),
-        Ok(group) => say(&format!("motor {motor}: {group}")),
-        Err(Unfinished::Failed(_)) if as_json => say(&session.json(motor, &[])),
-        Err(Unfinished::Failed(sentence)) => say(&format!(
-            "motor {motor}: answers, but not always ({sentence}); do two motors have this id?"
-        )),
-        Err(other) => Err(other),
+    let (group, line) = match read {
+        Ok(group) => (group.clone(), group.to_string()),
+        Err(Unfinished::Failed(sentence)) => {
+            let unsure =
+                format!("answers, but not always ({sentence}); do two motors have this id?");
+            note.get_or_insert_with(|| unsure.clone());
+            (Group::default(), unsure)
+        }
+        Err(other) => return Err(other),
+    };
+    if !as_json {
+        return Ok(format!("motor {motor}: {line}"));
     }
+    let mut object = session.json(motor, &[group]);
+    if let Some(note) = note {
+        object["note"] = note.into();
+    }
+    Ok(object.to_string())
 }
 
 /// The same bus at each rate that motors can have.
@@ -156,6 +170,21 @@ fn at_each_rate(bus: &BusAddress) -> Outcome<Vec<BusAddress>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use myactuator_host_std::sim::Fleet;
+    use serde_json::Value;
+
+    #[test]
+    fn json_carries_the_note_that_two_motors_have_an_id() {
+        let object = |fleet: Fleet| -> Value {
+            let fleet = fleet.on_can(1_000_000).unwrap();
+            let line = describe(&mut Session::on(&fleet), MotorId::MIN, true).unwrap();
+            serde_json::from_str(&line).unwrap()
+        };
+        let shared = object(Fleet::new(2).all_with_id(MotorId::MIN));
+        assert_eq!(shared["note"], "two motors seem to have id 1: connect only one of them");
+        let alone = object(Fleet::new(1));
+        assert_eq!((&alone["model"], alone.get("note")), (&"X6-60".into(), None));
+    }
 
     fn rates(bus: &str) -> Vec<String> {
         let buses = at_each_rate(&bus.parse().unwrap()).unwrap();

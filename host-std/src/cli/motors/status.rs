@@ -63,7 +63,7 @@ fn tell_each(
     let mut outcome = Ok(());
     for motor in session.meant(arguments.motors.id)?.iter() {
         match read(&mut session, motor) {
-            Ok(groups) if arguments.json => say(&session.json(motor, &groups))?,
+            Ok(groups) if arguments.json => say(&session.json(motor, &groups).to_string())?,
             Ok(groups) => {
                 say(&format!("motor {motor}"))?;
                 for group in groups {
