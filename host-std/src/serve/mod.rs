@@ -29,6 +29,7 @@
 //! meanwhile.
 
 mod adapter;
+mod claim;
 pub mod control;
 mod hosted;
 mod interface_end;
@@ -67,6 +68,7 @@ use pty::Pty;
 use schedule::Schedule;
 
 pub use crate::sim::{Chance, Condition, ConditionQuantity, FaultKind, PlannedFault};
+pub use claim::Claim;
 
 /// The longest wait: drives move, and simulated time must not fall behind.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);

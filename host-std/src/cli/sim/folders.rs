@@ -5,6 +5,7 @@ use std::io;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
+use myactuator_host_std::serve::Claim;
 use rustix::fs::{FlockOperation, flock};
 
 /// Where drives keep their settings. One simulation at a time has it.
@@ -56,9 +57,7 @@ pub(super) struct Links {
 struct Link {
     path: PathBuf,
     target: PathBuf,
-    /// A file beside it, whose lock goes with whoever holds it, however that ends.
-    lock: PathBuf,
-    _locked: File,
+    _claim: Claim,
 }
 
 impl Links {
@@ -73,10 +72,7 @@ impl Links {
     pub(super) fn add(&mut self, name: &str, target: &Path) -> Result<Option<PathBuf>, String> {
         let Some(folder) = &self.folder else { return Ok(None) };
         let link = folder.join(name);
-        let lock = folder.join(format!(".{name}.lock"));
-        let locked = File::options().create(true).truncate(false).write(true).open(&lock);
-        let locked = locked.map_err(|error| fails(folder, &error))?;
-        flock(&locked, FlockOperation::NonBlockingLockExclusive).map_err(|_| {
+        let claim = Claim::on(&link).map_err(|error| fails(folder, &error))?.ok_or_else(|| {
             let link = link.display();
             format!("another simulation has the link {link}: end it, or take another folder")
         })?;
@@ -88,19 +84,18 @@ impl Links {
         };
         made.map_err(|error| format!("the link {} cannot be made: {error}", link.display()))?;
         let (path, target) = (link.clone(), target.to_owned());
-        self.made.push(Link { path, target, lock, _locked: locked });
+        self.made.push(Link { path, target, _claim: claim });
         Ok(Some(link))
     }
 }
 
 impl Drop for Links {
     fn drop(&mut self) {
-        for Link { path, target, lock, .. } in &self.made {
+        for Link { path, target, .. } in &self.made {
             // Somebody may have put something else there by hand.
             if fs::read_link(path).is_ok_and(|found| found == *target) {
                 let _ = fs::remove_file(path);
             }
-            let _ = fs::remove_file(lock);
         }
     }
 }

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 use rustix::event::PollFlags;
 use serde_json::{Value, json};
 
+use super::claim::Claim;
 use crate::sim::LogRecord;
 
 pub(super) use carry_out::Scene;
@@ -31,6 +32,8 @@ pub(super) struct Control {
     path: PathBuf,
     /// Device and inode of the socket's file.
     file: (u64, u64),
+    /// So that two that start at once do not both replace what a killed one has left.
+    _claim: Claim,
     clients: Vec<Numbered>,
     next_number: u64,
 }
@@ -50,6 +53,13 @@ impl Control {
         let told = |error: io::Error| {
             format!("the control socket {} cannot be made: {error}", path.display())
         };
+        let another = || {
+            let path = path.display();
+            format!(
+                "another simulation has the control socket {path}: end it, or take another path"
+            )
+        };
+        let claim = Claim::on(path).map_err(told)?.ok_or_else(another)?;
         if let Ok(found) = fs::symlink_metadata(path) {
             if !found.file_type().is_socket() {
                 return Err(told(io::Error::other("something that is no socket has this name")));
@@ -58,12 +68,7 @@ impl Control {
                 // Nobody listens: it was left.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
                 Err(error) => return Err(told(error)),
-                Ok(_) => {
-                    let path = path.display();
-                    return Err(format!(
-                        "another simulation has the control socket {path}: end it, or take another path"
-                    ));
-                }
+                Ok(_) => return Err(another()),
             }
             fs::remove_file(path).map_err(told)?;
         }
@@ -71,7 +76,8 @@ impl Control {
         listener.set_nonblocking(true).map_err(told)?;
         let made = fs::symlink_metadata(path).map_err(told)?;
         let file = (made.dev(), made.ino());
-        Ok(Self { listener, path: path.to_owned(), file, clients: Vec::new(), next_number: 0 })
+        let (path, clients) = (path.to_owned(), Vec::new());
+        Ok(Self { listener, path, file, _claim: claim, clients, next_number: 0 })
     }
 
     /// What to wait for.

@@ -122,6 +122,26 @@ fn every_field_of_a_motor_is_explained() {
 }
 
 #[test]
+fn of_simulations_that_start_at_once_one_has_a_socket_that_was_left() {
+    for _ in 0..200 {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("control");
+        // What a killed one leaves.
+        drop(UnixListener::bind(&path).unwrap());
+        let together = std::sync::Barrier::new(3);
+        let open = || {
+            together.wait();
+            Control::open(&path)
+        };
+        let opened = std::thread::scope(|scope| {
+            [(); 3].map(|()| scope.spawn(open)).map(|thread| thread.join().unwrap())
+        });
+        assert_eq!(opened.iter().filter(|it| it.is_ok()).count(), 1, "{opened:?}");
+        assert!(UnixStream::connect(&path).is_ok());
+    }
+}
+
+#[test]
 fn one_simulation_has_a_socket_and_one_left_by_a_killed_one_is_replaced() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("control");
@@ -136,10 +156,10 @@ fn one_simulation_has_a_socket_and_one_left_by_a_killed_one_is_replaced() {
     let second = open(&path).unwrap();
     // Somebody puts another in its place.
     fs::remove_file(&path).unwrap();
-    let third = open(&path).unwrap();
+    drop(UnixListener::bind(&path).unwrap());
     drop(second);
     assert!(path.exists());
-    drop(third);
+    drop(open(&path).unwrap());
     fs::write(&path, "mine").unwrap();
     assert!(open(&path).unwrap_err().ends_with("something that is no socket has this name"));
     // Somebody's socket of another kind, such as a log's.
