@@ -183,11 +183,12 @@ pub enum ServeError {
     /// The CAN interface cannot be opened or has failed.
     #[error("{0}")]
     Interface(#[from] PortError),
-    /// These drives could not store what they keep over power-off.
+    /// These drives could not store what they keep over power-off: the name of each bus, and its motors.
     #[error(
-        "motors {0} could not store their settings and turns: check the folder's permissions and room"
+        "{} could not store their settings and turns: check the folder's permissions and room",
+        .0.iter().map(|(bus, motors)| format!("motors {motors} of \"{bus}\"")).collect::<Vec<_>>().join(", ")
     )]
-    NotStored(MotorSet),
+    NotStored(Vec<(String, MotorSet)>),
     /// The control socket cannot be made, or another simulation has it.
     #[error("{0}")]
     Control(String),
@@ -339,7 +340,13 @@ impl Server {
         mut notify: impl FnMut(Notice),
     ) -> Result<(), ServeError> {
         let served = self.serve(stop.as_fd(), &mut notify);
-        let not_stored: MotorSet = self.hosts.iter().flat_map(|host| host.power_off()).collect();
+        let mut not_stored = Vec::new();
+        for host in &self.hosts {
+            let motors: MotorSet = host.power_off().into_iter().collect();
+            if !motors.is_empty() {
+                not_stored.push((host.name().to_owned(), motors));
+            }
+        }
         match served {
             Ok(()) if !not_stored.is_empty() => Err(ServeError::NotStored(not_stored)),
             served => served,
@@ -496,9 +503,11 @@ mod tests {
 
     use super::*;
     use crate::sim::Fleet;
-    use myactuator_protocol_core::command::ErrorFlags;
-    use myactuator_protocol_core::command::ReadMultiTurnAngle;
+    use myactuator_protocol_core::command::{
+        ErrorFlags, FunctionControl, ReadMultiTurnAngle, Reset, Switch,
+    };
     use myactuator_protocol_core::drive::Event;
+    use myactuator_protocol_core::io::Runner as _;
     use myactuator_protocol_core::wire::rs485::Frame;
 
     #[test]
@@ -541,6 +550,36 @@ mod tests {
         };
         assert_eq!(at(0), [ErrorFlags::OVER_VOLTAGE, ErrorFlags::empty()]);
         assert_eq!(at(1), [ErrorFlags::OVER_VOLTAGE, ErrorFlags::OVER_SPEED]);
+    }
+
+    #[test]
+    fn what_could_not_be_stored_is_told_with_its_bus() {
+        let folder = tempfile::tempdir().unwrap();
+        let fleets = ["left", "right", "tool"].map(|name| {
+            let of_bus = folder.path().join(name);
+            std::fs::create_dir(&of_bus).unwrap();
+            Fleet::new(2).name(name).memory_folder(of_bus).on_can(1_000_000).unwrap()
+        });
+        // Function 4, which acts after a restart: turns are saved at power-off.
+        let keep_turns = FunctionControl::SaveMultiTurn(Switch::On);
+        for fleet in &fleets {
+            let mut master = fleet.master::<2>();
+            for motor in MotorId::all().take(2) {
+                master.ask(motor, keep_turns).unwrap();
+                master.ask(motor, Reset).unwrap();
+            }
+            fleet.world.run_for(time::Duration::from_secs(2));
+        }
+        let mut server = Server::new();
+        fleets.iter().for_each(|fleet| server.host_can(fleet));
+        for name in ["left", "tool"] {
+            std::fs::remove_dir_all(folder.path().join(name)).unwrap();
+        }
+        let (nobody, stop) = UnixStream::pair().unwrap();
+        drop(nobody);
+        let told = server.run(stop, |_| {}).unwrap_err().to_string();
+        let expected = "motors 1 2 of \"left\", motors 1 2 of \"tool\" could not store ";
+        assert!(told.starts_with(expected), "{told}");
     }
 
     #[test]
