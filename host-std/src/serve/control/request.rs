@@ -2,6 +2,7 @@
 
 use myactuator_protocol_core::MotorId;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::sim::plant::Load;
 
@@ -84,10 +85,26 @@ impl Request {
     /// A sentence.
     pub(super) fn parse(line: &[u8]) -> Result<Self, String> {
         serde_json::from_slice(line).map_err(|error| {
+            let wrong = found_instead(line).unwrap_or_else(|| error.to_string());
             format!(
-                "expected a request, such as {{\"state\":{{\"motor\":1}}}}, on one line: {error}"
+                "expected a request, such as {{\"state\":{{\"motor\":1}}}}, on one line: {wrong}"
             )
         })
+    }
+}
+
+/// What is there in place of an object with one key and an object, if that is what is wrong.
+fn found_instead(line: &[u8]) -> Option<String> {
+    let found: Value = serde_json::from_slice(line).ok()?;
+    let Value::Object(keys) = &found else { return Some(format!("found {found}")) };
+    let mut names = keys.iter();
+    match (names.next(), names.next()) {
+        (Some((_, Value::Object(_))), None) => None,
+        (Some((name, value)), None) => Some(format!(
+            "found {value} behind \"{name}\", where an object with its quantities belongs, or {{}} for none"
+        )),
+        (None, _) => Some("found no name of one".to_owned()),
+        (Some(_), Some(_)) => Some(format!("found {} at once", keys.len())),
     }
 }
 
@@ -105,5 +122,20 @@ mod tests {
         assert!(wrong(r#"{"push":{"motor":1}}"#).contains("missing field `torque_nm`"));
         assert!(wrong(r#"{"load":{"load":{"weight":1}}}"#).contains("unknown field `weight`"));
         assert!(wrong(r#"{"time":{}} {"time":{}}"#).contains("trailing"));
+        for (line, sentence) in [
+            (
+                r#"{"time":null}"#,
+                r#"found null behind "time", where an object with its quantities belongs, or {} for none"#,
+            ),
+            (r#"{"angle":90}"#, r#"found 90 behind "angle", where an object "#),
+            (r#""time""#, r#"found "time""#),
+            ("{}", "found no name of one"),
+            (r#"{"time":{},"state":{}}"#, "found 2 at once"),
+            ("[]", "found []"),
+        ] {
+            let told = wrong(line);
+            assert!(told.starts_with("expected a request, such as "), "{told}");
+            assert!(told.contains(&format!(" on one line: {sentence}")), "{line}: {told}");
+        }
     }
 }
