@@ -27,6 +27,8 @@ enum State {
     Talking,
     /// Its last request has no answer yet.
     Waiting,
+    /// It sends nothing more, and is told the log until it has left.
+    Listening,
     /// It sends nothing more, or what it sends is no use: it gets its answers still.
     Leaving,
     Gone,
@@ -43,11 +45,11 @@ impl Client {
         self.state == State::Gone || (self.state == State::Leaving && self.unread.is_empty())
     }
 
-    /// Notices if it has left while it waits for its answer: nobody reads from it then.
+    /// Notices if it has left while nobody reads from it: it waits for its answer, or only listens.
     pub(super) fn look(&mut self) {
         let mut end = [PollFd::new(&self.stream, PollFlags::empty())];
         let is_up = poll(&mut end, Some(&Timespec::default())).is_ok_and(|count| count > 0);
-        if self.state == State::Waiting && is_up {
+        if matches!(self.state, State::Waiting | State::Listening) && is_up {
             self.state = State::Gone;
         }
     }
@@ -106,7 +108,10 @@ impl Client {
         let mut chunk = [0; 4096];
         loop {
             match self.stream.read(&mut chunk) {
-                Ok(0) => return self.state = State::Leaving,
+                Ok(0) => {
+                    let is_told = self.log.is_some();
+                    return self.state = if is_told { State::Listening } else { State::Leaving };
+                }
                 Ok(length) => self.received.extend(&chunk[..length]),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
@@ -183,6 +188,21 @@ mod tests {
         client.answer("3");
         drop(program);
         assert_eq!((client.next(), client.is_gone()), (None, true));
+    }
+
+    #[test]
+    fn who_only_listens_is_there_until_it_has_left() {
+        let (program, mut client) = pair();
+        client.log = Some(0);
+        program.shutdown(std::net::Shutdown::Write).unwrap();
+        assert_eq!((client.next(), client.is_gone()), (None, false));
+        client.look();
+        assert!(!client.is_gone());
+        // Nothing is to be read from it, so that nobody is woken all the time.
+        assert_eq!(client.source().1, PollFlags::empty());
+        drop(program);
+        client.look();
+        assert!(client.is_gone());
     }
 
     #[test]

@@ -426,6 +426,28 @@ fn time_stands_where_the_program_has_left_that_let_it_go_on() {
     }
 }
 
+/// As `printf '{"log":{}}\n' | socat - UNIX:control` does.
+#[test]
+fn who_only_listens_to_the_log_hears_it_until_it_leaves() {
+    let served = Served::start(one_in_lock_step);
+    let (mut listener, mut other) = (served.client(), served.client());
+    listener.send(r#"{"log":{}}"#);
+    listener.stream.shutdown(std::net::Shutdown::Write).unwrap();
+    assert!(listener.next()["ok"].is_object());
+    let mut clients = || {
+        assert!(other.ask(r#"{"fault":{"fault":"over-voltage"}}"#)["ok"].is_object());
+        assert!(other.ask(r#"{"advance":{"us":1000}}"#)["ok"].is_object());
+        assert!(other.ask(r#"{"fault":{"fault":"clear"}}"#)["ok"].is_object());
+        assert!(other.ask(r#"{"advance":{"us":1000}}"#)["ok"].is_object());
+    };
+    clients();
+    let text = |line: Value| line["log"]["event"].to_string();
+    let told = [listener.next(), listener.next()].map(text);
+    assert!(told[0].contains("fault-raised") && told[1].contains("fault-cleared"), "{told:?}");
+    drop(listener);
+    clients();
+}
+
 /// A program that never stops writing, whether that is sense or not, and never reads.
 #[test]
 fn a_flood_holds_nobody_up() {
