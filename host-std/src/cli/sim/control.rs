@@ -18,6 +18,10 @@ pub(super) struct Options {
 }
 
 impl Options {
+    pub(super) const fn is_in_lock_step(&self) -> bool {
+        self.lock_step
+    }
+
     /// Gives the line that says where the socket is.
     pub(super) fn apply(
         &self,

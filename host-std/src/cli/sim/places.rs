@@ -88,8 +88,14 @@ impl Place {
     }
 }
 
-/// What is told. The buses of a file are named; those of the short form are known by their kinds.
-pub(super) fn lines(places: &[Place], is_file: bool, json: bool) -> Vec<String> {
+/// What is told. The buses of a file are named; those of the short form are known by their kinds. In lock-step
+/// nobody is invited to try them: what waits for an answer there waits for time.
+pub(super) fn lines(
+    places: &[Place],
+    is_file: bool,
+    is_in_lock_step: bool,
+    json: bool,
+) -> Vec<String> {
     if json {
         return places.iter().map(|place| place.json().to_string()).collect();
     }
@@ -110,7 +116,7 @@ pub(super) fn lines(places: &[Place], is_file: bool, json: bool) -> Vec<String> 
             lines.push("SLCAN and CAN lead to the same motors.".into());
         }
     }
-    if let Some(place) = places.first() {
+    if let Some(place) = places.first().filter(|_| !is_in_lock_step) {
         lines.push(format!("try: myactuator scan --bus {}", place.address));
     }
     lines.push("Ctrl-C ends it.".into());
@@ -137,17 +143,27 @@ mod tests {
     }
 
     fn told(names: [Option<&str>; 2], json: bool) -> Vec<String> {
+        lines(&served(names), names[0].is_some(), false, json)
+    }
+
+    fn served(names: [Option<&str>; 2]) -> [Place; 3] {
         let of_line = bus(names[0], BusKind::Rs485, 115_200);
         let of_can = bus(names[1], BusKind::Can, 500_000);
         let line = |path| BusAddress::Rs485 { path, bit_rate: 115_200, echo: Echo::Present };
         let adapter = |path| BusAddress::Slcan { path, rate: Rate::Kbit500 };
         let (path, link) = (PathBuf::from("/dev/pts/7"), PathBuf::from("here/slcan"));
-        let places = [
+        [
             Place::on_terminal(&of_line, line, path.clone(), None),
             Place::on_terminal(&of_can, adapter, path, Some(link)),
             Place::on_interface(&of_can, "vcan0"),
-        ];
-        lines(&places, names[0].is_some(), json)
+        ]
+    }
+
+    #[test]
+    fn in_lock_step_nobody_is_sent_to_scan() {
+        let told = lines(&served([None; 2]), false, true, false);
+        assert!(!told.iter().any(|line| line.contains("try:")), "{told:?}");
+        assert_eq!(told.last().unwrap(), "Ctrl-C ends it.");
     }
 
     #[test]

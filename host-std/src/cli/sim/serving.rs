@@ -48,7 +48,8 @@ pub(super) fn serve(buses: Vec<Served>, arguments: &Arguments) -> Result<(), Fai
         });
     }
     let control = arguments.control.apply(&mut server, arguments.json)?;
-    let lines = places::lines(&places, is_file, arguments.json);
+    let in_lock_step = arguments.control.is_in_lock_step();
+    let lines = places::lines(&places, is_file, in_lock_step, arguments.json);
     for line in control.into_iter().chain(lines) {
         match print_line(&line) {
             // Whoever reads may leave; the drives stay.
