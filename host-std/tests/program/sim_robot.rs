@@ -117,6 +117,13 @@ fn what_a_file_says_is_not_said_beside_it_and_what_is_wrong_in_it_is_told() {
     }
     let wrong = written(folder.path(), &ROBOT.replace("id = 4", "id = 40"));
     refused(&[&wrong], 2, "robot.toml, line 23: motor id must be 1 to 32, but 40 was given");
+    // Where there is no such interface nothing is served, and the bus is named.
+    let nowhere = ROBOT.replace("name = \"leg\"", "name = \"leg\"\ninterface = \"no-such-can\"");
+    let nowhere = written(folder.path(), &nowhere);
+    let expected = "error: bus \"leg\": there is no CAN interface \"no-such-can\" to serve it on";
+    refused(&[&nowhere], 1, expected);
+    let made = "make a virtual one with 'sudo ip link add dev no-such-can type vcan' and";
+    refused(&[&nowhere], 1, made);
     // What the library simulates, an adapter may not have.
     let odd = written(folder.path(), &ROBOT.replace("500_000", "400_000"));
     refused(&[&odd], 1, "bus \"arm\": bit_rate: expected a bit rate that SLCAN adapters know");

@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use myactuator_host_std::BusKind;
 use myactuator_host_std::open::{BusAddress, Echo};
-use myactuator_host_std::serve::{Notice, Server};
+use myactuator_host_std::port::PortError;
+use myactuator_host_std::serve::{Notice, ServeError, Server};
 use myactuator_host_std::sim::RobotBus;
 use myactuator_host_std::text::slcan::Rate;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -111,10 +112,23 @@ fn serve_can(
         places.push(Place::on_terminal(bus, address, path, link));
     }
     if let Some(interface) = &bus.interface {
-        server.serve_interface(&fleet, interface)?;
+        let served = server.serve_interface(&fleet, interface);
+        served.map_err(|error| format!("bus \"{}\": {}", bus.name(), not_on_interface(&error)))?;
         places.push(Place::on_interface(bus, interface));
     }
     Ok(places)
+}
+
+/// Why a bus is not served on an interface. One that does not exist need not be real.
+fn not_on_interface(error: &ServeError) -> String {
+    let ServeError::Interface(PortError::NoSuchInterface { name, there }) = error else {
+        return error.to_string();
+    };
+    let there = if there.is_empty() { "none".to_owned() } else { there.join(" ") };
+    format!(
+        "there is no CAN interface \"{name}\" to serve it on (this machine has {there}): make a virtual one with \
+         'sudo ip link add dev {name} type vcan' and 'sudo ip link set {name} up'"
+    )
 }
 
 /// Something that can be read as soon as the program is told to stop. Who tells it twice means at
