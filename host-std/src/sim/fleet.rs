@@ -38,6 +38,19 @@ pub enum FleetError {
     /// A model's figures make no motor, or a load or a start angle cannot be.
     #[error("{0}")]
     Model(#[from] ParameterError),
+    /// The same of a motor whose shaft a former run has left where its load does not let it be.
+    #[error(
+        "motor {motor}, which the run before has left at {angle_deg} deg: {error}; take another memory folder \
+         or another load"
+    )]
+    Left {
+        /// The id that it starts with.
+        motor: MotorId,
+        /// Where its shaft was left, degrees.
+        angle_deg: f64,
+        /// What cannot be.
+        error: ParameterError,
+    },
     /// A motor was set up that is not there.
     #[error("motor {motor} was set up, but the fleet's motors are {motors}")]
     NoSuchMotor {
@@ -268,6 +281,7 @@ impl Fleet {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::plant::EndStop;
     use myactuator_protocol_core::command::{
         ErrorFlags, FunctionControl, MotionLimits, ReadMultiTurnAngle, ReadSingleTurnAngle,
         ReadSingleTurnAngleV4_4, ReadVersionDate, Reset, SetCurrentPositionZero, Switch,
@@ -353,6 +367,20 @@ mod tests {
         is_at(kept(90.0), 90.0);
         is_at(kept(-10.0), 90.0);
         assert!(Fleet::new(1).start_angle_deg(f64::NAN).on_can(1_000_000).is_err());
+    }
+
+    #[test]
+    fn a_shaft_left_beyond_a_stop_that_is_new_is_told_with_its_motor() {
+        let folder = tempfile::tempdir().unwrap();
+        let fleet = || Fleet::new(1).memory_folder(folder.path());
+        let before = fleet().start_angle_deg(140.0).on_can(1_000_000).unwrap();
+        before.world.run_for(Duration::from_millis(1));
+        drop(before);
+        let stop = EndStop { at_deg: 90.0, stiffness_nm_per_rad: 5_000.0, restitution: 0.0 };
+        let ended = fleet().load(Load { upper_stop: Some(stop), ..Load::NONE });
+        let told = ended.on_can(1_000_000).unwrap_err().to_string();
+        let expected = "motor 1, which the run before has left at 140 deg: angle of the shaft between its end stops";
+        assert!(told.starts_with(expected), "{told}");
     }
 
     #[test]

@@ -100,7 +100,7 @@ const ECHO_NOISE: f32 = 0.1;
 /// | `response_ms` | the shortest and the longest time after which it answers, ms | `[0.7, 0.9]` |
 /// | `brake` | whether it has one | `false` |
 /// | `load` | a table with the fields of [`Load`](super::plant::Load) | a bare shaft |
-/// | `start_angle_deg` | where its shaft is at the start, degrees, turns included | 0 |
+/// | `start_angle_deg` | where its shaft is at the start, degrees, turns included; not far beyond an end stop of its load | 0 |
 ///
 /// A key of a motor takes the place of the same key of the defaults, a table as a whole. Keys that are not
 /// listed here are errors.

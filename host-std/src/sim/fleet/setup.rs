@@ -38,7 +38,8 @@ pub struct MotorSetup {
     /// What its shaft carries at the start.
     pub load: Load,
     /// Where its shaft is at the start, degrees, turns included, up to ±10⁹, unless it was left elsewhere by a
-    /// run that has kept that in a [memory folder](super::Fleet::memory_folder).
+    /// run that has kept that in a [memory folder](super::Fleet::memory_folder). Not far beyond an [end
+    /// stop](crate::sim::plant::EndStop) of its load.
     pub start_angle_deg: f64,
 }
 
@@ -94,10 +95,14 @@ impl MotorSetup {
         };
         let mut plant = SimulatedMotor::new(model)?;
         plant.set_noise_seed(seed);
-        plant.set_load(self.load)?;
         let kept_deg = shaft.as_ref().and_then(ShaftFile::kept_deg);
         let angle_deg = kept_deg.unwrap_or(self.start_angle_deg);
-        plant.set_output_angle_deg(angle_deg).map_err(ParameterError::from)?;
+        // The load comes last, for its stops may be on any side of 0°.
+        let placed = plant.set_output_angle_deg(angle_deg).map_err(ParameterError::from);
+        placed.and_then(|()| plant.set_load(self.load)).map_err(|error| match kept_deg {
+            Some(angle_deg) => FleetError::Left { motor: self.id, angle_deg, error },
+            None => error.into(),
+        })?;
         let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
         Ok(Seat { drive, receiver: Receiver::new(), shaft, is_led: false })
     }

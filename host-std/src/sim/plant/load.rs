@@ -1,10 +1,15 @@
 //! What the output shaft carries.
 
+use std::ops::RangeInclusive;
+
 use super::figure::{ImpossibleFigure, check};
 use serde::{Deserialize, Serialize};
 
 /// Acceleration of a body that falls, m/s².
 pub(in crate::sim) const GRAVITY_M_S2: f64 = 9.806_65;
+
+/// The largest angle that is told apart from its neighbours, degrees.
+pub(super) const ANGLE_DEG: f64 = 1e9;
 
 /// What is fixed to the output shaft: any of its parts may be there, and what is there adds up.
 ///
@@ -84,6 +89,9 @@ pub struct Spring {
 /// the same at every speed, like that of rubber, and whatever is thrown back leaves with the share
 /// `restitution` of the speed it came with (within 0.005, at the largest stiffness). At rest the stop pushes with any torque between these two, so
 /// what leans on it stands still.
+///
+/// A stop may be fixed where the shaft leans on it, and the shaft be put there, but no farther in than the motor
+/// presses it: what is beyond that would be flung out, and is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EndStop {
@@ -152,6 +160,26 @@ impl Load {
         upper.filter(|(_, rad)| *rad > 0.0).or(lower.filter(|(_, rad)| *rad < 0.0))
     }
 
+    /// Where a shaft may be that is at `angle_rad`, degrees: no farther in a stop than one gets that comes with so
+    /// much speed and inertia, pushed by so much torque and by the rest of the load. Rounded outwards to 0.01°.
+    pub(super) fn reach_deg(&self, angle_rad: f64, comes: Coming) -> RangeInclusive<f64> {
+        let free = Self { upper_stop: None, lower_stop: None, ..*self };
+        let torque_nm = comes.torque_nm + free.reaction_at(angle_rad).torque_nm.abs();
+        let energy_j = 0.5 * comes.inertia_kg_m2 * comes.speed_rad_s * comes.speed_rad_s;
+        let deepest_deg = |stop: EndStop| {
+            // ½kx² = τx + E
+            let stiffness = stop.stiffness_nm_per_rad;
+            let root = (torque_nm * torque_nm + 2.0 * stiffness * energy_j).sqrt();
+            ((torque_nm + root) / stiffness).to_degrees()
+        };
+        let ends = [
+            self.lower_stop.map_or(-ANGLE_DEG, |stop| stop.at_deg - deepest_deg(stop)),
+            self.upper_stop.map_or(ANGLE_DEG, |stop| stop.at_deg + deepest_deg(stop)),
+        ];
+        (ends[0].max(-ANGLE_DEG) * 100.0).floor() / 100.0
+            ..=(ends[1].min(ANGLE_DEG) * 100.0).ceil() / 100.0
+    }
+
     /// The part that is the stiffest, and the largest stiffness that all of them can make, N·m/rad.
     pub(super) fn stiffness(&self) -> (&'static str, f64) {
         let stop = |stop: Option<EndStop>| stop.map_or(0.0, |stop| stop.stiffness_nm_per_rad);
@@ -167,7 +195,6 @@ impl Load {
     }
 
     pub(super) fn check(&self) -> Result<(), ImpossibleFigure> {
-        const ANGLE_DEG: f64 = 1e9;
         let angle = |name, given| check(name, "deg", -ANGLE_DEG..=ANGLE_DEG, given);
         let stiffness = |name, given| check(name, "N·m/rad", 0.0..=1e9, given);
         check("load torque", "N·m", -1e6..=1e6, self.torque_nm)?;
@@ -199,6 +226,15 @@ impl Arm {
     fn weight_nm(self) -> f64 {
         self.mass_kg * GRAVITY_M_S2 * self.length_m
     }
+}
+
+/// How a shaft comes to a stop at the most.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Coming {
+    pub(super) inertia_kg_m2: f64,
+    pub(super) speed_rad_s: f64,
+    /// Of motor and hand, N·m.
+    pub(super) torque_nm: f64,
 }
 
 /// What a load does at an angle.

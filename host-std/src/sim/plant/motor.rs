@@ -9,6 +9,7 @@ use super::coefficients::Coefficients;
 use super::encoder::{self, Noise};
 use super::figure::{ImpossibleFigure, check};
 use super::led::{Led, ShaftTorque};
+use super::load::{ANGLE_DEG, Coming};
 use super::shaft::{Acting, Shaft};
 use super::supply::{Link, check_voltage};
 use super::thermal::ThermalNode;
@@ -155,10 +156,14 @@ impl SimulatedMotor {
     /// Fixes a load to the shaft, or [`Load::NONE`]; the speed stays.
     ///
     /// # Errors
-    /// [`ParameterError`] for a load that cannot be or is too stiff to simulate; the load before it stays.
+    /// [`ParameterError`] for a load that cannot be or is too stiff to simulate, or with an [end
+    /// stop](super::EndStop) that the shaft is farther beyond than the motor could press it in; the load before it
+    /// stays.
     pub fn set_load(&mut self, load: Load) -> Result<(), ParameterError> {
         load.check()?;
-        self.coefficients = Coefficients::new(&self.parameters, &load)?;
+        let coefficients = Coefficients::new(&self.parameters, &load)?;
+        self.check_reach(&load, self.output_angle_deg())?;
+        self.coefficients = coefficients;
         self.load = load;
         Ok(())
     }
@@ -178,12 +183,30 @@ impl SimulatedMotor {
         Ok(())
     }
 
+    /// Whether a shaft with this load may be at this angle, degrees. Nothing moves a led one.
+    fn check_reach(&self, load: &Load, angle_deg: f64) -> Result<(), ImpossibleFigure> {
+        if self.led.is_some() {
+            return Ok(());
+        }
+        let rating = &self.parameters.rating;
+        let comes = Coming {
+            inertia_kg_m2: self.parameters.inertia_kg_m2() + load.total_inertia_kg_m2(),
+            speed_rad_s: (rating.no_load_speed_rpm * 6.0).to_radians(),
+            torque_nm: rating.peak_torque_nm + self.external_torque_nm.abs(),
+        };
+        let reach_deg = load.reach_deg(angle_deg.to_radians(), comes);
+        check("angle of the shaft between its end stops", "deg", reach_deg, angle_deg).map(|_| ())
+    }
+
     /// Turns the shaft to an angle, degrees, at rest; the gear's teeth are in the middle of their play.
     ///
     /// # Errors
-    /// [`ImpossibleFigure`] beyond ±10⁹ degrees.
+    /// [`ImpossibleFigure`] beyond ±10⁹ degrees, and farther beyond an [end stop](super::EndStop) than the motor
+    /// could press it in.
     pub fn set_output_angle_deg(&mut self, angle_deg: f64) -> Result<(), ImpossibleFigure> {
-        let angle_rad = check("output angle", "deg", -1e9..=1e9, angle_deg)?.to_radians();
+        let angle_rad =
+            check("output angle", "deg", -ANGLE_DEG..=ANGLE_DEG, angle_deg)?.to_radians();
+        self.check_reach(&self.load, angle_deg)?;
         self.shaft = Shaft::at(angle_rad, 0.0, self.coefficients.play.is_some());
         Ok(())
     }
@@ -221,7 +244,7 @@ impl SimulatedMotor {
     /// [`ImpossibleFigure`] beyond ±10⁹ degrees or ±10⁶ degrees per second; the shaft goes on as before.
     pub fn lead(&mut self, angle_deg: f64, speed_dps: f64) -> Result<(), ImpossibleFigure> {
         let speed_dps = check("output speed", "deg/s", -1e6..=1e6, speed_dps)?;
-        let angle_deg = check("output angle", "deg", -1e9..=1e9, angle_deg)?;
+        let angle_deg = check("output angle", "deg", -ANGLE_DEG..=ANGLE_DEG, angle_deg)?;
         self.shaft = Shaft::at(angle_deg.to_radians(), speed_dps.to_radians(), false);
         self.led = Some(Led::default());
         Ok(())
@@ -536,6 +559,52 @@ mod tests {
         assert_eq!((measured.current_a, measured.speed_dps), (0.0, 0.0));
         assert!(motor.set_external_torque_nm(f64::NAN).is_err());
         assert!(motor.set_output_angle_deg(f64::INFINITY).is_err());
+    }
+
+    /// Where a stop is told to be behind a shaft that cannot have come there, and the other way round; what the motor
+    /// leans on is none of that.
+    #[test]
+    fn a_shaft_is_not_put_far_beyond_a_stop() {
+        let stop = |at_deg| EndStop { at_deg, stiffness_nm_per_rad: 2_000.0, restitution: 0.3 };
+        let ended = Load { upper_stop: Some(stop(140.0)), ..Load::NONE };
+        let mut motor = x6();
+        motor.set_output_angle_deg(150.0).unwrap();
+        let error = motor.set_load(ended).unwrap_err().to_string();
+        assert!(error.starts_with("angle of the shaft between its end stops must be "), "{error}");
+        assert!(error.ends_with(" deg, but 150 deg was given"), "{error}");
+        assert_eq!(motor.load, Load::NONE);
+        motor.set_output_angle_deg(139.0).unwrap();
+        motor.set_load(Load { lower_stop: Some(stop(-5.0)), ..ended }).unwrap();
+        assert!(motor.set_output_angle_deg(150.0).is_err());
+        assert!(motor.set_output_angle_deg(-20.0).is_err());
+        assert_eq!(motor.output_angle_deg(), 139.0);
+        // 60 N·m lean 1.72° into it.
+        motor.set_output_angle_deg(141.7).unwrap();
+        motor.set_load(*motor.load()).unwrap();
+        // A stop that gives way at once is none.
+        let soft = EndStop { stiffness_nm_per_rad: 0.0, ..stop(140.0) };
+        motor.set_load(Load { upper_stop: Some(soft), ..Load::NONE }).unwrap();
+        motor.set_output_angle_deg(1e6).unwrap();
+    }
+
+    /// As deep as the motor gets at full speed and torque, a load may still be changed.
+    #[test]
+    fn a_load_is_changed_while_a_stop_is_pressed_in() {
+        let stop = EndStop { at_deg: 5.0, stiffness_nm_per_rad: 500.0, restitution: 0.9 };
+        let load = Load { inertia_kg_m2: 0.05, upper_stop: Some(stop), ..Load::NONE };
+        let mut motor = x6();
+        motor.set_load(load).unwrap();
+        let no_load_dps = motor.parameters.rating.no_load_speed_rpm * 6.0;
+        motor.set_output_speed_dps(no_load_dps).unwrap();
+        let current_a = motor.parameters.rating.peak_current_a as f32;
+        let on = Actuation { current_a, output_on: true, brake_released: true };
+        let mut deepest_deg: f64 = 0.0;
+        for _ in 0..1_000 {
+            motor.advance(&on, STEP);
+            deepest_deg = deepest_deg.max(motor.output_angle_deg() - 5.0);
+            motor.set_load(load).unwrap();
+        }
+        assert!(deepest_deg > 5.0, "{deepest_deg}");
     }
 
     #[test]

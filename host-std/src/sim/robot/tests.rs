@@ -226,6 +226,13 @@ fn what_is_wrong_is_told_with_its_line() {
         ),
         (in_motor("id = 1\nload = { inertia_kg_m2 = -1 }"), "line 5: load inertia must be 0 to"),
         (in_motor("id = 1\nstart_angle_deg = nan"), "line 5: "),
+        (
+            in_motor(
+                "id = 1\nstart_angle_deg = 90\nload = { upper_stop = { at_deg = 45, \
+                 stiffness_nm_per_rad = 5000, restitution = 0 } }",
+            ),
+            "line 5: angle of the shaft between its end stops must be -1000000000 to 4",
+        ),
         (BUS.to_owned(), "line 1: the bus \"arm\" has no [[bus.motor]]"),
         (
             format!("{BUS}[bus.defaults]\nid = 1\n[[bus.motor]]\nid = 1"),
