@@ -1,5 +1,8 @@
 //! A log of what drives did, and of what they did not and why.
 
+mod event;
+mod wire;
+
 use std::fmt;
 use std::mem::discriminant;
 
@@ -11,13 +14,17 @@ use serde::Serialize;
 
 use super::bus::Medium;
 use super::{BusFleet, DriveHandle};
+use wire::{Counted, WireLog};
+
+pub use event::{FrameFault, LogEvent};
 
 /// Records of the same are told once, and then counted for so long.
 const FOLD: Duration = Duration::from_secs(1);
 /// So many different things are counted of each drive at once.
 const MOST_COUNTED: usize = 16;
 
-/// Something that happened in a drive: ignored, refused, limited, faulted, restarted.
+/// Something that happened in a drive: ignored, refused, limited, faulted, restarted; or to it on its wire: cut off,
+/// a frame lost by chance.
 ///
 /// As text a line for people, with the reason and what to do about it; as JSON an object.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -34,7 +41,7 @@ pub struct LogRecord {
     /// So many events before this one were lost, as nobody asked for them in time.
     pub lost: u32,
     /// What happened; of several the last.
-    pub event: Event,
+    pub event: LogEvent,
 }
 
 impl fmt::Display for LogRecord {
@@ -52,7 +59,7 @@ impl fmt::Display for LogRecord {
     }
 }
 
-/// Collects what happens in the drives of a bus, from its making on.
+/// Collects what happens in the drives of a bus and to them on their wires, from its making on.
 ///
 /// It takes the events from the drives: what it tells, [`poll_event`] does not tell again. A drive keeps
 /// [16 events](myactuator_protocol_core::drive::QUEUE_LENGTH), so ask often.
@@ -77,6 +84,7 @@ impl fmt::Display for LogRecord {
 #[derive(Debug)]
 pub struct DriveLog {
     bus: String,
+    wire: WireLog,
     drives: Vec<Watched>,
 }
 
@@ -92,7 +100,7 @@ struct Watched {
 #[derive(Debug)]
 struct Recent {
     told: Instant,
-    last: (Instant, Event),
+    last: (Instant, LogEvent),
     count: u32,
 }
 
@@ -103,27 +111,32 @@ impl DriveLog {
             let (_, lost) = drive.take_events();
             Watched { drive: drive.clone(), lost, recent: Vec::new() }
         };
-        Self { bus: fleet.name.clone(), drives: fleet.drives.iter().map(watch).collect() }
+        let drives = fleet.drives.iter().map(watch).collect();
+        Self { bus: fleet.name.clone(), wire: WireLog::of(fleet), drives }
     }
 
     /// What is to be told at `now`, by drive and then by time.
     pub fn poll(&mut self, now: Instant) -> Vec<LogRecord> {
         let mut records = Vec::new();
-        for watched in &mut self.drives {
+        for (place, watched) in self.drives.iter_mut().enumerate() {
             let motor = watched.drive.motor();
             let mut tell = |at, event, count, lost| {
                 records.push(LogRecord { at, bus: self.bus.clone(), motor, count, lost, event });
             };
             let (events, lost) = watched.drive.take_events();
             let mut newly_lost = lost.wrapping_sub(std::mem::replace(&mut watched.lost, lost));
-            for (at, event) in events {
+            let own = events.into_iter();
+            let own = own.map(|(at, event)| Counted { at, event: event.into(), count: 1 });
+            let mut each: Vec<Counted> = own.chain(self.wire.take(place)).collect();
+            each.sort_by_key(|counted| counted.at);
+            for Counted { at, event, count } in each {
                 watched.tell_counted(at, &mut tell);
                 let alike = |recent: &&mut Recent| is_alike(&recent.last.1, &event);
                 if let Some(recent) = watched.recent.iter_mut().find(alike) {
                     recent.last = (at, event);
-                    recent.count += 1;
+                    recent.count = recent.count.saturating_add(count);
                 } else {
-                    tell(at, event, 1, std::mem::take(&mut newly_lost));
+                    tell(at, event, count, std::mem::take(&mut newly_lost));
                     if watched.recent.len() < MOST_COUNTED {
                         watched.recent.push(Recent { told: at, last: (at, event), count: 0 });
                     }
@@ -137,7 +150,7 @@ impl DriveLog {
 
 impl Watched {
     /// Tells how often things came again, when their second is over. What did not is forgotten.
-    fn tell_counted(&mut self, now: Instant, tell: &mut impl FnMut(Instant, Event, u32, u32)) {
+    fn tell_counted(&mut self, now: Instant, tell: &mut impl FnMut(Instant, LogEvent, u32, u32)) {
         self.recent.retain_mut(|recent| {
             if now - recent.told < FOLD {
                 return true;
@@ -154,7 +167,11 @@ impl Watched {
 }
 
 /// Whether two events are the same to whoever reads: what a command asked for makes no difference.
-fn is_alike(a: &Event, b: &Event) -> bool {
+fn is_alike(a: &LogEvent, b: &LogEvent) -> bool {
+    let (LogEvent::Drive(a), LogEvent::Drive(b)) = (a, b) else {
+        // Of a cable each counts.
+        return a == b && !a.is_of_cable();
+    };
     match (a, b) {
         (
             Event::Ignored { packet, reason },
@@ -177,13 +194,17 @@ fn is_alike(a: &Event, b: &Event) -> bool {
 mod tests {
     use super::*;
     use crate::sim::Fleet;
+    use crate::sim::bus::faults::{Direction, FaultPlan};
+    use crate::sim::bus::trace;
     use crate::sim::plant::{EndStop, Load};
     use myactuator_protocol_core::command::{
-        AbsolutePosition, ErrorFlags, ForcePosition, FunctionControl, RawMotion, Reset, Shutdown,
+        AbsolutePosition, ErrorFlags, ForcePosition, FunctionControl, RawMotion, ReadStatus1,
+        Reset, Shutdown,
     };
     use myactuator_protocol_core::drive::{Limit, NotRunReason};
     use myactuator_protocol_core::io::Runner;
     use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
+    use myactuator_protocol_core::wire::can::SimpleFrame;
 
     const MOTOR: MotorId = MotorId::MIN;
 
@@ -210,7 +231,9 @@ mod tests {
         assert_eq!(counts.iter().sum::<u32>() + rest[0], 1_250);
         fleet.world.run_for(Duration::from_secs(5));
         assert_eq!(log.poll(fleet.world.now()), []);
-        let Event::NotRun { reason, .. } = told[0].event else { panic!("{}", told[0]) };
+        let LogEvent::Drive(Event::NotRun { reason, .. }) = told[0].event else {
+            panic!("{}", told[0])
+        };
         assert_eq!(reason, NotRunReason::BrakeLocked);
         assert!(told[1].to_string().contains("s  arm motor 1 answers motion and does not run it"));
         assert!(told[1].to_string().ends_with(&format!("({} times)", counts[1])), "{}", told[1]);
@@ -227,7 +250,11 @@ mod tests {
         let mut told = || {
             fleet.world.run_for(Duration::from_millis(500));
             let records = log.poll(fleet.world.now());
-            records.into_iter().map(|record| record.event).collect::<Vec<_>>()
+            let own = |record: LogRecord| match record.event {
+                LogEvent::Drive(event) => Some(event),
+                _ => None,
+            };
+            records.into_iter().filter_map(own).collect::<Vec<_>>()
         };
         let max_speed = MaxSpeed::from_dps(100.0).unwrap();
         let angle = Angle::from_degrees(90.0).unwrap();
@@ -250,6 +277,74 @@ mod tests {
         master.ask(MOTOR, AbsolutePosition { max_speed, angle }).unwrap();
         let not_run = told();
         assert!(matches!(not_run[..], [Event::NotRun { .. }]), "{not_run:?}");
+    }
+
+    #[test]
+    fn a_cable_that_is_cut_and_mended_is_told_each_time_and_once() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let mut log = DriveLog::of(&fleet);
+        let station = fleet.drives[1].station();
+        for _ in 0..2 {
+            fleet.world.cut(station);
+            fleet.world.cut(station);
+            fleet.world.run_for(Duration::from_millis(10));
+            fleet.world.mend(station);
+            fleet.world.mend(station);
+        }
+        fleet.world.mend(fleet.drives[0].station());
+        let told = log.poll(fleet.world.now());
+        let expected = [
+            "0.000000 s  can motor 2 is off the bus: its cable is cut",
+            "0.010000 s  can motor 2 is on the bus again: its cable is whole",
+            "0.010000 s  can motor 2 is off the bus: its cable is cut",
+            "0.020000 s  can motor 2 is on the bus again: its cable is whole",
+        ];
+        assert_eq!(told.iter().map(ToString::to_string).collect::<Vec<_>>(), expected);
+        assert_eq!(serde_json::to_value(told[0].event).unwrap(), "cable-cut");
+        fleet.world.run_for(Duration::from_secs(2));
+        assert_eq!(log.poll(fleet.world.now()), []);
+    }
+
+    #[test]
+    fn faults_by_chance_are_told_to_whom_they_strike_with_their_number() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let mut log = DriveLog::of(&fleet);
+        let always = |plan: fn(&mut FaultPlan)| {
+            let mut always = FaultPlan::NONE;
+            plan(&mut always);
+            Some(always)
+        };
+        let [first, second] = [0, 1].map(|place| fleet.drives[place].station());
+        let (to, from) = (Direction::ToNodes, Direction::ToPorts);
+        let mut master = fleet.master::<2>();
+        let mut told = |asked: u8| {
+            let _ = master.ask(MotorId::new(asked).unwrap(), ReadStatus1);
+            let told = log.poll(fleet.world.now());
+            told.iter().map(|it| (it.motor.get(), it.event, it.count)).collect::<Vec<_>>()
+        };
+        assert_eq!(told(1), []);
+        // Asked three times, each lost: one line at once, and the number after a second.
+        fleet.world.set_node_faults(first, to, always(|plan| plan.lose = 1.0));
+        assert_eq!(told(1), [(1, LogEvent::FrameToDrive(FrameFault::Lost), 3)]);
+        fleet.world.set_node_faults(first, to, None);
+        fleet.world.set_node_faults(second, from, always(|plan| plan.duplicate = 1.0));
+        assert_eq!(told(2), [(2, LogEvent::FrameFromDrive(FrameFault::Duplicated), 1)]);
+        // Nobody but its sender hears that a frame was disturbed.
+        fleet.world.set_node_faults(second, from, always(|plan| plan.corrupt = 1.0));
+        let trace = fleet.world.log();
+        let broken = told(2);
+        let [(2, LogEvent::FrameFromDrive(FrameFault::Broken), count)] = broken[..] else {
+            panic!("{broken:?}");
+        };
+        let of_second = |record: &trace::Record<SimpleFrame>| {
+            record.station == second && matches!(record.event, trace::Event::Broken { .. })
+        };
+        let each = trace.take().iter().filter(|record| of_second(record)).count();
+        assert!(each > 10 && count as usize == each, "{count} of {each}");
+        let json = serde_json::to_value(LogEvent::FrameToDrive(FrameFault::Lost)).unwrap();
+        assert_eq!(json, serde_json::json!({ "frame-to-drive": "lost" }));
+        let text = LogEvent::FrameToDrive(FrameFault::Lost).to_string();
+        assert_eq!(text, "was to hear a frame that is lost, by a fault");
     }
 
     #[test]

@@ -78,7 +78,7 @@ pub use condition::{Condition, ConditionQuantity};
 pub use fleet::{
     BusFleet, CanFleet, DriveHandle, Fleet, FleetError, LineFleet, MotorSetup, SimulatedDrive,
 };
-pub use log::{DriveLog, LogRecord};
+pub use log::{DriveLog, FrameFault, LogEvent, LogRecord};
 pub use model_file::named_model;
 pub use planned_fault::{Chance, FaultKind, PlannedFault, parse_time};
 pub use quirk_names::{quirk_names, quirks_named};

@@ -105,7 +105,7 @@ fn the_lines_of_the_documentation_are_true() {
             shown += 1;
         }
     }
-    assert_eq!(shown, 18);
+    assert_eq!(shown, 19);
 }
 
 #[test]

@@ -1,0 +1,100 @@
+//! What a log tells of a drive.
+
+use std::fmt;
+
+use myactuator_protocol_core::drive;
+use serde::Serialize;
+
+use crate::sim::bus::trace::Fault;
+
+/// Something that happened in a drive, or to it on its wire.
+///
+/// In JSON a drive's own are as they are there, `"reset"`; those of the wire are `"cable-cut"`, `"cable-mended"`,
+/// `{"frame-to-drive": "lost"}` and `{"frame-from-drive": "broken"}`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum LogEvent {
+    /// Its cable was cut.
+    CableCut,
+    /// Its cable is whole again.
+    CableMended,
+    /// A fault by chance struck a frame on its way to the drive. On CAN also one that is meant for another: all hear
+    /// all.
+    FrameToDrive(FrameFault),
+    /// The same of a frame that the drive has sent, on its way to a program.
+    FrameFromDrive(FrameFault),
+    /// In the drive itself.
+    #[serde(untagged)]
+    Drive(drive::Event),
+}
+
+impl LogEvent {
+    pub(super) const fn is_of_cable(&self) -> bool {
+        matches!(self, Self::CableCut | Self::CableMended)
+    }
+}
+
+/// What became of a frame that a fault has struck.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum FrameFault {
+    /// It does not arrive.
+    Lost,
+    /// It arrives with a wrong bit.
+    Corrupted,
+    /// It arrives twice.
+    Duplicated,
+    /// It arrives late.
+    Delayed,
+    /// It arrives behind the one that follows it.
+    Reordered,
+    /// It went wrong on the wire: a bit was disturbed, or another sent at the same time. On CAN it is repeated.
+    Broken,
+}
+
+impl From<Fault> for FrameFault {
+    fn from(fault: Fault) -> Self {
+        match fault {
+            Fault::Lost => Self::Lost,
+            Fault::Corrupted => Self::Corrupted,
+            Fault::Duplicated => Self::Duplicated,
+            Fault::Delayed(_) => Self::Delayed,
+            Fault::Reordered => Self::Reordered,
+        }
+    }
+}
+
+impl From<drive::Event> for LogEvent {
+    fn from(event: drive::Event) -> Self {
+        Self::Drive(event)
+    }
+}
+
+/// What the drive did or what was done to it, without its name: "is off the bus: its cable is cut".
+impl fmt::Display for LogEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::CableCut => f.write_str("is off the bus: its cable is cut"),
+            Self::CableMended => f.write_str("is on the bus again: its cable is whole"),
+            Self::FrameToDrive(fault) => write!(f, "was to hear a frame that {fault}"),
+            Self::FrameFromDrive(fault) => write!(f, "has sent a frame that {fault}"),
+            Self::Drive(event) => event.fmt(f),
+        }
+    }
+}
+
+/// "is lost, by a fault".
+impl fmt::Display for FrameFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Lost => "is lost, by a fault",
+            Self::Corrupted => "arrives with a wrong bit, by a fault",
+            Self::Duplicated => "arrives twice, by a fault",
+            Self::Delayed => "arrives late, by a fault",
+            Self::Reordered => "arrives behind the one that follows it, by a fault",
+            Self::Broken => "went wrong on the wire: disturbed, or sent while another was",
+        })
+    }
+}

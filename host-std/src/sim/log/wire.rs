@@ -1,0 +1,86 @@
+//! What happens to drives on their wire, counted until somebody asks.
+
+use std::sync::{Arc, Mutex};
+
+use myactuator_protocol_core::time::Instant;
+
+use super::event::{FrameFault, LogEvent};
+use crate::sim::bus::trace::{Event, Record};
+use crate::sim::bus::{Medium, StationId, lock};
+use crate::sim::{BusFleet, DriveHandle};
+
+/// What has come since it was taken last.
+#[derive(Clone, Debug)]
+pub(super) struct WireLog(Arc<Mutex<Vec<Wired>>>);
+
+/// A drive on its wire.
+#[derive(Debug)]
+struct Wired {
+    station: StationId,
+    is_cut: bool,
+    counted: Vec<Counted>,
+}
+
+/// Things of one kind: as there are few kinds, nothing is lost however late they are taken. Of a cable each is
+/// told.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Counted {
+    /// When the first of them came.
+    pub(super) at: Instant,
+    pub(super) event: LogEvent,
+    pub(super) count: u32,
+}
+
+impl WireLog {
+    /// Watches a bus from now on, until this is gone.
+    pub(super) fn of<B: Medium>(fleet: &BusFleet<B>) -> Self {
+        let wired = |drive: &DriveHandle| Wired {
+            station: drive.station(),
+            is_cut: false,
+            counted: Vec::new(),
+        };
+        let drives = Arc::new(Mutex::new(fleet.drives.iter().map(wired).collect::<Vec<_>>()));
+        let watched = Arc::downgrade(&drives);
+        fleet.world.observe(move |record| {
+            if let Some(drives) = watched.upgrade() {
+                note(&mut lock(&drives), record);
+            }
+        });
+        Self(drives)
+    }
+
+    /// What has come to the drive in this place, by time.
+    pub(super) fn take(&self, place: usize) -> Vec<Counted> {
+        std::mem::take(&mut lock(&self.0)[place].counted)
+    }
+}
+
+fn note<F>(drives: &mut [Wired], record: &Record<F>) {
+    let place = |station| drives.iter().position(|drive| drive.station == station);
+    let (place, event) = match record.event {
+        Event::Cut => (place(record.station), LogEvent::CableCut),
+        Event::Mended => (place(record.station), LogEvent::CableMended),
+        Event::Broken { .. } => {
+            (place(record.station), LogEvent::FrameFromDrive(FrameFault::Broken))
+        }
+        Event::Faulted { from, fault } => match (place(from), place(record.station)) {
+            // Drives have nothing to tell one another.
+            (Some(_), Some(_)) => return,
+            (Some(sender), None) => (Some(sender), LogEvent::FrameFromDrive(fault.into())),
+            (None, receiver) => (receiver, LogEvent::FrameToDrive(fault.into())),
+        },
+        _ => return,
+    };
+    let Some(drive) = place.map(|place| &mut drives[place]) else { return };
+    if event.is_of_cable() {
+        let is_cut = event == LogEvent::CableCut;
+        if std::mem::replace(&mut drive.is_cut, is_cut) == is_cut {
+            return;
+        }
+    }
+    let alike = |counted: &&mut Counted| counted.event == event && !event.is_of_cable();
+    match drive.counted.iter_mut().find(alike) {
+        Some(counted) => counted.count = counted.count.saturating_add(1),
+        None => drive.counted.push(Counted { at: record.at(), event, count: 1 }),
+    }
+}
