@@ -5,7 +5,7 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use myactuator_host_std::sim::mechanics::{
     AlreadyLed, Failure, Link, Mechanics, Remote, Shaft, TwoLinks,
 };
-use myactuator_host_std::sim::plant::{MODELS, MotorParameters, SimulatedMotor};
+use myactuator_host_std::sim::plant::{Arm, Load, MODELS, MotorParameters, SimulatedMotor};
 use myactuator_host_std::sim::{CanFleet, Fleet, Robot};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus2, ReleaseBrake};
@@ -162,10 +162,11 @@ fn a_drive_is_led_by_one_until_that_has_failed() {
         })
     };
     let twice = [0, 1, 0].map(|place| fleet.drives[place].clone());
-    assert_eq!(fleet.lead(&twice, PERIOD, put(70.0)), Err(AlreadyLed { motor: id(1) }));
+    let refused = fleet.lead(&twice, PERIOD, put(70.0)).unwrap_err();
+    assert_eq!(refused, AlreadyLed { motor: id(1) });
     fleet.lead(&fleet.drives[1..], PERIOD, Failing(10)).unwrap();
-    let second = fleet.lead(&fleet.drives, PERIOD, put(60.0));
-    assert_eq!(second, Err(AlreadyLed { motor: id(2) }));
+    let second = fleet.lead(&fleet.drives, PERIOD, put(60.0)).unwrap_err();
+    assert_eq!(second, AlreadyLed { motor: id(2) });
     fleet.world.run_for(millis(4));
     let [free, led] = angles_deg(&fleet);
     assert!(free == 0.0 && led < 10.0, "{free} {led}");
@@ -174,6 +175,49 @@ fn a_drive_is_led_by_one_until_that_has_failed() {
     fleet.lead(&fleet.drives, PERIOD, put(50.0)).unwrap();
     fleet.world.run_for(millis(2));
     assert!(angles_deg(&fleet).iter().all(|angle| (angle - 50.0).abs() < 1e-9));
+}
+
+/// It falls as an arm that was never led, and is led by another then.
+#[test]
+fn shafts_that_are_handed_back_move_as_if_nobody_had_led_them() {
+    let load = Load {
+        inertia_kg_m2: 0.1,
+        arm: Some(Arm { mass_kg: 4.0, length_m: 0.5, down_deg: 0.0 }),
+        ..Load::NONE
+    };
+    let fleet = || {
+        let fleet = Fleet::new(2).model(model()).load(load).start_angle_deg(90.0);
+        fleet.on_can(1_000_000).unwrap()
+    };
+    let held = |_: Duration, _: &mut [Shaft]| {};
+    let led = fleet();
+    let leading = led.lead(&led.drives, PERIOD, Moving(held)).unwrap();
+    led.world.run_for(millis(200));
+    assert_eq!(angles_deg(&led), [90.0; 2]);
+    let free = fleet();
+    leading.hand_back().unwrap();
+    for fleet in [&free, &led] {
+        fleet.world.run_for(millis(300));
+    }
+    let fallen = angles_deg(&free);
+    assert!(fallen[0] < 80.0, "{fallen:?}");
+    assert!((angles_deg(&led)[0] - fallen[0]).abs() < 1e-9, "{:?}", angles_deg(&led));
+    // What is over ends nobody else's mechanics.
+    led.lead(&led.drives, PERIOD, Moving(held)).unwrap();
+    leading.hand_back().unwrap();
+    led.world.run_for(millis(10));
+    let stopped = angles_deg(&led);
+    led.world.run_for(millis(10));
+    assert_eq!(angles_deg(&led), stopped);
+
+    // After a failure they stand, until they are handed back.
+    let failing = fleet();
+    let leading = failing.lead(&failing.drives[..1], PERIOD, Failing(0)).unwrap();
+    failing.world.run_for(millis(100));
+    assert_eq!(angles_deg(&failing)[0], 90.0);
+    leading.hand_back().unwrap();
+    failing.world.run_for(millis(300));
+    assert!((angles_deg(&failing)[0] - fallen[0]).abs() < 1e-9);
 }
 
 /// What moves a shaft does so whatever its drive does.

@@ -41,6 +41,9 @@
 //! motor's own inertia as the smallest that a shaft can have, 200 µs is safe with factory gains; a shaft that
 //! carries four times that does with 1 ms.
 //!
+//! # For a while
+//! [`lead`](BusFleet::lead) gives a [`Leading`], which hands the shafts back to their motors and loads.
+//!
 //! # In another process
 //! [`Remote`] asks a process over a socket, a line of JSON each way and period:
 //!
@@ -50,6 +53,10 @@
 //! ```
 //!
 //! Shafts come and go in the same order. `examples/mechanics.py` of this package is such a process.
+//!
+//! Mechanics move shafts of one bus: each bus has a clock of its own, and one waits for its answer while the others
+//! stand. A process that moves a robot of several buses listens at a socket for each, and answers each question at
+//! once, with the torques that it was told last of the others: they are up to a period old.
 
 mod remote;
 mod two_links;
@@ -60,7 +67,7 @@ use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::bus::{Medium, lock};
-use super::plant::ShaftTorque;
+use super::plant::{ImpossibleFigure, ShaftTorque};
 use super::seat::Seat;
 use super::{BusFleet, DriveHandle};
 
@@ -102,6 +109,44 @@ pub struct AlreadyLed {
     pub motor: MotorId,
 }
 
+/// Mechanics that move shafts, until they fail or [hand them back](Self::hand_back); dropping this changes nothing.
+#[derive(Debug)]
+pub struct Leading {
+    drives: Vec<DriveHandle>,
+    state: Arc<Mutex<State>>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Leads,
+    /// It has failed, or has handed the shafts back.
+    Over,
+}
+
+impl Leading {
+    /// Ends the mechanics: motors and loads move their shafts again, from where these are and with the speed that
+    /// they have. Also after a failure, of shafts that nobody else leads. Not while the world runs in this thread.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] if a shaft was led far beyond an [end stop](super::plant::EndStop) of its own load; all
+    /// are led on.
+    pub fn hand_back(&self) -> Result<(), ImpossibleFigure> {
+        for drive in &self.drives {
+            drive.with(|it| it.plant().clone().let_go())?;
+        }
+        let led = std::mem::replace(&mut *lock(&self.state), State::Over) == State::Leads;
+        for drive in &self.drives {
+            if led {
+                set_led(&drive.seat, false);
+            } else if lock(&drive.seat).is_led {
+                continue;
+            }
+            drive.with(|it| it.plant_mut().let_go())?;
+        }
+        Ok(())
+    }
+}
+
 /// Whether it was led before.
 fn set_led(seat: &Mutex<Seat>, is_led: bool) -> bool {
     std::mem::replace(&mut lock(seat).is_led, is_led)
@@ -123,7 +168,7 @@ impl MechanicsFailure {
 
 impl<B: Medium> BusFleet<B> {
     /// Has `mechanics` move the shafts of these drives from now on, a step each `period`. Their loads are not
-    /// felt any more. A drive is led by one only, until that has failed.
+    /// felt any more. A drive is led by one only, until that has failed or [handed it back](Leading::hand_back).
     ///
     /// # Errors
     /// [`AlreadyLed`]: these mechanics move nothing then.
@@ -132,23 +177,24 @@ impl<B: Medium> BusFleet<B> {
         drives: &[DriveHandle],
         period: Duration,
         mechanics: impl Mechanics + 'static,
-    ) -> Result<(), AlreadyLed> {
+    ) -> Result<Leading, AlreadyLed> {
         if let Some(place) = drives.iter().position(|drive| set_led(&drive.seat, true)) {
             for drive in drives.iter().take(place) {
                 set_led(&drive.seat, false);
             }
             return Err(AlreadyLed { motor: drives[place].motor() });
         }
+        let state = Arc::new(Mutex::new(State::Leads));
         let mut leader = Leader {
             seats: drives.iter().map(|drive| Arc::clone(&drive.seat)).collect(),
             shafts: drives.iter().map(Shaft::of).collect(),
             period,
             mechanics,
-            has_failed: false,
+            state: Arc::clone(&state),
             failure: self.mechanics_failure.clone(),
         };
         self.world.every(period, move |now| leader.step(now));
-        Ok(())
+        Ok(Leading { drives: drives.to_vec(), state })
     }
 
     /// Why shafts stand, if their mechanics failed or led them where none can be.
@@ -177,13 +223,15 @@ struct Leader<M> {
     shafts: Vec<Shaft>,
     period: Duration,
     mechanics: M,
-    has_failed: bool,
+    state: Arc<Mutex<State>>,
     failure: MechanicsFailure,
 }
 
 impl<M: Mechanics> Leader<M> {
     fn step(&mut self, now: Instant) {
-        if self.has_failed {
+        let state = Arc::clone(&self.state);
+        let mut state = lock(&state);
+        if *state == State::Over {
             return;
         }
         for (seat, shaft) in self.seats.iter().zip(&mut self.shafts) {
@@ -194,7 +242,7 @@ impl<M: Mechanics> Leader<M> {
         let moved = self.mechanics.step(self.period, &mut self.shafts).map_err(|it| it.to_string());
         if let Err(reason) = moved.and_then(|()| self.lead()) {
             self.stand();
-            self.has_failed = true;
+            *state = State::Over;
             self.failure.tell(reason);
         }
     }

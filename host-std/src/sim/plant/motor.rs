@@ -250,6 +250,22 @@ impl SimulatedMotor {
         Ok(())
     }
 
+    /// Leads the shaft no more: motor and load move it on from where it is, with the speed that it has.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] for a shaft that was led [far beyond](super::EndStop) an end stop of its own load; it
+    /// stays led.
+    pub fn let_go(&mut self) -> Result<(), ImpossibleFigure> {
+        let Some(led) = self.led.take() else { return Ok(()) };
+        if let Err(error) = self.check_reach(&self.load, self.output_angle_deg()) {
+            self.led = Some(led);
+            return Err(error);
+        }
+        let Shaft { angle_rad, speed_rad_s, .. } = self.shaft;
+        self.shaft = Shaft::at(angle_rad, speed_rad_s, self.coefficients.play.is_some());
+        Ok(())
+    }
+
     /// What has acted on the shaft since it was [led](Self::lead) last, in the mean; nothing on one that is not
     /// led.
     pub fn acting(&self) -> ShaftTorque {
