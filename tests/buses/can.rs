@@ -442,7 +442,7 @@ fn a_node_gets_what_it_accepts() {
     let listener = world.listener();
     world.attach(Filtered(None));
     let sent = [0x141, 0x142, 0x143].map(frame);
-    world.sender([(100, sent[0].clone()), (1_000, sent[1].clone()), (2_000, sent[2].clone())]);
+    world.sender([(100, sent[0]), (1_000, sent[1]), (2_000, sent[2])]);
     world.run_until(micros(5_000));
     let [first, second, third] = sent;
     assert_eq!(listener.frames(), [first, second, frame(0x242), third]);
