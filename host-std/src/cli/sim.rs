@@ -59,7 +59,7 @@ The first six have the values shown unless told otherwise; so has babble.
 @WHERE: a motor's id, else all; for the first six also to-drives or from-drives,
   or both: lose=0.1@2,from-drives
 +TIME: so long after the start: cut@1+5s mend@1+8s. Times in us, ms or s.
-?CONDITION: as soon as the motor is beyond something, angle (deg), speed (dps),
+?CONDITION: once, as soon as the motor is beyond something, angle (deg), speed (dps),
   current (A), temperature (of the winding, in degrees Celsius) or voltage (V):
   \"cut@1?angle>90\" \"stall@2?speed<-10\", in quotes for the shell
 

@@ -109,7 +109,6 @@ impl Server {
         let mut logged = self.now();
         loop {
             let now = self.now();
-            self.strike(now - self.began);
             self.pump(notify)?;
             let is_there = now >= until;
             if is_there || now - logged >= LOG_EVERY {
@@ -119,9 +118,8 @@ impl Server {
             if is_there || turn.elapsed() >= TURN {
                 return Ok(is_there);
             }
-            let events = self.hosts.iter().filter_map(|host| host.next_event()).min();
-            let fault = self.schedule.until_next(now - self.began).map(|wait| now + wait);
-            let next = [events, fault].into_iter().flatten().fold(until, time::Instant::min);
+            let events = self.hosts.iter().filter_map(|host| host.next_event());
+            let next = events.fold(until, time::Instant::min);
             self.hosts.iter().for_each(|host| host.run_until(next));
         }
     }

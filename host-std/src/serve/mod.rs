@@ -37,7 +37,6 @@ mod line_end;
 mod lock_step;
 mod oversleep;
 mod pty;
-mod schedule;
 
 use std::fmt::Debug;
 use std::io;
@@ -65,9 +64,7 @@ use line_end::LineEnd;
 use lock_step::Advance;
 use oversleep::Oversleep;
 use pty::Pty;
-use schedule::Schedule;
 
-pub use crate::sim::{Chance, Condition, ConditionQuantity, FaultKind, PlannedFault};
 pub use claim::Claim;
 
 /// The longest wait: drives move, and simulated time must not fall behind.
@@ -110,10 +107,7 @@ pub struct Server {
     ends: Vec<Box<dyn End>>,
     /// How often adapters hand over what they hear.
     bursts: time::Duration,
-    schedule: Schedule,
     control: Option<Control>,
-    /// The drives' time when serving began.
-    began: time::Instant,
     is_in_lock_step: bool,
     advance: Option<Advance>,
     oversleep: Oversleep,
@@ -297,22 +291,6 @@ impl Server {
         Ok(())
     }
 
-    /// Plans what goes wrong, on all buses.
-    pub fn plan(&mut self, faults: impl IntoIterator<Item = PlannedFault>) {
-        self.plan_all(None, faults);
-    }
-
-    /// Plans what goes wrong on the buses of this [name](crate::sim::BusFleet::name).
-    pub fn plan_on(&mut self, bus: &str, faults: impl IntoIterator<Item = PlannedFault>) {
-        self.plan_all(Some(bus), faults);
-    }
-
-    fn plan_all(&mut self, bus: Option<&str>, faults: impl IntoIterator<Item = PlannedFault>) {
-        for fault in faults {
-            self.schedule.add(time::Duration::ZERO, bus.map(str::to_owned), fault);
-        }
-    }
-
     /// Lets programs look at the drives and change what they are in, by a Unix socket at this path. [`control`]
     /// says how. The socket goes at the end.
     ///
@@ -361,7 +339,6 @@ impl Server {
         for host in &self.hosts {
             host.tell_rates(notify);
         }
-        self.began = self.now();
         if self.control.is_some() {
             self.hosts.iter().for_each(|host| host.count_traffic());
         }
@@ -371,7 +348,6 @@ impl Server {
         self.follow_wall_clock();
         loop {
             let round = Instant::now();
-            self.strike(self.passed());
             self.pump(notify)?;
             self.tell_log(notify);
             self.answer_requests(notify)?;
@@ -396,16 +372,6 @@ impl Server {
     /// The drives' time.
     fn now(&self) -> time::Instant {
         self.hosts.first().map_or(time::Instant::ZERO, |host| host.now())
-    }
-
-    /// Time since serving began.
-    fn passed(&self) -> time::Duration {
-        self.now() - self.began
-    }
-
-    /// Lets go wrong what is due.
-    fn strike(&mut self, passed: time::Duration) {
-        self.schedule.strike(passed, &mut self.hosts);
     }
 
     fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
@@ -435,8 +401,7 @@ impl Server {
             self.take_in(notify)?;
         }
         for (client, request) in requests {
-            let passed = self.passed();
-            let mut scene = Scene { hosts: &mut self.hosts, schedule: &mut self.schedule, passed };
+            let mut scene = Scene { hosts: &mut self.hosts };
             let answer = match request {
                 Ok(Request::Advance { us, until_us }) => {
                     match self.begin_advance(client, us, until_us) {
@@ -463,9 +428,8 @@ impl Server {
         // In this order: what a port gets after it was asked is an event before the next one known.
         let events = self.hosts.iter().filter_map(|host| host.until_next_event()).min();
         let ends = self.ends.iter_mut().filter_map(|end| end.patience()).min();
-        let fault = self.schedule.until_next(self.passed()).map(Duration::from);
         let asked = self.is_asked().then_some(Duration::ZERO);
-        [ends, events, fault, asked].into_iter().flatten().fold(LONGEST_WAIT, Duration::min)
+        [ends, events, asked].into_iter().flatten().fold(LONGEST_WAIT, Duration::min)
     }
 
     /// Whether a program has asked something already.
@@ -503,54 +467,9 @@ mod tests {
 
     use super::*;
     use crate::sim::Fleet;
-    use myactuator_protocol_core::command::{
-        ErrorFlags, FunctionControl, ReadMultiTurnAngle, Reset, Switch,
-    };
-    use myactuator_protocol_core::drive::Event;
+    use myactuator_protocol_core::command::{FunctionControl, ReadMultiTurnAngle, Reset, Switch};
     use myactuator_protocol_core::io::Runner as _;
     use myactuator_protocol_core::wire::rs485::Frame;
-
-    #[test]
-    fn planned_faults_come_in_their_time_on_all_buses() {
-        let can = Fleet::new(1).on_can(1_000_000).unwrap();
-        let line = Fleet::new(1).on_rs485(115_200).unwrap();
-        let mut server = Server::new();
-        server.host_can(&can);
-        server.serve_line(&line, TransceiverConfig::default()).unwrap();
-        let plan = ["clear+2s", "over-speed+1s", "over-voltage@1"];
-        server.plan(plan.map(|fault| fault.parse().unwrap()));
-        let mut at = |seconds: f64| {
-            server.strike(Duration::from_secs_f64(seconds).into());
-            [&can.drives[0], &line.drives[0]].map(|drive| {
-                let next = || drive.with(|drive| drive.poll_event());
-                std::iter::from_fn(next)
-                    .filter(|event| *event != Event::Started)
-                    .collect::<Vec<_>>()
-            })
-        };
-        let both = |events: &[Event]| [events.to_vec(), events.to_vec()];
-        assert_eq!(at(0.0), both(&[Event::FaultRaised(ErrorFlags::OVER_VOLTAGE)]));
-        assert_eq!(at(0.999), both(&[]));
-        assert_eq!(at(1.0), both(&[Event::FaultRaised(ErrorFlags::OVER_SPEED)]));
-        let errors = ErrorFlags::OVER_VOLTAGE | ErrorFlags::OVER_SPEED;
-        assert_eq!(at(3.0), both(&[Event::FaultCleared(errors)]));
-    }
-
-    #[test]
-    fn a_fault_of_one_bus_leaves_the_others_alone() {
-        let fleets =
-            ["left", "right"].map(|name| Fleet::new(1).name(name).on_can(1_000_000).unwrap());
-        let mut server = Server::new();
-        fleets.iter().for_each(|fleet| server.host_can(fleet));
-        server.plan_on("right", ["over-speed+1s".parse().unwrap()]);
-        server.plan_on("left", ["over-voltage".parse().unwrap()]);
-        let mut at = |seconds: u64| {
-            server.strike(time::Duration::from_secs(seconds));
-            [0, 1].map(|bus| fleets[bus].drives[0].with(|drive| drive.state().errors))
-        };
-        assert_eq!(at(0), [ErrorFlags::OVER_VOLTAGE, ErrorFlags::empty()]);
-        assert_eq!(at(1), [ErrorFlags::OVER_VOLTAGE, ErrorFlags::OVER_SPEED]);
-    }
 
     #[test]
     fn what_could_not_be_stored_is_told_with_its_bus() {

@@ -13,6 +13,7 @@ use myactuator_protocol_core::master::MotorSet;
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Firmware, MotorId};
 
+use crate::sim::PlannedFault;
 use crate::sim::bus::can::{CanBus, ControllerConfig};
 use crate::sim::bus::rs485::{Rs485Line, TransceiverConfig};
 use crate::sim::bus::{Medium, Node, World};
@@ -51,8 +52,8 @@ pub enum FleetError {
         /// What cannot be.
         error: ParameterError,
     },
-    /// A motor was set up that is not there.
-    #[error("motor {motor} was set up, but the fleet's motors are {motors}")]
+    /// A motor was set up, or is to have a fault, that is not there.
+    #[error("there is no motor {motor}: the fleet's motors are {motors}")]
     NoSuchMotor {
         /// The id that none has.
         motor: MotorId,
@@ -74,6 +75,7 @@ pub struct Fleet {
     motors: Vec<MotorSetup>,
     /// One that was set up, and the motors there were, none of which it is.
     missing: Option<(MotorId, MotorSet)>,
+    faults: Vec<PlannedFault>,
     seed: u64,
     memory_folder: Option<PathBuf>,
 }
@@ -87,7 +89,7 @@ impl Fleet {
     /// These motors. Several may have the same id, as they come from the factory with 1.
     pub fn of(motors: impl IntoIterator<Item = MotorSetup>) -> Self {
         let motors = motors.into_iter().collect();
-        Self { name: None, motors, missing: None, seed: 1, memory_folder: None }
+        Self { name: None, motors, missing: None, faults: Vec::new(), seed: 1, memory_folder: None }
     }
 
     /// On a bus of this name; else of "can" or "rs485".
@@ -212,11 +214,24 @@ impl Fleet {
         self.all(|motor| motor.start_angle_deg = angle_deg)
     }
 
+    /// With these faults; else with none. Their times count from when the drives are put on a bus, by its clock,
+    /// virtual or real. More can be planned later: [`BusFleet::plan`].
+    #[must_use]
+    pub fn faults(mut self, faults: impl IntoIterator<Item = PlannedFault>) -> Self {
+        self.faults = faults.into_iter().collect();
+        self
+    }
+
+    /// What is planned to go wrong.
+    pub fn planned_faults(&self) -> &[PlannedFault] {
+        &self.faults
+    }
+
     /// Puts the drives on a CAN bus in virtual time.
     ///
     /// # Errors
-    /// [`FleetError`]: a model's figures make no motor, a load or a start angle cannot be, a motor was set up
-    /// that is not there, or a memory file cannot be read.
+    /// [`FleetError`]: a model's figures make no motor, a load or a start angle cannot be, a motor was set up or
+    /// is to have a fault that is not there, or a memory file cannot be read.
     pub fn on_can(&self, bit_rate: u32) -> Result<CanFleet, FleetError> {
         let world = World::<CanBus>::new(bit_rate, self.seed);
         self.put_on(world, ControllerConfig::MAILBOXES, Bus::Can, bit_rate)
@@ -241,7 +256,10 @@ impl Fleet {
     where
         Seat: Node<B::Frame>,
     {
-        if let Some((motor, motors)) = self.missing {
+        let motors = self.ids();
+        let mut with_faults = self.faults.iter().filter_map(|fault| fault.motor);
+        let unknown = with_faults.find(|&motor| !motors.contains(motor));
+        if let Some((motor, motors)) = self.missing.or(unknown.map(|motor| (motor, motors))) {
             return Err(FleetError::NoSuchMotor { motor, motors });
         }
         let usual_model = MotorParameters::named(USUAL_MODEL)?;
@@ -274,7 +292,9 @@ impl Fleet {
         let model = self.motors.first().map(|motor| motor.made_model(&usual_model));
         let firmware = model.map_or(usual_model.firmware, |model| model.firmware);
         let mechanics_failure = Default::default();
-        Ok(BusFleet { name, world, drives, firmware, bit_rate, mechanics_failure })
+        let fleet = BusFleet { name, world, drives, firmware, bit_rate, mechanics_failure };
+        self.faults.iter().for_each(|&fault| fleet.plan(fault));
+        Ok(fleet)
     }
 }
 
@@ -397,7 +417,10 @@ mod tests {
             shared.drives.iter().map(|it| it.with(|drive| drive.plant().load().inertia_kg_m2));
         assert_eq!(found.collect::<Vec<_>>(), [1.0, 2.0, 1.0], "they keep them");
         let error = loaded(4).on_can(1_000_000).unwrap_err().to_string();
-        assert_eq!(error, "motor 4 was set up, but the fleet's motors are 1 2 3");
+        assert_eq!(error, "there is no motor 4: the fleet's motors are 1 2 3");
+        let fault = "cut@5".parse().unwrap();
+        let error = Fleet::new(3).faults([fault]).on_can(1_000_000).unwrap_err().to_string();
+        assert_eq!(error, "there is no motor 5: the fleet's motors are 1 2 3");
         let error = Fleet::new(1).load(inertia(-1.0)).on_can(1_000_000).unwrap_err().to_string();
         assert!(error.starts_with("load inertia must be 0 to"), "{error}");
     }

@@ -2,7 +2,7 @@
 //!
 //! A [`Fleet`] puts whole drives, each with its physics and memory, on one bus. Masters attach with
 //! [`CanFleet::master`] or [`LineFleet::master`] and run unchanged, async ones too. A [`Robot`] is several such
-//! buses from one file.
+//! buses from one file. What is to go wrong, and when, is a [`PlannedFault`].
 //!
 //! | module | for |
 //! |---|---|
@@ -71,6 +71,7 @@ mod quirk_names;
 mod robot;
 mod seat;
 mod shaft;
+mod strike;
 #[cfg(test)]
 mod tests;
 

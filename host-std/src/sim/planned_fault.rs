@@ -1,4 +1,4 @@
-//! A fault in one word, as people type it, and what it does to a bus and its drives.
+//! A fault in one word, as people type it.
 
 use std::str::FromStr;
 
@@ -37,8 +37,11 @@ const USUAL_BABBLE: Duration = Duration::from_millis(10);
 ///
 /// `@WHERE` is a motor's id, else all are struck. Faults by chance may have a direction instead or
 /// as well, `@to-drives`, `@from-drives` or `@2,from-drives`, else they strike both ways. `+TIME`
-/// counts from the start. Times are numbers with `us`, `ms` or `s`. With a [`Condition`] on the motor it
-/// names, it begins as soon as that is met, but not before its time: `cut@1?angle>90`.
+/// counts from when the drives were put on their bus ([`Fleet::faults`](super::Fleet::faults)) or from when it
+/// is planned ([`BusFleet::plan`](super::BusFleet::plan)), by the bus's clock. Times are numbers with `us`, `ms`
+/// or `s`. With a [`Condition`] on the motor it names, it begins as soon as that is met, but not before its
+/// time: `cut@1?angle>90`. Each drive with that id, on each bus that is meant, is struck once, when it meets the
+/// condition itself.
 ///
 /// ```
 /// use myactuator_host_std::sim::PlannedFault;
@@ -57,9 +60,9 @@ pub struct PlannedFault {
     pub motor: Option<MotorId>,
     /// The way of the frames that it strikes; `None` for both. Faults by chance only.
     pub direction: Option<Direction>,
-    /// When it begins, after the start.
+    /// When it begins, after the start. The order of what begins at the same time is that in which it was planned.
     pub after: Duration,
-    /// What the motor must come to before it begins, looked at every millisecond.
+    /// What the motor must come to before it begins, looked at every millisecond from then on.
     pub condition: Option<Condition>,
 }
 

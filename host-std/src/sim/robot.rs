@@ -14,7 +14,7 @@ use serde::Deserialize;
 use super::bus::Medium;
 use super::bus::rs485::TransceiverConfig;
 use super::mechanics::Remote;
-use super::{BusFleet, CanFleet, Fleet, FleetError, LineFleet, PlannedFault};
+use super::{BusFleet, CanFleet, Fleet, FleetError, LineFleet};
 use crate::BusKind;
 
 /// A process that does not answer for so long is taken for dead.
@@ -81,7 +81,7 @@ const ECHO_NOISE: f32 = 0.1;
 /// | `bursts_ms` | how often whoever serves the bus to other programs hands over what is heard, ms, as USB adapters do: 16 is usual | at once |
 /// | `mechanics` | what moves the shafts of this bus in place of the motors and their loads: `{ socket = "…", period_us = 500 }`, a Unix socket where a process [listens](super::mechanics), and how often it is asked, 100 to 100 000 µs | nothing |
 /// | `interface` | a CAN interface such as `"vcan0"` on which to serve a CAN bus as well | none |
-/// | `faults` | what goes wrong while the bus is served, each as in [`PlannedFault`] | nothing |
+/// | `faults` | what goes wrong with its motors, each as in [`PlannedFault`](super::PlannedFault); times count from when they are put on the bus, in simulated time | nothing |
 /// | `shared_ids` | whether several motors may have the same id, as from the factory | `false` |
 /// | `[bus.defaults]` | what its motors are where they do not say: all keys of a motor but its id | |
 /// | `[[bus.motor]]` | a motor, or several that are equal; at least one | |
@@ -113,8 +113,8 @@ pub struct Robot {
 /// A bus of a [`Robot`].
 #[derive(Clone, Debug)]
 pub struct RobotBus {
-    /// Its motors. Other settings, such as a [memory folder](Fleet::memory_folder), can be given until they are
-    /// put on a bus.
+    /// Its motors, and what goes wrong with them. Other settings, such as a
+    /// [memory folder](Fleet::memory_folder), can be given until they are put on a bus.
     pub fleet: Fleet,
     /// What it is.
     pub kind: BusKind,
@@ -128,10 +128,6 @@ pub struct RobotBus {
     pub mechanics: Option<MechanicsProcess>,
     /// The CAN interface on which to serve a CAN bus as well.
     pub interface: Option<String>,
-    /// What goes wrong with its motors, and when. They strike where the bus is served in real time
-    /// (`serve::Server::plan_on`): a program under virtual time does to [`BusFleet::world`](super::BusFleet::world)
-    /// what it likes, when it likes.
-    pub faults: Vec<PlannedFault>,
 }
 
 /// A process that moves shafts; see [`mechanics`](super::mechanics).
@@ -355,8 +351,8 @@ impl RobotBus {
 }
 
 impl Fleet {
-    /// The motors of a file that has one bus; see [`Robot`] for the file. What it says of the bus itself but for its
-    /// name is left to whoever puts them on one.
+    /// The motors of a file that has one bus, with their faults; see [`Robot`] for the file. What it says of the bus
+    /// itself but for its name is left to whoever puts them on one.
     ///
     /// # Errors
     /// As [`Robot::from_toml`], or [`RobotError::NotOneBus`].

@@ -137,9 +137,9 @@ mod tests {
             Some(name) => fleet.name(name),
             None => fleet,
         };
-        let (adapter, interface, faults) = (Adapter::Plain, None, Vec::new());
+        let (adapter, interface) = (Adapter::Plain, None);
         let bursts = Duration::ZERO;
-        RobotBus { fleet, kind, bit_rate, adapter, bursts, mechanics: None, interface, faults }
+        RobotBus { fleet, kind, bit_rate, adapter, bursts, mechanics: None, interface }
     }
 
     fn told(names: [Option<&str>; 2], json: bool) -> Vec<String> {

@@ -42,7 +42,6 @@ pub(super) fn serve(buses: Vec<Served>, arguments: &Arguments) -> Result<(), Fai
             bus.fleet = bus.fleet.clone().memory_folder(memory.of(bus.name())?);
         }
         server.hand_over_every(bus.bursts);
-        server.plan_on(bus.name(), bus.faults.iter().copied());
         places.extend(match bus.kind {
             BusKind::Rs485 => serve_line(&mut server, &bus, link, &mut links)?,
             BusKind::Can => serve_can(&mut server, &bus, link, &mut links)?,

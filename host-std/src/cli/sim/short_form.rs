@@ -20,7 +20,6 @@ pub(super) fn buses(arguments: &Arguments) -> Result<Vec<Served>, String> {
         bursts: options::bursts(&arguments.quirks),
         mechanics: None,
         interface: None,
-        faults: arguments.faults.clone(),
     };
     let wanted = |way| arguments.only.is_none_or(|only| only == way);
     let link = |way, name: &str| wanted(way).then(|| name.to_owned());
@@ -57,6 +56,7 @@ fn fleet(arguments: &Arguments) -> Result<Fleet, String> {
     let quirks = options::drives_quirks(&arguments.quirks).map_err(|error| error.to_string())?;
     let mut fleet = Fleet::new(arguments.count)
         .quirks(quirks)
+        .faults(arguments.faults.iter().copied())
         .seed(arguments.seed.unwrap_or(1))
         .brakes(arguments.brakes);
     if let Some(id) = arguments.same_id {

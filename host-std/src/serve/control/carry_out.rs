@@ -1,12 +1,10 @@
 //! What requests do to simulated buses.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::time::Duration;
 use serde_json::{Value, json};
 
 use super::request::{Request, Stuck};
 use crate::serve::hosted::Hosted;
-use crate::serve::schedule::Schedule;
 use crate::sim::PlannedFault;
 use crate::sim::plant::{SimulatedMotor, Supply};
 
@@ -14,10 +12,10 @@ use crate::sim::plant::{SimulatedMotor, Supply};
 #[derive(Debug)]
 pub(in crate::serve) struct Scene<'a> {
     pub(in crate::serve) hosts: &'a mut [Box<dyn Hosted>],
-    pub(in crate::serve) schedule: &'a mut Schedule,
-    /// Time since serving began.
-    pub(in crate::serve) passed: Duration,
 }
+
+/// So many faults may wait on a bus for their time or their condition.
+const MOST_PLANNED: usize = 1_000;
 
 type Done<T = Value> = Result<T, String>;
 
@@ -87,9 +85,16 @@ impl Scene<'_> {
             }
             Request::Fault { bus, fault } => {
                 let fault: PlannedFault = fault.parse().map_err(|error| format!("{error}"))?;
-                self.places(bus.as_deref(), fault.motor)?;
-                self.schedule.add(self.passed, bus, fault);
-                self.schedule.strike(self.passed, self.hosts);
+                let places = self.places(bus.as_deref(), fault.motor)?;
+                let is_full = |&&place: &&usize| self.hosts[place].planned() >= MOST_PLANNED;
+                if let Some(&full) = places.iter().find(is_full) {
+                    let name = self.hosts[full].name();
+                    return Err(format!(
+                        "expected at most {MOST_PLANNED} faults that wait on a bus, found as many on {name}: \
+                         plan the next when some have struck"
+                    ));
+                }
+                places.into_iter().for_each(|place| self.hosts[place].plan(fault));
             }
         }
         Ok(self.time())

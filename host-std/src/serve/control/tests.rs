@@ -235,14 +235,14 @@ fn run_in_lock_step(seed: u64, is_slow: bool) -> (Vec<u8>, Vec<u8>, String) {
 
     let (places, where_) = std::sync::mpsc::channel();
     let served = Served::start(move |server| {
-        let fleet = Fleet::new(4).seed(seed);
+        // Chance belongs to it.
+        let faults = ["lose=0.1", "stall@2+100ms"].map(|fault| fault.parse().unwrap());
+        let fleet = Fleet::new(4).seed(seed).faults(faults);
         let can = fleet.on_can(1_000_000).unwrap();
         server.host_can(&can);
         places.send(server.serve_adapter(&can).unwrap()).unwrap();
         let line = fleet.on_rs485(1_000_000).unwrap();
         places.send(server.serve_line(&line, Default::default()).unwrap()).unwrap();
-        // Chance belongs to it.
-        server.plan(["lose=0.1", "stall@2+100ms"].map(|fault| fault.parse().unwrap()));
         server.in_lock_step();
     });
     let [mut slcan, mut rs485] = [(); 2].map(|()| {
@@ -491,8 +491,8 @@ fn a_flood_holds_nobody_up() {
 #[test]
 fn a_fault_waits_for_its_condition_and_strikes_once() {
     let served = Served::start(|server| {
-        server.host_can(&Fleet::new(2).on_can(1_000_000).unwrap());
-        server.plan(["over-speed@2?angle>90+10ms".parse().unwrap()]);
+        let faults = ["over-speed@2?angle>90+10ms".parse().unwrap()];
+        server.host_can(&Fleet::new(2).faults(faults).on_can(1_000_000).unwrap());
         server.in_lock_step();
     });
     let mut client = served.client();
@@ -510,4 +510,105 @@ fn a_fault_waits_for_its_condition_and_strikes_once() {
     assert_eq!(errors(r#"{"angle":{"motor":2,"angle_deg":100}}"#), [0, 0]);
     assert_eq!(errors(r#"{"fault":{"fault":"stall@1?angle<-5"}}"#), [0, 0]);
     assert_eq!(errors(r#"{"angle":{"angle_deg":-10}}"#), [1, 0]);
+}
+
+#[test]
+fn a_fault_for_all_buses_strikes_on_each_as_its_motor_meets_the_condition() {
+    let served = Served::start(|server| {
+        server.host_can(&Fleet::new(1).on_can(1_000_000).unwrap());
+        server.host_can(&Fleet::new(1).name("arm").on_can(1_000_000).unwrap());
+        server.in_lock_step();
+    });
+    let mut client = served.client();
+    let mut errors = |line: &str| {
+        assert!(client.ask(line)["ok"].is_object(), "{line}");
+        assert!(client.ask(r#"{"advance":{"us":1000}}"#)["ok"].is_object());
+        let buses = client.ask(r#"{"state":{}}"#)["ok"]["buses"].take();
+        [0, 1].map(|bus| buses[bus]["motors"][0]["errors"].as_array().unwrap().len())
+    };
+    assert_eq!(errors(r#"{"fault":{"fault":"over-speed@1?angle>90"}}"#), [0, 0]);
+    assert_eq!(errors(r#"{"angle":{"bus":"arm","angle_deg":95}}"#), [0, 1]);
+    assert_eq!(errors(r#"{"fault":{"bus":"arm","fault":"clear"}}"#), [0, 0]);
+    assert_eq!(errors(r#"{"angle":{"bus":"can","angle_deg":95}}"#), [1, 0]);
+    // What strikes at once has done so when that is answered.
+    assert!(client.ask(r#"{"fault":{"fault":"clear"}}"#)["ok"].is_object());
+    let state = client.ask(r#"{"state":{"bus":"can"}}"#);
+    assert_eq!(state["ok"]["buses"][0]["motors"][0]["errors"], json!([]));
+}
+
+#[test]
+fn so_many_faults_may_wait_on_a_bus() {
+    let served = Served::start(|server| {
+        server.host_can(&Fleet::new(1).on_can(1_000_000).unwrap());
+        server.host_can(&Fleet::new(1).name("arm").on_can(1_000_000).unwrap());
+        server.in_lock_step();
+    });
+    let mut client = served.client();
+    let waits = r#"{"fault":{"bus":"arm","fault":"clear+1ms"}}"#;
+    for _ in 0..1_000 {
+        assert!(client.ask(waits)["ok"].is_object());
+    }
+    // On no bus if one has no room.
+    for full in [waits, r#"{"fault":{"fault":"cut@1"}}"#] {
+        let told = client.ask(full)["error"].as_str().unwrap().to_owned();
+        assert!(told.starts_with("expected at most 1000 faults that wait on a bus"), "{told}");
+        assert!(told.contains("on arm"), "{told}");
+    }
+    let state = client.ask(r#"{"state":{}}"#);
+    assert_eq!(state["ok"]["buses"][0]["motors"][0]["cut"], false);
+    assert!(client.ask(r#"{"advance":{"us":1000}}"#)["ok"].is_object());
+    assert!(client.ask(waits)["ok"].is_object());
+}
+
+/// The robot whose faults strike by time and by condition: its second shaft falls.
+const FALLING: &str = r#"
+    [[bus]]
+    name = "arm"
+    kind = "can"
+    bit_rate = 1_000_000
+    faults = ["over-voltage@1+5ms", "stall@1?temperature<30+17ms", "over-speed@2?angle<80", "reset@2+600ms"]
+
+    [[bus.motor]]
+    id = 1
+
+    [[bus.motor]]
+    id = 2
+    model = "RMD-X8-P20-120"
+    start_angle_deg = 90
+    load = { arm = { mass_kg = 4, length_m = 0.5, down_deg = 0 } }
+"#;
+
+#[test]
+fn a_robots_faults_are_the_same_in_lock_step_as_in_a_program() {
+    let robot = crate::sim::Robot::from_toml(FALLING, "").unwrap();
+    let fleet = robot.can("arm").unwrap();
+    let mut log = crate::sim::DriveLog::of(&fleet);
+    let mut told = Vec::new();
+    for _ in 0..800 {
+        fleet.world.run_for(myactuator_protocol_core::time::Duration::from_millis(1));
+        told.extend(log.poll(fleet.world.now()).iter().map(log_line));
+    }
+    let served = Served::start(move |server| {
+        server.host_can(&robot.can("arm").unwrap());
+        server.in_lock_step();
+    });
+    let mut client = served.client();
+    client.ask(r#"{"log":{}}"#);
+    client.send(r#"{"advance":{"us":800000}}"#);
+    let mut heard = Vec::new();
+    loop {
+        let line = client.next();
+        if line["ok"].is_object() {
+            break;
+        }
+        heard.push(line);
+    }
+    let told: Vec<Value> = told.iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(heard, told);
+    let at_us = |event: &str| {
+        let is_it = |line: &&Value| line["log"]["event"]["fault-raised"] == event;
+        heard.iter().find(is_it).unwrap()["log"]["at_us"].as_u64()
+    };
+    assert_eq!((at_us("OVER_VOLTAGE"), at_us("STALL")), (Some(5_000), Some(17_000)));
+    assert!(at_us("OVER_SPEED") > Some(17_000) && at_us("OVER_SPEED") < Some(600_000));
 }

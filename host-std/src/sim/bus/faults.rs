@@ -158,6 +158,24 @@ impl Injector {
         self.note_quiet();
     }
 
+    /// Changes a direction's plan for a station, which has its own from then on, or for all.
+    pub(crate) fn change(
+        &mut self,
+        station: Option<usize>,
+        direction: Direction,
+        change: impl Fn(&mut FaultPlan),
+    ) {
+        let way = direction as usize;
+        let common = &mut self.plans[way];
+        if let Some(station) = station {
+            change(self.stations[station].own[way].get_or_insert(*common));
+        } else {
+            let own = self.stations.iter_mut().filter_map(|station| station.own[way].as_mut());
+            own.chain([common]).for_each(change);
+        }
+        self.note_quiet();
+    }
+
     fn note_quiet(&mut self) {
         let own = self.stations.iter().flat_map(|station| station.own.iter().flatten());
         self.quiet = self.plans.iter().chain(own).all(FaultPlan::is_quiet);

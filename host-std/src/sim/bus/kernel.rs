@@ -57,12 +57,13 @@ enum Late<F> {
     Release(u64),
 }
 
-/// Work that is done once a period.
-pub(crate) struct Regular {
-    pub(crate) period: Nanos,
-    pub(crate) next: Nanos,
-    pub(crate) work: Box<dyn FnMut(Instant) + Send>,
+/// Work that is done at its time, and again so long after as it gives each time, until it gives `None`.
+pub(crate) struct Planned<B: Medium> {
+    pub(crate) at: Nanos,
+    pub(crate) work: Box<Work<B>>,
 }
+
+pub(crate) type Work<B> = dyn FnMut(&mut Kernel<B>, Instant) -> Option<Duration> + Send;
 
 /// By time and then by order of sending: to whom, and what.
 type LateArrivals<F> = BTreeMap<(Nanos, u64), (usize, Late<F>)>;
@@ -75,7 +76,7 @@ pub(crate) struct Kernel<B: Medium> {
     stations: Vec<Station<B::Frame>>,
     /// What is still to arrive.
     late: LateArrivals<B::Frame>,
-    pub(crate) regulars: Vec<Regular>,
+    pub(crate) planned: Vec<Planned<B>>,
     sequence: u64,
     /// What has come to the ports so far: received units, and room where it was missed.
     pub(crate) arrivals: u64,
@@ -98,7 +99,7 @@ impl<B: Medium> Kernel<B> {
             },
             stations: Vec::new(),
             late: BTreeMap::new(),
-            regulars: Vec::new(),
+            planned: Vec::new(),
             sequence: 0,
             arrivals: 0,
             message: 0,
@@ -140,8 +141,8 @@ impl<B: Medium> Kernel<B> {
     pub(crate) fn next_event(&self) -> Nanos {
         let stations = self.stations.iter().map(Station::due).min().unwrap_or(NEVER);
         let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
-        let regular = self.regulars.iter().map(|it| it.next).min().unwrap_or(NEVER);
-        let next = stations.min(late).min(regular).min(self.bus.next_event());
+        let planned = self.planned.iter().map(|it| it.at).min().unwrap_or(NEVER);
+        let next = stations.min(late).min(planned).min(self.bus.next_event());
         if next == NEVER { NEVER } else { next.max(self.around.now) }
     }
 
@@ -174,10 +175,7 @@ impl<B: Medium> Kernel<B> {
                 Late::Release(_) => {}
             }
         }
-        for regular in self.regulars.iter_mut().filter(|it| it.next <= self.around.now) {
-            (regular.work)(to_instant(self.around.now));
-            regular.next = regular.next.saturating_add(regular.period);
-        }
+        self.work();
         for station in 0..self.stations.len() {
             if self.stations[station].due() <= self.around.now {
                 self.serve(station);
@@ -185,6 +183,21 @@ impl<B: Medium> Kernel<B> {
         }
         self.bus.start(&mut self.around);
         self.spread();
+    }
+
+    /// Does the work that is due.
+    fn work(&mut self) {
+        let now = self.around.now;
+        let mut planned = std::mem::take(&mut self.planned);
+        planned.retain_mut(|it| {
+            if it.at > now {
+                return true;
+            }
+            let again = (it.work)(self, to_instant(now));
+            it.at = it.at.saturating_add(from_duration(again.unwrap_or_default()));
+            again.is_some()
+        });
+        self.planned = planned;
     }
 
     /// Passes on what the bus has done.
@@ -338,6 +351,11 @@ impl<B: Medium> Kernel<B> {
         if state.wake <= now {
             self.serve_node(station);
         }
+    }
+
+    /// Has a node asked in this step, though it did not ask for that.
+    pub(crate) fn wake(&mut self, station: usize) {
+        self.stations[station].wake = self.around.now;
     }
 
     /// Asks a node what it has to send, though it did not ask for that.

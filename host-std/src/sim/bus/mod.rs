@@ -66,6 +66,7 @@ mod waiting;
 mod world;
 
 pub use executor::{Timeline, block_on};
+pub(in crate::sim) use kernel::Kernel;
 pub use medium::Medium;
 pub(in crate::sim) use node::lock;
 pub use node::{Node, StationId};

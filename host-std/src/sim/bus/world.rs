@@ -9,7 +9,7 @@ use myactuator_protocol_core::io::{AsyncClock, Clock};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::faults::{Babble, Direction, FaultPlan};
-use super::kernel::{Kernel, Regular};
+use super::kernel::{Kernel, Planned};
 use super::medium::Medium;
 use super::nanos::{NEVER, Nanos, from_duration, from_instant, to_instant};
 use super::node::{Node, StationId, lock};
@@ -233,6 +233,11 @@ impl<B: Medium> World<B> {
         self.with(|kernel| kernel.cut(station.0, false));
     }
 
+    /// Whether a station's wire is cut.
+    pub fn is_cut(&self, station: StationId) -> bool {
+        self.with(|kernel| kernel.bus.is_cut(station.0))
+    }
+
     /// Cycles a station's power: empties its controller, clears its error counters and calls
     /// [`Node::reset`].
     pub fn reset(&self, station: StationId) {
@@ -264,12 +269,30 @@ impl<B: Medium> World<B> {
 
     /// Calls `work` once a period of this world's time from now on, before the nodes have their turn; at least
     /// a microsecond apart. It must not touch the world, which is in the middle of something.
-    pub fn every(&self, period: Duration, work: impl FnMut(Instant) + Send + 'static) {
-        let period = from_duration(period.max(Duration::from_micros(1)));
-        self.with(|kernel| {
-            let next = kernel.around.now.saturating_add(period);
-            kernel.regulars.push(Regular { period, next, work: Box::new(work) });
+    pub fn every(&self, period: Duration, mut work: impl FnMut(Instant) + Send + 'static) {
+        let period = period.max(Duration::from_micros(1));
+        self.plan(period, move |_, now| {
+            work(now);
+            Some(period)
         });
+    }
+
+    /// Has `work` done so long from now, before the nodes have their turn, and again so long after as it gives
+    /// each time, until it gives `None`.
+    pub(in crate::sim) fn plan(
+        &self,
+        after: Duration,
+        work: impl FnMut(&mut Kernel<B>, Instant) -> Option<Duration> + Send + 'static,
+    ) {
+        self.with(|kernel| {
+            let at = kernel.around.now.saturating_add(from_duration(after));
+            kernel.planned.push(Planned { at, work: Box::new(work) });
+        });
+    }
+
+    /// How much is to be done at its time: faults that wait, and what is done [every](Self::every) period.
+    pub fn planned(&self) -> usize {
+        self.with(|kernel| kernel.planned.len())
     }
 
     /// Calls `observer` for everything that happens from now on. It must not touch the world, which

@@ -89,7 +89,7 @@ impl DriveHandle {
     }
 }
 
-/// Drives on a bus.
+/// Drives on a bus. A handle: clones are the same drives on the same bus.
 #[derive(Debug)]
 pub struct BusFleet<B: Medium> {
     /// What the bus is called.
@@ -102,7 +102,19 @@ pub struct BusFleet<B: Medium> {
     pub bit_rate: u32,
     /// That of the first drive.
     pub(super) firmware: Firmware,
-    pub(crate) mechanics_failure: MechanicsFailure,
+    pub(in crate::sim) mechanics_failure: MechanicsFailure,
+}
+
+impl<B: Medium> Clone for BusFleet<B> {
+    fn clone(&self) -> Self {
+        Self {
+            name: self.name.clone(),
+            world: self.world.clone(),
+            drives: self.drives.clone(),
+            mechanics_failure: self.mechanics_failure.clone(),
+            ..*self
+        }
+    }
 }
 
 /// Drives on a CAN bus.

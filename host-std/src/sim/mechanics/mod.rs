@@ -154,10 +154,10 @@ fn set_led(seat: &Mutex<Seat>, is_led: bool) -> bool {
 
 /// Why shafts of a fleet stand: the first reason. Clones are the same.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct MechanicsFailure(Arc<Mutex<Option<String>>>);
+pub(in crate::sim) struct MechanicsFailure(Arc<Mutex<Option<String>>>);
 
 impl MechanicsFailure {
-    pub(crate) fn reason(&self) -> Option<String> {
+    fn reason(&self) -> Option<String> {
         lock(&self.0).clone()
     }
 

@@ -117,15 +117,15 @@ impl File<'_> {
                 return Err(self.wrong(&fault.span(), what));
             }
         }
+        let faults = bus.faults.iter().map(|fault| fault.get_ref().0);
         Ok(RobotBus {
-            fleet: Fleet::of(motors).name(name),
+            fleet: Fleet::of(motors).name(name).faults(faults),
             kind,
             bit_rate,
             adapter: bus.adapter.map(Spanned::into_inner).unwrap_or_default(),
             bursts: Duration::from_millis(bus.bursts_ms.unwrap_or(0).into()),
             mechanics: bus.mechanics.map(|it| self.mechanics(it)).transpose()?,
             interface: bus.interface.map(Spanned::into_inner),
-            faults: bus.faults.iter().map(|fault| fault.get_ref().0).collect(),
         })
     }
 

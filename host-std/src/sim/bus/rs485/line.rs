@@ -380,8 +380,12 @@ impl Bus for Rs485Line {
         true
     }
 
+    fn is_cut(&self, station: usize) -> bool {
+        self.stations[station].is_cut
+    }
+
     fn cut(&mut self, station: usize, is_cut: bool, _: &mut Surroundings<Vec<u8>>) {
-        if self.stations[station].is_cut == is_cut {
+        if self.is_cut(station) == is_cut {
             return;
         }
         // What changes within a byte spoils it.
