@@ -15,6 +15,8 @@ use crate::sim::bus::can::CanPort;
 
 /// How many frames wait for the interface at most; the oldest give way.
 const MOST_WAITING: usize = 256;
+/// So many frames are taken in while time stands; what comes then waits in the socket, as far as that has room.
+const MOST_HELD: usize = 1 << 16;
 /// When to try again a frame that the interface had no room for: its queue gives no sign.
 const TRY_AGAIN: Duration = Duration::from_millis(1);
 
@@ -99,13 +101,14 @@ impl End for InterfaceEnd {
 
     fn take_in(&mut self) -> Result<(), ServeError> {
         let Some(held) = &mut self.held else { return Ok(()) };
-        loop {
+        while held.len() < MOST_HELD {
             match self.socket.receive() {
                 Ok(frame) => held.push_back(frame),
-                Err(nb::Error::WouldBlock) => return Ok(()),
+                Err(nb::Error::WouldBlock) => break,
                 Err(nb::Error::Other(error)) => return Err(error.into()),
             }
         }
+        Ok(())
     }
 
     fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {

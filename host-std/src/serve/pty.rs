@@ -30,6 +30,9 @@ struct Held {
     unsent: VecDeque<u8>,
 }
 
+/// Of what a program has written so much is taken in while time stands; the rest waits in the pseudo-terminal,
+/// which holds the program up, bytes.
+const MOST_TAKEN: usize = 1 << 20;
 /// More than this is not kept for programs that do not read, bytes.
 const MOST_UNSENT: usize = 1 << 20;
 
@@ -79,10 +82,10 @@ impl Pty {
         self.held = Some(Held::default());
     }
 
-    /// Takes in all that programs have written.
+    /// Takes in what programs have written.
     pub(super) fn take_in(&mut self) -> io::Result<()> {
         let mut chunk = [0; 4096];
-        loop {
+        while self.held.as_ref().is_some_and(|held| held.taken.len() < MOST_TAKEN) {
             let length = self.read_device(&mut chunk)?;
             match &mut self.held {
                 Some(held) if length > 0 => held.taken.extend(&chunk[..length]),
@@ -141,5 +144,44 @@ fn write_device(device: &OwnedFd, bytes: &[u8]) -> io::Result<usize> {
 impl AsFd for Pty {
     fn as_fd(&self) -> BorrowedFd<'_> {
         self.device.as_fd()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write as _;
+
+    use super::*;
+
+    #[test]
+    fn who_writes_without_end_while_time_stands_is_held_up_and_loses_nothing() {
+        let (mut program, device) = UnixStream::pair().unwrap();
+        program.set_nonblocking(true).unwrap();
+        let mut pty = Pty::on(device).unwrap();
+        pty.hold();
+        let taken = |pty: &Pty| pty.held.as_ref().unwrap().taken.len();
+        let (mut sent, mut before) = (0, 0);
+        loop {
+            while let Ok(length) = program.write(&[7; 4096]) {
+                sent += length;
+            }
+            pty.take_in().unwrap();
+            if taken(&pty) == before {
+                break;
+            }
+            before = taken(&pty);
+            assert!(before < MOST_TAKEN + 4096, "{before}");
+        }
+        assert!(sent > MOST_TAKEN, "{sent}");
+        let (mut got, mut chunk) = (0, [0; 4096]);
+        loop {
+            let length = pty.read(&mut chunk).unwrap();
+            got += length;
+            pty.take_in().unwrap();
+            if length == 0 && taken(&pty) == 0 {
+                break;
+            }
+        }
+        assert_eq!(got, sent);
     }
 }
