@@ -48,7 +48,7 @@ pub enum Event {
     /// The non-volatile memory could not be read or written. The error flag for lost parameters is
     /// raised with it, and the command that wanted to write is not answered.
     MemoryFailed,
-    /// The current has been at this limit for 10 ms, and the motor does less than it was told to.
+    /// The current has been limited for 10 ms, most of them by this, and the motor does less than it was told to.
     Limited(Limit),
     /// This limit acts no more.
     Unlimited(Limit),

@@ -44,12 +44,21 @@ impl Step {
     }
 }
 
+/// What may act: nothing, or a limit.
+const ALL: [Option<Limit>; 5] = [
+    None,
+    Some(Limit::CommandTorque),
+    Some(Limit::StallCurrent),
+    Some(Limit::Temperature),
+    Some(Limit::Voltage),
+];
+
 /// Which limit acts, as it was told last.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Limits {
     told: Option<Limit>,
-    /// For how long it has been another.
-    changed: Duration,
+    /// For how long each of [`ALL`] has acted since it is another than was told.
+    acted: [Duration; ALL.len()],
 }
 
 impl Limits {
@@ -62,17 +71,25 @@ impl Limits {
     ) -> Option<(Option<Limit>, Option<Limit>)> {
         let now = step.and_then(Step::limit);
         if now == self.told {
-            self.changed = Duration::ZERO;
+            self.acted = Default::default();
             return None;
         }
-        self.changed = self.changed + span;
+        let mut changed = Duration::ZERO;
+        for (acted, limit) in self.acted.iter_mut().zip(ALL) {
+            if limit == now {
+                *acted = *acted + span;
+            }
+            changed = changed + *acted;
+        }
         // What is switched off is limited no more.
-        if self.changed < CONFIRM && step.is_some() {
+        if changed < CONFIRM && step.is_some() {
             return None;
         }
-        self.changed = Duration::ZERO;
-        let ended = core::mem::replace(&mut self.told, now);
-        Some((ended, now))
+        let acted = core::mem::take(&mut self.acted);
+        let longest = acted.iter().zip(ALL).max_by_key(|&(acted, _)| acted);
+        let begun = step.and(longest).and_then(|(_, limit)| limit);
+        let ended = core::mem::replace(&mut self.told, begun);
+        Some((ended, begun))
     }
 }
 
@@ -130,6 +147,18 @@ mod tests {
         assert_eq!(told(&mut limits, Some(FREE), 100), Some((10, None)));
         assert_eq!(told(&mut limits, Some(STALL), 10), Some((10, Some(Limit::StallCurrent))));
         assert_eq!(told(&mut limits, None, 100), Some((1, None)));
+    }
+
+    #[test]
+    fn of_limits_that_take_turns_the_one_that_acted_longest_is_told() {
+        let starved = Some(Step { flows_a: -6.0, ..STALL });
+        let mut limits = Limits::default();
+        assert_eq!(told(&mut limits, starved, 9), None);
+        assert_eq!(told(&mut limits, Some(STALL), 1), Some((1, Some(Limit::Voltage))));
+        assert_eq!(told(&mut limits, Some(STALL), 10), Some((10, Some(Limit::StallCurrent))));
+        // For most of the time nothing limits it.
+        assert_eq!(told(&mut limits, starved, 4), None);
+        assert_eq!(told(&mut limits, Some(FREE), 6), Some((6, None)));
     }
 
     #[test]
