@@ -44,6 +44,7 @@
 //! ```
 //!
 //! # What ends it
+//! A thread that leaves its control loop while others have handles leaves the motors as they are: [`Guard`] stops them.
 //! When the last handle is dropped, all motors are stopped and the thread ends; the drop waits for that. Who
 //! has not confirmed this stop is told to [subscriptions](Subscription) alone, as the last that they hear
 //! ([`StopUnconfirmed`](myactuator_protocol_core::master::Event::StopUnconfirmed)): call
@@ -56,6 +57,7 @@
 
 mod desk;
 mod error;
+mod guard;
 mod shared_bus;
 mod subscription;
 #[cfg(test)]
@@ -64,5 +66,6 @@ mod worker;
 
 pub use desk::Latest;
 pub use error::SharedBusError;
+pub use guard::Guard;
 pub use shared_bus::SharedBus;
 pub use subscription::Subscription;

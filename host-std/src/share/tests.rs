@@ -16,7 +16,7 @@ use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
 
 use super::desk::{Clerk, Desk, Order, Question, Untyped};
-use super::{SharedBus, SharedBusError};
+use super::{Guard, SharedBus, SharedBusError};
 use crate::sim::bus::SimClock;
 use crate::sim::bus::can::{CanBus, CanError, CanPort};
 use crate::sim::bus::trace::{self, Log};
@@ -154,6 +154,33 @@ fn the_last_handle_stops_the_motors_and_ends_the_thread() {
     // The two answers, and the end.
     assert_eq!(events.by_ref().count(), 2);
     assert_eq!(events.next(), None);
+}
+
+#[test]
+fn a_thread_that_is_left_stops_the_motors_though_another_has_a_handle() {
+    let (fleet, bus) = shared(1);
+    let log = fleet.world.log();
+    let run = |work: fn(Guard<CanError>)| {
+        packets(&log);
+        let handle = bus.clone();
+        let ended = thread::spawn(move || {
+            let guard = Guard::new(handle, StopKind::Hold);
+            guard.ask(id(1), turn(90.0)).unwrap();
+            work(guard);
+        });
+        let is_panic = ended.join().is_err();
+        let refused = bus.ask(id(1), turn(90.0)).unwrap_err();
+        assert!(matches!(refused, SharedBusError::Request(RequestError::Stopped)), "{refused}");
+        bus.lift_stop().unwrap();
+        let sent: Vec<_> = packets(&log).iter().map(|packet| packet.data[0]).collect();
+        (is_panic, sent)
+    };
+    // Each command, and its answer: the motor has heard the stop when the thread has ended.
+    let moved_and_stopped = vec![0xA2, 0xA2, 0x81, 0x81];
+    assert_eq!(run(|_bus| panic!("made up")), (true, moved_and_stopped.clone()));
+    assert_eq!(run(drop), (false, moved_and_stopped.clone()));
+    let finish = |bus: Guard<_>| assert_eq!(bus.finish().unwrap(), MotorSet::EMPTY);
+    assert_eq!(run(finish), (false, moved_and_stopped));
 }
 
 #[test]

@@ -1,0 +1,71 @@
+//! A thread that leaves its control loop leaves it through the stop, also while others have handles.
+
+use std::fmt;
+use std::ops::Deref;
+
+use myactuator_protocol_core::master::{MotorSet, StopKind};
+
+use super::{SharedBus, SharedBusError};
+use crate::open::BusError;
+
+/// A handle that stops all motors of the bus when its thread leaves it: by `?`, `break`, `return`, a panic that
+/// unwinds, or at its end. It is to threads what [`io::Guard`](myactuator_protocol_core::io::Guard) is to a loop, and
+/// is used as the handle itself.
+///
+/// A handle alone does not: while any other thread has one, the motors go on.
+///
+/// ```
+/// use myactuator_host_std::open::BusAddress;
+/// use myactuator_host_std::protocol::MotorId;
+/// use myactuator_host_std::protocol::command::Stop;
+/// use myactuator_host_std::protocol::master::StopKind;
+/// use myactuator_host_std::share::{Guard, SharedBus};
+///
+/// let address: BusAddress = "sim:4".parse()?;
+/// let bus = SharedBus::open(&address, StopKind::Hold)?;
+/// let guard = Guard::new(bus.clone(), StopKind::Hold);
+/// guard.ask(MotorId::MIN, Stop)?;
+/// let unconfirmed = guard.finish()?;
+/// assert!(unconfirmed.is_empty(), "cut the power of motors {unconfirmed}");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Guard<E: fmt::Debug + Send + Sync + 'static = BusError> {
+    bus: SharedBus<E>,
+    kind: StopKind,
+    is_finished: bool,
+}
+
+impl<E: fmt::Debug + Send + Sync + 'static> Guard<E> {
+    /// Guards what is done by this handle.
+    pub const fn new(bus: SharedBus<E>, kind: StopKind) -> Self {
+        Self { bus, kind, is_finished: false }
+    }
+
+    /// Stops all motors now, as [`SharedBus::stop_all`] does, and gives those that have not confirmed it: **cut
+    /// their power**.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn finish(mut self) -> Result<MotorSet, SharedBusError<E>> {
+        self.is_finished = true;
+        self.bus.stop_all(self.kind, MotorSet::EMPTY)
+    }
+}
+
+impl<E: fmt::Debug + Send + Sync + 'static> Drop for Guard<E> {
+    /// Whoever wants to know who has not confirmed calls [`finish`](Self::finish).
+    fn drop(&mut self) {
+        if !self.is_finished {
+            let _unconfirmed = self.bus.stop_all(self.kind, MotorSet::EMPTY);
+        }
+    }
+}
+
+impl<E: fmt::Debug + Send + Sync + 'static> Deref for Guard<E> {
+    type Target = SharedBus<E>;
+
+    fn deref(&self) -> &SharedBus<E> {
+        &self.bus
+    }
+}
