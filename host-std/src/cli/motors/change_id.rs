@@ -10,7 +10,8 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// Give a motor another id
 ///
-/// The motor is switched off, keeps the id in its ROM and restarts. It is told by function 5 (0x20), which
+/// The motor is switched off, keeps the id in its ROM and restarts; its whole turns are lost with that unless
+/// multi-turn saving (function 4) is on. It is told by function 5 (0x20), which
 /// names it; if it does not acknowledge that, and is the only one on the bus, by 0x79, which all obey. Two
 /// motors with the same id are refused: connect only one of them. Exit status: 0 if it answers under the
 /// new id, 1 if not, 2 for wrong usage.
@@ -41,7 +42,7 @@ fn run_on(session: &mut Session, id: Option<MotorId>, to: MotorId) -> Outcome {
     }
     session.standing(from)?;
     session.confirm(&format!(
-        "Motor {from} will be switched off, get id {to} in its ROM, and restart: hold the shaft if a load pulls at it."
+        "Motor {from} will be switched off, get id {to} in its ROM, and restart: hold the shaft if a load pulls at it. Its whole turns may be lost."
     ))?;
     bring_up::change_id(&mut session.master, from, to)?;
     say(&format!("motor {from} is motor {to} now"))

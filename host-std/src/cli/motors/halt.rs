@@ -120,7 +120,19 @@ mod tests {
     use myactuator_protocol_core::io::SerialMaster;
     use myactuator_protocol_core::master::Config;
 
+    use super::super::simulated::typed;
     use super::*;
+
+    #[test]
+    fn whoever_cannot_open_the_bus_is_told_that_nobody_was_stopped() {
+        for told in [stop, shut_down].map(|halt| halt(&typed("--bus rs485:/dev/nowhere@115200"))) {
+            let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
+            assert!(told.starts_with("there is no serial port \"/dev/nowhere\""), "{told}");
+            assert!(
+                told.ends_with("; no motor was told to stop: if one must stop now, cut its power")
+            );
+        }
+    }
 
     /// A session on three drives of a line, by an adapter that is said not to echo. Also what passes on it.
     fn on_a_line(echo: bool) -> (Session, Log<Vec<u8>>) {

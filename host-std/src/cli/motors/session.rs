@@ -124,7 +124,12 @@ impl Session {
 
     /// Opens a bus to stop its motors, which needs no consent.
     pub(super) fn open_to_stop(on: &OnBus) -> Outcome<Self> {
-        Self::open_on(on.to_act()?)
+        Self::open_on(on.to_act()?).map_err(|why| match why {
+            Unfinished::Failed(why) => Unfinished::Failed(format!(
+                "{why}; no motor was told to stop: if one must stop now, cut its power"
+            )),
+            other => other,
+        })
     }
 
     fn open_on(address: BusAddress) -> Outcome<Self> {
