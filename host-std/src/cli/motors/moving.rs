@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::Ordering;
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::ReadStatus1;
+use myactuator_protocol_core::command::{ReadRunningMode, ReadStatus1};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -90,7 +90,7 @@ impl Session {
             return Some("is off (0x80): its shaft is free unless a brake holds it".to_owned());
         }
         match self.ask(motor, ReadStatus1) {
-            Ok(status) if status.errors.is_empty() => None,
+            Ok(status) if status.errors.is_empty() => self.runs_nothing(motor),
             Ok(status) => Some(format!(
                 "has confirmed the stop (0x81) but reports an error ({}), and its drive cuts its output for \
                  that: nothing but a locked brake holds its shaft",
@@ -101,6 +101,16 @@ impl Session {
                     .to_owned(),
             ),
         }
+    }
+
+    /// A drive that has lost its master confirms 0x81 and does not run it until it hears it steadily (2.31.1).
+    fn runs_nothing(&mut self, motor: MotorId) -> Option<String> {
+        let mode = self.ask(motor, ReadRunningMode).ok()?.mode;
+        (mode.raw() == 0).then(|| {
+            "has confirmed the stop (0x81) but runs nothing (mode 0), as a drive does that has heard nothing for \
+             too long ('myactuator timeout'): nothing but a locked brake holds its shaft"
+                .to_owned()
+        })
     }
 
     /// Ends the work if the user has interrupted it.
@@ -168,7 +178,8 @@ mod tests {
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
     use myactuator_protocol_core::command::AbsolutePosition;
-    use myactuator_protocol_core::units::{Angle, MaxSpeed};
+    use myactuator_protocol_core::io::bring_up;
+    use myactuator_protocol_core::units::{Angle, MaxSpeed, Milliseconds};
 
     use super::*;
 
@@ -185,6 +196,27 @@ mod tests {
         session.stop(StopKind::Off, one.into()).unwrap();
         let is_on = |at: usize| fleet.drives[at].with(|drive| drive.state().output_on);
         assert_eq!((is_on(0), is_on(1)), (false, true), "a load on the other would fall");
+    }
+
+    #[test]
+    fn a_motor_that_has_lost_its_master_is_not_said_to_hold_still() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let motor = MotorId::MIN;
+        bring_up::protect(&mut session.master, motor, Milliseconds::from_raw(100)).unwrap();
+        let later = session.master.now() + Duration::from_millis(200);
+        session.wait_until(later).unwrap();
+        let told = |session: &mut Session| {
+            session.stop(StopKind::Hold, motor.into()).unwrap();
+            let is_on = fleet.drives[0].with(|drive| drive.state().output_on);
+            (session.stopped(motor.into()), is_on)
+        };
+        let (sentence, is_on) = told(&mut session);
+        assert!(sentence.contains("runs nothing (mode 0)"), "{sentence}");
+        assert!(!is_on, "{sentence}");
+        // It hears it steadily now.
+        let holds = "motor 1 is stopped and holds still (0x81)".to_owned();
+        assert_eq!(told(&mut session), (holds, true));
     }
 
     #[test]

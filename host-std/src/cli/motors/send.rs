@@ -306,8 +306,9 @@ mod tests {
         assert!(told.ends_with("; motor 1 is stopped and holds still (0x81)"), "{told}");
         let (first, rest) = packets.split_first().unwrap();
         assert_eq!((first.data, rest[0].data[0]), (C0, 0x81));
-        // It is asked whether it has errors.
-        assert!(rest[1..].iter().all(|packet| [0x81, 0x9A].contains(&packet.data[0])), "{rest:?}");
+        // It is asked whether it has errors, and what it runs.
+        let is_expected = |packet: &Packet| [0x81, 0x9A, 0x70].contains(&packet.data[0]);
+        assert!(rest[1..].iter().all(is_expected), "{rest:?}");
         // A read is none of those.
         let (told, packets) = failed(&Fleet::new(1), "--id 9 read-status1");
         assert!(!told.contains("stopped"), "{told}");
