@@ -35,6 +35,7 @@ on_both_buses! {
     the_only_motor_gets_its_new_id_for_good
     a_brake_is_open_before_torque_comes
     a_brake_opens_under_a_protection_that_is_shorter
+    a_brake_opens_though_its_drive_had_lost_its_master
     a_brake_that_does_not_open_is_told
     a_protected_motor_stops_when_nobody_speaks
 }
@@ -268,14 +269,23 @@ fn a_brake_opens_under_a_protection_that_is_shorter<W: Wire>() {
     assert_eq!(state(&bus.drives[0]).brake, BrakeCommand::RELEASE);
 }
 
-fn a_brake_that_does_not_open_is_told<W: Wire>() {
+/// A program that is started anew finds it so: the protection is kept, and nobody has spoken for a while.
+fn a_brake_opens_though_its_drive_had_lost_its_master<W: Wire>() {
     let bus = W::drives(&Fleet::new(1).brakes(true)).unwrap();
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
-    // A drive that has lost its master answers 0x77 and does nothing.
     let limit = Milliseconds::from_raw(100);
     assert_eq!(bring_up::protect(runner, id(1), limit), Ok(Protection::Confirmed));
     listen(runner, millis(300));
     assert!(state(drive).communication_lost);
+    assert_eq!(bring_up::release_brake(runner, id(1)), Ok(()));
+    assert_eq!(state(drive).brake, BrakeCommand::RELEASE);
+}
+
+fn a_brake_that_does_not_open_is_told<W: Wire>() {
+    // As far as this firmware says.
+    let says_so = Quirks { brake_told_by_motion: true, ..Quirks::default() };
+    let bus = W::drives(&Fleet::new(1).brakes(true).quirks(says_so)).unwrap();
+    let runner = &mut master(&bus);
     let refused = bring_up::release_brake(runner, id(1));
     assert_eq!(refused, Err(BringUpError::BrakeNotReleased(BrakeCommand::LOCK)));
 }

@@ -194,6 +194,10 @@ pub async fn release_brake<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
+    // One that has lost its master obeys the third command (2.31.1).
+    for _ in 0..2 {
+        runner.ask(motor, ReadStatus1).await?;
+    }
     runner.ask(motor, ReleaseBrake).await?;
     let open = runner.now() + BRAKE_OPENING;
     // Without a word its communication-loss protection would lock it again.

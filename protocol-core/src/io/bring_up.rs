@@ -218,8 +218,9 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
 /// Sets after how long without a command a motor stops by itself (0xB3). It is kept in ROM.
 ///
 /// From then on the motor has to be spoken to without longer pauses, and after one it may answer and not obey
-/// until it is spoken to steadily again (2.31.1). What waits here speaks to its own motor alone, [`move_to`]
-/// every 20 ms: below 50 ms the protection may end a move.
+/// until it is spoken to steadily again (2.31.1). Its brake has locked by then, which torque and motion
+/// commands do not open: [release](release_brake) it again. What waits here speaks to its own motor alone,
+/// [`move_to`] every 20 ms: below 50 ms the protection may end a move.
 ///
 /// # Errors
 /// [`CallError`].

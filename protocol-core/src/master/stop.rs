@@ -16,7 +16,7 @@ use crate::time::Duration;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum StopKind {
-    /// 0x81: stop and hold still (2.18).
+    /// 0x81: stop and hold still (2.18). A drive that has lost its master (0xB3) may confirm it and hold nothing.
     Hold,
     /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them.
     Off,
