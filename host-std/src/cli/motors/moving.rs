@@ -4,7 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::Ordering;
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{ReadRunningMode, ReadStatus1};
+use myactuator_protocol_core::command::{BrakeCommand, ReadRunningMode, ReadStatus1};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
@@ -90,7 +90,10 @@ impl Session {
             return Some("is off (0x80): its shaft is free unless a brake holds it".to_owned());
         }
         match self.ask(motor, ReadStatus1) {
-            Ok(status) if status.errors.is_empty() => self.runs_nothing(motor),
+            Ok(status) if status.errors.is_empty() => match status.brake {
+                BrakeCommand::LOCK => None,
+                _ => self.runs_nothing(motor),
+            },
             Ok(status) => Some(format!(
                 "has confirmed the stop (0x81) but reports an error ({}), and its drive cuts its output for \
                  that: nothing but a locked brake holds its shaft",
@@ -108,7 +111,7 @@ impl Session {
         let mode = self.ask(motor, ReadRunningMode).ok()?.mode;
         (mode.raw() == 0).then(|| {
             "has confirmed the stop (0x81) but runs nothing (mode 0), as a drive does that has heard nothing for \
-             too long ('myactuator timeout'): nothing but a locked brake holds its shaft"
+             too long ('myactuator timeout'): its shaft is free"
                 .to_owned()
         })
     }
