@@ -32,6 +32,7 @@ on_both_buses! {
     an_id_is_not_changed_if_it_is_taken_or_not_acknowledged
     a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to
     an_id_that_two_motors_have_is_not_changed
+    a_motor_that_answers_late_is_one_motor
     the_only_motor_gets_its_new_id_for_good
     a_brake_is_open_before_torque_comes
     a_brake_opens_under_a_protection_that_is_shorter
@@ -225,6 +226,13 @@ fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {
     for drive in &bus.drives {
         assert_eq!(drive.with(|drive| drive.stored_settings().id), id(1), "nothing was changed");
     }
+}
+
+fn a_motor_that_answers_late_is_one_motor<W: Wire>() {
+    // Later than the master waits before it asks again: both questions are answered then.
+    let late = millis(30);
+    let bus = W::drives(&Fleet::new(1).response(late, late)).unwrap();
+    assert_eq!(bring_up::is_shared(&mut master(&bus), id(1)), Ok(false));
 }
 
 fn the_only_motor_gets_its_new_id_for_good<W: Wire>() {

@@ -14,7 +14,7 @@ use crate::io::asking::CallError;
 use crate::io::async_bring_up::{is_there, restart, scan};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::BringUpError;
-use crate::master::{Event, Failure, MotorSet};
+use crate::master::{Event, Failure, MotorSet, Patience};
 use crate::opcode::Opcode;
 use crate::time::Duration;
 
@@ -22,6 +22,10 @@ use crate::time::Duration;
 const ACKNOWLEDGED_IN: Duration = Duration::from_millis(100);
 /// How long a second answer may take behind the first: an adapter may hold it back for 16 ms.
 const SECOND_ANSWER: Duration = Duration::from_millis(25);
+/// How long the first answer may take, on a busy machine say.
+const ANSWERED_IN: Duration = Duration::from_millis(100);
+/// How often a question is put that is lost, or whose answers are, as those of two motors on a line.
+const ATTEMPTS: usize = 3;
 /// How often all is asked that tells two motors of one id apart.
 const ROUNDS: usize = 3;
 
@@ -126,23 +130,28 @@ pub async fn is_shared<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// Whether exactly one readable answer comes.
-async fn answers_once<R: AsyncRunner<N>, C: Command, const N: usize>(
+async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
     runner: &mut R,
     id: MotorId,
     command: C,
 ) -> Result<bool, CallError<R::Error>> {
-    let mut is_once = true;
-    let mut hear = |event| {
-        if matches!(event, Event::Stray { motor, .. } if motor == id) {
-            is_once = false;
+    // Asked again while an answer is late, one motor would answer twice, too.
+    let patience = Patience { reply_timeout: ANSWERED_IN, attempts: 1 };
+    for _ in 0..ATTEMPTS {
+        let mut is_once = true;
+        let mut hear = |event| {
+            if matches!(event, Event::Stray { motor, .. } if motor == id) {
+                is_once = false;
+            }
+        };
+        match runner.ask_with(id, command, Some(patience), &mut hear).await {
+            Ok(_) => {}
+            Err(CallError::Failed(Failure::NoReply | Failure::Unreadable(_))) => continue,
+            Err(error) => return Err(error),
         }
-    };
-    match runner.ask_with(id, command, None, &mut hear).await {
-        Ok(_) => {}
-        Err(CallError::Failed(Failure::NoReply | Failure::Unreadable(_))) => return Ok(false),
-        Err(error) => return Err(error),
+        let both_have_answered = runner.now() + SECOND_ANSWER;
+        runner.run_until(both_have_answered, hear).await?;
+        return Ok(is_once);
     }
-    let both_have_answered = runner.now() + SECOND_ANSWER;
-    runner.run_until(both_have_answered, hear).await?;
-    Ok(is_once)
+    Ok(false)
 }
