@@ -270,6 +270,14 @@ mod tests {
         }
         filter.sent(frame(Stop), ms(6));
         assert!(filter.is_echo(&frame(Stop)));
+        // Two drives may have lost their master, and each has ignored one.
+        let mut both = EchoFilter::new(false);
+        for motor in [1, 2, 3] {
+            let address = MotorId::new(motor).unwrap().into();
+            both.sent(Frame { address, ..frame(ReadStatus1) }, ms(2));
+            assert!(both.is_echo(&Frame { address, ..frame(ReadStatus1) }));
+            assert!(!both.is_echoing(), "{motor}");
+        }
         // Noise may take one; but it is none if it then stays away.
         let miss = |filter: &mut EchoFilter, at| {
             filter.sent(frame(ReadStatus1), ms(at));

@@ -14,6 +14,8 @@ enum State {
     #[default]
     None,
     Waiting,
+    /// It was told that it is over, and handed back then: it goes once more, and nothing is told of that.
+    Again,
     InFlight,
     /// It was sent and nobody is expected to answer; to be told.
     Sent,
@@ -37,8 +39,9 @@ pub(super) struct Broadcast {
     heard: MotorSet,
     /// When one was put last that ends motion.
     ended_motion: Option<Instant>,
-    /// It may move whoever has not answered it.
+    /// The last one that was sent may move whoever is not in `heard`, and one before it these.
     moves: bool,
+    moved_before: MotorSet,
     /// Nothing was heard on the bus since: it may be cut, and what moves in a mailbox, for as long as that lasts.
     is_unheard: bool,
     /// While `may_be_late` or `moves`: until when.
@@ -64,11 +67,11 @@ impl Broadcast {
     /// Requests wait while it waits or is in flight. Not until it is told that it is over: who then begins
     /// the next one at once would keep them back for ever.
     pub(super) fn keeps_requests_back(&self) -> bool {
-        matches!(self.state, State::Waiting | State::InFlight)
+        self.is_waiting() || self.is_in_flight()
     }
 
     pub(super) fn is_waiting(&self) -> bool {
-        self.state == State::Waiting
+        matches!(self.state, State::Waiting | State::Again)
     }
 
     pub(super) fn waits_to_move(&self) -> bool {
@@ -80,9 +83,10 @@ impl Broadcast {
     }
 
     pub(super) fn cancel(&mut self) {
-        if self.is_active() {
-            self.state = State::Done;
-        }
+        self.state = match self.state {
+            State::None | State::Again => State::None,
+            _ => State::Done,
+        };
     }
 
     /// A motor is to end its motion: what may move all motors may move that one.
@@ -110,21 +114,37 @@ impl Broadcast {
     pub(super) fn was_sent(&mut self, now: Instant, config: &Config) {
         let has_reply = self.kind.is_some_and(Kind::has_reply);
         let awaits_reply = has_reply && !self.expected.is_empty();
-        self.state = if awaits_reply { State::InFlight } else { State::Sent };
+        self.state = match self.state {
+            State::Again => State::None,
+            _ if awaits_reply => State::InFlight,
+            _ => State::Sent,
+        };
         self.sent = now;
         self.deadline = now + config.reply_timeout;
         self.may_be_late = has_reply;
         self.sent_byte = self.data[0];
+        if self.moves {
+            // Who answers one of the two may be moved by the other yet.
+            self.moved_before = MotorSet::ALL.without(self.heard.without(self.moved_before));
+        }
         self.heard = MotorSet::EMPTY;
-        self.moves |= self.kind.is_some_and(Kind::may_move);
-        self.is_unheard = self.moves && !config.is_rs485();
+        self.moves = self.kind.is_some_and(Kind::may_move);
+        self.is_unheard = self.may_move_any() && !config.is_rs485();
         self.late_until = self.late_until.max(self.deadline + config.late_window);
+    }
+
+    /// What was sent last is answered no more, and what moves has reached the drives or never will.
+    fn is_over_for_good(&mut self) {
+        self.may_be_late = false;
+        if !self.is_unheard {
+            (self.moves, self.moved_before) = (false, MotorSet::EMPTY);
+        }
     }
 
     /// Something was heard on the bus: what lay in a mailbox all the time comes now.
     pub(super) fn bus_is_alive(&mut self, now: Instant, late_window: Duration) {
-        if core::mem::take(&mut self.is_unheard) && self.late_until <= now {
-            self.late_until = now + late_window;
+        if core::mem::take(&mut self.is_unheard) {
+            self.extend(now + late_window);
         }
     }
 
@@ -134,9 +154,13 @@ impl Broadcast {
         self.may_be_late && self.sent_byte == byte && !motors.without(self.heard).is_empty()
     }
 
-    /// Whether what was sent last may still reach this motor and move it.
+    /// Whether what was sent may still reach this motor and move it.
     pub(super) fn may_move(&self, motor: MotorId) -> bool {
-        self.moves && !self.heard.contains(motor)
+        self.moves && !self.heard.contains(motor) || self.moved_before.contains(motor)
+    }
+
+    fn may_move_any(&self) -> bool {
+        self.moves || !self.moved_before.is_empty()
     }
 
     /// When all were told last to end their motion.
@@ -193,23 +217,27 @@ impl Broadcast {
     }
 
     /// A controller has handed it back: it was never on the bus, and moves nobody. Of an earlier one nobody
-    /// waits for an answer any more.
-    pub(super) fn was_pushed_out(&mut self, packet: &Packet) {
+    /// waits for an answer any more; but all are told to end their motion, unless they were stopped since.
+    pub(super) fn was_pushed_out(&mut self, packet: &Packet, is_any_stopped: bool) {
         if self.packet().as_ref() != Some(packet) {
             return;
         }
-        // An earlier one may still move what this would not have moved.
-        self.moves &= !self.kind.is_some_and(Kind::may_move);
-        if matches!(self.state, State::InFlight | State::Sent) {
-            self.state = State::Waiting;
-            // Nobody has heard it, so that it need not wait for answers to itself.
-            self.may_be_late = false;
-        }
+        self.moves = false;
+        self.state = match self.state {
+            State::InFlight | State::Sent => State::Waiting,
+            State::None if !is_any_stopped && self.kind.is_some_and(Kind::ends_motion) => {
+                State::Again
+            }
+            _ => return,
+        };
+        // Nobody has heard it, so that it need not wait for answers to itself.
+        self.may_be_late = false;
     }
 
     /// Until when something may have to wait for late answers.
     pub(super) fn late_until(&self) -> Option<Instant> {
-        (self.may_be_late || self.moves && !self.is_unheard).then_some(self.late_until)
+        let is_over = !self.may_be_late && (self.is_unheard || !self.may_move_any());
+        (!is_over).then_some(self.late_until)
     }
 
     /// The silent ones of a broadcast that is over, once.
@@ -237,8 +265,7 @@ impl<const N: usize> Master<N> {
             self.broadcast.cancel();
         }
         if self.broadcast.late_until <= now {
-            self.broadcast.may_be_late = false;
-            self.broadcast.moves &= self.broadcast.is_unheard;
+            self.broadcast.is_over_for_good();
         }
         if !self.broadcast.is_in_flight() || self.broadcast.deadline > now {
             return;

@@ -111,7 +111,10 @@ impl<const N: usize> Master<N> {
                     motor.drop_what_is_too_old(now);
                 });
             }
-            Channel::Command(Target::All) | Channel::BusId => self.broadcast.was_pushed_out(packet),
+            Channel::Command(Target::All) | Channel::BusId => {
+                let is_any_stopped = self.stops_all || !self.stopped.is_empty();
+                self.broadcast.was_pushed_out(packet, is_any_stopped);
+            }
             Channel::Reply(_) | Channel::MotionReply(_) => {}
         }
     }

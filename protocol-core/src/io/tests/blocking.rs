@@ -9,7 +9,7 @@ use embedded_can::nb::Can as _;
 
 use super::world::{Broken, TestCan, TestClock, TestSerial, on_can, on_rs485};
 use super::{id, step, torque};
-use crate::command::{NoReply, ReadMultiTurnAngle, Reset, Stop};
+use crate::command::{NoReply, ReadMultiTurnAngle, ReadStatus1, Reset, Stop};
 use crate::error::RequestError;
 use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster, bring_up};
 use crate::master::{Config, Event, Failure, StopKind};
@@ -293,6 +293,45 @@ fn the_first_stop_on_an_adapter_is_not_confirmed_by_an_echo_that_nobody_told_of(
     let (port, _, mut arm) = serial();
     arm.stop_all(StopKind::Hold, id(1).into());
     assert_eq!(port.written()[..4], [0x3E, 0xCD, 8, 0x81]);
+}
+
+#[test]
+fn an_echo_that_was_lost_for_a_while_is_asked_for_again_before_it_can_confirm_a_stop() {
+    let (port, clock, mut arm) = serial();
+    port.state().echoes = true;
+    assert!(!arm.stop(id(9), StopKind::Hold), "nobody is there");
+    // A short circuit on the line, behind which the adapter hears not even itself.
+    port.state().echoes = false;
+    for _ in 0..4 {
+        assert!(arm.ask(id(9), ReadStatus1).is_err());
+        run(&mut arm, &clock, 200_000);
+    }
+    // And it is gone.
+    port.state().echoes = true;
+    assert!(!arm.stop(id(9), StopKind::Off), "nobody is there");
+}
+
+#[test]
+fn what_shows_an_echo_has_not_gone_while_the_port_fails() {
+    let (port, clock, mut arm) = serial();
+    port.state().echoes = true;
+    port.state().write_fails = true;
+    arm.master().stop(id(9), StopKind::Hold).unwrap();
+    for _ in 0..4 {
+        assert_eq!(arm.poll(), Err(Broken));
+        clock.advance(2_000);
+    }
+    port.state().write_fails = false;
+    assert_eq!(run(&mut arm, &clock, 500_000), [Event::StopUnconfirmed { motor: id(9) }]);
+    assert_eq!(port.written()[1], 33, "it goes first");
+}
+
+#[test]
+fn another_master_that_asks_whether_its_adapter_echoes_shows_nothing_of_this_one() {
+    let (port, _, mut arm) = serial();
+    let other: [u8; 13] = [0x3E, 33, 8, 0x9A, 0, 0, 0, 0, 0, 0, 0, 0x73, 0x70];
+    port.hear(&other);
+    assert!(arm.stop(id(1), StopKind::Hold), "its answer is none of this one's echoes");
 }
 
 #[test]

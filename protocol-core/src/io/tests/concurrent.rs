@@ -143,6 +143,21 @@ fn a_serial_port_that_stalls_counts_as_a_bus_that_is_down() {
 }
 
 #[test]
+fn what_shows_an_echo_has_not_gone_while_the_port_fails() {
+    let (port, clock, mut arm) = serial();
+    port.state().echoes = true;
+    port.state().write_fails = true;
+    arm.master().stop(id(9), StopKind::Hold).unwrap();
+    for _ in 0..4 {
+        assert_eq!(block_on(arm.next_event()), Err(Broken));
+        clock.advance(2_000);
+    }
+    port.state().write_fails = false;
+    let told = block_on(arm.next_event());
+    assert_eq!(told, Ok(Event::StopUnconfirmed { motor: id(9) }), "nobody is there");
+}
+
+#[test]
 fn what_a_serial_port_has_taken_counts_as_sent_whatever_fails_then() {
     let (port, _, mut arm) = used_serial();
     port.state().flush_fails = true;

@@ -1,0 +1,151 @@
+//! What lies in a controller's mailbox while others overtake it, or while the bus is cut.
+
+use super::*;
+
+const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
+
+fn confirmed(motor: u8) -> Option<Event> {
+    Some(Event::StopConfirmed { motor: id(motor) })
+}
+
+/// The stop that is sent at this time and answered a millisecond later.
+fn is_stop_confirmed(master: &mut Master<2>, at: Instant) -> bool {
+    assert_eq!(sent(master, at).len(), 1, "{at:?}");
+    reply(master, 1, Shutdown.encode(), at + Duration::from_millis(1)) == confirmed(1)
+}
+
+#[test]
+fn of_two_commands_to_all_that_move_the_answer_to_one_says_nothing_of_the_other() {
+    // Nobody is known or expected, so that the second goes at once.
+    let mut master = Master::<2>::new(Config::CAN);
+    for _ in 0..2 {
+        master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(0)).len(), 1);
+        events(&mut master, ms(0));
+    }
+    // The first one is on the bus; the stop overtakes the second.
+    reply(&mut master, 1, TORQUE_REPLY, ms(1));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert!(!is_stop_confirmed(&mut master, ms(1)), "the second one moves it yet");
+    let at = master.poll_at().unwrap();
+    assert!(at > ms(60) && at < ms(70), "{at:?}");
+    assert!(is_stop_confirmed(&mut master, at));
+}
+
+#[test]
+fn a_cut_bus_may_hold_two_commands_to_all_that_move() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    // Here the bus is cut.
+    for now in [10, 450] {
+        master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(now)).len(), 1);
+        events(&mut master, ms(now + 40));
+    }
+    // And here it is whole again.
+    reply(&mut master, 1, TORQUE_REPLY, ms(500));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert!(!is_stop_confirmed(&mut master, ms(500)), "the second one moves it yet");
+    let at = master.poll_at().unwrap();
+    assert!(at > ms(540) && at < ms(550), "{at:?}");
+    assert!(is_stop_confirmed(&mut master, at));
+}
+
+#[test]
+fn whoever_has_answered_each_command_to_all_is_moved_by_none_of_them() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for now in [0, 2, 4] {
+        master.broadcast(torque(1.0), id(1).into()).unwrap();
+        assert_eq!(sent(&mut master, ms(now)).len(), 1);
+        reply(&mut master, 1, TORQUE_REPLY, ms(now + 1)).unwrap();
+        events(&mut master, ms(now + 1));
+    }
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert!(is_stop_confirmed(&mut master, ms(6)));
+}
+
+#[test]
+fn the_second_command_to_all_that_was_handed_back_says_nothing_of_the_first() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let mut last = None;
+    for amperes in [1.0, 2.0] {
+        master.broadcast(torque(amperes), MotorSet::EMPTY).unwrap();
+        last = sent(&mut master, ms(0)).pop();
+        events(&mut master, ms(0));
+    }
+    master.stop(id(1), StopKind::Off).unwrap();
+    master.handle_pushed_out(&last.unwrap());
+    assert!(!is_stop_confirmed(&mut master, ms(1)), "the first one moves it yet");
+}
+
+#[test]
+fn what_ends_the_motion_of_all_and_is_handed_back_is_sent_again_whatever_was_told() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for end in [Shutdown.encode(), Stop.encode()] {
+        let raw = RawCommand::new(end, ReplyRule::Same, false);
+        master.broadcast(raw, MotorSet::EMPTY).unwrap();
+        let in_mailbox = sent(&mut master, ms(0))[0];
+        let done = [Event::BroadcastDone { silent: MotorSet::EMPTY }];
+        assert_eq!(events(&mut master, ms(0)), done);
+        // Another motor's command is more urgent.
+        master.handle_pushed_out(&in_mailbox);
+        assert_eq!(sent(&mut master, ms(0)), [in_mailbox], "nobody has heard it");
+        assert_eq!(events(&mut master, ms(0)), [], "that was told");
+    }
+    // A stop that came after it is not to be undone by it: a load that is held would fall.
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    let in_mailbox = sent(&mut master, ms(100))[0];
+    events(&mut master, ms(100));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(sent(&mut master, ms(100))[0].data, Stop.encode());
+    reply(&mut master, 1, Stop.encode(), ms(101)).unwrap();
+    assert_eq!(sent(&mut master, ms(101)), []);
+    // Nor one that comes while it waits to go again.
+    master.lift_stop();
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    let in_mailbox = sent(&mut master, ms(200))[0];
+    events(&mut master, ms(200));
+    master.handle_pushed_out(&in_mailbox);
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(200))[0].data, Stop.encode());
+    reply(&mut master, 1, Stop.encode(), ms(201)).unwrap();
+    assert_eq!(sent(&mut master, ms(201)), []);
+    assert_eq!(events(&mut master, ms(201)), []);
+    master.lift_stop();
+    // Of a question nobody waits for an answer any more.
+    master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    let in_mailbox = sent(&mut master, ms(300))[0];
+    events(&mut master, ms(300));
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(sent(&mut master, ms(300)), []);
+}
+
+#[test]
+fn a_bus_that_is_whole_again_just_before_the_window_ends_has_all_of_it() {
+    for is_to_all in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        for motor in [1, 2] {
+            let _ = ask(&mut master, motor, ReadMultiTurnAngle, ms(0));
+            reply(&mut master, motor, ANGLE_REPLY, ms(1)).unwrap();
+        }
+        // Here the bus is cut. This may be on its way until 63.2 ms, or 63.8 where it is given up at 23 ms.
+        if is_to_all {
+            master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+        } else {
+            master.set_point(id(1), motion(), ms(2)).unwrap();
+        }
+        sent(&mut master, ms(2));
+        events(&mut master, ms(23));
+        let whole_again = if is_to_all { ms(62) } else { ms(63) };
+        reply(&mut master, 2, ANGLE_REPLY, whole_again);
+        events(&mut master, whole_again);
+        events(&mut master, ms(64));
+        master.stop(id(1), StopKind::Off).unwrap();
+        assert!(!is_stop_confirmed(&mut master, ms(66)), "to all: {is_to_all}");
+        let at = master.poll_at().unwrap();
+        assert!(at > ms(100) && at < ms(110), "{at:?}");
+        assert!(is_stop_confirmed(&mut master, at));
+    }
+}
