@@ -94,8 +94,12 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         let mut rest = bytes.as_slice();
         let outcome = select(write(serial, &mut rest), patience).await;
         // What the port has taken may be heard, and answered, whatever fails then.
-        sending.is_over = rest.len() == bytes.len();
+        let is_refused = rest.len() == bytes.len();
+        sending.is_over = is_refused;
         drop(sending);
+        if is_refused {
+            self.line.was_refused(&bytes);
+        }
         match outcome {
             Either::First(Ok(true)) => self.unflushed = false,
             Either::First(Ok(false)) | Either::Second(()) => {

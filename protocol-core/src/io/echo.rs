@@ -1,5 +1,6 @@
 //! What an RS485 adapter hands back of one's own bytes.
 
+use crate::id::Target;
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::{FRAME_LENGTH, Frame, HEADER};
@@ -19,9 +20,9 @@ const SENDINGS: usize = 8;
 /// sent counts: without a drive that answers, nothing is left.
 ///
 /// An echo that nobody configured is found by what comes back and no drive sends: a frame that nobody answers, by
-/// which the loops ask, or one to all, with which a stop of all motors begins. Or by two sendings in a row that
-/// come back although no reply to them can be the same bytes; and is none if four of them in a row then do not
-/// come back.
+/// which the loops ask, or one to all, with which a stop of all motors begins. Or by two sendings to one motor that
+/// come back although no reply to them can be the same bytes: one may have lost its master and ignored the first.
+/// And is none if four of them in a row then do not come back.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
@@ -36,8 +37,8 @@ pub struct EchoFilter {
 enum Adapter {
     /// It echoes, as was said.
     Echoes,
-    /// It does not, as was said, and nothing speaks against it but what the last sending may have.
-    IsQuiet { suspected: bool },
+    /// It does not, as was said, and nothing speaks against it but that of a frame to this one.
+    IsQuiet { suspected: Option<Target> },
     /// It echoes, as was found; but so many in a row have not come back since.
     FoundEchoing { missing: u8 },
 }
@@ -46,7 +47,7 @@ impl EchoFilter {
     /// For an adapter that is said to echo, or not to.
     pub const fn new(is_echoing: bool) -> Self {
         let adapter =
-            if is_echoing { Adapter::Echoes } else { Adapter::IsQuiet { suspected: false } };
+            if is_echoing { Adapter::Echoes } else { Adapter::IsQuiet { suspected: None } };
         Self { adapter, sent: [None; SENDINGS], empty_at: Instant::ZERO }
     }
 
@@ -78,8 +79,10 @@ impl EchoFilter {
             Adapter::Echoes => {}
             Adapter::FoundEchoing { .. } if can_be_a_reply(frame) => {}
             Adapter::IsQuiet { .. } if can_be_a_reply(frame) => return false,
-            Adapter::IsQuiet { suspected: false } if frame.as_reply().is_some() => {
-                self.adapter = Adapter::IsQuiet { suspected: true };
+            Adapter::IsQuiet { suspected }
+                if frame.as_reply().is_some() && suspected != Some(frame.address) =>
+            {
+                self.adapter = Adapter::IsQuiet { suspected: suspected.or(Some(frame.address)) };
             }
             Adapter::IsQuiet { .. } | Adapter::FoundEchoing { .. } => {
                 self.adapter = Adapter::FoundEchoing { missing: 0 };
@@ -119,7 +122,7 @@ impl Adapter {
             Self::FoundEchoing { missing } if missing < MISSING => {
                 Self::FoundEchoing { missing: missing + 1 }
             }
-            Self::FoundEchoing { .. } | Self::IsQuiet { .. } => Self::IsQuiet { suspected: false },
+            Self::FoundEchoing { .. } | Self::IsQuiet { .. } => Self::IsQuiet { suspected: None },
         }
     }
 }
@@ -141,8 +144,10 @@ impl Probe {
         [0x3E, 33, 0x08, 0x9A, 0, 0, 0, 0, 0, 0, 0, 0x73, 0x70];
 
     /// Noise may spoil one.
+    const TIMES: u8 = 2;
+
     pub(super) const fn new() -> Self {
-        Self { left: 2, matched: 0 }
+        Self { left: Self::TIMES, matched: 0 }
     }
 
     /// Whether it is to be sent now.
@@ -152,13 +157,18 @@ impl Probe {
         is_due
     }
 
-    /// Whether with this byte it has come back.
+    /// It has not left.
+    pub(super) fn was_refused(&mut self) {
+        self.left += 1;
+    }
+
+    /// Whether with this byte it has come back. Before it was sent that is another master's.
     pub(super) fn has_come_back(&mut self, byte: u8) -> bool {
         // None of its bytes is like the first.
         let matched = if byte == HEADER { 0 } else { self.matched };
         let is_next = Self::FRAME.get(matched) == Some(&byte);
         self.matched = if is_next { matched + 1 } else { 0 };
-        self.matched == FRAME_LENGTH
+        self.matched == FRAME_LENGTH && self.left < Self::TIMES
     }
 }
 
@@ -177,7 +187,7 @@ pub(super) fn can_be_a_reply(command: &Frame) -> bool {
 mod tests {
     use super::*;
     use crate::command::{Command, ReadStatus1, Stop};
-    use crate::id::{MotorId, Target};
+    use crate::id::MotorId;
     use crate::packet::{Channel, Packet};
 
     fn frame(command: impl Command) -> Frame {
@@ -215,6 +225,7 @@ mod tests {
     #[test]
     fn the_probe_is_known_by_all_of_its_bytes_in_a_row() {
         let mut probe = Probe::new();
+        assert!(probe.is_due());
         let mut backs = |bytes: &[u8]| bytes.iter().filter(|&&it| probe.has_come_back(it)).count();
         let (start, rest) = Probe::FRAME.split_at(5);
         assert_eq!(backs(&[0x00, 0x3E]) + backs(&Probe::FRAME), 1);

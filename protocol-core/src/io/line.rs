@@ -68,9 +68,21 @@ impl Line {
         Some(frame.encode())
     }
 
+    /// The port has taken nothing of what was to be sent.
+    pub(super) fn was_refused(&mut self, bytes: &[u8; FRAME_LENGTH]) {
+        if *bytes == Probe::FRAME {
+            self.probe.was_refused();
+        }
+    }
+
     /// The port holds nothing now.
     pub(super) fn found_empty(&mut self, now: Instant) {
+        let was_echoing = self.echoes.is_echoing();
         self.echoes.found_empty(now);
+        if was_echoing && !self.echoes.is_echoing() {
+            // The line may have been out of order, and be well again.
+            self.probe = Probe::new();
+        }
     }
 
     /// Where to read to, once [`take`](Self::take) has given its last event.
