@@ -227,6 +227,8 @@ const FAIL_ONCE: u32 = 1;
 const FAIL: u32 = 2;
 const PANIC_ONCE: u32 = 3;
 const REFUSE: u32 = 4;
+const BLOCK: u32 = 5;
+const BLOCKED: u32 = 6;
 
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
@@ -243,7 +245,19 @@ impl Runner<8> for Fragile {
     }
 
     fn poll(&mut self) -> Result<Option<Event>, CanError> {
-        let order = self.1.load(Ordering::SeqCst);
+        let mut order = self.1.load(Ordering::SeqCst);
+        if order == BLOCK {
+            // A write that takes 100 ms, in which somebody gives another order.
+            self.1.store(BLOCKED, Ordering::SeqCst);
+            while self.1.load(Ordering::SeqCst) == BLOCKED {
+                thread::yield_now();
+            }
+            let end = self.now() + Duration::from_millis(100);
+            while self.now() < end {
+                self.0.idle(end);
+            }
+            order = self.1.load(Ordering::SeqCst);
+        }
         if order != FAIL && order != REFUSE {
             self.1.store(WORK, Ordering::SeqCst);
         }
@@ -303,6 +317,31 @@ fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
     }
     order.store(WORK, Ordering::SeqCst);
     assert_eq!(stopping.join().unwrap().unwrap(), MotorSet::EMPTY);
+}
+
+#[test]
+fn a_set_point_that_waited_for_a_blocked_bus_is_too_old() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    let (log, mut events) = (fleet.world.log(), bus.subscribe(100));
+    for outcome in [WORK, FAIL_ONCE] {
+        order.store(BLOCK, Ordering::SeqCst);
+        while order.load(Ordering::SeqCst) != BLOCKED {
+            thread::yield_now();
+        }
+        bus.set_point(id(1), turn(90.0)).unwrap();
+        order.store(outcome, Ordering::SeqCst);
+        assert_eq!(events.next(), Some(Event::SetPointDropped { motor: id(1) }));
+    }
+    // The error of the bus is told to somebody.
+    while bus.ask(id(1), ReadStatus1).is_err() {}
+    assert!(packets(&log).iter().all(|packet| packet.data[0] == 0x9A), "it would move a bus late");
+    // A bus that idles takes one at once.
+    bus.set_point(id(1), turn(90.0)).unwrap();
+    assert!(matches!(
+        events.find(|it| !matches!(it, Event::Reply { .. })),
+        Some(Event::Feedback { .. })
+    ));
 }
 
 #[test]

@@ -23,7 +23,9 @@ const NEVER: Instant = Instant::from_micros(u64::MAX);
 
 /// Runs the bus until nobody has a handle any more, or its driver panics. Then stops all motors.
 pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
-    let mut worker = Worker { runner, asked: Vec::new(), stopping: Vec::new(), turn_ends: None };
+    let looked_at = runner.now();
+    let (asked, stopping) = (Vec::new(), Vec::new());
+    let mut worker = Worker { runner, asked, stopping, turn_ends: None, looked_at };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
     if let Err(payload) = outcome {
         desk.end(Some(words(&*payload)));
@@ -53,6 +55,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     stopping: Vec<Stopping<R::Error>>,
     /// Until when the first of the questions that wait for their turn does so.
     turn_ends: Option<Instant>,
+    /// When the desk was looked at last, or waiting for what comes there ended: what lies there now may be as old.
+    looked_at: Instant,
 }
 
 /// A question that was put.
@@ -74,6 +78,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     fn round(&mut self, desk: &Desk<R::Error>) -> bool {
         self.turn_ends = None;
         let goes_on = desk.take(self);
+        self.looked_at = self.runner.now();
         match self.runner.poll() {
             Ok(Some(event)) => {
                 // Who has its answer and then subscribes gets nothing older.
@@ -137,6 +142,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         } else {
             desk.wait_for_callers(LONGEST_IDLE.into());
         }
+        self.looked_at = self.runner.now();
     }
 
     /// Tells everybody who waits, and lets the bus rest.
@@ -190,7 +196,9 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
     }
 
     fn set_point(&mut self, motor: MotorId, set_point: Untyped) -> Result<(), RequestError> {
-        self.runner.set_point(motor, set_point)
+        // A driver may have been busy for long since then.
+        let put_at = self.looked_at;
+        self.runner.master().set_point(motor, set_point, put_at)
     }
 
     fn put(&mut self, mut question: Question<R::Error>) -> Option<Question<R::Error>> {
