@@ -34,9 +34,9 @@ const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 /// | `slcan:/dev/ttyACM0@1000000` | SLCAN adapter on a serial port, bit rate of the CAN bus in bit/s |
 /// | `rs485:/dev/ttyUSB0@115200` | RS485 adapter on a serial port, bit rate of the line in bit/s |
 /// | `rs485:/dev/ttyUSB0@115200,echo` | one that hands back what it sends |
-/// | `rs485:/dev/ttyUSB0@115200,noecho` | one that does not |
 ///
-/// Without `echo` it is found out in use: see [`Echo::Unknown`].
+/// Without `echo` it is found out: before the first command whose echo may pass for its answer the status of motor
+/// 33 is read, which no motor can be. If that comes back it is an echo.
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
@@ -72,33 +72,9 @@ pub enum BusAddress {
         path: PathBuf,
         /// The bit rate of the line in bit/s, 1200 to 12000000.
         bit_rate: u32,
-        /// Whether the adapter hands back what it sends.
-        echo: Echo,
+        /// Whether the adapter is said to hand back what it sends.
+        echo: bool,
     },
-}
-
-/// What an address says about an RS485 adapter: whether it hands back what it sends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Echo {
-    /// It does.
-    Present,
-    /// It does not, which is not relied on: see [`Unknown`](Self::Unknown).
-    Absent,
-    /// Nothing is said. Before the first command whose echo may pass for its answer the status of motor 33 is read,
-    /// which no motor can be: if that comes back it is an echo.
-    #[default]
-    Unknown,
-}
-
-impl Echo {
-    /// As it stands behind the comma of an address; `None` where nothing stands there.
-    const fn word(self) -> Option<&'static str> {
-        match self {
-            Self::Present => Some("echo"),
-            Self::Absent => Some("noecho"),
-            Self::Unknown => None,
-        }
-    }
 }
 
 impl BusAddress {
@@ -163,8 +139,7 @@ impl BusAddress {
                 Config::can(rate.bits_per_second()).adapting_up_to(LONGEST_REPLY_TIMEOUT)
             }
             Self::Rs485 { bit_rate, echo, .. } => {
-                let echo = matches!(echo, Echo::Present);
-                Config::rs485(*bit_rate, echo).adapting_up_to(LONGEST_REPLY_TIMEOUT)
+                Config::rs485(*bit_rate, *echo).adapting_up_to(LONGEST_REPLY_TIMEOUT)
             }
         }
     }
@@ -183,7 +158,7 @@ impl fmt::Display for BusAddress {
             }
             Self::Rs485 { path, bit_rate, echo } => {
                 write!(f, "rs485:{}@{bit_rate}", path.display())?;
-                echo.word().map_or(Ok(()), |word| write!(f, ",{word}"))
+                f.write_str(if *echo { ",echo" } else { "" })
             }
         }
     }
@@ -254,12 +229,10 @@ fn slcan(port: &str) -> Result<BusAddress, Unexpected> {
 fn rs485(port: &str) -> Result<BusAddress, Unexpected> {
     let (path, rate) = path_and_rate("rs485", "115200", port)?;
     let (rate, echo) = match rate.split_once(',') {
-        None => (rate, Echo::Unknown),
-        Some((rate, "echo")) => (rate, Echo::Present),
-        Some((rate, "noecho")) => (rate, Echo::Absent),
+        None => (rate, false),
+        Some((rate, "echo")) => (rate, true),
         Some((_, found)) => {
-            let words = "\"echo\", \"noecho\" or no comma";
-            return Err(Unexpected::new(words, format!(",{found}")));
+            return Err(Unexpected::new("\"echo\" or no comma", format!(",{found}")));
         }
     };
     let bit_rate = BusAddress::line_rate(rate)?;
@@ -314,15 +287,12 @@ mod tests {
         let rs485 = |path: &str, bit_rate, echo| {
             Ok(BusAddress::Rs485 { path: path.into(), bit_rate, echo })
         };
-        assert_eq!(
-            parse("rs485:/dev/ttyUSB0@115200"),
-            rs485("/dev/ttyUSB0", 115_200, Echo::Unknown)
-        );
-        let (fast, slow) = ("rs485:/dev/ttyS1@2500000,echo", "rs485:/dev/ttyS1@1200,noecho");
-        assert_eq!(parse(fast), rs485("/dev/ttyS1", 2_500_000, Echo::Present));
-        assert_eq!(parse(slow), rs485("/dev/ttyS1", 1_200, Echo::Absent));
+        assert_eq!(parse("rs485:/dev/ttyUSB0@115200"), rs485("/dev/ttyUSB0", 115_200, false));
+        let (fast, slow) = ("rs485:/dev/ttyS1@2500000,echo", "rs485:/dev/ttyS1@1200");
+        assert_eq!(parse(fast), rs485("/dev/ttyS1", 2_500_000, true));
+        assert_eq!(parse(slow), rs485("/dev/ttyS1", 1_200, false));
         let by_path = "/dev/serial/by-path/pci@1:0,usb";
-        assert_eq!(parse(&format!("rs485:{by_path}@9600")), rs485(by_path, 9_600, Echo::Unknown));
+        assert_eq!(parse(&format!("rs485:{by_path}@9600")), rs485(by_path, 9_600, false));
     }
 
     #[test]
@@ -335,7 +305,7 @@ mod tests {
             ("slcan:/dev/ttyACM0@500000", BusKind::Can, Some(500_000)),
             ("rs485:/dev/ttyUSB0@115200", BusKind::Rs485, Some(115_200)),
             ("rs485:/dev/ttyUSB0@2500000,echo", BusKind::Rs485, Some(2_500_000)),
-            ("rs485:/dev/ttyUSB0@9600,noecho", BusKind::Rs485, Some(9_600)),
+            ("rs485:/dev/ttyUSB0@9600", BusKind::Rs485, Some(9_600)),
         ] {
             let bus = parse(text).unwrap();
             assert_eq!(bus.to_string(), text);
@@ -364,7 +334,7 @@ mod tests {
 
     #[test]
     fn only_what_is_said_of_an_echo_is_configured() {
-        for (text, is_configured) in [("", false), (",echo", true), (",noecho", false)] {
+        for (text, is_configured) in [("", false), (",echo", true)] {
             let bus = parse(&format!("rs485:/dev/ttyUSB0@115200{text}")).unwrap();
             let expected = Config::rs485(115_200, is_configured).bus;
             assert_eq!(bus.config().bus, expected, "{text}");
@@ -380,7 +350,7 @@ mod tests {
         const RS485: &str = "a serial port and a bit rate such as rs485:/dev/ttyUSB0@115200";
         const CAN_RATE: &str = "a bit rate that SLCAN adapters know (10000, 20000, 50000, 100000, \
                                 125000, 250000, 500000, 800000, 1000000)";
-        const ECHO: &str = "\"echo\", \"noecho\" or no comma";
+        const ECHO: &str = "\"echo\" or no comma";
         const LINE_RATE: &str = "a bit rate from 1200 to 12000000 bit/s";
         for (text, expected, found) in [
             ("", BUS, ""),
@@ -407,6 +377,7 @@ mod tests {
             ("rs485:/dev/ttyUSB0@115200 ", LINE_RATE, "115200 "),
             ("rs485:/dev/ttyUSB0@115200,", ECHO, ","),
             ("rs485:/dev/ttyUSB0@115200,8n1", ECHO, ",8n1"),
+            ("rs485:/dev/ttyUSB0@115200,noecho", ECHO, ",noecho"),
         ] {
             let error = parse(text).unwrap_err();
             assert!(error.expected.starts_with(expected), "{text:?}: {error}");

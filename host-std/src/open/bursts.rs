@@ -44,8 +44,8 @@ fn a_can_adapter_with_bursts_works_with_the_configuration_of_its_address() {
 #[test]
 fn an_rs485_adapter_with_bursts_works_with_the_configuration_of_its_address() {
     for (bit_rate, echo) in [(115_200, false), (115_200, true), (1_000_000, false)] {
-        let word = if echo { "echo" } else { "noecho" };
-        let address: BusAddress = format!("rs485:/dev/ttyUSB0@{bit_rate},{word}").parse().unwrap();
+        let word = if echo { ",echo" } else { "" };
+        let address: BusAddress = format!("rs485:/dev/ttyUSB0@{bit_rate}{word}").parse().unwrap();
         let world = Fleet::new(MOTORS).on_rs485(bit_rate).unwrap().world;
         let transceiver = TransceiverConfig { echo, ..TransceiverConfig::default() };
         let port = world.port_with(transceiver);
@@ -57,7 +57,7 @@ fn an_rs485_adapter_with_bursts_works_with_the_configuration_of_its_address() {
 
 #[test]
 fn a_fast_line_keeps_its_short_time_outs() {
-    let address: BusAddress = "rs485:/dev/ttyUSB0@1000000,noecho".parse().unwrap();
+    let address: BusAddress = "rs485:/dev/ttyUSB0@1000000".parse().unwrap();
     let world = Fleet::new(MOTORS).on_rs485(1_000_000).unwrap().world;
     let mut master = SerialMaster::<_, _, 4>::new(world.port(), world.clock(), address.config());
     assert_eq!(master.master().patience(1).reply_timeout, Duration::from_millis(40));

@@ -23,7 +23,7 @@ mod any_master;
 mod bursts;
 mod error;
 
-pub use address::{BusAddress, Echo};
+pub use address::BusAddress;
 pub use any_master::AnyMaster;
 pub(crate) use any_master::Wake;
 pub use error::BusError;

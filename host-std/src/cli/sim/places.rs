@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use myactuator_host_std::open::{BusAddress, Echo};
+use myactuator_host_std::open::BusAddress;
 use myactuator_host_std::sim::RobotBus;
 use myactuator_protocol_core::MotorId;
 use serde_json::{Value, json};
@@ -60,7 +60,7 @@ impl Place {
         };
         let rate = match self.address {
             BusAddress::Rs485 { echo, .. } => {
-                let echo = if echo == Echo::Present { ", echo" } else { "" };
+                let echo = if echo { ", echo" } else { "" };
                 format!("{} bit/s{echo}", self.bit_rate)
             }
             _ => format!("CAN at {} bit/s", self.bit_rate),
@@ -149,7 +149,7 @@ mod tests {
     fn served(names: [Option<&str>; 2]) -> [Place; 3] {
         let of_line = bus(names[0], BusKind::Rs485, 115_200);
         let of_can = bus(names[1], BusKind::Can, 500_000);
-        let line = |path| BusAddress::Rs485 { path, bit_rate: 115_200, echo: Echo::Present };
+        let line = |path| BusAddress::Rs485 { path, bit_rate: 115_200, echo: true };
         let adapter = |path| BusAddress::Slcan { path, rate: Rate::Kbit500 };
         let (path, link) = (PathBuf::from("/dev/pts/7"), PathBuf::from("here/slcan"));
         [

@@ -6,7 +6,7 @@ use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 
 use myactuator_host_std::BusKind;
-use myactuator_host_std::open::{BusAddress, Echo};
+use myactuator_host_std::open::BusAddress;
 use myactuator_host_std::port::PortError;
 use myactuator_host_std::serve::{Notice, ServeError, Server};
 use myactuator_host_std::sim::RobotBus;
@@ -85,7 +85,7 @@ fn serve_line(
     let adapter = bus.adapter.transceiver();
     let path = server.serve_line(&bus.on_rs485()?, adapter)?;
     let link = links.add(&link, &path)?;
-    let (bit_rate, echo) = (bus.bit_rate, if adapter.echo { Echo::Present } else { Echo::Unknown });
+    let (bit_rate, echo) = (bus.bit_rate, adapter.echo);
     let address = |path| BusAddress::Rs485 { path, bit_rate, echo };
     Ok(vec![Place::on_terminal(bus, address, path, link)])
 }
