@@ -141,7 +141,7 @@ impl Oracle {
             }
             Event::SetPointDropped { .. } => {}
             Event::BroadcastReply { motor, reply } => self.check_broadcast(motor, &reply, truth),
-            Event::BroadcastDone { silent } => match self.broadcast.take() {
+            Event::BroadcastDone { silent, .. } => match self.broadcast.take() {
                 Some(asked) if asked.expected.without(asked.answered) == silent => {}
                 asked => truth.breaks(format!("{event:?} of {asked:?}")),
             },

@@ -81,7 +81,7 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
                 Some(Event::BroadcastReply { motor, .. }) => {
                     told[motor.index()].broadcast_replies += 1;
                 }
-                Some(Event::BroadcastDone { silent }) => {
+                Some(Event::BroadcastDone { silent, .. }) => {
                     broadcast = false;
                     silent.iter().for_each(|motor| told[motor.index()].silent += 1);
                 }

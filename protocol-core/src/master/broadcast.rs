@@ -5,7 +5,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::schedule::Earliest;
-use crate::master::{Config, Master, MotorSet};
+use crate::master::{Config, Event, Master, MotorSet};
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
@@ -21,6 +21,8 @@ enum State {
     Sent,
     /// It is over; to be told.
     Done,
+    /// It was never sent; to be told.
+    Dropped,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -85,7 +87,8 @@ impl Broadcast {
     pub(super) fn cancel(&mut self) {
         self.state = match self.state {
             State::None | State::Again => State::None,
-            _ => State::Done,
+            State::Waiting | State::Dropped => State::Dropped,
+            State::InFlight | State::Sent | State::Done => State::Done,
         };
     }
 
@@ -240,12 +243,15 @@ impl Broadcast {
         (!is_over).then_some(self.late_until)
     }
 
-    /// The silent ones of a broadcast that is over, once.
-    pub(super) fn take_result(&mut self) -> Option<MotorSet> {
-        matches!(self.state, State::Sent | State::Done).then(|| {
-            self.state = State::None;
-            self.silent()
-        })
+    /// That it is over, once.
+    pub(super) fn take_result(&mut self) -> Option<Event> {
+        let was_sent = match self.state {
+            State::Sent | State::Done => true,
+            State::Dropped => false,
+            State::None | State::Waiting | State::Again | State::InFlight => return None,
+        };
+        self.state = State::None;
+        Some(Event::BroadcastDone { silent: self.silent(), was_sent })
     }
 
     fn silent(&self) -> MotorSet {

@@ -170,11 +170,13 @@ pub enum Event {
         /// Its reply.
         reply: AnyReply,
     },
-    /// A broadcast is over: every expected motor has answered, or the time is up.
+    /// A broadcast is over: every expected motor has answered, the time is up, or it was dropped.
     BroadcastDone {
         /// The expected motors that were silent. On CAN, motors whose id filter is on
         /// ([`Target::All`](crate::Target::All)) always are.
         silent: MotorSet,
+        /// Whether it was sent: not if a stop or a bus that was down dropped it before, or a restart that was seen.
+        was_sent: bool,
     },
     /// A motor has confirmed the stop.
     StopConfirmed {

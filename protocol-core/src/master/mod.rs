@@ -412,11 +412,10 @@ impl<const N: usize> Master<N> {
     /// The next event, apart from those that [`handle_frame`](Self::handle_frame) and
     /// [`handle_line`](Self::handle_line) returned.
     pub fn poll_event(&mut self) -> Option<Event> {
-        if let Some(silent) = self.broadcast.take_result() {
-            return Some(Event::BroadcastDone { silent });
-        }
-        let place = self.places.news.iter().next()?;
-        self.change_at(place, take_news)?
+        self.broadcast.take_result().or_else(|| {
+            let place = self.places.news.iter().next()?;
+            self.change_at(place, take_news)?
+        })
     }
 
     /// How it behaves.

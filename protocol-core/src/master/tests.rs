@@ -559,7 +559,10 @@ fn a_broadcast_collects_answers_and_names_the_silent() {
     }
     let twice = reply(&mut master, 1, ANGLE_REPLY, ms(3)).unwrap();
     assert!(matches!(twice, Event::Stray { .. }));
-    assert_eq!(events(&mut master, ms(23)), [Event::BroadcastDone { silent: id(2).into() }]);
+    assert_eq!(
+        events(&mut master, ms(23)),
+        [Event::BroadcastDone { silent: id(2).into(), was_sent: true }]
+    );
 }
 
 #[test]
@@ -776,7 +779,10 @@ fn late_answers_to_a_broadcast_are_not_taken_for_others() {
         reply(&mut master, 1, ANGLE_REPLY, ms(3)),
         Some(Event::BroadcastReply { .. })
     ));
-    assert_eq!(events(&mut master, ms(24)), [Event::BroadcastDone { silent: id(2).into() }]);
+    assert_eq!(
+        events(&mut master, ms(24)),
+        [Event::BroadcastDone { silent: id(2).into(), was_sent: true }]
+    );
     let tickets = [1, 2, 3].map(|motor| master.request(id(motor), ReadMultiTurnAngle).unwrap());
     assert_eq!(sent(&mut master, ms(24)).len(), 1, "motor 1 has answered, the others may yet");
     // Another kind is not mixed up; the late answer of the unexpected motor 3 frees its request.
@@ -798,7 +804,10 @@ fn a_broadcast_waits_for_the_late_answers_to_the_one_before() {
     let mut master = Master::<4>::new(Config::CAN);
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     sent(&mut master, ms(0));
-    assert_eq!(events(&mut master, ms(21)), [Event::BroadcastDone { silent: id(1).into() }]);
+    assert_eq!(
+        events(&mut master, ms(21)),
+        [Event::BroadcastDone { silent: id(1).into(), was_sent: true }]
+    );
     master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
     assert!(sent(&mut master, ms(21)).is_empty());
     let late = reply(&mut master, 1, ANGLE_REPLY, ms(22));
@@ -1521,7 +1530,9 @@ fn a_broadcast_that_waits_is_dropped_by_a_stop_and_by_a_bus_that_is_down() {
         let is_step = |packet: &Packet| packet.data == step().encode();
         assert!(!sent(&mut master, ms(0)).iter().any(is_step));
         let silent = id(1).into();
-        assert!(events(&mut master, ms(0)).contains(&Event::BroadcastDone { silent }));
+        assert!(
+            events(&mut master, ms(0)).contains(&Event::BroadcastDone { silent, was_sent: false })
+        );
     }
 }
 
@@ -1685,7 +1696,10 @@ fn a_broadcast_that_nobody_answers_and_was_pushed_out_is_sent_again_before_it_is
     master.handle_pushed_out(&packets[0]);
     assert_eq!(events(&mut master, ms(0)), []);
     assert_eq!(sent(&mut master, ms(0)), packets);
-    assert_eq!(events(&mut master, ms(0)), [Event::BroadcastDone { silent: MotorSet::EMPTY }]);
+    assert_eq!(
+        events(&mut master, ms(0)),
+        [Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true }]
+    );
 }
 
 fn packet_to_all(data: [u8; 8]) -> Packet {
@@ -1780,7 +1794,10 @@ fn while_the_bus_is_down_a_command_to_all_does_not_grow_old() {
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     let pushed_out = sent(&mut master, ms(1))[0];
-    assert_eq!(events(&mut master, ms(1)), [Event::BroadcastDone { silent: MotorSet::EMPTY }]);
+    assert_eq!(
+        events(&mut master, ms(1)),
+        [Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true }]
+    );
     // It lies in a queue for as long as the bus is down.
     master.handle_bus_down(ms(60));
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
@@ -1871,7 +1888,7 @@ fn who_asks_all_again_and_again_keeps_nobody_else_waiting() {
         }
         assert!(
             events(&mut master, ms(now))
-                .contains(&Event::BroadcastDone { silent: MotorSet::EMPTY })
+                .contains(&Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true })
         );
         master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
         sent(&mut master, ms(now));

@@ -207,7 +207,10 @@ impl Sending {
                 Some(Event::BroadcastReply { motor, reply }) => {
                     self.tell(session, motor, reply.encode())?;
                 }
-                Some(Event::BroadcastDone { silent }) => break silent,
+                Some(Event::BroadcastDone { silent, was_sent: true }) => break silent,
+                Some(Event::BroadcastDone { .. }) => {
+                    return Err(CallError::Failed(Failure::BusDown).into());
+                }
                 Some(_) => {}
                 None => {
                     let soon = session.master.now() + LONGEST_IDLE;

@@ -140,10 +140,15 @@ impl Motor {
             Request::Failed(_) => self.news.insert(News::STOPPED),
             _ => {}
         }
-        let reset = Kind::Known(Opcode::Reset);
+        let [reset, off] = [Opcode::Reset, Opcode::Shutdown].map(Kind::Known);
         if matches!(self.request, Request::Sent(asked) if asked.kind() == reset) {
             // Its outcome does not tell that.
             self.has_begun_anew(config, now);
+        }
+        // A controller that keeps no order sends it behind this, and a load that is held falls.
+        let is_off = |it: &Asked| it.unanswered > 0 && it.kind() == off && stop.kind() != off;
+        if self.request.under_way().is_some_and(is_off) || self.settled_at > now {
+            self.may_move_until(now + stop.timeout + config.late_window, config);
         }
         self.give_request_up(Of::Request, config, now);
         self.request = Request::Waiting(stop);

@@ -86,7 +86,7 @@ fn what_ends_the_motion_of_all_and_is_handed_back_is_sent_again_whatever_was_tol
         let raw = RawCommand::new(end, ReplyRule::Same, false);
         master.broadcast(raw, MotorSet::EMPTY).unwrap();
         let in_mailbox = sent(&mut master, ms(0))[0];
-        let done = [Event::BroadcastDone { silent: MotorSet::EMPTY }];
+        let done = [Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true }];
         assert_eq!(events(&mut master, ms(0)), done);
         // Another motor's command is more urgent.
         master.handle_pushed_out(&in_mailbox);
@@ -148,4 +148,30 @@ fn a_bus_that_is_whole_again_just_before_the_window_ends_has_all_of_it() {
         assert!(at > ms(100) && at < ms(110), "{at:?}");
         assert!(is_stop_confirmed(&mut master, at));
     }
+}
+
+#[test]
+fn a_hold_is_confirmed_only_when_nothing_before_it_can_switch_the_motor_off_any_more() {
+    // On a controller that keeps no order among frames of one identifier.
+    fn is_held_at_once<C: Command>(command: C) -> bool {
+        let mut master = Master::<2>::new(Config::CAN);
+        let _ = ask(&mut master, 1, command, ms(0));
+        // A restart has no answer, and is over when it was sent.
+        events(&mut master, ms(0));
+        master.stop(id(1), StopKind::Hold).unwrap();
+        assert_eq!(sent(&mut master, ms(0))[0].data, Stop.encode());
+        let held = Some(Event::StopConfirmed { motor: id(1) });
+        if reply(&mut master, 1, Stop.encode(), ms(1)) == held {
+            return true;
+        }
+        let over = ms(63);
+        events(&mut master, ms(62));
+        assert_eq!(sent(&mut master, over)[0].data, Stop.encode());
+        assert_eq!(reply(&mut master, 1, Stop.encode(), ms(64)), held);
+        false
+    }
+    assert!(!is_held_at_once(Shutdown), "its load may fall yet");
+    assert!(!is_held_at_once(Reset), "its load may fall yet");
+    assert!(is_held_at_once(ReadMultiTurnAngle));
+    assert!(is_held_at_once(LockBrake));
 }
