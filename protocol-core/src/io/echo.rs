@@ -283,11 +283,11 @@ mod tests {
         assert!(filter.is_echo(&frame(Stop)));
         // Two drives may have lost their master, and each has ignored one.
         let mut both = EchoFilter::new(false);
-        for motor in [1, 2, 3] {
+        for (motor, is_found) in [(1, false), (2, false), (3, false), (1, true)] {
             let address = MotorId::new(motor).unwrap().into();
             both.sent(Frame { address, ..frame(ReadStatus1) }, ms(2));
             assert!(both.is_echo(&Frame { address, ..frame(ReadStatus1) }));
-            assert!(!both.is_echoing(), "{motor}");
+            assert_eq!(both.is_echoing(), is_found, "{motor}");
         }
         // Noise may take one; but it is none if it then stays away.
         let miss = |filter: &mut EchoFilter, at| {

@@ -77,12 +77,11 @@ impl Line {
 
     /// The port holds nothing now.
     pub(super) fn found_empty(&mut self, now: Instant) {
-        let was_echoing = self.echoes.is_echoing();
-        self.echoes.found_empty(now);
-        if was_echoing && !self.echoes.is_echoing() {
-            // The line may have been out of order, and be well again.
+        if self.echoes.is_echoing() {
+            // If it is lost, because the line is out of order for a while, it is asked for again.
             self.probe = Probe::new();
         }
+        self.echoes.found_empty(now);
     }
 
     /// Where to read to, once [`take`](Self::take) has given its last event.

@@ -33,6 +33,34 @@ fn of_two_commands_to_all_that_move_the_answer_to_one_says_nothing_of_the_other(
 }
 
 #[test]
+fn the_first_of_three_commands_to_all_may_move_whoever_has_answered_the_others() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for (now, is_answered) in [(0, false), (1, true), (3, true)] {
+        master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(now)).len(), 1);
+        events(&mut master, ms(now));
+        if is_answered {
+            reply(&mut master, 1, TORQUE_REPLY, ms(now + 1));
+        }
+    }
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert!(!is_stop_confirmed(&mut master, ms(4)));
+}
+
+#[test]
+fn a_question_to_all_says_nothing_of_what_a_cut_bus_holds() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(10));
+    events(&mut master, ms(10));
+    master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 1);
+    events(&mut master, ms(300));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert!(!is_stop_confirmed(&mut master, ms(500)), "the bus is whole again, and it comes");
+}
+
+#[test]
 fn a_cut_bus_may_hold_two_commands_to_all_that_move() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
