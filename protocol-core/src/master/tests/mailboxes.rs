@@ -203,3 +203,34 @@ fn a_hold_is_confirmed_only_when_nothing_before_it_can_switch_the_motor_off_any_
     assert!(is_held_at_once(ReadMultiTurnAngle));
     assert!(is_held_at_once(LockBrake));
 }
+
+#[test]
+fn a_stop_that_was_never_in_doubt_is_confirmed_at_once() {
+    // A Shutdown that still waits has not gone, and does not when the motor is stopped.
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), Shutdown).unwrap();
+    master.stop(id(1), StopKind::Hold).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(1)), confirmed(1));
+    // A line has no mailboxes: after the window nothing comes.
+    let mut master = Master::<2>::new(Config::rs485(115_200, false));
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(10));
+    events(&mut master, ms(40));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(41)).len(), 1);
+    let answer = Frame { address: Target::Motor(id(1)), data: Stop.encode() };
+    assert_eq!(master.handle_line(&answer, ms(43)), confirmed(1));
+}
+
+#[test]
+fn what_a_stop_overtook_has_the_whole_of_its_window() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert!(!is_stop_confirmed(&mut master, ms(0)));
+    let at = master.poll_at().unwrap();
+    assert!(at > ms(61) && at < ms(62), "its reply's time and the window: {at:?}");
+}
