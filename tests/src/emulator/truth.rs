@@ -25,7 +25,8 @@ pub struct Look {
     pub at: Instant,
     /// True angle of the output shaft, degrees.
     pub angle_deg: f32,
-    /// True speed of the output shaft, degrees per second.
+    /// True speed of the motor's side of the gear, in the output's degrees per second: what a drive can stop.
+    /// Behind it the output crosses the gear's play for a while yet.
     pub speed_dps: f32,
     /// Whether the drive's output is on.
     pub is_output_on: bool,
@@ -37,7 +38,7 @@ impl Look {
         drive.with(|drive| Self {
             at: drive.clock(),
             angle_deg: drive.plant().output_angle_deg() as f32,
-            speed_dps: drive.plant().output_speed_dps() as f32,
+            speed_dps: drive.plant().motor_side_speed_dps() as f32,
             is_output_on: drive.state().output_on,
         })
     }
