@@ -389,6 +389,31 @@ mod tests {
         assert!(Fleet::new(1).start_angle_deg(f64::NAN).on_can(1_000_000).is_err());
     }
 
+    /// An X6-60's gear has 10' of play. It once started in its middle, and what leaned on a side went on by half of
+    /// the play in each run.
+    #[test]
+    fn a_load_that_leans_on_a_side_of_its_gears_play_does_so_in_the_next_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let hanging = Load { torque_nm: -6.0, ..Load::NONE };
+        let fleet = Fleet::new(1).brakes(true).load(hanging).memory_folder(folder.path());
+        let sides_deg = || {
+            let fleet = fleet.on_can(1_000_000).unwrap();
+            fleet.world.run_for(Duration::from_millis(100));
+            let sides_deg =
+                |plant: &SimulatedMotor| [plant.output_angle_deg(), plant.motor_side_angle_deg()];
+            fleet.drives[0].with(|drive| sides_deg(drive.plant()))
+        };
+        let first = sides_deg();
+        assert!((first[1] - first[0] - 5.0 / 60.0).abs() < 1e-9, "{first:?}");
+        for _ in 0..3 {
+            let next = sides_deg();
+            assert!(
+                first.iter().zip(next).all(|(a, b)| (a - b).abs() < 1e-9),
+                "{first:?} {next:?}"
+            );
+        }
+    }
+
     #[test]
     fn a_shaft_left_beyond_a_stop_that_is_new_is_told_with_its_motor() {
         let folder = tempfile::tempdir().unwrap();
@@ -461,8 +486,10 @@ mod tests {
         for (name, angle_deg) in [("shaft-9", 1.0), ("shaft-4", 2.0), ("shaft-9-2", 3.0)] {
             let file = folder.path().join(format!("{name}.json"));
             let text = std::fs::read_to_string(&file).unwrap();
-            let kept: f64 = text.lines().nth(1).unwrap().parse().unwrap();
-            assert!((kept - angle_deg).abs() < 1e-9, "{name}: {kept}");
+            let kept: serde_json::Value =
+                serde_json::from_str(text.lines().nth(1).unwrap()).unwrap();
+            let kept_deg = kept["output_deg"].as_f64().unwrap();
+            assert!((kept_deg - angle_deg).abs() < 1e-9, "{name}: {kept}");
         }
     }
 

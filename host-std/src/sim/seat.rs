@@ -27,7 +27,7 @@ impl Drop for Seat {
     fn drop(&mut self) {
         if let Some(shaft) = &mut self.shaft {
             self.drive.power_off(self.drive.clock());
-            shaft.keep(self.drive.plant().output_angle_deg());
+            shaft.keep(self.drive.plant().place());
         }
     }
 }
@@ -43,7 +43,7 @@ impl Seat {
             }
         }
         if let Some(shaft) = &mut self.shaft {
-            shaft.follow(self.drive.plant().output_angle_deg(), now);
+            shaft.follow(self.drive.plant().place(), now);
         }
     }
 

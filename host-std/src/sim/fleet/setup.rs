@@ -95,12 +95,15 @@ impl MotorSetup {
         };
         let mut plant = SimulatedMotor::new(model)?;
         plant.set_noise_seed(seed);
-        let kept_deg = shaft.as_ref().and_then(ShaftFile::kept_deg);
-        let angle_deg = kept_deg.unwrap_or(self.start_angle_deg);
+        let kept = shaft.as_ref().and_then(ShaftFile::kept);
+        let placed = match kept {
+            Some(place) => plant.put_back(place),
+            None => plant.set_output_angle_deg(self.start_angle_deg),
+        };
         // The load comes last, for its stops may be on any side of 0°.
-        let placed = plant.set_output_angle_deg(angle_deg).map_err(ParameterError::from);
-        placed.and_then(|()| plant.set_load(self.load)).map_err(|error| match kept_deg {
-            Some(angle_deg) => FleetError::Left { motor: self.id, angle_deg, error },
+        let placed = placed.map_err(ParameterError::from);
+        placed.and_then(|()| plant.set_load(self.load)).map_err(|error| match kept {
+            Some(place) => FleetError::Left { motor: self.id, angle_deg: place.output_deg, error },
             None => error.into(),
         })?;
         let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;

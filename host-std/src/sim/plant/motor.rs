@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use myactuator_protocol_core::drive::{Actuation, Measurement, Plant};
 use myactuator_protocol_core::time::Duration;
+use serde::{Deserialize, Serialize};
 
 use super::coefficients::Coefficients;
 use super::encoder::{self, Noise};
@@ -32,6 +33,14 @@ const DIODES_SHARE: f64 = 0.577_350_269_189_625_8;
 
 fn check_temperature(celsius: f64) -> Result<f64, ImpossibleFigure> {
     check("temperature", "°C", -273.15..=10_000.0, celsius)
+}
+
+/// Where both sides of the gear are, degrees of the output shaft, turns included.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(in crate::sim) struct ShaftPlace {
+    pub(in crate::sim) output_deg: f64,
+    /// The motor's, which may be anywhere in the play.
+    pub(in crate::sim) motor_side_deg: f64,
 }
 
 /// A motor with gearbox, load, brake, encoder and supply, in software.
@@ -209,6 +218,26 @@ impl SimulatedMotor {
         self.check_reach(&self.load, angle_deg)?;
         self.shaft = Shaft::at(angle_rad, 0.0, self.coefficients.play.is_some());
         Ok(())
+    }
+
+    /// Turns both sides of the gear to where [`place`](Self::place) has told that they were, at rest.
+    ///
+    /// # Errors
+    /// As [`set_output_angle_deg`](Self::set_output_angle_deg).
+    pub(in crate::sim) fn put_back(&mut self, place: ShaftPlace) -> Result<(), ImpossibleFigure> {
+        self.set_output_angle_deg(place.output_deg)?;
+        let (output_rad, motor_rad) =
+            (place.output_deg.to_radians(), place.motor_side_deg.to_radians());
+        self.shaft = Shaft::at_rest(output_rad, motor_rad, self.coefficients.play.as_ref());
+        Ok(())
+    }
+
+    /// Where both sides of the gear are.
+    pub(in crate::sim) fn place(&self) -> ShaftPlace {
+        ShaftPlace {
+            output_deg: self.output_angle_deg(),
+            motor_side_deg: self.motor_side_angle_deg(),
+        }
     }
 
     /// Gives the shaft a speed, degrees per second.

@@ -75,6 +75,20 @@ impl Shaft {
         Self { angle_rad, speed_rad_s, ahead_rad: 0.0, teeth }
     }
 
+    /// Both sides at rest, the motor's as far ahead as the play lets it be.
+    pub(super) fn at_rest(angle_rad: f64, motor_rad: f64, play: Option<&Play>) -> Self {
+        let half_rad = play.map_or(0.0, |play| play.half_rad);
+        let ahead_rad = motor_rad - angle_rad;
+        // Angles are told in degrees, which rounds them: what was on a side is on it again.
+        let is_between = ahead_rad.abs() < half_rad * (1.0 - 1e-6);
+        Self {
+            angle_rad,
+            speed_rad_s: 0.0,
+            ahead_rad: if is_between { ahead_rad } else { half_rad.copysign(ahead_rad) },
+            teeth: if is_between { Teeth::Open { motor_rad_s: 0.0 } } else { Teeth::Closed },
+        }
+    }
+
     /// Gives both sides a speed.
     pub(super) fn set_speed(&mut self, speed_rad_s: f64) {
         self.speed_rad_s = speed_rad_s;
