@@ -35,5 +35,29 @@ pub(super) fn line_of(text: &str, at: usize) -> usize {
 /// The line in which something is wrong, and what, in one line.
 pub(super) fn of_toml(text: &str, error: &toml::de::Error) -> (usize, String) {
     let at = error.span().map_or(0, |span| span.start);
-    (line_of(text, at), error.message().trim_end().replace('\n', ", "))
+    let what = error.message().trim_end().replace('\n', ", ");
+    (line_of(text, at), in_words_of_toml(&what).unwrap_or(what))
+}
+
+/// What was expected and what was found where serde names a type of this program, in words of whoever writes a
+/// file.
+fn in_words_of_toml(what: &str) -> Option<String> {
+    let (found, expected) = what
+        .strip_prefix("invalid type: ")
+        .or_else(|| what.strip_prefix("invalid value: "))?
+        .split_once(", expected ")?;
+    let expected = match expected {
+        "u8" => "a whole number from 0 to 255",
+        "u16" => "a whole number from 0 to 65535",
+        "u32" => "a whole number from 0 to 4294967295",
+        "u64" => "a whole number that is not negative",
+        "f32" | "f64" => "a number",
+        "a boolean" => "true or false",
+        "a string" | "path string" => "a text in quotes",
+        "a sequence" => "a list in brackets",
+        "an array of length 2" => "a list of 2 numbers",
+        table if table.starts_with("struct ") => "a table",
+        other => other,
+    };
+    Some(format!("expected {expected}, found {found}"))
 }

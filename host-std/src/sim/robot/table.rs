@@ -88,6 +88,10 @@ impl<'de> Deserialize<'de> for QuirkNames {
             let what = format!("\"{name}\" is the line's: say adapter = \"{name}\" in its [[bus]]");
             return Err(D::Error::custom(what));
         }
+        if names.iter().any(|name| name == "bursts") {
+            let what = "\"bursts\" is the bus's: say bursts_ms = 16 in its [[bus]]";
+            return Err(D::Error::custom(what));
+        }
         quirks_named(names).map(Self).map_err(D::Error::custom)
     }
 }

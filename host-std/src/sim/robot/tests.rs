@@ -182,10 +182,10 @@ fn what_is_wrong_is_told_with_its_line() {
         (in_motor("id = 0"), "line 6: motor id must be 1 to 32, but 0 was given"),
         (
             in_motor("ids = \"6-1\""),
-            "line 6: invalid value: string \"6-1\", expected ids such as \"1-6\"",
+            "line 6: expected ids such as \"1-6\" or [1, 2, 5], each from 1 to 32, found string \"6-1\"",
         ),
         (in_motor("ids = []"), "line 6: invalid length 0, expected ids such as"),
-        (in_motor("ids = 3"), "line 6: invalid type: integer `3`, expected ids such as"),
+        (in_motor("ids = 3"), "line 6: expected ids such as"),
         (in_motor("brake = true"), "line 5: expected id or ids, found neither"),
         (in_motor("id = 1\nids = [2]"), "line 5: expected either id or ids, found both"),
         (
@@ -196,7 +196,21 @@ fn what_is_wrong_is_told_with_its_line() {
             in_motor("id = 1\nbrakes = true"),
             "line 7: unknown field `brakes`, expected one of `id`, `ids`",
         ),
-        (in_motor("id = 1\nbrake = 1"), "line 7: invalid type: integer `1`, expected a boolean"),
+        (in_motor("id = 1\nbrake = 1"), "line 7: expected true or false, found integer `1`"),
+        (in_motor("id = 1\nload = 5"), "line 7: expected a table, found integer `5`"),
+        (in_motor("id = 1\nload = { arm = 5 }"), "line 7: expected a table, found integer `5`"),
+        (
+            in_motor("id = 1\nload = { torque_nm = \"5\" }"),
+            "line 7: expected a number, found string",
+        ),
+        (
+            in_motor("id = 1\nresponse_ms = 1"),
+            "line 7: expected a list of 2 numbers, found integer",
+        ),
+        (
+            in_motor("id = 1\nquirks = \"echo\""),
+            "line 7: expected a list in brackets, found string",
+        ),
         (
             in_motor("id = 1\nmodel = \"RMD-X9\""),
             "line 7: no motor model is called \"RMD-X9\"; there are RMD-X2",
@@ -281,7 +295,18 @@ fn what_is_wrong_is_told_with_its_line() {
         (BUS.replace("kind = \"can\"\n", ""), "line 1: missing field `kind`"),
         (BUS.replace("bit_rate = 1_000_000\n", ""), "line 1: missing field `bit_rate`"),
         ("seed = 3".to_owned(), "line 1: expected at least one [[bus]], found none"),
-        ("seed = -3".to_owned(), "line 1: invalid value: integer `-3`, expected u64"),
+        (
+            "seed = -3".to_owned(),
+            "line 1: expected a whole number that is not negative, found integer `-3`",
+        ),
+        (
+            format!("{BUS}bursts_ms = -1\n{MOTOR}id = 1"),
+            "line 5: expected a whole number from 0 to 65535, found integer `-1`",
+        ),
+        (
+            format!("{BUS}mechanics = \"a\"\n{MOTOR}id = 1"),
+            "line 5: expected a table, found string \"a\"",
+        ),
         ("robots = 3".to_owned(), "line 1: unknown field `robots`, expected `seed` or `bus`"),
         ("\n[[bus".to_owned(), "line 2: "),
         (
@@ -299,6 +324,10 @@ fn what_is_wrong_is_told_with_its_line() {
         (
             format!("{BUS}{MOTOR}id = 1\nquirks = [\"slow-boot\", \"echo\"]"),
             "line 7: \"echo\" is the line's: say adapter = \"echo\" in its [[bus]]",
+        ),
+        (
+            format!("{BUS}{MOTOR}id = 1\nquirks = [\"bursts\"]"),
+            "line 7: \"bursts\" is the bus's: say bursts_ms = 16 in its [[bus]]",
         ),
     ] {
         let told = refused(&text);
