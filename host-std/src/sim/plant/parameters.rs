@@ -183,6 +183,8 @@ table! {
 
 table! {
     /// `[derating]`: how the drive's largest current falls with heat, in a straight line from all of it to none.
+    /// Whatever it says, a simulated drive cuts its output above 90 °C of the winding and 85 °C of the output stage
+    /// ([`FaultLimits`](myactuator_protocol_core::drive::FaultLimits)), so that a line takes effect below these.
     DeratingParameters ["derating"] {
         /// Winding temperature from which there is less, °C.
         motor_from_c: f64, "motor temperature where derating begins", "°C", 0.0..=1_000.0;
