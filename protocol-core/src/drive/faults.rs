@@ -29,6 +29,11 @@ pub(super) fn level(error: ErrorFlags) -> ErrorLevel {
     }
 }
 
+/// Whether any of these errors stands until a restart.
+pub(super) fn needs_restart(errors: ErrorFlags) -> bool {
+    errors.each().any(|error| level(error) == ErrorLevel::One)
+}
+
 fn of_level(errors: ErrorFlags, wanted: ErrorLevel) -> ErrorFlags {
     errors.each().filter(|&error| level(error) == wanted).collect()
 }

@@ -2,6 +2,7 @@
 
 use core::fmt::{self, Display, Formatter};
 
+use super::faults::needs_restart;
 use super::{Event, IgnoreReason, Limit, NotRunReason};
 
 /// What the drive did, without its name: "does not run torque (0xA1): its brake is locked …".
@@ -73,7 +74,7 @@ impl Display for NotRunReason {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Fault(errors) => {
-                let remedy = if errors.needs_restart() {
+                let remedy = if needs_restart(*errors) {
                     "restart it (0x76) when its cause is gone"
                 } else {
                     "it goes with its cause"
@@ -135,6 +136,13 @@ mod tests {
             not_run(NotRunReason::Fault(ErrorFlags::OVER_SPEED))
                 .ends_with("it goes with its cause")
         );
+        // 8.2 gives these two no level; `decisions` has the heat go by itself.
+        for (error, remedy) in [
+            (ErrorFlags::COMPONENT_OVER_TEMPERATURE, "it goes with its cause"),
+            (ErrorFlags::ENCODER_DATA, "restart it (0x76) when its cause is gone"),
+        ] {
+            assert!(not_run(NotRunReason::Fault(error)).ends_with(remedy), "{error}");
+        }
         let packet = Reset.packet(MotorId::MIN);
         assert_eq!(
             Event::Ignored { packet, reason: IgnoreReason::PoweredOff }.to_string(),
