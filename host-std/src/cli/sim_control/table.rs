@@ -47,6 +47,9 @@ fn motor(motor: &Value, bus_rate: &Value) -> String {
     if let Some(stuck) = motor["brake_stuck"].as_str() {
         add(&format!("stuck {stuck}"));
     }
+    if is("led") {
+        add("moved by mechanics");
+    }
     if number("push_nm") != 0.0 {
         add(&format!("pushed by {:.2} N·m", number("push_nm")));
     }
@@ -93,7 +96,7 @@ mod tests {
                 "motors": [{
                     "motor": 3, "bit_rate": 500_000, "angle_deg": 90.004, "speed_dps": -12.0, "current_a": 1.5, "torque_nm": 3.9,
                     "load_torque_nm": -3.9, "push_nm": -2.0, "motor_temperature_c": 25.0, "mosfet_temperature_c": 30.0,
-                    "supply_voltage_v": 48.0, "mode": "speed", "output_on": true, "brake": "release", "brake_stuck": "locked",
+                    "supply_voltage_v": 48.0, "mode": "speed", "output_on": true, "brake": "release", "brake_stuck": "locked", "led": true,
                     "powered": true, "running": true, "communication_lost": false, "cut": true,
                     "errors": ["stall"],
                 }],
@@ -105,7 +108,7 @@ mod tests {
                 "at 1.500000 s",
                 "can: 1000000 bit/s, 12 frames carried, 1 broken, 0.002 s busy",
                 "  motor 3: 90.00 deg, -12.0 dps, 1.50 A, 3.90 N·m (load -3.90 N·m), motor 25 °C, mosfet 30 °C, \
-                 48.0 V, speed, brake release, stuck locked, pushed by -2.00 N·m, hears 500000 bit/s only, cable cut, error stall",
+                 48.0 V, speed, brake release, stuck locked, moved by mechanics, pushed by -2.00 N·m, hears 500000 bit/s only, cable cut, error stall",
             ]
         );
     }

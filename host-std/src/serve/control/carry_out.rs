@@ -17,6 +17,9 @@ pub(in crate::serve) struct Scene<'a> {
 /// So many faults may wait on a bus for their time or their condition.
 const MOST_PLANNED: usize = 1_000;
 
+/// It would be where they have it again at once.
+const LED: &str = "expected a shaft that its motor and its load move, found one that mechanics move: turn it there";
+
 type Done<T = Value> = Result<T, String>;
 
 impl Scene<'_> {
@@ -61,6 +64,9 @@ impl Scene<'_> {
                 motor.set_external_torque_nm(torque_nm).map_err(|it| it.to_string())
             })?,
             Request::Angle { bus, motor, angle_deg } => self.change(bus, motor, |motor| {
+                if motor.is_led() {
+                    return Err(LED.to_owned());
+                }
                 motor.set_output_angle_deg(angle_deg).map_err(|it| it.to_string())
             })?,
             Request::Ambient { bus, motor, ambient_c } => self.change(bus, motor, |motor| {

@@ -46,6 +46,8 @@ pub(in crate::serve) struct MotorState {
     torque_nm: f64,
     /// What the load makes there.
     load_torque_nm: f64,
+    /// Whether mechanics move the shaft, which then feels no load.
+    led: bool,
     /// What a hand makes there.
     push_nm: f64,
     motor_temperature_c: f32,
@@ -94,7 +96,12 @@ impl MotorState {
             current_a: measured.current_a,
             torque_nm: plant.parameters().motor.torque_constant_nm_per_a
                 * f64::from(measured.current_a),
-            load_torque_nm: plant.load().torque_at(angle_deg.to_radians(), speed_dps.to_radians()),
+            load_torque_nm: if plant.is_led() {
+                0.0
+            } else {
+                plant.load().torque_at(angle_deg.to_radians(), speed_dps.to_radians())
+            },
+            led: plant.is_led(),
             push_nm: plant.external_torque_nm(),
             motor_temperature_c: measured.motor_temperature_c,
             mosfet_temperature_c: measured.mos_temperature_c,

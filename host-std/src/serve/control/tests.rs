@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::*;
 use crate::serve::{ServeError, Server};
 use crate::sim::Fleet;
+use crate::sim::mechanics::{Failure, Mechanics, Shaft};
 
 /// A server in a thread, which ends with this.
 struct Served {
@@ -534,6 +535,36 @@ fn a_fault_for_all_buses_strikes_on_each_as_its_motor_meets_the_condition() {
     assert!(client.ask(r#"{"fault":{"fault":"clear"}}"#)["ok"].is_object());
     let state = client.ask(r#"{"state":{"bus":"can"}}"#);
     assert_eq!(state["ok"]["buses"][0]["motors"][0]["errors"], json!([]));
+}
+
+/// They would have it elsewhere again at once, and `{"ok": …}` would say that it is there.
+#[test]
+fn a_shaft_that_mechanics_move_is_put_nowhere_and_feels_no_load() {
+    use myactuator_protocol_core::time::Duration;
+
+    struct Still;
+    impl Mechanics for Still {
+        fn step(&mut self, _: Duration, _: &mut [Shaft]) -> Result<(), Failure> {
+            Ok(())
+        }
+    }
+    let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+    fleet.lead(&fleet.drives[..1], Duration::from_millis(1), Still).unwrap();
+    let served = Served::start(move |server| {
+        server.host_can(&fleet);
+        server.in_lock_step();
+    });
+    let mut client = served.client();
+    let refused = client.ask(r#"{"angle":{"angle_deg":90}}"#)["error"].to_string();
+    assert!(refused.contains("found one that mechanics move"), "{refused}");
+    client.ask(r#"{"load":{"load":{"torque_nm":-5}}}"#);
+    let state = client.ask(r#"{"state":{}}"#);
+    let motors = &state["ok"]["buses"][0]["motors"];
+    let told = [0, 1].map(|place| {
+        let motor = &motors[place];
+        (motor["led"] == true, motor["load_torque_nm"].as_f64(), motor["angle_deg"].as_f64())
+    });
+    assert_eq!(told, [(true, Some(0.0), Some(0.0)), (false, Some(-5.0), Some(0.0))]);
 }
 
 #[test]

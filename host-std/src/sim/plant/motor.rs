@@ -207,7 +207,8 @@ impl SimulatedMotor {
         check("angle of the shaft between its end stops", "deg", reach_deg, angle_deg).map(|_| ())
     }
 
-    /// Turns the shaft to an angle, degrees, at rest; the gear's teeth are in the middle of their play.
+    /// Turns the shaft to an angle, degrees, at rest; the gear's teeth are in the middle of their play. One that is
+    /// [led](Self::lead) stays there only until it is led elsewhere.
     ///
     /// # Errors
     /// [`ImpossibleFigure`] beyond ±10⁹ degrees, and farther beyond an [end stop](super::EndStop) than the motor
@@ -293,6 +294,11 @@ impl SimulatedMotor {
         let Shaft { angle_rad, speed_rad_s, .. } = self.shaft;
         self.shaft = Shaft::at(angle_rad, speed_rad_s, self.coefficients.play.is_some());
         Ok(())
+    }
+
+    /// Whether something else [leads](Self::lead) the shaft.
+    pub const fn is_led(&self) -> bool {
+        self.led.is_some()
     }
 
     /// What has acted on the shaft since it was [led](Self::lead) last, in the mean; nothing on one that is not
