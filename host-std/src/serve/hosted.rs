@@ -9,7 +9,7 @@ use myactuator_protocol_core::drive::Event;
 use myactuator_protocol_core::time::Instant;
 
 use crate::sim::bus::{Medium, trace};
-use crate::sim::{BusFleet, DriveHandle, DriveLog, LogRecord, PlannedFault};
+use crate::sim::{BusFleet, DriveHandle, DriveLog, LogRecord, PlannedFault, SharedSupply};
 
 use super::Notice;
 use super::control::state::{BusState, MotorState, Traffic};
@@ -21,6 +21,9 @@ pub(super) trait Hosted: Debug {
 
     /// Its drives, in the order of their places.
     fn drives(&self) -> &[DriveHandle];
+
+    /// What its drives share, if they do.
+    fn shared_supply(&self) -> Option<&SharedSupply>;
 
     /// Its time.
     fn now(&self) -> Instant;
@@ -106,6 +109,10 @@ impl<B: Medium> Hosted for Host<B> {
 
     fn drives(&self) -> &[DriveHandle] {
         &self.fleet.drives
+    }
+
+    fn shared_supply(&self) -> Option<&SharedSupply> {
+        self.fleet.shared_supply()
     }
 
     fn now(&self) -> Instant {

@@ -18,7 +18,7 @@ use crate::sim::bus::can::{CanBus, ControllerConfig};
 use crate::sim::bus::rs485::{Rs485Line, TransceiverConfig};
 use crate::sim::bus::{Medium, Node, World};
 use crate::sim::memory::{DriveMemory, StoreError};
-use crate::sim::plant::{Load, MotorParameters, ParameterError, SimulatedMotor};
+use crate::sim::plant::{Load, MotorParameters, ParameterError, SimulatedMotor, Supply};
 use crate::sim::seat::Seat;
 
 pub use on_bus::{BusFleet, CanFleet, DriveHandle, LineFleet};
@@ -76,6 +76,7 @@ pub struct Fleet {
     /// One that was set up, and the motors there were, none of which it is.
     missing: Option<(MotorId, MotorSet)>,
     faults: Vec<PlannedFault>,
+    supply: Option<Supply>,
     seed: u64,
     memory_folder: Option<PathBuf>,
 }
@@ -89,7 +90,15 @@ impl Fleet {
     /// These motors. Several may have the same id, as they come from the factory with 1.
     pub fn of(motors: impl IntoIterator<Item = MotorSetup>) -> Self {
         let motors = motors.into_iter().collect();
-        Self { name: None, motors, missing: None, faults: Vec::new(), seed: 1, memory_folder: None }
+        Self {
+            name: None,
+            motors,
+            missing: None,
+            faults: Vec::new(),
+            supply: None,
+            seed: 1,
+            memory_folder: None,
+        }
     }
 
     /// On a bus of this name; else of "can" or "rs485".
@@ -214,6 +223,14 @@ impl Fleet {
         self.all(|motor| motor.start_angle_deg = angle_deg)
     }
 
+    /// All draw from this supply: what one draws all see sag. Each keeps the resistance of its own cable, and its
+    /// capacitor. Else each has a [supply](SimulatedMotor::supply) of its own.
+    #[must_use]
+    pub fn supply(mut self, supply: Supply) -> Self {
+        self.supply = Some(supply);
+        self
+    }
+
     /// With these faults; else with none. Their times count from when the drives are put on a bus, by its clock,
     /// virtual or real. More can be planned later: [`BusFleet::plan`].
     #[must_use]
@@ -292,7 +309,18 @@ impl Fleet {
         let model = self.motors.first().map(|motor| motor.made_model(&usual_model));
         let firmware = model.map_or(usual_model.firmware, |model| model.firmware);
         let mechanics_failure = Default::default();
-        let fleet = BusFleet { name, world, drives, firmware, bit_rate, mechanics_failure };
+        let mut fleet = BusFleet {
+            name,
+            world,
+            drives,
+            firmware,
+            bit_rate,
+            mechanics_failure,
+            shared_supply: None,
+        };
+        if let Some(supply) = self.supply {
+            fleet.share_supply(supply).map_err(ParameterError::from)?;
+        }
         self.faults.iter().for_each(|&fault| fleet.plan(fault));
         Ok(fleet)
     }

@@ -71,6 +71,7 @@ mod quirk_names;
 mod robot;
 mod seat;
 mod shaft;
+mod shared_supply;
 mod strike;
 #[cfg(test)]
 mod tests;
@@ -84,3 +85,4 @@ pub use model_file::named_model;
 pub use planned_fault::{Chance, FaultKind, PlannedFault, parse_time};
 pub use quirk_names::{quirk_names, quirks_named};
 pub use robot::{Adapter, MechanicsProcess, Robot, RobotBus, RobotError};
+pub use shared_supply::SharedSupply;

@@ -80,6 +80,7 @@ const ECHO_NOISE: f32 = 0.1;
 /// | `adapter` | of whoever serves an RS485 line to other programs: `"echo"` or `"echo-noise"`, see [`Adapter`] | `"plain"` |
 /// | `bursts_ms` | how often whoever serves the bus to other programs hands over what is heard, ms, as USB adapters do: 16 is usual | at once |
 /// | `mechanics` | what moves the shafts of this bus in place of the motors and their loads: `{ socket = "…", period_us = 500 }`, a Unix socket where a process [listens](super::mechanics), and how often it is asked, 100 to 100 000 µs | nothing |
+/// | `supply` | what all its motors draw from, a table with the fields of [`Supply`](super::plant::Supply): `{ voltage_v = 48, resistance_ohm = 0.1, feedback_resistance_ohm = 20, capacitance_f = 0.01 }`; see [`Fleet::supply`] | a battery each, of the model's voltage |
 /// | `interface` | a CAN interface such as `"vcan0"` on which to serve a CAN bus as well | none |
 /// | `faults` | what goes wrong with its motors, each as in [`PlannedFault`](super::PlannedFault); times count from when they are put on the bus, in simulated time | nothing |
 /// | `shared_ids` | whether several motors may have the same id, as from the factory | `false` |

@@ -48,18 +48,18 @@ impl Scene<'_> {
                 resistance_ohm,
                 feedback_resistance_ohm,
                 capacitance_f,
-            } => self.change(bus, motor, |motor| {
-                let old = *motor.supply();
-                let new = Supply {
+                brake_resistor,
+            } => {
+                let of_old = |old: Supply| Supply {
                     voltage_v: voltage_v.unwrap_or(old.voltage_v),
                     resistance_ohm: resistance_ohm.unwrap_or(old.resistance_ohm),
                     feedback_resistance_ohm: feedback_resistance_ohm
                         .unwrap_or(old.feedback_resistance_ohm),
                     capacitance_f: capacitance_f.unwrap_or(old.capacitance_f),
-                    ..old
+                    brake_resistor: brake_resistor.or(old.brake_resistor),
                 };
-                motor.set_supply(new).map_err(|it| it.to_string())
-            })?,
+                self.change_supply(bus, motor, of_old)?;
+            }
             Request::Push { bus, motor, torque_nm } => self.change(bus, motor, |motor| {
                 motor.set_external_torque_nm(torque_nm).map_err(|it| it.to_string())
             })?,
@@ -106,6 +106,35 @@ impl Scene<'_> {
         Ok(self.time())
     }
 
+    /// Changes the supplies that motors have each for itself, or those that they share.
+    fn change_supply(
+        &mut self,
+        bus: Option<String>,
+        motor: Option<MotorId>,
+        of_old: impl Fn(Supply) -> Supply,
+    ) -> Done<()> {
+        let places = self.places(bus.as_deref(), motor)?;
+        let shared = |&place: &usize| self.hosts[place].shared_supply();
+        for (place, shared) in places.iter().filter_map(|place| Some((place, shared(place)?))) {
+            if let Some(motor) = motor {
+                let name = self.hosts[*place].name();
+                return Err(format!(
+                    "expected a motor with a supply of its own, found motor {motor} of {name}, whose motors share \
+                     one: change that without \"motor\""
+                ));
+            }
+            of_old(shared.supply()).check().map_err(|it| it.to_string())?;
+        }
+        let own: Vec<_> = places.iter().copied().filter(|place| shared(place).is_none()).collect();
+        self.change_at(own, motor, |motor| {
+            let new = of_old(*motor.supply());
+            motor.set_supply(new).map_err(|it| it.to_string())
+        })?;
+        places.iter().filter_map(shared).try_for_each(|shared| {
+            shared.set_supply(of_old(shared.supply())).map_err(|it| it.to_string())
+        })
+    }
+
     /// When it is.
     pub(super) fn time(&self) -> Value {
         json!({ "at_us": self.hosts.first().map_or(0, |host| host.now().as_micros()) })
@@ -147,6 +176,15 @@ impl Scene<'_> {
         work: impl Fn(&mut SimulatedMotor) -> Done<()>,
     ) -> Done<()> {
         let places = self.places(bus.as_deref(), motor)?;
+        self.change_at(places, motor, work)
+    }
+
+    fn change_at(
+        &self,
+        places: Vec<usize>,
+        motor: Option<MotorId>,
+        work: impl Fn(&mut SimulatedMotor) -> Done<()>,
+    ) -> Done<()> {
         let drives: Vec<_> = places
             .into_iter()
             .flat_map(|place| self.hosts[place].drives())

@@ -4,7 +4,7 @@ use myactuator_protocol_core::MotorId;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::sim::plant::Load;
+use crate::sim::plant::{BrakeResistor, Load};
 
 /// A request: an object with one key, its name, and what belongs to it.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -28,6 +28,7 @@ pub(in crate::serve) enum Request {
         resistance_ohm: Option<f64>,
         feedback_resistance_ohm: Option<f64>,
         capacitance_f: Option<f64>,
+        brake_resistor: Option<BrakeResistor>,
     },
     Push {
         bus: Option<String>,

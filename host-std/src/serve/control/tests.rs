@@ -9,6 +9,7 @@ use super::*;
 use crate::serve::{ServeError, Server};
 use crate::sim::Fleet;
 use crate::sim::mechanics::{Failure, Mechanics, Shaft};
+use crate::sim::plant::Supply;
 
 /// A server in a thread, which ends with this.
 struct Served {
@@ -367,6 +368,35 @@ fn each_request_does_what_it_says() {
     let traffic = after(9_500, &[r#"{"fault":{"fault":"babble=1ms@1"}}"#])["traffic"].take();
     let [frames, busy_us] = ["frames", "busy_us"].map(|name| traffic[name].as_u64().unwrap());
     assert!(frames == 10 && (440..=1_320).contains(&busy_us), "{traffic}");
+}
+
+#[test]
+fn a_supply_that_motors_share_is_changed_for_all_of_them() {
+    let served = Served::start(|server| {
+        let fleet = Fleet::new(2).name("arm").supply(Supply::battery(48.0));
+        server.host_can(&fleet.on_can(1_000_000).unwrap());
+        server.host_can(&Fleet::new(1).name("tool").on_can(1_000_000).unwrap());
+        server.in_lock_step();
+    });
+    let mut client = served.client();
+    let refused = client.ask(r#"{"supply":{"bus":"arm","motor":2,"voltage_v":24}}"#);
+    let expected =
+        "expected a motor with a supply of its own, found motor 2 of arm, whose motors share one";
+    assert!(refused["error"].as_str().unwrap().starts_with(expected), "{refused}");
+    let refused = client.ask(r#"{"supply":{"voltage_v":-24}}"#);
+    assert!(refused["error"].is_string(), "{refused}");
+    let brake = r#""brake_resistor":{"on_above_v":30,"off_below_v":28,"resistance_ohm":5}"#;
+    let all = format!(r#"{{"supply":{{"voltage_v":24,{brake}}}}}"#);
+    for request in [&*all, r#"{"advance":{"us":50000}}"#] {
+        assert!(client.ask(request)["ok"].is_object(), "{request}");
+    }
+    let state = client.ask(r#"{"state":{}}"#)["ok"]["buses"].take();
+    for (bus, place) in [(0, 0), (0, 1), (1, 0)] {
+        let motor = &state[bus]["motors"][place];
+        let voltage_v = motor["supply_voltage_v"].as_f64().unwrap();
+        assert!((voltage_v - 24.0).abs() < 0.1, "{motor}");
+    }
+    assert_eq!(state[1]["motors"][0]["supply"]["brake_resistor"]["on_above_v"], 30.0);
 }
 
 /// What finds no room in a pseudo-terminal is kept, and what is written while time goes on waits for its end.

@@ -15,6 +15,7 @@ use crate::sim::bus::rs485::{Rs485Line, SerialPort};
 use crate::sim::bus::{Medium, SimClock, StationId, World, lock};
 use crate::sim::mechanics::MechanicsFailure;
 use crate::sim::seat::Seat;
+use crate::sim::shared_supply::SharedSupply;
 
 /// A hand on one simulated drive.
 #[derive(Clone)]
@@ -103,6 +104,7 @@ pub struct BusFleet<B: Medium> {
     /// That of the first drive.
     pub(super) firmware: Firmware,
     pub(in crate::sim) mechanics_failure: MechanicsFailure,
+    pub(in crate::sim) shared_supply: Option<SharedSupply>,
 }
 
 impl<B: Medium> Clone for BusFleet<B> {
@@ -112,6 +114,7 @@ impl<B: Medium> Clone for BusFleet<B> {
             world: self.world.clone(),
             drives: self.drives.clone(),
             mechanics_failure: self.mechanics_failure.clone(),
+            shared_supply: self.shared_supply.clone(),
             ..*self
         }
     }
@@ -124,6 +127,11 @@ pub type CanFleet = BusFleet<CanBus>;
 pub type LineFleet = BusFleet<Rs485Line>;
 
 impl<B: Medium> BusFleet<B> {
+    /// The supply that the drives [share](super::Fleet::supply), if they do.
+    pub const fn shared_supply(&self) -> Option<&SharedSupply> {
+        self.shared_supply.as_ref()
+    }
+
     /// Runs async code on this bus; see [`World::block_on`].
     pub fn block_on<F: Future>(&self, future: F) -> F::Output {
         self.world.block_on(future)

@@ -57,6 +57,7 @@ pub use parameters::{
     GearParameters, InverterParameters, MotorParameters, ParameterError, Rating, ThermalParameters,
     WindingParameters,
 };
+pub(in crate::sim) use supply::CommonPoint;
 pub use supply::{BrakeResistor, Supply};
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use super::figure::{ImpossibleFigure, check};
 use super::led::{Led, ShaftTorque};
 use super::load::{ANGLE_DEG, Coming};
 use super::shaft::{Acting, Shaft};
-use super::supply::{Link, check_voltage};
+use super::supply::{CommonPoint, Link, check_voltage};
 use super::thermal::ThermalNode;
 use super::{Load, MotorParameters, ParameterError, Supply};
 
@@ -190,6 +190,29 @@ impl SimulatedMotor {
         supply.check()?;
         self.link.replace_supply(supply, STEP_S);
         Ok(())
+    }
+
+    /// From now on its source is a common point, behind a cable with its supply's resistance, both ways.
+    pub(in crate::sim) fn join(&mut self, point: &CommonPoint) {
+        let own = *self.supply();
+        let cable = Supply {
+            voltage_v: point.voltage_v(),
+            feedback_resistance_ohm: own.resistance_ohm,
+            brake_resistor: None,
+            ..own
+        };
+        self.link.replace_supply(cable, STEP_S);
+        self.link.take_charge_c();
+    }
+
+    /// What it has drawn from its source since this was asked last, C.
+    pub(in crate::sim) fn take_charge_c(&mut self) -> f64 {
+        self.link.take_charge_c()
+    }
+
+    /// The common point has this voltage now.
+    pub(in crate::sim) fn follow(&mut self, point: &CommonPoint) {
+        self.link.follow(point.voltage_v());
     }
 
     /// Whether a shaft with this load may be at this angle, degrees. Nothing moves a led one.

@@ -54,7 +54,7 @@ impl Supply {
         Self { feedback_resistance_ohm: 20.0, ..Self::battery(voltage_v) }
     }
 
-    pub(super) fn check(&self) -> Result<(), ImpossibleFigure> {
+    pub(crate) fn check(&self) -> Result<(), ImpossibleFigure> {
         check_voltage(self.voltage_v)?;
         for resistance_ohm in [self.resistance_ohm, self.feedback_resistance_ohm] {
             check("supply resistance", "Ω", 0.000_1..=1_000_000.0, resistance_ohm)?;
@@ -86,6 +86,9 @@ pub(super) struct Link {
     /// While the brake resistor is on.
     burnt: Path,
     burns: bool,
+    step_s: f64,
+    /// What the drive took since that was asked last, C.
+    taken_c: f64,
 }
 
 /// What the capacitor sees as long as nothing is switched: a voltage behind a resistance.
@@ -126,7 +129,17 @@ impl Link {
                 path(voltage_v * share, feedback_resistance_ohm * share)
             });
         let drawn = path(voltage_v, resistance_ohm);
-        Self { voltage_v, held_v: None, drawn, fed_back, burnt, burns: false, supply }
+        Self {
+            voltage_v,
+            held_v: None,
+            drawn,
+            fed_back,
+            burnt,
+            burns: false,
+            step_s,
+            taken_c: 0.0,
+            supply,
+        }
     }
 
     pub(super) fn voltage_v(&self) -> f64 {
@@ -135,14 +148,39 @@ impl Link {
 
     /// Keeps the voltage at the capacitor and what a test holds, on another source.
     pub(super) fn replace_supply(&mut self, supply: Supply, step_s: f64) {
-        *self =
-            Self { voltage_v: self.voltage_v, held_v: self.held_v, ..Self::new(supply, step_s) };
+        *self = Self {
+            voltage_v: self.voltage_v,
+            held_v: self.held_v,
+            taken_c: self.taken_c,
+            ..Self::new(supply, step_s)
+        };
+    }
+
+    /// The source has another voltage now. For a link without brake resistor.
+    pub(super) fn follow(&mut self, source_v: f64) {
+        self.supply.voltage_v = source_v;
+        for path in [&mut self.drawn, &mut self.fed_back, &mut self.burnt] {
+            path.source_v = source_v;
+        }
+    }
+
+    /// What the drive took since this was asked last, C. What its capacitor takes or gives while the source's
+    /// voltage changes is not in it.
+    pub(super) fn take_charge_c(&mut self) -> f64 {
+        std::mem::take(&mut self.taken_c)
     }
 
     /// One step in which the drive draws `power_w`; returns the current into the drive, A. Exact
     /// for a current that is constant over the step.
     pub(super) fn step(&mut self, power_w: f64) -> f64 {
         let current_a = power_w / self.voltage_v().max(FLOOR_V);
+        self.draw(current_a);
+        current_a
+    }
+
+    /// One step in which the drive draws this current.
+    fn draw(&mut self, current_a: f64) {
+        self.taken_c += current_a * self.step_s;
         if self.held_v.is_none() {
             if let Some(brake) = self.supply.brake_resistor {
                 let limit_v = if self.burns { brake.off_below_v } else { brake.on_above_v };
@@ -155,6 +193,34 @@ impl Link {
             };
             self.voltage_v = path.after(self.voltage_v, current_a);
         }
-        current_a
+    }
+}
+
+/// Where the cables of several drives meet that share a supply.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::sim) struct CommonPoint(Link);
+
+impl CommonPoint {
+    /// Worked out once a period.
+    pub(in crate::sim) fn new(supply: Supply, period_s: f64) -> Self {
+        Self(Link::new(supply, period_s))
+    }
+
+    pub(in crate::sim) const fn supply(&self) -> &Supply {
+        &self.0.supply
+    }
+
+    /// Another supply; the capacitor keeps its voltage and follows.
+    pub(in crate::sim) fn replace_supply(&mut self, supply: Supply) {
+        self.0.replace_supply(supply, self.0.step_s);
+    }
+
+    pub(in crate::sim) const fn voltage_v(&self) -> f64 {
+        self.0.voltage_v
+    }
+
+    /// Drives have drawn this charge in a period.
+    pub(in crate::sim) fn draw_c(&mut self, charge_c: f64) {
+        self.0.draw(charge_c / self.0.step_s);
     }
 }

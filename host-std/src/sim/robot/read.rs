@@ -118,8 +118,14 @@ impl File<'_> {
             }
         }
         let faults = bus.faults.iter().map(|fault| fault.get_ref().0);
+        let mut fleet = Fleet::of(motors).name(name).faults(faults);
+        if let Some(supply) = bus.supply {
+            let checked = supply.get_ref().check();
+            checked.map_err(|error| self.wrong(&supply.span(), error.to_string()))?;
+            fleet = fleet.supply(supply.into_inner());
+        }
         Ok(RobotBus {
-            fleet: Fleet::of(motors).name(name).faults(faults),
+            fleet,
             kind,
             bit_rate,
             adapter: bus.adapter.map(Spanned::into_inner).unwrap_or_default(),

@@ -12,7 +12,7 @@ use serde::{Deserialize, Deserializer};
 use toml::Spanned;
 
 use super::Adapter;
-use crate::sim::plant::Load;
+use crate::sim::plant::{Load, Supply};
 use crate::sim::{PlannedFault, quirks_named};
 use crate::{BusKind, Unexpected};
 
@@ -33,6 +33,7 @@ pub(super) struct BusTable {
     pub(super) adapter: Option<Spanned<Adapter>>,
     pub(super) bursts_ms: Option<u16>,
     pub(super) mechanics: Option<MechanicsTable>,
+    pub(super) supply: Option<Spanned<Supply>>,
     pub(super) interface: Option<Spanned<String>>,
     #[serde(default)]
     pub(super) faults: Vec<Spanned<Word<PlannedFault>>>,

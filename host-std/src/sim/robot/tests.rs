@@ -174,6 +174,19 @@ fn every_key_of_a_bus_is_read() {
 }
 
 #[test]
+fn the_motors_of_a_bus_may_share_a_supply() {
+    let supply = "{ voltage_v = 24, resistance_ohm = 0.1, feedback_resistance_ohm = 20, capacitance_f = 0.01 }";
+    let text = format!("{BUS}supply = {supply}\n{MOTOR}ids = \"1-2\"");
+    let fleet = Robot::from_toml(&text, "").unwrap().can("arm").unwrap();
+    assert_eq!(fleet.shared_supply().unwrap().supply().voltage_v, 24.0);
+    fleet.world.run_for(Duration::from_millis(50));
+    for drive in &fleet.drives {
+        let voltage_v = drive.with(|drive| drive.state().measurement.supply_voltage_v);
+        assert!((voltage_v - 24.0).abs() < 0.1, "{voltage_v}");
+    }
+}
+
+#[test]
 fn what_is_wrong_is_told_with_its_line() {
     // Lines 1 to 4 are the bus's, 5 is the motor's head.
     let in_motor = |lines: &str| format!("{BUS}{MOTOR}{lines}");
@@ -195,6 +208,12 @@ fn what_is_wrong_is_told_with_its_line() {
         (
             in_motor("id = 1\nbrakes = true"),
             "line 7: unknown field `brakes`, expected one of `id`, `ids`",
+        ),
+        (
+            format!(
+                "{BUS}supply = {{ voltage_v = 48, resistance_ohm = 0, feedback_resistance_ohm = 1, capacitance_f = 0.01 }}\n{MOTOR}id = 1"
+            ),
+            "line 5: supply resistance must be 0.0001 to",
         ),
         (in_motor("id = 1\nbrake = 1"), "line 7: expected true or false, found integer `1`"),
         (in_motor("id = 1\nload = 5"), "line 7: expected a table, found integer `5`"),

@@ -1,0 +1,184 @@
+//! A supply that all drives of a bus share.
+
+use std::fmt;
+use std::sync::{Arc, Mutex};
+
+use myactuator_protocol_core::time::{Duration, Instant};
+
+use super::BusFleet;
+use super::bus::{Medium, lock};
+use super::plant::{CommonPoint, ImpossibleFigure, Supply};
+use super::seat::Seat;
+
+/// How often the common point is worked out: the capacitors at the drives' inputs smooth what is faster. What they
+/// take or give themselves, some mC a volt, is left out.
+const PERIOD: Duration = Duration::from_millis(1);
+
+/// A supply that drives share; clones are the same. What one draws all see sag, and what one feeds back the
+/// others use first.
+#[derive(Clone)]
+pub struct SharedSupply(Arc<Mutex<CommonPoint>>);
+
+impl fmt::Debug for SharedSupply {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("SharedSupply").field(&self.supply()).finish()
+    }
+}
+
+impl SharedSupply {
+    /// What it is.
+    pub fn supply(&self) -> Supply {
+        *lock(&self.0).supply()
+    }
+
+    /// Makes it another. Its capacitor keeps its voltage and follows.
+    ///
+    /// # Errors
+    /// [`ImpossibleFigure`] for what no supply has.
+    pub fn set_supply(&self, supply: Supply) -> Result<(), ImpossibleFigure> {
+        supply.check()?;
+        lock(&self.0).replace_supply(supply);
+        Ok(())
+    }
+
+    /// Between the drives' cables, V.
+    pub fn voltage_v(&self) -> f64 {
+        lock(&self.0).voltage_v()
+    }
+}
+
+impl<B: Medium> BusFleet<B> {
+    /// Connects all drives to one supply.
+    pub(super) fn share_supply(&mut self, supply: Supply) -> Result<(), ImpossibleFigure> {
+        supply.check()?;
+        let point = CommonPoint::new(supply, PERIOD.as_micros() as f64 * 1e-6);
+        let seats: Vec<Arc<Mutex<Seat>>> =
+            self.drives.iter().map(|it| Arc::clone(&it.seat)).collect();
+        for seat in &seats {
+            lock(seat).drive.plant_mut().join(&point);
+        }
+        let point = Arc::new(Mutex::new(point));
+        self.shared_supply = Some(SharedSupply(Arc::clone(&point)));
+        self.world.every(PERIOD, move |now| step(&mut lock(&point), &seats, now));
+        Ok(())
+    }
+}
+
+/// What the drives have drawn in a period gives the voltage of the next.
+fn step(point: &mut CommonPoint, seats: &[Arc<Mutex<Seat>>], now: Instant) {
+    let charges_c = seats.iter().map(|seat| {
+        let mut seat = lock(seat);
+        seat.catch_up(now);
+        seat.drive.plant_mut().take_charge_c()
+    });
+    point.draw_c(charges_c.sum());
+    for seat in seats {
+        lock(seat).drive.plant_mut().follow(point);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_protocol_core::MotorId;
+    use myactuator_protocol_core::command::Torque;
+    use myactuator_protocol_core::io::Runner as _;
+    use myactuator_protocol_core::units::Current;
+
+    use super::*;
+    use crate::sim::plant::{BrakeResistor, Load};
+    use crate::sim::{CanFleet, Fleet};
+
+    const CABLE_OHM: f64 = 0.05;
+
+    /// Two motors, behind half an ohm.
+    fn fleet(supply: Supply) -> CanFleet {
+        let rotor = Load { inertia_kg_m2: 0.05, ..Load::NONE };
+        Fleet::new(2).load(rotor).supply(supply).on_can(1_000_000).unwrap()
+    }
+
+    fn soft() -> Supply {
+        Supply { resistance_ohm: 0.5, ..Supply::battery(48.0) }
+    }
+
+    /// Voltage and current at each drive's input.
+    fn inputs(fleet: &CanFleet) -> Vec<(f64, f64)> {
+        let input = |it: &crate::sim::DriveHandle| {
+            it.with(|drive| {
+                let it = drive.state().measurement;
+                (it.supply_voltage_v.into(), it.supply_current_a.into())
+            })
+        };
+        fleet.drives.iter().map(input).collect()
+    }
+
+    #[test]
+    fn what_one_draws_all_see_sag() {
+        let fleet = fleet(soft());
+        let mut master = fleet.master::<2>();
+        for motor in MotorId::all().take(2) {
+            fleet.drives[motor.index()].with(|it| it.plant_mut().force_brake(Some(false)));
+        }
+        // The first one pushes against its brake, which nobody opens; the second idles.
+        let push = Torque { current: Current::from_amperes(9.5).unwrap() };
+        master.set_point_and_wait(MotorId::MIN, push).unwrap();
+        fleet.world.run_for(Duration::from_millis(20));
+        let inputs = inputs(&fleet);
+        let total_a: f64 = inputs.iter().map(|(_, current_a)| current_a).sum();
+        assert!(total_a > 1.0, "{inputs:?}");
+        // Kirchhoff, by hand: 48 V, half an ohm for both, and each one's own cable.
+        for (voltage_v, current_a) in inputs {
+            let by_hand_v = 48.0 - 0.5 * total_a - CABLE_OHM * current_a;
+            assert!((voltage_v - by_hand_v).abs() < 0.01, "{voltage_v} {by_hand_v}");
+        }
+    }
+
+    #[test]
+    fn what_one_feeds_back_the_others_see_and_a_brake_resistor_burns() {
+        let brake = BrakeResistor { on_above_v: 55.0, off_below_v: 54.0, resistance_ohm: 5.0 };
+        let highest_v = |brake_resistor| {
+            let fleet = fleet(Supply { brake_resistor, ..Supply::bench(48.0) });
+            fleet.drives[0].with(|it| it.plant_mut().set_output_speed_dps(6_000.0)).unwrap();
+            let mut highest_v = [0.0_f64; 2];
+            for _ in 0..50 {
+                fleet.world.run_for(Duration::from_millis(1));
+                for (highest, (voltage_v, _)) in highest_v.iter_mut().zip(inputs(&fleet)) {
+                    *highest = highest.max(voltage_v);
+                }
+            }
+            highest_v
+        };
+        let (free_v, braked_v) = (highest_v(None), highest_v(Some(brake)));
+        assert!(free_v[1] > 60.0, "the idle one sees it: {free_v:?}");
+        assert!(braked_v[1] < free_v[1] - 3.0, "{braked_v:?}, {free_v:?}");
+    }
+
+    #[test]
+    fn another_supply_takes_its_place() {
+        let fleet = fleet(soft());
+        let shared = fleet.shared_supply().unwrap();
+        shared.set_supply(Supply::battery(24.0)).unwrap();
+        fleet.world.run_for(Duration::from_millis(50));
+        assert!((shared.voltage_v() - 24.0).abs() < 0.1);
+        assert!(inputs(&fleet).iter().all(|(voltage_v, _)| (voltage_v - 24.0).abs() < 0.1));
+        assert!(shared.set_supply(Supply::battery(f64::NAN)).is_err());
+        assert!(Fleet::new(1).on_can(1_000_000).unwrap().shared_supply().is_none());
+    }
+
+    #[test]
+    fn the_same_time_in_other_portions_gives_the_same_bits() {
+        let run = |portions_us: &[u64]| {
+            let fleet = fleet(soft());
+            fleet.drives[0].with(|it| it.plant_mut().set_output_speed_dps(1_000.0)).unwrap();
+            for &portion_us in portions_us
+                .iter()
+                .cycle()
+                .take_while(|_| fleet.world.now() < Instant::from_micros(90_000))
+            {
+                fleet.world.run_for(Duration::from_micros(portion_us));
+            }
+            fleet.world.run_until(Instant::from_micros(120_000));
+            (fleet.shared_supply().unwrap().voltage_v().to_bits(), format!("{:?}", inputs(&fleet)))
+        };
+        assert_eq!(run(&[333]), run(&[7_000, 100]));
+    }
+}
