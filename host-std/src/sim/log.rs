@@ -91,8 +91,9 @@ pub struct DriveLog {
 #[derive(Debug)]
 struct Watched {
     drive: DriveHandle,
-    /// How many events it had lost when this was last told.
+    /// How many events it has lost, and how many of these are to be told.
     lost: u32,
+    untold: u32,
     recent: Vec<Recent>,
 }
 
@@ -109,7 +110,7 @@ impl DriveLog {
     pub fn of<B: Medium>(fleet: &BusFleet<B>) -> Self {
         let watch = |drive: &DriveHandle| {
             let (_, lost) = drive.take_events();
-            Watched { drive: drive.clone(), lost, recent: Vec::new() }
+            Watched { drive: drive.clone(), lost, untold: 0, recent: Vec::new() }
         };
         let drives = fleet.drives.iter().map(watch).collect();
         Self { bus: fleet.name.clone(), wire: WireLog::of(fleet), drives }
@@ -124,7 +125,8 @@ impl DriveLog {
                 records.push(LogRecord { at, bus: self.bus.clone(), motor, count, lost, event });
             };
             let (events, lost) = watched.drive.take_events();
-            let mut newly_lost = lost.wrapping_sub(std::mem::replace(&mut watched.lost, lost));
+            let newly_lost = lost.wrapping_sub(std::mem::replace(&mut watched.lost, lost));
+            watched.untold = watched.untold.saturating_add(newly_lost);
             let own = events.into_iter();
             let own = own.map(|(at, event)| Counted { at, event: event.into(), count: 1 });
             let mut each: Vec<Counted> = own.chain(self.wire.take(place)).collect();
@@ -136,7 +138,7 @@ impl DriveLog {
                     recent.last = (at, event);
                     recent.count = recent.count.saturating_add(count);
                 } else {
-                    tell(at, event, count, std::mem::take(&mut newly_lost));
+                    tell(at, event, count, std::mem::take(&mut watched.untold));
                     if watched.recent.len() < MOST_COUNTED {
                         watched.recent.push(Recent { told: at, last: (at, event), count: 0 });
                     }
@@ -158,7 +160,7 @@ impl Watched {
             let count = std::mem::take(&mut recent.count);
             if count > 0 {
                 let (at, event) = recent.last;
-                tell(at, event, count, 0);
+                tell(at, event, count, std::mem::take(&mut self.untold));
                 recent.told = now;
             }
             count > 0
@@ -385,5 +387,28 @@ mod tests {
         // Of 40 events 16 are kept.
         assert_eq!(told[0].lost, 24);
         assert!(told[0].to_string().ends_with("(24 events before it were lost)"), "{}", told[0]);
+    }
+
+    /// Also of those that are only counted.
+    #[test]
+    fn each_event_is_told_or_counted_or_lost() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut log = DriveLog::of(&fleet);
+        let mut told = Vec::new();
+        for times in [1, 20, 20] {
+            for _ in 0..times {
+                fleet.drives[0].with(|drive| {
+                    drive.raise_fault(ErrorFlags::OVER_SPEED);
+                    drive.clear_fault(ErrorFlags::OVER_SPEED);
+                });
+            }
+            told.extend(log.poll(fleet.world.now()));
+        }
+        assert_eq!(told.len(), 2);
+        fleet.world.run_for(FOLD);
+        told.extend(log.poll(fleet.world.now()));
+        let sum = |of: fn(&LogRecord) -> u32| told.iter().map(of).sum::<u32>();
+        // 2 * 16 are kept of 80 after the first two.
+        assert_eq!((sum(|it| it.count), sum(|it| it.lost)), (34, 48), "{told:?}");
     }
 }
