@@ -1,6 +1,7 @@
 //! Drives whose shafts are moved by mechanics of their own.
 
 use std::os::unix::net::{UnixListener, UnixStream};
+use std::sync::Arc;
 
 use myactuator_host_std::sim::mechanics::{
     AlreadyLed, Failure, Link, Mechanics, Remote, Shaft, TwoLinks,
@@ -218,6 +219,23 @@ fn shafts_that_are_handed_back_move_as_if_nobody_had_led_them() {
     leading.hand_back().unwrap();
     failing.world.run_for(millis(300));
     assert!((angles_deg(&failing)[0] - fallen[0]).abs() < 1e-9);
+}
+
+/// Nothing of them is left in the world.
+#[test]
+fn mechanics_that_are_over_are_gone() {
+    let fleet = fleet();
+    let alive = Arc::new(());
+    for _ in 0..3 {
+        let held = Arc::clone(&alive);
+        let holding = move |_: Duration, _: &mut [Shaft]| drop(Arc::clone(&held));
+        let leading = fleet.lead(&fleet.drives, PERIOD, Moving(holding)).unwrap();
+        fleet.world.run_for(millis(1));
+        leading.hand_back().unwrap();
+    }
+    fleet.lead(&fleet.drives, PERIOD, Failing(0)).unwrap();
+    fleet.world.run_for(millis(1));
+    assert_eq!((fleet.world.planned(), Arc::strong_count(&alive)), (0, 1));
 }
 
 /// What moves a shaft does so whatever its drive does.

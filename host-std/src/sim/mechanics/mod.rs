@@ -184,6 +184,7 @@ impl<B: Medium> BusFleet<B> {
             }
             return Err(AlreadyLed { motor: drives[place].motor() });
         }
+        let period = period.max(Duration::from_micros(1));
         let state = Arc::new(Mutex::new(State::Leads));
         let mut leader = Leader {
             seats: drives.iter().map(|drive| Arc::clone(&drive.seat)).collect(),
@@ -193,7 +194,7 @@ impl<B: Medium> BusFleet<B> {
             state: Arc::clone(&state),
             failure: self.mechanics_failure.clone(),
         };
-        self.world.every(period, move |now| leader.step(now));
+        self.world.plan(period, move |_, now| leader.step(now).then_some(period));
         Ok(Leading { drives: drives.to_vec(), state })
     }
 
@@ -228,11 +229,12 @@ struct Leader<M> {
 }
 
 impl<M: Mechanics> Leader<M> {
-    fn step(&mut self, now: Instant) {
+    /// Whether it goes on.
+    fn step(&mut self, now: Instant) -> bool {
         let state = Arc::clone(&self.state);
         let mut state = lock(&state);
         if *state == State::Over {
-            return;
+            return false;
         }
         for (seat, shaft) in self.seats.iter().zip(&mut self.shafts) {
             let mut seat = lock(seat);
@@ -245,6 +247,7 @@ impl<M: Mechanics> Leader<M> {
             *state = State::Over;
             self.failure.tell(reason);
         }
+        *state == State::Leads
     }
 
     /// Puts all shafts where the mechanics have them.
