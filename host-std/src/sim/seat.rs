@@ -56,8 +56,11 @@ impl Seat {
 
 impl Node<SimpleFrame> for Seat {
     fn accepts(&self, frame: &SimpleFrame) -> bool {
+        // A new id may act from this instant on, which the drive does not know before it has the frame.
+        let may_change = self.drive.stored_settings().id != self.drive.id();
         // Real drives ignore short, remote and foreign frames.
-        matches!(can::decode(frame), can::Received::Packet(packet) if self.drive.is_addressed(packet.channel))
+        matches!(can::decode(frame), can::Received::Packet(packet)
+            if may_change || self.drive.is_addressed(packet.channel))
     }
 
     fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
@@ -117,5 +120,63 @@ impl Node<Vec<u8>> for Seat {
 
     fn reset(&mut self, now: Instant) {
         self.power_cycle(now);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use embedded_can::nb::Can as _;
+    use myactuator_protocol_core::command::{FunctionControl, ReadStatus1, Reset};
+    use myactuator_protocol_core::drive::{Event, Quirks};
+    use myactuator_protocol_core::io::Runner as _;
+    use myactuator_protocol_core::{MotorId, Packet};
+
+    use super::*;
+    use crate::sim::bus::trace;
+    use crate::sim::{CanFleet, DriveLog, Fleet, LogEvent, LogRecord};
+
+    /// A drive that is to have id 2 after its start, which has begun, and its log.
+    fn starting() -> (CanFleet, DriveLog) {
+        let quirks = Quirks { slow_boot: true, ..Quirks::default() };
+        let fleet = Fleet::new(1).quirks(quirks).on_can(1_000_000).unwrap();
+        fleet.world.run_for(Duration::from_secs(10));
+        let mut master = fleet.master::<1>();
+        master.ask(MotorId::MIN, FunctionControl::SetCanId(id(2))).unwrap();
+        let log = DriveLog::of(&fleet);
+        master.ask(MotorId::MIN, Reset).unwrap();
+        fleet.world.run_for(Duration::from_millis(1));
+        (fleet, log)
+    }
+
+    fn id(number: u8) -> MotorId {
+        MotorId::new(number).unwrap()
+    }
+
+    /// When frames end if a question to the new id is sent now, as long as a start takes.
+    fn ends(fleet: &CanFleet) -> Vec<u64> {
+        let question: Packet = ReadStatus1.packet(id(2));
+        let log = fleet.world.log();
+        fleet.world.port().transmit(&can::encode(&question).unwrap()).unwrap();
+        fleet.world.run_for(Duration::from_millis(10));
+        let whole = |it: &trace::Record<_>| matches!(it.event, trace::Event::Carried { .. });
+        log.take().iter().filter(|it| whole(it)).map(|it| it.at_ns).collect()
+    }
+
+    #[test]
+    fn a_drive_hears_its_new_id_in_the_instant_in_which_its_start_ends() {
+        let (fleet, mut log) = starting();
+        fleet.world.run_for(Duration::from_secs(10));
+        let is_start = |it: &LogRecord| it.event == LogEvent::Drive(Event::Started);
+        let started = log.poll(fleet.world.now()).into_iter().find(is_start).unwrap().at;
+        let asked = fleet.world.now();
+        let lasts = Duration::from_micros(ends(&fleet)[0] / 1_000 - asked.as_micros());
+        for (late_us, answers) in [(0, 0), (1, 1), (2, 1)] {
+            let (fleet, _log) = starting();
+            let ended = Instant::from_micros(started.as_micros() - 1 + late_us);
+            fleet.world.run_until(Instant::ZERO + (ended - (Instant::ZERO + lasts)));
+            let ends = ends(&fleet);
+            assert_eq!(ends[0], ended.as_micros() * 1_000);
+            assert_eq!(ends.len(), 1 + answers, "{late_us} us after the last deaf one");
+        }
     }
 }
