@@ -14,6 +14,11 @@ use crate::sim::bus::faults::{Direction, FaultPlan};
 const TIME: &str = "a time with its unit such as 500us, 2ms or 1.5s";
 /// How likely a fault is where nothing is said.
 const USUAL_CHANCE: f32 = 0.01;
+/// The shortest of them: no frame is over sooner on a CAN bus at 1 Mbit/s, and drives that babble without a pause
+/// take all of a computer's time.
+const SHORTEST_BABBLE: Duration = Duration::from_micros(47);
+/// The longest delay: what is late is kept, and of a busy bus that is much.
+const LONGEST_DELAY: Duration = Duration::from_secs(10);
 /// The pause between two frames of a babbling drive where nothing is said.
 const USUAL_BABBLE: Duration = Duration::from_millis(10);
 
@@ -25,9 +30,9 @@ const USUAL_BABBLE: Duration = Duration::from_millis(10);
 /// | `corrupt` | chance, 0.01 | a bit is disturbed: on CAN an error frame and a repetition, on RS485 a wrong bit |
 /// | `undetected` | share, 0.01 | so many of the corrupted CAN frames pass the CRC with a wrong bit |
 /// | `duplicate` | chance, 0.01 | a frame arrives twice |
-/// | `delay` | chance, `0.1:2ms` or `0.1:1ms..5ms`, 0.01:1ms..5ms | a frame arrives late |
+/// | `delay` | chance, `0.1:2ms` or `0.1:1ms..5ms`, 0.01:1ms..5ms | a frame arrives late, by 10s at most |
 /// | `reorder` | chance, 0.01 | a frame arrives behind the next one |
-/// | `babble` | pause, 10ms | a drive sends random frames |
+/// | `babble` | pause, 47us at least, 10ms | a drive sends random frames |
 /// | `slow` | time | all that a drive sends comes that much later |
 /// | `cut` | | a drive's wire is cut |
 /// | `mend` | | ends `cut`, `slow` and `babble` |
@@ -183,7 +188,7 @@ fn kind(name: &str, value: Option<&str>) -> Result<FaultKind, Unexpected> {
         "duplicate" => FaultKind::Chance(Chance::Duplicate(usual()?)),
         "delay" => FaultKind::Chance(delay(value)?),
         "reorder" => FaultKind::Chance(Chance::Reorder(usual()?)),
-        "babble" => FaultKind::Babble(value.map_or(Ok(USUAL_BABBLE), parse_time)?),
+        "babble" => FaultKind::Babble(value.map_or(Ok(USUAL_BABBLE), pause)?),
         "slow" => FaultKind::Slow(parse_time(value.unwrap_or_default())?),
         _ => {
             let kind = match name {
@@ -206,6 +211,12 @@ fn kind(name: &str, value: Option<&str>) -> Result<FaultKind, Unexpected> {
     Ok(kind)
 }
 
+fn pause(text: &str) -> Result<Duration, Unexpected> {
+    let pause = parse_time(text)?;
+    let expected = "a pause of at least 47us: a frame takes as long";
+    (pause >= SHORTEST_BABBLE).then_some(pause).ok_or_else(|| Unexpected::new(expected, text))
+}
+
 fn delay(value: Option<&str>) -> Result<Chance, Unexpected> {
     let FaultPlan { delay_min: min, delay_max: max, .. } = FaultPlan::NONE;
     let Some(value) = value else {
@@ -218,6 +229,9 @@ fn delay(value: Option<&str>) -> Result<Chance, Unexpected> {
     let (min, max) = (parse_time(least)?, parse_time(most)?);
     if min > max {
         return Err(Unexpected::new(TIME, late));
+    }
+    if max > LONGEST_DELAY {
+        return Err(Unexpected::new("a delay of at most 10s", late));
     }
     Ok(Chance::Delay { chance: chance(likely)?, min, max })
 }
@@ -327,6 +341,9 @@ mod tests {
         assert_eq!(fault("delay=0.1:2ms").kind, late(0.1, 2, 2));
         assert_eq!(fault("delay=0.1:2ms..30ms").kind, late(0.1, 2, 30));
         assert!(refused("delay=0.1:3ms..2ms").contains("\"3ms..2ms\""));
+        assert_eq!(fault("delay=1:10s").kind, late(1.0, 10_000, 10_000));
+        // A busy bus has 20,000 frames a second for each who hears them: all of them wait.
+        assert!(refused("delay=1:1ms..11s").starts_with("expected a delay of at most 10s"));
     }
 
     #[test]
@@ -353,6 +370,9 @@ mod tests {
         }
         for wrong in ["slow", "slow=5", "slow=ms", "slow=-1s", "babble=inf", "cut+soon"] {
             assert!(refused(wrong).starts_with("expected a time"), "{wrong}");
+        }
+        for wrong in ["babble=0us", "babble=46us"] {
+            assert!(refused(wrong).starts_with("expected a pause of at least 47us"), "{wrong}");
         }
         for wrong in ["cut@0", "cut@33", "cut@", "lose@1,2", "lose@sideways"] {
             assert!(refused(wrong).starts_with("expected a motor"), "{wrong}");
