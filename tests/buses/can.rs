@@ -473,6 +473,19 @@ fn steps_go_from_event_to_event() {
     assert_eq!(times, [0, 109, 112]);
 }
 
+/// Each call would have far more to make up for than the one before.
+#[test]
+fn what_is_too_slow_for_real_time_goes_on_slowly() {
+    let world = world().in_real_time();
+    let begun = std::time::Instant::now();
+    world.every(Duration::from_micros(1), move |_| {
+        std::thread::sleep(std::time::Duration::from_micros(20));
+        assert!(begun.elapsed().as_secs() < 5, "it is held up");
+    });
+    let times = [(); 6].map(|()| world.now());
+    assert!(times.is_sorted() && times[0] < times[5], "{times:?}");
+}
+
 #[test]
 fn the_same_world_runs_in_real_time() {
     let world = world().in_real_time();

@@ -216,7 +216,9 @@ impl Adapter {
 
     /// Tells the program of the frames from the bus.
     fn receive(&mut self) {
-        while let Ok(frame) = self.port.receive() {
+        // What comes meanwhile is for the next time: where the computer is too slow that has no end.
+        for _ in 0..self.status().received {
+            let Ok(frame) = self.port.receive() else { break };
             let hears = match self.channel {
                 Channel::Closed => false,
                 Channel::Listening => !self.is_stranger(),
@@ -251,6 +253,7 @@ fn flags(errors: u16, state: ErrorState) -> u8 {
 mod tests {
     use super::*;
     use crate::sim::bus::can::{CanWorld, ControllerConfig};
+    use crate::sim::bus::faults::Babble;
     use crate::text::can;
     use myactuator_protocol_core::time::{Duration, Instant};
 
@@ -396,5 +399,22 @@ mod tests {
         assert_eq!(flags(96, ErrorState::Active), 0x04);
         assert_eq!(flags(128, ErrorState::Passive), 0x24);
         assert_eq!(flags(256, ErrorState::BusOff), 0xA4);
+    }
+
+    /// Each look at the bus takes so long that there is more after it.
+    #[test]
+    fn a_bus_too_slow_for_real_time_holds_nobody_up() {
+        let (world, mut adapter, other) = adapter(500_000, 9);
+        let frame = can::parse_line("123#00").unwrap();
+        let babble = Babble { interval: Duration::from_millis(1), frame: Some(frame) };
+        world.babble(other.station(), Some(babble));
+        let begun = std::time::Instant::now();
+        world.every(Duration::from_micros(100), move |_| {
+            std::thread::sleep(std::time::Duration::from_micros(200));
+            assert!(begun.elapsed().as_secs() < 2, "it is held up");
+        });
+        let _world = world.in_real_time();
+        std::thread::sleep(std::time::Duration::from_millis(3));
+        adapter.receive();
     }
 }

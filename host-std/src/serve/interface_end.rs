@@ -49,6 +49,11 @@ impl InterfaceEnd {
         }
     }
 
+    /// How many frames the port has for outside.
+    fn received(&self) -> usize {
+        self.port.world().controller(self.port.station()).received
+    }
+
     fn pump_inward(&mut self) -> Result<(), ServeError> {
         loop {
             if let Some(frame) = self.inward {
@@ -67,7 +72,9 @@ impl InterfaceEnd {
     }
 
     fn pump_outward(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
-        while let Ok(frame) = self.port.receive() {
+        // What comes meanwhile is for the next time: where the computer is too slow that has no end.
+        for _ in 0..self.received() {
+            let Ok(frame) = self.port.receive() else { break };
             if self.outward.len() >= MOST_WAITING {
                 self.outward.pop_front();
             }
@@ -117,7 +124,7 @@ impl End for InterfaceEnd {
     }
 
     fn patience(&mut self) -> Option<Duration> {
-        if self.port.world().controller(self.port.station()).received > 0 {
+        if self.received() > 0 {
             Some(Duration::ZERO)
         } else {
             (!self.outward.is_empty()).then_some(TRY_AGAIN)

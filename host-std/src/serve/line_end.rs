@@ -10,6 +10,9 @@ use super::{End, Notice, ServeError};
 use crate::sim::LineFleet;
 use crate::sim::bus::rs485::SerialPort;
 
+/// So many chunks hold all that a port keeps.
+const MOST_CHUNKS: usize = 64;
+
 /// An RS485 adapter: a serial port at one end, a transceiver on the simulated line at the other.
 #[derive(Debug)]
 pub(super) struct LineEnd {
@@ -78,7 +81,11 @@ impl End for LineEnd {
             }
             self.waiting.extend(chunk.iter().take(length));
         }
-        while self.port.read_ready()? {
+        // What comes meanwhile is for the next time: where the computer is too slow that has no end.
+        for _ in 0..MOST_CHUNKS {
+            if !self.port.read_ready()? {
+                break;
+            }
             let length = self.port.read(&mut chunk)?;
             self.pty.write(chunk.get(..length).unwrap_or_default())?;
         }

@@ -28,12 +28,28 @@ pub(super) struct State<B: Medium> {
 impl<B: Medium> State<B> {
     /// In real time, lets everything up to now happen.
     fn catch_up(&mut self) {
-        if let Some(zero) = self.wall_zero {
-            let wall = u64::try_from(zero.elapsed().as_nanos()).unwrap_or(NEVER);
-            self.kernel.run_until(wall);
+        let Some(zero) = self.wall_zero else { return };
+        let passed = zero.elapsed();
+        let wall = u64::try_from(passed.as_nanos()).unwrap_or(NEVER);
+        while self.kernel.next_event() <= wall {
+            self.kernel.step(self.kernel.next_event());
+            if zero.elapsed() > passed + LONGEST_CATCH_UP {
+                return self.follow_wall_clock();
+            }
         }
+        self.kernel.run_until(wall);
+    }
+
+    /// Goes on with the wall clock from here.
+    fn follow_wall_clock(&mut self) {
+        let passed = std::time::Duration::from_nanos(self.kernel.around.now);
+        let now = std::time::Instant::now();
+        self.wall_zero = Some(now.checked_sub(passed).unwrap_or(now));
     }
 }
+
+/// Who is slower than the wall clock would have the longer to make up for, the longer that takes.
+const LONGEST_CATCH_UP: std::time::Duration = std::time::Duration::from_millis(500);
 
 struct Shared<B: Medium> {
     state: Mutex<State<B>>,
@@ -50,7 +66,8 @@ struct Shared<B: Medium> {
 /// masters may share it, in one thread: if several threads wait, each drives time on for all.
 ///
 /// After [`in_real_time`](Self::in_real_time) it follows the wall clock, is caught up to it in every
-/// call, and may be used from any number of threads.
+/// call, and may be used from any number of threads. Of what takes longer than half a second to make up for, the
+/// rest is left out: a simulation that is too slow goes on slowly.
 ///
 /// Methods that take a [`StationId`] panic on one of another world that has more stations.
 pub struct World<B: Medium>(Arc<Shared<B>>);
@@ -138,11 +155,7 @@ impl<B: Medium> World<B> {
 
     /// Has the world follow the wall clock from now on.
     pub fn in_real_time(self) -> Self {
-        let mut state = self.lock();
-        let passed = std::time::Duration::from_nanos(state.kernel.around.now);
-        let now = std::time::Instant::now();
-        state.wall_zero = Some(now.checked_sub(passed).unwrap_or(now));
-        drop(state);
+        self.lock().follow_wall_clock();
         self
     }
 
