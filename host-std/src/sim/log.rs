@@ -305,6 +305,13 @@ mod tests {
         assert_eq!(serde_json::to_value(told[0].event).unwrap(), "cable-cut");
         fleet.world.run_for(Duration::from_secs(2));
         assert_eq!(log.poll(fleet.world.now()), []);
+        // One that was cut before there was a log.
+        fleet.world.cut(station);
+        let mut log = DriveLog::of(&fleet);
+        fleet.world.cut(station);
+        fleet.world.mend(station);
+        let told = log.poll(fleet.world.now());
+        assert_eq!(told.iter().map(|it| it.event).collect::<Vec<_>>(), [LogEvent::CableMended]);
     }
 
     #[test]

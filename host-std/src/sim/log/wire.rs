@@ -36,7 +36,7 @@ impl WireLog {
     pub(super) fn of<B: Medium>(fleet: &BusFleet<B>) -> Self {
         let wired = |drive: &DriveHandle| Wired {
             station: drive.station(),
-            is_cut: false,
+            is_cut: fleet.world.is_cut(drive.station()),
             counted: Vec::new(),
         };
         let drives = Arc::new(Mutex::new(fleet.drives.iter().map(wired).collect::<Vec<_>>()));
