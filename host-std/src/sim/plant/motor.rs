@@ -655,6 +655,11 @@ mod tests {
         // 60 N·m lean 1.72° into it.
         motor.set_output_angle_deg(141.7).unwrap();
         motor.set_load(*motor.load()).unwrap();
+        // 10° take 349 N·m, which a hand has.
+        assert!(motor.set_output_angle_deg(150.0).is_err());
+        motor.set_external_torque_nm(300.0).unwrap();
+        motor.set_output_angle_deg(150.0).unwrap();
+        motor.set_external_torque_nm(0.0).unwrap();
         // A stop that gives way at once is none.
         let soft = EndStop { stiffness_nm_per_rad: 0.0, ..stop(140.0) };
         motor.set_load(Load { upper_stop: Some(soft), ..Load::NONE }).unwrap();

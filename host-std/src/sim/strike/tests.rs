@@ -1,5 +1,7 @@
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{ErrorFlags, ReadMultiTurnAngle, ReadStatus1};
+use myactuator_protocol_core::command::{
+    ErrorFlags, FunctionControl, ReadMultiTurnAngle, ReadStatus1, Switch,
+};
 use myactuator_protocol_core::drive::Event;
 use myactuator_protocol_core::io::{CanMaster, Runner};
 use myactuator_protocol_core::master::Config;
@@ -218,4 +220,56 @@ fn errors_come_and_go() {
     // Stall is of level one, which only a restart ends (8.2).
     assert_eq!(named("clear"), ["stall"]);
     assert_eq!(named("stall@2"), ["stall"]);
+}
+
+#[test]
+fn a_drive_that_is_mended_babbles_no_more() {
+    let faults = ["babble=1ms@1", "mend@1+10ms"].map(|fault| fault.parse().unwrap());
+    let fleet = Fleet::new(1).faults(faults).on_can(1_000_000).unwrap();
+    let log = fleet.world.log();
+    let sent = || {
+        fleet.world.run_for(Duration::from_millis(20));
+        let is_sent = |it: &trace::Record<_>| matches!(it.event, trace::Event::Carried { .. });
+        log.take().iter().filter(|it| is_sent(it)).count()
+    };
+    // Who acknowledges it.
+    let _listens = fleet.world.port();
+    assert!((10..=11).contains(&sent()));
+    assert_eq!(sent(), 0);
+}
+
+/// Not when the drive would have looked after itself.
+#[test]
+fn an_error_that_strikes_is_reported_at_once() {
+    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    let mut master = fleet.master::<1>();
+    master.ask(MotorId::MIN, FunctionControl::ErrorReporting(Switch::On)).unwrap();
+    fleet.plan("over-speed@1+25.3ms".parse().unwrap());
+    let log = fleet.world.log();
+    let strikes = fleet.world.now_ns() + 25_300_000;
+    fleet.world.run_for(Duration::from_millis(30));
+    let sent = log.take().into_iter().find_map(|it| match it.event {
+        trace::Event::Carried { started_ns, .. } => Some(started_ns),
+        _ => None,
+    });
+    let late_ns = sent.unwrap() - strikes;
+    assert!(late_ns < 100_000, "{late_ns}");
+}
+
+#[test]
+fn chance_strikes_only_the_way_that_is_named() {
+    let struck = |fault: &str| {
+        let fleet = Fleet::new(1).faults([fault.parse().unwrap()]).on_can(1_000_000).unwrap();
+        let log = fleet.world.log();
+        let _ = fleet.master::<1>().ask(MotorId::MIN, ReadStatus1);
+        let all = log.take();
+        let lost = all.iter().any(|it| matches!(it.event, trace::Event::Faulted { .. }));
+        let carried = all.iter().filter(|it| matches!(it.event, trace::Event::Carried { .. }));
+        // A question that is not heard has no answer.
+        (lost, carried.map(|it| it.station).collect::<std::collections::BTreeSet<_>>().len())
+    };
+    for of_motor in ["@", "@1,"] {
+        assert_eq!(struck(&format!("lose=1{of_motor}to-drives")), (true, 1));
+        assert_eq!(struck(&format!("lose=1{of_motor}from-drives")), (true, 2));
+    }
 }
