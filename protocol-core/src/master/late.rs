@@ -50,6 +50,12 @@ struct Late {
     until: Instant,
 }
 
+impl Late {
+    fn may_move(&self) -> bool {
+        self.question.kind.may_move()
+    }
+}
+
 /// How many questions of one motor may have late replies. More are never asked: see
 /// [`has_room`](LateReplies::has_room).
 const QUESTIONS: usize = 3;
@@ -59,21 +65,28 @@ const QUESTIONS: usize = 3;
 pub(super) struct LateReplies([Option<Late>; QUESTIONS]);
 
 impl LateReplies {
-    /// So many replies to this question may come until then.
-    pub(super) fn expect(&mut self, question: Question, of: Of, replies: u8, until: Instant) {
+    /// So many replies to this question may come until then. Whether one made way for that whose command may
+    /// yet move the motor.
+    pub(super) fn expect(
+        &mut self,
+        question: Question,
+        of: Of,
+        replies: u8,
+        until: Instant,
+    ) -> bool {
         let known = self.0.iter_mut().flatten().find(|late| late.question == question);
         if let Some(late) = known {
             late.of = of;
             late.replies = late.replies.saturating_add(replies);
             late.until = late.until.max(until);
-            return;
+            return false;
         }
         // Without room, which only stops bring about, the one that ends first makes way, but none that may yet
-        // move the motor if there is another: a stop that it comes after would count.
-        let is_worth = |late: &Option<Late>| late.map(|it| (it.question.kind.may_move(), it.until));
-        if let Some(place) = self.0.iter_mut().min_by_key(|place| is_worth(place)) {
-            *place = Some(Late { question, of, replies, until });
-        }
+        // move the motor if there is another: its reply tells that it has come.
+        let is_worth = |late: &Option<Late>| late.map(|it| (it.may_move(), it.until));
+        let least = self.0.iter_mut().min_by_key(|place| is_worth(place));
+        let late = Late { question, of, replies, until };
+        least.and_then(|place| place.replace(late)).is_some_and(|made_way| made_way.may_move())
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -92,7 +105,7 @@ impl LateReplies {
 
     /// Whether a command is among them that may move the motor: it may not have reached it yet.
     pub(super) fn may_move(&self) -> bool {
-        self.0.iter().flatten().any(|late| late.question.kind.may_move())
+        self.0.iter().flatten().any(Late::may_move)
     }
 
     /// Something else was answered by what may have been one of these: whose reply is still to come
@@ -126,13 +139,15 @@ impl LateReplies {
         Some(of)
     }
 
-    /// Forgets what cannot come any more.
-    pub(super) fn expire(&mut self, now: Instant) {
+    /// Forgets what cannot come any more. Whether a command that may move the motor was among it.
+    pub(super) fn expire(&mut self, now: Instant) -> bool {
+        let mut could_move = false;
         for place in &mut self.0 {
-            if place.is_some_and(|late| late.until <= now) {
-                *place = None;
+            if let Some(late) = place.take_if(|late| late.until <= now) {
+                could_move |= late.may_move();
             }
         }
+        could_move
     }
 
     /// Nothing came while the bus was down: none of these ends before then.

@@ -58,9 +58,7 @@ impl Motor {
         if self.is_unheard && heard_at + config.late_window >= self.moves_until {
             self.bus_is_alive(now, config);
         }
-        let could_move = self.late.may_move();
-        self.late.expire(now);
-        self.is_beyond_late |= self.is_unheard && could_move && !self.late.may_move();
+        self.is_beyond_late |= self.late.expire(now);
         if self.settled_at <= now {
             self.settled_at = Instant::ZERO;
         }

@@ -17,8 +17,15 @@ impl Motor {
         (self.may_yet_move() && !self.is_unheard).then_some(self.moves_until)
     }
 
-    /// What moves was given up.
+    /// What moves, or switches off what is to be held, was sent, and no late reply tells that it has come.
     pub(super) fn may_move_until(&mut self, until: Instant, config: &Config) {
+        self.may_move_until_answered(until, config);
+        self.is_beyond_late = true;
+    }
+
+    /// What moves was given up.
+    fn may_move_until_answered(&mut self, until: Instant, config: &Config) {
+        self.is_beyond_late &= self.may_yet_move();
         self.moves_until = self.moves_until.max(until);
         self.is_unheard = !config.is_rs485();
     }
@@ -33,9 +40,9 @@ impl Motor {
         config: &Config,
     ) {
         if replies > 0 {
-            self.late.expect(question, of, replies, until);
+            self.is_beyond_late |= self.late.expect(question, of, replies, until);
             if question.kind.may_move() {
-                self.may_move_until(until, config);
+                self.may_move_until_answered(until, config);
             }
         }
     }
@@ -66,7 +73,7 @@ impl Motor {
         let until = now + config.late_window;
         let is_one_late = self.late.prolong(question, until);
         if is_one_late && !config.is_rs485() {
-            self.may_move_until(until, config);
+            self.may_move_until_answered(until, config);
         }
         is_one_late
     }

@@ -86,7 +86,7 @@ pub(super) struct Motor {
     /// does not end while nothing is heard on the bus: it may be cut, and the command in a mailbox.
     moves_until: Instant,
     is_unheard: bool,
-    /// Some of it is no more among `late`, whose end then says nothing of it.
+    /// Some of it is not among `late`, whose replies then say nothing of it.
     is_beyond_late: bool,
     /// How long it had run when it said so last, in milliseconds.
     run_time_ms: u32,
@@ -130,6 +130,8 @@ impl Motor {
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
     pub(super) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
+        // What became of an earlier stop says nothing of this one.
+        self.news.remove(News::UNCONFIRMED);
         match self.request {
             // Also one whose outcome is not told yet: each request has one.
             Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)

@@ -234,3 +234,83 @@ fn what_a_stop_overtook_has_the_whole_of_its_window() {
     let at = master.poll_at().unwrap();
     assert!(at > ms(61) && at < ms(62), "its reply's time and the window: {at:?}");
 }
+
+/// Motion, torque and a step lie in mailboxes, and count as lost.
+fn three_lost_moves() -> Master<2> {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(21));
+    master.set_point(id(1), torque(1.0), ms(21)).unwrap();
+    sent(&mut master, ms(21));
+    events(&mut master, ms(42));
+    let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(5) };
+    let _ = master.request_with(id(1), step(), once).unwrap();
+    sent(&mut master, ms(42));
+    assert_eq!(events(&mut master, ms(47)).len(), 1);
+    master
+}
+
+#[test]
+fn what_makes_way_among_late_replies_may_move_the_motor_all_the_same() {
+    let mut master = three_lost_moves();
+    master.stop(id(1), StopKind::Hold).unwrap();
+    sent(&mut master, ms(48));
+    // Nobody has room any more for the late answer to the first stop.
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(49));
+    reply(&mut master, 1, TORQUE_REPLY, ms(50)).unwrap();
+    reply(&mut master, 1, [0xA8, 0, 0, 0, 0, 0, 0, 0], ms(51)).unwrap();
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(52)), None, "motion may come yet");
+    assert_eq!(master.poll_at(), Some(ms(50) + Config::CAN.late_window));
+    assert!(is_stop_confirmed(&mut master, ms(91)));
+}
+
+#[test]
+fn of_what_lay_in_mailboxes_of_a_cut_bus_the_answer_to_one_says_nothing_of_what_is_late_no_more() {
+    let mut master = three_lost_moves();
+    // For motion nobody waits any more; and the bus is whole again.
+    events(&mut master, ms(62));
+    reply(&mut master, 1, TORQUE_REPLY, ms(63)).unwrap();
+    reply(&mut master, 1, [0xA8, 0, 0, 0, 0, 0, 0, 0], ms(64)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert!(!is_stop_confirmed(&mut master, ms(65)), "motion may come yet");
+    assert!(is_stop_confirmed(&mut master, ms(104)));
+}
+
+#[test]
+fn feedback_says_nothing_of_what_else_lies_in_a_mailbox() {
+    // A move that has no reply.
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, RawCommand::new([0x55; 8], ReplyRule::Silent, true), ms(0));
+    events(&mut master, ms(5));
+    master.set_point(id(1), torque(1.0), ms(5)).unwrap();
+    assert_eq!(sent(&mut master, ms(5)).len(), 1);
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(6));
+    reply(&mut master, 1, TORQUE_REPLY, ms(7)).unwrap();
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(8)), None);
+    // What switches off a motor that is to be held.
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(21));
+    let _ = ask(&mut master, 1, Shutdown, ms(21));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    sent(&mut master, ms(22));
+    reply(&mut master, 1, TORQUE_REPLY, ms(23)).unwrap();
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(24)), None);
+}
+
+#[test]
+fn what_became_of_an_earlier_stop_is_not_told_of_the_next() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    for attempt in 0..15 {
+        assert_eq!(sent(&mut master, ms(21 * attempt)).len(), 1);
+    }
+    // It is unconfirmed, and nobody asks for events.
+    master.handle_timeout(ms(315));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(events(&mut master, ms(315)), []);
+}
