@@ -13,6 +13,7 @@ use crate::io::line::{Line, READS_A_ROUND};
 use crate::io::runner::{LONGEST_IDLE, STUCK_AFTER};
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
+use crate::wire::rs485::FRAME_LENGTH;
 
 /// Runs a [`Master`] on an async serial port with an RS485 transceiver. Where the port does not
 /// switch the transceiver's direction by itself, wrap it in [`HalfDuplex`](crate::io::HalfDuplex).
@@ -32,18 +33,25 @@ pub struct AsyncSerialMaster<S, K, const N: usize> {
     unflushed: bool,
 }
 
-/// Reports a frame as sent, also when the future that sends it is dropped: some of it may have left, and
-/// nothing is sent twice.
-struct CountsAsSent<'a, K: Clock, const N: usize> {
+/// A frame that leaves. It counts as sent also when the future that sends it is dropped: some of it may have
+/// left, and nothing is sent twice.
+struct Sending<'a, K: Clock, const N: usize> {
     master: &'a mut Master<N>,
+    line: &'a mut Line,
     clock: &'a mut K,
-    is_over: bool,
+    bytes: &'a [u8; FRAME_LENGTH],
+    /// What the port has not taken yet.
+    rest: &'a [u8],
+    is_refused: bool,
 }
 
-impl<K: Clock, const N: usize> Drop for CountsAsSent<'_, K, N> {
+impl<K: Clock, const N: usize> Drop for Sending<'_, K, N> {
     fn drop(&mut self) {
-        if !self.is_over {
+        if !self.is_refused {
             self.master.handle_transmitted(self.clock.now());
+        }
+        if self.rest.is_empty() {
+            self.line.was_sent(self.bytes);
         }
     }
 }
@@ -88,18 +96,14 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
         let now = self.clock.now();
         let Some(bytes) = self.line.offered(&mut self.master, now) else { return Ok(()) };
         self.unflushed = true;
-        let Self { serial, clock, master, .. } = self;
-        let mut sending = CountsAsSent { master, clock, is_over: false };
+        let Self { serial, clock, master, line, .. } = self;
+        let mut sending =
+            Sending { master, line, clock, bytes: &bytes, rest: &bytes, is_refused: false };
         let patience = sending.clock.wait_until(now + STUCK_AFTER);
-        let mut rest = bytes.as_slice();
-        let outcome = select(write(serial, &mut rest), patience).await;
+        let outcome = select(write(serial, &mut sending.rest), patience).await;
         // What the port has taken may be heard, and answered, whatever fails then.
-        let is_refused = rest.len() == bytes.len();
-        sending.is_over = is_refused;
+        sending.is_refused = sending.rest.len() == bytes.len();
         drop(sending);
-        if is_refused {
-            self.line.was_refused(&bytes);
-        }
         match outcome {
             Either::First(Ok(true)) => self.unflushed = false,
             Either::First(Ok(false)) | Either::Second(()) => {

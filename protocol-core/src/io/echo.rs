@@ -151,15 +151,13 @@ impl Probe {
     }
 
     /// Whether it is to be sent now.
-    pub(super) fn is_due(&mut self) -> bool {
-        let is_due = self.left > 0;
-        self.left = self.left.saturating_sub(1);
-        is_due
+    pub(super) fn is_due(&self) -> bool {
+        self.left > 0
     }
 
-    /// It has not left.
-    pub(super) fn was_refused(&mut self) {
-        self.left += 1;
+    /// The port has taken all of it: of less no echo would be known.
+    pub(super) fn was_sent(&mut self) {
+        self.left = self.left.saturating_sub(1);
     }
 
     /// Whether with this byte it has come back. Before it was sent that is another master's.
@@ -226,6 +224,7 @@ mod tests {
     fn the_probe_is_known_by_all_of_its_bytes_in_a_row() {
         let mut probe = Probe::new();
         assert!(probe.is_due());
+        probe.was_sent();
         let mut backs = |bytes: &[u8]| bytes.iter().filter(|&&it| probe.has_come_back(it)).count();
         let (start, rest) = Probe::FRAME.split_at(5);
         assert_eq!(backs(&[0x00, 0x3E]) + backs(&Probe::FRAME), 1);

@@ -68,10 +68,10 @@ impl Line {
         Some(frame.encode())
     }
 
-    /// The port has taken nothing of what was to be sent.
-    pub(super) fn was_refused(&mut self, bytes: &[u8; FRAME_LENGTH]) {
+    /// The port has taken all of what was to be sent.
+    pub(super) fn was_sent(&mut self, bytes: &[u8; FRAME_LENGTH]) {
         if *bytes == Probe::FRAME {
-            self.probe.was_refused();
+            self.probe.was_sent();
         }
     }
 

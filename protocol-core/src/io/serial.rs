@@ -54,8 +54,9 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
         // What the port has taken may be heard, and answered, whatever fails then.
         if rest.len() < bytes.len() {
             self.master.handle_transmitted(self.clock.now());
-        } else {
-            self.line.was_refused(&bytes);
+        }
+        if rest.is_empty() {
+            self.line.was_sent(&bytes);
         }
         if let Ok(false) = written {
             self.master.handle_bus_down(now);

@@ -158,6 +158,36 @@ fn what_shows_an_echo_has_not_gone_while_the_port_fails() {
 }
 
 #[test]
+fn what_shows_an_echo_has_gone_when_all_of_it_has_whenever_futures_are_dropped() {
+    for most in 1..40 {
+        let (port, clock, mut arm) = serial();
+        port.state().echoes = true;
+        port.state().at_most = 1;
+        arm.master().stop(id(9), StopKind::Hold).unwrap();
+        // The first futures are dropped early.
+        for _ in 0..4 {
+            assert_eq!(polls(arm.next_event(), most), None, "{most}");
+            clock.advance(2_000);
+        }
+        let told = block_on(arm.next_event());
+        assert_eq!(told, Ok(Event::StopUnconfirmed { motor: id(9) }), "{most}: nobody is there");
+    }
+}
+
+#[test]
+fn futures_that_are_dropped_while_a_frame_leaves_hold_no_stop_up() {
+    let (port, clock, mut arm) = serial();
+    arm.master().stop(id(1), StopKind::Hold).unwrap();
+    // Each sees its frame taken, and is dropped before all of it has left.
+    for most in [2, 3, 3] {
+        assert_eq!(polls(arm.run(None), most), None);
+        assert!(!port.is_flushed());
+        clock.advance(2_000);
+    }
+    assert_eq!(port.written().get(27), Some(&1), "behind two that show an echo");
+}
+
+#[test]
 fn what_a_serial_port_has_taken_counts_as_sent_whatever_fails_then() {
     let (port, _, mut arm) = used_serial();
     port.state().flush_fails = true;
