@@ -149,19 +149,7 @@ pub trait AsyncRunner<const N: usize> {
 
     /// As [`Runner::stop`](crate::io::Runner::stop). The stop is in force with the first poll of this future.
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
-        let end = self.now() + LONGEST_STOP;
-        if self.master().stop(motor, kind).is_err() {
-            return false;
-        }
-        while self.now() < end {
-            match self.run(Some(end)).await {
-                Ok(Some(Event::StopConfirmed { motor: from })) if from == motor => return true,
-                Ok(Some(Event::StopUnconfirmed { motor: from })) if from == motor => return false,
-                Ok(_) => {}
-                Err(_) => yield_now().await,
-            }
-        }
-        false
+        self.master().stop(motor, kind).is_ok() && unconfirmed(self, motor.into()).await.is_empty()
     }
 
     /// Stops all motors and waits until each has confirmed, or not; see
@@ -171,25 +159,29 @@ pub trait AsyncRunner<const N: usize> {
     /// The stop is in force with the first poll of this future, and goes on with any other future of
     /// this loop if this one is dropped.
     async fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
-        let end = self.now() + LONGEST_STOP;
-        // Those that the master has no place for are not stopped, which their absence below tells.
+        // Those that the master has no place for are not stopped, and stay unconfirmed.
         let _ = self.master().stop_all(kind, also);
-        let mut waiting = self.master().motors();
-        let mut unconfirmed = also.without(waiting);
-        while !waiting.is_empty() && self.now() < end {
-            match self.run(Some(end)).await {
-                Ok(Some(Event::StopConfirmed { motor })) => waiting.remove(motor),
-                Ok(Some(Event::StopUnconfirmed { motor })) => {
-                    waiting.remove(motor);
-                    unconfirmed.insert(motor);
-                }
-                Ok(_) => {}
-                // A bus that fails again and again leaves the other tasks their turns.
-                Err(_) => yield_now().await,
-            }
-        }
-        waiting.iter().chain(unconfirmed.iter()).collect()
+        let motors = self.master().motors().iter().chain(also.iter()).collect();
+        unconfirmed(self, motors).await
     }
+}
+
+/// Runs the bus until each of these motors has confirmed its stop, or not. Gives those that have not.
+async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
+    runner: &mut R,
+    motors: MotorSet,
+) -> MotorSet {
+    let end = runner.now() + LONGEST_STOP;
+    let mut unconfirmed = motors;
+    let mut given_up = motors.without(runner.master().motors());
+    while !unconfirmed.without(given_up).is_empty() && runner.now() < end {
+        match run_fairly(runner, Some(end)).await {
+            Ok(Some(Event::StopConfirmed { motor })) => unconfirmed.remove(motor),
+            Ok(Some(Event::StopUnconfirmed { motor })) => given_up.insert(motor),
+            _ => {}
+        }
+    }
+    unconfirmed
 }
 
 /// As [`AsyncRunner::run`]; a bus that fails again and again leaves the other tasks their turns.
