@@ -76,7 +76,7 @@ use broadcast::Broadcast;
 use late::Question;
 use motor::{Motor, News};
 use places::Places;
-use request::{Asked, Request};
+use request::{Asked, Purpose, Request};
 use round_trips::RoundTrips;
 use schedule::Earliest;
 use stream::{SetPoint as StreamSetPoint, Stream};
@@ -267,7 +267,7 @@ impl<const N: usize> Master<N> {
                 motor.drop_waiting_set_point();
             }
             motor.join(pace);
-            motor.request = Request::Waiting(Asked::by_caller(question, data, patience));
+            motor.request = Request::Waiting(Asked::new(Purpose::Caller, question, data, patience));
             motor.ticket = number;
             Ok(())
         })

@@ -7,8 +7,6 @@ use crate::master::event::Failure;
 use crate::master::late::Question;
 use crate::time::Duration;
 
-/// How many stop frames a motor gets before it counts as not stopped.
-const STOP_ATTEMPTS: u8 = 15;
 /// No reply comes sooner than that.
 const SHORTEST_TIMEOUT: Duration = Duration::from_millis(1);
 
@@ -39,25 +37,18 @@ pub(super) struct Asked {
 }
 
 impl Asked {
-    pub(super) fn by_caller(question: Question, data: Data, patience: Patience) -> Self {
+    pub(super) fn new(
+        purpose: Purpose,
+        question: Question,
+        data: Data,
+        patience: Patience,
+    ) -> Self {
         Self {
             question,
             data,
-            purpose: Purpose::Caller,
+            purpose,
             timeout: patience.reply_timeout.max(SHORTEST_TIMEOUT),
             attempts_left: patience.attempts.clamp(1, 15),
-            unanswered: 0,
-            once_more: false,
-        }
-    }
-
-    pub(super) fn stop(kind: Kind, data: Data, timeout: Duration) -> Self {
-        Self {
-            question: Question::of(kind, &data),
-            data,
-            purpose: Purpose::Stop,
-            timeout: timeout.max(SHORTEST_TIMEOUT),
-            attempts_left: STOP_ATTEMPTS,
             unanswered: 0,
             once_more: false,
         }

@@ -5,8 +5,9 @@ use crate::data::Data;
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
-use crate::master::request::Asked;
-use crate::master::{Bus, Master, MotorSet};
+use crate::master::late::Question;
+use crate::master::request::{Asked, Purpose};
+use crate::master::{Bus, Master, MotorSet, Patience};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::Duration;
@@ -34,6 +35,8 @@ impl StopKind {
 /// How long a stop's confirmation is waited for at the most before the stop is sent once more; and how long a
 /// stop waits on a line for another motor's answer.
 pub(super) const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
+/// How many stop frames a motor gets before it counts as not stopped.
+const STOP_ATTEMPTS: u8 = 15;
 
 impl<const N: usize> Master<N> {
     /// Stops every motor that this master knows and those of `also`, before anything else is sent
@@ -110,9 +113,10 @@ impl<const N: usize> Master<N> {
         self.offer = None;
         self.due = self.now;
         let (command, data) = kind.command();
-        let timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
+        let reply_timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
+        let patience = Patience { reply_timeout, attempts: STOP_ATTEMPTS };
+        let stop = Asked::new(Purpose::Stop, Question::of(command, &data), data, patience);
         let now = self.now;
-        let stop = Asked::stop(command, data, timeout);
         let is_new = self.change_at(place, |motor, config| {
             let goes_on = was_stopped && motor.is_stopping_as(&stop);
             if !goes_on {
