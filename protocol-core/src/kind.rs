@@ -118,9 +118,11 @@ impl Kind {
         data.get(at).copied()
     }
 
-    /// Whether it may set the motor in motion. Once in the firmware: it is asked in many places.
+    /// Whether it may set the motor in motion: to a motor that has restarted it is refused
+    /// ([`RequestError::Restarted`]).
+    // Once in the firmware: it is asked in many places.
     #[inline(never)]
-    pub(crate) const fn moves(self) -> bool {
+    pub const fn moves(self) -> bool {
         match self {
             Self::Known(opcode) => matches!(opcode.usage(), Usage::SetPoint | Usage::Move),
             Self::Raw { moves, .. } => moves,

@@ -115,6 +115,8 @@ struct State<E> {
     slots: [Slot; MotorId::COUNT],
     stops_all: bool,
     stopped: MotorSet,
+    /// These were told to have restarted, and not resumed.
+    restarted: MotorSet,
     /// An error that nobody was told yet.
     error: Option<Arc<E>>,
     subscribers: Vec<Subscriber>,
@@ -150,6 +152,7 @@ impl<E> Desk<E> {
             slots: std::array::from_fn(|_| Slot::default()),
             stops_all: false,
             stopped: MotorSet::EMPTY,
+            restarted: MotorSet::EMPTY,
             error: None,
             subscribers: Vec::new(),
             has_news: false,
@@ -220,7 +223,7 @@ impl<E> Desk<E> {
         let (answer, answered) = sync_channel(1);
         let mut state = self.lock();
         state.stops_all = true;
-        state.drop_what_moves(MotorSet::ALL);
+        state.drop_what_is_stopped(MotorSet::ALL);
         state.order(Order::StopAll { kind, also, answer })?;
         self.leave(state);
         Ok(answered)
@@ -230,7 +233,7 @@ impl<E> Desk<E> {
         let (answer, answered) = sync_channel(1);
         let mut state = self.lock();
         state.stopped.insert(motor);
-        state.drop_what_moves(motor.into());
+        state.drop_what_is_stopped(motor.into());
         state.order(Order::Stop { motor, kind, answer })?;
         self.leave(state);
         Ok(answered)
@@ -255,6 +258,7 @@ impl<E> Desk<E> {
     pub(super) fn resume(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
         state.slot(motor).refusal = None;
+        state.restarted.remove(motor);
         state.order(Order::Resume(motor))?;
         self.leave(state);
         Ok(())
@@ -262,6 +266,7 @@ impl<E> Desk<E> {
 
     pub(super) fn forget(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
+        state.restarted.remove(motor);
         state.order(Order::Forget(motor))?;
         self.leave(state);
         Ok(())
@@ -338,6 +343,10 @@ impl<E> Desk<E> {
     pub(super) fn publish(&self, event: &Event) {
         let mut state = self.lock();
         state.subscribers.retain(|subscriber| subscriber.tell(event));
+        if let Event::Restarted { motor } = *event {
+            state.restarted.insert(motor);
+            state.drop_what_moves(motor);
+        }
         let heard = match *event {
             Event::Feedback { motor, reply } => Some((motor, reply)),
             Event::Report { motor, reply } | Event::BroadcastReply { motor, reply } => {
@@ -392,6 +401,9 @@ impl<E> State<E> {
         if is_stopped && kind.is_refused_while_stopped() {
             return Err(RequestError::Stopped.into());
         }
+        if self.restarted.contains(motor) && kind.moves() {
+            return Err(RequestError::Restarted.into());
+        }
         Ok(())
     }
 
@@ -420,18 +432,36 @@ impl<E> State<E> {
     }
 
     /// A stop drops whatever is older than it.
-    fn drop_what_moves(&mut self, motors: MotorSet) {
+    fn drop_what_is_stopped(&mut self, motors: MotorSet) {
         for motor in motors.iter() {
             self.slot(motor).set_point = None;
         }
+        self.drop_questions(|motor, kind| {
+            let is_dropped = motors.contains(motor) && kind.is_refused_while_stopped();
+            is_dropped.then_some(SharedBusError::Failed(Failure::Stopped))
+        });
+    }
+
+    /// A restart drops what moves and is older than the word of it.
+    fn drop_what_moves(&mut self, restarted: MotorId) {
+        let slot = self.slot(restarted);
+        if slot.set_point.take().is_some() {
+            slot.refusal = Some(RequestError::Restarted);
+        }
+        self.drop_questions(|motor, kind| {
+            let is_dropped = motor == restarted && kind.moves();
+            is_dropped.then_some(SharedBusError::Request(RequestError::Restarted))
+        });
+    }
+
+    /// Drops the questions of which this gives why.
+    fn drop_questions(&mut self, why: impl Fn(MotorId, Kind) -> Option<SharedBusError<E>>) {
         self.questions.retain(|question| {
-            let is_dropped =
-                motors.contains(question.motor) && question.command.kind.is_refused_while_stopped();
-            if is_dropped {
-                let stopped = SharedBusError::Failed(Failure::Stopped);
-                let _ = question.answer.send(Err(stopped));
-            }
-            !is_dropped
+            let why = why(question.motor, question.command.kind);
+            why.is_none_or(|error| {
+                let _ = question.answer.send(Err(error));
+                false
+            })
         });
     }
 

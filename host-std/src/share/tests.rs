@@ -394,6 +394,8 @@ impl Clerk<CanError> for Notes {
         self.told.push(match order {
             Order::StopAll { .. } => "stop all".to_owned(),
             Order::LiftStop => "lift".to_owned(),
+            Order::Resume(motor) => format!("resume {motor}"),
+            Order::Forget(motor) => format!("forget {motor}"),
             other => panic!("{other:?}"),
         });
     }
@@ -480,4 +482,34 @@ fn nothing_older_than_a_stop_outlives_it() {
         |told| matches!(told, SharedBusError::Panicked(words) if &*words == "the test is over");
     assert!(is_over(desk.wait(reading).unwrap_err()));
     assert!(is_over(desk.wait(stopping).unwrap_err()));
+}
+
+#[test]
+fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
+    let is_refused = |told| matches!(told, SharedBusError::Request(RequestError::Restarted));
+    let desk = Desk::new(None);
+    let reading = desk.ask(id(1), Untyped::of(&ReadStatus1), None);
+    let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
+    let moving = desk.ask(id(1), Untyped::of(&goal), None);
+    // The move waits behind the question, which the motor is busy with.
+    assert_eq!(taken(&desk), ["1?"]);
+    desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+    desk.set_point(id(2), Untyped::of(&turn(2.0))).unwrap();
+    let _other = desk.ask(id(2), Untyped::of(&goal), None);
+    desk.publish(&Event::Restarted { motor: id(1) });
+    assert!(is_refused(moving.unwrap().try_recv().unwrap().unwrap_err()));
+    assert!(is_refused(desk.set_point(id(1), Untyped::of(&turn(3.0))).unwrap_err()));
+    assert!(is_refused(desk.wait(desk.ask(id(1), Untyped::of(&goal), None)).unwrap_err()));
+    desk.resume(id(1)).unwrap();
+    desk.set_point(id(1), Untyped::of(&turn(4.0))).unwrap();
+    assert_eq!(
+        taken(&desk),
+        ["resume 1".to_owned(), set(1, 4.0), set(2, 2.0), "1?".to_owned(), "2?".to_owned()]
+    );
+    // One that is forgotten may be another when it is asked again.
+    desk.publish(&Event::Restarted { motor: id(2) });
+    desk.forget(id(2)).unwrap();
+    desk.set_point(id(2), Untyped::of(&turn(6.0))).unwrap();
+    assert_eq!(taken(&desk), ["forget 2".to_owned(), set(2, 6.0), "1?".to_owned()]);
+    drop(reading);
 }
