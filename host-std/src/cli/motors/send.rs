@@ -5,7 +5,7 @@ use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::command::{AnyCommand, BusId, Phrase, RawCommand, awaits_reply};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
-use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule, Usage};
+use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
@@ -83,14 +83,6 @@ fn needs_consent(kind: Kind) -> bool {
     kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain
 }
 
-/// Whether it sets a motor in motion, so that the motor is stopped if something goes wrong.
-fn sets_in_motion(kind: Kind) -> bool {
-    match kind {
-        Kind::Known(opcode) => matches!(opcode.usage(), Usage::SetPoint | Usage::Move),
-        Kind::Raw { moves, .. } => moves,
-    }
-}
-
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     let kind = arguments.command.kind()?;
     let target = parse::whom(kind, arguments.id)?;
@@ -115,7 +107,8 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
         Target::Motor(motor) => sending.to_one(session, motor),
         Target::All => sending.to_all(session, motors),
     };
-    if sets_in_motion(kind) { session.moving(motors, send) } else { send(session) }
+    // One that moves is stopped if something goes wrong.
+    if kind.moves() { session.moving(motors, send) } else { send(session) }
 }
 
 /// A command, and how its replies are told.
@@ -152,7 +145,7 @@ impl Sending {
     fn question(&self, motors: MotorSet) -> String {
         let who = if motors.len() == 1 { "Motor" } else { "Motors" };
         let then = match (self.kind(), self.command) {
-            (kind, _) if sets_in_motion(kind) => {
+            (kind, _) if kind.moves() => {
                 "This may set a shaft in motion, which goes on until it is told something else."
             }
             (Kind::Raw { .. }, _) => "What it does is not known here: it may write memory.",
@@ -261,8 +254,11 @@ impl Sending {
 
 #[cfg(test)]
 mod tests {
+    use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::{MotionLimits, MotionRanges, VersionDate};
+    use myactuator_host_std::sim::bus::can::ControllerConfig;
+    use myactuator_protocol_core::command::{MotionLimits, MotionRanges, ReadStatus1, VersionDate};
+    use myactuator_protocol_core::io::CanMaster;
 
     use super::super::simulated::{sent, typed, with};
     use super::*;
@@ -354,6 +350,29 @@ mod tests {
         assert_eq!(to_all.map(|packet| packet.data[0]).collect::<Vec<_>>(), [0x9C]);
         let (told, _) = failed(&Fleet::new(3), "--id all raw C0 0 0 0 0 0 0 0");
         assert!(told.starts_with("no reply from motors 1 2 3: firmware may not know"), "{told}");
+    }
+
+    #[test]
+    fn what_a_cut_bus_has_not_carried_to_all_is_not_told_as_sent() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        fleet.world.cut(fleet.drives[0].station());
+        let small = ControllerConfig { transmit_queue: 1, ..ControllerConfig::SOCKETCAN };
+        let port = fleet.world.port_with(small);
+        let master = CanMaster::new(port, fleet.world.clock(), Config::CAN);
+        let master = AnyMaster::SimulatedCan(master);
+        let mut session = Session::by(master);
+        // It fills the controller, so that what follows is refused.
+        let _ = session.master.master().request(MotorId::MIN, ReadStatus1).unwrap();
+        session.master.poll().unwrap();
+        let arguments: Arguments = typed("--id all shutdown");
+        let command = arguments.command.command(None).unwrap();
+        let explainer = Explainer::new(Firmware::V4_3);
+        let sending = Sending { command, explainer, json: false };
+        let Err(Unfinished::Failed(told)) = sending.to_all(&mut session, MotorId::MIN.into())
+        else {
+            panic!("it was not sent");
+        };
+        assert_eq!(told, "the bus carried nothing, so the command was dropped");
     }
 
     #[test]
