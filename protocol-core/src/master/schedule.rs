@@ -14,9 +14,9 @@ pub(super) struct Earliest(pub(super) Option<Instant>);
 
 impl Earliest {
     #[inline]
-    pub(super) fn take(&mut self, at: Instant) {
-        if self.0.is_none_or(|earliest| at < earliest) {
-            self.0 = Some(at);
+    pub(super) fn take(&mut self, at: impl Into<Option<Instant>>) {
+        if let Some(at) = at.into() {
+            self.0 = Some(self.0.map_or(at, |earliest| earliest.min(at)));
         }
     }
 }
@@ -133,7 +133,7 @@ impl<const N: usize> Master<N> {
             self.at(self.places.waiting).any(|(_, motor)| waits(motor))
         };
         if is_late_awaited {
-            self.broadcast.late_until().into_iter().for_each(|end| earliest.take(end));
+            earliest.take(self.broadcast.late_until());
         }
     }
 
@@ -184,13 +184,12 @@ impl<const N: usize> Master<N> {
         for (_, motor) in self.at(self.places.taken) {
             motor.poll_at(&self.config, &mut earliest);
         }
-        self.reply_is_due().into_iter().for_each(|due| earliest.take(due));
+        earliest.take(self.reply_is_due());
         let is_something_chosen = || self.choose(self.busy_until).is_some();
         if self.config.is_rs485() && !self.is_anything_in_flight() && is_something_chosen() {
             earliest.take(self.busy_until);
         } else if self.config.is_rs485() {
-            let interrupted_at = self.choose_interruption().map(|(at, _)| at.max(self.busy_until));
-            interrupted_at.into_iter().for_each(|at| earliest.take(at));
+            earliest.take(self.choose_interruption().map(|(at, _)| at.max(self.busy_until)));
         }
         self.broadcast.poll_at(&mut earliest);
         self.broadcast_wait(&mut earliest);

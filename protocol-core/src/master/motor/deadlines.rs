@@ -90,9 +90,9 @@ impl Motor {
         if self.is_in_flight() && self.chance == Chance::Open && !config.is_rs485() {
             earliest.take(self.sent + config.longest_response);
         }
-        let settled = Some(self.settled_at).filter(|&at| at > Instant::ZERO);
-        let times = settled.into_iter().chain(self.moves_no_more_at()).chain(self.late.next_end());
-        times.for_each(|at| earliest.take(at));
+        earliest.take(Some(self.settled_at).filter(|&at| at > Instant::ZERO));
+        earliest.take(self.moves_no_more_at());
+        earliest.take(self.late.next_end());
     }
 
     /// Tells when this motor has something to tell or to send by itself.
@@ -102,22 +102,21 @@ impl Motor {
             earliest.take(self.settled_at);
         }
         if self.stream.waiting().is_some() && !self.late.has_room() {
-            self.late.next_end().into_iter().for_each(|end| earliest.take(end));
+            earliest.take(self.late.next_end());
         }
         if let Some(asked) = self.request.waiting() {
-            let end = match asked.purpose {
+            earliest.take(match asked.purpose {
                 _ if self.waits_for_motion(asked, false) => self.moves_no_more_at(),
                 Purpose::Stop => None,
                 Purpose::Caller if !self.late.has_room() => self.late.next_end(),
                 Purpose::Caller => self.late.end_of(asked.question),
-            };
-            end.into_iter().for_each(|end| earliest.take(end));
+            });
         }
     }
 
     /// Tells when something is late, lost or too old.
     fn due_to_tell(&self, config: &Config, earliest: &mut Earliest) {
-        let times = self.deadline(config).into_iter().chain(self.stream.expiry());
-        times.for_each(|at| earliest.take(at));
+        earliest.take(self.deadline(config));
+        earliest.take(self.stream.expiry());
     }
 }
