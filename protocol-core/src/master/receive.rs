@@ -192,7 +192,7 @@ impl<const N: usize> Master<N> {
         self.due = now;
         let known = self.change(motor, |motor, config| {
             motor.was_heard(config, now);
-            motor.has_lost_its_master();
+            motor.has_lost_master = true;
         });
         if known.is_none() {
             self.lost_master.insert(motor);

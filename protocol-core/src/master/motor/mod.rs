@@ -67,7 +67,7 @@ pub(super) struct Motor {
     /// A set-point was sent last, so that it is a waiting request's turn.
     was_set_point: bool,
     /// The motor has lost its master and will ignore the next command.
-    has_lost_master: bool,
+    pub(super) has_lost_master: bool,
     /// It has restarted: no set-points until the caller knows.
     pub(super) has_restarted: bool,
     /// Commands in a row that were not answered in time.
@@ -454,15 +454,6 @@ impl Motor {
         self.news.insert(News::RESTARTED);
         self.drop_waiting_set_point();
         self.drop_waiting_move(Failure::Dropped, config, now);
-    }
-
-    pub(super) fn has_lost_its_master(&mut self) {
-        self.has_lost_master = true;
-    }
-
-    /// Whether it has lost its master and will ignore the next command.
-    pub(super) fn ignores_next(&self) -> bool {
-        self.has_lost_master
     }
 
     /// Whether a reply that has come may be the echo of a drive that has lost its master and ignored the
