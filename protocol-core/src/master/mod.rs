@@ -459,7 +459,7 @@ impl<const N: usize> Master<N> {
         }
         let is_stopped = match target {
             Target::Motor(motor) => self.is_stopped(motor),
-            Target::All => self.stops_all || !self.stopped.is_empty(),
+            Target::All => self.is_any_stopped(),
         };
         if is_stopped && kind.is_refused_while_stopped() {
             Err(RequestError::Stopped)

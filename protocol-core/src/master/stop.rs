@@ -132,6 +132,10 @@ impl<const N: usize> Master<N> {
         self.stops_all || self.stopped.contains(motor)
     }
 
+    pub(super) fn is_any_stopped(&self) -> bool {
+        self.stops_all || !self.stopped.is_empty()
+    }
+
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse.
     pub fn lift_stop(&mut self) {
         self.stops_all = false;

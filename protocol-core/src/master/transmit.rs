@@ -112,8 +112,7 @@ impl<const N: usize> Master<N> {
                 });
             }
             Channel::Command(Target::All) | Channel::BusId => {
-                let is_any_stopped = self.stops_all || !self.stopped.is_empty();
-                self.broadcast.was_pushed_out(packet, is_any_stopped);
+                self.broadcast.was_pushed_out(packet, self.is_any_stopped());
             }
             Channel::Reply(_) | Channel::MotionReply(_) => {}
         }
