@@ -142,13 +142,11 @@ pub struct AsyncCanMaster<C, K, const N: usize> {
     /// The event of a frame, until somebody takes it. Here rather than in a future, which may be
     /// dropped.
     told: Option<Event>,
-    frame_time: Duration,
 }
 
 impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock.
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        let frame_time = config.frame_time;
         Self {
             can,
             clock,
@@ -156,7 +154,6 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
             stuck_since: None,
             offered_at: Instant::ZERO,
             told: None,
-            frame_time,
         }
     }
 
@@ -215,7 +212,8 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
             self.stuck_since.get_or_insert(now);
             // While it waits nothing is received, and a controller has few places for that. A bus that is
             // stuck is offered it all the same, as it may be well again.
-            let patience = if is_stuck { Duration::ZERO } else { self.frame_time };
+            let frame_time = self.master.config().frame_time;
+            let patience = if is_stuck { Duration::ZERO } else { frame_time };
             let patience = self.clock.wait_until(now + patience);
             match select(self.can.transmit(&frame), patience).await {
                 Either::First(Ok(pushed_out)) => {
