@@ -4,12 +4,9 @@ use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 
 use crate::io::async_runner::AsyncRunner;
-use crate::io::runner::{LONGEST_IDLE, Runner};
+use crate::io::runner::{LONGEST_IDLE, RETRY_AFTER, Runner};
 use crate::master::{Event, Master};
-use crate::time::{Duration, Instant};
-
-/// How long a bus that reports an error is left alone.
-const AFTER_AN_ERROR: Duration = Duration::from_millis(1);
+use crate::time::Instant;
 
 /// A loop that polls, as one for tasks: where those wait, it lets its clock idle.
 pub(super) struct Polled<'a, R: ?Sized>(pub(super) &'a mut R);
@@ -33,7 +30,7 @@ impl<R: Runner<N> + ?Sized, const N: usize> AsyncRunner<N> for Polled<'_, R> {
                 Ok(None) if until.is_none_or(|until| now < until) => {}
                 Ok(event) => return Ok(event),
                 Err(error) => {
-                    self.0.idle(now + AFTER_AN_ERROR);
+                    self.0.idle(now + RETRY_AFTER);
                     return Err(error);
                 }
             }
