@@ -6,11 +6,11 @@ use core::marker::PhantomData;
 
 use embassy_futures::select::{Either, select};
 use embassy_futures::yield_now;
-use embedded_can::{Error as _, ErrorKind, Frame};
+use embedded_can::Frame;
 
 use crate::io::async_clock::{AsyncClock, wait};
 use crate::io::async_runner::{AsyncRunner, earlier};
-use crate::io::can::{FRAMES_A_ROUND, take_back};
+use crate::io::can::{FRAMES_A_ROUND, note_failed_receive, take_back};
 use crate::io::runner::{RETRY_AFTER, STUCK_AFTER};
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
@@ -170,11 +170,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
                 Ok(())
             }
             Err(error) => {
-                self.master.handle_timeout(now);
-                // A frame that was overwritten says nothing about the bus; anything else may.
-                if error.kind() != ErrorKind::Overrun {
-                    self.master.handle_bus_down(now);
-                }
+                note_failed_receive(&mut self.master, &error, now);
                 Err(error)
             }
         }

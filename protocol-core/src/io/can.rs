@@ -1,6 +1,6 @@
 //! The loop over CAN.
 
-use embedded_can::{Error as _, ErrorKind, Frame, blocking, nb};
+use embedded_can::{ErrorKind, Frame, blocking, nb};
 
 use crate::io::clock::Clock;
 use crate::io::runner::{RETRY_AFTER, Runner, STUCK_AFTER};
@@ -56,11 +56,7 @@ impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
                 }
                 Err(::nb::Error::WouldBlock) => break,
                 Err(::nb::Error::Other(error)) => {
-                    self.master.handle_timeout(now);
-                    // A frame that was overwritten says nothing about the bus; anything else may.
-                    if error.kind() != ErrorKind::Overrun {
-                        self.master.handle_bus_down(now);
-                    }
+                    note_failed_receive(&mut self.master, &error, now);
                     return Err(error);
                 }
             }
@@ -131,6 +127,19 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
         let is_refused = self.stuck_since.is_some() && self.master.poll_transmit(now).is_some();
         let deadline = if is_refused { deadline.min(now + RETRY_AFTER) } else { deadline };
         self.clock.idle(deadline);
+    }
+}
+
+/// The controller reports an error in place of a frame.
+pub(super) fn note_failed_receive<const N: usize>(
+    master: &mut Master<N>,
+    error: &impl embedded_can::Error,
+    now: Instant,
+) {
+    master.handle_timeout(now);
+    // A frame that was overwritten says nothing about the bus; anything else may.
+    if error.kind() != ErrorKind::Overrun {
+        master.handle_bus_down(now);
     }
 }
 
