@@ -3,6 +3,7 @@
 use core::cmp::Reverse;
 
 use crate::master::motor::Motor;
+use crate::master::request::Asked;
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::{Bus, Config, Master, Offer};
 use crate::packet::Packet;
@@ -44,13 +45,15 @@ impl<const N: usize> Master<N> {
         if let Some(packet) = self.stop_to_all_packet() {
             return Some((Offer::StopToAll, packet));
         }
-        let may_send = |motor: &Motor| motor.may_send_stop(self.is_moved_with_all(motor));
-        let stops = self.at(self.places.stops).filter(|(_, motor)| may_send(motor));
-        let most_urgent = stops.min_by_key(|(_, motor)| {
-            let attempts_left = motor.request.waiting().map_or(0, |stop| stop.attempts_left);
-            (Reverse(attempts_left), motor.was_missed())
+        let stops = self.at(self.places.stops).filter_map(|(place, motor)| {
+            let stop = motor.request.waiting()?;
+            let waits = motor.waits_for_motion(stop, self.is_moved_with_all(motor));
+            (!waits).then_some((place, motor, stop))
         });
-        let (place, motor) = most_urgent?;
+        let urgency = |(_, motor, stop): &(_, &Motor, &Asked)| {
+            (Reverse(stop.attempts_left), motor.was_missed())
+        };
+        let (place, motor, _) = stops.min_by_key(urgency)?;
         Some((Offer::Request(place as u8), motor.request_packet()?))
     }
 
@@ -90,7 +93,7 @@ impl<const N: usize> Master<N> {
         // A broadcast that waits lets attempts of what has begun go on: it waits for their end.
         let has_begun = self.broadcast.is_waiting() && asked.unanswered > 0;
         !asked.is_stop()
-            && motor.may_send_request(self.is_moved_with_all(motor))
+            && motor.may_send_request(asked, self.is_moved_with_all(motor))
             && (has_begun || !self.broadcast.keeps_requests_back())
             && !self.is_confusable(motor)
     }

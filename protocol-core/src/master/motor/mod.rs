@@ -211,26 +211,15 @@ impl Motor {
     }
 
     /// Whether a waiting request may go, as far as this motor is concerned.
-    pub(super) fn may_send_request(&self, is_moved_with_all: bool) -> bool {
-        let may = |asked: &Asked| {
-            let is_mistakable = self.late.may_be_mistaken(asked.question);
-            self.late.has_room()
-                && !is_mistakable
-                && !self.waits_for_motion(asked, is_moved_with_all)
-        };
-        self.request.waiting().is_some_and(may)
-    }
-
-    /// Whether the waiting stop may go: at once, whatever is in flight, for the first time.
-    pub(super) fn may_send_stop(&self, is_moved_with_all: bool) -> bool {
-        let may =
-            |asked: &Asked| asked.is_stop() && !self.waits_for_motion(asked, is_moved_with_all);
-        self.request.waiting().is_some_and(may)
+    pub(super) fn may_send_request(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
+        self.late.has_room()
+            && !self.late.may_be_mistaken(asked.question)
+            && !self.waits_for_motion(asked, is_moved_with_all)
     }
 
     /// Whether this is to end motion once more, which it does only when nothing that was sent before can move
     /// the motor any more.
-    fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
+    pub(super) fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
         asked.once_more && (is_moved_with_all || self.may_yet_move())
     }
 
