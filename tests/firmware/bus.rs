@@ -64,7 +64,7 @@ fn moves_nothing_wrongly(program: Program, plan: FaultPlan) -> Option<Second> {
     let is_wrong = |look: &Look| {
         look.angle_deg < -OFF_THE_WAY_DEG
             || look.angle_deg > WAY_DEG + OFF_THE_WAY_DEG
-            || look.speed_dps.abs() > FASTEST_DPS
+            || look.motor_side_speed_dps.abs() > FASTEST_DPS
     };
     if let Some(look) = all.iter().flatten().find(|look| is_wrong(look)) {
         firmware.fail(&format!("disturbed since {disturbed:?}, a shaft goes wrong: {look:?}"));

@@ -37,7 +37,8 @@ const QUEUE_BYTES: u32 = 256;
 /// lines, the longest.
 const REPLIES_BYTES: u32 = 22 * DRIVES as u32;
 
-/// Lost replies that are excused besides one a second: two moments in which the emulator stands still.
+/// Lost replies that are excused at the most besides one a second, on a machine that has kept threads waiting as
+/// often: two moments in which the emulator stands still.
 const AT_FIRST: usize = 2 * DRIVES as usize;
 
 /// What the emulator takes to hand a byte to the firmware or to take one from it: twice the some 30 µs that
@@ -185,8 +186,7 @@ fn nothing_is_lost(program: Program, seconds: u32) {
         if told.dropped > 0 {
             firmware.fail(&format!("{told:?}: bytes were lost on the board"));
         }
-        // Where the machine had something else to do, a reply may be late: that excuses some, not as many
-        // as there are waits.
+        // Where the machine had something else to do, a reply may be late.
         let (lost, excused) = (told.lost as usize, firmware.excused());
         if lost > excused {
             firmware.fail(&format!("{told:?}: a reply was lost on a clean bus"));

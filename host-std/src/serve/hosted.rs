@@ -151,7 +151,9 @@ impl<B: Medium> Hosted for Host<B> {
         let motors = self.named(motor).map(of).collect();
         let traffic = self.traffic.lock().unwrap_or_else(PoisonError::into_inner);
         let traffic = Traffic { busy_us: traffic.busy_ns / 1_000, ..traffic.counted };
-        BusState { bus: self.fleet.name.clone(), bit_rate: self.fleet.bit_rate, traffic, motors }
+        let supply = self.fleet.shared_supply().map(SharedSupply::supply);
+        let (bus, bit_rate) = (self.fleet.name.clone(), self.fleet.bit_rate);
+        BusState { bus, bit_rate, traffic, supply, motors }
     }
 
     fn set_cable(&self, motor: Option<MotorId>, is_cut: bool) {

@@ -7,6 +7,9 @@ const LONGEST: Duration = Duration::from_micros(200);
 /// How much of the mean the latest sleep makes: one of so many.
 const WEIGHT: u32 = 8;
 
+/// A look without sleep takes this part of it away: within some 10 ms all.
+const FORGET: u32 = 1_024;
+
 /// By how much sleeps are too long, on average.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Oversleep(Duration);
@@ -19,7 +22,10 @@ impl Oversleep {
 
     /// A sleep that was to last so long has lasted so long.
     pub(super) fn learn(&mut self, planned: Duration, lasted: Duration) {
-        if !planned.is_zero() {
+        if planned.is_zero() {
+            // Who is never let sleep learns nothing, and a busy spell must not keep it awake for ever.
+            self.0 -= self.0 / FORGET;
+        } else {
             let late = lasted.saturating_sub(planned).min(LONGEST);
             self.0 = (self.0 * (WEIGHT - 1) + late) / WEIGHT;
         }
@@ -40,9 +46,13 @@ mod tests {
         let slept = oversleep.shorten(millisecond);
         assert!(slept.abs_diff(Duration::from_micros(920)) < Duration::from_micros(1), "{slept:?}");
         assert_eq!(oversleep.shorten(Duration::from_micros(50)), Duration::ZERO);
-        // Who did not sleep was not late.
-        (0..100).for_each(|_| oversleep.learn(Duration::ZERO, Duration::from_micros(2)));
-        assert_eq!(oversleep.shorten(millisecond), slept);
+        // Some looks without sleep are as nothing, but for ever it does not stay awake.
+        let mut awake = |looks| {
+            (0..looks).for_each(|_| oversleep.learn(Duration::ZERO, Duration::from_micros(2)));
+            oversleep.shorten(millisecond)
+        };
+        assert!(awake(5).abs_diff(slept) < Duration::from_micros(1));
+        assert!(awake(10_000) > Duration::from_micros(990));
         (0..100).for_each(|_| oversleep.learn(millisecond, Duration::from_secs(1)));
         assert!(oversleep.shorten(millisecond) >= Duration::from_micros(800));
     }

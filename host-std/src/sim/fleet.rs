@@ -223,8 +223,8 @@ impl Fleet {
         self.all(|motor| motor.start_angle_deg = angle_deg)
     }
 
-    /// All draw from this supply: what one draws all see sag. Each keeps the resistance of its own cable, and its
-    /// capacitor. Else each has a [supply](SimulatedMotor::supply) of its own.
+    /// All draw from this supply: what one draws all see sag. Its capacitor and brake resistor are where the motors'
+    /// cables meet; each motor keeps the resistance of its own cable, and its capacitor. Else each has a [supply](SimulatedMotor::supply) of its own.
     #[must_use]
     pub fn supply(mut self, supply: Supply) -> Self {
         self.supply = Some(supply);

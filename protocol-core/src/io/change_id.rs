@@ -22,7 +22,7 @@ use crate::time::Duration;
 const ACKNOWLEDGED_IN: Duration = Duration::from_millis(100);
 /// How long a second answer may take behind the first: an adapter may hold it back for 16 ms.
 const SECOND_ANSWER: Duration = Duration::from_millis(25);
-/// How long the first answer may take, on a busy machine say.
+/// How long the first answer may take at least, on a busy machine say.
 const ANSWERED_IN: Duration = Duration::from_millis(100);
 /// How often a question is put that is lost, or whose answers are, as those of two motors on a line.
 const ATTEMPTS: usize = 3;
@@ -136,7 +136,8 @@ async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
     command: C,
 ) -> Result<bool, CallError<R::Error>> {
     // Asked again while an answer is late, one motor would answer twice, too.
-    let patience = Patience { reply_timeout: ANSWERED_IN, attempts: 1 };
+    let usual = runner.master().patience(1);
+    let patience = Patience { reply_timeout: usual.reply_timeout.max(ANSWERED_IN), ..usual };
     for _ in 0..ATTEMPTS {
         let mut is_once = true;
         let mut hear = |event| {

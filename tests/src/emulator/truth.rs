@@ -27,7 +27,7 @@ pub struct Look {
     pub angle_deg: f32,
     /// True speed of the motor's side of the gear, in the output's degrees per second: what a drive can stop.
     /// Behind it the output crosses the gear's play for a while yet.
-    pub speed_dps: f32,
+    pub motor_side_speed_dps: f32,
     /// Whether the drive's output is on.
     pub is_output_on: bool,
 }
@@ -38,14 +38,14 @@ impl Look {
         drive.with(|drive| Self {
             at: drive.clock(),
             angle_deg: drive.plant().output_angle_deg() as f32,
-            speed_dps: drive.plant().motor_side_speed_dps() as f32,
+            motor_side_speed_dps: drive.plant().motor_side_speed_dps() as f32,
             is_output_on: drive.state().output_on,
         })
     }
 
-    /// Whether the shaft stands still.
+    /// Whether the shaft stands still, but for the gear's play.
     pub fn is_still(&self) -> bool {
-        self.speed_dps.abs() < STILL_DPS
+        self.motor_side_speed_dps.abs() < STILL_DPS
     }
 }
 
@@ -88,7 +88,7 @@ impl Truth {
         all.iter().map(|looks| looks.iter().filter(within).copied().collect()).collect()
     }
 
-    /// How long after `since` each shaft still moved, as far as it was seen.
+    /// How long after `since` each shaft still moved but for the gear's play, as far as it was seen.
     ///
     /// # Panics
     /// If nobody looks any more: then nothing would ever have moved.

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn an_echo_that_was_denied_is_no_confirmation_of_a_motor_that_is_not_there() {
+    fn an_echo_that_nobody_told_of_is_no_confirmation_of_a_motor_that_is_not_there() {
         let (mut session, _) = on_a_line(true);
         assert_eq!(tell_all(&mut session, StopKind::Hold, Stop).unwrap().len(), 3);
         let (mut session, _) = on_a_line(true);

@@ -14,6 +14,9 @@ pub(in crate::serve) struct BusState {
     pub(in crate::serve) bus: String,
     pub(in crate::serve) bit_rate: u32,
     pub(in crate::serve) traffic: Traffic,
+    /// What the motors share, if they do.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(in crate::serve) supply: Option<Supply>,
     pub(in crate::serve) motors: Vec<MotorState>,
 }
 

@@ -396,7 +396,10 @@ fn a_supply_that_motors_share_is_changed_for_all_of_them() {
         let voltage_v = motor["supply_voltage_v"].as_f64().unwrap();
         assert!((voltage_v - 24.0).abs() < 0.1, "{motor}");
     }
-    assert_eq!(state[1]["motors"][0]["supply"]["brake_resistor"]["on_above_v"], 30.0);
+    for supply in [&state[0]["supply"], &state[1]["motors"][0]["supply"]] {
+        assert_eq!(supply["brake_resistor"]["on_above_v"], 30.0, "{supply}");
+    }
+    assert!(state[1]["supply"].is_null(), "it shares none");
 }
 
 /// What finds no room in a pseudo-terminal is kept, and what is written while time goes on waits for its end.

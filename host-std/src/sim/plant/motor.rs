@@ -182,7 +182,9 @@ impl SimulatedMotor {
         &self.link.supply
     }
 
-    /// Connects another supply. The capacitor at the drive's input keeps its voltage and follows.
+    /// Connects another supply. The capacitor at the drive's input keeps its voltage and follows. Of a motor that
+    /// [shares](crate::sim::Fleet::supply) one this is the cable to it: only its resistance, which is the same
+    /// both ways, and the capacitor become others.
     ///
     /// # Errors
     /// [`ImpossibleFigure`] for a figure that cannot be.
@@ -194,18 +196,10 @@ impl SimulatedMotor {
 
     /// From now on its source is a common point, behind a cable with its supply's resistance, both ways.
     pub(in crate::sim) fn join(&mut self, point: &CommonPoint) {
-        let own = *self.supply();
-        let cable = Supply {
-            voltage_v: point.voltage_v(),
-            feedback_resistance_ohm: own.resistance_ohm,
-            brake_resistor: None,
-            ..own
-        };
-        self.link.replace_supply(cable, STEP_S);
-        self.link.take_charge_c();
+        self.link.join(point.voltage_v(), STEP_S);
     }
 
-    /// What it has drawn from its source since this was asked last, C.
+    /// What it has drawn from the common point since this was asked last, C.
     pub(in crate::sim) fn take_charge_c(&mut self) -> f64 {
         self.link.take_charge_c()
     }

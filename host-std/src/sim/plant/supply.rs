@@ -3,7 +3,8 @@
 use super::figure::{ImpossibleFigure, check};
 use serde::{Deserialize, Serialize};
 
-/// A voltage source behind a resistance, with the capacitor at the drive's input.
+/// A voltage source behind a resistance, with the capacitor at the drive's input; where drives
+/// [share](crate::sim::Fleet::supply) it, at the point where their cables meet.
 ///
 /// While the drive draws power its voltage sags by current times resistance. While the motor feeds
 /// back, the voltage rises by current times *feedback* resistance: small for a battery, large for a
@@ -54,6 +55,17 @@ impl Supply {
         Self { feedback_resistance_ohm: 20.0, ..Self::battery(voltage_v) }
     }
 
+    /// With capacitors beside its own.
+    fn beside(self, others_f: f64) -> Self {
+        Self { capacitance_f: self.capacitance_f + others_f, ..self }
+    }
+
+    /// Its resistance and capacitor behind a common point with this voltage.
+    fn cable_to(self, voltage_v: f64) -> Self {
+        let feedback_resistance_ohm = self.resistance_ohm;
+        Self { voltage_v, feedback_resistance_ohm, brake_resistor: None, ..self }
+    }
+
     pub(crate) fn check(&self) -> Result<(), ImpossibleFigure> {
         check_voltage(self.voltage_v)?;
         for resistance_ohm in [self.resistance_ohm, self.feedback_resistance_ohm] {
@@ -87,8 +99,8 @@ pub(super) struct Link {
     burnt: Path,
     burns: bool,
     step_s: f64,
-    /// What the drive took since that was asked last, C.
-    taken_c: f64,
+    /// Of a drive behind a common point: what it took since that was asked last, C.
+    taken_c: Option<f64>,
 }
 
 /// What the capacitor sees as long as nothing is switched: a voltage behind a resistance.
@@ -137,7 +149,7 @@ impl Link {
             burnt,
             burns: false,
             step_s,
-            taken_c: 0.0,
+            taken_c: None,
             supply,
         }
     }
@@ -146,8 +158,13 @@ impl Link {
         self.held_v.unwrap_or(self.voltage_v)
     }
 
-    /// Keeps the voltage at the capacitor and what a test holds, on another source.
+    /// Keeps the voltage at the capacitor and what a test holds, on another source. Behind a common point that
+    /// stays the source, and only the cable and the capacitor become others.
     pub(super) fn replace_supply(&mut self, supply: Supply, step_s: f64) {
+        let supply = match self.taken_c {
+            Some(_) => supply.cable_to(self.supply.voltage_v),
+            None => supply,
+        };
         *self = Self {
             voltage_v: self.voltage_v,
             held_v: self.held_v,
@@ -156,7 +173,13 @@ impl Link {
         };
     }
 
-    /// The source has another voltage now. For a link without brake resistor.
+    /// From now on its source is a common point with this voltage.
+    pub(super) fn join(&mut self, source_v: f64, step_s: f64) {
+        self.replace_supply(self.supply.cable_to(source_v), step_s);
+        self.taken_c = Some(0.0);
+    }
+
+    /// The common point has another voltage now.
     pub(super) fn follow(&mut self, source_v: f64) {
         self.supply.voltage_v = source_v;
         for path in [&mut self.drawn, &mut self.fed_back, &mut self.burnt] {
@@ -164,10 +187,9 @@ impl Link {
         }
     }
 
-    /// What the drive took since this was asked last, C. What its capacitor takes or gives while the source's
-    /// voltage changes is not in it.
+    /// What the drive took from the common point since this was asked last, C.
     pub(super) fn take_charge_c(&mut self) -> f64 {
-        std::mem::take(&mut self.taken_c)
+        self.taken_c.as_mut().map_or(0.0, std::mem::take)
     }
 
     /// One step in which the drive draws `power_w`; returns the current into the drive, A. Exact
@@ -180,8 +202,10 @@ impl Link {
 
     /// One step in which the drive draws this current.
     fn draw(&mut self, current_a: f64) {
-        self.taken_c += current_a * self.step_s;
         if self.held_v.is_none() {
+            if let Some(taken_c) = &mut self.taken_c {
+                *taken_c += current_a * self.step_s;
+            }
             if let Some(brake) = self.supply.brake_resistor {
                 let limit_v = if self.burns { brake.off_below_v } else { brake.on_above_v };
                 self.burns = self.voltage_v > limit_v;
@@ -198,29 +222,38 @@ impl Link {
 
 /// Where the cables of several drives meet that share a supply.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::sim) struct CommonPoint(Link);
+pub(in crate::sim) struct CommonPoint {
+    supply: Supply,
+    /// The drives' capacitors, behind cables that hardly matter to them, F.
+    drives_f: f64,
+    link: Link,
+    /// Steps in a period.
+    steps: u32,
+}
 
 impl CommonPoint {
-    /// Worked out once a period.
-    pub(in crate::sim) fn new(supply: Supply, period_s: f64) -> Self {
-        Self(Link::new(supply, period_s))
+    pub(in crate::sim) fn new(supply: Supply, drives_f: f64, step_s: f64, steps: u32) -> Self {
+        let link = Link::new(supply.beside(drives_f), step_s);
+        Self { supply, drives_f, link, steps }
     }
 
     pub(in crate::sim) const fn supply(&self) -> &Supply {
-        &self.0.supply
+        &self.supply
     }
 
-    /// Another supply; the capacitor keeps its voltage and follows.
+    /// Another supply; the capacitors keep their voltage and follow.
     pub(in crate::sim) fn replace_supply(&mut self, supply: Supply) {
-        self.0.replace_supply(supply, self.0.step_s);
+        self.supply = supply;
+        self.link.replace_supply(supply.beside(self.drives_f), self.link.step_s);
     }
 
     pub(in crate::sim) const fn voltage_v(&self) -> f64 {
-        self.0.voltage_v
+        self.link.voltage_v
     }
 
     /// Drives have drawn this charge in a period.
     pub(in crate::sim) fn draw_c(&mut self, charge_c: f64) {
-        self.0.draw(charge_c / self.0.step_s);
+        let current_a = charge_c / (self.link.step_s * f64::from(self.steps));
+        (0..self.steps).for_each(|_| self.link.draw(current_a));
     }
 }
