@@ -13,7 +13,7 @@ use super::image;
 use super::log::{Line, Mark, Second};
 use super::panel::Breakage;
 use super::truth::{Look, Truth};
-use super::urgency::Stalls;
+use super::urgency::{REPLY_TIMEOUT, Stalls};
 use super::{Emulated, Failure};
 
 /// They keep real time, so that several at once would miss it.
@@ -41,7 +41,7 @@ pub struct Firmware {
     read: Mark,
     /// The cycles that the application told of last.
     cycles: u32,
-    /// Replies that were too late because the emulator stood still, a drive's each time.
+    /// Replies that were too late because the emulator stood still or was slow.
     stood_still: usize,
     _alone: MutexGuard<'static, ()>,
 }
@@ -137,8 +137,11 @@ impl Firmware {
         };
         // They begin anew with each motion.
         let before = if self.cycles < second.cycles { self.cycles } else { 0 };
-        if second.cycles - before + STOOD_STILL <= CYCLES {
-            self.stood_still += self.drives().handles().len();
+        let missing = CYCLES.saturating_sub(second.cycles - before);
+        if missing >= STOOD_STILL {
+            // A master asks the next time after so many milliseconds, so that each of these may cost a reply.
+            let late = missing / REPLY_TIMEOUT.as_millis() as u32 + 1;
+            self.stood_still += late as usize * self.drives().handles().len();
         }
         self.cycles = second.cycles;
         second

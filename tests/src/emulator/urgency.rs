@@ -16,7 +16,7 @@ use rustix::thread::{CpuSet, gettid, sched_getaffinity, sched_setaffinity};
 const LATE: Duration = Duration::from_millis(15);
 /// A master asks the next time when no reply has come for so long, so that a wait costs one reply for each
 /// of these, and one for what is left.
-const REPLY_TIMEOUT: Duration = Duration::from_millis(25);
+pub(super) const REPLY_TIMEOUT: Duration = Duration::from_millis(25);
 
 /// Puts this thread before all ordinary ones, if that is allowed. What it starts from now on is
 /// ordinary.
