@@ -63,6 +63,7 @@ pub use supply::{BrakeResistor, Supply};
 #[cfg(test)]
 mod tests {
     use std::fs;
+    use std::path::Path;
 
     /// Functions of a float that are exact, or rounded as the standard of floats says, are the same on every
     /// machine; of these the standard library leaves the last bits to the system.
@@ -74,11 +75,16 @@ mod tests {
 
     #[test]
     fn the_physics_has_its_functions_from_libm() {
-        let sim = concat!(env!("CARGO_MANIFEST_DIR"), "/src/sim");
+        let sim = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/sim");
+        let mut folders = vec![sim.join("plant"), sim.join("mechanics")];
         let mut files = 0;
-        for folder in ["plant", "mechanics"] {
-            for file in fs::read_dir(format!("{sim}/{folder}")).unwrap() {
+        while let Some(folder) = folders.pop() {
+            for file in fs::read_dir(folder).unwrap() {
                 let path = file.unwrap().path();
+                if path.is_dir() {
+                    folders.push(path);
+                    continue;
+                }
                 let text = fs::read_to_string(&path).unwrap();
                 let code = text.split("#[cfg(test)]").next().unwrap();
                 for name in SYSTEMS_OWN {
