@@ -360,6 +360,13 @@ fn a_brake_resistor_burns_what_is_fed_back() {
     let below = BrakeResistor { off_below_v: 47.0, ..brake };
     let refused = Supply { brake_resistor: Some(below), ..supply };
     assert!(motor(ideal()).set_supply(refused).is_err());
+    // Below the supply's own voltage it would be on for ever.
+    let always = BrakeResistor { on_above_v: 45.0, off_below_v: 44.0, ..brake };
+    let refused = Supply { brake_resistor: Some(always), ..supply };
+    let told = motor(ideal()).set_supply(refused).unwrap_err().to_string();
+    let expected =
+        "voltage at which the brake resistor goes on must be 48 to 1000 V, but 45 V was given";
+    assert_eq!(told, expected);
 }
 
 /// A supply far too weak bends the voltage; nothing breaks, and the voltage never gets negative.

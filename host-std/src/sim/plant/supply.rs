@@ -3,6 +3,9 @@
 use super::figure::{ImpossibleFigure, check};
 use serde::{Deserialize, Serialize};
 
+/// The largest voltage, V.
+const MOST_V: f64 = 1000.0;
+
 /// A voltage source behind a resistance, with the capacitor at the drive's input; where drives
 /// [share](crate::sim::Fleet::supply) it, at the point where their cables meet.
 ///
@@ -29,9 +32,9 @@ pub struct Supply {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BrakeResistor {
-    /// It goes on above this voltage, V.
+    /// It goes on above this voltage, V; not below the supply's own.
     pub on_above_v: f64,
-    /// It goes off below this voltage, V; at most [`on_above_v`](Self::on_above_v), and above the supply's own.
+    /// It goes off below this voltage, V; at most [`on_above_v`](Self::on_above_v), and not below the supply's own.
     pub off_below_v: f64,
     /// Resistance, Ω.
     pub resistance_ohm: f64,
@@ -73,7 +76,9 @@ impl Supply {
         }
         check("input capacitance", "F", 0.000_1..=100.0, self.capacitance_f)?;
         if let Some(brake) = self.brake_resistor {
-            let on_above_v = check_voltage(brake.on_above_v)?;
+            // A supply that keeps it on would burn in it.
+            let goes_on = "voltage at which the brake resistor goes on";
+            let on_above_v = check(goes_on, "V", self.voltage_v..=MOST_V, brake.on_above_v)?;
             let off = "voltage at which the brake resistor goes off";
             check(off, "V", self.voltage_v..=on_above_v, brake.off_below_v)?;
             check("brake resistor", "Ω", 0.01..=1_000_000.0, brake.resistance_ohm)?;
@@ -83,7 +88,7 @@ impl Supply {
 }
 
 pub(super) fn check_voltage(voltage_v: f64) -> Result<f64, ImpossibleFigure> {
-    check("supply voltage", "V", 0.0..=1000.0, voltage_v)
+    check("supply voltage", "V", 0.0..=MOST_V, voltage_v)
 }
 
 /// The voltage at the drive's input as time goes on.
