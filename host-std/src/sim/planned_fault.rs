@@ -137,8 +137,13 @@ impl Chance {
 impl FromStr for PlannedFault {
     type Err = Unexpected;
 
-    fn from_str(text: &str) -> Result<Self, Unexpected> {
+    fn from_str(whole: &str) -> Result<Self, Unexpected> {
+        let text = whole;
         let (text, after) = match text.rsplit_once('+') {
+            Some((_, after)) if after.contains(['@', '?']) => {
+                let expected = "its time at the end, as in cut@1?angle>90+5s";
+                return Err(Unexpected::new(expected, text));
+            }
             Some((text, after)) => (text, parse_time(after)?),
             None => (text, Duration::ZERO),
         };
@@ -163,7 +168,7 @@ impl FromStr for PlannedFault {
         }
         if condition.is_some() && motor.is_none() {
             let expected = "the motor that the condition is on, as in cut@1?angle>90";
-            return Err(Unexpected::new(expected, place.unwrap_or_default()));
+            return Err(Unexpected::new(expected, whole));
         }
         Ok(Self { kind, motor, direction, after, condition })
     }
@@ -379,6 +384,10 @@ mod tests {
         }
         for wrong in ["cut?angle>5", "lose@to-drives?angle>5"] {
             assert!(refused(wrong).starts_with("expected the motor that the condition"), "{wrong}");
+            assert!(refused(wrong).ends_with(&format!("found \"{wrong}\"")), "{wrong}");
+        }
+        for wrong in ["cut+5s@1", "cut@1+5s?angle>5"] {
+            assert!(refused(wrong).starts_with("expected its time at the end, as in"), "{wrong}");
         }
         assert!(refused("cut@1?angle").starts_with("expected angle, speed"));
         assert_eq!(refused("cut=2"), "expected cut without a value, found \"2\"");
