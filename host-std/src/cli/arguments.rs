@@ -42,6 +42,12 @@ pub(super) fn single(text: &str) -> Parsed<f32> {
     value.ok_or_else(|| format!("expected a number such as 1.5, found \"{text}\""))
 }
 
+/// A finite number of the physics.
+pub(super) fn finite(text: &str) -> Parsed<f64> {
+    let value = number(text).filter(|value| value.is_finite());
+    value.ok_or_else(|| format!("expected a number such as 1.5, found \"{text}\""))
+}
+
 /// A whole number, decimal or with `0x`.
 fn integer(text: &str) -> Option<i64> {
     match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {

@@ -58,6 +58,7 @@ enum Command {
         #[command(flatten)]
         whom: Whom,
         /// Torque, N·m
+        #[arg(value_parser = parse::finite)]
         torque_nm: f64,
     },
     /// Put the shaft to an angle, at rest
@@ -66,6 +67,7 @@ enum Command {
         #[command(flatten)]
         whom: Whom,
         /// Degrees, turns included
+        #[arg(value_parser = parse::finite)]
         angle_deg: f64,
     },
     /// Change the supply; what is not given stays
@@ -74,17 +76,21 @@ enum Command {
         #[command(flatten)]
         whom: Whom,
         /// Voltage without load, V
-        #[arg(long, group = "what", value_name = "V")]
+        #[arg(long, group = "what", value_name = "V", value_parser = parse::finite, allow_negative_numbers = true)]
         voltage_v: Option<f64>,
         /// Internal resistance, ohm
-        #[arg(long, group = "what", value_name = "OHM")]
+        #[arg(long, group = "what", value_name = "OHM", value_parser = parse::finite, allow_negative_numbers = true)]
         resistance_ohm: Option<f64>,
         /// Resistance against current that flows back, ohm
-        #[arg(long, group = "what", value_name = "OHM")]
+        #[arg(long, group = "what", value_name = "OHM", value_parser = parse::finite, allow_negative_numbers = true)]
         feedback_resistance_ohm: Option<f64>,
         /// Capacitance at the drive's input, F
-        #[arg(long, group = "what", value_name = "F")]
+        #[arg(long, group = "what", value_name = "F", value_parser = parse::finite, allow_negative_numbers = true)]
         capacitance_f: Option<f64>,
+        /// Resistor that burns what is fed back: above which voltage it goes on, below which off, V, and its
+        /// resistance, ohm, as in 52,50,2; or none
+        #[arg(long, group = "what", value_name = "ON,OFF,OHM", value_parser = brake_resistor)]
+        brake_resistor: Option<Value>,
     },
     /// Set the air's temperature, °C
     #[command(allow_negative_numbers = true)]
@@ -92,6 +98,7 @@ enum Command {
         #[command(flatten)]
         whom: Whom,
         /// Degrees Celsius
+        #[arg(value_parser = parse::finite)]
         ambient_c: f64,
     },
     /// Hold temperatures, °C; what is not given goes on by itself
@@ -100,10 +107,10 @@ enum Command {
         #[command(flatten)]
         whom: Whom,
         /// The winding's, °C
-        #[arg(long, value_name = "C")]
+        #[arg(long, value_name = "C", value_parser = parse::finite)]
         motor_c: Option<f64>,
         /// The output stage's, °C
-        #[arg(long, value_name = "C")]
+        #[arg(long, value_name = "C", value_parser = parse::finite)]
         mosfet_c: Option<f64>,
     },
     /// Have the brake stick, or work again
@@ -164,6 +171,25 @@ fn object(text: &str) -> Result<Value, String> {
     if value.is_object() { Ok(value) } else { Err("expected a JSON object".into()) }
 }
 
+/// `null` for none.
+fn brake_resistor(text: &str) -> Result<Value, String> {
+    if text == "none" {
+        return Ok(Value::Null);
+    }
+    let figures: Result<Vec<f64>, _> = text.split(',').map(parse::finite).collect();
+    match figures.as_deref() {
+        Ok(&[on_above_v, off_below_v, resistance_ohm]) => Ok(json!({
+            "on_above_v": on_above_v,
+            "off_below_v": off_below_v,
+            "resistance_ohm": resistance_ohm,
+        })),
+        _ => Err(format!(
+            "expected three numbers such as 52,50,2 (above which voltage it goes on, below which off, V, and its \
+             resistance, ohm), or none, found \"{text}\""
+        )),
+    }
+}
+
 /// Looked at here, so that what is wrong is told as for `sim --fault`.
 fn fault(text: &str) -> Result<String, String> {
     text.parse::<PlannedFault>().map(|_| text.to_owned()).map_err(|error| error.to_string())
@@ -205,15 +231,21 @@ impl Command {
                 resistance_ohm,
                 feedback_resistance_ohm,
                 capacitance_f,
-            } => whom.request(
-                "supply",
-                json!({
+                brake_resistor,
+            } => {
+                let takes = json!({
                     "voltage_v": voltage_v,
                     "resistance_ohm": resistance_ohm,
                     "feedback_resistance_ohm": feedback_resistance_ohm,
                     "capacitance_f": capacitance_f,
-                }),
-            ),
+                });
+                let mut request = whom.request("supply", takes);
+                // Null, which takes it away, is not the same as nothing.
+                if let Some(brake_resistor) = brake_resistor {
+                    request["supply"]["brake_resistor"] = brake_resistor.clone();
+                }
+                request
+            }
             Self::Ambient { whom, ambient_c } => {
                 whom.request("ambient", json!({ "ambient_c": ambient_c }))
             }
@@ -306,6 +338,11 @@ mod tests {
             ("angle 90", r#"{"angle":{"angle_deg":90.0}}"#),
             ("supply --voltage-v 24", r#"{"supply":{"voltage_v":24.0}}"#),
             ("supply --capacitance-f 0.01", r#"{"supply":{"capacitance_f":0.01}}"#),
+            (
+                "supply --bus arm --brake-resistor 52,50,2",
+                r#"{"supply":{"bus":"arm","brake_resistor":{"on_above_v":52.0,"off_below_v":50.0,"resistance_ohm":2.0}}}"#,
+            ),
+            ("supply --brake-resistor none", r#"{"supply":{"brake_resistor":null}}"#),
             ("temperature --id 2 --motor-c -5", r#"{"temperature":{"motor":2,"motor_c":-5.0}}"#),
             ("temperature", r#"{"temperature":{}}"#),
             ("cable --bus can cut", r#"{"cable":{"bus":"can","cut":true}}"#),
@@ -327,6 +364,11 @@ mod tests {
         assert!(wrong("fault loose").contains("expected lose, corrupt"));
         assert!(wrong("advance 5").contains("expected a time with its unit"));
         assert!(wrong("supply --id 1").contains("--voltage-v"), "nothing would change");
+        for words in ["supply --voltage-v 48V", "supply --voltage-v nan", "push 5Nm", "ambient inf"]
+        {
+            assert!(wrong(words).contains("expected a number such as 1.5, found"), "{words}");
+        }
+        assert!(wrong("supply --brake-resistor 52,50").contains("expected three numbers such as"));
         assert!(wrong("load 5").contains("expected a JSON object"));
     }
 }

@@ -64,7 +64,7 @@ mod fleet;
 mod log;
 pub mod mechanics;
 pub mod memory;
-mod model_file;
+pub(crate) mod model_file;
 mod planned_fault;
 pub mod plant;
 mod quirk_names;

@@ -36,12 +36,12 @@ pub(super) fn line_of(text: &str, at: usize) -> usize {
 pub(super) fn of_toml(text: &str, error: &toml::de::Error) -> (usize, String) {
     let at = error.span().map_or(0, |span| span.start);
     let what = error.message().trim_end().replace('\n', ", ");
-    (line_of(text, at), in_words_of_toml(&what).unwrap_or(what))
+    (line_of(text, at), in_plain_words(&what).unwrap_or(what))
 }
 
 /// What was expected and what was found where serde names a type of this program, in words of whoever writes a
-/// file.
-fn in_words_of_toml(what: &str) -> Option<String> {
+/// file or a request.
+pub(crate) fn in_plain_words(what: &str) -> Option<String> {
     let (found, expected) = what
         .strip_prefix("invalid type: ")
         .or_else(|| what.strip_prefix("invalid value: "))?

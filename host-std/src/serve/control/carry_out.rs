@@ -56,7 +56,7 @@ impl Scene<'_> {
                     feedback_resistance_ohm: feedback_resistance_ohm
                         .unwrap_or(old.feedback_resistance_ohm),
                     capacitance_f: capacitance_f.unwrap_or(old.capacitance_f),
-                    brake_resistor: brake_resistor.or(old.brake_resistor),
+                    brake_resistor: brake_resistor.unwrap_or(old.brake_resistor),
                 };
                 self.change_supply(bus, motor, of_old)?;
             }

@@ -1,9 +1,10 @@
 //! What can be asked for.
 
 use myactuator_protocol_core::MotorId;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
+use crate::sim::model_file::in_plain_words;
 use crate::sim::plant::{BrakeResistor, Load};
 
 /// A request: an object with one key, its name, and what belongs to it.
@@ -28,7 +29,8 @@ pub(in crate::serve) enum Request {
         resistance_ohm: Option<f64>,
         feedback_resistance_ohm: Option<f64>,
         capacitance_f: Option<f64>,
-        brake_resistor: Option<BrakeResistor>,
+        #[serde(default, deserialize_with = "given")]
+        brake_resistor: Option<Option<BrakeResistor>>,
     },
     Push {
         bus: Option<String>,
@@ -71,6 +73,13 @@ pub(in crate::serve) enum Request {
     },
 }
 
+/// What is given, also as `null`; what is not given is `None`.
+fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+) -> Result<Option<T>, D::Error> {
+    T::deserialize(deserializer).map(Some)
+}
+
 /// How a brake sticks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -86,12 +95,21 @@ impl Request {
     /// A sentence.
     pub(super) fn parse(line: &[u8]) -> Result<Self, String> {
         serde_json::from_slice(line).map_err(|error| {
-            let wrong = found_instead(line).unwrap_or_else(|| error.to_string());
+            let wrong = found_instead(line).unwrap_or_else(|| in_plain_words_of_json(&error));
             format!(
                 "expected a request, such as {{\"state\":{{\"motor\":1}}}}, on one line: {wrong}"
             )
         })
     }
+}
+
+/// What is wrong, without the names of this program's types.
+fn in_plain_words_of_json(error: &serde_json::Error) -> String {
+    let whole = error.to_string();
+    let (what, place) = whole.rsplit_once(" at line ").unwrap_or((&whole, ""));
+    let plain =
+        in_plain_words(what).map(|plain| plain.replace("expected a table", "expected an object"));
+    plain.map_or(whole.clone(), |plain| format!("{plain} at line {place}"))
 }
 
 /// What is there in place of an object with one key and an object, if that is what is wrong.
@@ -123,6 +141,21 @@ mod tests {
         assert!(wrong(r#"{"push":{"motor":1}}"#).contains("missing field `torque_nm`"));
         assert!(wrong(r#"{"load":{"load":{"weight":1}}}"#).contains("unknown field `weight`"));
         assert!(wrong(r#"{"time":{}} {"time":{}}"#).contains("trailing"));
+        for (line, plain) in [
+            (
+                r#"{"supply":{"voltage_v":"24"}}"#,
+                "expected a number, found string \"24\" at line 1",
+            ),
+            (r#"{"load":{"load":null}}"#, "expected an object, found null"),
+            (r#"{"load":{"load":5}}"#, "expected an object, found integer `5`"),
+            (r#"{"state":{"motor":"1"}}"#, "expected a whole number from 0 to 255, found string"),
+            (
+                r#"{"advance":{"us":1.5}}"#,
+                "expected a whole number that is not negative, found floating",
+            ),
+        ] {
+            assert!(wrong(line).contains(plain), "{}", wrong(line));
+        }
         for (line, sentence) in [
             (
                 r#"{"time":null}"#,

@@ -399,6 +399,14 @@ fn a_supply_that_motors_share_is_changed_for_all_of_them() {
     for supply in [&state[0]["supply"], &state[1]["motors"][0]["supply"]] {
         assert_eq!(supply["brake_resistor"]["on_above_v"], 30.0, "{supply}");
     }
+    for (request, stays) in [
+        (r#"{"supply":{"bus":"arm","resistance_ohm":0.1}}"#, true),
+        (r#"{"supply":{"bus":"arm","brake_resistor":null}}"#, false),
+    ] {
+        assert!(client.ask(request)["ok"].is_object(), "{request}");
+        let state = client.ask(r#"{"state":{"bus":"arm"}}"#)["ok"]["buses"].take();
+        assert_eq!(state[0]["supply"]["brake_resistor"].is_object(), stays, "{state}");
+    }
     assert!(state[1]["supply"].is_null(), "it shares none");
 }
 
