@@ -153,7 +153,8 @@ impl<B: Medium> Hosted for Host<B> {
         let traffic = Traffic { busy_us: traffic.busy_ns / 1_000, ..traffic.counted };
         let supply = self.fleet.shared_supply().map(SharedSupply::supply);
         let (bus, bit_rate) = (self.fleet.name.clone(), self.fleet.bit_rate);
-        BusState { bus, bit_rate, traffic, supply, motors }
+        let mechanics_failure = self.fleet.mechanics_failure();
+        BusState { bus, bit_rate, traffic, supply, mechanics_failure, motors }
     }
 
     fn set_cable(&self, motor: Option<MotorId>, is_cut: bool) {
@@ -234,8 +235,11 @@ mod tests {
         let mut host = Host::new(&fleet);
         fleet.lead(&fleet.drives, time::Duration::from_millis(1), Failing).unwrap();
         assert_eq!(host.poll_mechanics_failure(), None);
+        assert_eq!(host.state(None).mechanics_failure, None);
         fleet.world.run_for(time::Duration::from_millis(2));
         let said = [(); 2].map(|()| host.poll_mechanics_failure());
         assert_eq!(said, [Some("the engine has crashed".to_owned()), None]);
+        let told = [(); 2].map(|()| host.state(None).mechanics_failure);
+        assert!(told.iter().all(|it| it.as_deref() == Some("the engine has crashed")), "{told:?}");
     }
 }

@@ -17,6 +17,9 @@ pub(in crate::serve) struct BusState {
     /// What the motors share, if they do.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) supply: Option<Supply>,
+    /// Why its shafts stand, if they do.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(in crate::serve) mechanics_failure: Option<String>,
     pub(in crate::serve) motors: Vec<MotorState>,
 }
 
