@@ -89,7 +89,7 @@ fn step(point: &Mutex<CommonPoint>, seats: &[Arc<Mutex<Seat>>], now: Instant) {
 #[cfg(test)]
 mod tests {
     use myactuator_protocol_core::MotorId;
-    use myactuator_protocol_core::command::Torque;
+    use myactuator_protocol_core::command::{ReadStatus1, Torque};
     use myactuator_protocol_core::io::Runner as _;
     use myactuator_protocol_core::units::Current;
 
@@ -196,6 +196,26 @@ mod tests {
         assert!(inputs(&fleet).iter().all(|(voltage_v, _)| (voltage_v - 24.0).abs() < 0.1));
         assert!(shared.set_supply(Supply::battery(f64::NAN)).is_err());
         assert!(Fleet::new(1).on_can(1_000_000).unwrap().shared_supply().is_none());
+    }
+
+    /// As after an emergency stop, which takes the motors' power.
+    #[test]
+    fn drives_whose_supply_is_taken_away_are_off_and_start_again_with_it() {
+        let fleet = fleet(soft());
+        let shared = fleet.shared_supply().unwrap();
+        let mut master = fleet.master::<2>();
+        let powered =
+            || fleet.drives.iter().map(|it| it.with(|it| it.state().powered)).collect::<Vec<_>>();
+        let mut volts = |voltage_v| {
+            shared.set_supply(Supply { voltage_v, ..soft() }).unwrap();
+            fleet.world.run_for(Duration::from_millis(50));
+            (master.ask(MotorId::MIN, ReadStatus1).is_ok(), powered())
+        };
+        assert_eq!(volts(6.0), (true, vec![true; 2]), "it has an error, and answers");
+        assert_eq!(volts(0.0), (false, vec![false; 2]));
+        assert!(inputs(&fleet).iter().all(|&(_, current_a)| current_a == 0.0));
+        assert_eq!(volts(4.8), (false, vec![false; 2]), "not before there are 5 V");
+        assert_eq!(volts(48.0), (true, vec![true; 2]));
     }
 
     #[test]

@@ -37,6 +37,8 @@
 //! - Replies to commands that came before 0x76 still go out. Those that wait when the supply goes
 //!   do not.
 //! - A drive hears nothing while it starts.
+//! - Below [a voltage](super::Parameters::brown_out_voltage_v) of which the manual says nothing a drive is
+//!   off, as without its supply, and it starts when that is back.
 //! - The run time (0xB1) counts from the beginning of the start.
 //! - Without its supply, and while it starts, the motor turns freely unless it has a brake.
 //!

@@ -9,6 +9,8 @@ use crate::time::{Duration, Instant};
 pub(super) enum Life {
     /// No supply.
     Off,
+    /// Too little supply for the electronics; they start by themselves when it is back.
+    BrownedOut,
     /// Starting, and deaf.
     Booting {
         /// When the start began.
@@ -29,14 +31,40 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     /// [`advance`](Self::advance) is still called.
     pub fn power_off(&mut self, now: Instant) {
         self.advance(now);
-        if self.life == Life::Off {
-            return;
+        self.lose_power(Life::Off);
+    }
+
+    fn lose_power(&mut self, life: Life) {
+        if self.is_powered() {
+            self.save_turns();
+            self.outgoing.clear();
+            self.halt();
+            self.events.push(Event::PoweredOff);
         }
-        self.save_turns();
-        self.outgoing.clear();
-        self.halt();
-        self.life = Life::Off;
-        self.events.push(Event::PoweredOff);
+        self.life = life;
+    }
+
+    pub(super) const fn is_powered(&self) -> bool {
+        matches!(self.life, Life::Booting { .. } | Life::Running { .. })
+    }
+
+    /// The supply's voltage may be too low for the electronics, or enough again.
+    pub(super) fn follow_supply(&mut self) {
+        let lowest_v = self.parameters.brown_out_voltage_v;
+        let voltage_v = self.measurement.supply_voltage_v;
+        match self.life {
+            Life::Off => {}
+            Life::BrownedOut => {
+                if voltage_v >= lowest_v + self.parameters.limits.voltage_margin_v {
+                    self.boot(self.clock);
+                }
+            }
+            Life::Booting { .. } | Life::Running { .. } => {
+                if voltage_v < lowest_v {
+                    self.lose_power(Life::BrownedOut);
+                }
+            }
+        }
     }
 
     /// Gives the supply back.

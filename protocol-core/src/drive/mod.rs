@@ -215,7 +215,9 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
         let to_all = packet.channel == Channel::Command(Target::All);
         match self.life {
-            Life::Off => return self.ignore(packet, IgnoreReason::PoweredOff),
+            Life::Off | Life::BrownedOut => {
+                return self.ignore(packet, IgnoreReason::PoweredOff);
+            }
             Life::Booting { .. } => return self.ignore(packet, IgnoreReason::Starting),
             Life::Running { .. } => {}
         }
@@ -422,9 +424,10 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         let is_time = unjudged >= JUDGED_EVERY;
         if is_time {
             self.judged = end;
+            self.follow_supply();
         }
         match self.life {
-            Life::Off => {}
+            Life::Off | Life::BrownedOut => {}
             Life::Booting { since, until } => {
                 if until <= end {
                     self.start(since);

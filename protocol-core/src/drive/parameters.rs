@@ -139,6 +139,9 @@ defaults! {
         pub max_speed_dps: f32 = 1_500.0,
         /// When errors come.
         pub limits: FaultLimits = FaultLimits::default(),
+        /// Below this supply voltage, V, the electronics stop, as without a supply; above it by
+        /// [`voltage_margin_v`](FaultLimits::voltage_margin_v) they start again. 0 for never.
+        pub brown_out_voltage_v: f32 = 0.0,
         /// Gains that an empty memory starts with.
         pub factory_gains: Gains = Gains::tuned(0.02, 2.0, 1_000.0),
         /// The scales of motion mode.

@@ -35,7 +35,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
     /// How the drive does.
     pub fn state(&self) -> State {
         State {
-            powered: self.life != Life::Off,
+            powered: self.is_powered(),
             running: matches!(self.life, Life::Running { .. }),
             mode: self.controller.mode(),
             output_on: !self.controller.is_off(),
@@ -43,7 +43,7 @@ impl<P: Plant, M: Memory> Drive<P, M> {
             brake: self.brake.command(),
             errors: self.faults.all(),
             indicator: match self.life {
-                Life::Off => Indicator::Dark,
+                Life::Off | Life::BrownedOut => Indicator::Dark,
                 Life::Booting { .. } | Life::Running { .. } => self.faults.indicator(),
             },
             communication_lost: self.protection.is_tripped(),

@@ -3,7 +3,7 @@
 use myactuator_protocol_core::command::{BaudCode, ModelName, VersionDate};
 use myactuator_protocol_core::drive::{Derating, FaultLimits, Gains, Parameters};
 
-use crate::sim::plant::{MotorParameters, ParameterError, catalogue_name};
+use crate::sim::plant::{BROWN_OUT_V, MotorParameters, ParameterError, catalogue_name};
 
 /// The speed loop's bandwidth that factory gains aim at, rad/s.
 const BANDWIDTH_RAD_S: f32 = 1_000.0;
@@ -47,6 +47,7 @@ pub(super) fn parameters_of(model: &MotorParameters) -> Result<Parameters, Param
             over_speed_dps: no_load_dps * 1.5,
             ..FaultLimits::default()
         },
+        brown_out_voltage_v: BROWN_OUT_V as f32,
         factory_gains: Gains::tuned(
             model.inertia_kg_m2() as f32,
             rating.torque_constant_nm_per_a as f32,

@@ -50,6 +50,7 @@ pub(in crate::sim) use load::GRAVITY_M_S2;
 pub use load::{Arm, EndStop, Load, Spring};
 pub(in crate::sim) use models::catalogue_name;
 pub use models::{MODELS, Model};
+pub(in crate::sim) use motor::BROWN_OUT_V;
 pub(in crate::sim) use motor::ShaftPlace;
 pub use motor::{STEP, SimulatedMotor};
 pub use parameters::{

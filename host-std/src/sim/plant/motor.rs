@@ -27,6 +27,10 @@ const HALF_STEP_S: f64 = STEP_S / 2.0;
 /// Temperature at which the phase resistance is given, °C; also the air's, until set.
 const REFERENCE_C: f64 = 25.0;
 
+/// Below this voltage at its input a drive's electronics draw nothing, V. Estimated: logic of 3.3 V behind a
+/// regulator; no document says.
+pub(in crate::sim) const BROWN_OUT_V: f64 = 4.0;
+
 const HALF_SQRT_3: f64 = 0.866_025_403_784_438_6;
 
 /// Amplitude of a phase's back-EMF at which the diodes begin to conduct, as a share of the supply's voltage:
@@ -351,7 +355,8 @@ impl SimulatedMotor {
         let squared = 1.5 * amplitude_a * amplitude_a;
         let (winding_w, mos_w) = (squared * winding_ohm, squared * mos_ohm);
         let mechanical_w = motor_nm * mean_speed;
-        let idle_w = self.parameters.inverter.idle_power_w;
+        let is_fed = self.link.voltage_v() >= BROWN_OUT_V;
+        let idle_w = if is_fed { self.parameters.inverter.idle_power_w } else { 0.0 };
         self.supply_current_a = self.link.step(winding_w + mos_w + mechanical_w + idle_w);
 
         match &mut self.housing {

@@ -12,6 +12,8 @@ const MOST_V: f64 = 1000.0;
 /// While the drive draws power its voltage sags by current times resistance. While the motor feeds
 /// back, the voltage rises by current times *feedback* resistance: small for a battery, large for a
 /// power supply that takes nothing back. A brake resistor burns what nobody takes.
+///
+/// Below 4 V at its input (an estimate) a drive is off, and draws nothing; it starts when there are 5 V again.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Supply {
