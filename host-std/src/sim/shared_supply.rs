@@ -10,10 +10,9 @@ use super::bus::{Medium, lock};
 use super::plant::{CommonPoint, ImpossibleFigure, STEP, Supply};
 use super::seat::Seat;
 
-/// How often what the drives draw is added up.
-const PERIOD: Duration = Duration::from_millis(1);
-/// So many steps of the physics are in that.
-const STEPS: u32 = (PERIOD.as_micros() / STEP.as_micros()) as u32;
+/// What the drives draw is added up in every step of the physics while one of them turns fast or draws much, for then
+/// it depends on the voltage more than a longer period bears, and else in every so many.
+const CALM_STEPS: u32 = 10;
 
 /// A supply that drives share; clones are the same. What one draws all see sag, and what one feeds back the
 /// others use first.
@@ -56,34 +55,42 @@ impl<B: Medium> BusFleet<B> {
             self.drives.iter().map(|it| Arc::clone(&it.seat)).collect();
         let own_f = |seat: &Arc<Mutex<Seat>>| lock(seat).drive.plant().supply().capacitance_f;
         let step_s = STEP.as_micros() as f64 * 1e-6;
-        let point = CommonPoint::new(supply, seats.iter().map(own_f).sum(), step_s, STEPS);
+        let point = CommonPoint::new(supply, seats.iter().map(own_f).sum(), step_s);
         for seat in &seats {
             lock(seat).drive.plant_mut().join(&point);
         }
         let point = Arc::new(Mutex::new(point));
         self.shared_supply = Some(SharedSupply(Arc::clone(&point)));
-        self.world.every(PERIOD, move |now| step(&point, &seats, now));
+        let mut steps = 1;
+        self.world.plan(STEP, move |_, now| {
+            let are_calm = step(&point, &seats, now, steps);
+            steps = if are_calm { CALM_STEPS } else { 1 };
+            Some(Duration::from_micros(STEP.as_micros() * u64::from(steps)))
+        });
         Ok(())
     }
 }
 
-/// What the drives have drawn in a period gives the voltage of the next. No two locks are held at a time: who works
-/// on a drive may look at its supply.
-fn step(point: &Mutex<CommonPoint>, seats: &[Arc<Mutex<Seat>>], now: Instant) {
-    let charges_c = seats.iter().map(|seat| {
+/// What the drives have drawn in a period of so many steps gives the voltage of the next; whether all of them are calm.
+/// No two locks are held at a time: who works on a drive may look at its supply.
+fn step(point: &Mutex<CommonPoint>, seats: &[Arc<Mutex<Seat>>], now: Instant, steps: u32) -> bool {
+    let (mut charge_c, mut are_calm) = (0.0, true);
+    for seat in seats {
         let mut seat = lock(seat);
         seat.catch_up(now);
-        seat.drive.plant_mut().take_charge_c()
-    });
-    let charge_c = charges_c.sum();
+        let plant = seat.drive.plant_mut();
+        charge_c += plant.take_charge_c();
+        are_calm &= plant.is_calm();
+    }
     let point = {
         let mut point = lock(point);
-        point.draw_c(charge_c);
+        point.draw_c(charge_c, steps);
         *point
     };
     for seat in seats {
         lock(seat).drive.plant_mut().follow(&point);
     }
+    are_calm
 }
 
 #[cfg(test)]
@@ -94,7 +101,7 @@ mod tests {
     use myactuator_protocol_core::units::Current;
 
     use super::*;
-    use crate::sim::plant::{BrakeResistor, Load};
+    use crate::sim::plant::{BrakeResistor, Load, MotorParameters};
     use crate::sim::{CanFleet, Fleet};
 
     const CABLE_OHM: f64 = 0.05;
@@ -164,6 +171,40 @@ mod tests {
     }
 
     #[test]
+    fn what_many_feed_back_raises_the_voltage_as_far_as_what_one_does_and_stays_there() {
+        // Diodes conduct in X15s that are turned too fast, 12 A per volt each.
+        let model = MotorParameters::named("RMD-X15-P20-450").unwrap();
+        let dps = 1.5 * model.rating.no_load_speed_rpm * 6.0;
+        let heavy = Load { inertia_kg_m2: 50.0, ..Load::NONE };
+        let of = |count| Fleet::new(count).model(model.clone()).load(heavy);
+        for (count, supply) in [(2, Supply::bench(48.0)), (12, Supply::battery(48.0))] {
+            let fleet = of(count).supply(supply).on_can(1_000_000).unwrap();
+            // One, with its share of the supply.
+            let share = 1.0 / f64::from(count);
+            let supply = Supply {
+                resistance_ohm: CABLE_OHM + supply.resistance_ohm / share,
+                feedback_resistance_ohm: CABLE_OHM + supply.feedback_resistance_ohm / share,
+                ..supply
+            };
+            let alone = of(1).on_can(1_000_000).unwrap();
+            alone.drives[0].with(|it| it.plant_mut().set_supply(supply)).unwrap();
+            for drive in fleet.drives.iter().chain(&alone.drives) {
+                drive.with(|it| it.plant_mut().set_output_speed_dps(dps)).unwrap();
+            }
+            for ms in 0..20 {
+                fleet.world.run_for(Duration::from_millis(1));
+                alone.world.run_for(Duration::from_millis(1));
+                let (voltage_v, alone_v) = (inputs(&fleet)[0].0, inputs(&alone)[0].0);
+                let near_v = if ms < 5 { 6.0 } else { 1.5 };
+                assert!(
+                    (voltage_v - alone_v).abs() < near_v,
+                    "{count}, {ms} ms: {voltage_v}, {alone_v}"
+                );
+            }
+        }
+    }
+
+    #[test]
     fn a_dip_behind_a_supply_that_takes_nothing_back_is_no_deeper_than_its_resistance_makes_it() {
         let fleet = fleet(Supply::bench(48.0));
         // A little above 48 V, as after a stop.
@@ -171,7 +212,7 @@ mod tests {
         fleet.world.run_for(Duration::from_millis(2));
         let mut point = *lock(&fleet.shared_supply().unwrap().0);
         // 30 A for a millisecond: 48 V - 50 mOhm * 30 A.
-        point.draw_c(0.03);
+        point.draw_c(0.03, 10);
         assert!((point.voltage_v() - 46.5).abs() < 1.0, "{}", point.voltage_v());
     }
 

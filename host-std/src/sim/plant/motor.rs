@@ -37,6 +37,11 @@ const HALF_SQRT_3: f64 = 0.866_025_403_784_438_6;
 /// 1/√3, for between two phases there is √3 times as much.
 const DIODES_SHARE: f64 = 0.577_350_269_189_625_8;
 
+/// Of a [calm](SimulatedMotor::is_calm) motor: what it draws, and the share that its back-EMF has of that at which the
+/// diodes begin to conduct.
+const CALM_A: f64 = 1.0;
+const CALM_SHARE: f64 = 0.5;
+
 fn check_temperature(celsius: f64) -> Result<f64, ImpossibleFigure> {
     check("temperature", "°C", -273.15..=10_000.0, celsius)
 }
@@ -205,6 +210,14 @@ impl SimulatedMotor {
     /// The common point has this voltage now.
     pub(in crate::sim) fn follow(&mut self, point: &CommonPoint) {
         self.link.follow(point.voltage_v());
+    }
+
+    /// Whether what it draws is little and hardly depends on the supply's voltage: its back-EMF is far below what
+    /// makes diodes conduct or a voltage too low.
+    pub(in crate::sim) fn is_calm(&self) -> bool {
+        let emf_v = self.coefficients.emf_v_s_per_rad * self.shaft.motor_speed_rad_s();
+        self.supply_current_a.abs() < CALM_A
+            && emf_v.abs() < CALM_SHARE * DIODES_SHARE * self.link.voltage_v()
     }
 
     /// Turns the shaft by hand: a torque on it besides the load's, N·m, until set anew.

@@ -234,14 +234,12 @@ pub(in crate::sim) struct CommonPoint {
     /// The drives' capacitors, behind cables that hardly matter to them, F.
     drives_f: f64,
     link: Link,
-    /// Steps in a period.
-    steps: u32,
 }
 
 impl CommonPoint {
-    pub(in crate::sim) fn new(supply: Supply, drives_f: f64, step_s: f64, steps: u32) -> Self {
+    pub(in crate::sim) fn new(supply: Supply, drives_f: f64, step_s: f64) -> Self {
         let link = Link::new(supply.beside(drives_f), step_s);
-        Self { supply, drives_f, link, steps }
+        Self { supply, drives_f, link }
     }
 
     pub(in crate::sim) const fn supply(&self) -> &Supply {
@@ -258,9 +256,9 @@ impl CommonPoint {
         self.link.voltage_v
     }
 
-    /// Drives have drawn this charge in a period.
-    pub(in crate::sim) fn draw_c(&mut self, charge_c: f64) {
-        let current_a = charge_c / (self.link.step_s * f64::from(self.steps));
-        (0..self.steps).for_each(|_| self.link.draw(current_a));
+    /// Drives have drawn this charge in so many steps.
+    pub(in crate::sim) fn draw_c(&mut self, charge_c: f64, steps: u32) {
+        let current_a = charge_c / (self.link.step_s * f64::from(steps));
+        (0..steps).for_each(|_| self.link.draw(current_a));
     }
 }
