@@ -2,11 +2,14 @@
 
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use myactuator_host_std::sim::mechanics::{
     AlreadyLed, Failure, Link, Mechanics, Remote, Shaft, TwoLinks,
 };
-use myactuator_host_std::sim::plant::{Arm, Load, MODELS, MotorParameters, SimulatedMotor};
+use myactuator_host_std::sim::plant::{
+    Arm, EndStop, Load, MODELS, MotorParameters, SimulatedMotor,
+};
 use myactuator_host_std::sim::{CanFleet, Fleet, Robot};
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadStatus2, ReleaseBrake};
@@ -219,6 +222,41 @@ fn shafts_that_are_handed_back_move_as_if_nobody_had_led_them() {
     leading.hand_back().unwrap();
     failing.world.run_for(millis(300));
     assert!((angles_deg(&failing)[0] - fallen[0]).abs() < 1e-9);
+}
+
+/// 40° beyond a stop of 2000 N·m/rad take 1400 N·m and 490 J, which this motor has not: what is handed back there would shoot off.
+#[test]
+fn shafts_beyond_an_end_stop_are_not_handed_back() {
+    let stop = EndStop { at_deg: 100.0, stiffness_nm_per_rad: 2_000.0, restitution: 0.3 };
+    let load = Load { inertia_kg_m2: 0.1, upper_stop: Some(stop), ..Load::NONE };
+    let fleet = Fleet::new(2).model(model()).load_of(id(2), load).on_can(1_000_000).unwrap();
+    let angle_deg = Arc::new(AtomicU64::new(140));
+    let asked = Arc::clone(&angle_deg);
+    let put = move |_: Duration, shafts: &mut [Shaft]| {
+        for shaft in shafts {
+            (shaft.angle_deg, shaft.speed_dps) = (asked.load(Ordering::Relaxed) as f64, 0.0);
+        }
+    };
+    let first = fleet.lead(&fleet.drives, PERIOD, Failing(0)).unwrap();
+    fleet.world.run_for(millis(2));
+    let second = fleet.lead(&fleet.drives[1..], PERIOD, Moving(put)).unwrap();
+    fleet.world.run_for(millis(2));
+    assert_eq!(angles_deg(&fleet), [0.0, 140.0]);
+    let told = second.hand_back().unwrap_err().to_string();
+    assert!(told.ends_with(" deg, but 140 deg was given"), "{told}");
+    let is_led = |place: usize| fleet.drives[place].with(|it| it.plant().is_led());
+    // What another leads hinders nobody.
+    first.hand_back().unwrap();
+    assert_eq!([is_led(0), is_led(1)], [false, true]);
+    assert_eq!(
+        fleet.lead(&fleet.drives, PERIOD, Failing(0)).unwrap_err(),
+        AlreadyLed { motor: id(2) }
+    );
+    angle_deg.store(99, Ordering::Relaxed);
+    fleet.world.run_for(millis(2));
+    assert_eq!(angles_deg(&fleet)[1], 99.0);
+    second.hand_back().unwrap();
+    assert_eq!([is_led(0), is_led(1)], [false, false]);
 }
 
 /// Nothing of them is left in the world.

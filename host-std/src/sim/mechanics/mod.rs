@@ -131,19 +131,22 @@ impl Leading {
     /// [`ImpossibleFigure`] if a shaft was led far beyond an [end stop](super::plant::EndStop) of its own load; all
     /// are led on.
     pub fn hand_back(&self) -> Result<(), ImpossibleFigure> {
-        for drive in &self.drives {
+        let state = *lock(&self.state);
+        for drive in self.own(state) {
             drive.with(|it| it.plant().clone().let_go())?;
         }
-        let led = std::mem::replace(&mut *lock(&self.state), State::Over) == State::Leads;
-        for drive in &self.drives {
-            if led {
-                set_led(&drive.seat, false);
-            } else if lock(&drive.seat).is_led {
-                continue;
-            }
+        let state = std::mem::replace(&mut *lock(&self.state), State::Over);
+        for drive in self.own(state) {
+            set_led(&drive.seat, false);
             drive.with(|it| it.plant_mut().let_go())?;
         }
         Ok(())
+    }
+
+    /// The drives that nobody else leads by now.
+    fn own(&self, state: State) -> impl Iterator<Item = &DriveHandle> {
+        let leads = state == State::Leads;
+        self.drives.iter().filter(move |drive| leads || !lock(&drive.seat).is_led)
     }
 }
 
