@@ -20,6 +20,8 @@ pub(super) struct Seat {
     pub(super) shaft: Option<ShaftFile>,
     /// Whether mechanics lead its shaft.
     pub(super) is_led: bool,
+    /// When its supply comes back, while that is cycled.
+    pub(super) off_until: Option<Instant>,
 }
 
 impl Drop for Seat {
@@ -35,6 +37,17 @@ impl Drop for Seat {
 impl Seat {
     /// Lets the drive's own time go on to `now`, however far that is.
     pub(super) fn catch_up(&mut self, now: Instant) {
+        if let Some(on) = self.off_until.take_if(|on| *on <= now) {
+            self.advance_to(on);
+            self.drive.power_on(on);
+        }
+        self.advance_to(now);
+        if let Some(shaft) = &mut self.shaft {
+            shaft.follow(self.drive.plant().place(), now);
+        }
+    }
+
+    fn advance_to(&mut self, now: Instant) {
         loop {
             let before = self.drive.clock();
             self.drive.advance(now);
@@ -42,15 +55,17 @@ impl Seat {
                 break;
             }
         }
-        if let Some(shaft) = &mut self.shaft {
-            shaft.follow(self.drive.plant().place(), now);
-        }
     }
 
     fn power_cycle(&mut self, now: Instant) {
         self.receiver.reset();
+        self.catch_up(now);
         self.drive.power_off(now);
-        self.drive.power_on(now + POWER_CYCLE);
+        self.off_until = Some(now + POWER_CYCLE);
+    }
+
+    fn asks_at(&self) -> Option<Instant> {
+        [self.drive.poll_at(), self.off_until].into_iter().flatten().min()
     }
 }
 
@@ -75,7 +90,7 @@ impl Node<SimpleFrame> for Seat {
     }
 
     fn poll_at(&self) -> Option<Instant> {
-        self.drive.poll_at()
+        self.asks_at()
     }
 
     fn advance(&mut self, now: Instant) {
@@ -107,7 +122,7 @@ impl Node<Vec<u8>> for Seat {
     }
 
     fn poll_at(&self) -> Option<Instant> {
-        self.drive.poll_at()
+        self.asks_at()
     }
 
     fn advance(&mut self, now: Instant) {
@@ -178,5 +193,43 @@ mod tests {
             assert_eq!(ends[0], ended.as_micros() * 1_000);
             assert_eq!(ends.len(), 1 + answers, "{late_us} us after the last deaf one");
         }
+    }
+
+    #[test]
+    fn a_drive_whose_power_is_cycled_has_none_for_a_millisecond_of_its_bus() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        fleet.world.run_for(Duration::from_micros(12_345));
+        fleet.world.reset(fleet.drives[0].station());
+        let is_powered = || fleet.drives[0].with(|it| it.state().powered);
+        let is_ahead = || fleet.drives[0].with(|it| it.clock()) > fleet.world.now();
+        assert_eq!((is_powered(), is_ahead()), (false, false));
+        fleet.world.run_for(Duration::from_micros(999));
+        assert_eq!((is_powered(), is_ahead()), (false, false));
+        fleet.world.run_for(Duration::from_micros(1));
+        assert_eq!((is_powered(), is_ahead()), (true, false));
+        // Nobody needs to look at it for that.
+        fleet.world.reset(fleet.drives[0].station());
+        fleet.world.run_for(Duration::from_secs(3));
+        assert!(fleet.master::<1>().ask(MotorId::MIN, ReadStatus1).is_ok());
+    }
+
+    #[test]
+    fn what_a_drive_had_heard_of_a_frame_goes_with_its_power() {
+        let line = Fleet::new(1).on_rs485(1_000_000).unwrap();
+        let whole = Frame::from_packet(&ReadStatus1.packet(MotorId::MIN)).unwrap().encode();
+        let answers = |is_reset: bool| {
+            let mut port = line.world.port();
+            let (first, rest) = whole.split_at(5);
+            embedded_io::Write::write_all(&mut port, first).unwrap();
+            line.world.run_for(Duration::from_micros(100));
+            if is_reset {
+                line.world.reset(line.drives[0].station());
+            }
+            line.world.run_for(Duration::from_micros(2_000));
+            embedded_io::Write::write_all(&mut port, rest).unwrap();
+            line.world.run_for(Duration::from_millis(10));
+            embedded_io::ReadReady::read_ready(&mut port).unwrap()
+        };
+        assert_eq!([false, true].map(answers), [true, false]);
     }
 }

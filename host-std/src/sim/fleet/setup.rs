@@ -107,7 +107,7 @@ impl MotorSetup {
             None => error.into(),
         })?;
         let drive = Drive::new(parameters, plant, memory, Instant::ZERO)?;
-        Ok(Seat { drive, receiver: Receiver::new(), shaft, is_led: false })
+        Ok(Seat { drive, receiver: Receiver::new(), shaft, is_led: false, off_until: None })
     }
 }
 
