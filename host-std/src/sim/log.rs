@@ -171,8 +171,8 @@ impl Watched {
 /// Whether two events are the same to whoever reads: what a command asked for makes no difference.
 fn is_alike(a: &LogEvent, b: &LogEvent) -> bool {
     let (LogEvent::Drive(a), LogEvent::Drive(b)) = (a, b) else {
-        // Of a cable each counts.
-        return a == b && !a.is_of_cable();
+        // Of what lasts each counts.
+        return a == b && !a.is_lasting();
     };
     match (a, b) {
         (

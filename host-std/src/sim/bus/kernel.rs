@@ -460,10 +460,12 @@ impl<B: Medium> Kernel<B> {
 
     pub(crate) fn slow_down(&mut self, station: usize, by: Duration) {
         self.stations[station].slowness = from_duration(by);
+        self.around.record(station, || Event::Slowed(from_duration(by)));
     }
 
     pub(crate) fn babble(&mut self, station: usize, babble: Option<Babble<B::Frame>>) {
         let now = self.around.now;
+        self.around.record(station, || Event::Babbles(babble.is_some()));
         self.stations[station].babble = babble.map(|babble| (babble, now));
     }
 }

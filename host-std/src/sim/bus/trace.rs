@@ -71,6 +71,10 @@ pub enum Event<F> {
     Mended,
     /// The station was reset.
     Reset,
+    /// From now on what the station sends gets to its controller so many nanoseconds later.
+    Slowed(u64),
+    /// The station begins to babble, or ends it.
+    Babbles(bool),
 }
 
 /// What a fault does to a frame on its way to one receiver.

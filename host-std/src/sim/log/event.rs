@@ -10,7 +10,7 @@ use crate::sim::bus::trace::Fault;
 /// Something that happened in a drive, or to it on its wire.
 ///
 /// In JSON a drive's own are as they are there, `"reset"`; those of the wire are `"cable-cut"`, `"cable-mended"`,
-/// `{"frame-to-drive": "lost"}` and `{"frame-from-drive": "broken"}`.
+/// `{"slowed": 2000}`, `{"babbles": true}`, `{"frame-to-drive": "lost"}` and `{"frame-from-drive": "broken"}`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -19,6 +19,10 @@ pub enum LogEvent {
     CableCut,
     /// Its cable is whole again.
     CableMended,
+    /// What it sends comes so much later from now on, µs; 0 for no more.
+    Slowed(u64),
+    /// It begins to send random frames (`true`), or ends that.
+    Babbles(bool),
     /// A fault by chance struck a frame on its way to the drive. On CAN also one that is meant for another: all hear
     /// all.
     FrameToDrive(FrameFault),
@@ -30,8 +34,9 @@ pub enum LogEvent {
 }
 
 impl LogEvent {
-    pub(super) const fn is_of_cable(&self) -> bool {
-        matches!(self, Self::CableCut | Self::CableMended)
+    /// Whether it lasts until the opposite is told.
+    pub(super) const fn is_lasting(&self) -> bool {
+        matches!(self, Self::CableCut | Self::CableMended | Self::Slowed(_) | Self::Babbles(_))
     }
 }
 
@@ -78,6 +83,12 @@ impl fmt::Display for LogEvent {
         match self {
             Self::CableCut => f.write_str("is off the bus: its cable is cut"),
             Self::CableMended => f.write_str("is on the bus again: its cable is whole"),
+            Self::Slowed(0) => f.write_str("is as fast as ever again"),
+            Self::Slowed(by_us) => {
+                write!(f, "is slow: what it sends comes {by_us} us later, by a fault")
+            }
+            Self::Babbles(true) => f.write_str("babbles: it sends random frames, by a fault"),
+            Self::Babbles(false) => f.write_str("babbles no more"),
             Self::FrameToDrive(fault) => write!(f, "was to hear a frame that {fault}"),
             Self::FrameFromDrive(fault) => write!(f, "has sent a frame that {fault}"),
             Self::Drive(event) => event.fmt(f),

@@ -18,11 +18,13 @@ pub(super) struct WireLog(Arc<Mutex<Vec<Wired>>>);
 struct Wired {
     station: StationId,
     is_cut: bool,
+    slow_by_us: u64,
+    babbles: bool,
     counted: Vec<Counted>,
 }
 
-/// Things of one kind: as there are few kinds, nothing is lost however late they are taken. Of a cable each is
-/// told.
+/// Things of one kind: as there are few kinds, nothing is lost however late they are taken. Of what
+/// lasts each is told.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Counted {
     /// When the first of them came.
@@ -31,12 +33,27 @@ pub(super) struct Counted {
     pub(super) count: u32,
 }
 
+impl Wired {
+    /// Notes what lasts; whether it was otherwise before.
+    fn changes_by(&mut self, event: LogEvent) -> bool {
+        match event {
+            LogEvent::CableCut => !std::mem::replace(&mut self.is_cut, true),
+            LogEvent::CableMended => std::mem::replace(&mut self.is_cut, false),
+            LogEvent::Slowed(by_us) => std::mem::replace(&mut self.slow_by_us, by_us) != by_us,
+            LogEvent::Babbles(it) => std::mem::replace(&mut self.babbles, it) != it,
+            _ => true,
+        }
+    }
+}
+
 impl WireLog {
     /// Watches a bus from now on, until this is gone.
     pub(super) fn of<B: Medium>(fleet: &BusFleet<B>) -> Self {
         let wired = |drive: &DriveHandle| Wired {
             station: drive.station(),
             is_cut: fleet.world.is_cut(drive.station()),
+            slow_by_us: 0,
+            babbles: false,
             counted: Vec::new(),
         };
         let drives = Arc::new(Mutex::new(fleet.drives.iter().map(wired).collect::<Vec<_>>()));
@@ -60,6 +77,8 @@ fn note<F>(drives: &mut [Wired], record: &Record<F>) {
     let (place, event) = match record.event {
         Event::Cut => (place(record.station), LogEvent::CableCut),
         Event::Mended => (place(record.station), LogEvent::CableMended),
+        Event::Slowed(by_ns) => (place(record.station), LogEvent::Slowed(by_ns / 1_000)),
+        Event::Babbles(babbles) => (place(record.station), LogEvent::Babbles(babbles)),
         Event::Broken { .. } => {
             (place(record.station), LogEvent::FrameFromDrive(FrameFault::Broken))
         }
@@ -72,13 +91,10 @@ fn note<F>(drives: &mut [Wired], record: &Record<F>) {
         _ => return,
     };
     let Some(drive) = place.map(|place| &mut drives[place]) else { return };
-    if event.is_of_cable() {
-        let is_cut = event == LogEvent::CableCut;
-        if std::mem::replace(&mut drive.is_cut, is_cut) == is_cut {
-            return;
-        }
+    if !drive.changes_by(event) {
+        return;
     }
-    let alike = |counted: &&mut Counted| counted.event == event && !event.is_of_cable();
+    let alike = |counted: &&mut Counted| counted.event == event && !event.is_lasting();
     match drive.counted.iter_mut().find(alike) {
         Some(counted) => counted.count = counted.count.saturating_add(1),
         None => drive.counted.push(Counted { at: record.at(), event, count: 1 }),

@@ -273,3 +273,22 @@ fn chance_strikes_only_the_way_that_is_named() {
         assert_eq!(struck(&format!("lose=1{of_motor}from-drives")), (true, 2));
     }
 }
+
+#[test]
+fn that_a_drive_is_slow_or_babbles_is_told_in_the_log_and_when_that_ends() {
+    let faults = ["mend", "slow=2ms@2+1ms", "slow=2ms@2+2ms", "babble=1ms@1+3ms", "mend+9ms"];
+    let faults = faults.map(|it| it.parse().unwrap());
+    let fleet = Fleet::new(2).faults(faults).on_can(1_000_000).unwrap();
+    let mut log = DriveLog::of(&fleet);
+    fleet.world.run_for(Duration::from_millis(10));
+    let told: Vec<_> = log.poll(fleet.world.now()).into_iter().map(|it| it.to_string()).collect();
+    assert_eq!(
+        told,
+        [
+            "0.003000 s  can motor 1 babbles: it sends random frames, by a fault",
+            "0.009000 s  can motor 1 babbles no more",
+            "0.001000 s  can motor 2 is slow: what it sends comes 2000 us later, by a fault",
+            "0.009000 s  can motor 2 is as fast as ever again",
+        ]
+    );
+}
