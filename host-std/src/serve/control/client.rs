@@ -143,11 +143,17 @@ impl Client {
             *left_out = left_out.saturating_add(1);
             return;
         }
-        let left_out = std::mem::take(left_out);
-        if left_out > 0 {
+        self.tell_left_out();
+        self.tell(line);
+    }
+
+    /// As soon as it reads again: there may be nothing more to tell for long.
+    fn tell_left_out(&mut self) {
+        if self.unread.len() <= MOST_UNREAD
+            && let Some(left_out) = self.log.as_mut().map(std::mem::take).filter(|&it| it > 0)
+        {
             self.tell(&format!("{{\"left_out\":{left_out}}}"));
         }
-        self.tell(line);
     }
 
     /// Sends what it has room for.
@@ -156,10 +162,11 @@ impl Client {
             match self.stream.write(self.unread.as_slices().0) {
                 Ok(sent) => drop(self.unread.drain(..sent)),
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
                 Err(_) => self.state = State::Gone,
             }
         }
+        self.tell_left_out();
     }
 }
 
@@ -236,13 +243,24 @@ mod tests {
         assert!(left_out > 1000, "{left_out}");
         program.write_all(b"one\n").unwrap();
         assert_eq!((client.next(), client.is_ready()), (None, false));
-        let mut read = vec![0; 1 << 20];
+        assert!((MOST_UNREAD..MOST_UNREAD + 2_000).contains(&client.unread.len()));
+        let (mut read, mut got) = (vec![0; 1 << 20], Vec::new());
         while client.next().is_none() {
-            let _ = program.read(&mut read).unwrap();
+            let length = program.read(&mut read).unwrap();
+            got.extend_from_slice(&read[..length]);
             client.flush();
         }
         client.answer("done");
         client.tell_log("last");
-        assert_eq!(client.log, Some(0));
+        while !client.unread.is_empty() {
+            let length = program.read(&mut read).unwrap();
+            got.extend_from_slice(&read[..length]);
+            client.flush();
+        }
+        drop(client);
+        program.read_to_end(&mut got).unwrap();
+        // Told although nothing else was to be told.
+        let ends = format!("{line}\n{{\"left_out\":{left_out}}}\ndone\nlast\n");
+        assert!(got.ends_with(ends.as_bytes()));
     }
 }
