@@ -108,14 +108,7 @@ impl End for InterfaceEnd {
 
     fn take_in(&mut self) -> Result<(), ServeError> {
         let Some(held) = &mut self.held else { return Ok(()) };
-        while held.len() < MOST_HELD {
-            match self.socket.receive() {
-                Ok(frame) => held.push_back(frame),
-                Err(nb::Error::WouldBlock) => break,
-                Err(nb::Error::Other(error)) => return Err(error.into()),
-            }
-        }
-        Ok(())
+        Ok(fill(held, || self.socket.receive())?)
     }
 
     fn pump(&mut self, notify: &mut dyn FnMut(Notice)) -> Result<(), ServeError> {
@@ -132,6 +125,21 @@ impl End for InterfaceEnd {
     }
 }
 
+/// Holds what is received, but not without end.
+fn fill<F, E>(
+    held: &mut VecDeque<F>,
+    mut receive: impl FnMut() -> nb::Result<F, E>,
+) -> Result<(), E> {
+    while held.len() < MOST_HELD {
+        match receive() {
+            Ok(frame) => held.push_back(frame),
+            Err(nb::Error::WouldBlock) => break,
+            Err(nb::Error::Other(error)) => return Err(error),
+        }
+    }
+    Ok(())
+}
+
 /// The same frame in another type; `None` for a kind that the type has not.
 fn convert<F: Frame>(frame: &impl Frame) -> Option<F> {
     if frame.is_remote_frame() {
@@ -145,6 +153,20 @@ fn convert<F: Frame>(frame: &impl Frame) -> Option<F> {
 mod tests {
     use super::*;
     use crate::text::can;
+
+    #[test]
+    fn while_time_stands_65536_frames_are_held_and_the_others_wait() {
+        let (mut held, mut sent) = (VecDeque::new(), 0..70_000);
+        let mut next = || sent.next().ok_or(nb::Error::<()>::WouldBlock);
+        for _ in 0..2 {
+            fill(&mut held, &mut next).unwrap();
+            assert_eq!((held.len(), held.back()), (65_536, Some(&65_535)));
+        }
+        held.clear();
+        fill(&mut held, next).unwrap();
+        assert_eq!((held.len(), held.front()), (70_000 - 65_536, Some(&65_536)));
+        assert_eq!(fill(&mut held, || Err::<i32, _>(nb::Error::Other(()))), Err(()));
+    }
 
     #[test]
     fn frames_go_through_as_they_are() {

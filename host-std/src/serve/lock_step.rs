@@ -124,3 +124,40 @@ impl Server {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write as _;
+    use std::os::unix::net::UnixStream;
+
+    use myactuator_protocol_core::MotorId;
+    use myactuator_protocol_core::command::ReadMultiTurnAngle;
+    use myactuator_protocol_core::wire::rs485::Frame;
+
+    use super::*;
+    use crate::sim::Fleet;
+    use crate::sim::bus::rs485::TransceiverConfig;
+
+    #[test]
+    fn what_is_written_while_time_goes_on_counts_when_it_stands_again() {
+        let line = Fleet::new(1).on_rs485(1_000_000).unwrap();
+        let log = line.world.log();
+        let (mut program, device) = UnixStream::pair().unwrap();
+        let mut server = Server::new();
+        server.serve_line_on(&line, TransceiverConfig::default(), device).unwrap();
+        server.ends.iter_mut().for_each(|end| end.hold());
+        server.advance = Some(Advance { client: 0, until: time::Instant::from_micros(20_000) });
+        let ask = Frame::from_packet(&ReadMultiTurnAngle.packet(MotorId::MIN)).unwrap();
+        program.write_all(&ask.encode()).unwrap();
+        let carried_after = |server: &mut Server, until_ms: u64| {
+            server.take_in(&mut |_| {}).unwrap();
+            line.world.run_until(time::Instant::from_micros(until_ms * 1_000));
+            server.pump(&mut |_| {}).unwrap();
+            log.take().len()
+        };
+        assert_eq!(carried_after(&mut server, 20), 0);
+        server.advance = None;
+        // The question and its answer.
+        assert_eq!(carried_after(&mut server, 40), 2);
+    }
+}

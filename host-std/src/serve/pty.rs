@@ -184,4 +184,26 @@ mod tests {
         }
         assert_eq!(got, sent);
     }
+
+    #[test]
+    fn of_what_nobody_reads_while_time_stands_a_mebibyte_is_kept_and_that_in_order() {
+        let (mut program, device) = UnixStream::pair().unwrap();
+        program.set_nonblocking(true).unwrap();
+        let mut pty = Pty::on(device).unwrap();
+        pty.hold();
+        for number in 0_u16..4_000 {
+            pty.write(&number.to_le_bytes().repeat(512)).unwrap();
+            assert!(pty.held.as_ref().unwrap().unsent.len() <= 1 << 20);
+        }
+        assert_eq!(pty.held.as_ref().unwrap().unsent.len(), 1 << 20);
+        let (mut got, mut chunk) = (Vec::new(), [0; 4096]);
+        while let Ok(length) = io::Read::read(&mut program, &mut chunk) {
+            got.extend_from_slice(&chunk[..length]);
+            pty.take_in().unwrap();
+        }
+        assert!(got.len() > 1 << 20);
+        for (place, bytes) in got.chunks(1024).enumerate() {
+            assert_eq!(bytes, (place as u16).to_le_bytes().repeat(512));
+        }
+    }
 }
