@@ -39,7 +39,13 @@ impl MemoryFolder {
 }
 
 fn make(folder: &Path) -> Result<(), String> {
-    fs::create_dir_all(folder).map_err(|error| fails(folder, &error))
+    fs::create_dir_all(folder).map_err(|error| match error.kind() {
+        io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => format!(
+            "expected a folder, or a name that nothing has, found a file in the way of {}: take another folder",
+            folder.display()
+        ),
+        _ => fails(folder, &error),
+    })
 }
 
 fn fails(folder: &Path, error: &io::Error) -> String {
@@ -139,5 +145,12 @@ mod tests {
         assert!(first.of("can").unwrap().is_dir());
         drop(first);
         assert!(MemoryFolder::open(&path).is_ok());
+        let file = folder.path().join("file");
+        fs::write(&file, "mine").unwrap();
+        for path in [file.clone(), file.join("drives")] {
+            let told = MemoryFolder::open(&path).unwrap_err();
+            assert!(told.starts_with("expected a folder, "), "{told}");
+            assert!(told.ends_with(&format!("{}: take another folder", path.display())), "{told}");
+        }
     }
 }
