@@ -50,7 +50,7 @@ fn restart(session: &mut Session, motor: MotorId) -> Outcome {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::ErrorFlags;
+    use myactuator_protocol_core::command::{BaudCode, ErrorFlags, SetBaudRate};
     use myactuator_protocol_core::io::Runner;
     use myactuator_protocol_core::time::Duration;
 
@@ -68,6 +68,18 @@ mod tests {
         fleet.drives[0].with(|drive| drive.clear_fault(ErrorFlags::all()));
         assert_eq!(restart(&mut session, MotorId::MIN), Ok(()));
         assert!(session.ready(MotorId::MIN).is_ok());
+    }
+
+    #[test]
+    fn who_has_another_rate_after_the_restart_is_looked_for_at_all_rates() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let baud_rate = BaudCode::CAN_500K_RS485_115200;
+        session.ask(MotorId::MIN, SetBaudRate { baud_rate }).unwrap();
+        let told = restart(&mut session, MotorId::MIN);
+        let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
+        assert!(told.starts_with("motor 1 does not answer: check its power, "), "{told}");
+        assert!(told.contains("'scan --all-rates'"), "{told}");
     }
 
     #[test]

@@ -93,6 +93,10 @@ impl From<BringUpError<BusError>> for Unfinished {
     fn from(error: BringUpError<BusError>) -> Self {
         match error {
             BringUpError::Call(CallError::Bus(error)) => error.into(),
+            BringUpError::NotThere(_) => Self::Failed(format!(
+                "{error}: check its power, the wiring and the bit rate, which may be another since a restart \
+                 ('scan --all-rates' tries the others)"
+            )),
             error => Self::Failed(error.to_string()),
         }
     }
