@@ -45,7 +45,7 @@ pub mod function;
 pub mod motion;
 pub mod motion_ranges;
 pub mod pid;
-mod print;
+pub(crate) mod print;
 mod raw;
 pub mod status;
 pub mod system;

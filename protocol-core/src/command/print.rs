@@ -47,7 +47,7 @@ pub(super) fn named(
 }
 
 /// Bytes without a meaning.
-pub(super) fn raw(f: &mut Formatter<'_>, data: &Data) -> fmt::Result {
+pub(crate) fn raw(f: &mut Formatter<'_>, data: &Data) -> fmt::Result {
     f.write_str("raw")?;
     data.iter().try_for_each(|byte| write!(f, " {byte:02X}"))
 }

@@ -3,13 +3,26 @@
 use core::fmt::{self, Display, Formatter};
 
 use super::faults::needs_restart;
+use crate::command::AnyCommand;
+use crate::command::print::raw;
+use crate::firmware::Firmware;
+
 use super::{Event, IgnoreReason, Limit, NotRunReason};
 
 /// What the drive did, without its name: "does not run torque (0xA1): its brake is locked …".
 impl Display for Event {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Ignored { packet, reason } => write!(f, "ignores a {packet}: {reason}"),
+            Self::Ignored { packet, reason } => {
+                let means = |&firmware: &Firmware| AnyCommand::decode(packet, firmware).is_ok();
+                if Firmware::ALL.iter().any(means) {
+                    return write!(f, "ignores a {packet}: {reason}");
+                }
+                // Its text would say that it means nothing, too.
+                write!(f, "ignores a {}: ", packet.channel)?;
+                raw(f, &packet.data)?;
+                write!(f, ": {reason}")
+            }
             Self::NotRun { opcode, reason } => {
                 write!(f, "answers {opcode} and does not run it: {reason}")
             }
@@ -118,6 +131,7 @@ mod tests {
     use crate::command::{ErrorFlags, Reset};
     use crate::id::MotorId;
     use crate::opcode::Opcode;
+    use crate::packet::Packet;
 
     #[test]
     fn events_are_sentences_with_a_reason_and_a_remedy() {
@@ -147,6 +161,13 @@ mod tests {
         assert_eq!(
             Event::Ignored { packet, reason: IgnoreReason::PoweredOff }.to_string(),
             "ignores a command to motor 1: reset (0x76): it has no supply"
+        );
+        // 70 000 °/s²: 2.6 ends at 60 000.
+        let packet = Packet { data: [0x43, 0, 0, 0, 0x70, 0x11, 1, 0], ..packet };
+        let error = AnyCommand::decode(&packet, Firmware::V4_3).unwrap_err();
+        assert_eq!(
+            Event::Ignored { packet, reason: error.into() }.to_string(),
+            std::format!("ignores a command to motor 1: raw 43 00 00 00 70 11 01 00: {error}")
         );
     }
 }
