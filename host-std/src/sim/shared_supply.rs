@@ -219,11 +219,15 @@ mod tests {
     #[test]
     fn a_motors_own_supply_is_its_cable_then() {
         let fleet = fleet(soft());
-        let other = Supply { resistance_ohm: 0.2, brake_resistor: None, ..Supply::bench(12.0) };
+        let brake = BrakeResistor { on_above_v: 20.0, off_below_v: 15.0, resistance_ohm: 5.0 };
+        let other =
+            Supply { resistance_ohm: 0.2, brake_resistor: Some(brake), ..Supply::bench(12.0) };
         fleet.drives[0].with(|it| it.plant_mut().set_supply(other)).unwrap();
         fleet.world.run_for(Duration::from_millis(20));
         let own = fleet.drives[0].with(|it| *it.plant().supply());
         assert_eq!((own.resistance_ohm, own.feedback_resistance_ohm), (0.2, 0.2));
+        assert_eq!((own.brake_resistor, own.capacitance_f), (None, 1000e-6));
+        assert_eq!(own.voltage_v, fleet.shared_supply().unwrap().voltage_v());
         assert!(inputs(&fleet)[0].0 > 47.0);
     }
 
@@ -236,6 +240,7 @@ mod tests {
         assert!((shared.voltage_v() - 24.0).abs() < 0.1);
         assert!(inputs(&fleet).iter().all(|(voltage_v, _)| (voltage_v - 24.0).abs() < 0.1));
         assert!(shared.set_supply(Supply::battery(f64::NAN)).is_err());
+        assert!(Fleet::new(1).supply(Supply::battery(f64::NAN)).on_can(1_000_000).is_err());
         assert!(Fleet::new(1).on_can(1_000_000).unwrap().shared_supply().is_none());
     }
 
@@ -257,6 +262,39 @@ mod tests {
         assert!(inputs(&fleet).iter().all(|&(_, current_a)| current_a == 0.0));
         assert_eq!(volts(4.8), (false, vec![false; 2]), "not before there are 5 V");
         assert_eq!(volts(48.0), (true, vec![true; 2]));
+    }
+
+    #[test]
+    fn the_same_supply_again_changes_nothing() {
+        let brake = BrakeResistor { on_above_v: 60.0, off_below_v: 50.0, resistance_ohm: 5.0 };
+        let fleet = fleet(Supply { brake_resistor: Some(brake), ..Supply::bench(48.0) });
+        let mut point = *lock(&fleet.shared_supply().unwrap().0);
+        // Somewhat above 48 V it takes nothing back; 45 mC lift 3 mF by 15 V then, and the resistor goes on.
+        point.draw_c(-0.003, 1);
+        point.draw_c(-0.045, 1);
+        let mut voltages_v = Vec::new();
+        let mut again = point;
+        for _ in 0..200 {
+            again.replace_supply(*again.supply());
+            again.draw_c(0.0, 1);
+            point.draw_c(0.0, 1);
+            assert_eq!(again.voltage_v(), point.voltage_v());
+            voltages_v.push(point.voltage_v());
+        }
+        // It stays on below 60 V: 9.6 V behind 4 Ohm, thus 12 ms to an e-th of the way, by hand.
+        let after_2_ms_v = 9.6 + (voltages_v[0] - 9.6) * (-2.0_f64 / 12.0).exp();
+        assert!((voltages_v[20] - after_2_ms_v).abs() < 1e-6, "{voltages_v:?}");
+        // And goes off at 50 V, from where 20 Ohm take it to 48 V.
+        assert!((49.0..50.0).contains(&voltages_v[199]), "{voltages_v:?}");
+    }
+
+    #[test]
+    fn nobody_looks_often_at_a_supply_of_motors_that_stand() {
+        let fleet = fleet(Supply::battery(48.0));
+        let end = Instant::from_micros(100_000);
+        let steps = std::iter::repeat_with(|| fleet.world.step());
+        let steps = steps.take_while(|_| fleet.world.now() < end).count();
+        assert!((90..200).contains(&steps), "{steps}");
     }
 
     #[test]

@@ -176,6 +176,7 @@ impl Link {
             voltage_v: self.voltage_v,
             held_v: self.held_v,
             taken_c: self.taken_c,
+            burns: self.burns,
             ..Self::new(supply, step_s)
         };
     }
