@@ -208,9 +208,32 @@ mod tests {
         fleet.world.run_for(Duration::from_micros(1));
         assert_eq!((is_powered(), is_ahead()), (true, false));
         // Nobody needs to look at it for that.
+        let back = fleet.world.now() + POWER_CYCLE;
         fleet.world.reset(fleet.drives[0].station());
+        fleet.world.run_for(Duration::from_micros(1));
+        assert_eq!(fleet.world.next_event(), Some(back));
         fleet.world.run_for(Duration::from_secs(3));
         assert!(fleet.master::<1>().ask(MotorId::MIN, ReadStatus1).is_ok());
+    }
+
+    #[test]
+    fn what_waits_to_be_read_or_sent_goes_with_the_power() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let ask = can::encode(&ReadStatus1.packet(MotorId::MIN)).unwrap();
+        let answers = |cycled: Option<u64>| {
+            let (mut port, drive) = (fleet.world.port(), fleet.drives[0].station());
+            // It answers within 1 ms, and the answer gets to its controller 20 ms later.
+            fleet.world.slow_down(drive, Duration::from_millis(20));
+            port.transmit(&ask).unwrap();
+            for ms in [10, 30] {
+                fleet.world.run_for(Duration::from_millis(ms));
+                if cycled == Some(ms) {
+                    fleet.world.reset(if ms == 10 { drive } else { port.station() });
+                }
+            }
+            port.receive().is_ok()
+        };
+        assert_eq!([None, Some(10), Some(30)].map(answers), [true, false, false]);
     }
 
     #[test]

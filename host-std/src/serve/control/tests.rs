@@ -385,6 +385,12 @@ fn a_supply_that_motors_share_is_changed_for_all_of_them() {
     assert!(refused["error"].as_str().unwrap().starts_with(expected), "{refused}");
     let refused = client.ask(r#"{"supply":{"voltage_v":-24}}"#);
     assert!(refused["error"].is_string(), "{refused}");
+    // What cannot be on one bus is done on none: the resistor would burn all the time.
+    let high = r#"{"supply":{"bus":"arm","brake_resistor":{"on_above_v":60,"off_below_v":50,"resistance_ohm":5}}}"#;
+    assert!(client.ask(high)["ok"].is_object());
+    assert!(client.ask(r#"{"supply":{"voltage_v":52}}"#)["error"].is_string());
+    let tool = client.ask(r#"{"state":{"bus":"tool"}}"#)["ok"]["buses"][0]["motors"][0].take();
+    assert_eq!(tool["supply"]["voltage_v"], 48.0);
     let brake = r#""brake_resistor":{"on_above_v":30,"off_below_v":28,"resistance_ohm":5}"#;
     let all = format!(r#"{{"supply":{{"voltage_v":24,{brake}}}}}"#);
     for request in [&*all, r#"{"advance":{"us":50000}}"#] {

@@ -149,10 +149,30 @@ mod tests {
         assert!(motor.set_output_angle_deg(150.0).is_err());
         motor.set_external_torque_nm(300.0).unwrap();
         motor.set_output_angle_deg(150.0).unwrap();
+        motor.set_external_torque_nm(-300.0).unwrap();
+        motor.set_output_angle_deg(150.0).unwrap();
         motor.set_external_torque_nm(0.0).unwrap();
         // A stop that gives way at once is none.
         let soft = EndStop { stiffness_nm_per_rad: 0.0, ..stop(140.0) };
         motor.set_load(Load { upper_stop: Some(soft), ..Load::NONE }).unwrap();
         motor.set_output_angle_deg(1e6).unwrap();
+    }
+
+    #[test]
+    fn a_shaft_is_led_beyond_a_stop_and_let_go_where_it_can_be_only() {
+        let stop = EndStop { at_deg: 140.0, stiffness_nm_per_rad: 2_000.0, restitution: 0.3 };
+        let ended = Load { upper_stop: Some(stop), ..Load::NONE };
+        let mut motor =
+            SimulatedMotor::new(MotorParameters::named("RMD-X6-P20-60").unwrap()).unwrap();
+        motor.lead(170.0, 30.0).unwrap();
+        motor.set_load(ended).unwrap();
+        assert!(motor.let_go().is_err());
+        assert!(motor.is_led());
+        motor.lead(100.0, 30.0).unwrap();
+        motor.let_go().unwrap();
+        assert!(!motor.is_led());
+        let (angle_deg, speed_dps) = (motor.output_angle_deg(), motor.output_speed_dps());
+        assert_eq!((angle_deg.round(), speed_dps.round()), (100.0, 30.0));
+        motor.let_go().unwrap();
     }
 }
