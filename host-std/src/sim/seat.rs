@@ -101,6 +101,10 @@ impl Node<SimpleFrame> for Seat {
         self.drive.bit_rate()
     }
 
+    fn is_powered(&self) -> bool {
+        self.drive.is_powered()
+    }
+
     fn reset(&mut self, now: Instant) {
         self.power_cycle(now);
     }
@@ -131,6 +135,10 @@ impl Node<Vec<u8>> for Seat {
 
     fn bit_rate(&self) -> Option<u32> {
         self.drive.bit_rate()
+    }
+
+    fn is_powered(&self) -> bool {
+        self.drive.is_powered()
     }
 
     fn reset(&mut self, now: Instant) {
@@ -254,5 +262,45 @@ mod tests {
             embedded_io::ReadReady::read_ready(&mut port).unwrap()
         };
         assert_eq!([false, true].map(answers), [true, false]);
+    }
+
+    /// As after an emergency stop that takes the motors' supply.
+    #[test]
+    fn drives_without_power_acknowledge_nothing_so_that_what_is_sent_waits_until_it_is_back() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let (log, port) = (fleet.world.log(), fleet.world.port());
+        let power = |is_on: bool| {
+            for drive in &fleet.drives {
+                drive.with(|it| {
+                    let now = it.clock();
+                    if is_on { it.power_on(now) } else { it.power_off(now) }
+                });
+            }
+        };
+        let carried = || {
+            fleet.world.run_for(Duration::from_millis(20));
+            let whole = |it: &&trace::Record<_>| matches!(it.event, trace::Event::Carried { .. });
+            log.take().iter().filter(whole).count()
+        };
+        power(false);
+        let ask = can::encode(&ReadStatus1.packet(MotorId::MIN)).unwrap();
+        port.clone().transmit(&ask).unwrap();
+        assert_eq!((carried(), fleet.world.controller(port.station()).queued), (0, 1));
+        // A cable that is mended does not bring the power back.
+        fleet.world.cut(fleet.drives[0].station());
+        fleet.world.mend(fleet.drives[0].station());
+        assert_eq!(carried(), 0);
+        power(true);
+        assert_eq!(
+            (carried(), fleet.world.controller(port.station()).queued),
+            (2, 0),
+            "the stale frame, and its answer"
+        );
+        // Nor does the power mend a cable.
+        fleet.world.cut(fleet.drives[0].station());
+        power(false);
+        power(true);
+        port.clone().transmit(&ask).unwrap();
+        assert_eq!(carried(), 1, "the other drive acknowledges it");
     }
 }

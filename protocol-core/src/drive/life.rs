@@ -44,7 +44,8 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         self.life = life;
     }
 
-    pub(super) const fn is_powered(&self) -> bool {
+    /// Whether it has supply, also while it starts.
+    pub const fn is_powered(&self) -> bool {
         matches!(self.life, Life::Booting { .. } | Life::Running { .. })
     }
 

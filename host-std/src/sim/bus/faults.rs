@@ -124,8 +124,6 @@ pub(crate) struct Injector {
     stations: Vec<Station>,
     random: [Random; 2],
     pub(crate) babble: Random,
-    /// Nothing to draw.
-    quiet: bool,
 }
 
 impl Injector {
@@ -135,7 +133,6 @@ impl Injector {
             stations: Vec::new(),
             random: [Random::new(seed, Stream::ToNodes), Random::new(seed, Stream::ToPorts)],
             babble: Random::new(seed, Stream::Babble),
-            quiet: true,
         }
     }
 
@@ -145,7 +142,6 @@ impl Injector {
 
     pub(crate) fn set(&mut self, direction: Direction, plan: FaultPlan) {
         self.plans[direction as usize] = plan;
-        self.note_quiet();
     }
 
     pub(crate) fn set_own(
@@ -155,7 +151,6 @@ impl Injector {
         plan: Option<FaultPlan>,
     ) {
         self.stations[station].own[direction as usize] = plan;
-        self.note_quiet();
     }
 
     /// Changes a direction's plan for a station, which has its own from then on, or for all.
@@ -173,16 +168,12 @@ impl Injector {
             let own = self.stations.iter_mut().filter_map(|station| station.own[way].as_mut());
             own.chain([common]).for_each(change);
         }
-        self.note_quiet();
     }
 
-    fn note_quiet(&mut self) {
+    /// Whether there is nothing to draw.
+    pub(crate) fn is_quiet(&self) -> bool {
         let own = self.stations.iter().flat_map(|station| station.own.iter().flatten());
-        self.quiet = self.plans.iter().chain(own).all(FaultPlan::is_quiet);
-    }
-
-    pub(crate) const fn is_quiet(&self) -> bool {
-        self.quiet
+        self.plans.iter().chain(own).all(FaultPlan::is_quiet)
     }
 
     fn direction(&self, sender: usize) -> Direction {
@@ -198,9 +189,6 @@ impl Injector {
 
     /// Whether a CAN frame of so many bits, intermission excluded, is disturbed on the wire.
     pub(crate) fn disturbance(&mut self, sender: usize, bits: u32) -> Option<Disturbance> {
-        if self.quiet {
-            return None;
-        }
         let plan = self.plan(sender, sender);
         let random = &mut self.random[self.direction(sender) as usize];
         if !random.chance(plan.corrupt) {

@@ -30,6 +30,9 @@ struct Station<F> {
     received: VecDeque<F>,
     receive_queue: usize,
     overflows: u64,
+    is_cut: bool,
+    /// The node has no power.
+    is_off: bool,
     /// Somebody waits to send.
     wants_room: bool,
     /// Nothing may arrive before this: it would overtake what is late.
@@ -128,6 +131,8 @@ impl<B: Medium> Kernel<B> {
             received: VecDeque::new(),
             receive_queue,
             overflows: 0,
+            is_cut: false,
+            is_off: false,
             wants_room: false,
             not_before: 0,
             bursts: 1,
@@ -142,8 +147,7 @@ impl<B: Medium> Kernel<B> {
         let stations = self.stations.iter().map(Station::due).min().unwrap_or(NEVER);
         let late = self.late.first_key_value().map_or(NEVER, |((at, _), _)| *at);
         let planned = self.planned.iter().map(|it| it.at).min().unwrap_or(NEVER);
-        let next = stations.min(late).min(planned).min(self.bus.next_event());
-        if next == NEVER { NEVER } else { next.max(self.around.now) }
+        stations.min(late).min(planned).min(self.bus.next_event()).max(self.around.now)
     }
 
     /// Lets everything up to `at` happen, and sets the clock to it.
@@ -163,9 +167,8 @@ impl<B: Medium> Kernel<B> {
         self.around.now = self.around.now.max(at);
         self.bus.finish(&mut self.around);
         self.spread();
-        while let Some(entry) =
-            self.late.first_entry().filter(|entry| entry.key().0 <= self.around.now)
-        {
+        let now = self.around.now;
+        while let Some(entry) = self.late.first_entry().filter(|it| it.key().0 <= now) {
             let (station, late) = entry.remove();
             match late {
                 Late::Deliver(unit) => self.deliver(station, &unit),
@@ -373,9 +376,16 @@ impl<B: Medium> Kernel<B> {
         state.wake = NEVER;
         let Some(node) = &mut state.node else { return };
         node.advance(now);
+        let is_off = !node.is_powered();
         if let Some(bit_rate) = node.bit_rate() {
             self.bus.set_bit_rate(station, bit_rate, &mut self.around);
         }
+        if is_off != state.is_off {
+            self.empty(station);
+            self.connect(station, self.stations[station].is_cut, is_off);
+        }
+        let state = &mut self.stations[station];
+        let Some(node) = &mut state.node else { return };
         state.is_blocked = true;
         while self.bus.room(station) > state.backlog.len() {
             let Some(frame) = node.poll_transmit(now) else {
@@ -427,8 +437,22 @@ impl<B: Medium> Kernel<B> {
         (state.received.len(), state.overflows)
     }
 
+    pub(crate) fn is_cut(&self, station: usize) -> bool {
+        self.stations[station].is_cut
+    }
+
+    /// Whose wire is cut, or who has no power, is parted from the bus.
+    fn connect(&mut self, station: usize, is_cut: bool, is_off: bool) {
+        let state = &mut self.stations[station];
+        let was_apart = state.is_cut || state.is_off;
+        (state.is_cut, state.is_off) = (is_cut, is_off);
+        if was_apart != (is_cut || is_off) {
+            self.bus.cut(station, !was_apart, &mut self.around);
+        }
+    }
+
     pub(crate) fn cut(&mut self, station: usize, is_cut: bool) {
-        self.bus.cut(station, is_cut, &mut self.around);
+        self.connect(station, is_cut, self.stations[station].is_off);
         let event = if is_cut { Event::Cut } else { Event::Mended };
         self.around.record(station, || event);
         self.spread();
@@ -440,18 +464,24 @@ impl<B: Medium> Kernel<B> {
     }
 
     pub(crate) fn reset(&mut self, station: usize) {
-        self.bus.reset(station, &mut self.around);
+        self.empty(station);
         let now = self.around.now;
         self.around.record(station, || Event::Reset);
         let state = &mut self.stations[station];
-        state.backlog.clear();
-        state.is_backlog_stuck = false;
-        state.received.clear();
         if let Some(node) = &mut state.node {
             node.reset(to_instant(now));
             state.wake = now;
         }
         self.spread();
+    }
+
+    /// What waits to be sent or read goes with the power.
+    fn empty(&mut self, station: usize) {
+        self.bus.reset(station, &mut self.around);
+        let state = &mut self.stations[station];
+        state.backlog.clear();
+        state.is_backlog_stuck = false;
+        state.received.clear();
     }
 
     pub(crate) fn hand_over_every(&mut self, station: usize, period: Duration) {

@@ -91,8 +91,7 @@ pub(crate) mod sealed {
         fn room(&self, station: usize) -> usize;
         /// Takes a frame if there is room.
         fn submit(&mut self, station: usize, frame: Self::Frame, now: Nanos) -> bool;
-        fn is_cut(&self, station: usize) -> bool;
-        /// Cuts or mends a wire.
+        /// Cuts a wire that is whole, or mends one that is cut.
         fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<Self::Frame>);
         /// Empties a station's controller.
         fn reset(&mut self, station: usize, around: &mut Surroundings<Self::Frame>);

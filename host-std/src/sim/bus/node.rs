@@ -47,6 +47,12 @@ pub trait Node<F>: Send {
         None
     }
 
+    /// Whether it has power: without, its controller is off the bus. Asked after each [`advance`](Self::advance).
+    /// It has, unless implemented.
+    fn is_powered(&self) -> bool {
+        true
+    }
+
     /// Its power was cycled. Does nothing unless implemented; the controller is emptied in any case.
     fn reset(&mut self, now: Instant) {
         let _ = now;
@@ -81,6 +87,10 @@ impl<F, N: Node<F>> Node<F> for Arc<Mutex<N>> {
 
     fn bit_rate(&self) -> Option<u32> {
         lock(self).bit_rate()
+    }
+
+    fn is_powered(&self) -> bool {
+        lock(self).is_powered()
     }
 
     fn reset(&mut self, now: Instant) {

@@ -248,7 +248,7 @@ impl<B: Medium> World<B> {
 
     /// Whether a station's wire is cut.
     pub fn is_cut(&self, station: StationId) -> bool {
-        self.with(|kernel| kernel.bus.is_cut(station.0))
+        self.with(|kernel| kernel.is_cut(station.0))
     }
 
     /// Cycles a station's power: empties its controller, clears its error counters and calls

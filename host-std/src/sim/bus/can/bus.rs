@@ -309,14 +309,7 @@ impl Bus for CanBus {
         self.controllers[station].push(frame, now)
     }
 
-    fn is_cut(&self, station: usize) -> bool {
-        self.controllers[station].wire != COMMON_WIRE
-    }
-
     fn cut(&mut self, station: usize, is_cut: bool, around: &mut Surroundings<SimpleFrame>) {
-        if self.is_cut(station) == is_cut {
-            return;
-        }
         let wire = if is_cut { station + 1 } else { COMMON_WIRE };
         self.break_off(station, around);
         self.controllers[station].wire = wire;

@@ -127,10 +127,9 @@ impl Rs485Line {
     }
 
     fn others_drive(&self, station: usize) -> bool {
-        self.stations.iter().enumerate().any(|(other, state)| {
-            let is_on =
-                matches!(state.driver, Driver::Sending { .. } | Driver::SwitchingOff { .. });
-            other != station && is_on && !state.is_cut
+        self.stations.iter().enumerate().any(|(other, it)| {
+            let is_on = matches!(it.driver, Driver::Sending { .. } | Driver::SwitchingOff { .. });
+            other != station && is_on && !it.is_cut
         })
     }
 
@@ -163,18 +162,16 @@ impl Rs485Line {
         }
         if disturbed {
             // A collision: nothing that is on the line now arrives as it was sent.
-            for station in 0..self.stations.len() {
-                if !self.stations[station].is_cut {
-                    self.spoil_byte(station);
-                }
-            }
+            (0..self.stations.len()).for_each(|station| self.spoil_byte(station));
         }
     }
 
-    /// What a station is sending now, if anything, does not arrive as it was sent.
+    /// What a station is sending on the line now, if anything, does not arrive as it was sent.
     fn spoil_byte(&mut self, station: usize) {
         let state = &mut self.stations[station];
-        if let (Driver::Sending { .. }, Some(message)) = (state.driver, state.queue.front_mut()) {
+        if let (false, Driver::Sending { .. }, Some(message)) =
+            (state.is_cut, state.driver, state.queue.front_mut())
+        {
             message.is_garbled = true;
             if let Some(heard) = &mut self.heard {
                 heard.byte = None;
@@ -188,12 +185,9 @@ impl Rs485Line {
         let (byte, part) =
             byte.map_or_else(|| (self.random.byte(), None), |(it, part)| (it, Some(part)));
         let bit_rate = self.stations[sender].bit_rate;
-        let mut hearers = Vec::with_capacity(self.stations.len());
-        for (station, it) in self.stations.iter().enumerate() {
-            if it.bit_rate == bit_rate && it.listens() {
-                hearers.push(station);
-            }
-        }
+        let hears = |it: &Station| it.bit_rate == bit_rate && it.listens();
+        let all = self.stations.iter().enumerate();
+        let hearers = all.filter(|(_, it)| hears(it)).map(|(station, _)| station).collect();
         around.arrivals.push(Arrival { sender, hearers, unit: vec![byte], part });
     }
 
@@ -260,13 +254,6 @@ impl Rs485Line {
         if self.random.chance(self.stations[station].config.switch_noise) {
             around.arrivals.push(for_itself(station, self.random.byte()));
         }
-    }
-
-    fn start_sending(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
-        let state = &mut self.stations[station];
-        state.run_started = around.now;
-        state.run_bytes = 0;
-        self.begin_byte(station, around);
     }
 
     /// Whether all that a station had to send has left it and it listens again.
@@ -355,7 +342,9 @@ impl Bus for Rs485Line {
                 Driver::Off | Driver::Sending { .. } => false,
             };
             if is_on {
-                self.start_sending(station, around);
+                let state = &mut self.stations[station];
+                (state.run_started, state.run_bytes) = (now, 0);
+                self.begin_byte(station, around);
             }
         }
     }
@@ -380,17 +369,11 @@ impl Bus for Rs485Line {
         true
     }
 
-    fn is_cut(&self, station: usize) -> bool {
-        self.stations[station].is_cut
-    }
-
     fn cut(&mut self, station: usize, is_cut: bool, _: &mut Surroundings<Vec<u8>>) {
-        if self.is_cut(station) == is_cut {
-            return;
-        }
         // What changes within a byte spoils it.
         self.spoil_byte(station);
         self.stations[station].is_cut = is_cut;
+        self.spoil_byte(station);
     }
 
     fn bit_rate(&mut self, station: usize) -> &mut u32 {
@@ -398,9 +381,7 @@ impl Bus for Rs485Line {
     }
 
     fn reset(&mut self, station: usize, around: &mut Surroundings<Vec<u8>>) {
-        if !self.stations[station].is_cut {
-            self.spoil_byte(station);
-        }
+        self.spoil_byte(station);
         let state = &mut self.stations[station];
         state.queue.clear();
         state.driver = Driver::Off;
