@@ -144,7 +144,7 @@ pub struct Master<const N: usize> {
     stopped: MotorSet,
     /// These were switched off by a stop that is in force: no other stop switches them on.
     switched_off: MotorSet,
-    /// These have no place, and have lost their master and will ignore the next command.
+    /// These have lost their master and will ignore the next command.
     lost_master: MotorSet,
     /// RS485: a stop to all at once is to be sent before each motor's own.
     stop_to_all: Option<StopKind>,

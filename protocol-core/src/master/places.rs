@@ -124,9 +124,6 @@ impl<const N: usize> Master<N> {
         let is_idle = self.motors.get(place).is_some_and(|motor| motor.is_idle(now));
         if is_idle {
             if let Some(of) = self.motors.get_mut(place) {
-                if of.has_lost_master {
-                    self.lost_master.insert(motor);
-                }
                 *of = Motor::default();
             }
             self.places.clear(place, motor);
@@ -144,10 +141,6 @@ impl<const N: usize> Master<N> {
         let free = motors.find(|(_, motor)| motor.id.is_none());
         let (place, of) = free.ok_or(RequestError::TooManyMotors { capacity: N })?;
         of.id = Some(motor);
-        if self.lost_master.contains(motor) {
-            of.has_lost_master = true;
-            self.lost_master.remove(motor);
-        }
         self.places.give(place, motor);
         Ok(place)
     }

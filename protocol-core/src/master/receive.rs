@@ -35,13 +35,21 @@ enum Meaning {
     Unasked,
 }
 
-/// What the last command to all may still do at a motor.
-#[derive(Clone, Copy)]
-struct ToAll {
-    /// This reply may answer it.
-    may_be_answered: bool,
-    /// It may move the motor.
-    may_move: bool,
+/// What the master knows of a motor that has replied.
+struct Known {
+    /// The reply may answer the last command to all.
+    may_answer_all: bool,
+    /// That may still move the motor.
+    is_moved_with_all: bool,
+    /// The motor had lost its master, so that the reply may be the echo of a command that it has ignored.
+    has_lost_master: bool,
+}
+
+impl Known {
+    /// Whether it has ignored this one. It does so once.
+    fn has_ignored_one(&mut self) -> bool {
+        core::mem::take(&mut self.has_lost_master)
+    }
 }
 
 impl<const N: usize> Master<N> {
@@ -102,12 +110,17 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
-        let to_all = ToAll {
-            may_be_answered: self.broadcast.may_be_mistaken(packet.data[0], id.into()),
-            may_move: self.broadcast.may_move(id),
+        let mut known = Known {
+            may_answer_all: self.broadcast.may_be_mistaken(packet.data[0], id.into()),
+            is_moved_with_all: self.broadcast.may_move(id),
+            has_lost_master: self.lost_master.contains(id),
         };
-        let meaning = self.change(id, |motor, config| motor.take(id, packet, to_all, now, config));
+        let meaning =
+            self.change(id, |motor, config| motor.take(id, packet, &mut known, now, config));
         let meaning = meaning.unwrap_or(Meaning::Unasked);
+        if !known.has_lost_master {
+            self.lost_master.remove(id);
+        }
         if !matches!(meaning, Meaning::Feedback(..)) {
             self.due = now;
         }
@@ -190,13 +203,8 @@ impl<const N: usize> Master<N> {
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {
         self.now = now;
         self.due = now;
-        let known = self.change(motor, |motor, config| {
-            motor.was_heard(config, now);
-            motor.has_lost_master = true;
-        });
-        if known.is_none() {
-            self.lost_master.insert(motor);
-        }
+        self.lost_master.insert(motor);
+        self.change(motor, |motor, config| motor.was_heard(config, now));
         Some(Event::LostMaster { motor })
     }
 
@@ -216,7 +224,7 @@ impl Motor {
         &mut self,
         id: MotorId,
         packet: &Packet,
-        to_all: ToAll,
+        known: &mut Known,
         now: Instant,
         config: &Config,
     ) -> Meaning {
@@ -229,12 +237,12 @@ impl Motor {
         let answers = |question: Question| is_in_time && is_same(question);
         if let Some(&set_point) = self.stream.in_flight().filter(|sent| answers(sent.question)) {
             self.last_answered = Some(set_point.question);
-            return self.take_feedback(packet, &set_point, now, config);
+            return self.take_feedback(packet, &set_point, known, now, config);
         }
         if let Some(&asked) = self.request.in_flight().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
-            if asked.is_stop() && to_all.may_be_answered {
+            if asked.is_stop() && known.may_answer_all {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
@@ -242,11 +250,11 @@ impl Motor {
                 self.send_again(asked, false);
                 return Meaning::Nothing;
             }
-            return self.take_answer(id, asked, data, to_all, now, config);
+            return self.take_answer(id, asked, data, known, now, config);
         }
         match self.take_late(is_motion, data, may_be_doubled) {
             Some(Of::Request | Of::RequestAnswered) => Meaning::Late,
-            Some(_) if self.has_ignored_one() => Meaning::Late,
+            Some(_) if known.has_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, None, now),
                 Err(_) => Meaning::Late,
@@ -266,6 +274,7 @@ impl Motor {
         &mut self,
         packet: &Packet,
         set_point: &SetPoint,
+        known: &mut Known,
         now: Instant,
         config: &Config,
     ) -> Meaning {
@@ -273,7 +282,7 @@ impl Motor {
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
         let is_one_late = self.prolong_late(set_point.question, config, now);
         self.stream.take_in_flight();
-        if self.has_ignored_one() && (is_one_late || set_point.data == packet.data) {
+        if known.has_ignored_one() && (is_one_late || set_point.data == packet.data) {
             return Meaning::SetPointIgnored;
         }
         let round_trip = Some(now - self.sent);
@@ -287,13 +296,13 @@ impl Motor {
         id: MotorId,
         mut asked: Asked,
         data: &Data,
-        to_all: ToAll,
+        known: &mut Known,
         now: Instant,
         config: &Config,
     ) -> Meaning {
         asked.unanswered = asked.unanswered.saturating_sub(1);
         self.request = Request::InFlight(asked);
-        if self.has_ignored_one() && asked.data == *data {
+        if known.has_ignored_one() && asked.data == *data {
             if asked.is_stop() {
                 // It ignores one, and no more.
                 self.send_again(asked, false);
@@ -307,7 +316,7 @@ impl Motor {
         // With more than one attempt under way nobody knows which one this answers.
         let round_trip = (asked.unanswered == 0).then_some(now - self.sent);
         self.answered(round_trip);
-        if asked.kind().ends_motion() && (to_all.may_move || self.may_yet_move()) {
+        if asked.kind().ends_motion() && (known.is_moved_with_all || self.may_yet_move()) {
             self.send_again(asked, true);
             return Meaning::Nothing;
         }

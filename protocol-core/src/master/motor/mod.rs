@@ -66,8 +66,6 @@ pub(super) struct Motor {
     chance: Chance,
     /// A set-point was sent last, so that it is a waiting request's turn.
     was_set_point: bool,
-    /// The motor has lost its master and will ignore the next command.
-    pub(super) has_lost_master: bool,
     /// It has restarted: no set-points until the caller knows.
     pub(super) has_restarted: bool,
     /// Commands in a row that were not answered in time.
@@ -443,12 +441,6 @@ impl Motor {
         self.news.insert(News::RESTARTED);
         self.drop_waiting_set_point();
         self.drop_waiting_move(Failure::Dropped, config, now);
-    }
-
-    /// Whether a reply that has come may be the echo of a drive that has lost its master and ignored the
-    /// command. It does so once.
-    pub(super) fn has_ignored_one(&mut self) -> bool {
-        core::mem::take(&mut self.has_lost_master)
     }
 
     /// Whether it reports this by itself.
