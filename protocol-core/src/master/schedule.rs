@@ -6,7 +6,6 @@ use crate::master::motor::Motor;
 use crate::master::request::Asked;
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::{Bus, Config, Master, Offer};
-use crate::packet::Packet;
 use crate::time::Instant;
 
 /// The earliest of several points in time.
@@ -24,26 +23,21 @@ impl Earliest {
 
 impl<const N: usize> Master<N> {
     /// Stops first, then a broadcast that is due, then the motor that was served least.
-    pub(super) fn choose(&self, now: Instant) -> Option<(Offer, Packet)> {
+    pub(super) fn choose(&self, now: Instant) -> Option<Offer> {
         if let Some(stop) = self.choose_stop() {
             return Some(stop);
         }
         if self.broadcast.is_waiting() && self.broadcast_may_go() {
-            return Some((Offer::Broadcast, self.broadcast.packet()?));
+            return Some(Offer::Broadcast);
         }
-        let (place, motor) = self.choose_motor(now)?;
-        if motor.is_set_point_next(self.request_may_go(motor)) {
-            Some((Offer::SetPoint(place as u8), motor.set_point_packet()?))
-        } else {
-            Some((Offer::Request(place as u8), motor.request_packet()?))
-        }
+        self.choose_motor(now)
     }
 
     /// Each motor's first stop before any second, and on a line those first that answered last time: a
     /// motor that is not there keeps it for as long as a stop is waited for.
-    fn choose_stop(&self) -> Option<(Offer, Packet)> {
-        if let Some(packet) = self.stop_to_all_packet() {
-            return Some((Offer::StopToAll, packet));
+    fn choose_stop(&self) -> Option<Offer> {
+        if self.stop_to_all.is_some() {
+            return Some(Offer::StopToAll);
         }
         let stops = self.at(self.places.stops).filter_map(|(place, motor)| {
             let stop = motor.request.waiting()?;
@@ -53,43 +47,50 @@ impl<const N: usize> Master<N> {
         let urgency = |(_, motor, stop): &(_, &Motor, &Asked)| {
             (Reverse(stop.attempts_left), motor.was_missed())
         };
-        let (place, motor, _) = stops.min_by_key(urgency)?;
-        Some((Offer::Request(place as u8), motor.request_packet()?))
+        stops.min_by_key(urgency).map(|(place, ..)| Offer::Request(place as u8))
     }
 
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.
-    pub(super) fn choose_interruption(&self) -> Option<(Instant, (Offer, Packet))> {
+    pub(super) fn choose_interruption(&self) -> Option<(Instant, Offer)> {
         let last_sent = self.at(self.places.in_flight).map(|(_, motor)| motor.sent).max()?;
         let stop = self.choose_stop().filter(|_| !self.broadcast.is_in_flight())?;
         Some((last_sent + LONGEST_STOP_TIMEOUT, stop))
     }
 
-    /// The motor that was served least of those that have something to be sent now.
-    fn choose_motor(&self, now: Instant) -> Option<(usize, &Motor)> {
+    /// Of the motor that was served least of those that have something to be sent now.
+    fn choose_motor(&self, now: Instant) -> Option<Offer> {
         let ready = self.places.waiting.without(self.places.in_flight);
-        let mut first: Option<(usize, &Motor)> = None;
+        let mut first: Option<(u32, Offer)> = None;
         for (place, motor) in self.at(ready) {
-            let is_first = first.is_none_or(|(_, first)| motor.is_behind(first.round));
-            if is_first && motor.is_settled(now) && self.may_go(motor) {
-                first = Some((place, motor));
+            let is_first = first.is_none_or(|(round, _)| motor.is_behind(round));
+            if is_first && motor.is_settled(now) {
+                first = self.next_of(place, motor).map(|offer| (motor.round, offer)).or(first);
             }
         }
-        let (place, motor) = first?;
+        let (round, offer) = first?;
         // One round ahead of a motor that may be waiting for its turn to answer is enough.
-        let is_ahead = |of: &Motor| of.is_behind(motor.round) && of.may_be_answering();
+        let is_ahead = |of: &Motor| of.is_behind(round) && of.may_be_answering();
         let is_ahead_of_any = self.at(self.places.in_flight).any(|(_, motor)| is_ahead(motor));
-        (!is_ahead_of_any).then_some((place, motor))
+        (!is_ahead_of_any).then_some(offer)
     }
 
-    /// Whether the motor has a set-point, or a request that may go.
-    fn may_go(&self, motor: &Motor) -> bool {
-        motor.may_send_set_point() || self.request_may_go(motor)
+    /// What may go of this motor: where both may, its set-point and its request in turn.
+    #[inline]
+    fn next_of(&self, place: usize, motor: &Motor) -> Option<Offer> {
+        let (set_point, request) = (Offer::SetPoint(place as u8), Offer::Request(place as u8));
+        let asked = motor.request.waiting();
+        let request_may_go = asked.is_some_and(|asked| self.request_may_go(motor, asked));
+        match (motor.may_send_set_point(), request_may_go) {
+            (true, true) => Some(if motor.was_set_point { request } else { set_point }),
+            (true, false) => Some(set_point),
+            (false, true) => Some(request),
+            (false, false) => None,
+        }
     }
 
     /// Whether a motor's request could be sent now.
     #[inline(never)]
-    fn request_may_go(&self, motor: &Motor) -> bool {
-        let Some(asked) = motor.request.waiting() else { return false };
+    fn request_may_go(&self, motor: &Motor, asked: &Asked) -> bool {
         // A broadcast that waits lets attempts of what has begun go on: it waits for their end.
         let has_begun = self.broadcast.is_waiting() && asked.unanswered > 0;
         !asked.is_stop()
@@ -188,11 +189,13 @@ impl<const N: usize> Master<N> {
             motor.poll_at(&self.config, &mut earliest);
         }
         earliest.take(self.reply_is_due());
-        let is_something_chosen = || self.choose(self.busy_until).is_some();
-        if self.config.is_rs485() && !self.is_anything_in_flight() && is_something_chosen() {
-            earliest.take(self.busy_until);
-        } else if self.config.is_rs485() {
-            earliest.take(self.choose_interruption().map(|(at, _)| at.max(self.busy_until)));
+        if self.config.is_rs485() {
+            let offered_at = if self.is_anything_in_flight() {
+                self.choose_interruption().map(|(at, _)| at.max(self.busy_until))
+            } else {
+                self.choose(self.busy_until).map(|_| self.busy_until)
+            };
+            earliest.take(offered_at);
         }
         self.broadcast.poll_at(&mut earliest);
         self.broadcast_wait(&mut earliest);

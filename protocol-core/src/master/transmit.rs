@@ -30,13 +30,18 @@ impl<const N: usize> Master<N> {
         if self.config.is_rs485() && self.busy_until > now {
             return None;
         }
-        let (offer, packet) = if self.config.is_rs485() && self.is_anything_in_flight() {
+        let offer = if self.config.is_rs485() && self.is_anything_in_flight() {
             self.choose_interruption().filter(|&(at, _)| at <= now)?.1
         } else {
             self.choose(now)?
         };
         self.offer = Some(offer);
-        Some(packet)
+        match offer {
+            Offer::Request(place) => self.motors.get(usize::from(place))?.request_packet(),
+            Offer::SetPoint(place) => self.motors.get(usize::from(place))?.set_point_packet(),
+            Offer::Broadcast => self.broadcast.packet(),
+            Offer::StopToAll => self.stop_to_all_packet(),
+        }
     }
 
     /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its

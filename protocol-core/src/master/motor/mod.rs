@@ -65,7 +65,7 @@ pub(super) struct Motor {
     pub(super) news: News,
     chance: Chance,
     /// A set-point was sent last, so that it is a waiting request's turn.
-    was_set_point: bool,
+    pub(super) was_set_point: bool,
     /// It has restarted: no set-points until the caller knows.
     pub(super) has_restarted: bool,
     /// Commands in a row that were not answered in time.
@@ -226,11 +226,6 @@ impl Motor {
     pub(super) fn may_send_set_point(&self) -> bool {
         let is_to_stop = self.request.waiting().is_some_and(|asked| asked.kind().ends_motion());
         self.stream.waiting().is_some() && self.late.has_room() && !is_to_stop
-    }
-
-    /// Whether of a motor of which anything may go the set-point should be next, rather than the request.
-    pub(super) fn is_set_point_next(&self, request_may_go: bool) -> bool {
-        !request_may_go || (!self.was_set_point && self.may_send_set_point())
     }
 
     pub(super) fn request_packet(&self) -> Option<Packet> {
