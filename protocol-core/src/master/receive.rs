@@ -35,19 +35,22 @@ enum Meaning {
     Unasked,
 }
 
-/// What the master knows of a motor that has replied.
-struct Known {
-    /// The reply may answer the last command to all.
+/// A reply, and what the master knows of the motor that it is from.
+struct Heard<'a> {
+    from: MotorId,
+    packet: &'a Packet,
+    at: Instant,
+    /// It may answer the last command to all.
     may_answer_all: bool,
     /// That may still move the motor.
     is_moved_with_all: bool,
-    /// The motor had lost its master, so that the reply may be the echo of a command that it has ignored.
+    /// The motor had lost its master, so that this may be the echo of a command that it has ignored.
     has_lost_master: bool,
 }
 
-impl Known {
-    /// Whether it has ignored this one. It does so once.
-    fn has_ignored_one(&mut self) -> bool {
+impl Heard<'_> {
+    /// Whether it is such an echo, as far as is known: a drive ignores one command.
+    fn is_ignored_one(&mut self) -> bool {
         core::mem::take(&mut self.has_lost_master)
     }
 }
@@ -110,22 +113,22 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
-        let mut known = Known {
+        let mut heard = Heard {
+            from: id,
+            packet,
+            at: now,
             may_answer_all: self.broadcast.may_be_mistaken(packet.data[0], id.into()),
             is_moved_with_all: self.broadcast.may_move(id),
             has_lost_master: self.lost_master.contains(id),
         };
-        let meaning =
-            self.change(id, |motor, config| motor.take(id, packet, &mut known, now, config));
-        let meaning = meaning.unwrap_or(Meaning::Unasked);
-        if !known.has_lost_master {
+        let meaning = self.change(id, |motor, config| motor.take(&mut heard, config));
+        if !heard.has_lost_master {
             self.lost_master.remove(id);
         }
-        if !matches!(meaning, Meaning::Feedback(..)) {
+        if !matches!(meaning, Some(Meaning::Feedback(..))) {
             self.due = now;
         }
-        let data = packet.data;
-        match meaning {
+        match meaning.unwrap_or(Meaning::Unasked) {
             Meaning::Feedback(reply, round_trip) => {
                 self.measured(round_trip);
                 Some(Event::Feedback { motor: id, reply })
@@ -133,7 +136,7 @@ impl<const N: usize> Master<N> {
             Meaning::SetPointIgnored => Some(Event::SetPointUnanswered { motor: id }),
             Meaning::Answer(ticket, kind, round_trip) => {
                 self.measured(round_trip);
-                Some(Event::Reply { ticket, kind, data })
+                Some(Event::Reply { ticket, kind, data: packet.data })
             }
             Meaning::StopConfirmed(round_trip) => {
                 self.measured(round_trip);
@@ -149,7 +152,7 @@ impl<const N: usize> Master<N> {
                 if let Some(trips) = &mut self.round_trips {
                     trips.was_too_short(&mut self.config);
                 }
-                Some(self.stray(id, &data))
+                Some(self.stray(id, &packet.data))
             }
             Meaning::Unasked => Some(self.handle_unasked(id, packet, now)),
         }
@@ -220,14 +223,8 @@ impl<const N: usize> Master<N> {
 
 impl Motor {
     /// Holds a reply against what is expected: what is in flight, and what may come late.
-    fn take(
-        &mut self,
-        id: MotorId,
-        packet: &Packet,
-        known: &mut Known,
-        now: Instant,
-        config: &Config,
-    ) -> Meaning {
+    fn take(&mut self, heard: &mut Heard<'_>, config: &Config) -> Meaning {
+        let &mut Heard { packet, at: now, .. } = heard;
         let is_motion = matches!(packet.channel, Channel::MotionReply(_));
         let data = &packet.data;
         let is_in_time = now - self.sent >= config.shortest_response;
@@ -237,12 +234,12 @@ impl Motor {
         let answers = |question: Question| is_in_time && is_same(question);
         if let Some(&set_point) = self.stream.in_flight().filter(|sent| answers(sent.question)) {
             self.last_answered = Some(set_point.question);
-            return self.take_feedback(packet, &set_point, known, now, config);
+            return self.take_feedback(&set_point, heard, config);
         }
         if let Some(&asked) = self.request.in_flight().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
-            if asked.is_stop() && known.may_answer_all {
+            if asked.is_stop() && heard.may_answer_all {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
@@ -250,11 +247,11 @@ impl Motor {
                 self.send_again(asked, false);
                 return Meaning::Nothing;
             }
-            return self.take_answer(id, asked, data, known, now, config);
+            return self.take_answer(asked, heard, config);
         }
         match self.take_late(is_motion, data, may_be_doubled) {
             Some(Of::Request | Of::RequestAnswered) => Meaning::Late,
-            Some(_) if known.has_ignored_one() => Meaning::Late,
+            Some(_) if heard.is_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, None, now),
                 Err(_) => Meaning::Late,
@@ -272,17 +269,16 @@ impl Motor {
     /// A reply to the set-point in flight.
     fn take_feedback(
         &mut self,
-        packet: &Packet,
         set_point: &SetPoint,
-        known: &mut Known,
-        now: Instant,
+        heard: &mut Heard<'_>,
         config: &Config,
     ) -> Meaning {
+        let &mut Heard { packet, at: now, .. } = heard;
         let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
         let is_one_late = self.prolong_late(set_point.question, config, now);
         self.stream.take_in_flight();
-        if known.has_ignored_one() && (is_one_late || set_point.data == packet.data) {
+        if heard.is_ignored_one() && (is_one_late || set_point.data == packet.data) {
             return Meaning::SetPointIgnored;
         }
         let round_trip = Some(now - self.sent);
@@ -291,18 +287,11 @@ impl Motor {
     }
 
     /// A reply to the request in flight.
-    fn take_answer(
-        &mut self,
-        id: MotorId,
-        mut asked: Asked,
-        data: &Data,
-        known: &mut Known,
-        now: Instant,
-        config: &Config,
-    ) -> Meaning {
+    fn take_answer(&mut self, mut asked: Asked, heard: &mut Heard<'_>, config: &Config) -> Meaning {
+        let &mut Heard { from: motor, at: now, packet: &Packet { data, .. }, .. } = heard;
         asked.unanswered = asked.unanswered.saturating_sub(1);
         self.request = Request::InFlight(asked);
-        if known.has_ignored_one() && asked.data == *data {
+        if heard.is_ignored_one() && asked.data == data {
             if asked.is_stop() {
                 // It ignores one, and no more.
                 self.send_again(asked, false);
@@ -316,7 +305,8 @@ impl Motor {
         // With more than one attempt under way nobody knows which one this answers.
         let round_trip = (asked.unanswered == 0).then_some(now - self.sent);
         self.answered(round_trip);
-        if asked.kind().ends_motion() && (known.is_moved_with_all || self.may_yet_move()) {
+        let kind = asked.kind();
+        if kind.ends_motion() && (heard.is_moved_with_all || self.may_yet_move()) {
             self.send_again(asked, true);
             return Meaning::Nothing;
         }
@@ -325,12 +315,12 @@ impl Motor {
             return Meaning::StopConfirmed(round_trip);
         }
         if let (Kind::Known(Opcode::ReadRunTime), Ok(reply)) =
-            (asked.kind(), ReadRunTime::decode_reply(data))
+            (kind, ReadRunTime::decode_reply(&data))
         {
             self.has_run_for(reply.run_time.raw(), config, now);
         }
-        let ticket = TicketId { motor: id, number: self.ticket };
-        Meaning::Answer(ticket, asked.kind(), round_trip)
+        let ticket = TicketId { motor, number: self.ticket };
+        Meaning::Answer(ticket, kind, round_trip)
     }
 
     /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
