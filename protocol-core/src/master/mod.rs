@@ -374,17 +374,16 @@ impl<const N: usize> Master<N> {
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
-        let heard_at = self.heard_at;
-        let is_quiet = !self.config.is_rs485() && self.quiet_at() <= now;
         if now >= self.due {
+            let heard_at = self.heard_at;
+            let is_quiet = !self.config.is_rs485() && self.quiet_at() <= now;
             let mut next = Earliest::default();
             for place in self.places.taken.iter() {
                 if !self.motors.get(place).is_some_and(Motor::is_timed) {
                     continue;
                 }
                 self.change_at(place, |motor, config| {
-                    motor.note_chance(is_quiet, now, config);
-                    motor.handle_timeout(now, heard_at, config);
+                    motor.handle_timeout(now, is_quiet, heard_at, config);
                     motor.due(config, &mut next);
                 });
             }

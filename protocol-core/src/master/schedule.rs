@@ -68,10 +68,14 @@ impl<const N: usize> Master<N> {
             }
         }
         let (round, offer) = first?;
-        // One round ahead of a motor that may be waiting for its turn to answer is enough.
-        let is_ahead = |of: &Motor| of.is_behind(round) && of.may_be_answering();
-        let is_ahead_of_any = self.at(self.places.in_flight).any(|(_, motor)| is_ahead(motor));
-        (!is_ahead_of_any).then_some(offer)
+        // One round ahead of a motor that may be waiting for its turn to answer is enough. That is not one that
+        // did not answer last time, nor one that the quiet bus has shown to be silent.
+        for (_, motor) in self.at(self.places.in_flight) {
+            if motor.is_behind(round) && !motor.was_missed() && !motor.had_its_chance {
+                return None;
+            }
+        }
+        Some(offer)
     }
 
     /// What may go of this motor: where both may, its set-point and its request in turn.
@@ -172,9 +176,7 @@ impl<const N: usize> Master<N> {
         }
         let mut first_sent = Earliest::default();
         for (_, motor) in self.at(self.places.in_flight) {
-            if motor.has_a_chance() {
-                first_sent.take(motor.sent);
-            }
+            first_sent.take((!motor.had_its_chance).then_some(motor.sent));
         }
         let Config { longest_response, reply_timeout, .. } = self.config;
         let sent = first_sent.0?;

@@ -3,7 +3,7 @@
 use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::Of;
-use crate::master::motor::{Chance, Motor, News};
+use crate::master::motor::{Motor, News};
 use crate::master::request::{Purpose, Request};
 use crate::master::schedule::Earliest;
 use crate::time::{Duration, Instant};
@@ -35,7 +35,7 @@ impl Motor {
     fn set_point_timeout(&self, config: &Config) -> Duration {
         let usual = self.health.round_trip;
         let is_known = usual > Duration::ZERO && self.misses < SELDOM;
-        if !is_known || self.chance == Chance::Open {
+        if !is_known || !self.had_its_chance {
             return config.reply_timeout;
         }
         config.longest_response.max(usual.times(USUAL_TIMES)).min(config.reply_timeout)
@@ -52,9 +52,17 @@ impl Motor {
     pub(in crate::master) fn handle_timeout(
         &mut self,
         now: Instant,
+        is_quiet: bool,
         heard_at: Instant,
         config: &Config,
     ) {
+        // What waited only for a quiet bus must have come when it is, or after the usual time-out: a bus that
+        // others keep busy is never quiet.
+        let waited = now - self.sent;
+        let is_over = is_quiet || !config.is_rs485() && waited >= config.reply_timeout;
+        if self.is_in_flight() && waited >= config.longest_response && is_over {
+            self.had_its_chance = true;
+        }
         if self.is_unheard && heard_at + config.late_window >= self.moves_until {
             self.bus_is_alive(now, config);
         }
@@ -87,7 +95,7 @@ impl Motor {
     /// Tells when [`handle_timeout`](Self::handle_timeout) has something to do.
     pub(in crate::master) fn due(&self, config: &Config, earliest: &mut Earliest) {
         self.due_to_tell(config, earliest);
-        if self.is_in_flight() && self.chance == Chance::Open && !config.is_rs485() {
+        if self.is_in_flight() && !self.had_its_chance && !config.is_rs485() {
             earliest.take(self.sent + config.longest_response);
         }
         earliest.take(Some(self.settled_at).filter(|&at| at > Instant::ZERO));

@@ -36,16 +36,6 @@ bitflags! {
     }
 }
 
-/// How the motor's last command went.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum Chance {
-    /// Its reply may wait for the bus.
-    #[default]
-    Open,
-    /// The bus was quiet when its reply was due: it does not wait for the bus, and nobody waits for it.
-    Missed,
-}
-
 /// A motor that was silent for so long and answers again may have restarted: that takes 1.1 s.
 const RESTART_TAKES: Duration = Duration::from_secs(1);
 
@@ -63,7 +53,9 @@ pub(super) struct Motor {
     pub(super) stream: Stream,
     pub(super) late: LateReplies,
     pub(super) news: News,
-    chance: Chance,
+    /// The bus was quiet when the reply to its last command was due: that does not wait for the bus, and nobody
+    /// waits for it.
+    pub(super) had_its_chance: bool,
     /// A set-point was sent last, so that it is a waiting request's turn.
     pub(super) was_set_point: bool,
     /// It has restarted: no set-points until the caller knows.
@@ -203,11 +195,6 @@ impl Motor {
         self.misses > 0
     }
 
-    /// Whether its reply may come yet without the bus having been quiet meanwhile.
-    pub(super) fn has_a_chance(&self) -> bool {
-        self.chance == Chance::Open
-    }
-
     /// Whether a waiting request may go, as far as this motor is concerned.
     pub(super) fn may_send_request(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
         self.late.has_room()
@@ -240,7 +227,7 @@ impl Motor {
 
     pub(super) fn was_sent(&mut self, now: Instant) {
         self.sent = now;
-        self.chance = Chance::Open;
+        self.had_its_chance = false;
         self.round = self.round.wrapping_add(1);
     }
 
@@ -336,22 +323,6 @@ impl Motor {
                 // What was taken for its answer came late, to one that counted as lost.
                 self.health.answered = self.health.answered.saturating_sub(1);
             }
-        }
-    }
-
-    /// Whether a reply of this motor may be waiting for the bus. Not one that did not answer last
-    /// time, nor one that the quiet bus has shown to be silent.
-    pub(super) fn may_be_answering(&self) -> bool {
-        self.is_in_flight() && self.misses == 0 && self.chance == Chance::Open
-    }
-
-    /// What waited only for a quiet bus must have come when it is, or after the usual time-out: a bus that
-    /// others keep busy is never quiet.
-    pub(super) fn note_chance(&mut self, is_quiet: bool, now: Instant, config: &Config) {
-        let waited = now - self.sent;
-        let is_over = is_quiet || !config.is_rs485() && waited >= config.reply_timeout;
-        if self.is_in_flight() && waited >= config.longest_response && is_over {
-            self.chance = Chance::Missed;
         }
     }
 
