@@ -125,7 +125,7 @@ impl Write for Sink {
             ": " => self.field = self.last_word,
             ", " | " { " | " }" | "(" | ")" => {}
             "Instant" => self.is_instant = true,
-            "Health" | "Config" => self.leaves_out = true,
+            "Record" | "Config" => self.leaves_out = true,
             _ => {
                 if let Ok(number) = piece.parse() {
                     self.number(number);

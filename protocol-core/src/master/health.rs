@@ -43,17 +43,52 @@ pub struct Health {
 const LONGEST_ROUND_TRIP: Duration = Duration::from_millis(250);
 const SILENT_AFTER: u8 = 3;
 
-impl Health {
+/// [`Health`] as it is kept, in less space.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Record {
+    /// If it was heard.
+    heard_at: Instant,
+    was_heard: bool,
+    presence: Presence,
+    round_trip_us: u32,
+    pub(super) answered: u32,
+    pub(super) lost: u16,
+    pub(super) stray: u16,
+    pub(super) superseded: u16,
+}
+
+impl Record {
+    pub(super) fn health(&self) -> Health {
+        let &Self { presence, answered, lost, stray, superseded, .. } = self;
+        let (last_seen, round_trip) = (self.last_seen(), self.round_trip());
+        Health { presence, last_seen, round_trip, answered, lost, stray, superseded }
+    }
+
+    pub(super) fn last_seen(&self) -> Option<Instant> {
+        self.was_heard.then_some(self.heard_at)
+    }
+
+    pub(super) fn round_trip(&self) -> Duration {
+        Duration::from_micros(self.round_trip_us.into())
+    }
+
+    /// Something was heard of it. Gives when it was before.
+    pub(super) fn note_heard(&mut self, now: Instant) -> Option<Instant> {
+        let before = self.last_seen();
+        (self.heard_at, self.was_heard) = (now, true);
+        before
+    }
+
     /// A reply came in time. How long it took is not known where several attempts were under way.
     pub(super) fn count_answer(&mut self, round_trip: Option<Duration>) {
         self.presence = Presence::Present;
         self.answered = self.answered.saturating_add(1);
-        if let Some(measured) = round_trip.map(|span| span.min(LONGEST_ROUND_TRIP)) {
-            let average = match self.round_trip.as_micros() {
-                0 => measured.as_micros(),
-                average => average - average / 8 + measured.as_micros() / 8,
+        if let Some(round_trip) = round_trip {
+            let measured_us = round_trip.min(LONGEST_ROUND_TRIP).as_micros() as u32;
+            self.round_trip_us = match self.round_trip_us {
+                0 => measured_us,
+                average_us => average_us - average_us / 8 + measured_us / 8,
             };
-            self.round_trip = Duration::from_micros(average);
         }
     }
 
@@ -70,8 +105,8 @@ mod tests {
 
     #[test]
     fn the_first_round_trip_is_the_mean() {
-        let mut health = Health::default();
-        health.count_answer(Some(Duration::from_micros(1000)));
-        assert_eq!(health.round_trip, Duration::from_micros(1000));
+        let mut record = Record::default();
+        record.count_answer(Some(Duration::from_micros(1000)));
+        assert_eq!(record.health().round_trip, Duration::from_micros(1000));
     }
 }

@@ -262,7 +262,7 @@ impl Motor {
 
     /// Feedback of its stream has come.
     fn feedback(&mut self, reply: AnyReply, round_trip: Option<Duration>, now: Instant) -> Meaning {
-        self.latest = Some((reply, now));
+        (self.latest, self.latest_at) = (Some(reply), now);
         Meaning::Feedback(reply, round_trip)
     }
 

@@ -11,7 +11,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::config::Config;
 use crate::master::event::Failure;
-use crate::master::health::Health;
+use crate::master::health::Record;
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::request::{Asked, Request};
 use crate::master::stream::{SetPoint, Stream};
@@ -83,8 +83,9 @@ pub(super) struct Motor {
     /// What it answered last.
     pub(super) last_answered: Option<Question>,
     /// The newest feedback of its stream, and when it came.
-    pub(super) latest: Option<(AnyReply, Instant)>,
-    pub(super) health: Health,
+    pub(super) latest: Option<AnyReply>,
+    pub(super) latest_at: Instant,
+    pub(super) health: Record,
 }
 
 impl Motor {
@@ -369,7 +370,7 @@ impl Motor {
     pub(super) fn has_missed(&mut self, config: &Config, now: Instant) {
         self.misses = self.misses.saturating_add(1);
         self.health.count_miss(self.misses);
-        let is_silent = self.health.last_seen.is_some_and(|seen| now - seen >= RESTART_TAKES);
+        let is_silent = self.health.last_seen().is_some_and(|seen| now - seen >= RESTART_TAKES);
         if is_silent && !self.has_restarted {
             self.has_begun_anew(config, now);
         }
@@ -384,7 +385,7 @@ impl Motor {
     /// same once more.
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
         self.bus_is_alive(now, config);
-        let Some(before) = self.health.last_seen.replace(now) else { return false };
+        let Some(before) = self.health.note_heard(now) else { return false };
         let silence = now - before;
         if self.misses > 0 && silence >= RESTART_TAKES {
             self.has_begun_anew(config, now);
@@ -428,7 +429,7 @@ impl Motor {
     fn may_report_yet(&self, now: Instant) -> bool {
         let interval = Duration::from_millis(10 * u64::from(self.report_interval));
         let longest_silence = RESTART_TAKES + interval.times(REPORTS_MISSED);
-        let since = self.health.last_seen.map_or(self.sent, |seen| seen.max(self.sent));
+        let since = self.health.last_seen().map_or(self.sent, |seen| seen.max(self.sent));
         now - since < longest_silence
     }
 }
