@@ -27,14 +27,12 @@ pub enum CallError<E> {
 #[derive(Debug)]
 pub(super) struct Asking<C> {
     motor: MotorId,
+    command: C,
     patience: Option<Patience>,
-    state: AskingState<C>,
-}
-
-#[derive(Debug)]
-enum AskingState<C> {
-    ToBePut(C, Instant),
-    Put(Ticket<C>),
+    /// Until when it waits for its turn.
+    latest_turn: Instant,
+    /// Once it was put.
+    ticket: Option<Ticket<C>>,
 }
 
 impl<C: Command> Asking<C> {
@@ -44,7 +42,7 @@ impl<C: Command> Asking<C> {
         patience: Option<Patience>,
         now: Instant,
     ) -> Self {
-        Self { motor, patience, state: AskingState::ToBePut(command, now + LONGEST_TURN) }
+        Self { motor, command, patience, latest_turn: now + LONGEST_TURN, ticket: None }
     }
 
     /// Puts it, unless it was put or the motor is busy, for a while.
@@ -53,28 +51,23 @@ impl<C: Command> Asking<C> {
         master: &mut Master<N>,
         now: Instant,
     ) -> Result<(), RequestError> {
-        let AskingState::ToBePut(command, latest) = &self.state else { return Ok(()) };
-        match master.put_request(self.motor, command, self.patience) {
-            Ok(ticket) => self.state = AskingState::Put(ticket),
-            Err(RequestError::Busy) if now < *latest => {}
-            Err(error) => return Err(error),
+        if self.ticket.is_none() {
+            match master.put_request(self.motor, &self.command, self.patience) {
+                Ok(ticket) => self.ticket = Some(ticket),
+                Err(RequestError::Busy) if now < self.latest_turn => {}
+                Err(error) => return Err(error),
+            }
         }
         Ok(())
     }
 
     /// Until when it waits for its turn, if it does.
     pub(super) fn latest_turn(&self) -> Option<Instant> {
-        match &self.state {
-            AskingState::ToBePut(_, latest) => Some(*latest),
-            AskingState::Put(_) => None,
-        }
+        self.ticket.is_none().then_some(self.latest_turn)
     }
 
     pub(super) fn outcome(&self, event: &Event) -> Option<Result<C::Reply, Failure>> {
-        match &self.state {
-            AskingState::ToBePut(..) => None,
-            AskingState::Put(ticket) => ticket.outcome(event),
-        }
+        self.ticket?.outcome(event)
     }
 }
 
