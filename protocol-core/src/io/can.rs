@@ -167,23 +167,21 @@ impl<C: blocking::Can, F: Fn(&C::Error) -> bool> BlockingCan<C, F> {
     }
 }
 
+impl<C: blocking::Can, F: Fn(&C::Error) -> bool> BlockingCan<C, F> {
+    fn error(&self, error: C::Error) -> ::nb::Error<C::Error> {
+        if (self.is_timeout)(&error) { ::nb::Error::WouldBlock } else { ::nb::Error::Other(error) }
+    }
+}
+
 impl<C: blocking::Can, F: Fn(&C::Error) -> bool> nb::Can for BlockingCan<C, F> {
     type Frame = C::Frame;
     type Error = C::Error;
 
     fn transmit(&mut self, frame: &C::Frame) -> ::nb::Result<Option<C::Frame>, C::Error> {
-        match self.can.transmit(frame) {
-            Ok(()) => Ok(None),
-            Err(error) if (self.is_timeout)(&error) => Err(::nb::Error::WouldBlock),
-            Err(error) => Err(::nb::Error::Other(error)),
-        }
+        self.can.transmit(frame).map(|()| None).map_err(|error| self.error(error))
     }
 
     fn receive(&mut self) -> ::nb::Result<C::Frame, C::Error> {
-        match self.can.receive() {
-            Ok(frame) => Ok(frame),
-            Err(error) if (self.is_timeout)(&error) => Err(::nb::Error::WouldBlock),
-            Err(error) => Err(::nb::Error::Other(error)),
-        }
+        self.can.receive().map_err(|error| self.error(error))
     }
 }

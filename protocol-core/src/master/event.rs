@@ -50,10 +50,9 @@ impl<C: Command> Ticket<C> {
     /// drives were seen to take without an answer.
     pub fn outcome(&self, event: &Event) -> Option<Result<C::Reply, Failure>> {
         match *event {
-            Event::Reply { ticket, data, .. } if ticket == self.id => {
-                Some(C::decode_reply(&data).map_err(Failure::Unreadable))
-            }
-            Event::Sent { ticket, data } if ticket == self.id => {
+            Event::Reply { ticket, data, .. } | Event::Sent { ticket, data }
+                if ticket == self.id =>
+            {
                 Some(C::decode_reply(&data).map_err(Failure::Unreadable))
             }
             Event::Failed { ticket, failure, .. } if ticket == self.id => Some(Err(failure)),
