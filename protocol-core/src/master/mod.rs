@@ -79,7 +79,7 @@ use places::Places;
 use request::{Asked, Purpose, Request};
 use round_trips::RoundTrips;
 use schedule::Earliest;
-use stream::{SetPoint as StreamSetPoint, Stream};
+use stream::SetPoint as StreamSetPoint;
 use transmit::Offer;
 
 /// As late as can be.
@@ -359,7 +359,10 @@ impl<const N: usize> Master<N> {
             self.offer = None;
             self.due = now;
             for place in self.places.taken.iter() {
-                self.change_at(place, |motor, config| motor.end_motion_with_all(config, now));
+                self.change_at(place, |motor, config| {
+                    // Nothing older of this motor's follows that.
+                    motor.drop_what_moves(Failure::Stopped, config, now);
+                });
             }
         }
         Ok(())
@@ -440,8 +443,8 @@ impl<const N: usize> Master<N> {
 
     /// Whether a motor's newest set-point is still to be sent, or to be answered.
     pub(crate) fn has_set_point_under_way(&self, motor: MotorId) -> bool {
-        let is_under_way = |stream: &Stream| stream.waiting().or(stream.in_flight()).is_some();
-        self.motor(motor).is_some_and(|motor| is_under_way(&motor.stream))
+        let stream = self.motor(motor).map(|motor| &motor.stream);
+        stream.is_some_and(|stream| stream.waiting().or(stream.in_flight()).is_some())
     }
 
     /// Whether any command waits for its reply.

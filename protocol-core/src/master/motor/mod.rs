@@ -104,7 +104,7 @@ impl Motor {
     /// Whether it has nothing under way and nothing to tell, and nothing that was sent may move it yet.
     pub(super) fn is_idle(&self, now: Instant) -> bool {
         let has_nothing = self.request.is_none() && !self.is_waiting() && !self.is_in_flight();
-        has_nothing && self.news.is_empty() && self.settled_at <= now && !self.may_yet_move()
+        has_nothing && self.news.is_empty() && self.is_settled(now) && !self.may_yet_move()
     }
 
     pub(super) fn has_news(&self) -> bool {
@@ -123,15 +123,16 @@ impl Motor {
         self.drop_waiting_set_point();
         // What became of an earlier stop says nothing of this one.
         self.news.remove(News::UNCONFIRMED);
-        match self.request {
+        let is_callers = match self.request {
+            Request::None => false,
             // Also one whose outcome is not told yet: each request has one.
-            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)
-                if !asked.is_stop() =>
-            {
-                self.news.insert(News::STOPPED);
+            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked) => {
+                !asked.is_stop()
             }
-            Request::Failed(_) => self.news.insert(News::STOPPED),
-            _ => {}
+            Request::Failed(_) => true,
+        };
+        if is_callers {
+            self.news.insert(News::STOPPED);
         }
         let [reset, off] = [Opcode::Reset, Opcode::Shutdown].map(Kind::Known);
         if matches!(self.request, Request::Sent(asked) if asked.kind() == reset) {
@@ -161,13 +162,9 @@ impl Motor {
         }
     }
 
-    /// All are told to end their motion: nothing older of this motor's follows that.
-    pub(super) fn end_motion_with_all(&mut self, config: &Config, now: Instant) {
+    /// Drops what waits and would move it.
+    pub(super) fn drop_what_moves(&mut self, why: Failure, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
-        self.drop_waiting_move(Failure::Stopped, config, now);
-    }
-
-    fn drop_waiting_move(&mut self, why: Failure, config: &Config, now: Instant) {
         if self.request.waiting().is_some_and(|asked| asked.kind().may_move()) {
             self.finish_request(Request::Failed(why), config, now);
         }
@@ -226,7 +223,7 @@ impl Motor {
         Some(Packet { channel: channel(self.id?, set_point.question.kind), data: set_point.data })
     }
 
-    pub(super) fn was_sent(&mut self, now: Instant) {
+    fn was_sent(&mut self, now: Instant) {
         self.sent = now;
         self.had_its_chance = false;
         self.round = self.round.wrapping_add(1);
@@ -276,9 +273,9 @@ impl Motor {
         let is_ended = ended_with_all.is_some_and(|ended| self.sent <= ended);
         // It has had no turn.
         self.round = self.round.wrapping_sub(1);
-        let is_this = |kind: Kind, data: &Data| {
-            kind.is_motion() == matches!(packet.channel, Channel::Motion(_)) && *data == packet.data
-        };
+        let is_motion = matches!(packet.channel, Channel::Motion(_));
+        let is_this =
+            |kind: Kind, data: &Data| kind.is_motion() == is_motion && *data == packet.data;
         match self.request {
             // It was not sent yet, so that this is another like it.
             Request::Waiting(asked) if asked.unanswered == 0 => {}
@@ -318,7 +315,6 @@ impl Motor {
             }
         } else {
             // A stop went over it, or it was given up: it will not be answered.
-            let is_motion = matches!(packet.channel, Channel::Motion(_));
             let of = self.take_late(is_motion, &packet.data, false);
             if matches!(of, Some(Of::StreamAnswered | Of::RequestAnswered)) {
                 // What was taken for its answer came late, to one that counted as lost.
@@ -406,8 +402,7 @@ impl Motor {
         self.reports = 0;
         self.run_time_ms = 0;
         self.news.insert(News::RESTARTED);
-        self.drop_waiting_set_point();
-        self.drop_waiting_move(Failure::Dropped, config, now);
+        self.drop_what_moves(Failure::Dropped, config, now);
     }
 
     /// Whether it reports this by itself.
