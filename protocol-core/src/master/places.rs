@@ -96,9 +96,23 @@ impl Places {
         self.note(place, &Motor::default());
     }
 
+    /// Changes the motor with this place: the only way to do it.
+    #[inline]
+    pub(super) fn change<R>(
+        &mut self,
+        motors: &mut [Motor],
+        place: usize,
+        change: impl FnOnce(&mut Motor) -> R,
+    ) -> Option<R> {
+        let motor = motors.get_mut(place)?;
+        let result = change(motor);
+        self.note(place, motor);
+        Some(result)
+    }
+
     /// Something of the motor with this place has changed.
     #[inline(never)]
-    pub(super) fn note(&mut self, place: usize, motor: &Motor) {
+    fn note(&mut self, place: usize, motor: &Motor) {
         self.waiting.set(place, motor.is_waiting());
         self.stops.set(place, motor.is_stop_waiting());
         self.in_flight.set(place, motor.is_in_flight());
@@ -154,7 +168,7 @@ impl<const N: usize> Master<N> {
         places.iter().filter_map(|place| Some((place, self.motors.get(place)?)))
     }
 
-    /// Changes a motor that has a place: the only way to do it.
+    /// Changes a motor that has a place; see [`Places::change`].
     pub(super) fn change<R>(
         &mut self,
         motor: MotorId,
@@ -170,9 +184,6 @@ impl<const N: usize> Master<N> {
         place: usize,
         change: impl FnOnce(&mut Motor, &Config) -> R,
     ) -> Option<R> {
-        let motor = self.motors.get_mut(place)?;
-        let result = change(motor, &self.config);
-        self.places.note(place, motor);
-        Some(result)
+        self.places.change(&mut self.motors, place, |motor| change(motor, &self.config))
     }
 }

@@ -4,11 +4,12 @@ use crate::command::{AnyReply, BusId, Command, ReadRunTime};
 use crate::data::Data;
 use crate::id::MotorId;
 use crate::kind::Kind;
+use crate::master::broadcast::Broadcast;
 use crate::master::late::{Of, Question};
 use crate::master::motor::Motor;
 use crate::master::request::{Asked, Request};
 use crate::master::stream::SetPoint;
-use crate::master::{Config, Event, Failure, Master, TicketId, reported_bit};
+use crate::master::{Config, Event, Failure, Master, MotorSet, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -40,18 +41,16 @@ struct Heard<'a> {
     from: MotorId,
     packet: &'a Packet,
     at: Instant,
-    /// It may answer the last command to all.
-    may_answer_all: bool,
-    /// That may still move the motor.
-    is_moved_with_all: bool,
-    /// The motor had lost its master, so that this may be the echo of a command that it has ignored.
-    has_lost_master: bool,
+    to_all: &'a Broadcast,
+    lost_master: &'a mut MotorSet,
 }
 
 impl Heard<'_> {
-    /// Whether it is such an echo, as far as is known: a drive ignores one command.
+    /// Whether it may be the echo of a drive that has lost its master and ignored the command. It does so once.
     fn is_ignored_one(&mut self) -> bool {
-        core::mem::take(&mut self.has_lost_master)
+        let has_lost_master = self.lost_master.contains(self.from);
+        self.lost_master.remove(self.from);
+        has_lost_master
     }
 }
 
@@ -117,14 +116,13 @@ impl<const N: usize> Master<N> {
             from: id,
             packet,
             at: now,
-            may_answer_all: self.broadcast.may_be_mistaken(packet.data[0], id.into()),
-            is_moved_with_all: self.broadcast.may_move(id),
-            has_lost_master: self.lost_master.contains(id),
+            to_all: &self.broadcast,
+            lost_master: &mut self.lost_master,
         };
-        let meaning = self.change(id, |motor, config| motor.take(&mut heard, config));
-        if !heard.has_lost_master {
-            self.lost_master.remove(id);
-        }
+        let meaning = self.places.of(id).and_then(|place| {
+            let take = |motor: &mut Motor| motor.take(&mut heard, &self.config);
+            self.places.change(&mut self.motors, place, take)
+        });
         if !matches!(meaning, Some(Meaning::Feedback(..))) {
             self.due = now;
         }
@@ -239,7 +237,7 @@ impl Motor {
         if let Some(&asked) = self.request.in_flight().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
-            if asked.is_stop() && heard.may_answer_all {
+            if asked.is_stop() && heard.to_all.may_be_mistaken(data[0], heard.from.into()) {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
@@ -306,7 +304,7 @@ impl Motor {
         let round_trip = (asked.unanswered == 0).then_some(now - self.sent);
         self.answered(round_trip);
         let kind = asked.kind();
-        if kind.ends_motion() && (heard.is_moved_with_all || self.may_yet_move()) {
+        if kind.ends_motion() && (heard.to_all.may_move(motor) || self.may_yet_move()) {
             self.send_again(asked, true);
             return Meaning::Nothing;
         }
