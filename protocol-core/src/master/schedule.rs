@@ -39,6 +39,9 @@ impl<const N: usize> Master<N> {
         if self.stop_to_all.is_some() {
             return Some(Offer::StopToAll);
         }
+        if self.places.stops.is_empty() {
+            return None;
+        }
         let stops = self.at(self.places.stops).filter_map(|(place, motor)| {
             let stop = motor.request.waiting()?;
             let waits = motor.waits_for_motion(stop, self.is_moved_with_all(motor));
