@@ -1,12 +1,7 @@
 //! What leaves the master, and what becomes of it.
 
-use crate::command::awaits_reply;
-use crate::data::Data;
 use crate::id::Target;
-use crate::kind::Kind;
-use crate::master::motor::Motor;
-use crate::master::{Master, reported_bit};
-use crate::opcode::Opcode;
+use crate::master::Master;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
@@ -56,27 +51,19 @@ impl<const N: usize> Master<N> {
         let mut silence = Duration::ZERO;
         match offer {
             Offer::Request(place) => {
-                let place = usize::from(place);
-                let Some(asked) = self.motors.get(place).and_then(|m| m.request.waiting().copied())
-                else {
-                    return;
-                };
-                let pause = (!awaits_reply(asked.kind(), &asked.data)).then(|| {
+                let sent = self.change_at(usize::from(place), |motor, config| {
+                    let is_over = motor.request_was_sent(now, config)?;
+                    Some((is_over, motor.round))
+                });
+                let Some((is_over, round)) = sent.flatten() else { return };
+                (self.due, self.pace) = (now, round);
+                if is_over {
                     silence = self.config.settle_time;
-                    self.config.hold_after(asked.kind())
-                });
-                self.due = now;
-                let round = self.change_at(place, |motor, config| {
-                    motor.request_was_sent(now, pause, config);
-                    note_report(motor, asked.kind(), &asked.data);
-                    motor.round
-                });
-                self.pace = round.unwrap_or(self.pace);
+                }
             }
             Offer::SetPoint(place) => {
-                let place = usize::from(place);
                 self.due = self.due.min(now + self.config.longest_response);
-                let round = self.change_at(place, |motor, _| {
+                let round = self.change_at(usize::from(place), |motor, _| {
                     motor.set_point_was_sent(now);
                     motor.round
                 });
@@ -85,7 +72,7 @@ impl<const N: usize> Master<N> {
             Offer::Broadcast => {
                 if let (Some(kind), data) = self.broadcast.command() {
                     for place in self.places.taken.iter() {
-                        self.change_at(place, |motor, _| note_report(motor, kind, &data));
+                        self.change_at(place, |motor, _| motor.note_reports(kind, &data));
                     }
                 }
                 self.broadcast.was_sent(now, &self.config);
@@ -121,19 +108,5 @@ impl<const N: usize> Master<N> {
             }
             Channel::Reply(_) | Channel::MotionReply(_) => {}
         }
-    }
-}
-
-/// Keeps track of what a motor reports by itself, from the commands that switch it.
-fn note_report(motor: &mut Motor, sent: Kind, data: &Data) {
-    match sent.opcode() {
-        Some(Opcode::Reset) => motor.note_reports(u8::MAX, None),
-        Some(Opcode::ActiveReply) => {
-            let [_, command, enable, low, high, ..] = *data;
-            let bit = Opcode::from_byte(command).and_then(reported_bit).unwrap_or(0);
-            let interval = u16::from_le_bytes([low, high]);
-            motor.note_reports(bit, (enable != 0).then_some(interval));
-        }
-        _ => {}
     }
 }

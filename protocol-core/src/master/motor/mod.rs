@@ -5,7 +5,7 @@ mod late_moves;
 
 use bitflags::bitflags;
 
-use crate::command::AnyReply;
+use crate::command::{AnyReply, awaits_reply};
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
@@ -13,6 +13,7 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::health::Record;
 use crate::master::late::{LateReplies, Of, Question};
+use crate::master::reported_bit;
 use crate::master::request::{Asked, Request};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
@@ -229,29 +230,25 @@ impl Motor {
         self.round = self.round.wrapping_add(1);
     }
 
-    /// The waiting request was sent. One without a reply keeps everything else back for `pause`.
-    pub(super) fn request_was_sent(
-        &mut self,
-        now: Instant,
-        pause: Option<Duration>,
-        config: &Config,
-    ) {
-        let Request::Waiting(mut asked) = self.request else { return };
-        let is_stop = asked.is_stop();
+    /// The waiting request was sent. Gives whether it is over with that: one without a reply keeps everything else
+    /// back for a while.
+    pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
+        let Request::Waiting(mut asked) = self.request else { return None };
+        self.note_reports(asked.kind(), &asked.data);
         let late = now + asked.timeout + config.late_window;
         self.was_sent(now);
         self.was_set_point = false;
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
-        if let Some(pause) = pause {
-            self.settled_at = self.settled_at.max(now + pause);
+        if !awaits_reply(asked.kind(), &asked.data) {
+            self.settled_at = self.settled_at.max(now + config.hold_after(asked.kind()));
             if asked.kind().may_move() {
                 self.may_move_until(late, config);
             }
             self.request = Request::Sent(asked);
-            return;
+            return Some(true);
         }
         // Only a stop goes over something in flight, which may still be on its way.
-        if is_stop {
+        if asked.is_stop() {
             self.late.extend(late);
         }
         if let Some(set_point) = self.stream.take_in_flight() {
@@ -259,6 +256,7 @@ impl Motor {
         }
         asked.unanswered = asked.unanswered.saturating_add(1);
         self.request = Request::InFlight(asked);
+        Some(false)
     }
 
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
@@ -410,14 +408,22 @@ impl Motor {
         self.reports & bit != 0 && self.may_report_yet(now)
     }
 
-    /// It was told to report what the bits say, this often (in 10 ms); or no more.
-    pub(super) fn note_reports(&mut self, bits: u8, interval: Option<u16>) {
-        let Some(interval) = interval else {
-            self.reports &= !bits;
-            return;
-        };
-        self.reports |= bits;
-        self.report_interval = self.report_interval.max(interval);
+    /// Keeps track of what it reports by itself, from the commands that switch that.
+    pub(super) fn note_reports(&mut self, sent: Kind, data: &Data) {
+        match sent.opcode() {
+            Some(Opcode::Reset) => self.reports = 0,
+            Some(Opcode::ActiveReply) => {
+                let [_, command, enable, low, high, ..] = *data;
+                let bit = Opcode::from_byte(command).and_then(reported_bit).unwrap_or(0);
+                self.reports &= !bit;
+                if enable != 0 {
+                    self.reports |= bit;
+                    let interval = u16::from_le_bytes([low, high]);
+                    self.report_interval = self.report_interval.max(interval);
+                }
+            }
+            _ => {}
+        }
     }
 
     /// Whether it reports, as it was told: one that was not heard for so long does so no more.
