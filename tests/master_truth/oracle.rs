@@ -4,14 +4,10 @@ use std::collections::HashMap;
 
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::master::{Event, Failure, Health, MotorSet, TicketId};
-use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Packet};
 
 use super::excuses::Excuse;
-use super::truth::{DONE, Name, Truth, has_values, question_of};
-
-/// A motor that was silent for so long may have restarted.
-const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
+use super::truth::{DONE, MAY_HAVE_RESTARTED, Name, Truth, has_values, question_of};
 
 /// A request whose outcome is to come.
 #[derive(Clone, Copy, Debug)]

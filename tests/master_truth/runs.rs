@@ -107,6 +107,13 @@ drawn! {
     fourth: 3,
 }
 
+/// A clock jumps, and then a motor is first heard that had answered with nothing but what looks like an
+/// echo: its silence is told once more.
+#[test]
+fn what_once_broke() {
+    run::<Rs485Line>(Scenario::drawn::<Rs485Line>(3573, DRAWN_REQUESTS));
+}
+
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.
 #[test]
 fn alone() {

@@ -19,6 +19,8 @@ pub(crate) const REPORTS: u32 = 0x3D00_0000;
 pub(crate) const STRANGERS: u32 = 0x3E00_0000;
 /// In byte 3 of a reply with values: the command was executed, and not only sent back.
 pub(crate) const DONE: u8 = 0xD0;
+/// A motor that was silent for so long may have restarted.
+pub(super) const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
 
 /// What tells one command and its replies from all others of a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -441,7 +443,9 @@ impl Truth {
         }
         // What an adapter hands back is nothing that was heard.
         if copies == 1 || packet.data[3] == DONE || is_lost_master {
-            let silence = page.delivered_at.map_or(Duration::ZERO, |before| now - before);
+            // Nor does anybody know when that was before, if all that came then may have been such.
+            let unknown = MAY_HAVE_RESTARTED.times(copies - 1);
+            let silence = page.delivered_at.map_or(unknown, |before| now - before);
             page.longest_silence = page.longest_silence.max(silence);
             page.delivered_at = Some(now);
         }
