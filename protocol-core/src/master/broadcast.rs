@@ -219,22 +219,24 @@ impl Broadcast {
         }
     }
 
-    /// A controller has handed it back: it was never on the bus, and moves nobody. Of an earlier one nobody
-    /// waits for an answer any more; but all are told to end their motion, unless they were stopped since.
-    pub(super) fn was_pushed_out(&mut self, packet: &Packet, is_any_stopped: bool) {
+    /// A controller has handed it back: it was never on the bus, and moves nobody. Gives whether it ends motion, and
+    /// nobody waits for an answer any more.
+    pub(super) fn was_pushed_out(&mut self, packet: &Packet) -> bool {
         if self.packet().as_ref() != Some(packet) {
-            return;
+            return false;
         }
-        self.moves = false;
-        self.state = match self.state {
-            State::InFlight | State::Sent => State::Waiting,
-            State::None if !is_any_stopped && self.kind.is_some_and(Kind::ends_motion) => {
-                State::Again
-            }
-            _ => return,
-        };
         // Nobody has heard it, so that it need not wait for answers to itself.
-        self.may_be_late = false;
+        (self.moves, self.may_be_late) = (false, false);
+        if matches!(self.state, State::InFlight | State::Sent) {
+            self.state = State::Waiting;
+        }
+        self.state == State::None && self.kind.is_some_and(Kind::ends_motion)
+    }
+
+    pub(super) fn goes_again(&mut self) {
+        if self.state == State::None {
+            self.state = State::Again;
+        }
     }
 
     /// Until when something may have to wait for late answers.

@@ -91,6 +91,9 @@ impl<const N: usize> Master<N> {
         self.broadcast.cancel_what_moves();
         self.put_stop(place, motor, kind);
         self.stopped.insert(motor);
+        if self.broadcast.is_waiting() && !self.stops_all {
+            self.end_motion_of_all();
+        }
         Ok(())
     }
 
@@ -113,9 +116,7 @@ impl<const N: usize> Master<N> {
         self.offer = None;
         self.due = self.now;
         let (command, data) = kind.command();
-        let reply_timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
-        let patience = Patience { reply_timeout, attempts: STOP_ATTEMPTS };
-        let stop = Asked::new(Purpose::Stop, Question::of(command, &data), data, patience);
+        let stop = self.stop_of(command, data);
         let now = self.now;
         let is_new = self.change_at(place, |motor, config| {
             let goes_on = was_stopped && motor.is_stopping_as(&stop);
@@ -125,6 +126,33 @@ impl<const N: usize> Master<N> {
             !goes_on
         });
         is_new.unwrap_or(false)
+    }
+
+    fn stop_of(&self, command: Kind, data: Data) -> Asked {
+        let reply_timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
+        let patience = Patience { reply_timeout, attempts: STOP_ATTEMPTS };
+        Asked::new(Purpose::Stop, Question::of(command, &data), data, patience)
+    }
+
+    /// What ends the motion of all was handed back, or waits: it goes. Where it would undo the stop of one motor,
+    /// the others that have a place get it each by itself.
+    pub(super) fn end_motion_of_all(&mut self) {
+        let (Some(kind), data) = self.broadcast.command() else { return };
+        let undone = match kind.opcode() {
+            Some(Opcode::Shutdown) => self.stopped.without(self.switched_off),
+            Some(Opcode::Stop) => self.switched_off,
+            Some(Opcode::LockBrake) => MotorSet::EMPTY,
+            _ if self.stopped.is_empty() => MotorSet::EMPTY,
+            _ => return,
+        };
+        if undone.is_empty() {
+            return self.broadcast.goes_again();
+        }
+        self.broadcast.cancel();
+        let (stop, now) = (self.stop_of(kind, data), self.now);
+        for motor in self.motors().without(self.stopped).iter() {
+            self.change(motor, |motor, config| motor.put_stop(stop, config, now));
+        }
     }
 
     /// Whether it was stopped, and that was not lifted.

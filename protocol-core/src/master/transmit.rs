@@ -104,7 +104,9 @@ impl<const N: usize> Master<N> {
                 });
             }
             Channel::Command(Target::All) | Channel::BusId => {
-                self.broadcast.was_pushed_out(packet, self.is_any_stopped());
+                if self.broadcast.was_pushed_out(packet) && !self.stops_all {
+                    self.end_motion_of_all();
+                }
             }
             Channel::Reply(_) | Channel::MotionReply(_) => {}
         }

@@ -151,6 +151,48 @@ fn what_ends_the_motion_of_all_and_is_handed_back_is_sent_again_whatever_was_tol
 }
 
 #[test]
+fn what_ends_the_motion_of_all_reaches_all_but_a_motor_whose_later_stop_it_would_undo() {
+    let [off, hold] = [Shutdown.encode(), Stop.encode()];
+    let one = |motor, data| Packet { channel: Channel::Command(id(motor).into()), data };
+    let (to_all, lock) = (packet_to_all, LockBrake.encode());
+    for (end, stop, goes) in [
+        (off, StopKind::Off, Some(to_all(off))),
+        (off, StopKind::Hold, Some(one(2, off))),
+        (hold, StopKind::Hold, Some(to_all(hold))),
+        (hold, StopKind::Off, Some(one(2, hold))),
+        (lock, StopKind::Hold, Some(to_all(lock))),
+        (lock, StopKind::Off, Some(to_all(lock))),
+        // It begins anew, which a stopped motor must not.
+        (Reset.encode(), StopKind::Off, None),
+    ] {
+        for is_handed_back in [true, false] {
+            let mut master = Master::<2>::new(Config::CAN);
+            for motor in [1, 2] {
+                let _ = ask(&mut master, motor, ReadMultiTurnAngle, ms(0));
+                reply(&mut master, motor, ANGLE_REPLY, ms(1)).unwrap();
+            }
+            master
+                .broadcast(RawCommand::new(end, ReplyRule::Same, false), MotorSet::EMPTY)
+                .unwrap();
+            if is_handed_back {
+                let in_mailbox = sent(&mut master, ms(2))[0];
+                events(&mut master, ms(2));
+                master.stop(id(1), stop).unwrap();
+                master.handle_pushed_out(&in_mailbox);
+            } else {
+                master.stop(id(1), stop).unwrap();
+            }
+            let stop = one(1, stop.command().1);
+            let mut packets = sent(&mut master, ms(2));
+            assert_eq!(packets.remove(0), stop);
+            assert_eq!(reply(&mut master, 1, stop.data, ms(3)), confirmed(1));
+            packets.extend(sent(&mut master, ms(3)));
+            assert_eq!(packets, goes.as_slice(), "{stop:02X?}, {is_handed_back}");
+        }
+    }
+}
+
+#[test]
 fn a_bus_that_is_whole_again_just_before_the_window_ends_has_all_of_it() {
     for is_to_all in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
