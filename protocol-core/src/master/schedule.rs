@@ -98,11 +98,11 @@ impl<const N: usize> Master<N> {
     /// Whether a motor's request could be sent now.
     #[inline(never)]
     fn request_may_go(&self, motor: &Motor, asked: &Asked) -> bool {
-        // A broadcast that waits lets attempts of what has begun go on: it waits for their end.
-        let has_begun = self.broadcast.is_waiting() && asked.unanswered > 0;
+        // A broadcast that waits lets attempts of what has begun go on, and what ends motion: it waits for their end.
+        let has_begun = asked.unanswered > 0 || asked.kind().ends_motion();
         !asked.is_stop()
             && motor.may_send_request(asked, self.is_moved_with_all(motor))
-            && (has_begun || !self.broadcast.keeps_requests_back())
+            && (has_begun && self.broadcast.is_waiting() || !self.broadcast.keeps_requests_back())
             && !self.is_confusable(motor)
     }
 
@@ -123,9 +123,11 @@ impl<const N: usize> Master<N> {
     /// request, nor from the broadcast before it.
     fn broadcast_may_go(&self) -> bool {
         let Some(question) = self.broadcast.question() else { return false };
+        let is_first = |asked: &Asked| {
+            asked.unanswered > 0 || question.kind.may_move() && asked.kind().ends_motion()
+        };
         let keeps_back = |motor: &Motor| {
-            motor.request.under_way().is_some_and(|asked| asked.unanswered > 0)
-                || motor.late.may_be_mistaken(question)
+            motor.request.under_way().is_some_and(is_first) || motor.late.may_be_mistaken(question)
         };
         !self.at(self.places.taken).any(|(_, motor)| keeps_back(motor))
             && self.broadcast.may_go(self.motors())
@@ -133,17 +135,14 @@ impl<const N: usize> Master<N> {
 
     /// Tells when a broadcast, or a request that waits because of one, may go.
     fn broadcast_wait(&self, earliest: &mut Earliest) {
-        let is_late_awaited = if self.broadcast.is_waiting() {
-            if let Some(question) = self.broadcast.question() {
-                let ends = self.at(self.places.taken).filter_map(|(_, m)| m.late.end_of(question));
-                ends.for_each(|end| earliest.take(end));
-            }
-            !self.broadcast.may_go(self.motors())
-        } else {
-            let waits = |motor: &Motor| self.is_moved_with_all(motor) || self.is_confusable(motor);
-            self.at(self.places.waiting).any(|(_, motor)| waits(motor))
-        };
-        if is_late_awaited {
+        let question = if self.broadcast.is_waiting() { self.broadcast.question() } else { None };
+        if let Some(question) = question {
+            let ends = self.at(self.places.taken).filter_map(|(_, m)| m.late.end_of(question));
+            ends.for_each(|end| earliest.take(end));
+        }
+        let waits = |motor: &Motor| self.is_moved_with_all(motor) || self.is_confusable(motor);
+        let is_late_awaited = question.is_some() && !self.broadcast.may_go(self.motors());
+        if is_late_awaited || self.at(self.places.waiting).any(|(_, motor)| waits(motor)) {
             earliest.take(self.broadcast.late_until());
         }
     }

@@ -630,3 +630,29 @@ fn an_attempt_that_is_handed_back_after_the_answer_to_the_first_was_not_answered
     let health = master.health(id(1));
     assert_eq!((health.answered, health.lost), (0, 1), "of one command");
 }
+
+#[test]
+fn what_ends_motion_and_goes_once_more_does_not_wait_for_new_moves_of_all() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let move_all = |master: &mut Master<2>| master.broadcast(torque(1.0), MotorSet::EMPTY);
+    move_all(&mut master).unwrap();
+    sent(&mut master, ms(0));
+    let ticket = master.request(id(1), Shutdown).unwrap();
+    let mut moves = 0;
+    let mut is_over = |now: u64| {
+        let master = &mut master;
+        events(master, ms(now));
+        // Others move all as often as they may, and this motor does not answer that.
+        let _ = move_all(master);
+        let packets = sent(master, ms(now));
+        moves += packets.iter().filter(|it| it.data == torque(1.0).encode()).count();
+        let is_asked = packets.iter().any(|it| it.data == Shutdown.encode());
+        let told = is_asked.then(|| reply(master, 1, Shutdown.encode(), ms(now + 1))).flatten();
+        told.is_some_and(|told| ticket.outcome(&told) == Some(Ok(Shutdown)))
+    };
+    // The first one may move it until 61.2 ms.
+    let over = (1..100).find(|&now| is_over(now));
+    assert!(over.is_some_and(|over| over >= 62), "{over:?}");
+    assert_eq!(moves, 0, "they wait, too");
+    assert!(sent(&mut master, ms(101)).iter().any(|it| it.data == torque(1.0).encode()));
+}
