@@ -44,7 +44,8 @@ pub(super) struct Broadcast {
     /// The last one that was sent may move whoever is not in `heard`, and one before it these.
     moves: bool,
     moved_before: MotorSet,
-    /// Nothing was heard on the bus since: it may be cut, and what moves in a mailbox, for as long as that lasts.
+    /// Nothing was heard on the bus since, but what was on its way: it may be cut, and what moves in a mailbox, for
+    /// as long as that lasts.
     is_unheard: bool,
     /// While `may_be_late` or `moves`: until when.
     late_until: Instant,
@@ -144,7 +145,14 @@ impl Broadcast {
         }
     }
 
-    /// Something was heard on the bus: what lay in a mailbox all the time comes now.
+    /// Something was heard. What was on its way before the bus was cut is heard within the usual time-out.
+    pub(super) fn was_something_heard(&mut self, now: Instant, late_window: Duration) {
+        if self.is_unheard && self.deadline <= now {
+            self.bus_is_alive(now, late_window);
+        }
+    }
+
+    /// The bus is whole: what lay in a mailbox all the time comes now.
     pub(super) fn bus_is_alive(&mut self, now: Instant, late_window: Duration) {
         if core::mem::take(&mut self.is_unheard) {
             self.extend(now + late_window);

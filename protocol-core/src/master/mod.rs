@@ -18,8 +18,9 @@
 //! A stop goes before everything, whatever is in flight, and nothing older follows it: what waited is
 //! dropped, and what a controller hands back is, too. A confirmation counts if it answers this stop and
 //! not an earlier one, and if nothing that was sent before can move the motor any more: a set-point may
-//! wait in a mailbox that the stop overtook. Otherwise the stop goes once more. So do requests that end
-//! motion, which wait for their turn otherwise.
+//! wait in a mailbox that the stop overtook, and there for as long as the bus is cut. Otherwise the stop goes once
+//! more. So do requests that end motion, which wait for their turn otherwise, but not for moves of all that were
+//! asked for later.
 //!
 //! # What can still go wrong
 //! A reply says which motor, which command and which index, and not which of two equal commands it
@@ -29,8 +30,10 @@
 //! time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no
 //! more and has not heard). A drive that has lost its master sends back the first command and ignores it:
 //! if its message of that is lost, this may be taken for the answer. A drive that restarts within a second
-//! without being asked anything meanwhile is not noticed, nor is one whose run time nobody reads. An echo on RS485 that
-//! nobody told of confirms a stop if noise has taken all echoes that would have shown it. And a stop cannot be
+//! without being asked anything meanwhile is not noticed, nor is one whose run time nobody reads. An echo on
+//! RS485 that nobody told of confirms a stop if noise has taken all echoes that would have shown it. A frame
+//! from before a cut that an adapter holds back for longer than the reply time-out says that the bus is whole,
+//! so that a stop may be confirmed before a move that lies in a mailbox. And a stop cannot be
 //! confirmed by a motor whose replies do not come through: then cut its power. Nothing here can tell more.
 //!
 //! # How the bus is shared

@@ -28,6 +28,8 @@ enum Meaning {
     StopConfirmed(Option<Duration>),
     /// It answers what was asked, but does not end it: nothing is to be told.
     Nothing,
+    /// It answers what ends motion, which goes once more: something sent before may move the motor yet.
+    OnceMore,
     /// It may as well answer the broadcast, and ends nothing.
     OfBroadcast,
     /// It is the late answer to something that was given up.
@@ -82,7 +84,7 @@ impl<const N: usize> Master<N> {
     /// A frame on its way to us held up those that are queued.
     fn frame_has_come(&mut self, now: Instant) {
         self.heard_at = now;
-        self.broadcast.bus_is_alive(now, self.config.late_window);
+        self.broadcast.was_something_heard(now, self.config.late_window);
         if self.busy_until > now {
             // What is queued is not answered. Without that bound a bus that is always full would seem busy
             // for ever longer, since frames are shorter than they may be.
@@ -141,6 +143,11 @@ impl<const N: usize> Master<N> {
                 Some(Event::StopConfirmed { motor: id })
             }
             Meaning::Nothing => None,
+            Meaning::OnceMore => {
+                // No move to all goes between the attempts of that, either.
+                self.broadcast.bus_is_alive(now, self.config.late_window);
+                None
+            }
             Meaning::OfBroadcast => {
                 let is_answer = self.answers_broadcast(id, &packet.data, now);
                 let reply = AnyReply::decode(packet, self.config.firmware).ok();
@@ -273,6 +280,7 @@ impl Motor {
     ) -> Meaning {
         let &mut Heard { packet, at: now, .. } = heard;
         let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
+        self.bus_is_alive(now, config);
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
         let is_one_late = self.prolong_late(set_point.question, config, now);
         self.stream.take_in_flight();
@@ -305,8 +313,10 @@ impl Motor {
         self.answered(round_trip);
         let kind = asked.kind();
         if kind.ends_motion() && (heard.to_all.may_move(motor) || self.may_yet_move()) {
+            // Nothing that moves it goes between the attempts of what ends its motion.
+            self.bus_is_alive(now, config);
             self.send_again(asked, true);
-            return Meaning::Nothing;
+            return Meaning::OnceMore;
         }
         self.finish_request(Request::None, config, now);
         if asked.is_stop() {

@@ -78,8 +78,8 @@ impl Motor {
         is_one_late
     }
 
-    /// Something was heard on the bus after what may move it was given up: if that lay in a mailbox all the
-    /// time, it comes now.
+    /// What may move it was given up, and the bus is whole after that: if it lay in a mailbox all the time, it comes
+    /// now.
     pub(in crate::master) fn bus_is_alive(&mut self, now: Instant, config: &Config) {
         if core::mem::take(&mut self.is_unheard) {
             self.moves_until = self.moves_until.max(now + config.late_window);

@@ -74,7 +74,8 @@ pub(super) struct Motor {
     /// The motor restarts, or settles after another command without reply: it gets nothing before.
     settled_at: Instant,
     /// Until when a command that was given up may still reach the drive and move it, if any may. On CAN that
-    /// does not end while nothing is heard on the bus: it may be cut, and the command in a mailbox.
+    /// does not end while nothing is heard on the bus: it may be cut, and the command in a mailbox. What was on its
+    /// way before it was cut is heard within the usual time-out.
     moves_until: Instant,
     is_unheard: bool,
     /// Some of it is not among `late`, whose replies then say nothing of it.
@@ -378,7 +379,6 @@ impl Motor {
     /// Something was heard of it. Gives whether that was just after something else, so that it may be the
     /// same once more.
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
-        self.bus_is_alive(now, config);
         let Some(before) = self.health.note_heard(now) else { return false };
         let silence = now - before;
         if self.misses > 0 && silence >= RESTART_TAKES {

@@ -555,11 +555,11 @@ fn a_move_of_all_that_waited_in_a_mailbox_while_the_bus_was_cut_follows_no_confi
     assert_eq!(sent(&mut master, at).len(), 1);
     let confirmed = Some(Event::StopConfirmed { motor: id(1) });
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), at + Duration::from_millis(1)), confirmed);
-    // Where anything was heard after it, it has gone or was lost.
+    // Where anything was heard that was not on its way before it, it has gone or was lost.
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(step(), MotorSet::EMPTY).unwrap();
     sent(&mut master, ms(10));
-    reply(&mut master, 9, ANGLE_REPLY, ms(12));
+    reply(&mut master, 9, ANGLE_REPLY, ms(72));
     events(&mut master, ms(200));
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(200));
