@@ -285,7 +285,11 @@ impl<W: Rough> Session<W> {
             all
         };
         self.oracle.totals.stops += 1;
-        self.stage.book.open().stop(self.stopped);
+        let now = self.now();
+        let mut truth = self.stage.book.open();
+        // Nobody has looked at the clock since a wait began.
+        truth.tick(now);
+        truth.stop(self.stopped);
     }
 
     /// Some time after all have confirmed the stop it is lifted; seldom before.
