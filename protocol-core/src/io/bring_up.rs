@@ -232,7 +232,8 @@ pub fn protect<R: Runner<N>, const N: usize>(
     at_once(task::protect(&mut Polled(runner), motor, timeout))
 }
 
-/// Restarts a drive (0x76) and waits until it answers, under another id perhaps.
+/// Restarts a drive (0x76) and waits until it answers, under another id perhaps. It asks nothing before: the
+/// output goes off, so that a turning shaft runs on and a load that is held falls. Stop the motor first.
 ///
 /// # Errors
 /// [`BringUpError::NotThere`] if it does not answer within 5 s, [`BringUpError::Call`].

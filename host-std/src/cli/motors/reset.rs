@@ -14,8 +14,8 @@ const SHORT_RUN_MS: u32 = 3000;
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///
 /// The shaft is free meanwhile unless a brake holds it, and whole turns are lost unless multi-turn saving
-/// (function 4) is on. Exit status: 0 if the motor has restarted and has no error, 1 if not, 2 for wrong
-/// usage.
+/// (function 4) is on, so a turning motor is refused: stop it first. Exit status: 0 if the motor has restarted and has no error, 1 if
+/// not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
@@ -23,13 +23,16 @@ pub(in crate::cli) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let motor = arguments.motor.id;
-    let mut session = arguments.motor.open_to_change()?;
+    run_on(&mut arguments.motor.open_to_change()?, arguments.motor.id)
+}
+
+fn run_on(session: &mut Session, motor: MotorId) -> Outcome {
+    session.standing(motor)?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
     session.confirm(&format!(
         "Motor {motor} will restart: hold the shaft if a load pulls at it. Its whole turns may be lost (it reads {before})."
     ))?;
-    restart(&mut session, motor)?;
+    restart(session, motor)?;
     let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
     say(&format!("motor {motor} has restarted: it read {before} and reads {after}"))?;
     session.ready(motor).map(|_| ())
@@ -50,11 +53,12 @@ fn restart(session: &mut Session, motor: MotorId) -> Outcome {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::{BaudCode, ErrorFlags, SetBaudRate};
+    use myactuator_protocol_core::command::{BaudCode, ErrorFlags, SetBaudRate, Speed};
     use myactuator_protocol_core::io::Runner;
     use myactuator_protocol_core::time::Duration;
+    use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 
-    use super::super::odd_drive;
+    use super::super::{odd_drive, simulated::sent};
     use super::*;
 
     #[test]
@@ -80,6 +84,24 @@ mod tests {
         let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
         assert!(told.starts_with("motor 1 does not answer: check its power, "), "{told}");
         assert!(told.contains("'scan --all-rates'"), "{told}");
+    }
+
+    #[test]
+    fn a_turning_motor_is_not_restarted() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(18_000));
+        session.ask(MotorId::MIN, Speed { max_torque, speed }).unwrap();
+        let later = session.master.now() + Duration::from_secs(1);
+        session.wait_until(later).unwrap();
+        let log = fleet.world.log();
+        let told = run_on(&mut session, MotorId::MIN);
+        let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
+        assert!(
+            told.starts_with("motor 1 turns at 1") && told.ends_with("stop it first"),
+            "{told}"
+        );
+        assert!(sent(&log).iter().all(|packet| packet.data[0] != 0x76));
     }
 
     #[test]
