@@ -48,6 +48,16 @@ impl<const N: usize> AnyMaster<N> {
         Ok(Self::open_as(address, config, Use::Alone)?.0)
     }
 
+    /// How often bytes came that are no frame, on RS485: see [`SerialMaster::garbled`].
+    #[must_use]
+    pub const fn garbled(&self) -> u32 {
+        match self {
+            Self::SimulatedRs485(master) => master.garbled(),
+            Self::Rs485(master) => master.garbled(),
+            Self::SimulatedCan(_) | Self::SocketCan(_) | Self::Slcan(_) => 0,
+        }
+    }
+
     /// Opens this bus for a thread of its own: with what ends its [`idle`](Runner::idle) from others, and a
     /// simulated one in real time.
     pub(crate) fn open_shared(address: &BusAddress) -> Result<(Self, Wake), BusError> {

@@ -16,6 +16,8 @@ pub(super) struct Line {
     receiver: Receiver,
     echoes: EchoFilter,
     probe: Probe,
+    /// How often bytes came that are no frame.
+    pub(super) garbled: u32,
     chunk: [u8; CHUNK],
     /// The bytes of `chunk` that are still to be looked at.
     next: usize,
@@ -26,7 +28,7 @@ impl Line {
     pub(super) const fn new(config: &Config) -> Self {
         let echoes = EchoFilter::new(matches!(config.bus, Bus::Rs485 { echo: true, .. }));
         let (receiver, probe) = (Receiver::new(), Probe::new());
-        Self { receiver, echoes, probe, chunk: [0; CHUNK], next: 0, end: 0 }
+        Self { receiver, echoes, probe, garbled: 0, chunk: [0; CHUNK], next: 0, end: 0 }
     }
 
     /// Hands on the bytes that were read, up to the first event.
@@ -40,7 +42,14 @@ impl Line {
             if self.probe.has_come_back(byte) {
                 self.echoes.is_found();
             }
-            let Fed::Frame(frame) = self.receiver.feed(byte) else { continue };
+            let frame = match self.receiver.feed(byte) {
+                Fed::Frame(frame) => frame,
+                Fed::Wanting => continue,
+                Fed::Discarded { .. } => {
+                    self.garbled = self.garbled.saturating_add(1);
+                    continue;
+                }
+            };
             if self.echoes.is_echo(&frame) {
                 continue;
             }

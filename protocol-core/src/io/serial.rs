@@ -24,6 +24,11 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
         Self { serial, clock, master: Master::new(config), line: Line::new(&config) }
     }
 
+    /// How often bytes came that are no frame: noise, or answers that collide, as those of two motors with one id.
+    pub const fn garbled(&self) -> u32 {
+        self.line.garbled
+    }
+
     /// The port and the clock back.
     pub fn release(self) -> (S, K) {
         (self.serial, self.clock)

@@ -67,8 +67,9 @@ fn tell_all<C: Command + Copy>(
         return Ok(confirmed);
     }
     Err(Unfinished::Failed(format!(
-        "no confirmation of the stop from any motor: if one is on {}, cut its power; then check the wiring and \
+        "no confirmation of the stop from any motor{}: if one is on {}, cut its power; then check the wiring and \
          the bit rate ('scan --all-rates' tries the others)",
+        session.garbled(),
         session.address
     )))
 }
@@ -162,6 +163,24 @@ mod tests {
         let outcome = tell_all(&mut Session::on(&fleet), StopKind::Hold, Stop);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(told.contains("cut its power"), "{told}");
+    }
+
+    #[test]
+    fn of_two_motors_with_one_id_on_a_line_it_is_told_that_something_comes() {
+        let motor = MotorId::MIN;
+        let fleet = Fleet::new(2).all_with_id(motor).on_rs485(115_200).unwrap();
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        let stopped = tell_all(&mut session, StopKind::Hold, Stop).map(|_| ());
+        let found = session.meant(Target::All).map(|_| ());
+        for told in [stopped, found] {
+            let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
+            assert!(told.contains("bytes come that are no frame (do two motors"), "{told}");
+        }
+        let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
+        fleet.world.cut(fleet.drives[0].station());
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        let Err(Unfinished::Failed(told)) = session.meant(Target::All) else { panic!() };
+        assert!(!told.contains("bytes come"), "{told}");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use myactuator_protocol_core::master::{Event, Failure, MotorSet};
 
 use super::group::Group;
 use super::on_bus::OnBus;
-use super::session::{Session, nobody_on, say};
+use super::session::{Session, say};
 use crate::cli::{Outcome, Unfinished, tell};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
@@ -40,7 +40,7 @@ type Found = Result<MotorSet, BusError>;
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let bus = arguments.on.to_look()?;
-    let addresses = if arguments.all_rates { at_each_rate(&bus)? } else { vec![bus.clone()] };
+    let addresses = if arguments.all_rates { at_each_rate(&bus)? } else { vec![bus] };
     let mut anybody = false;
     for address in addresses {
         let config = address.config();
@@ -59,19 +59,21 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             _ => {}
         }
         if let (Some(session), Ok(motors)) = (&mut session, found) {
+            if motors.is_empty() && !arguments.all_rates {
+                return Err(session.nobody());
+            }
             anybody |= !motors.is_empty();
             for motor in motors.iter() {
                 say(&describe(session, motor, arguments.json)?)?;
             }
         }
     }
-    match (anybody, arguments.all_rates) {
-        (true, _) => Ok(()),
-        (false, false) => Err(nobody_on(&bus)),
-        (false, true) => Err(Unfinished::Failed(
-            "no motor answers at any bit rate: check the motors' power and the wiring".to_owned(),
-        )),
+    if anybody {
+        return Ok(());
     }
+    Err(Unfinished::Failed(
+        "no motor answers at any bit rate: check the motors' power and the wiring".to_owned(),
+    ))
 }
 
 /// Whether it may be the rate's fault, so that others are tried.

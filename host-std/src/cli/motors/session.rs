@@ -221,7 +221,7 @@ impl Session {
             Target::Motor(motor) => Ok(motor.into()),
             Target::All => {
                 let found = bring_up::scan(&mut self.master, MotorSet::ALL, |_, _| {})?;
-                if found.is_empty() { Err(nobody_on(&self.address)) } else { Ok(found) }
+                if found.is_empty() { Err(self.nobody()) } else { Ok(found) }
             }
         }
     }
@@ -233,6 +233,25 @@ impl Session {
         Ok(status)
     }
 
+    /// That no motor answers, and what to look at.
+    pub(super) fn nobody(&self) -> Unfinished {
+        Unfinished::Failed(format!(
+            "no motor answers on {}{}: check the motors' power, the wiring and the bit rate ('scan --all-rates' tries the others)",
+            self.address,
+            self.garbled()
+        ))
+    }
+
+    /// That something came which cannot be understood, if it did.
+    pub(super) const fn garbled(&self) -> &'static str {
+        match self.master.garbled() {
+            0 => "",
+            _ => {
+                ", but bytes come that are no frame (do two motors have one id? connect only one of them)"
+            }
+        }
+    }
+
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
         let speed = self.ask(motor, ReadStatus2)?.speed;
         if speed.dps().abs() <= STILL_DPS {
@@ -241,13 +260,6 @@ impl Session {
             Err(Unfinished::Failed(format!("motor {motor} turns at {speed}: stop it first")))
         }
     }
-}
-
-/// That no motor answers, and what to look at.
-pub(super) fn nobody_on(bus: &BusAddress) -> Unfinished {
-    Unfinished::Failed(format!(
-        "no motor answers on {bus}: check the motors' power, the wiring and the bit rate ('scan --all-rates' tries the others)"
-    ))
 }
 
 /// Refuses errors, and tells what to do about them.
