@@ -54,7 +54,7 @@ impl Alone {
     }
 
     /// Gives a command, whatever is answered.
-    pub(super) fn tell<C: Command + Into<AnyCommand>>(&mut self, command: C) {
+    pub(super) fn command<C: Command + Into<AnyCommand>>(&mut self, command: C) {
         let packet = command.into().packet(MotorId::MIN.into()).unwrap();
         let now = self.now;
         self.with(|drive| drive.handle_packet(&packet, now));
@@ -121,7 +121,7 @@ fn each_load(mut test: impl FnMut(&MotorParameters, f64, &dyn Debug)) {
 pub(super) fn plan_all(alone: &mut Alone, dps2: u32) {
     let acceleration = Acceleration::try_from_raw(dps2).unwrap();
     for &index in AccelerationIndex::ALL {
-        alone.tell(WriteAcceleration { index, acceleration });
+        alone.command(WriteAcceleration { index, acceleration });
     }
 }
 
@@ -132,7 +132,7 @@ fn a_planned_step_is_followed_with_every_load() {
     each_load(|model, load, case| {
         let mut alone = Alone::new(model, load);
         plan_all(&mut alone, 1_000);
-        alone.tell(go_to(90.0, 180));
+        alone.command(go_to(90.0, 180));
         // 180 ms up and down, and 57.6 degrees at 180 dps between: 680 ms.
         let (_, most) = alone.range(millis(680));
         let (least, later) = alone.range(millis(500));
@@ -154,7 +154,7 @@ fn a_step_beyond_the_torque_still_ends_at_its_target() {
     each_load(|model, load, case| {
         for max_dps in [90, 0] {
             let mut alone = Alone::new(model, load);
-            alone.tell(go_to(90.0, max_dps));
+            alone.command(go_to(90.0, max_dps));
             let (_, most) = alone.range(millis(4_000));
             assert!(max_dps == 0 || most < 93.0, "{case:?}: overshoots to {most}");
             let end = alone.angle_deg();
@@ -170,11 +170,11 @@ fn direct_tracking_ends_at_its_target() {
     each_load(|model, load, case| {
         let mut alone = Alone::new(model, load);
         let none = Acceleration::NONE;
-        alone.tell(WriteAcceleration {
+        alone.command(WriteAcceleration {
             index: AccelerationIndex::POSITION_ACCELERATION,
             acceleration: none,
         });
-        alone.tell(go_to(90.0, 90));
+        alone.command(go_to(90.0, 90));
         let (_, most) = alone.range(millis(4_000));
         assert!(most < 92.0, "{case:?}: overshoots to {most}");
         let end = alone.angle_deg();
@@ -191,11 +191,11 @@ fn a_stop_runs_on_no_farther_than_it_must() {
         for fast in [false, true] {
             let dps = if fast { model.rating.speed_rpm * 6.0 } else { 90.0 };
             let mut alone = Alone::new(model, load);
-            alone.tell(turn(dps as f32));
+            alone.command(turn(dps as f32));
             alone.run(millis(3_000));
             let (before, speed) = (alone.angle_deg(), alone.speed_dps());
             assert!((speed - dps).abs() < 0.01 * dps, "{case:?}: {speed}");
-            alone.tell(Stop);
+            alone.command(Stop);
             let (_, most) = alone.range(millis(2_000));
             let inertia = model.inertia_kg_m2() + load;
             let torque_dps2 = (model.rating.peak_torque_nm / inertia).to_degrees();
@@ -216,7 +216,7 @@ fn a_speed_is_reached_with_every_load() {
     each_load(|model, load, case| {
         let dps = model.rating.speed_rpm * 6.0;
         let mut alone = Alone::new(model, load);
-        alone.tell(turn(dps as f32));
+        alone.command(turn(dps as f32));
         let mut fastest = 0.0_f64;
         for _ in 0..3_000 {
             alone.run(millis(1));
@@ -234,14 +234,14 @@ fn a_speed_is_reached_with_every_load() {
 fn a_weight_is_held_and_moved_with_every_load() {
     each_load(|model, load, case| {
         let mut alone = Alone::new(model, load);
-        alone.tell(go_to(0.0, 90));
+        alone.command(go_to(0.0, 90));
         let pull =
             Load { inertia_kg_m2: load, torque_nm: -0.5 * model.rating.torque_nm, ..Load::NONE };
         alone.with(|drive| drive.plant_mut().set_load(pull).unwrap());
         let (least, _) = alone.range(millis(2_000));
         assert!(least > -5.0, "{case:?}: gives way by {least}");
         for target in [90.0, 0.0] {
-            alone.tell(go_to(target, 90));
+            alone.command(go_to(target, 90));
             let (least, most) = alone.range(millis(4_000));
             assert!(least > -3.0 && most < 93.0, "{case:?}: from {least} to {most}");
             let end = alone.angle_deg();
@@ -263,7 +263,7 @@ fn the_stiffest_motion_mode_does_not_swing_up() {
             let ranges = model.motion_ranges().unwrap();
             let hold =
                 MotionSetPoint { position_rad: 0.05, kp: 500.0, kd, ..MotionSetPoint::default() };
-            alone.tell(ranges.quantise(&hold).unwrap());
+            alone.command(ranges.quantise(&hold).unwrap());
             // The first swing begins with the step itself.
             let [first, second, third] = [50, 1_000, 1_000].map(|span| {
                 let (least, most) = alone.range(millis(span));
@@ -284,8 +284,8 @@ fn every_loop_has_a_margin_of_two() {
             for factor in [0.5, 2.0] {
                 let mut alone = Alone::new(model, load);
                 let factory = alone.with(|drive| drive.settings().gains.get(index).unwrap());
-                alone.tell(WritePidRam { index, value: gain(factory.value() * factor) });
-                alone.tell(go_to(90.0, 90));
+                alone.command(WritePidRam { index, value: gain(factory.value() * factor) });
+                alone.command(go_to(90.0, 90));
                 let (_, most) = alone.range(millis(4_000));
                 let case = format!("{case:?}, gain {index:?} times {factor}");
                 assert!(most < 94.0, "{case:?}: overshoots to {most}");
@@ -306,12 +306,12 @@ fn nothing_winds_up_against_a_stop() {
         alone.with(|drive| drive.plant_mut().set_load(walled).unwrap());
         let gently =
             ForcePosition { max_torque: percent(100), max_speed: up_to(90), angle: degrees(90.0) };
-        alone.tell(gently);
+        alone.command(gently);
         alone.run(millis(3_000));
         let leaning = alone.speed_dps();
         // The stop itself takes no energy away.
         assert!(leaning.abs() < 10.0, "{case:?}: bounces at {leaning}");
-        alone.tell(go_to(0.0, 90));
+        alone.command(go_to(0.0, 90));
         let (least, _) = alone.range(millis(3_000));
         assert!(least > -3.0, "{case:?}: overshoots to {least}");
         alone.is_still(case);

@@ -107,7 +107,7 @@ fn the_speed_loop_answers_as_its_gains_say() {
         let mut alone = ten_times_heavier();
         plan_all(&mut alone, 60_000);
         let found = response(period, 30_000 / period + 1, 2, |sin| {
-            alone.tell(turn((20.0 * sin) as f32));
+            alone.command(turn((20.0 * sin) as f32));
             alone.run(STEP);
             alone.speed_dps() / 20.0
         });
@@ -123,12 +123,12 @@ fn the_position_loop_answers_as_its_gains_say() {
         let rad_s = TAU / (f64::from(period) * STEP_S);
         let mut alone = ten_times_heavier();
         let acceleration = Acceleration::NONE;
-        alone.tell(WriteAcceleration {
+        alone.command(WriteAcceleration {
             index: AccelerationIndex::POSITION_ACCELERATION,
             acceleration,
         });
         let found = response(period, 30_000 / period + 1, 2, |sin| {
-            alone.tell(go_to((5.0 * sin) as f32, 0));
+            alone.command(go_to((5.0 * sin) as f32, 0));
             alone.run(STEP);
             alone.angle_deg() / 5.0
         });
@@ -148,7 +148,7 @@ fn a_step_of_speed_is_followed_as_the_poles_say() {
     plan_all(&mut alone, 60_000);
     let (p, q) = (-50.0 + 2_000_f64.sqrt(), -50.0 - 2_000_f64.sqrt());
     let part = |p: f64, q: f64, t: f64| (B * p + B * I) / (p * (p - q)) * (p * t).exp();
-    alone.tell(turn(20.0));
+    alone.command(turn(20.0));
     for step in 1..=5_000 {
         alone.run(STEP);
         // The ramp of 60000 dps/s has its middle at a sixth of a millisecond.
@@ -167,7 +167,7 @@ fn a_step_of_motion_mode_swings_as_its_gains_say() {
     let wanted =
         MotionSetPoint { position_rad: 0.5, kp: 100.0, kd: 2.0, ..MotionSetPoint::default() };
     let motion = MotionRanges::V4_3.quantise(&wanted).unwrap();
-    alone.tell(motion);
+    alone.command(motion);
     // In whole bits of a frame the gains are a little different, and none is quite 0: within half a bit.
     let inertia = GROWTH * INERTIA;
     let natural = (100.0 / inertia).sqrt();

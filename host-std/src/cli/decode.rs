@@ -60,7 +60,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     };
     match decoder.inputs() {
         Ok(()) | Err(Unfinished::ReaderLeft) if !decoder.all_decoded => {
-            Err(Unfinished::FailedAndTold)
+            Err(Unfinished::FailedAndReported)
         }
         outcome => outcome,
     }
@@ -137,12 +137,12 @@ impl Decoder<'_> {
         loop {
             match source.read(&mut bytes) {
                 Ok(0) => break,
-                Ok(count) => self.tell(stream.feed(&bytes[..count]))?,
+                Ok(count) => self.print(stream.feed(&bytes[..count]))?,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => return Err(unreadable(name, &error)),
             }
         }
-        self.tell(stream.finish())
+        self.print(stream.finish())
     }
 
     fn lines(&mut self, text: &[u8]) -> Outcome {
@@ -162,19 +162,19 @@ impl Decoder<'_> {
             match self.bus {
                 BusKind::Can => {
                     let explanation = self.can_line(line);
-                    self.tell([explanation])?;
+                    self.print([explanation])?;
                 }
                 BusKind::Rs485 => match text::rs485::parse_line(line) {
-                    Ok(bytes) => self.tell(stream.feed(&bytes))?,
+                    Ok(bytes) => self.print(stream.feed(&bytes))?,
                     Err(error) => {
                         // What has begun cannot go on behind a line that is not understood.
-                        self.tell(stream.finish())?;
-                        self.tell([Explanation::no_frame(self.bus, line, error.to_string())])?;
+                        self.print(stream.finish())?;
+                        self.print([Explanation::no_frame(self.bus, line, error.to_string())])?;
                     }
                 },
             }
         }
-        self.tell(stream.finish())
+        self.print(stream.finish())
     }
 
     fn can_line(&self, line: &str) -> Explanation {
@@ -191,7 +191,7 @@ impl Decoder<'_> {
         Explanation { stamp, ..explanation }
     }
 
-    fn tell(&mut self, explanations: impl IntoIterator<Item = Explanation>) -> Outcome {
+    fn print(&mut self, explanations: impl IntoIterator<Item = Explanation>) -> Outcome {
         for explanation in explanations {
             self.all_decoded &= explanation.is_decoded();
             let line = if self.arguments.json {

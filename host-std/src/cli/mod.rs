@@ -23,7 +23,7 @@ use clap::Parser;
 use clap::error::{ContextKind, ErrorKind};
 
 use outcome::{
-    FAILED, Outcome, Unfinished, WRONG_USAGE, print_line, printable, say, tell, unwritten,
+    FAILED, Outcome, Unfinished, WRONG_USAGE, print_line, printable, report, say, unwritten,
 };
 
 /// Talk to MyActuator servo motors (protocol V4.3), and explain what is on their bus.
@@ -49,7 +49,7 @@ enum Subcommand {
 pub(crate) fn run() -> ExitCode {
     // Before a panic unwinds, and so stops motors, it must not wait for a halted terminal.
     set_hook(Box::new(|panic| {
-        tell("error", format_args!("this program has a fault, please report it: {panic}"));
+        report("error", format_args!("this program has a fault, please report it: {panic}"));
     }));
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,

@@ -14,8 +14,8 @@ pub(super) enum Unfinished {
     Usage(String),
     /// It could not be done.
     Failed(String),
-    /// It failed, and has told why.
-    FailedAndTold,
+    /// It failed, and has reported why.
+    FailedAndReported,
     /// Ctrl-C, or the like, ended it.
     Interrupted(String),
     /// Nobody reads what it prints, which is no error: `… | head`.
@@ -33,16 +33,16 @@ const LAST_WORDS: Duration = Duration::from_millis(300);
 /// How long an error waits for what was printed before it.
 const IN_ORDER: Duration = Duration::from_millis(100);
 
-/// Tells why it did not come to its end, sees that all is printed, and gives the exit status.
+/// Reports why it did not come to its end, sees that all is printed, and gives the exit status.
 ///
 /// That may take as long as the reader likes, `… | less`: no motor moves any more. Once Ctrl-C or the like has
 /// come it takes no longer than the last words.
 pub(super) fn end(outcome: Outcome) -> u8 {
-    let status = tell_end(outcome);
+    let status = report_end(outcome);
     match wait_for_reader(&printer::OUT) {
         Ok(true) => {}
         Ok(false) => return if status == 0 { INTERRUPTED } else { status },
-        Err(error) if status == 0 => return last(tell_end(Err(unwritten(&error)))),
+        Err(error) if status == 0 => return last(report_end(Err(unwritten(&error)))),
         Err(_) => {}
     }
     last(status)
@@ -53,24 +53,24 @@ pub(super) fn end_of_panic() -> u8 {
     last(101)
 }
 
-/// The exit status, when the errors are told.
+/// The exit status, when the errors are reported.
 fn last(status: u8) -> u8 {
     // Nobody is left to tell if that fails.
     let _ = wait_for_reader(&printer::ERR);
     status
 }
 
-/// Tells how it ended, and gives the exit status for that.
-fn tell_end(outcome: Outcome) -> u8 {
+/// Reports how it ended, and gives the exit status for that.
+fn report_end(outcome: Outcome) -> u8 {
     let (sentence, status) = match outcome {
         Ok(()) | Err(Unfinished::ReaderLeft) => return 0,
-        Err(Unfinished::FailedAndTold) => return FAILED,
+        Err(Unfinished::FailedAndReported) => return FAILED,
         Err(Unfinished::Failed(sentence)) => (sentence, FAILED),
         Err(Unfinished::Usage(sentence)) => (sentence, WRONG_USAGE),
         Err(Unfinished::Interrupted(sentence)) => (sentence, INTERRUPTED),
     };
     let _ = printer::OUT.wait_for(IN_ORDER);
-    tell("error", sentence);
+    report("error", sentence);
     status
 }
 
@@ -90,7 +90,7 @@ pub(super) fn say(line: &str) -> Outcome {
     printer::OUT.print(format!("{}\n", printable(line))).map_err(|error| unwritten(&error))
 }
 
-/// Output that cannot be written, where the status tells how the motors did.
+/// Output that cannot be written, where the status says how the motors did.
 pub(super) fn unwritten(error: &io::Error) -> Unfinished {
     match error.kind() {
         io::ErrorKind::BrokenPipe => Unfinished::ReaderLeft,
@@ -105,7 +105,7 @@ impl From<String> for Unfinished {
     }
 }
 
-/// Output that cannot be written: status 1 of what only prints tells something else.
+/// Output that cannot be written: status 1 of what only prints means something else.
 impl From<io::Error> for Unfinished {
     fn from(error: io::Error) -> Self {
         match error.kind() {
@@ -123,7 +123,7 @@ pub(super) fn print_line(line: &str) -> io::Result<()> {
 }
 
 /// Prints one sentence beside the output, in its turn: an `error`, a `warning` or a `note`.
-pub(super) fn tell(kind: &str, sentence: impl Display) {
+pub(super) fn report(kind: &str, sentence: impl Display) {
     // Nobody is left to tell if that fails.
     let _ = printer::ERR.print(format!("{kind}: {}\n", printable(&sentence.to_string())));
 }

@@ -86,7 +86,7 @@ Quirks: what drives were seen to do beside the manual
 ///
 /// Without a file the drives are on an RS485 line behind a pseudo-terminal, and on a CAN bus behind another
 /// one that speaks SLCAN. Those on RS485 and those on CAN are different drives with the same ids. A file has
-/// any number of buses, each with its own drives. What drives ignore, refuse or suffer is told on the standard
+/// any number of buses, each with its own drives. What drives ignore, refuse or suffer is reported on the standard
 /// error. Ends with Ctrl-C.
 #[derive(Debug, Args)]
 #[command(after_help = FAULTS)]

@@ -190,7 +190,7 @@ fn brake_resistor(text: &str) -> Result<Value, String> {
     }
 }
 
-/// Looked at here, so that what is wrong is told as for `sim --fault`.
+/// Looked at here, so that what is wrong is reported as for `sim --fault`.
 fn fault(text: &str) -> Result<String, String> {
     text.parse::<PlannedFault>().map(|_| text.to_owned()).map_err(|error| error.to_string())
 }

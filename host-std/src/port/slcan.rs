@@ -74,15 +74,15 @@ impl Slcan {
         };
         // Ends a line that an interrupted program left, and closes what it left open. An adapter that
         // is closed already refuses that.
-        slcan.tell(AdapterCommand::Nothing)?;
-        slcan.tell(AdapterCommand::Close)?;
+        slcan.set_up(AdapterCommand::Nothing)?;
+        slcan.set_up(AdapterCommand::Close)?;
         // Answers to what an earlier program said last may still be on their way.
         slcan.read_until_quiet()?;
         slcan.tty.discard_input()?;
         slcan.unread.clear();
         slcan.codec = Codec::default();
         for command in [AdapterCommand::SetRate(rate), AdapterCommand::Open] {
-            if slcan.tell(command)? == Some(Answer::Refused) {
+            if slcan.set_up(command)? == Some(Answer::Refused) {
                 return Err(PortError::Refused(slcan.tty.name().to_owned()));
             }
         }
@@ -99,7 +99,7 @@ impl Slcan {
     }
 
     /// Sends a command of the set-up and waits for its answer; `None` if none comes.
-    fn tell(&mut self, command: AdapterCommand) -> Result<Option<Answer>, PortError> {
+    fn set_up(&mut self, command: AdapterCommand) -> Result<Option<Answer>, PortError> {
         command.encode(&mut self.unsent);
         let deadline = Instant::now() + ANSWER_TIME;
         loop {
@@ -179,7 +179,7 @@ impl Drop for Slcan {
         let takes = self.unsent.is_empty();
         if takes {
             AdapterCommand::Nothing.encode(&mut self.unsent);
-            if let Ok(Some(_)) = self.tell(AdapterCommand::Close) {
+            if let Ok(Some(_)) = self.set_up(AdapterCommand::Close) {
                 return;
             }
         }

@@ -15,7 +15,7 @@ use crate::text::slcan::{AdapterCodec, AdapterCommand, Answer};
 /// Hardware version 1.0, software version 1.3: what widespread adapters tell.
 const VERSION: [u8; 4] = *b"1013";
 const SERIAL_NUMBER: [u8; 4] = *b"SIM1";
-/// Error counts from here on are told as a warning.
+/// Error counts from here on are reported as a warning.
 const WARNING_FROM: u16 = 96;
 /// Time stamps start again after so many milliseconds.
 const STAMPS_MS: u64 = 60_000;
@@ -118,7 +118,7 @@ struct Adapter {
     has_stamps: bool,
     /// A frame that the controller has no room for.
     waiting: Option<Waiting>,
-    /// What is to be told to the program.
+    /// What is to be reported to the program.
     answers: Vec<u8>,
 }
 

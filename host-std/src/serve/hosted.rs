@@ -52,7 +52,7 @@ pub(super) trait Hosted: Debug {
     }
 
     /// Tells of drives that were set to another bit rate than their bus has.
-    fn tell_rates(&self, notify: &mut dyn FnMut(Notice));
+    fn report_rates(&self, notify: &mut dyn FnMut(Notice));
 
     /// Lets something go wrong at its time, which counts from now.
     fn plan(&self, fault: PlannedFault);
@@ -168,7 +168,7 @@ impl<B: Medium> Hosted for Host<B> {
         self.fleet.world.clone().in_real_time();
     }
 
-    fn tell_rates(&self, notify: &mut dyn FnMut(Notice)) {
+    fn report_rates(&self, notify: &mut dyn FnMut(Notice)) {
         let bus_rate = self.fleet.bit_rate;
         for drive in &self.fleet.drives {
             let own = drive.with(|drive| drive.bit_rate()).filter(|&own| own != bus_rate);

@@ -10,7 +10,7 @@ use super::{End, LONGEST_WAIT, Notice, ServeError, Server};
 
 /// For so long time goes on before somebody may end the program or ask something.
 const TURN: Duration = Duration::from_millis(5);
-/// How often the log is told, in the drives' time.
+/// How often the log is reported, in the drives' time.
 const LOG_EVERY: time::Duration = time::Duration::from_millis(1);
 
 /// Time is to go on, and a client waits for that.
@@ -113,7 +113,7 @@ impl Server {
             let is_there = now >= until;
             if is_there || now - logged >= LOG_EVERY {
                 logged = now;
-                self.tell_log(notify);
+                self.report_log(notify);
             }
             if is_there || turn.elapsed() >= TURN {
                 return Ok(is_there);

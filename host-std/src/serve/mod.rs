@@ -22,7 +22,7 @@
 //! that were set to that (0xB4), and with the others there is noise on RS485 and errors on CAN. The
 //! pseudo-terminal of an SLCAN adapter may be set to any rate, and a socket has none.
 //!
-//! What drives do, and why they do not, is told as [`Notice::Log`]. By [`control`] programs see how things
+//! What drives do, and why they do not, is reported as [`Notice::Log`]. By [`control`] programs see how things
 //! truly are, change loads, supplies and faults, and say how far time may go.
 //!
 //! One thread waits for all programs and for the next thing that happens on a bus, and sleeps
@@ -337,7 +337,7 @@ impl Server {
         notify: &mut dyn FnMut(Notice),
     ) -> Result<(), ServeError> {
         for host in &self.hosts {
-            host.tell_rates(notify);
+            host.report_rates(notify);
         }
         if self.control.is_some() {
             self.hosts.iter().for_each(|host| host.count_traffic());
@@ -349,7 +349,7 @@ impl Server {
         loop {
             let round = Instant::now();
             self.pump(notify)?;
-            self.tell_log(notify);
+            self.report_log(notify);
             self.answer_requests(notify)?;
             let wait = self.patience();
             if self.wait(stop, wait)? {
@@ -378,7 +378,7 @@ impl Server {
         self.ends.iter_mut().try_for_each(|end| end.pump(notify))
     }
 
-    fn tell_log(&mut self, notify: &mut dyn FnMut(Notice)) {
+    fn report_log(&mut self, notify: &mut dyn FnMut(Notice)) {
         for host in &mut self.hosts {
             if let Some(reason) = host.poll_mechanics_failure() {
                 notify(Notice::ShaftsStand { bus: host.name().to_owned(), reason });
@@ -386,7 +386,7 @@ impl Server {
         }
         for record in self.hosts.iter_mut().flat_map(|host| host.poll_log()) {
             if let Some(control) = &mut self.control {
-                control.tell(&record);
+                control.report(&record);
             }
             notify(Notice::Log(record));
         }
@@ -411,7 +411,7 @@ impl Server {
                 }
                 Ok(request) => {
                     if request == (Request::Log {}) {
-                        control.tell_log_to(client);
+                        control.report_log_to(client);
                     }
                     scene.carry_out(request)
                 }

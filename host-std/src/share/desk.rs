@@ -342,7 +342,7 @@ impl<E> Desk<E> {
     /// Hands an event to whoever wants it.
     pub(super) fn publish(&self, event: &Event) {
         let mut state = self.lock();
-        state.subscribers.retain(|subscriber| subscriber.tell(event));
+        state.subscribers.retain(|subscriber| subscriber.deliver(event));
         if let Event::Restarted { motor } = *event {
             state.restarted.insert(motor);
             state.drop_what_moves(motor);

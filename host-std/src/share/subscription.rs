@@ -54,7 +54,7 @@ impl Subscriber {
     }
 
     /// Hands it an event, if it has room. False if nobody is there any more.
-    pub(super) fn tell(&self, event: &Event) -> bool {
+    pub(super) fn deliver(&self, event: &Event) -> bool {
         match self.events.try_send(*event) {
             Ok(()) => true,
             Err(TrySendError::Full(_)) => {

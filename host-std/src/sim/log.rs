@@ -18,7 +18,7 @@ use wire::{Counted, WireLog};
 
 pub use event::{FrameFault, LogEvent};
 
-/// Records of the same are told once, and then counted for so long.
+/// Records of the same are reported once, and then counted for so long.
 const FOLD: Duration = Duration::from_secs(1);
 /// So many different things are counted of each drive at once.
 const MOST_COUNTED: usize = 16;
@@ -36,7 +36,7 @@ pub struct LogRecord {
     pub bus: String,
     /// The id that the drive started with.
     pub motor: MotorId,
-    /// How often it happened. What happens again is told at most once a second, with its number.
+    /// How often it happened. What happens again is reported at most once a second, with its number.
     pub count: u32,
     /// So many events before this one were lost, as nobody asked for them in time.
     pub lost: u32,
@@ -91,7 +91,7 @@ pub struct DriveLog {
 #[derive(Debug)]
 struct Watched {
     drive: DriveHandle,
-    /// How many events it has lost, and how many of these are to be told.
+    /// How many events it has lost, and how many of these are to be reported.
     lost: u32,
     untold: u32,
     recent: Vec<Recent>,
@@ -116,12 +116,12 @@ impl DriveLog {
         Self { bus: fleet.name.clone(), wire: WireLog::of(fleet), drives }
     }
 
-    /// What is to be told at `now`, by drive and then by time.
+    /// What is to be reported at `now`, by drive and then by time.
     pub fn poll(&mut self, now: Instant) -> Vec<LogRecord> {
         let mut records = Vec::new();
         for (place, watched) in self.drives.iter_mut().enumerate() {
             let motor = watched.drive.motor();
-            let mut tell = |at, event, count, lost| {
+            let mut report = |at, event, count, lost| {
                 records.push(LogRecord { at, bus: self.bus.clone(), motor, count, lost, event });
             };
             let (events, lost) = watched.drive.take_events();
@@ -132,19 +132,19 @@ impl DriveLog {
             let mut each: Vec<Counted> = own.chain(self.wire.take(place)).collect();
             each.sort_by_key(|counted| counted.at);
             for Counted { at, event, count } in each {
-                watched.tell_counted(at, &mut tell);
+                watched.report_counted(at, &mut report);
                 let alike = |recent: &&mut Recent| is_alike(&recent.last.1, &event);
                 if let Some(recent) = watched.recent.iter_mut().find(alike) {
                     recent.last = (at, event);
                     recent.count = recent.count.saturating_add(count);
                 } else {
-                    tell(at, event, count, std::mem::take(&mut watched.untold));
+                    report(at, event, count, std::mem::take(&mut watched.untold));
                     if watched.recent.len() < MOST_COUNTED {
                         watched.recent.push(Recent { told: at, last: (at, event), count: 0 });
                     }
                 }
             }
-            watched.tell_counted(now, &mut tell);
+            watched.report_counted(now, &mut report);
         }
         records
     }
@@ -152,7 +152,11 @@ impl DriveLog {
 
 impl Watched {
     /// Tells how often things came again, when their second is over. What did not is forgotten.
-    fn tell_counted(&mut self, now: Instant, tell: &mut impl FnMut(Instant, LogEvent, u32, u32)) {
+    fn report_counted(
+        &mut self,
+        now: Instant,
+        report: &mut impl FnMut(Instant, LogEvent, u32, u32),
+    ) {
         self.recent.retain_mut(|recent| {
             if now - recent.told < FOLD {
                 return true;
@@ -160,7 +164,7 @@ impl Watched {
             let count = std::mem::take(&mut recent.count);
             if count > 0 {
                 let (at, event) = recent.last;
-                tell(at, event, count, std::mem::take(&mut self.untold));
+                report(at, event, count, std::mem::take(&mut self.untold));
                 recent.told = now;
             }
             count > 0

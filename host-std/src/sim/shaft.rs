@@ -38,7 +38,7 @@ impl ShaftFile {
         }
     }
 
-    /// Notes where it is. Who cannot write it here could not keep a drive's settings either, which is told.
+    /// Notes where it is. Who cannot write it here could not keep a drive's settings either, which is reported.
     pub(super) fn keep(&mut self, place: ShaftPlace) {
         if Some(place) != self.kept && memory::store_unflushed(&self.path, &place).is_ok() {
             self.kept = Some(place);

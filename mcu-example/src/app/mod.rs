@@ -21,7 +21,7 @@ pub use self::setup::{Movement, Setup};
 use crate::board::{Board, RestartCause, Usage};
 use crate::report::{Report, StateName, Trouble};
 
-/// How long a stop is waited for before whoever has not confirmed it is told, and all are told to stop once
+/// How long a stop is waited for before whoever has not confirmed it is reported, and all are told to stop once
 /// more. It is shorter than a protection: on RS485 the stops to motors that do not answer leave room for
 /// nothing else that the others could hear.
 const LONGEST_STOP: Duration = Duration::from_millis(400);
@@ -271,11 +271,11 @@ impl<const N: usize> App<N> {
             }
         }
         if is_second {
-            self.tell_second(at);
+            self.report_second(at);
         }
     }
 
-    fn tell_second(&mut self, at: &mut Moment<'_, N, impl Board>) {
+    fn report_second(&mut self, at: &mut Moment<'_, N, impl Board>) {
         let State::Running { cycles, overruns, next_second, .. } = &mut self.state else { return };
         *next_second += SECOND;
         let (cycles, overruns) = (*cycles, *overruns);

@@ -4,7 +4,7 @@ use crate::drive::event::Limit;
 use crate::drive::{Actuation, Drive, Event, Memory, Plant};
 use crate::time::Duration;
 
-/// For so long a limit must act, or act no more, before it is told.
+/// For so long a limit must act, or act no more, before it is reported.
 const CONFIRM: Duration = Duration::from_millis(10);
 /// A current this part of its limit counts as at it.
 const AT_LIMIT: f32 = 0.999;
@@ -53,7 +53,7 @@ const ALL: [Option<Limit>; 5] = [
     Some(Limit::Voltage),
 ];
 
-/// Which limit acts, as it was told last.
+/// Which limit acts, as it was reported last.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Limits {
     told: Option<Limit>,
@@ -127,7 +127,7 @@ mod tests {
         Step { wanted_a: 1.0, flows_a: 1.0, limit_a: 12.0, largest_a: 12.0, stall_a: 12.0 };
     const STALL: Step = Step { wanted_a: -12.0, flows_a: -12.0, ..FREE };
 
-    /// What is told in so many steps of 1 ms, and when.
+    /// What is reported in so many steps of 1 ms, and when.
     fn told(limits: &mut Limits, step: Option<Step>, millis: u32) -> Option<(u32, Option<Limit>)> {
         let span = Duration::from_millis(1);
         let told = (1..=millis).map(|at| (at, limits.observe(step, span)));

@@ -102,7 +102,7 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         }
     }
 
-    /// The bus has failed, which one of them is told. The others may have been sent, and go on.
+    /// The bus has failed, which one of them is reported. The others may have been sent, and go on.
     pub(super) fn bus_has_failed(&mut self, error: E) {
         if let Some((_, outcome)) = self.open().next() {
             *outcome = Some(Err(CallError::Bus(error)));

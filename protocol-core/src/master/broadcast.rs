@@ -14,14 +14,14 @@ enum State {
     #[default]
     None,
     Waiting,
-    /// It was told that it is over, and handed back then: it goes once more, and nothing is told of that.
+    /// It was told that it is over, and handed back then: it goes once more, and nothing is reported of that.
     Again,
     InFlight,
-    /// It was sent and nobody is expected to answer; to be told.
+    /// It was sent and nobody is expected to answer; to be reported.
     Sent,
-    /// It is over; to be told.
+    /// It is over; to be reported.
     Done,
-    /// It was never sent; to be told.
+    /// It was never sent; to be reported.
     Dropped,
 }
 

@@ -102,7 +102,7 @@ pub enum Failure {
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
     /// A stop took its place, before it was sent or before it was answered: it may have been carried out. Where
-    /// it was a restart that had been sent, that is told, too ([`Event::Restarted`]).
+    /// it was a restart that had been sent, that is reported, too ([`Event::Restarted`]).
     #[error("the motors were stopped first")]
     Stopped,
     /// The bus carried nothing while the command waited.
@@ -130,7 +130,7 @@ pub enum Event {
         data: Data,
     },
     /// A command that is over with that was sent: the controller has taken it. One that the controller hands
-    /// back after this was told is not sent again.
+    /// back after this was reported is not sent again.
     Sent {
         /// Which request.
         ticket: TicketId,
@@ -182,7 +182,7 @@ pub enum Event {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has not confirmed the stop, after many attempts: cut its power. Not told while a bus takes
+    /// A motor has not confirmed the stop, after many attempts: cut its power. Not reported while a bus takes
     /// nothing at all: then the stop waits, and the bus has an error of its own.
     StopUnconfirmed {
         /// The motor.
@@ -195,7 +195,7 @@ pub enum Event {
         /// Its reply.
         reply: AnyReply,
     },
-    /// A motor has restarted, as far as the protocol shows: it was silent for a second, which is told when it
+    /// A motor has restarted, as far as the protocol shows: it was silent for a second, which is reported when it
     /// does not answer and once more when it does again, or has run for less long than it said before (0xB1).
     /// Its turns may be lost. Whatever moves it is refused until
     /// [`Master::resume`](crate::master::Master::resume).

@@ -475,7 +475,7 @@ impl<const N: usize> Master<N> {
     }
 }
 
-/// The next thing that is to be told of a motor.
+/// The next thing that is to be reported of a motor.
 fn take_news(motor: &mut Motor, _: &Config) -> Option<Event> {
     let id = motor.id?;
     let ticket = TicketId { motor: id, number: motor.ticket };

@@ -56,7 +56,7 @@ pub(super) struct Places {
     pub(super) stops: PlaceSet,
     /// Those with something in flight.
     pub(super) in_flight: PlaceSet,
-    /// Those with something to be told.
+    /// Those with something to be reported.
     pub(super) news: PlaceSet,
 }
 

@@ -26,7 +26,7 @@ enum Meaning {
     Answer(TicketId, Kind, Option<Duration>),
     /// It confirms the stop.
     StopConfirmed(Option<Duration>),
-    /// It answers what was asked, but does not end it: nothing is to be told.
+    /// It answers what was asked, but does not end it: nothing is to be reported.
     Nothing,
     /// It answers what ends motion, which goes once more: something sent before may move the motor yet.
     OnceMore,

@@ -73,9 +73,9 @@ pub(super) enum Request {
     Waiting(Asked),
     /// It was sent, and its reply is awaited.
     InFlight(Asked),
-    /// It was sent and has no reply; to be told.
+    /// It was sent and has no reply; to be reported.
     Sent(Asked),
-    /// It has failed; to be told.
+    /// It has failed; to be reported.
     Failed(Failure),
 }
 

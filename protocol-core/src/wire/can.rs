@@ -57,7 +57,7 @@ pub const fn channel_at(identifier: u16) -> Option<Channel> {
     }
 }
 
-/// What a frame from the bus is. Only [`Packet`](Self::Packet) is the protocol's; the rest is told
+/// What a frame from the bus is. Only [`Packet`](Self::Packet) is the protocol's; the rest is reported
 /// apart for those who watch a bus, and is no reason to stop one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

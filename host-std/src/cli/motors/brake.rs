@@ -6,7 +6,7 @@ use myactuator_protocol_core::command::{BrakeCommand, LockBrake, ReadStatus1};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 
 use super::session::{OneMotor, Session, say};
-use crate::cli::{Outcome, Unfinished, tell};
+use crate::cli::{Outcome, Unfinished, report};
 
 /// Release or lock a motor's brake
 ///
@@ -65,7 +65,7 @@ impl Session {
         match bring_up::release_brake(&mut self.master, motor) {
             Ok(()) => Ok(true),
             Err(BringUpError::BrakeNotReleased(says)) => {
-                tell(
+                report(
                     "warning",
                     format!(
                         "motor {motor} has acknowledged the release of its brake (0x77) and says {says} all the \

@@ -10,7 +10,7 @@ use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::session::Session;
-use crate::cli::{Outcome, Unfinished, interrupt, tell};
+use crate::cli::{Outcome, Unfinished, interrupt, report};
 
 /// How long to wait at the most before looking whether the user interrupts.
 const LONGEST_WAIT: Duration = Duration::from_millis(10);
@@ -41,7 +41,7 @@ impl Session {
             }),
             Err(panic) => {
                 if let Err(Unfinished::Failed(not_stopped)) = self.stop(StopKind::Hold, motors) {
-                    tell("error", not_stopped);
+                    report("error", not_stopped);
                 }
                 resume_unwind(panic)
             }
@@ -161,7 +161,7 @@ fn told_with_stop(why: Unfinished, stopped: Outcome<String>) -> Unfinished {
         Unfinished::Usage(sentence)
         | Unfinished::Failed(sentence)
         | Unfinished::Interrupted(sentence) => sentence.as_str(),
-        Unfinished::FailedAndTold => "the command failed",
+        Unfinished::FailedAndReported => "the command failed",
         Unfinished::ReaderLeft => "nobody reads the output any more",
     };
     match (stopped, &why) {

@@ -5,7 +5,7 @@ use myactuator_protocol_core::command::{MotionRanges, ReadVersionDate, VersionDa
 use myactuator_protocol_core::{Firmware, MotorId, Opcode};
 
 use super::session::Session;
-use crate::cli::{Outcome, Unfinished, arguments as parse, tell};
+use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 
 /// What the user says of a motor.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -57,7 +57,7 @@ impl MotorRevision {
                 let why = parse::lacks(opcode, firmware);
                 return Err(Unfinished::Failed(format!("motor {motor} speaks {firmware}: {why}")));
             }
-            Err(date) => tell(
+            Err(date) => report(
                 "note",
                 format!(
                     "motor {motor} reports version date {}, and which firmware that is, is not known: it \

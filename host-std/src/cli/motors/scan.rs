@@ -12,7 +12,7 @@ use myactuator_protocol_core::master::{Event, Failure, MotorSet};
 use super::group::Group;
 use super::on_bus::OnBus;
 use super::session::{Session, say};
-use crate::cli::{Outcome, Unfinished, tell};
+use crate::cli::{Outcome, Unfinished, report};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
 const LINE_RATES: [u32; 5] = [115_200, 500_000, 1_000_000, 1_500_000, 2_500_000];
@@ -107,7 +107,7 @@ fn told_of_rate(address: &BusAddress, found: &Found) -> String {
     format!("{} bit/s: {told}", address.bit_rate().unwrap_or_default())
 }
 
-/// The line about a motor that answers. That two motors have its id is told beside the output, and is a part of
+/// The line about a motor that answers. That two motors have its id is reported beside the output, and is a part of
 /// the JSON.
 fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<String> {
     let mut answers_again = false;
@@ -128,7 +128,7 @@ fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<Str
     // A closer look takes half a second, so not without a reason.
     if answers_again && bring_up::is_shared(&mut session.master, motor)? {
         let shared = format!("two motors seem to have id {motor}: connect only one of them");
-        tell("note", &shared);
+        report("note", &shared);
         note = Some(shared);
     }
     let (group, line) = match read {

@@ -111,7 +111,7 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     if kind.moves() { session.moving(motors, send) } else { send(session) }
 }
 
-/// A command, and how its replies are told.
+/// A command, and how its replies are reported.
 struct Sending {
     command: AnyCommand,
     explainer: Explainer,
@@ -165,9 +165,9 @@ impl Sending {
         };
         match reply {
             Ok(data) if awaits_reply(self.kind(), &self.as_raw().encode()) => {
-                self.tell(session, motor, data)
+                self.print(session, motor, data)
             }
-            Ok(_) => self.tell_sent(motor.into()),
+            Ok(_) => self.print_sent(motor.into()),
             Err(error) => Err(self.failure(motor, error)),
         }
     }
@@ -198,7 +198,7 @@ impl Sending {
             session.check_interrupted()?;
             match session.master.poll()? {
                 Some(Event::BroadcastReply { motor, reply }) => {
-                    self.tell(session, motor, reply.encode())?;
+                    self.print(session, motor, reply.encode())?;
                 }
                 Some(Event::BroadcastDone { silent, was_sent: true }) => break silent,
                 Some(Event::BroadcastDone { .. }) => {
@@ -212,7 +212,7 @@ impl Sending {
             }
         };
         if expected.is_empty() {
-            return self.tell_sent(motors);
+            return self.print_sent(motors);
         }
         if silent.is_empty() {
             return Ok(());
@@ -229,7 +229,7 @@ impl Sending {
     }
 
     /// Tells that it was sent, where no reply is awaited.
-    fn tell_sent(&self, motors: MotorSet) -> Outcome {
+    fn print_sent(&self, motors: MotorSet) -> Outcome {
         if self.json {
             return Ok(());
         }
@@ -237,7 +237,7 @@ impl Sending {
     }
 
     /// Tells a reply, as `decode` does.
-    fn tell(&self, session: &Session, motor: MotorId, data: Data) -> Outcome {
+    fn print(&self, session: &Session, motor: MotorId, data: Data) -> Outcome {
         let channel = match self.kind().opcode().map(Opcode::reach) {
             Some(Reach::One) => Channel::MotionReply(motor),
             Some(Reach::Connected) => Channel::BusId,
@@ -248,7 +248,7 @@ impl Sending {
             return Ok(());
         };
         say(&if self.json { explanation.to_json().to_string() } else { explanation.to_string() })?;
-        if explanation.is_decoded() { Ok(()) } else { Err(Unfinished::FailedAndTold) }
+        if explanation.is_decoded() { Ok(()) } else { Err(Unfinished::FailedAndReported) }
     }
 }
 

@@ -18,7 +18,7 @@ use myactuator_protocol_core::{MotorId, Target};
 use super::on_bus::OnBus;
 use crate::cli::arguments as parse;
 pub(super) use crate::cli::say;
-use crate::cli::{Outcome, Unfinished, interrupt, printable, tell, unwritten};
+use crate::cli::{Outcome, Unfinished, interrupt, printable, report, unwritten};
 
 /// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
 const STILL_DPS: f32 = 2.0;
@@ -140,7 +140,7 @@ impl Session {
         let config = address.config();
         let session = Self::open_with(address, config)?;
         if let Some(slow) = session.address.serial_port().and_then(SlowAdapter::at) {
-            tell("note", slow);
+            report("note", slow);
         }
         Ok(session)
     }
@@ -153,7 +153,7 @@ impl Session {
                 BusKind::Can => "a CAN bus",
                 BusKind::Rs485 => "an RS485 line",
             };
-            tell(
+            report(
                 "simulated drives",
                 format!(
                     "{motors} on {kind}, made anew for each run; --bus or MYACTUATOR_BUS names a real bus"

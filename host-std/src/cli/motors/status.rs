@@ -9,7 +9,7 @@ use myactuator_protocol_core::io::bring_up;
 
 use super::group::Group;
 use super::session::{Motors, Session, say};
-use crate::cli::{Outcome, Unfinished, tell};
+use crate::cli::{Outcome, Unfinished, report};
 
 /// Exit status: 0 if every motor was read, else 1.
 #[derive(Debug, clap::Args)]
@@ -22,11 +22,11 @@ pub(in crate::cli) struct Arguments {
 }
 
 pub(super) fn info(arguments: &Arguments) -> Outcome {
-    tell_each(arguments, what_it_is)
+    print_each(arguments, what_it_is)
 }
 
 pub(super) fn status(arguments: &Arguments) -> Outcome {
-    tell_each(arguments, how_it_does)
+    print_each(arguments, how_it_does)
 }
 
 fn what_it_is(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
@@ -55,7 +55,7 @@ fn how_it_does(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
 }
 
 /// Reads each motor that is meant, and tells it in groups of fields: a line each, or one object.
-fn tell_each(
+fn print_each(
     arguments: &Arguments,
     read: impl Fn(&mut Session, MotorId) -> Outcome<Vec<Group>>,
 ) -> Outcome {
@@ -72,8 +72,8 @@ fn tell_each(
             }
             // The others are told all the same.
             Err(Unfinished::Failed(sentence)) => {
-                tell("error", sentence);
-                outcome = Err(Unfinished::FailedAndTold);
+                report("error", sentence);
+                outcome = Err(Unfinished::FailedAndReported);
             }
             Err(other) => return Err(other),
         }

@@ -88,7 +88,7 @@ impl Place {
     }
 }
 
-/// What is told. The buses of a file are named; those of the short form are known by their kinds. In lock-step
+/// What is reported. The buses of a file are named; those of the short form are known by their kinds. In lock-step
 /// nobody is invited to try them: what waits for an answer there waits for time.
 pub(super) fn lines(
     places: &[Place],

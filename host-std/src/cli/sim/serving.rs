@@ -17,7 +17,7 @@ use super::Arguments;
 use super::folders::{Links, MemoryFolder};
 use super::log::LogPrinter;
 use super::places::{self, Place};
-use crate::cli::{FAILED, interrupt, print_line, tell};
+use crate::cli::{FAILED, interrupt, print_line, report};
 
 type Failure = Box<dyn Error>;
 
@@ -70,7 +70,7 @@ pub(super) fn serve(buses: Vec<Served>, arguments: &Arguments) -> Result<(), Fai
             Notice::WrongRate { asked, .. } => format!(", or start with --bit-rate {asked}"),
             _ => String::new(),
         };
-        tell("note", format_args!("{notice}{remedy}"));
+        report("note", format_args!("{notice}{remedy}"));
     })?;
     Ok(())
 }

@@ -18,7 +18,7 @@ pub(super) struct Client {
     received: VecDeque<u8>,
     unread: VecDeque<u8>,
     state: State,
-    /// Since when the log is told, and how many records were left out since the last that was told.
+    /// Since when the log is reported, and how many records were left out since the last one.
     pub(super) log: Option<u32>,
 }
 
@@ -27,7 +27,7 @@ enum State {
     Talking,
     /// Its last request has no answer yet.
     Waiting,
-    /// It sends nothing more, and is told the log until it has left.
+    /// It sends nothing more, and gets the log until it has left.
     Listening,
     /// It sends nothing more, or what it sends is no use: it gets its answers still.
     Leaving,
@@ -128,31 +128,31 @@ impl Client {
         if self.state == State::Waiting {
             self.state = State::Talking;
         }
-        self.tell(line);
+        self.send(line);
     }
 
-    fn tell(&mut self, line: &str) {
+    fn send(&mut self, line: &str) {
         self.unread.extend(line.bytes().chain([b'\n']));
         self.flush();
     }
 
-    /// Tells a record of the log, unless it reads too slowly.
-    pub(super) fn tell_log(&mut self, line: &str) {
+    /// Reports a record of the log, unless it reads too slowly.
+    pub(super) fn report_log(&mut self, line: &str) {
         let Some(left_out) = &mut self.log else { return };
         if self.unread.len() > MOST_UNREAD {
             *left_out = left_out.saturating_add(1);
             return;
         }
-        self.tell_left_out();
-        self.tell(line);
+        self.report_left_out();
+        self.send(line);
     }
 
     /// As soon as it reads again: there may be nothing more to tell for long.
-    fn tell_left_out(&mut self) {
+    fn report_left_out(&mut self) {
         if self.unread.len() <= MOST_UNREAD
             && let Some(left_out) = self.log.as_mut().map(std::mem::take).filter(|&it| it > 0)
         {
-            self.tell(&format!("{{\"left_out\":{left_out}}}"));
+            self.send(&format!("{{\"left_out\":{left_out}}}"));
         }
     }
 
@@ -166,7 +166,7 @@ impl Client {
                 Err(_) => self.state = State::Gone,
             }
         }
-        self.tell_left_out();
+        self.report_left_out();
     }
 }
 
@@ -237,7 +237,7 @@ mod tests {
         client.log = Some(0);
         let line = "x".repeat(1000);
         for _ in 0..2000 {
-            client.tell_log(&line);
+            client.report_log(&line);
         }
         let left_out = client.log.unwrap();
         assert!(left_out > 1000, "{left_out}");
@@ -251,7 +251,7 @@ mod tests {
             client.flush();
         }
         client.answer("done");
-        client.tell_log("last");
+        client.report_log("last");
         while !client.unread.is_empty() {
             let length = program.read(&mut read).unwrap();
             got.extend_from_slice(&read[..length]);

@@ -136,8 +136,8 @@ impl Control {
         }
     }
 
-    /// Tells this program the log from now on.
-    pub(super) fn tell_log_to(&mut self, number: u64) {
+    /// Reports the log to this program from now on.
+    pub(super) fn report_log_to(&mut self, number: u64) {
         if let Some(client) = self.client(number) {
             client.log = Some(0);
         }
@@ -147,11 +147,11 @@ impl Control {
         self.clients.iter_mut().find(|it| it.number == number).map(|it| &mut it.client)
     }
 
-    /// Tells those who want to know.
-    pub(super) fn tell(&mut self, record: &LogRecord) {
+    /// Reports to those who want to know.
+    pub(super) fn report(&mut self, record: &LogRecord) {
         let mut line = None;
         for it in self.clients.iter_mut().filter(|it| it.client.log.is_some()) {
-            it.client.tell_log(line.get_or_insert_with(|| log_line(record)));
+            it.client.report_log(line.get_or_insert_with(|| log_line(record)));
         }
     }
 }

@@ -34,7 +34,7 @@ pub enum LogEvent {
 }
 
 impl LogEvent {
-    /// Whether it lasts until the opposite is told.
+    /// Whether it lasts until the opposite is reported.
     pub(super) const fn is_lasting(&self) -> bool {
         matches!(self, Self::CableCut | Self::CableMended | Self::Slowed(_) | Self::Babbles(_))
     }

@@ -24,7 +24,7 @@ struct Wired {
 }
 
 /// Things of one kind: as there are few kinds, nothing is lost however late they are taken. Of what
-/// lasts each is told.
+/// lasts each is reported.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Counted {
     /// When the first of them came.

@@ -164,7 +164,7 @@ impl MechanicsFailure {
         lock(&self.0).clone()
     }
 
-    fn tell(&self, reason: String) {
+    fn report(&self, reason: String) {
         lock(&self.0).get_or_insert(reason);
     }
 }
@@ -248,7 +248,7 @@ impl<M: Mechanics> Leader<M> {
         if let Err(reason) = moved.and_then(|()| self.lead()) {
             self.stand();
             *state = State::Over;
-            self.failure.tell(reason);
+            self.failure.report(reason);
         }
         *state == State::Leads
     }

@@ -139,7 +139,7 @@ table! {
         /// Bits of the encoder on the output shaft; 0 where there is none. Without it the drive knows after a
         /// start where the output is within a turn of the motor shaft only. Angles are read from the other one.
         output_bits: u8, "output encoder bits", "", 0.0..=24.0;
-        /// Noise of the encoder on the motor shaft, pulses rms; 0 by default. The speed is told without noise, for
+        /// Noise of the encoder on the motor shaft, pulses rms; 0 by default. The speed is reported without noise, for
         /// a drive smooths it.
         #[serde(default)]
         noise_pulses: f64, "encoder noise", "pulses", 0.0..=100_000.0;

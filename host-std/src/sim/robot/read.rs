@@ -50,7 +50,7 @@ pub(super) fn robot(text: &str, folder: &Path) -> Result<Robot, Wrong> {
     Ok(Robot { buses }.seed(robot.seed.unwrap_or(1)))
 }
 
-/// What is wrong with a file's tables; brackets that are one where two are needed are told as that.
+/// What is wrong with a file's tables; brackets that are one where two are needed are reported as that.
 fn wrong_table(text: &str, error: &toml::de::Error) -> Wrong {
     let (line, what) = of_toml(text, error);
     let found =

@@ -85,7 +85,7 @@ impl Slcan {
         // The first two end what an earlier firmware left: a line, and a channel that is open. An
         // adapter that is closed refuses to be closed.
         for command in [b"\r".as_slice(), b"C\r", b"S8\r", b"O\r"] {
-            slcan.tell(command);
+            slcan.set_up(command);
         }
         slcan
     }
@@ -94,7 +94,7 @@ impl Slcan {
         self.clock
     }
 
-    fn tell(&mut self, command: &[u8]) {
+    fn set_up(&mut self, command: &[u8]) {
         if self.uart.write_all(command).is_err() {
             return;
         }

@@ -92,9 +92,9 @@ impl Motor {
         self.request_has_failed(Failure::NoReply, config, now);
     }
 
-    /// Tells when [`handle_timeout`](Self::handle_timeout) has something to do.
+    /// When [`handle_timeout`](Self::handle_timeout) has something to do.
     pub(in crate::master) fn due(&self, config: &Config, earliest: &mut Earliest) {
-        self.due_to_tell(config, earliest);
+        self.too_old_at(config, earliest);
         if self.is_in_flight() && !self.had_its_chance && !config.is_rs485() {
             earliest.take(self.sent + config.longest_response);
         }
@@ -103,9 +103,9 @@ impl Motor {
         earliest.take(self.late.next_end());
     }
 
-    /// Tells when this motor has something to tell or to send by itself.
+    /// When this motor has something to report or to send by itself.
     pub(in crate::master) fn poll_at(&self, config: &Config, earliest: &mut Earliest) {
-        self.due_to_tell(config, earliest);
+        self.too_old_at(config, earliest);
         if self.is_waiting() && self.settled_at > Instant::ZERO {
             earliest.take(self.settled_at);
         }
@@ -122,8 +122,8 @@ impl Motor {
         }
     }
 
-    /// Tells when something is late, lost or too old.
-    fn due_to_tell(&self, config: &Config, earliest: &mut Earliest) {
+    /// When something is late, lost or too old.
+    fn too_old_at(&self, config: &Config, earliest: &mut Earliest) {
         earliest.take(self.deadline(config));
         earliest.take(self.stream.expiry());
     }

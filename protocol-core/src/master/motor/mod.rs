@@ -21,7 +21,7 @@ use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
 bitflags! {
-    /// What is to be told of a motor, beside the outcome of its request.
+    /// What is to be reported of a motor, beside the outcome of its request.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
     pub(super) struct News: u8 {
         /// A set-point was not answered.
