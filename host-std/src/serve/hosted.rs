@@ -151,10 +151,12 @@ impl<B: Medium> Hosted for Host<B> {
         let motors = self.named(motor).map(of).collect();
         let traffic = self.traffic.lock().unwrap_or_else(PoisonError::into_inner);
         let traffic = Traffic { busy_us: traffic.busy_ns / 1_000, ..traffic.counted };
-        let supply = self.fleet.shared_supply().map(SharedSupply::supply);
+        let shared = self.fleet.shared_supply();
+        let (supply, supply_voltage_v) =
+            (shared.map(SharedSupply::supply), shared.map(SharedSupply::voltage_v));
         let (bus, bit_rate) = (self.fleet.name.clone(), self.fleet.bit_rate);
         let mechanics_failure = self.fleet.mechanics_failure();
-        BusState { bus, bit_rate, traffic, supply, mechanics_failure, motors }
+        BusState { bus, bit_rate, traffic, supply, supply_voltage_v, mechanics_failure, motors }
     }
 
     fn set_cable(&self, motor: Option<MotorId>, is_cut: bool) {

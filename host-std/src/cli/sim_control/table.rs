@@ -16,6 +16,12 @@ pub(super) fn lines(answer: &Value) -> Vec<String> {
             traffic["broken"],
             traffic["busy_us"].as_f64().unwrap_or_default() / 1e6,
         ));
+        if let Some(voltage_v) = bus["supply_voltage_v"].as_f64() {
+            lines.push(format!(
+                "  shared supply of {:.1} V: {voltage_v:.1} V",
+                bus["supply"]["voltage_v"].as_f64().unwrap_or_default()
+            ));
+        }
         if let Some(reason) = bus["mechanics_failure"].as_str() {
             lines.push(format!("  the shafts stand: {reason}"));
         }
@@ -96,6 +102,7 @@ mod tests {
             "buses": [{
                 "bus": "can", "bit_rate": 1_000_000,
                 "traffic": { "frames": 12, "broken": 1, "busy_us": 2_000 },
+                "supply": { "voltage_v": 48.0 }, "supply_voltage_v": 47.25,
                 "mechanics_failure": "the engine has crashed",
                 "motors": [{
                     "motor": 3, "bit_rate": 500_000, "angle_deg": 90.004, "speed_dps": -12.0, "current_a": 1.5, "torque_nm": 3.9,
@@ -111,6 +118,7 @@ mod tests {
             [
                 "at 1.500000 s",
                 "can: 1000000 bit/s, 12 frames carried, 1 broken, 0.002 s busy",
+                "  shared supply of 48.0 V: 47.2 V",
                 "  the shafts stand: the engine has crashed",
                 "  motor 3: 90.00 deg, -12.0 dps, 1.50 A, 3.90 N·m (load -3.90 N·m), motor 25 °C, mosfet 30 °C, \
                  48.0 V, speed, brake release, stuck locked, moved by mechanics, pushed by -2.00 N·m, hears 500000 bit/s only, cable cut, error stall",

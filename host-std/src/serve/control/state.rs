@@ -17,6 +17,9 @@ pub(in crate::serve) struct BusState {
     /// What the motors share, if they do.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) supply: Option<Supply>,
+    /// Of that, between the motors' cables.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(in crate::serve) supply_voltage_v: Option<f64>,
     /// Why its shafts stand, if they do.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) mechanics_failure: Option<String>,

@@ -402,6 +402,8 @@ fn a_supply_that_motors_share_is_changed_for_all_of_them() {
         let voltage_v = motor["supply_voltage_v"].as_f64().unwrap();
         assert!((voltage_v - 24.0).abs() < 0.1, "{motor}");
     }
+    let voltage_v = state[0]["supply_voltage_v"].as_f64().unwrap();
+    assert!((voltage_v - 24.0).abs() < 0.1 && state[1]["supply_voltage_v"].is_null(), "{state}");
     for supply in [&state[0]["supply"], &state[1]["motors"][0]["supply"]] {
         assert_eq!(supply["brake_resistor"]["on_above_v"], 30.0, "{supply}");
     }
