@@ -31,10 +31,16 @@ impl Question {
 /// Whether a request or a set-point of a stream was given up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Of {
+    /// Its time was up, and it counted as lost.
     Request,
+    /// A stop went over it: it counted as nothing.
+    RequestStopped,
     /// So was an attempt of a request that has its answer.
     RequestAnswered,
+    /// Its time was up, and it counted as lost.
     Stream,
+    /// A stop went over it: it counted as nothing.
+    StreamStopped,
     /// So was one of a stream, and a reply has come since that was taken for that to the next.
     StreamAnswered,
 }

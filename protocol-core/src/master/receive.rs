@@ -255,7 +255,7 @@ impl Motor {
             return self.take_answer(asked, heard, config);
         }
         match self.take_late(is_motion, data, may_be_doubled) {
-            Some(Of::Request | Of::RequestAnswered) => Meaning::Late,
+            Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             Some(_) if heard.is_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, None, now),

@@ -146,7 +146,9 @@ impl Motor {
         if self.request.under_way().is_some_and(is_off) || self.settled_at > now {
             self.may_move_until(now + stop.timeout + config.late_window, config);
         }
-        self.give_request_up(Of::Request, config, now);
+        let is_waiting = self.request.waiting().is_some();
+        let of = if is_waiting { Of::Request } else { Of::RequestStopped };
+        self.give_request_up(of, config, now);
         self.request = Request::Waiting(stop);
     }
 
@@ -253,7 +255,7 @@ impl Motor {
             self.late.extend(late);
         }
         if let Some(set_point) = self.stream.take_in_flight() {
-            self.expect_late(set_point.question, Of::Stream, 1, late, config);
+            self.expect_late(set_point.question, Of::StreamStopped, 1, late, config);
         }
         asked.unanswered = asked.unanswered.saturating_add(1);
         self.request = Request::InFlight(asked);
@@ -314,10 +316,15 @@ impl Motor {
             }
         } else {
             // A stop went over it, or it was given up: it will not be answered.
-            let of = self.take_late(is_motion, &packet.data, false);
-            if matches!(of, Some(Of::StreamAnswered | Of::RequestAnswered)) {
-                // What was taken for its answer came late, to one that counted as lost.
-                self.health.answered = self.health.answered.saturating_sub(1);
+            match self.take_late(is_motion, &packet.data, false) {
+                Some(Of::Request | Of::Stream) => {
+                    self.health.lost = self.health.lost.saturating_sub(1);
+                }
+                Some(Of::RequestAnswered | Of::StreamAnswered) => {
+                    // What was taken for its answer came late, to one that counted as lost.
+                    self.health.answered = self.health.answered.saturating_sub(1);
+                }
+                Some(Of::RequestStopped | Of::StreamStopped) | None => {}
             }
         }
     }

@@ -606,6 +606,46 @@ fn what_is_handed_back_after_its_time_was_up_was_neither_sent_nor_lost() {
 }
 
 #[test]
+fn what_was_given_up_and_is_handed_back_then_was_not_lost() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    let in_mailbox = sent(&mut master, ms(0))[0];
+    assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+    assert_eq!(master.health(id(1)).lost, 1);
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(master.health(id(1)).lost, 0);
+    // Of two attempts one was sent.
+    let _ = master.request_with(id(1), ReadMultiTurnAngle, patient(2, 20)).unwrap();
+    let in_mailbox = sent(&mut master, ms(22))[0];
+    assert_eq!(sent(&mut master, ms(43)).len(), 1);
+    assert_eq!(events(&mut master, ms(64)).len(), 1);
+    assert_eq!(master.health(id(1)).lost, 2);
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(master.health(id(1)).lost, 1);
+}
+
+#[test]
+fn what_a_stop_went_over_and_is_handed_back_then_was_none_of_those_that_are_lost() {
+    for is_stream in [true, false] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let once = master.request_with(id(1), ReadStatus2, patient(1, 5)).unwrap();
+        sent(&mut master, ms(0));
+        let failed = Event::Failed { ticket: once.id(), failure: Failure::NoReply };
+        assert_eq!(events(&mut master, ms(5)), [failed]);
+        if is_stream {
+            master.set_point(id(1), motion(), ms(6)).unwrap();
+        } else {
+            let _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
+        }
+        let in_mailbox = sent(&mut master, ms(6))[0];
+        master.stop(id(1), StopKind::Off).unwrap();
+        sent(&mut master, ms(6));
+        master.handle_pushed_out(&in_mailbox);
+        assert_eq!(master.health(id(1)).lost, 1, "of a stream: {is_stream}");
+    }
+}
+
+#[test]
 fn a_set_point_that_is_handed_back_after_its_answer_seemed_to_come_was_not_answered() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), motion(), ms(0)).unwrap();
