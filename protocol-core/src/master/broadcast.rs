@@ -1,5 +1,6 @@
 //! A command to all motors, and who has answered it.
 
+use crate::command::{Reset, Shutdown};
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
@@ -25,6 +26,16 @@ enum State {
     Dropped,
 }
 
+/// When one was put last that ends motion.
+#[derive(Clone, Copy, Debug, Default)]
+enum End {
+    #[default]
+    Never,
+    Put(Instant),
+    /// A motor was stopped by itself since: it is not to undo that.
+    Overtaken(Instant),
+}
+
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Broadcast {
     kind: Option<Kind>,
@@ -39,9 +50,9 @@ pub(super) struct Broadcast {
     /// Its command byte, and who has answered it, expected or not.
     sent_byte: u8,
     heard: MotorSet,
-    /// When one was put last that ends motion.
-    ended_motion: Option<Instant>,
-    /// The last one that was sent may move whoever is not in `heard`, and one before it these.
+    end_of_motion: End,
+    /// The last one that was sent may move whoever is not in `heard`, or switch off who is to be held, and one
+    /// before it these.
     moves: bool,
     moved_before: MotorSet,
     /// Nothing was heard on the bus since, but what was on its way: it may be cut, and what moves in a mailbox, for
@@ -54,7 +65,7 @@ pub(super) struct Broadcast {
 impl Broadcast {
     pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, now: Instant) {
         if kind.ends_motion() {
-            self.ended_motion = Some(now);
+            self.end_of_motion = End::Put(now);
         }
         self.kind = Some(kind);
         self.data = data;
@@ -97,6 +108,26 @@ impl Broadcast {
     pub(super) fn cancel_what_moves(&mut self) {
         if self.kind.is_some_and(Kind::is_refused_while_stopped) {
             self.cancel();
+        }
+    }
+
+    /// A motor is stopped by itself.
+    pub(super) fn was_overtaken(&mut self) {
+        if let Some(put) = self.ended_motion() {
+            self.end_of_motion = End::Overtaken(put);
+        }
+    }
+
+    pub(super) fn is_overtaken(&self) -> bool {
+        matches!(self.end_of_motion, End::Overtaken(_))
+    }
+
+    /// This motor is to be held. A controller that keeps no order sends what switches all off behind that.
+    pub(super) fn may_let_go(&mut self, motor: MotorId, now: Instant) {
+        let [off, reset] = [Shutdown.encode()[0], Reset.encode()[0]];
+        let is_reset_late = self.sent_byte == reset && self.late_until > now;
+        if !self.moves && (is_reset_late || self.may_be_mistaken(off, motor.into())) {
+            (self.moves, self.is_unheard) = (true, true);
         }
     }
 
@@ -176,7 +207,10 @@ impl Broadcast {
 
     /// When all were told last to end their motion.
     pub(super) fn ended_motion(&self) -> Option<Instant> {
-        self.ended_motion
+        match self.end_of_motion {
+            End::Never => None,
+            End::Put(at) | End::Overtaken(at) => Some(at),
+        }
     }
 
     /// The bus carries nothing: late answers come later, and so does what was sent.
@@ -227,8 +261,8 @@ impl Broadcast {
         }
     }
 
-    /// A controller has handed it back: it was never on the bus, and moves nobody. Gives whether it ends motion, and
-    /// nobody waits for an answer any more.
+    /// A controller has handed it back: it was never on the bus, and moves nobody. Gives whether it ends motion, so
+    /// that it goes once more.
     pub(super) fn was_pushed_out(&mut self, packet: &Packet) -> bool {
         if self.packet().as_ref() != Some(packet) {
             return false;
@@ -238,13 +272,16 @@ impl Broadcast {
         if matches!(self.state, State::InFlight | State::Sent) {
             self.state = State::Waiting;
         }
-        self.state == State::None && self.kind.is_some_and(Kind::ends_motion)
+        let is_decided = matches!(self.state, State::Again | State::Dropped);
+        !is_decided && self.kind.is_some_and(Kind::ends_motion)
     }
 
     pub(super) fn goes_again(&mut self) {
-        if self.state == State::None {
-            self.state = State::Again;
-        }
+        self.state = match self.state {
+            State::None => State::Again,
+            State::Done => State::Waiting,
+            state => state,
+        };
     }
 
     /// Until when something may have to wait for late answers.

@@ -33,7 +33,8 @@
 //! without being asked anything meanwhile is not noticed, nor is one whose run time nobody reads. An echo on
 //! RS485 that nobody told of confirms a stop if noise has taken all echoes that would have shown it. A frame
 //! from before a cut that an adapter holds back for longer than the reply time-out says that the bus is whole,
-//! so that a stop may be confirmed before a move that lies in a mailbox. And a stop cannot be
+//! so that a stop may be confirmed before a move that lies in a mailbox. A Shutdown that lies in one and has been
+//! given up when a motor is told to hold may come after that is confirmed. And a stop cannot be
 //! confirmed by a motor whose replies do not come through: then cut its power. Nothing here can tell more.
 //!
 //! # How the bus is shared

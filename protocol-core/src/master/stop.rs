@@ -91,6 +91,7 @@ impl<const N: usize> Master<N> {
         self.broadcast.cancel_what_moves();
         self.put_stop(place, motor, kind);
         self.stopped.insert(motor);
+        self.broadcast.was_overtaken();
         if self.broadcast.is_waiting() && !self.stops_all {
             self.end_motion_of_all();
         }
@@ -112,6 +113,9 @@ impl<const N: usize> Master<N> {
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         if kind == StopKind::Off {
             self.switched_off.insert(motor);
+        }
+        if kind == StopKind::Hold && !self.config.is_rs485() {
+            self.broadcast.may_let_go(motor, self.now);
         }
         self.offer = None;
         self.due = self.now;
@@ -138,11 +142,13 @@ impl<const N: usize> Master<N> {
     /// the others that have a place get it each by itself.
     pub(super) fn end_motion_of_all(&mut self) {
         let (Some(kind), data) = self.broadcast.command() else { return };
+        let is_overtaken = self.broadcast.is_overtaken();
+        let stopped = if is_overtaken { self.stopped } else { MotorSet::EMPTY };
         let undone = match kind.opcode() {
-            Some(Opcode::Shutdown) => self.stopped.without(self.switched_off),
+            Some(Opcode::Shutdown) => stopped.without(self.switched_off),
             Some(Opcode::Stop) => self.switched_off,
             Some(Opcode::LockBrake) => MotorSet::EMPTY,
-            _ if self.stopped.is_empty() => MotorSet::EMPTY,
+            _ if stopped.is_empty() => MotorSet::EMPTY,
             _ => return,
         };
         if undone.is_empty() {
@@ -150,7 +156,7 @@ impl<const N: usize> Master<N> {
         }
         self.broadcast.cancel();
         let (stop, now) = (self.stop_of(kind, data), self.now);
-        for motor in self.motors().without(self.stopped).iter() {
+        for motor in self.motors().without(stopped).without(undone).iter() {
             self.change(motor, |motor, config| motor.put_stop(stop, config, now));
         }
     }

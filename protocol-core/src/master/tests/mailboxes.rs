@@ -390,3 +390,117 @@ fn what_was_on_its_way_before_a_cut_does_not_say_that_the_bus_is_whole_again() {
         assert!(is_stop_confirmed(&mut master, at));
     }
 }
+
+#[test]
+fn what_ends_the_motion_of_all_and_is_handed_back_before_its_end_was_told_undoes_no_later_stop() {
+    let one = |motor, data| Packet { channel: Channel::Command(id(motor).into()), data };
+    let [off, hold] = [Shutdown.encode(), Stop.encode()];
+    // In flight, sent with nobody to answer, and over.
+    for (expected, over) in [(id(1).into(), 0), (MotorSet::EMPTY, 0), (id(1).into(), 21)] {
+        for is_stopped_before in [false, true] {
+            let mut master = Master::<2>::new(Config::CAN);
+            for motor in [1, 2] {
+                let _ = ask(&mut master, motor, ReadMultiTurnAngle, ms(0));
+                reply(&mut master, motor, ANGLE_REPLY, ms(1)).unwrap();
+            }
+            let stop = |master: &mut Master<2>| {
+                master.stop(id(1), StopKind::Hold).unwrap();
+                assert_eq!(sent(master, ms(2)), [one(1, hold)]);
+            };
+            if is_stopped_before {
+                stop(&mut master);
+                assert_eq!(reply(&mut master, 1, hold, ms(3)), confirmed(1));
+            }
+            master.broadcast(Shutdown, expected).unwrap();
+            let in_mailbox = sent(&mut master, ms(3))[0];
+            if !is_stopped_before {
+                stop(&mut master);
+            }
+            let now = 3 + over;
+            master.handle_timeout(ms(now));
+            master.handle_pushed_out(&in_mailbox);
+            // What was asked for after the stop goes to all.
+            let goes = if is_stopped_before { packet_to_all(off) } else { one(2, off) };
+            let mut packets = sent(&mut master, ms(now));
+            packets.retain(|packet| *packet != one(1, hold));
+            assert_eq!(packets, [goes], "{expected:?}, {over}, {is_stopped_before}");
+        }
+    }
+    // Nothing that is handed back switches on what a stop has switched off, whenever that was.
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 2, ANGLE_REPLY, ms(1)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert!(is_stop_confirmed(&mut master, ms(2)));
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    let in_mailbox = sent(&mut master, ms(3))[0];
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(sent(&mut master, ms(3)), [one(2, hold)]);
+}
+
+#[test]
+fn a_hold_is_confirmed_only_when_no_shutdown_of_all_can_switch_the_motor_off_any_more() {
+    let hold = Stop.encode();
+    let overtaken = |is_rs485: bool| {
+        let mut master =
+            Master::<2>::new(if is_rs485 { Config::rs485(115_200, false) } else { Config::CAN });
+        master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+        let in_mailbox = sent(&mut master, ms(0))[0];
+        events(&mut master, ms(0));
+        master.stop(id(1), StopKind::Hold).unwrap();
+        (master, in_mailbox)
+    };
+    // It reaches the motor behind the Hold, or its answer is lost.
+    for is_answered in [true, false] {
+        let (mut master, _) = overtaken(false);
+        assert_eq!(sent(&mut master, ms(0))[0].data, hold);
+        assert_eq!(reply(&mut master, 1, hold, ms(1)), None, "its load may fall yet");
+        let at = if is_answered {
+            reply(&mut master, 1, Shutdown.encode(), ms(2));
+            ms(2)
+        } else {
+            master.poll_at().unwrap()
+        };
+        assert!(is_answered || at > ms(60) && at < ms(70), "{at:?}");
+        // Who asks for it in every cycle is told as well.
+        master.stop(id(1), StopKind::Hold).unwrap();
+        assert_eq!(sent(&mut master, at)[0].data, hold);
+        assert_eq!(reply(&mut master, 1, hold, at + Duration::from_millis(1)), confirmed(1));
+    }
+    // A restart lets a load fall, too.
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(Reset, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    sent(&mut master, ms(1));
+    assert_eq!(reply(&mut master, 1, hold, ms(2)), None);
+    // It was handed back, or reached the motor before.
+    let (mut master, in_mailbox) = overtaken(false);
+    sent(&mut master, ms(0));
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(reply(&mut master, 1, hold, ms(1)), confirmed(1));
+    let (mut master, _) = overtaken(false);
+    sent(&mut master, ms(0));
+    reply(&mut master, 1, Shutdown.encode(), ms(1));
+    assert_eq!(reply(&mut master, 1, hold, ms(2)), confirmed(1));
+    // A line keeps the order.
+    let (mut master, _) = overtaken(true);
+    let answer = Frame { address: Target::Motor(id(1)), data: hold };
+    sent(&mut master, ms(10));
+    assert_eq!(master.handle_line(&answer, ms(13)), confirmed(1));
+}
+
+#[test]
+fn who_holds_in_every_cycle_is_told_when_no_shutdown_of_all_can_switch_the_motor_off_any_more() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(0));
+    let told = (0..150).find(|&now| {
+        master.stop(id(1), StopKind::Hold).unwrap();
+        let is_sent = !sent(&mut master, ms(now)).is_empty();
+        reply(&mut master, 2, ANGLE_REPLY, ms(now));
+        is_sent && reply(&mut master, 1, Stop.encode(), ms(now + 1)) == confirmed(1)
+    });
+    assert!(told.is_some_and(|at| at > 60 && at < 110), "{told:?}");
+}
