@@ -6,7 +6,8 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::schedule::Earliest;
-use crate::master::{Config, Event, Master, MotorSet};
+use crate::master::{Config, Event, Master, MotorSet, StopKind};
+use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
@@ -108,6 +109,18 @@ impl Broadcast {
     pub(super) fn cancel_what_moves(&mut self) {
         if self.kind.is_some_and(Kind::is_refused_while_stopped) {
             self.cancel();
+        }
+    }
+
+    /// All are stopped. What would undo that does not go once more, however late it is handed back.
+    pub(super) fn was_superseded(&mut self, by: StopKind) {
+        let undone = match self.kind.and_then(Kind::opcode) {
+            Some(Opcode::Shutdown | Opcode::Reset) => Some(StopKind::Hold),
+            Some(Opcode::Stop) => Some(StopKind::Off),
+            _ => None,
+        };
+        if undone == Some(by) {
+            self.kind = None;
         }
     }
 

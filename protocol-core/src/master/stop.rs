@@ -63,6 +63,7 @@ impl<const N: usize> Master<N> {
         self.let_line_answer();
         let is_same_for_all = kind == StopKind::Off || self.switched_off.is_empty();
         self.broadcast.cancel();
+        self.broadcast.was_superseded(kind);
         let mut result = Ok(());
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));

@@ -504,3 +504,34 @@ fn who_holds_in_every_cycle_is_told_when_no_shutdown_of_all_can_switch_the_motor
     });
     assert!(told.is_some_and(|at| at > 60 && at < 110), "{told:?}");
 }
+
+#[test]
+fn what_ended_the_motion_of_all_undoes_no_later_stop_of_all_however_late_it_is_handed_back() {
+    let [off, hold] = [Shutdown.encode(), Stop.encode()].map(packet_to_all);
+    let goes = |is_off: bool, kind: StopKind| {
+        let mut master = Master::<2>::new(Config::CAN);
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+        reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+        if is_off {
+            master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+        } else {
+            master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+        }
+        let in_mailbox = sent(&mut master, ms(2))[0];
+        master.stop_all(kind, MotorSet::EMPTY).unwrap();
+        let (_, data) = kind.command();
+        for at in 2..120 {
+            if !sent(&mut master, ms(at)).is_empty() {
+                reply(&mut master, 1, data, ms(at + 1));
+            }
+        }
+        master.lift_stop();
+        master.handle_pushed_out(&in_mailbox);
+        sent(&mut master, ms(130))
+    };
+    assert_eq!(goes(true, StopKind::Hold), []);
+    assert_eq!(goes(false, StopKind::Off), []);
+    // Whom this master does not know is to be stopped, too.
+    assert_eq!(goes(true, StopKind::Off), [off]);
+    assert_eq!(goes(false, StopKind::Hold), [hold]);
+}
