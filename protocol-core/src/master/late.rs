@@ -101,7 +101,7 @@ impl LateReplies {
 
     /// Whether one more question can be given up.
     pub(super) fn has_room(&self) -> bool {
-        self.0.iter().any(Option::is_none)
+        matches!(self.0, [None, _, _] | [_, None, _] | [_, _, None])
     }
 
     /// Whether the reply to this question could be one of these.

@@ -70,6 +70,9 @@ impl Motor {
         config: &Config,
         now: Instant,
     ) -> bool {
+        if self.late.is_empty() {
+            return false;
+        }
         let until = now + config.late_window;
         let is_one_late = self.late.prolong(question, until);
         if is_one_late && !config.is_rs485() {
