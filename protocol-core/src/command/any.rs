@@ -180,12 +180,11 @@ impl AnyReply {
     /// reply, or a field holds what is not allowed.
     pub fn decode(packet: &Packet, firmware: Firmware) -> Result<Self, DecodeError> {
         match packet.channel {
-            Channel::Reply(_) | Channel::BusId | Channel::MotionReply(_) => {
-                match opcode_on(packet, firmware)? {
-                    Some(opcode) => Self::decode_as(opcode, &packet.data),
-                    None => Ok(Self::Raw(RawReply(packet.data))),
-                }
-            }
+            Channel::MotionReply(_) => Fields::read(&packet.data).map(Self::Motion),
+            Channel::Reply(_) | Channel::BusId => match opcode_on(packet, firmware)? {
+                Some(opcode) => Self::decode_as(opcode, &packet.data),
+                None => Ok(Self::Raw(RawReply(packet.data))),
+            },
             Channel::Command(_) | Channel::Motion(_) => Err(DecodeError::NotAReply(packet.channel)),
         }
     }
