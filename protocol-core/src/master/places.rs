@@ -146,17 +146,19 @@ impl<const N: usize> Master<N> {
     }
 
     /// The place of a motor; for one that has none, a free one.
-    #[inline(never)]
+    #[inline]
     pub(super) fn place_for(&mut self, motor: MotorId) -> Result<usize, RequestError> {
-        if let Some(place) = self.places.of(motor) {
-            return Ok(place);
-        }
+        let place = self.places.of(motor).or_else(|| self.give_place(motor));
+        place.ok_or(RequestError::TooManyMotors { capacity: N })
+    }
+
+    #[inline(never)]
+    fn give_place(&mut self, motor: MotorId) -> Option<usize> {
         let mut motors = self.motors.iter_mut().enumerate();
-        let free = motors.find(|(_, motor)| motor.id.is_none());
-        let (place, of) = free.ok_or(RequestError::TooManyMotors { capacity: N })?;
+        let (place, of) = motors.find(|(_, motor)| motor.id.is_none())?;
         of.id = Some(motor);
         self.places.give(place, motor);
-        Ok(place)
+        Some(place)
     }
 
     pub(super) fn motor(&self, motor: MotorId) -> Option<&Motor> {
