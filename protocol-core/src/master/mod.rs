@@ -383,16 +383,19 @@ impl<const N: usize> Master<N> {
         self.now = now;
         if now >= self.due {
             let heard_at = self.heard_at;
-            let is_quiet = !self.config.is_rs485() && self.quiet_at() <= now;
+            let in_flight = self.places.in_flight;
+            let is_can = !self.config.is_rs485();
+            let is_quiet = !in_flight.is_empty() && is_can && self.quiet_at() <= now;
+            let under_way = self.places.waiting.or(in_flight);
             let mut next = Earliest::default();
             for place in self.places.taken.iter() {
-                if !self.motors.get(place).is_some_and(Motor::is_timed) {
-                    continue;
+                let lingers = || self.motors.get(place).is_some_and(Motor::lingers);
+                if under_way.contains(place) || lingers() {
+                    self.change_at(place, |motor, config| {
+                        motor.handle_timeout(now, is_quiet, heard_at, config);
+                        motor.due(config, &mut next);
+                    });
                 }
-                self.change_at(place, |motor, config| {
-                    motor.handle_timeout(now, is_quiet, heard_at, config);
-                    motor.due(config, &mut next);
-                });
             }
             self.due = next.0.unwrap_or(NEVER);
         }

@@ -37,6 +37,14 @@ impl PlaceSet {
         })
     }
 
+    pub(super) fn contains(self, place: usize) -> bool {
+        self.0 & 1 << place != 0
+    }
+
+    pub(super) fn or(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
     pub(super) fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
     }

@@ -1603,7 +1603,8 @@ fn a_motor_with_nothing_to_do_by_itself_is_not_looked_at() {
     events(&mut master, ms(0));
     assert_eq!(master.due, ms(2_000), "when it has restarted, and no sooner");
     master.handle_timeout(ms(2_000));
-    assert!(!master.motors[0].is_timed());
+    assert!(!master.motors[0].lingers());
+    assert!(master.places.waiting.is_empty() && !master.is_anything_in_flight());
     let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
     assert_eq!(master.poll_at(), None, "it waits for the bus alone");
     assert!(master.places.stops.is_empty());

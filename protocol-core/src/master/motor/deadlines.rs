@@ -14,10 +14,10 @@ const USUAL_TIMES: u32 = 3;
 const SELDOM: u8 = 2;
 
 impl Motor {
-    /// Whether time alone changes anything about it.
-    pub(in crate::master) fn is_timed(&self) -> bool {
+    /// Whether time alone changes anything about it, though nothing is under way.
+    pub(in crate::master) fn lingers(&self) -> bool {
         let is_held = self.settled_at > Instant::ZERO || self.moves_until > Instant::ZERO;
-        self.is_in_flight() || self.is_waiting() || is_held || !self.late.is_empty()
+        is_held || !self.late.is_empty()
     }
 
     /// When what is in flight counts as lost.
