@@ -385,6 +385,7 @@ impl Motor {
 
     /// Something was heard of it. Gives whether that was just after something else, so that it may be the
     /// same once more.
+    #[inline]
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
         let Some(before) = self.health.note_heard(now) else { return false };
         let silence = now - before;
@@ -402,6 +403,7 @@ impl Motor {
         }
     }
 
+    #[inline(never)]
     fn has_begun_anew(&mut self, config: &Config, now: Instant) {
         self.has_restarted = true;
         self.reports = 0;
