@@ -212,6 +212,7 @@ impl Motor {
 
     /// Whether the set-point that waits may go. What ends motion was asked for before it, and comes first however
     /// often it has to be sent.
+    #[inline]
     pub(super) fn may_send_set_point(&self) -> bool {
         let is_to_stop = self.request.waiting().is_some_and(|asked| asked.kind().ends_motion());
         self.stream.waiting().is_some() && self.late.has_room() && !is_to_stop
