@@ -301,9 +301,9 @@ mod tests {
         let told = log.poll(fleet.world.now());
         let expected = [
             "0.000000 s  can motor 2 is off the bus: its cable is cut",
-            "0.010000 s  can motor 2 is on the bus again: its cable is whole",
+            "0.010000 s  can motor 2 has its cable back",
             "0.010000 s  can motor 2 is off the bus: its cable is cut",
-            "0.020000 s  can motor 2 is on the bus again: its cable is whole",
+            "0.020000 s  can motor 2 has its cable back",
         ];
         assert_eq!(told.iter().map(ToString::to_string).collect::<Vec<_>>(), expected);
         assert_eq!(serde_json::to_value(told[0].event).unwrap(), "cable-cut");

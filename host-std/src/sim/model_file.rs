@@ -1,4 +1,4 @@
-//! Models by name or by file, and where in a file something is wrong.
+//! Models by name or by file, and where in a file or a request something is wrong.
 
 use std::fs;
 use std::path::Path;

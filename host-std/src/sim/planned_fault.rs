@@ -138,14 +138,13 @@ impl FromStr for PlannedFault {
     type Err = Unexpected;
 
     fn from_str(whole: &str) -> Result<Self, Unexpected> {
-        let text = whole;
-        let (text, after) = match text.rsplit_once('+') {
+        let (text, after) = match whole.rsplit_once('+') {
             Some((_, after)) if after.contains(['@', '?']) => {
                 let expected = "its time at the end, as in cut@1?angle>90+5s";
-                return Err(Unexpected::new(expected, text));
+                return Err(Unexpected::new(expected, whole));
             }
             Some((text, after)) => (text, parse_time(after)?),
-            None => (text, Duration::ZERO),
+            None => (whole, Duration::ZERO),
         };
         let (text, condition) = match text.split_once('?') {
             Some((text, condition)) => (text, Some(condition.parse()?)),

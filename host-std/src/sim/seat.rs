@@ -42,6 +42,9 @@ impl Seat {
             self.drive.power_on(on);
         }
         self.advance_to(now);
+        if !self.drive.is_powered() {
+            self.receiver.reset();
+        }
         if let Some(shaft) = &mut self.shaft {
             shaft.follow(self.drive.plant().place(), now);
         }
@@ -58,9 +61,9 @@ impl Seat {
     }
 
     fn power_cycle(&mut self, now: Instant) {
-        self.receiver.reset();
         self.catch_up(now);
         self.drive.power_off(now);
+        self.receiver.reset();
         self.off_until = Some(now + POWER_CYCLE);
     }
 
@@ -155,6 +158,7 @@ mod tests {
     use myactuator_protocol_core::{MotorId, Packet};
 
     use super::*;
+    use crate::sim::bus::faults::Babble;
     use crate::sim::bus::trace;
     use crate::sim::{CanFleet, DriveLog, Fleet, LogEvent, LogRecord};
 
@@ -244,24 +248,40 @@ mod tests {
         assert_eq!([None, Some(10), Some(30)].map(answers), [true, false, false]);
     }
 
+    enum Loss {
+        None,
+        Cycle,
+        ByHand,
+    }
+
     #[test]
     fn what_a_drive_had_heard_of_a_frame_goes_with_its_power() {
         let line = Fleet::new(1).on_rs485(1_000_000).unwrap();
         let whole = Frame::from_packet(&ReadStatus1.packet(MotorId::MIN)).unwrap().encode();
-        let answers = |is_reset: bool| {
+        let power = |is_on: bool| {
+            line.drives[0].with(|it| {
+                let now = it.clock();
+                if is_on { it.power_on(now) } else { it.power_off(now) }
+            });
+        };
+        let answers = |loss: Loss| {
             let mut port = line.world.port();
             let (first, rest) = whole.split_at(5);
             embedded_io::Write::write_all(&mut port, first).unwrap();
             line.world.run_for(Duration::from_micros(100));
-            if is_reset {
-                line.world.reset(line.drives[0].station());
+            match loss {
+                Loss::None => {}
+                Loss::Cycle => line.world.reset(line.drives[0].station()),
+                Loss::ByHand => power(false),
             }
-            line.world.run_for(Duration::from_micros(2_000));
+            line.world.run_for(Duration::from_micros(1_000));
+            power(true);
+            line.world.run_for(Duration::from_micros(1_000));
             embedded_io::Write::write_all(&mut port, rest).unwrap();
             line.world.run_for(Duration::from_millis(10));
             embedded_io::ReadReady::read_ready(&mut port).unwrap()
         };
-        assert_eq!([false, true].map(answers), [true, false]);
+        assert_eq!([Loss::None, Loss::Cycle, Loss::ByHand].map(answers), [true, false, false]);
     }
 
     /// As after an emergency stop that takes the motors' supply.
@@ -302,5 +322,23 @@ mod tests {
         power(true);
         port.clone().transmit(&ask).unwrap();
         assert_eq!(carried(), 1, "the other drive acknowledges it");
+    }
+
+    #[test]
+    fn a_power_cycle_starts_no_drive_that_has_no_supply_and_without_it_none_babbles() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let (station, mut log) = (fleet.drives[0].station(), DriveLog::of(&fleet));
+        fleet.drives[0].with(|it| it.plant_mut().force_supply_voltage_v(Some(0.0))).unwrap();
+        fleet.world.run_for(Duration::from_millis(30));
+        log.poll(fleet.world.now());
+        let trace = fleet.world.log();
+        let babble = Babble { interval: Duration::from_millis(1), frame: None };
+        fleet.world.babble(station, Some(babble));
+        fleet.world.reset(station);
+        fleet.world.run_for(Duration::from_millis(30));
+        let told = log.poll(fleet.world.now());
+        assert!(told.iter().all(|it| it.event != LogEvent::Drive(Event::Started)), "{told:?}");
+        let sent = |it: &trace::Record<_>| matches!(it.event, trace::Event::Unacknowledged { .. });
+        assert!(!trace.take().iter().any(sent));
     }
 }

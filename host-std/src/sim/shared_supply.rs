@@ -60,10 +60,11 @@ impl<B: Medium> BusFleet<B> {
             lock(seat).drive.plant_mut().join(&point);
         }
         let point = Arc::new(Mutex::new(point));
+        let stations: Vec<usize> = self.drives.iter().map(|it| it.station().index()).collect();
         self.shared_supply = Some(SharedSupply(Arc::clone(&point)));
         let mut steps = 1;
-        self.world.plan(STEP, move |_, now| {
-            let are_calm = step(&point, &seats, now, steps);
+        self.world.plan(STEP, move |kernel, now| {
+            let are_calm = step(&point, &seats, now, steps, |place| kernel.wake(stations[place]));
             steps = if are_calm { CALM_STEPS } else { 1 };
             Some(Duration::from_micros(STEP.as_micros() * u64::from(steps)))
         });
@@ -72,12 +73,23 @@ impl<B: Medium> BusFleet<B> {
 }
 
 /// What the drives have drawn in a period of so many steps gives the voltage of the next; whether all of them are calm.
-/// No two locks are held at a time: who works on a drive may look at its supply.
-fn step(point: &Mutex<CommonPoint>, seats: &[Arc<Mutex<Seat>>], now: Instant, steps: u32) -> bool {
+/// Who goes off or starts is woken, for its controller does, too. No two locks are held at a time: who works on a drive
+/// may look at its supply.
+fn step(
+    point: &Mutex<CommonPoint>,
+    seats: &[Arc<Mutex<Seat>>],
+    now: Instant,
+    steps: u32,
+    mut wake: impl FnMut(usize),
+) -> bool {
     let (mut charge_c, mut are_calm) = (0.0, true);
-    for seat in seats {
+    for (place, seat) in seats.iter().enumerate() {
         let mut seat = lock(seat);
+        let was_powered = seat.drive.is_powered();
         seat.catch_up(now);
+        if seat.drive.is_powered() != was_powered {
+            wake(place);
+        }
         let plant = seat.drive.plant_mut();
         charge_c += plant.take_charge_c();
         are_calm &= plant.is_calm();
@@ -295,6 +307,26 @@ mod tests {
         let steps = std::iter::repeat_with(|| fleet.world.step());
         let steps = steps.take_while(|_| fleet.world.now() < end).count();
         assert!((90..200).contains(&steps), "{steps}");
+    }
+
+    #[test]
+    fn nor_at_one_that_is_gone_and_a_drive_is_on_the_bus_as_soon_as_it_is_back() {
+        let fleet = fleet(soft());
+        let (shared, mut master) = (fleet.shared_supply().unwrap(), fleet.master::<2>());
+        shared.set_supply(Supply { voltage_v: 0.0, ..soft() }).unwrap();
+        fleet.world.run_for(Duration::from_secs(1));
+        let end = fleet.world.now() + Duration::from_millis(100);
+        let steps = std::iter::repeat_with(|| fleet.world.step());
+        let steps = steps.take_while(|_| fleet.world.now() < end).count();
+        // Every millisecond the supply's, and that of each drive.
+        assert!((90..400).contains(&steps), "{steps}");
+        shared.set_supply(soft()).unwrap();
+        let is_on = || fleet.drives[0].with(|it| it.state().running);
+        let started = std::iter::repeat_with(|| fleet.world.step()).position(|_| is_on());
+        assert!(started.is_some());
+        let at = fleet.world.now();
+        assert!(master.ask(MotorId::MIN, ReadStatus1).is_ok());
+        assert!(fleet.world.now() - at < Duration::from_millis(2), "it was heard at once");
     }
 
     #[test]

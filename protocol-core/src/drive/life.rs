@@ -68,10 +68,15 @@ impl<P: Plant, M: Memory> Drive<P, M> {
         }
     }
 
-    /// Gives the supply back.
+    /// Gives the supply back, if it has the voltage for a start.
     pub fn power_on(&mut self, now: Instant) {
         self.advance(now);
-        if self.life == Life::Off {
+        if self.life != Life::Off {
+            return;
+        }
+        if self.measurement.supply_voltage_v < self.parameters.brown_out_voltage_v {
+            self.life = Life::BrownedOut;
+        } else {
             self.boot(now);
         }
     }

@@ -295,12 +295,12 @@ impl<P: Plant, M: Memory> Drive<P, M> {
 
     /// When [`poll_transmit`](Self::poll_transmit) has something to do by itself, if no packet comes
     /// before: a reply or a report is due, a start ends, communication is lost, or the loops are 10 ms
-    /// behind (a motor moves and errors come at any time). While errors are to be reported (function 3),
-    /// whenever measurements are held against their limits: every millisecond. `None` only at the end of
-    /// time.
+    /// behind (a motor moves and errors come at any time). While errors are to be reported (function 3), or the
+    /// supply is too low, whenever measurements are held against their limits: every millisecond. `None` only at
+    /// the end of time.
     pub fn poll_at(&self) -> Option<Instant> {
         let period = self.parameters.control_period;
-        let catch_up = if self.reporting.errors_wanted() {
+        let catch_up = if self.reporting.errors_wanted() || self.life == Life::BrownedOut {
             self.judged + period.max(JUDGED_EVERY)
         } else {
             self.clock + period.max(CATCH_UP)

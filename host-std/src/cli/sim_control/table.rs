@@ -23,7 +23,7 @@ pub(super) fn lines(answer: &Value) -> Vec<String> {
             ));
         }
         if let Some(reason) = bus["mechanics_failure"].as_str() {
-            lines.push(format!("  the shafts stand: {reason}"));
+            lines.push(format!("  mechanics have failed: {reason}"));
         }
         let motor = |it| motor(it, &bus["bit_rate"]);
         lines.extend(list(&bus["motors"]).map(motor));
@@ -119,7 +119,7 @@ mod tests {
                 "at 1.500000 s",
                 "can: 1000000 bit/s, 12 frames carried, 1 broken, 0.002 s busy",
                 "  shared supply of 48.0 V: 47.2 V",
-                "  the shafts stand: the engine has crashed",
+                "  mechanics have failed: the engine has crashed",
                 "  motor 3: 90.00 deg, -12.0 dps, 1.50 A, 3.90 N·m (load -3.90 N·m), motor 25 °C, mosfet 30 °C, \
                  48.0 V, speed, brake release, stuck locked, moved by mechanics, pushed by -2.00 N·m, hears 500000 bit/s only, cable cut, error stall",
             ]

@@ -143,7 +143,6 @@ impl Client {
             *left_out = left_out.saturating_add(1);
             return;
         }
-        self.report_left_out();
         self.send(line);
     }
 

@@ -20,7 +20,7 @@ pub(in crate::serve) struct BusState {
     /// Of that, between the motors' cables.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) supply_voltage_v: Option<f64>,
-    /// Why its shafts stand, if they do.
+    /// Why mechanics have failed, the first reason. The shafts that they led stand until they are handed back.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(in crate::serve) mechanics_failure: Option<String>,
     pub(in crate::serve) motors: Vec<MotorState>,

@@ -48,7 +48,7 @@ struct Station<F> {
 impl<F> Station<F> {
     /// When it does something by itself.
     fn due(&self) -> Nanos {
-        let babble = self.babble.as_ref().map_or(NEVER, |(_, at)| *at);
+        let babble = self.babble.as_ref().filter(|_| !self.is_off).map_or(NEVER, |(_, at)| *at);
         let backlog = self.backlog.front().filter(|_| !self.is_backlog_stuck);
         self.wake.min(babble).min(backlog.map_or(NEVER, |(at, _)| *at))
     }
@@ -209,11 +209,10 @@ impl<B: Medium> Kernel<B> {
             self.arrive(&arrival);
         }
         for station in std::mem::take(&mut self.around.freed) {
-            let now = self.around.now;
             let state = &mut self.stations[station];
             state.is_backlog_stuck = false;
             if state.is_blocked {
-                state.wake = now;
+                state.wake = self.around.now;
             }
             if std::mem::take(&mut state.wants_room) {
                 self.arrivals += 1;
@@ -343,7 +342,7 @@ impl<B: Medium> Kernel<B> {
         }
         state.is_backlog_stuck = state.backlog.front().is_some_and(|(at, _)| *at <= now);
         if let Some((babble, at)) = &mut state.babble
-            && *at <= now
+            && (*at <= now && !state.is_off)
         {
             let random = &mut self.around.injector.babble;
             let frame = babble.frame.clone().unwrap_or_else(|| B::garbage(random));
@@ -475,7 +474,7 @@ impl<B: Medium> Kernel<B> {
         self.spread();
     }
 
-    /// What waits to be sent or read goes with the power.
+    /// What waits to be sent goes with the power, and what has come and was not read.
     fn empty(&mut self, station: usize) {
         self.bus.reset(station, &mut self.around);
         let state = &mut self.stations[station];

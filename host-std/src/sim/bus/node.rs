@@ -47,8 +47,8 @@ pub trait Node<F>: Send {
         None
     }
 
-    /// Whether it has power: without, its controller is off the bus. Asked after each [`advance`](Self::advance).
-    /// It has, unless implemented.
+    /// Whether it has power: without, its controller is off the bus. Asked after each [`advance`](Self::advance),
+    /// for simulated drives every 10 ms at the least. It has, unless implemented.
     fn is_powered(&self) -> bool {
         true
     }

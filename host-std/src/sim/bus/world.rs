@@ -251,8 +251,8 @@ impl<B: Medium> World<B> {
         self.with(|kernel| kernel.is_cut(station.0))
     }
 
-    /// Cycles a station's power: empties its controller, clears its error counters and calls
-    /// [`Node::reset`].
+    /// Cycles a station's power: empties its controller, clears its error counters and calls [`Node::reset`]. A
+    /// simulated drive is off the bus for a millisecond.
     pub fn reset(&self, station: StationId) {
         self.with(|kernel| kernel.reset(station.0));
     }

@@ -21,7 +21,7 @@ pub enum LogEvent {
     CableMended,
     /// What it sends comes so much later from now on, µs; 0 for no more.
     Slowed(u64),
-    /// It begins to send random frames (`true`), or ends that.
+    /// It begins to send frames by itself (`true`), or ends that.
     Babbles(bool),
     /// A fault by chance struck a frame on its way to the drive. On CAN also one that is meant for another: all hear
     /// all.
@@ -82,12 +82,12 @@ impl fmt::Display for LogEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::CableCut => f.write_str("is off the bus: its cable is cut"),
-            Self::CableMended => f.write_str("is on the bus again: its cable is whole"),
+            Self::CableMended => f.write_str("has its cable back"),
             Self::Slowed(0) => f.write_str("is as fast as ever again"),
             Self::Slowed(by_us) => {
                 write!(f, "is slow: what it sends comes {by_us} us later, by a fault")
             }
-            Self::Babbles(true) => f.write_str("babbles: it sends random frames, by a fault"),
+            Self::Babbles(true) => f.write_str("babbles: it sends frames by itself, by a fault"),
             Self::Babbles(false) => f.write_str("babbles no more"),
             Self::FrameToDrive(fault) => write!(f, "was to hear a frame that {fault}"),
             Self::FrameFromDrive(fault) => write!(f, "has sent a frame that {fault}"),

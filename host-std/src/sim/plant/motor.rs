@@ -217,7 +217,7 @@ impl SimulatedMotor {
     pub(in crate::sim) fn is_calm(&self) -> bool {
         let emf_v = self.coefficients.emf_v_s_per_rad * self.shaft.motor_speed_rad_s();
         self.supply_current_a.abs() < CALM_A
-            && emf_v.abs() < CALM_SHARE * DIODES_SHARE * self.link.voltage_v()
+            && emf_v.abs() <= CALM_SHARE * DIODES_SHARE * self.link.voltage_v()
     }
 
     /// Turns the shaft by hand: a torque on it besides the load's, N·m, until set anew.

@@ -13,7 +13,7 @@ const MOST_V: f64 = 1000.0;
 /// back, the voltage rises by current times *feedback* resistance: small for a battery, large for a
 /// power supply that takes nothing back. A brake resistor burns what nobody takes.
 ///
-/// Below 4 V at its input (an estimate) a drive is off, and draws nothing; it starts when there are 5 V again.
+/// Below 4 V at its input (an estimate) a drive goes off and draws nothing; it starts when there are 5 V again.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Supply {
@@ -176,7 +176,7 @@ impl Link {
             voltage_v: self.voltage_v,
             held_v: self.held_v,
             taken_c: self.taken_c,
-            burns: self.burns,
+            burns: self.burns && supply.brake_resistor.is_some(),
             ..Self::new(supply, step_s)
         };
     }

@@ -285,7 +285,7 @@ fn that_a_drive_is_slow_or_babbles_is_told_in_the_log_and_when_that_ends() {
     assert_eq!(
         told,
         [
-            "0.003000 s  can motor 1 babbles: it sends random frames, by a fault",
+            "0.003000 s  can motor 1 babbles: it sends frames by itself, by a fault",
             "0.009000 s  can motor 1 babbles no more",
             "0.001000 s  can motor 2 is slow: what it sends comes 2000 us later, by a fault",
             "0.009000 s  can motor 2 is as fast as ever again",
