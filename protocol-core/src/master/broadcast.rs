@@ -7,7 +7,6 @@ use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::schedule::Earliest;
 use crate::master::{Config, Event, Master, MotorSet, StopKind};
-use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
@@ -27,14 +26,13 @@ enum State {
     Dropped,
 }
 
-/// When one was put last that ends motion.
-#[derive(Clone, Copy, Debug, Default)]
-enum End {
-    #[default]
-    Never,
-    Put(Instant),
-    /// A motor was stopped by itself since: it is not to undo that.
-    Overtaken(Instant),
+/// When one was put that ends motion, and the motors that were stopped since, to be held or to be off: it is not to
+/// undo that, however late a controller hands it back.
+#[derive(Clone, Copy, Debug)]
+struct End {
+    put: Instant,
+    held: MotorSet,
+    off: MotorSet,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -51,7 +49,7 @@ pub(super) struct Broadcast {
     /// Its command byte, and who has answered it, expected or not.
     sent_byte: u8,
     heard: MotorSet,
-    end_of_motion: End,
+    end_of_motion: Option<End>,
     /// The last one that was sent may move whoever is not in `heard`, or switch off who is to be held, and one
     /// before it these.
     moves: bool,
@@ -59,14 +57,15 @@ pub(super) struct Broadcast {
     /// Nothing was heard on the bus since, but what was on its way: it may be cut, and what moves in a mailbox, for
     /// as long as that lasts.
     is_unheard: bool,
-    /// While `may_be_late` or `moves`: until when.
+    /// Until when it may be late or move, or restart a motor.
     late_until: Instant,
 }
 
 impl Broadcast {
     pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, now: Instant) {
         if kind.ends_motion() {
-            self.end_of_motion = End::Put(now);
+            let (held, off) = (MotorSet::EMPTY, MotorSet::EMPTY);
+            self.end_of_motion = Some(End { put: now, held, off });
         }
         self.kind = Some(kind);
         self.data = data;
@@ -112,27 +111,20 @@ impl Broadcast {
         }
     }
 
-    /// All are stopped. What would undo that does not go once more, however late it is handed back.
-    pub(super) fn was_superseded(&mut self, by: StopKind) {
-        let undone = match self.kind.and_then(Kind::opcode) {
-            Some(Opcode::Shutdown | Opcode::Reset) => Some(StopKind::Hold),
-            Some(Opcode::Stop) => Some(StopKind::Off),
-            _ => None,
-        };
-        if undone == Some(by) {
-            self.kind = None;
-        }
-    }
-
     /// A motor is stopped by itself.
-    pub(super) fn was_overtaken(&mut self) {
-        if let Some(put) = self.ended_motion() {
-            self.end_of_motion = End::Overtaken(put);
+    pub(super) fn was_overtaken(&mut self, motor: MotorId, by: StopKind) {
+        let Some(End { held, off, .. }) = &mut self.end_of_motion else { return };
+        held.remove(motor);
+        off.remove(motor);
+        match by {
+            StopKind::Hold => held.insert(motor),
+            StopKind::Off => off.insert(motor),
         }
     }
 
-    pub(super) fn is_overtaken(&self) -> bool {
-        matches!(self.end_of_motion, End::Overtaken(_))
+    /// The motors that were stopped since all were told last to end their motion: to be held, and to be off.
+    pub(super) fn stopped_since(&self) -> (MotorSet, MotorSet) {
+        self.end_of_motion.map_or_else(Default::default, |end| (end.held, end.off))
     }
 
     /// This motor is to be held. A controller that keeps no order sends what switches all off behind that.
@@ -209,6 +201,12 @@ impl Broadcast {
         self.may_be_late && self.sent_byte == byte && !motors.without(self.heard).is_empty()
     }
 
+    /// Whether what was sent may still reach this motor and move it, for a time that is known: on a bus that may be
+    /// cut only an answer tells when that ends.
+    pub(super) fn may_move_for_a_while(&self, motor: MotorId) -> bool {
+        !self.is_unheard && self.may_move(motor)
+    }
+
     /// Whether what was sent may still reach this motor and move it.
     pub(super) fn may_move(&self, motor: MotorId) -> bool {
         self.moves && !self.heard.contains(motor) || self.moved_before.contains(motor)
@@ -220,10 +218,7 @@ impl Broadcast {
 
     /// When all were told last to end their motion.
     pub(super) fn ended_motion(&self) -> Option<Instant> {
-        match self.end_of_motion {
-            End::Never => None,
-            End::Put(at) | End::Overtaken(at) => Some(at),
-        }
+        self.end_of_motion.map(|end| end.put)
     }
 
     /// The bus carries nothing: late answers come later, and so does what was sent.
@@ -281,7 +276,7 @@ impl Broadcast {
             return false;
         }
         // Nobody has heard it, so that it need not wait for answers to itself.
-        (self.moves, self.may_be_late) = (false, false);
+        (self.moves, self.may_be_late, self.sent_byte) = (false, false, 0);
         if matches!(self.state, State::InFlight | State::Sent) {
             self.state = State::Waiting;
         }

@@ -177,7 +177,8 @@ pub enum Event {
         /// Whether it was sent: not if a stop or a bus that was down dropped it before, or a restart that was seen.
         was_sent: bool,
     },
-    /// A motor has confirmed the stop.
+    /// A motor has confirmed the stop; also one that gets what was to end the motion of all by itself, because a stop
+    /// of another motor has come since.
     StopConfirmed {
         /// The motor.
         motor: MotorId,

@@ -35,13 +35,13 @@ pub(super) enum Of {
     Request,
     /// A stop went over it: it counted as nothing.
     RequestStopped,
-    /// So was an attempt of a request that has its answer.
+    /// An attempt of a request that has its answer by another: it counted as lost.
     RequestAnswered,
     /// Its time was up, and it counted as lost.
     Stream,
     /// A stop went over it: it counted as nothing.
     StreamStopped,
-    /// So was one of a stream, and a reply has come since that was taken for that to the next.
+    /// One of a stream that counted as lost, and a reply has come since that was taken for that to the next.
     StreamAnswered,
 }
 

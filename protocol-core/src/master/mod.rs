@@ -278,6 +278,7 @@ impl<const N: usize> Master<N> {
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
         if kind.ends_motion() {
             self.broadcast.cancel_what_moves();
+            self.overtakes_broadcast(motor, kind);
         }
         self.last_ticket = number;
         Ok(TicketId { motor, number })
@@ -329,7 +330,7 @@ impl<const N: usize> Master<N> {
 
     /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until
     /// all have come or the time is up. It is sent when no request is in flight, and requests wait
-    /// until it is over. On CAN it reaches motors whose id filter (function 2) is off; on RS485 the
+    /// until it is over, but for those that end motion while it waits. On CAN it reaches motors whose id filter (function 2) is off; on RS485 the
     /// answers of several motors are likely to collide. `expected` should name all who answer: the
     /// answers of others come as [`Event::Stray`].
     ///

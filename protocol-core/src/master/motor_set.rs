@@ -45,6 +45,12 @@ impl MotorSet {
         Self(self.0 & !other.0)
     }
 
+    /// The motors of this set and of the other.
+    #[must_use]
+    pub const fn with(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
     /// How many motors.
     pub const fn len(self) -> usize {
         self.0.count_ones() as usize

@@ -106,9 +106,9 @@ impl<const N: usize> Master<N> {
             && !self.is_confusable(motor)
     }
 
-    /// Whether a command to all may still reach a motor and move it.
+    /// Whether a command to all may still reach a motor and move it, for a time that is known.
     fn is_moved_with_all(&self, motor: &Motor) -> bool {
-        motor.id.is_some_and(|id| self.broadcast.may_move(id))
+        motor.id.is_some_and(|id| self.broadcast.may_move_for_a_while(id))
     }
 
     /// Whether a motor's answer to the last broadcast could be taken for that to its request.
@@ -133,7 +133,7 @@ impl<const N: usize> Master<N> {
             && self.broadcast.may_go(self.motors())
     }
 
-    /// Tells when a broadcast, or a request that waits because of one, may go.
+    /// When a broadcast, or a request that waits because of one, may go.
     fn broadcast_wait(&self, earliest: &mut Earliest) {
         let question = if self.broadcast.is_waiting() { self.broadcast.question() } else { None };
         if let Some(question) = question {

@@ -63,7 +63,6 @@ impl<const N: usize> Master<N> {
         self.let_line_answer();
         let is_same_for_all = kind == StopKind::Off || self.switched_off.is_empty();
         self.broadcast.cancel();
-        self.broadcast.was_superseded(kind);
         let mut result = Ok(());
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
@@ -92,10 +91,6 @@ impl<const N: usize> Master<N> {
         self.broadcast.cancel_what_moves();
         self.put_stop(place, motor, kind);
         self.stopped.insert(motor);
-        self.broadcast.was_overtaken();
-        if self.broadcast.is_waiting() && !self.stops_all {
-            self.end_motion_of_all();
-        }
         Ok(())
     }
 
@@ -115,12 +110,10 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off.insert(motor);
         }
-        if kind == StopKind::Hold && !self.config.is_rs485() {
-            self.broadcast.may_let_go(motor, self.now);
-        }
+        let (command, data) = kind.command();
+        self.overtakes_broadcast(motor, command);
         self.offer = None;
         self.due = self.now;
-        let (command, data) = kind.command();
         let stop = self.stop_of(command, data);
         let now = self.now;
         let is_new = self.change_at(place, |motor, config| {
@@ -133,31 +126,50 @@ impl<const N: usize> Master<N> {
         is_new.unwrap_or(false)
     }
 
+    /// A motor is told by itself to end its motion: what was put before for all is not to undo that.
+    pub(super) fn overtakes_broadcast(&mut self, motor: MotorId, by: Kind) {
+        let by = match by.opcode() {
+            Some(Opcode::Stop) => StopKind::Hold,
+            Some(Opcode::Shutdown) => StopKind::Off,
+            _ => return,
+        };
+        self.broadcast.was_overtaken(motor, by);
+        if by == StopKind::Hold && !self.config.is_rs485() {
+            self.broadcast.may_let_go(motor, self.now);
+        }
+        if self.broadcast.is_waiting() {
+            self.end_motion_of_all();
+        }
+    }
+
     fn stop_of(&self, command: Kind, data: Data) -> Asked {
         let reply_timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
         let patience = Patience { reply_timeout, attempts: STOP_ATTEMPTS };
         Asked::new(Purpose::Stop, Question::of(command, &data), data, patience)
     }
 
-    /// What ends the motion of all was handed back, or waits: it goes. Where it would undo the stop of one motor,
-    /// the others that have a place get it each by itself.
+    /// What ends the motion of all was handed back, or waits: it goes. Where it would undo a later stop of one motor,
+    /// the others that have a place get it each by itself, and nobody is restarted.
     pub(super) fn end_motion_of_all(&mut self) {
         let (Some(kind), data) = self.broadcast.command() else { return };
-        let is_overtaken = self.broadcast.is_overtaken();
-        let stopped = if is_overtaken { self.stopped } else { MotorSet::EMPTY };
+        let (held, off) = self.broadcast.stopped_since();
         let undone = match kind.opcode() {
-            Some(Opcode::Shutdown) => stopped.without(self.switched_off),
-            Some(Opcode::Stop) => self.switched_off,
+            _ if !kind.ends_motion() => return,
+            Some(Opcode::Shutdown) => held,
+            // What a stop has switched off stays off until that is lifted, whenever it was.
+            Some(Opcode::Stop) => off.with(self.switched_off),
             Some(Opcode::LockBrake) => MotorSet::EMPTY,
-            _ if stopped.is_empty() => MotorSet::EMPTY,
-            _ => return,
+            _ => held.with(off),
         };
         if undone.is_empty() {
             return self.broadcast.goes_again();
         }
         self.broadcast.cancel();
+        if kind.is_refused_while_stopped() {
+            return;
+        }
         let (stop, now) = (self.stop_of(kind, data), self.now);
-        for motor in self.motors().without(stopped).without(undone).iter() {
+        for motor in self.motors().without(held.with(off).with(undone)).iter() {
             self.change(motor, |motor, config| motor.put_stop(stop, config, now));
         }
     }

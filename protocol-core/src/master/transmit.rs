@@ -104,7 +104,7 @@ impl<const N: usize> Master<N> {
                 });
             }
             Channel::Command(Target::All) | Channel::BusId => {
-                if self.broadcast.was_pushed_out(packet) && !self.stops_all {
+                if self.broadcast.was_pushed_out(packet) {
                     self.end_motion_of_all();
                 }
             }

@@ -228,7 +228,7 @@ impl Sending {
         )))
     }
 
-    /// Tells that it was sent, where no reply is awaited.
+    /// Says that it was sent, where no reply is awaited.
     fn print_sent(&self, motors: MotorSet) -> Outcome {
         if self.json {
             return Ok(());
@@ -236,7 +236,7 @@ impl Sending {
         say(&format!("{}: sent {}; no reply is awaited", named(motors), self.words()))
     }
 
-    /// Tells a reply, as `decode` does.
+    /// Prints a reply, as `decode` does.
     fn print(&self, session: &Session, motor: MotorId, data: Data) -> Outcome {
         let channel = match self.kind().opcode().map(Opcode::reach) {
             Some(Reach::One) => Channel::MotionReply(motor),

@@ -507,16 +507,13 @@ fn who_holds_in_every_cycle_is_told_when_no_shutdown_of_all_can_switch_the_motor
 
 #[test]
 fn what_ended_the_motion_of_all_undoes_no_later_stop_of_all_however_late_it_is_handed_back() {
-    let [off, hold] = [Shutdown.encode(), Stop.encode()].map(packet_to_all);
-    let goes = |is_off: bool, kind: StopKind| {
+    let [off, hold] = [Shutdown.encode(), Stop.encode()];
+    let goes = |end: Data, kind: StopKind| {
         let mut master = Master::<2>::new(Config::CAN);
         let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
         reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
-        if is_off {
-            master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
-        } else {
-            master.broadcast(Stop, MotorSet::EMPTY).unwrap();
-        }
+        let end = RawCommand::new(end, ReplyRule::Same, false);
+        master.broadcast(end, MotorSet::EMPTY).unwrap();
         let in_mailbox = sent(&mut master, ms(2))[0];
         master.stop_all(kind, MotorSet::EMPTY).unwrap();
         let (_, data) = kind.command();
@@ -529,9 +526,110 @@ fn what_ended_the_motion_of_all_undoes_no_later_stop_of_all_however_late_it_is_h
         master.handle_pushed_out(&in_mailbox);
         sent(&mut master, ms(130))
     };
-    assert_eq!(goes(true, StopKind::Hold), []);
-    assert_eq!(goes(false, StopKind::Off), []);
+    assert_eq!(goes(off, StopKind::Hold), []);
+    assert_eq!(goes(hold, StopKind::Off), []);
+    // Nobody begins anew.
+    assert_eq!(goes(Reset.encode(), StopKind::Hold), []);
+    assert_eq!(goes(Reset.encode(), StopKind::Off), []);
     // Whom this master does not know is to be stopped, too.
-    assert_eq!(goes(true, StopKind::Off), [off]);
-    assert_eq!(goes(false, StopKind::Hold), [hold]);
+    assert_eq!(goes(off, StopKind::Off), [packet_to_all(off)]);
+    assert_eq!(goes(hold, StopKind::Hold), [packet_to_all(hold)]);
+}
+
+/// Each frame to motor 1 is answered by it a millisecond later. Gives what was sent in these milliseconds, and whether
+/// a stop was confirmed.
+fn obeyed(master: &mut Master<2>, span: core::ops::Range<u64>) -> (Vec<Packet>, bool) {
+    let (mut all, mut is_confirmed) = (Vec::new(), false);
+    for at in span {
+        for packet in sent(master, ms(at)) {
+            if packet.channel == Channel::Command(id(1).into()) {
+                is_confirmed |= reply(master, 1, packet.data, ms(at + 1)) == confirmed(1);
+            }
+            all.push(packet);
+        }
+        events(master, ms(at));
+    }
+    (all, is_confirmed)
+}
+
+#[test]
+fn a_stop_that_goes_once_more_does_not_wait_for_what_the_stop_of_another_motor_puts_in_doubt() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(21));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert!(!obeyed(&mut master, 21..22).1, "the set-point may lie in a mailbox");
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    obeyed(&mut master, 23..24);
+    master.stop(id(2), StopKind::Hold).unwrap();
+    assert!(obeyed(&mut master, 24..2_000).1);
+}
+
+#[test]
+fn what_ended_the_motion_of_all_undoes_no_later_stop_that_was_lifted_since() {
+    let goes = |is_off: bool, kind: StopKind, by_request: bool| {
+        let mut master = Master::<2>::new(Config::CAN);
+        if is_off {
+            master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+        } else {
+            master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+        }
+        let in_mailbox = sent(&mut master, ms(0))[0];
+        events(&mut master, ms(0));
+        match (by_request, kind) {
+            (false, _) => master.stop(id(1), kind).unwrap(),
+            (true, StopKind::Hold) => drop(master.request(id(1), Stop).unwrap()),
+            (true, StopKind::Off) => drop(master.request(id(1), Shutdown).unwrap()),
+        }
+        obeyed(&mut master, 1..150);
+        master.lift_stop_of(id(1));
+        master.handle_pushed_out(&in_mailbox);
+        obeyed(&mut master, 150..160).0.len()
+    };
+    for by_request in [false, true] {
+        assert_eq!(goes(true, StopKind::Hold, by_request), 0);
+        assert_eq!(goes(false, StopKind::Off, by_request), 0);
+        assert_eq!(goes(true, StopKind::Off, by_request), 1);
+        assert_eq!(goes(false, StopKind::Hold, by_request), 1);
+    }
+}
+
+#[test]
+fn a_motor_that_was_stopped_before_gets_what_ends_the_motion_of_all_though_another_is_stopped_since()
+ {
+    for is_handed_back in [true, false] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop(id(1), StopKind::Hold).unwrap();
+        assert!(obeyed(&mut master, 0..5).1);
+        master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+        if is_handed_back {
+            let in_mailbox = sent(&mut master, ms(5))[0];
+            master.stop(id(2), StopKind::Hold).unwrap();
+            master.handle_pushed_out(&in_mailbox);
+        } else {
+            master.stop(id(2), StopKind::Hold).unwrap();
+        }
+        let (packets, _) = obeyed(&mut master, 5..20);
+        let off = Packet { channel: Channel::Command(id(1).into()), data: Shutdown.encode() };
+        assert!(packets.contains(&off), "{packets:?}");
+        assert!(!packets.contains(&packet_to_all(Shutdown.encode())), "{packets:?}");
+    }
+}
+
+#[test]
+fn a_request_to_hold_is_answered_only_when_no_shutdown_of_all_can_switch_the_motor_off_any_more() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(0));
+    let held = master.request(id(1), Stop).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), None, "its load may fall yet");
+    let told = (2..150).find_map(|at| {
+        let is_sent = !sent(&mut master, ms(at)).is_empty();
+        let event = reply(&mut master, 1, Stop.encode(), ms(at + 1)).filter(|_| is_sent)?;
+        held.outcome(&event)
+    });
+    assert!(matches!(told, Some(Ok(_))), "{told:?}");
 }
