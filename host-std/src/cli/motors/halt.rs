@@ -42,14 +42,14 @@ fn halt(arguments: &Motors, kind: StopKind) -> Outcome<(Session, MotorSet)> {
             session.stop(kind, motor.into())?;
             motor.into()
         }
-        (Target::All, StopKind::Hold) => broadcast(&mut session, kind, Stop)?,
-        (Target::All, StopKind::Off) => broadcast(&mut session, kind, Shutdown)?,
+        (Target::All, StopKind::Hold) => stop_every_id(&mut session, kind, Stop)?,
+        (Target::All, StopKind::Off) => stop_every_id(&mut session, kind, Shutdown)?,
     };
     Ok((session, motors))
 }
 
 /// Sends the command of this stop to every id, first once to each and then again to those that were silent.
-fn broadcast<C: Command + Copy>(
+fn stop_every_id<C: Command + Copy>(
     session: &mut Session,
     kind: StopKind,
     command: C,
@@ -147,7 +147,7 @@ mod tests {
     #[test]
     fn on_a_line_all_hear_the_stop_before_anybody_is_waited_for() {
         let (mut session, log) = on_a_line(false);
-        assert_eq!(broadcast(&mut session, StopKind::Hold, Stop).unwrap().len(), 3);
+        assert_eq!(stop_every_id(&mut session, StopKind::Hold, Stop).unwrap().len(), 3);
         let first = log.take().into_iter().find_map(|record| match record.event {
             Event::Carried { frame, .. } => Some(frame),
             _ => None,
@@ -160,7 +160,7 @@ mod tests {
         // The motors have power, and hear nothing of this.
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         fleet.drives.iter().for_each(|drive| fleet.world.cut(drive.station()));
-        let outcome = broadcast(&mut Session::on(&fleet), StopKind::Hold, Stop);
+        let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Hold, Stop);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(told.contains("cut its power"), "{told}");
     }
@@ -170,7 +170,7 @@ mod tests {
         let motor = MotorId::MIN;
         let fleet = Fleet::new(2).all_with_id(motor).on_rs485(115_200).unwrap();
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
-        let stopped = broadcast(&mut session, StopKind::Hold, Stop).map(|_| ());
+        let stopped = stop_every_id(&mut session, StopKind::Hold, Stop).map(|_| ());
         let found = session.meant(Target::All).map(|_| ());
         for told in [stopped, found] {
             let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
@@ -186,8 +186,8 @@ mod tests {
     #[test]
     fn an_echo_that_nobody_told_of_is_no_confirmation_of_a_motor_that_is_not_there() {
         let (mut session, _) = on_a_line(true);
-        assert_eq!(broadcast(&mut session, StopKind::Hold, Stop).unwrap().len(), 3);
+        assert_eq!(stop_every_id(&mut session, StopKind::Hold, Stop).unwrap().len(), 3);
         let (mut session, _) = on_a_line(true);
-        assert_eq!(broadcast(&mut session, StopKind::Off, Shutdown).unwrap().len(), 3);
+        assert_eq!(stop_every_id(&mut session, StopKind::Off, Shutdown).unwrap().len(), 3);
     }
 }
