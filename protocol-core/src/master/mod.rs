@@ -278,7 +278,9 @@ impl<const N: usize> Master<N> {
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
         if kind.ends_motion() {
             self.broadcast.cancel_what_moves();
-            self.overtakes_broadcast(motor, kind);
+            if let Some(by) = StopKind::by(kind) {
+                self.overtakes_broadcast(motor, by);
+            }
         }
         self.last_ticket = number;
         Ok(TicketId { motor, number })

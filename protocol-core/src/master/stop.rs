@@ -30,6 +30,15 @@ impl StopKind {
             Self::Off => (Kind::Known(Opcode::Shutdown), Shutdown.encode()),
         }
     }
+
+    /// How this command stops a motor, if it does.
+    pub(super) fn by(command: Kind) -> Option<Self> {
+        match command.opcode()? {
+            Opcode::Stop => Some(Self::Hold),
+            Opcode::Shutdown => Some(Self::Off),
+            _ => None,
+        }
+    }
 }
 
 /// How long a stop's confirmation is waited for at the most before the stop is sent once more; and how long a
@@ -110,10 +119,10 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off.insert(motor);
         }
-        let (command, data) = kind.command();
-        self.overtakes_broadcast(motor, command);
+        self.overtakes_broadcast(motor, kind);
         self.offer = None;
         self.due = self.now;
+        let (command, data) = kind.command();
         let stop = self.stop_of(command, data);
         let now = self.now;
         let is_new = self.change_at(place, |motor, config| {
@@ -127,12 +136,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// A motor is told by itself to end its motion: what was put before for all is not to undo that.
-    pub(super) fn overtakes_broadcast(&mut self, motor: MotorId, by: Kind) {
-        let by = match by.opcode() {
-            Some(Opcode::Stop) => StopKind::Hold,
-            Some(Opcode::Shutdown) => StopKind::Off,
-            _ => return,
-        };
+    pub(super) fn overtakes_broadcast(&mut self, motor: MotorId, by: StopKind) {
         self.broadcast.was_overtaken(motor, by);
         if by == StopKind::Hold && !self.config.is_rs485() {
             self.broadcast.may_let_go(motor, self.now);
