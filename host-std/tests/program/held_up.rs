@@ -109,7 +109,7 @@ fn a_slow_reader_gets_the_result_all_the_same() {
 fn signals_stop_the_motor_first_although_nobody_reads() {
     let simulation = Simulation::start(1, &["--only", "slcan"]);
     let bus = simulation.bus("slcan");
-    for kind in [Signal::TERM, Signal::QUIT, Signal::TSTP, Signal::HUP] {
+    for kind in [Signal::TERM, Signal::QUIT, Signal::TSTP, Signal::TTOU, Signal::HUP] {
         let (out, err) = (full_pipe(), full_pipe());
         let mut process = speed(bus, "60").stdout(out.1).stderr(err.1).spawn().unwrap();
         sleep(Duration::from_millis(500));

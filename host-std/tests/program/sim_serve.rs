@@ -182,6 +182,17 @@ fn where_nobody_has_the_adapters_rate_the_search_goes_on() {
 }
 
 #[test]
+fn a_line_is_searched_at_all_its_rates() {
+    let arguments = ["--only", "rs485", "--count", "1", "--rs485-rate", "2500000"];
+    let simulation = Simulation::start(1, &arguments);
+    let nobody =
+        ["115200", "500000", "1000000", "1500000"].map(|it| format!("{it} bit/s: no motor"));
+    let found = scan_at_all_rates(simulation.bus("rs485"));
+    assert_eq!(found[..4], nobody);
+    assert_eq!(found[4..], ["2500000 bit/s: 1 motor", "motor 1:"]);
+}
+
+#[test]
 fn a_stop_does_not_say_that_a_motor_holds_whose_output_is_cut() {
     let simulation =
         Simulation::start(1, &["--only", "slcan", "--count", "2", "--fault", "stall@2"]);
