@@ -319,12 +319,17 @@ impl<const N: usize> Master<N> {
         self.at(self.places.taken).any(|(_, motor)| motor.has_restarted)
     }
 
-    /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may
-    /// still answer it late.
-    pub(super) fn age_broadcast(&mut self, now: Instant) {
+    /// What would move a motor that has restarted does not go by itself.
+    pub(super) fn cancel_move_after_restart(&mut self) {
         if self.broadcast.waits_to_move() && self.has_any_restarted() {
             self.broadcast.cancel();
         }
+    }
+
+    /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may
+    /// still answer it late.
+    pub(super) fn age_broadcast(&mut self, now: Instant) {
+        self.cancel_move_after_restart();
         if self.broadcast.late_until <= now {
             self.broadcast.is_over_for_good();
         }

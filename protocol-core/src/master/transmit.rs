@@ -107,6 +107,7 @@ impl<const N: usize> Master<N> {
                 if self.broadcast.was_pushed_out(packet) {
                     self.end_motion_of_all();
                 }
+                self.cancel_move_after_restart();
             }
             Channel::Reply(_) | Channel::MotionReply(_) => {}
         }
