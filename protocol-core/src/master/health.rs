@@ -29,9 +29,12 @@ pub struct Health {
     pub last_seen: Option<Instant>,
     /// Time from a command's sending to its reply, averaged over some eight replies.
     pub round_trip: Duration,
-    /// Replies that came in time.
+    /// Replies that came in time. What a controller hands back afterwards had none: it is taken off where a late
+    /// reply may have been taken for its own.
     pub answered: u32,
-    /// Commands without a reply in time, each attempt counted.
+    /// Commands without a reply in time, each attempt counted. What a controller hands back afterwards is taken off.
+    /// One frame is like another: where several attempts were sent and a stop went over them, or was answered for an
+    /// earlier one, this may be off by as many as were handed back.
     pub lost: u16,
     /// Replies that nothing waited for.
     pub stray: u16,

@@ -348,11 +348,11 @@ impl Motor {
 
     /// The request has no answer. Of a stop nobody has a ticket.
     pub(super) fn request_has_failed(&mut self, why: Failure, config: &Config, now: Instant) {
-        if self.request.under_way().is_some_and(Asked::is_stop) {
+        let is_stop = self.request.under_way().is_some_and(Asked::is_stop);
+        self.finish_request(Request::Failed(why), config, now);
+        if is_stop {
             self.news.insert(News::UNCONFIRMED);
-            self.finish_request(Request::None, config, now);
-        } else {
-            self.finish_request(Request::Failed(why), config, now);
+            self.request = Request::None;
         }
     }
 

@@ -44,3 +44,20 @@ fn a_move_of_all_that_is_handed_back_after_a_restart_was_told_does_not_go_by_its
         );
     }
 }
+
+#[test]
+fn a_stop_that_is_handed_back_after_it_has_failed_was_not_lost_rather_than_not_answered() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    let mut in_mailbox = None;
+    for attempt in 0..15 {
+        in_mailbox = sent(&mut master, ms(2 + 21 * attempt)).pop();
+    }
+    assert_eq!(events(&mut master, ms(317)), [Event::StopUnconfirmed { motor: id(1) }]);
+    let counted = |master: &Master<2>| (master.health(id(1)).answered, master.health(id(1)).lost);
+    assert_eq!(counted(&master), (1, 15));
+    master.handle_pushed_out(&in_mailbox.unwrap());
+    assert_eq!(counted(&master), (1, 14));
+}
