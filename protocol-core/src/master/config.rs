@@ -58,7 +58,8 @@ pub struct Config {
     /// some 0.8 ms. This keeps a doubled frame apart from the answer to the next request of its kind. With a
     /// clock of steps longer than this it must be 0: an answer within the step of its command is in time.
     pub shortest_response: Duration,
-    /// How long a reply takes at the most when it need not wait for the bus, adapters included.
+    /// How long a reply takes at the most when it need not wait for the bus, adapters included: no longer than
+    /// `reply_timeout`, which counts where that is shorter.
     ///
     /// On a full CAN bus replies of high ids lose every arbitration. So no motor gets its next command
     /// while another's older one may still be waiting to be answered: until this time is over and the

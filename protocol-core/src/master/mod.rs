@@ -173,6 +173,8 @@ impl<const N: usize> Master<N> {
     pub fn new(mut config: Config) -> Self {
         const { Self::CAPACITY };
         let round_trips = RoundTrips::new(&mut config);
+        // Nobody waits for what counts as lost.
+        config.longest_response = config.longest_response.min(config.reply_timeout);
         Self {
             motors: [Motor::default(); N],
             places: Places::new(),

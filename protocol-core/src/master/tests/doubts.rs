@@ -61,3 +61,16 @@ fn a_stop_that_is_handed_back_after_it_has_failed_was_not_lost_rather_than_not_a
     master.handle_pushed_out(&in_mailbox.unwrap());
     assert_eq!(counted(&master), (1, 14));
 }
+
+#[test]
+fn feedback_counts_as_lost_when_its_time_is_up_also_where_that_is_shorter_than_the_longest_response()
+ {
+    let mut config = Config { reply_timeout: Duration::from_micros(1_200), ..Config::CAN };
+    config.late_window = Duration::from_millis(3);
+    let mut master = Master::<2>::new(config);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    let at = master.poll_at().unwrap();
+    assert_eq!(at, Instant::from_micros(1_200));
+    assert_eq!(events(&mut master, at), [Event::SetPointUnanswered { motor: id(1) }]);
+}
