@@ -1,12 +1,11 @@
 //! A command to all motors, and who has answered it.
 
-use crate::command::{Reset, Shutdown};
 use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
-use crate::master::schedule::Earliest;
 use crate::master::{Config, Event, Master, MotorSet, StopKind};
+use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
@@ -26,51 +25,50 @@ enum State {
     Dropped,
 }
 
-/// When one was put that ends motion, and the motors that were stopped since, to be held or to be off: it is not to
-/// undo that, however late a controller hands it back.
-#[derive(Clone, Copy, Debug)]
-struct End {
-    put: Instant,
-    held: MotorSet,
-    off: MotorSet,
+/// Whether what was sent may still reach a drive, and be answered.
+#[derive(Clone, Copy, Debug, Default)]
+enum OnItsWay {
+    /// It has, or never will.
+    #[default]
+    No,
+    /// The bus is whole: not after this.
+    Until(Instant),
+    /// Not after this on a whole bus. But nothing was heard since, apart from what was on its way to us: the bus may
+    /// be cut, and this in a mailbox for as long as that lasts.
+    WhileCut(Instant),
 }
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Broadcast {
+    state: State,
     kind: Option<Kind>,
     data: Data,
-    expected: MotorSet,
-    answered: MotorSet,
+    /// Who is expected to answer it and has not.
+    silent: MotorSet,
+    /// The motors that were stopped since one was put that ends motion, to be held and to be off: it is not to undo
+    /// that, however late a controller hands it back.
+    held: MotorSet,
+    off: MotorSet,
+    /// The last one that was sent: when, its command byte, and who may still answer it, expected or not.
     sent: Instant,
-    deadline: Instant,
-    state: State,
-    /// The last one that was sent may still be answered by those who are not in `heard`.
-    may_be_late: bool,
-    /// Its command byte, and who has answered it, expected or not.
     sent_byte: u8,
-    heard: MotorSet,
-    end_of_motion: Option<End>,
-    /// The last one that was sent may move whoever is not in `heard`, or switch off who is to be held, and one
-    /// before it these.
-    moves: bool,
-    moved_before: MotorSet,
-    /// Nothing was heard on the bus since, but what was on its way: it may be cut, and what moves in a mailbox, for
-    /// as long as that lasts.
-    is_unheard: bool,
-    /// Until when it may be late or move, or restart a motor.
-    late_until: Instant,
+    may_answer: MotorSet,
+    /// What was sent may still reach these: move them, or let go whom it switches off or restarts, so that loads fall.
+    moves: MotorSet,
+    lets_go: MotorSet,
+    /// Something that was sent before the last one may still reach these.
+    before: MotorSet,
+    on_its_way: OnItsWay,
 }
 
 impl Broadcast {
-    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, now: Instant) {
+    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet) {
         if kind.ends_motion() {
-            let (held, off) = (MotorSet::EMPTY, MotorSet::EMPTY);
-            self.end_of_motion = Some(End { put: now, held, off });
+            (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
         }
         self.kind = Some(kind);
         self.data = data;
-        self.expected = expected;
-        self.answered = MotorSet::EMPTY;
+        self.silent = expected;
         self.state = State::Waiting;
     }
 
@@ -113,27 +111,17 @@ impl Broadcast {
 
     /// A motor is stopped by itself.
     pub(super) fn was_overtaken(&mut self, motor: MotorId, by: StopKind) {
-        let Some(End { held, off, .. }) = &mut self.end_of_motion else { return };
-        held.remove(motor);
-        off.remove(motor);
+        self.held.remove(motor);
+        self.off.remove(motor);
         match by {
-            StopKind::Hold => held.insert(motor),
-            StopKind::Off => off.insert(motor),
+            StopKind::Hold => self.held.insert(motor),
+            StopKind::Off => self.off.insert(motor),
         }
     }
 
     /// The motors that were stopped since all were told last to end their motion: to be held, and to be off.
     pub(super) fn stopped_since(&self) -> (MotorSet, MotorSet) {
-        self.end_of_motion.map_or_else(Default::default, |end| (end.held, end.off))
-    }
-
-    /// This motor is to be held. A controller that keeps no order sends what switches all off behind that.
-    pub(super) fn may_let_go(&mut self, motor: MotorId, now: Instant) {
-        let [off, reset] = [Shutdown.encode()[0], Reset.encode()[0]];
-        let is_reset_late = self.sent_byte == reset && self.late_until > now;
-        if !self.moves && (is_reset_late || self.may_be_mistaken(off, motor.into())) {
-            (self.moves, self.is_unheard) = (true, true);
-        }
+        (self.held, self.off)
     }
 
     pub(super) fn packet(&self) -> Option<Packet> {
@@ -152,85 +140,93 @@ impl Broadcast {
     }
 
     pub(super) fn was_sent(&mut self, now: Instant, config: &Config) {
-        let has_reply = self.kind.is_some_and(Kind::has_reply);
-        let awaits_reply = has_reply && !self.expected.is_empty();
+        let Some(kind) = self.kind else { return };
+        let all_if = |is_so: bool| if is_so { MotorSet::ALL } else { MotorSet::EMPTY };
+        let awaits_reply = kind.has_reply() && !self.silent.is_empty();
         self.state = match self.state {
             State::Again => State::None,
             _ if awaits_reply => State::InFlight,
             _ => State::Sent,
         };
-        self.sent = now;
-        self.deadline = now + config.reply_timeout;
-        self.may_be_late = has_reply;
-        self.sent_byte = self.data[0];
-        if self.moves {
-            // Who answers one of the two may be moved by the other yet.
-            self.moved_before = MotorSet::ALL.without(self.heard.without(self.moved_before));
+        (self.sent, self.sent_byte) = (now, self.data[0]);
+        self.may_answer = all_if(kind.has_reply());
+        // Who answers one of the two may be reached by the other yet.
+        self.before = self.moves.with(self.lets_go);
+        if kind.may_move() {
+            self.moves = MotorSet::ALL;
         }
-        self.heard = MotorSet::EMPTY;
-        self.moves = self.kind.is_some_and(Kind::may_move);
-        self.is_unheard = self.may_move_any() && !config.is_rs485();
-        self.late_until = self.late_until.max(self.deadline + config.late_window);
+        // A line keeps the order, so that what is to hold comes behind this.
+        if matches!(kind.opcode(), Some(Opcode::Shutdown | Opcode::Reset)) && !config.is_rs485() {
+            self.lets_go = MotorSet::ALL;
+        }
+        let until = self.late_until().max(Some(now + config.reply_timeout + config.late_window));
+        let may_be_cut = !config.is_rs485() && !self.moves.with(self.lets_go).is_empty();
+        let on_its_way = if may_be_cut { OnItsWay::WhileCut } else { OnItsWay::Until };
+        self.on_its_way = until.map_or(OnItsWay::No, on_its_way);
     }
 
-    /// What was sent last is answered no more, and what moves has reached the drives or never will.
-    fn is_over_for_good(&mut self) {
-        self.may_be_late = false;
-        if !self.is_unheard {
-            (self.moves, self.moved_before) = (false, MotorSet::EMPTY);
+    /// Takes note of the time. Something was last heard at `heard_at`: what was on its way to us before the bus was
+    /// cut is heard within the usual time-out.
+    fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
+        match self.on_its_way {
+            OnItsWay::WhileCut(until) if heard_at + config.late_window >= until => {
+                self.bus_is_alive(heard_at, config);
+            }
+            _ => {}
         }
-    }
-
-    /// Something was heard. What was on its way before the bus was cut is heard within the usual time-out.
-    pub(super) fn was_something_heard(&mut self, now: Instant, late_window: Duration) {
-        if self.is_unheard && self.deadline <= now {
-            self.bus_is_alive(now, late_window);
+        match self.on_its_way {
+            OnItsWay::WhileCut(until) if until <= now => self.may_answer = MotorSet::EMPTY,
+            OnItsWay::Until(until) if until <= now => {
+                (self.on_its_way, self.may_answer) = (OnItsWay::No, MotorSet::EMPTY);
+                (self.moves, self.lets_go) = (MotorSet::EMPTY, MotorSet::EMPTY);
+            }
+            _ => {}
         }
     }
 
     /// The bus is whole: what lay in a mailbox all the time comes now.
-    pub(super) fn bus_is_alive(&mut self, now: Instant, late_window: Duration) {
-        if core::mem::take(&mut self.is_unheard) {
-            self.extend(now + late_window);
+    pub(super) fn bus_is_alive(&mut self, now: Instant, config: &Config) {
+        if let OnItsWay::WhileCut(until) = self.on_its_way {
+            self.on_its_way = OnItsWay::Until(until.max(now + config.late_window));
         }
-    }
-
-    /// Whether the answer of one of `motors` to the last broadcast may still come, expected or not,
-    /// and could be mistaken for the answer to a command with this byte.
-    pub(super) fn may_be_mistaken(&self, byte: u8, motors: MotorSet) -> bool {
-        self.may_be_late && self.sent_byte == byte && !motors.without(self.heard).is_empty()
-    }
-
-    /// Whether what was sent may still reach this motor and move it, for a time that is known: on a bus that may be
-    /// cut only an answer tells when that ends.
-    pub(super) fn may_move_for_a_while(&self, motor: MotorId) -> bool {
-        !self.is_unheard && self.may_move(motor)
-    }
-
-    /// Whether what was sent may still reach this motor and move it.
-    pub(super) fn may_move(&self, motor: MotorId) -> bool {
-        self.moves && !self.heard.contains(motor) || self.moved_before.contains(motor)
-    }
-
-    fn may_move_any(&self) -> bool {
-        self.moves || !self.moved_before.is_empty()
-    }
-
-    /// When all were told last to end their motion.
-    pub(super) fn ended_motion(&self) -> Option<Instant> {
-        self.end_of_motion.map(|end| end.put)
     }
 
     /// The bus carries nothing: late answers come later, and so does what was sent.
     pub(super) fn extend(&mut self, until: Instant) {
-        self.late_until = self.late_until.max(until);
+        if let OnItsWay::Until(at) | OnItsWay::WhileCut(at) = &mut self.on_its_way {
+            *at = until.max(*at);
+        }
+    }
+
+    /// Whether the answer of this motor to the last broadcast may still come, expected or not, and could be mistaken
+    /// for the answer to a command with this byte.
+    pub(super) fn may_be_mistaken(&self, byte: u8, motor: MotorId) -> bool {
+        self.may_answer.contains(motor) && self.sent_byte == byte
+    }
+
+    /// Whether what was sent may still reach this motor and undo what ends its motion: move it, or let go whom it is
+    /// to hold.
+    pub(super) fn may_undo(&self, end: Kind, motor: MotorId) -> bool {
+        let is_to_hold = end == Kind::Known(Opcode::Stop);
+        self.moves.contains(motor) || is_to_hold && self.lets_go.contains(motor)
+    }
+
+    /// The same, for a time that is known: on a bus that may be cut only an answer tells when that ends.
+    pub(super) fn may_undo_for_a_while(&self, end: Kind, motor: MotorId) -> bool {
+        matches!(self.on_its_way, OnItsWay::Until(_)) && self.may_undo(end, motor)
     }
 
     /// Whether this broadcast may go, as far as the one before it is concerned: nobody among the
     /// `known` motors and the expected ones can still answer that.
     pub(super) fn may_go(&self, known: MotorSet) -> bool {
-        let late = |motors: MotorSet| !motors.without(self.heard).is_empty();
-        !self.may_be_late || !(late(known) || late(self.expected))
+        let awaited = known.with(self.silent);
+        awaited.without(self.may_answer) == awaited
+    }
+
+    /// The last one that was sent has reached these, or never will.
+    fn last_reaches_no_more(&mut self, motors: MotorSet) {
+        let reached = motors.without(self.before);
+        (self.moves, self.lets_go) = (self.moves.without(reached), self.lets_go.without(reached));
     }
 
     /// Whether this reply of `motor` answers the broadcast; each motor that is expected to does so
@@ -247,26 +243,25 @@ impl Broadcast {
         if self.is_in_flight() && now - self.sent < shortest {
             return false;
         }
-        if self.may_be_late && data[0] == self.sent_byte {
-            self.heard.insert(motor);
+        if self.may_be_mistaken(data[0], motor) {
+            self.may_answer.remove(motor);
+            self.last_reaches_no_more(motor.into());
         }
         let answers = self.is_in_flight()
-            && self.expected.contains(motor)
-            && self.kind.is_some_and(|kind| kind.answers(&self.data, data))
-            && !self.answered.contains(motor);
+            && self.silent.contains(motor)
+            && self.kind.is_some_and(|kind| kind.answers(&self.data, data));
         if answers {
-            self.answered.insert(motor);
-            if self.expected.without(self.answered).is_empty() {
+            self.silent.remove(motor);
+            if self.silent.is_empty() {
                 self.state = State::Done;
             }
         }
         answers
     }
 
-    pub(super) fn poll_at(&self, earliest: &mut Earliest) {
-        if self.is_in_flight() {
-            earliest.take(self.deadline);
-        }
+    /// When it is over though not all have answered.
+    pub(super) fn deadline(&self, config: &Config) -> Option<Instant> {
+        self.is_in_flight().then(|| self.sent + config.reply_timeout)
     }
 
     /// A controller has handed it back: it was never on the bus, and moves nobody. Gives whether it ends motion, so
@@ -276,7 +271,8 @@ impl Broadcast {
             return false;
         }
         // Nobody has heard it, so that it need not wait for answers to itself.
-        (self.moves, self.may_be_late, self.sent_byte) = (false, false, 0);
+        self.may_answer = MotorSet::EMPTY;
+        self.last_reaches_no_more(MotorSet::ALL);
         if matches!(self.state, State::InFlight | State::Sent) {
             self.state = State::Waiting;
         }
@@ -292,10 +288,12 @@ impl Broadcast {
         };
     }
 
-    /// Until when something may have to wait for late answers.
+    /// Until when something may have to wait for late answers, or for what may still reach a drive on a whole bus.
     pub(super) fn late_until(&self) -> Option<Instant> {
-        let is_over = !self.may_be_late && (self.is_unheard || !self.may_move_any());
-        (!is_over).then_some(self.late_until)
+        match self.on_its_way {
+            OnItsWay::No => None,
+            OnItsWay::Until(until) | OnItsWay::WhileCut(until) => Some(until),
+        }
     }
 
     /// That it is over, once.
@@ -306,11 +304,7 @@ impl Broadcast {
             State::None | State::Waiting | State::Again | State::InFlight => return None,
         };
         self.state = State::None;
-        Some(Event::BroadcastDone { silent: self.silent(), was_sent })
-    }
-
-    fn silent(&self) -> MotorSet {
-        self.expected.without(self.answered)
+        Some(Event::BroadcastDone { silent: self.silent, was_sent })
     }
 }
 
@@ -330,15 +324,13 @@ impl<const N: usize> Master<N> {
     /// still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         self.cancel_move_after_restart();
-        if self.broadcast.late_until <= now {
-            self.broadcast.is_over_for_good();
-        }
-        if !self.broadcast.is_in_flight() || self.broadcast.deadline > now {
+        self.broadcast.age(now, self.heard_at, &self.config);
+        if self.broadcast.deadline(&self.config).is_none_or(|deadline| deadline > now) {
             return;
         }
         self.broadcast.state = State::Done;
         self.due = now;
-        for motor in self.broadcast.silent().iter() {
+        for motor in self.broadcast.silent.iter() {
             self.change(motor, |motor, config| motor.has_missed(config, now));
         }
     }

@@ -33,8 +33,8 @@
 //! without being asked anything meanwhile is not noticed, nor is one whose run time nobody reads. An echo on
 //! RS485 that nobody told of confirms a stop if noise has taken all echoes that would have shown it. A frame
 //! from before a cut that an adapter holds back for longer than the reply time-out says that the bus is whole,
-//! so that a stop may be confirmed before a move that lies in a mailbox. A Shutdown that lies in one and has been
-//! given up when a motor is told to hold may come after that is confirmed. And a stop cannot be
+//! so that a stop may be confirmed before a move that lies in a mailbox. A Shutdown of one motor that lies in one and
+//! has been given up when the motor is told to hold may come after that is confirmed. And a stop cannot be
 //! confirmed by a motor whose replies do not come through: then cut its power. Nothing here can tell more.
 //!
 //! # How the bus is shared
@@ -362,7 +362,7 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_active() {
             return Err(RequestError::Busy);
         }
-        self.broadcast.put(kind, data, expected, now);
+        self.broadcast.put(kind, data, expected);
         if kind.ends_motion() {
             // What was offered may be a set-point that this ends.
             self.offer = None;
@@ -371,6 +371,7 @@ impl<const N: usize> Master<N> {
                 self.change_at(place, |motor, config| {
                     // Nothing older of this motor's follows that.
                     motor.drop_what_moves(Failure::Stopped, config, now);
+                    motor.ends_with_all = true;
                 });
             }
         }

@@ -84,7 +84,6 @@ impl<const N: usize> Master<N> {
     /// A frame on its way to us held up those that are queued.
     fn frame_has_come(&mut self, now: Instant) {
         self.heard_at = now;
-        self.broadcast.was_something_heard(now, self.config.late_window);
         if self.busy_until > now {
             // What is queued is not answered. Without that bound a bus that is always full would seem busy
             // for ever longer, since frames are shorter than they may be.
@@ -145,7 +144,7 @@ impl<const N: usize> Master<N> {
             Meaning::Nothing => None,
             Meaning::OnceMore => {
                 // No move to all goes between the attempts of that, either.
-                self.broadcast.bus_is_alive(now, self.config.late_window);
+                self.broadcast.bus_is_alive(now, &self.config);
                 None
             }
             Meaning::OfBroadcast => {
@@ -200,7 +199,7 @@ impl<const N: usize> Master<N> {
         let is_report = match (self.motor(id), &reply) {
             // Errors are reported without having been asked for, too (function 3).
             (Some(_), AnyReply::ReadStatus1(_)) => {
-                !self.broadcast.may_be_mistaken(packet.data[0], id.into())
+                !self.broadcast.may_be_mistaken(packet.data[0], id)
             }
             (Some(motor), _) => motor.reports(bit, now),
             (None, _) => bit != 0,
@@ -244,7 +243,7 @@ impl Motor {
         if let Some(&asked) = self.request.in_flight().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
-            if asked.is_stop() && heard.to_all.may_be_mistaken(data[0], heard.from.into()) {
+            if asked.is_stop() && heard.to_all.may_be_mistaken(data[0], heard.from) {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
@@ -312,7 +311,7 @@ impl Motor {
         let round_trip = (asked.unanswered == 0).then_some(now - self.sent);
         self.answered(round_trip);
         let kind = asked.kind();
-        if kind.ends_motion() && (heard.to_all.may_move(motor) || self.may_yet_move()) {
+        if kind.ends_motion() && (heard.to_all.may_undo(kind, motor) || self.may_yet_move()) {
             // Nothing that moves it goes between the attempts of what ends its motion.
             self.bus_is_alive(now, config);
             self.send_again(asked, true);

@@ -44,7 +44,7 @@ impl<const N: usize> Master<N> {
         }
         let stops = self.at(self.places.stops).filter_map(|(place, motor)| {
             let stop = motor.request.waiting()?;
-            let waits = motor.waits_for_motion(stop, self.is_moved_with_all(motor));
+            let waits = motor.waits_for_motion(stop, self.is_undone_with_all(motor));
             (!waits).then_some((place, motor, stop))
         });
         let urgency = |(_, motor, stop): &(_, &Motor, &Asked)| {
@@ -101,20 +101,23 @@ impl<const N: usize> Master<N> {
         // A broadcast that waits lets attempts of what has begun go on, and what ends motion: it waits for their end.
         let has_begun = asked.unanswered > 0 || asked.kind().ends_motion();
         !asked.is_stop()
-            && motor.may_send_request(asked, self.is_moved_with_all(motor))
+            && motor.may_send_request(asked, self.is_undone_with_all(motor))
             && (has_begun && self.broadcast.is_waiting() || !self.broadcast.keeps_requests_back())
             && !self.is_confusable(motor)
     }
 
-    /// Whether a command to all may still reach a motor and move it, for a time that is known.
-    fn is_moved_with_all(&self, motor: &Motor) -> bool {
-        motor.id.is_some_and(|id| self.broadcast.may_move_for_a_while(id))
+    /// Whether a command to all may still reach a motor and undo its request, for a time that is known.
+    fn is_undone_with_all(&self, motor: &Motor) -> bool {
+        match (motor.id, motor.request.waiting()) {
+            (Some(id), Some(asked)) => self.broadcast.may_undo_for_a_while(asked.kind(), id),
+            _ => false,
+        }
     }
 
     /// Whether a motor's answer to the last broadcast could be taken for that to its request.
     fn is_confusable(&self, motor: &Motor) -> bool {
         match (motor.id, motor.request.waiting()) {
-            (Some(id), Some(asked)) => self.broadcast.may_be_mistaken(asked.data[0], id.into()),
+            (Some(id), Some(asked)) => self.broadcast.may_be_mistaken(asked.data[0], id),
             _ => false,
         }
     }
@@ -140,7 +143,7 @@ impl<const N: usize> Master<N> {
             let ends = self.at(self.places.taken).filter_map(|(_, m)| m.late.end_of(question));
             ends.for_each(|end| earliest.take(end));
         }
-        let waits = |motor: &Motor| self.is_moved_with_all(motor) || self.is_confusable(motor);
+        let waits = |motor: &Motor| self.is_undone_with_all(motor) || self.is_confusable(motor);
         let is_late_awaited = question.is_some() && !self.broadcast.may_go(self.motors());
         if is_late_awaited || self.at(self.places.waiting).any(|(_, motor)| waits(motor)) {
             earliest.take(self.broadcast.late_until());
@@ -201,7 +204,7 @@ impl<const N: usize> Master<N> {
             };
             earliest.take(offered_at);
         }
-        self.broadcast.poll_at(&mut earliest);
+        earliest.take(self.broadcast.deadline(&self.config));
         self.broadcast_wait(&mut earliest);
         earliest.0
     }

@@ -138,9 +138,6 @@ impl<const N: usize> Master<N> {
     /// A motor is told by itself to end its motion: what was put before for all is not to undo that.
     pub(super) fn overtakes_broadcast(&mut self, motor: MotorId, by: StopKind) {
         self.broadcast.was_overtaken(motor, by);
-        if by == StopKind::Hold && !self.config.is_rs485() {
-            self.broadcast.may_let_go(motor, self.now);
-        }
         if self.broadcast.is_waiting() {
             self.end_motion_of_all();
         }

@@ -96,9 +96,9 @@ impl<const N: usize> Master<N> {
         self.due = self.now;
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
-                let (now, ended) = (self.now, self.broadcast.ended_motion());
+                let now = self.now;
                 self.change(motor, |motor, _| {
-                    motor.was_pushed_out(packet, ended);
+                    motor.was_pushed_out(packet);
                     // It is offered again before anybody looks at the time.
                     motor.drop_what_is_too_old(now);
                 });

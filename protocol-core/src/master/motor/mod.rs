@@ -59,6 +59,8 @@ pub(super) struct Motor {
     pub(super) had_its_chance: bool,
     /// A set-point was sent last, so that it is a waiting request's turn.
     pub(super) was_set_point: bool,
+    /// All were told to end their motion, and nothing was sent to it since.
+    pub(super) ends_with_all: bool,
     /// It has restarted: no set-points until the caller knows.
     pub(super) has_restarted: bool,
     /// Commands in a row that were not answered in time.
@@ -230,7 +232,7 @@ impl Motor {
 
     fn was_sent(&mut self, now: Instant) {
         self.sent = now;
-        self.had_its_chance = false;
+        (self.had_its_chance, self.ends_with_all) = (false, false);
         self.round = self.round.wrapping_add(1);
     }
 
@@ -271,8 +273,7 @@ impl Motor {
 
     /// A controller has handed a frame back that it had taken: it was never on the bus. What moves does not
     /// wait again if all were told to end their motion after it.
-    pub(super) fn was_pushed_out(&mut self, packet: &Packet, ended_with_all: Option<Instant>) {
-        let is_ended = ended_with_all.is_some_and(|ended| self.sent <= ended);
+    pub(super) fn was_pushed_out(&mut self, packet: &Packet) {
         // It has had no turn.
         self.round = self.round.wrapping_sub(1);
         let is_motion = matches!(packet.channel, Channel::Motion(_));
@@ -296,7 +297,7 @@ impl Motor {
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
                 self.request = match asked.kind().may_move() {
-                    true if is_ended => Request::Failed(Failure::Stopped),
+                    true if self.ends_with_all => Request::Failed(Failure::Stopped),
                     true if self.has_restarted => Request::Failed(Failure::Dropped),
                     _ => Request::Waiting(asked),
                 };
@@ -309,7 +310,7 @@ impl Motor {
             if !self.stream.was_pushed_out() {
                 self.health.superseded = self.health.superseded.saturating_add(1);
             } else if self.has_restarted
-                || is_ended
+                || self.ends_with_all
                 || self.request.under_way().is_some_and(ends_motion)
             {
                 // What waits to end motion was asked for after it, and a restart is news since.

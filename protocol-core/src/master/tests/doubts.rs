@@ -3,6 +3,125 @@
 
 use super::*;
 
+fn confirmed(motor: u8) -> Option<Event> {
+    Some(Event::StopConfirmed { motor: id(motor) })
+}
+
+/// Motor 1 is told to hold when `before` was done: whether its first confirmation counts, and when the next frame is
+/// due otherwise.
+fn held_after(before: impl Fn(&mut Master<2>), at: u64) -> Result<(), Instant> {
+    let mut master = Master::<2>::new(Config::CAN);
+    before(&mut master);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(at))[0].data, Stop.encode());
+    match reply(&mut master, 1, Stop.encode(), ms(at + 1)) {
+        None => Err(master.poll_at().unwrap()),
+        told => {
+            assert_eq!(told, confirmed(1));
+            Ok(())
+        }
+    }
+}
+
+fn to_all<C: Command>(master: &mut Master<2>, command: C, at: u64) -> Packet {
+    master.broadcast(command, MotorSet::EMPTY).unwrap();
+    let in_mailbox = sent(master, ms(at))[0];
+    events(master, ms(at));
+    in_mailbox
+}
+
+#[test]
+fn a_hold_is_in_doubt_while_what_lets_go_of_all_may_come_whatever_was_sent_to_all_since() {
+    // Nobody has a place, so that nothing waits for answers. Each is on its way for 61.2 ms.
+    let reset = |master: &mut Master<2>| _ = to_all(master, Reset, 0);
+    let off = |master: &mut Master<2>| _ = to_all(master, Shutdown, 0);
+    let read = |master: &mut Master<2>| _ = to_all(master, ReadMultiTurnAngle, 1);
+    for lets_go in [&reset as &dyn Fn(&mut Master<2>), &off] {
+        for is_another_sent in [false, true] {
+            let told = held_after(
+                |master| {
+                    lets_go(master);
+                    if is_another_sent {
+                        read(master);
+                    }
+                },
+                2,
+            );
+            assert!(told.is_err_and(|at| at > ms(60) && at < ms(64)), "{told:?}");
+        }
+    }
+    assert_eq!(held_after(read, 2), Ok(()));
+    // A lock lets nobody go, and who has answered the Shutdown is off already.
+    assert_eq!(held_after(|master| _ = to_all(master, LockBrake, 0), 2), Ok(()));
+    let answered = |master: &mut Master<2>| {
+        off(master);
+        reply(master, 1, Shutdown.encode(), ms(1));
+        read(master);
+    };
+    assert_eq!(held_after(answered, 2), Ok(()));
+    // Of two Shutdowns one was answered.
+    let answered_once = |master: &mut Master<2>| {
+        for at in [0, 1] {
+            to_all(master, Shutdown, at);
+        }
+        reply(master, 1, Shutdown.encode(), ms(2));
+    };
+    assert!(held_after(answered_once, 3).is_err());
+    // It was handed back, and goes to the others.
+    let mut master = Master::<2>::new(Config::CAN);
+    let in_mailbox = to_all(&mut master, Shutdown, 0);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    sent(&mut master, ms(1));
+    master.handle_pushed_out(&in_mailbox);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), confirmed(1));
+}
+
+#[test]
+fn what_lets_go_of_all_is_in_nobodys_way_but_of_who_is_to_be_held() {
+    let mut master = Master::<2>::new(Config::CAN);
+    to_all(&mut master, Shutdown, 0);
+    for motor in [1, 2] {
+        let kind = if motor == 1 { StopKind::Hold } else { StopKind::Off };
+        master.stop(id(motor), kind).unwrap();
+    }
+    assert_eq!(sent(&mut master, ms(1)).len(), 2);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), None);
+    // That to all is owed to whom it has reached, and comes first.
+    reply(&mut master, 2, Shutdown.encode(), ms(2));
+    sent(&mut master, ms(2));
+    assert_eq!(reply(&mut master, 2, Shutdown.encode(), ms(3)), confirmed(2));
+    // A lock of its brake is answered at once, too.
+    let mut master = Master::<2>::new(Config::CAN);
+    to_all(&mut master, Shutdown, 0);
+    master.stop(id(2), StopKind::Hold).unwrap();
+    let locked = master.request(id(1), LockBrake).unwrap();
+    sent(&mut master, ms(1));
+    let told = reply(&mut master, 1, LockBrake.encode(), ms(2)).unwrap();
+    assert!(locked.outcome(&told).is_some());
+}
+
+#[test]
+fn a_hold_is_in_doubt_while_a_cut_bus_may_keep_a_shutdown_of_all() {
+    // Nothing was heard since it was sent, and then of another drive.
+    let told = held_after(
+        |master| {
+            to_all(master, Shutdown, 0);
+            events(master, ms(300));
+        },
+        500,
+    );
+    assert!(told.is_err_and(|at| at > ms(540) && at < ms(545)), "{told:?}");
+    let told = held_after(
+        |master| {
+            to_all(master, Shutdown, 0);
+            reply(master, 2, ANGLE_REPLY, ms(100));
+            events(master, ms(150));
+        },
+        500,
+    );
+    assert_eq!(told, Ok(()));
+}
+
 /// A motor that is known, and then silent until a restart of it is told.
 fn restarted(between: impl FnOnce(&mut Master<2>) -> Packet) -> (Master<2>, Packet) {
     let mut master = Master::<2>::new(Config::CAN);

@@ -121,6 +121,8 @@ fn what_ends_the_motion_of_all_and_is_handed_back_is_sent_again_whatever_was_tol
         assert_eq!(sent(&mut master, ms(0)), [in_mailbox], "nobody has heard it");
         assert_eq!(events(&mut master, ms(0)), [], "that was told");
     }
+    // A bus that carries something holds none of these back.
+    reply(&mut master, 2, ANGLE_REPLY, ms(50));
     // A stop that came after it is not to be undone by it: a load that is held would fall.
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     let in_mailbox = sent(&mut master, ms(100))[0];
