@@ -341,7 +341,9 @@ impl<const N: usize> Master<N> {
     /// The next broadcast waits until all motors that have a place have answered this one, or its
     /// answers cannot come any more. One that [ends motion](Kind::ends_motion) drops the set-points and moves that
     /// wait; but an answer to it, other than to a [stop](Self::stop_all), does not say that nothing sent before
-    /// can move the motor any more.
+    /// can move the motor any more. If a motor is [stopped](Self::stop) by itself while it waits, or before a
+    /// controller hands it back, and it would undo that, the others that have a place get it each by itself, as a
+    /// stop, and this one is over: nobody without a place gets it then, and a restart goes to nobody.
     ///
     /// # Errors
     /// [`RequestError`]: the command has no form for all motors or none on this bus, another

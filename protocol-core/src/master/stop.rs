@@ -92,6 +92,10 @@ impl<const N: usize> Master<N> {
     /// Stops one motor, as [`stop_all`](Self::stop_all) stops all. Until [`lift_stop`](Self::lift_stop)
     /// or [`lift_stop_of`](Self::lift_stop_of) the same is refused to it.
     ///
+    /// No [broadcast](Self::broadcast) that was put before undoes it: where one that ends motion would, because it
+    /// switches off who is to be held or on who is to be off, and still waits or is handed back later, the others get
+    /// it each by itself and confirm it as a stop.
+    ///
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for it.
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {

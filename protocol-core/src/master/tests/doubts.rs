@@ -193,3 +193,43 @@ fn feedback_counts_as_lost_when_its_time_is_up_also_where_that_is_shorter_than_t
     assert_eq!(at, Instant::from_micros(1_200));
     assert_eq!(events(&mut master, at), [Event::SetPointUnanswered { motor: id(1) }]);
 }
+
+#[test]
+fn a_shutdown_of_all_that_a_hold_overtakes_while_all_are_stopped_does_not_reach_who_is_held() {
+    let [off, hold] = [Shutdown.encode(), Stop.encode()];
+    let one = |motor, data| Packet { channel: Channel::Command(id(motor).into()), data };
+    for is_confirmed in [true, false] {
+        for is_handed_back in [true, false] {
+            let mut master = Master::<2>::new(Config::CAN);
+            let both = [1, 2].into_iter().map(id).collect();
+            master.stop_all(StopKind::Hold, both).unwrap();
+            assert_eq!(sent(&mut master, ms(0)).len(), 2);
+            if is_confirmed || is_handed_back {
+                for motor in [1, 2] {
+                    assert_eq!(reply(&mut master, motor, hold, ms(1)), confirmed(motor));
+                }
+            }
+            master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+            if is_handed_back {
+                let in_mailbox = sent(&mut master, ms(2))[0];
+                assert_eq!(in_mailbox, packet_to_all(off));
+                master.stop(id(1), StopKind::Hold).unwrap();
+                master.handle_pushed_out(&in_mailbox);
+            } else {
+                master.stop(id(1), StopKind::Hold).unwrap();
+            }
+            let mut packets = Vec::new();
+            for at in 2..100 {
+                for packet in sent(&mut master, ms(at)) {
+                    let Channel::Command(Target::Motor(motor)) = packet.channel else {
+                        panic!("{packet:?}")
+                    };
+                    reply(&mut master, motor.get(), packet.data, ms(at + 1));
+                    packets.push(packet);
+                }
+            }
+            assert!(packets.contains(&one(2, off)), "{packets:?}");
+            assert!(!packets.contains(&one(1, off)), "{packets:?}");
+        }
+    }
+}
