@@ -3,7 +3,7 @@
 use core::fmt;
 use core::marker::PhantomData;
 
-use crate::command::{AnyReply, Command};
+use crate::command::{AnyReply, Command, Feedback};
 use crate::data::Data;
 use crate::error::DecodeError;
 use crate::id::MotorId;
@@ -197,7 +197,8 @@ pub enum Event {
         reply: AnyReply,
     },
     /// A motor has restarted, as far as the protocol shows: it was silent for a second, which is reported when it
-    /// does not answer and once more when it does again, or has run for less long than it said before (0xB1).
+    /// does not answer and once more when it does again, has run for less long than it said before (0xB1), or the
+    /// angle of its stream's feedback is more than half a turn beyond what 10,000 degrees/s could have turned.
     /// Its turns may be lost. Whatever moves it is refused until
     /// [`Master::resume`](crate::master::Master::resume).
     Restarted {
@@ -221,19 +222,27 @@ pub enum Event {
 
 impl Event {
     /// Temperature, torque current, speed and angle, if the event brings them.
-    pub const fn feedback(&self) -> Option<(MotorId, crate::command::Feedback)> {
+    pub const fn feedback(&self) -> Option<(MotorId, Feedback)> {
         match self {
             Self::Feedback { motor, reply }
             | Self::BroadcastReply { motor, reply }
-            | Self::Report { motor, reply } => match reply {
-                AnyReply::Torque(feedback)
-                | AnyReply::Speed(feedback)
-                | AnyReply::AbsolutePosition(feedback)
-                | AnyReply::ForcePosition(feedback)
-                | AnyReply::ReadStatus2(feedback) => Some((*motor, *feedback)),
-                _ => None,
+            | Self::Report { motor, reply } => match feedback_of(reply) {
+                Some(feedback) => Some((*motor, feedback)),
+                None => None,
             },
             _ => None,
         }
+    }
+}
+
+/// What a reply that can come without a ticket says in the form of [`Feedback`].
+pub(super) const fn feedback_of(reply: &AnyReply) -> Option<Feedback> {
+    match reply {
+        AnyReply::Torque(feedback)
+        | AnyReply::Speed(feedback)
+        | AnyReply::AbsolutePosition(feedback)
+        | AnyReply::ForcePosition(feedback)
+        | AnyReply::ReadStatus2(feedback) => Some(*feedback),
+        _ => None,
     }
 }

@@ -6,7 +6,7 @@ use crate::id::MotorId;
 use crate::kind::Kind;
 use crate::master::broadcast::Broadcast;
 use crate::master::late::{Of, Question};
-use crate::master::motor::Motor;
+use crate::master::motor::{HALF_A_TURN_TAKES, Motor};
 use crate::master::request::{Asked, Request};
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, MotorSet, TicketId, reported_bit};
@@ -257,7 +257,7 @@ impl Motor {
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             Some(_) if heard.is_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
-                Ok(reply) => self.feedback(reply, None, now),
+                Ok(reply) => self.feedback(reply, None, config, now),
                 Err(_) => Meaning::Late,
             },
             None => Meaning::Unasked,
@@ -265,7 +265,14 @@ impl Motor {
     }
 
     /// Feedback of its stream has come.
-    fn feedback(&mut self, reply: AnyReply, round_trip: Option<Duration>, now: Instant) -> Meaning {
+    fn feedback(
+        &mut self,
+        reply: AnyReply,
+        round_trip: Option<Duration>,
+        config: &Config,
+        now: Instant,
+    ) -> Meaning {
+        self.note_angle(&reply, config, now);
         (self.latest, self.latest_at) = (Some(reply), now);
         Meaning::Feedback(reply, round_trip)
     }
@@ -282,13 +289,18 @@ impl Motor {
         self.bus_is_alive(now, config);
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
         let is_one_late = self.prolong_late(set_point.question, config, now);
+        let is_echo = set_point.data == packet.data;
         self.stream.take_in_flight();
-        if heard.is_ignored_one() && (is_one_late || set_point.data == packet.data) {
+        if heard.is_ignored_one() && (is_one_late || is_echo) {
             return Meaning::SetPointIgnored;
         }
-        let round_trip = Some(now - self.sent);
-        self.answered(round_trip);
-        self.feedback(reply, round_trip, now)
+        let round_trip = now - self.sent;
+        self.answered(Some(round_trip));
+        // Also where nobody has heard why, an echo has no angle.
+        self.has_angle &= !is_echo;
+        let meaning = self.feedback(reply, Some(round_trip), config, now);
+        self.has_angle = !is_one_late && !is_echo && round_trip <= HALF_A_TURN_TAKES;
+        meaning
     }
 
     /// A reply to the request in flight.

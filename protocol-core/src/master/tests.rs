@@ -4,6 +4,7 @@
 mod doubts;
 mod mailboxes;
 mod odd_orders;
+mod restarts;
 
 use std::vec::Vec;
 

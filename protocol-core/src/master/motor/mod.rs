@@ -10,7 +10,7 @@ use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::config::Config;
-use crate::master::event::Failure;
+use crate::master::event::{Failure, feedback_of};
 use crate::master::health::Record;
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::reported_bit;
@@ -42,6 +42,10 @@ const RESTART_TAKES: Duration = Duration::from_secs(1);
 
 /// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
 const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
+/// No motor turns a degree in less: 10,000 dps.
+const DEGREE_TAKES: Duration = Duration::from_micros(100);
+/// Nor half a turn: what lies further away is nearer to another turn.
+pub(super) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(180);
 /// One that has not reported for so many of its intervals does so no more.
 const REPORTS_MISSED: u32 = 3;
 
@@ -89,6 +93,8 @@ pub(super) struct Motor {
     /// The newest feedback of its stream, and when it came.
     pub(super) latest: Option<AnyReply>,
     pub(super) latest_at: Instant,
+    /// That was measured just before it came.
+    pub(super) has_angle: bool,
     pub(super) health: Record,
 }
 
@@ -405,11 +411,27 @@ impl Motor {
         }
     }
 
+    /// Feedback of its stream says where it is: further from where it was than it can have turned since.
+    pub(super) fn note_angle(&mut self, reply: &AnyReply, config: &Config, now: Instant) {
+        if !core::mem::take(&mut self.has_angle) {
+            return;
+        }
+        let before = self.latest.as_ref().and_then(feedback_of);
+        if let (Some(before), Some(after)) = (before, feedback_of(reply)) {
+            let turned = after.angle.raw().wrapping_sub(before.angle.raw()).unsigned_abs();
+            let possible = HALF_A_TURN_TAKES + (now - self.latest_at);
+            if DEGREE_TAKES.times(turned.into()) > possible {
+                self.has_begun_anew(config, now);
+            }
+        }
+    }
+
     #[inline(never)]
     fn has_begun_anew(&mut self, config: &Config, now: Instant) {
         self.has_restarted = true;
         self.reports = 0;
         self.run_time_ms = 0;
+        self.has_angle = false;
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
     }

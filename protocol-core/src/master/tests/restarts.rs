@@ -1,0 +1,127 @@
+//! What the angle of a stream shows of a restart: 180 degrees and 10,000 dps between two replies are no jump.
+
+use super::*;
+
+/// Streams a set-point at this time and hears that angle so long after; whether that tells of a restart.
+fn is_restart(master: &mut Master<2>, sent_us: u64, after_us: u64, degrees: i16) -> bool {
+    let [at, then] = [sent_us, sent_us + after_us].map(Instant::from_micros);
+    master.set_point(id(1), torque(1.0), at).unwrap();
+    assert_eq!(sent(master, at).len(), 1);
+    let [low, high] = degrees.to_le_bytes();
+    let event = reply(master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, low, high], then);
+    assert!(matches!(event, Some(Event::Feedback { .. })), "{event:?}");
+    let told = events(master, then);
+    assert!(told.iter().all(|event| matches!(event, Event::Restarted { .. })), "{told:?}");
+    !told.is_empty()
+}
+
+/// Whether that angle, and then this one, each a millisecond after its set-point, tells of a restart.
+fn is_jump(first: i16, second: i16, between_us: u64) -> bool {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!is_restart(&mut master, 0, 1_000, first), "there is none before the first");
+    is_restart(&mut master, between_us, 1_000, second)
+}
+
+#[test]
+fn a_turn_that_is_lost_under_a_stream_is_a_restart() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for cycle in 0..5 {
+        assert!(!is_restart(&mut master, 4_000 * cycle, 1_000, 720));
+    }
+    master.set_point(id(1), torque(1.0), ms(20)).unwrap();
+    sent(&mut master, ms(20));
+    let moving = master.request(id(1), step()).unwrap();
+    master.set_point(id(1), torque(2.0), ms(20)).unwrap();
+    reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 0x68, 1], ms(21)).unwrap();
+    let told = events(&mut master, ms(21));
+    assert!(told.contains(&Event::Restarted { motor: id(1) }), "720 became 360: {told:?}");
+    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }), "{told:?}");
+    assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
+    assert_eq!(sent(&mut master, ms(21)), []);
+    let refused = master.set_point(id(1), torque(1.0), ms(21));
+    assert_eq!(refused, Err(RequestError::Restarted));
+    // Where it is now is where it goes on.
+    master.resume(id(1));
+    assert!(!is_restart(&mut master, 30_000, 1_000, 361));
+}
+
+#[test]
+fn what_the_fastest_motor_turns_is_no_restart() {
+    // 500 dps, for a second; and in steps of a second, of which some replies were lost.
+    let mut master = Master::<2>::new(Config::CAN);
+    for cycle in 0..100 {
+        assert!(!is_restart(&mut master, 10_000 * cycle, 1_000, 5 * cycle as i16));
+    }
+    assert!(!is_jump(0, 500, 1_000_000));
+    // 180 degrees and 10 a millisecond, either way.
+    for sign in [1, -1] {
+        assert!(!is_jump(0, sign * 220, 4_000));
+        assert!(is_jump(0, sign * 221, 4_000));
+        assert!(!is_jump(0, sign * 280, 10_000));
+        assert!(is_jump(0, sign * 281, 10_000));
+    }
+    // Where the angle has no more room it may go on at its other end.
+    assert!(!is_jump(32_760, -32_760, 4_000));
+    assert!(!is_jump(-32_760, 32_760, 4_000));
+    assert!(is_jump(-32_768, 0, 4_000));
+    assert!(!is_jump(-32_768, 0, 3_600_000_000));
+}
+
+#[test]
+fn an_angle_of_nobody_knows_when_shows_no_restart() {
+    // The reply that waited for 18 ms on its way is as old as its set-point.
+    for (waited_us, is_told) in [(18_000, true), (18_100, false)] {
+        let mut master = Master::<2>::new(Config::CAN);
+        is_restart(&mut master, 0, waited_us, 0);
+        assert_eq!(is_restart(&mut master, 20_000, 1_000, 360), is_told, "{waited_us}");
+    }
+    // A reply that may be that to the set-point before, which was given up.
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+    assert!(!is_restart(&mut master, 21_000, 1_000, 0));
+    assert!(!is_restart(&mut master, 23_000, 1_000, 360));
+    // One that is late.
+    assert!(!is_restart(&mut master, 90_000, 1_000, 0));
+    master.set_point(id(1), torque(1.0), ms(100)).unwrap();
+    sent(&mut master, ms(100));
+    events(&mut master, ms(121));
+    reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 0, 0], ms(130)).unwrap();
+    assert!(!is_restart(&mut master, 131_000, 1_000, 360));
+}
+
+#[test]
+fn the_echo_of_a_set_point_has_no_angle() {
+    // The message of a drive that has lost its master was lost, and its echo counts as feedback.
+    let mut master = Master::<2>::new(Config::CAN);
+    let go =
+        AbsolutePosition { max_speed: MaxSpeed::from_raw(1), angle: Angle::from_raw(0x0400_0000) };
+    for (cycle, data) in
+        [[0xA4, 0x32, 0, 0, 0, 0, 0, 0], go.encode(), [0xA4, 0x32, 0, 0, 0, 0, 1, 0]]
+            .iter()
+            .enumerate()
+    {
+        let now = ms(4 * cycle as u64);
+        master.set_point(id(1), go, now).unwrap();
+        sent(&mut master, now);
+        let event = reply(&mut master, 1, *data, now + Duration::from_millis(1));
+        assert!(matches!(event, Some(Event::Feedback { .. })), "{event:?}");
+        assert_eq!(events(&mut master, now + Duration::from_millis(1)), []);
+    }
+}
+
+#[test]
+fn angles_of_two_scales_are_not_held_against_each_other() {
+    // Motion mode clips at ±12.5 rad, or at what its firmware has for that.
+    let mut master = Master::<2>::new(Config::CAN);
+    for cycle in 0..4 {
+        let at = 8_000 * cycle;
+        assert!(!is_restart(&mut master, at, 1_000, 3_000 * cycle as i16));
+        let now = Instant::from_micros(at + 4_000);
+        master.set_point(id(1), motion(), now).unwrap();
+        sent(&mut master, now);
+        motion_feedback(&mut master, now + Duration::from_millis(1)).unwrap();
+        assert_eq!(events(&mut master, now + Duration::from_millis(1)), []);
+    }
+}
