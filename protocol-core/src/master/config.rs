@@ -63,7 +63,7 @@ pub struct Config {
     ///
     /// On a full CAN bus replies of high ids lose every arbitration. So no motor gets its next command
     /// while another's older one may still be waiting to be answered: until this time is over and the
-    /// bus was quiet, or the motor was silent before. RS485 does not use it.
+    /// bus was quiet, or the motor was silent before. On either bus feedback of a stream counts as lost no sooner.
     pub longest_response: Duration,
     /// For how long after its command a late reply may still come. Until then no other
     /// request goes to that motor, so that the late reply cannot be taken for its answer.

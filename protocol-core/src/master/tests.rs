@@ -1922,3 +1922,40 @@ fn while_the_bus_is_down_what_moves_does_not_grow_old() {
     sent(&mut master, ms(80));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(81)), None, "40 ms from then");
 }
+
+#[test]
+fn on_a_line_feedback_that_is_lost_holds_the_others_up_for_three_usual_times_and_no_longer() {
+    let config = Config::rs485(1_000_000, false);
+    let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
+    let feedback = [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0];
+    for (config, usual_us, lost_after_us) in [
+        // Three times 0.9 ms; no sooner than 2 ms; and no later than any reply.
+        (config, 900, 2_700),
+        (config, 500, 2_000),
+        (config, 3_000, config.reply_timeout.as_micros()),
+    ] {
+        let mut master = Master::<2>::new(config);
+        let mut now = ms(0);
+        master.set_point(id(1), torque(1.0), now).unwrap();
+        assert_eq!(sent(&mut master, now).len(), 1);
+        now += Duration::from_micros(usual_us);
+        master.handle_line(&line(1, feedback), now).unwrap();
+        let timeouts = [lost_after_us, lost_after_us, config.reply_timeout.as_micros()];
+        // Not where it stays away again and again.
+        for timeout in timeouts.map(Duration::from_micros) {
+            now += Duration::from_millis(1);
+            master.set_point(id(1), torque(1.0), now).unwrap();
+            assert_eq!(sent(&mut master, now).len(), 1);
+            master.set_point(id(2), torque(1.0), now).unwrap();
+            let before = now + (timeout - Duration::from_micros(1));
+            assert_eq!(events(&mut master, before), [], "{usual_us}");
+            assert!(sent(&mut master, before).is_empty());
+            assert_eq!(master.poll_at(), Some(now + timeout), "{usual_us}");
+            now += timeout;
+            assert_eq!(events(&mut master, now), [Event::SetPointUnanswered { motor: id(1) }]);
+            assert_eq!(sent(&mut master, now)[0].channel, Channel::Command(id(2).into()));
+            now += Duration::from_micros(usual_us);
+            master.handle_line(&line(2, feedback), now).unwrap();
+        }
+    }
+}

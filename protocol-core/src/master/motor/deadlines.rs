@@ -31,11 +31,12 @@ impl Motor {
     }
 
     /// How long feedback is waited for: on a quiet bus for less long, since a stream does not stand still for
-    /// what is lost. Not where nobody knows how long feedback takes, nor when it stays away again and again.
+    /// what is lost. A line with one exchange at a time is quiet. Not where nobody knows how long feedback takes,
+    /// nor when it stays away again and again.
     fn set_point_timeout(&self, config: &Config) -> Duration {
         let usual = self.health.round_trip();
         let is_known = usual > Duration::ZERO && self.misses < SELDOM;
-        if !is_known || !self.had_its_chance {
+        if !is_known || !(self.had_its_chance || config.is_rs485()) {
             return config.reply_timeout;
         }
         config.longest_response.max(usual.times(USUAL_TIMES)).min(config.reply_timeout)
