@@ -65,8 +65,9 @@ pub struct Config {
     /// while another's older one may still be waiting to be answered: until this time is over and the
     /// bus was quiet, or the motor was silent before. On either bus feedback of a stream counts as lost no sooner.
     pub longest_response: Duration,
-    /// For how long after its command a late reply may still come. Until then no other
-    /// request goes to that motor, so that the late reply cannot be taken for its answer.
+    /// For how long a reply may still come after its command was given up; or, where a stop went over that, after
+    /// the stop's own time-out. Until then no request that asks the same goes to that motor, so that the late reply
+    /// cannot be taken for its answer. Others go.
     pub late_window: Duration,
     /// A set-point that has waited longer than this is dropped.
     pub set_point_max_age: Duration,
