@@ -55,8 +55,10 @@ pub struct Config {
     /// How long a frame is on the wire at the most.
     pub frame_time: Duration,
     /// Replies that come sooner after their command than this cannot be its answer: a drive needs
-    /// some 0.8 ms. This keeps a doubled frame apart from the answer to the next request of its kind. With a
-    /// clock of steps longer than this it must be 0: an answer within the step of its command is in time.
+    /// some 0.8 ms. This keeps a doubled frame apart from the answer to the next request of its kind: one that looks
+    /// like the last answer and comes within 0.5 ms of what was last heard of the motor, and of the command, is none
+    /// either. A drive that answers again later than that after the command is believed. With a clock of steps
+    /// longer than this it must be 0, and nothing of this holds: an answer within the step of its command is in time.
     pub shortest_response: Duration,
     /// How long a reply takes at the most when it need not wait for the bus, adapters included: no longer than
     /// `reply_timeout`, which counts where that is shorter.

@@ -6,7 +6,7 @@ use crate::id::MotorId;
 use crate::kind::Kind;
 use crate::master::broadcast::Broadcast;
 use crate::master::late::{Of, Question};
-use crate::master::motor::{HALF_A_TURN_TAKES, Motor};
+use crate::master::motor::{DOUBLED_WITHIN, HALF_A_TURN_TAKES, Motor};
 use crate::master::request::{Asked, Request};
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, MotorSet, TicketId, reported_bit};
@@ -231,10 +231,13 @@ impl Motor {
         let &mut Heard { packet, at: now, .. } = heard;
         let is_motion = matches!(packet.channel, Channel::MotionReply(_));
         let data = &packet.data;
-        let is_in_time = now - self.sent >= config.shortest_response;
-
         let is_same = |question: Question| question.is_answered_by(is_motion, data);
         let may_be_doubled = self.was_heard(config, now) && self.last_answered.is_some_and(is_same);
+        let shortest = match config.shortest_response {
+            clear if may_be_doubled && clear > Duration::ZERO => clear.max(DOUBLED_WITHIN),
+            clear => clear,
+        };
+        let is_in_time = now - self.sent >= shortest;
         let answers = |question: Question| is_in_time && is_same(question);
         if let Some(&set_point) = self.stream.in_flight().filter(|sent| answers(sent.question)) {
             self.last_answered = Some(set_point.question);

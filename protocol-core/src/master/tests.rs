@@ -177,6 +177,46 @@ fn a_doubled_answer_is_not_taken_for_the_next_ones() {
     assert!(second.outcome(&event).is_some());
 }
 
+/// A drive that answers everything twice, 0.3 ms apart.
+#[test]
+fn a_second_answer_is_not_taken_for_that_to_the_next_of_its_kind() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let at = Instant::from_micros;
+    for cycle in 0..5 {
+        let start = 10_000 * cycle;
+        let ticket = ask(&mut master, 1, ReadMultiTurnAngle, at(start));
+        // It is sent at once, or 0.1 ms later; the second answer comes 0.3 ms after the first.
+        let event = reply(&mut master, 1, ANGLE_REPLY, at(start + 800)).unwrap();
+        assert!(ticket.outcome(&event).is_some());
+        let next = ask(&mut master, 1, ReadMultiTurnAngle, at(start + 800 + 100 * (cycle % 2)));
+        let second = reply(&mut master, 1, ANGLE_REPLY, at(start + 1_100)).unwrap();
+        assert!(matches!(second, Event::Stray { .. }), "{second:?}");
+        let event = reply(&mut master, 1, ANGLE_REPLY, at(start + 1_700)).unwrap();
+        assert!(next.outcome(&event).is_some(), "{event:?}");
+        let last = reply(&mut master, 1, ANGLE_REPLY, at(start + 2_000)).unwrap();
+        assert!(matches!(last, Event::Stray { .. }), "{last:?}");
+    }
+    // The same of a stream.
+    let feedback = [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0];
+    master.set_point(id(1), torque(1.0), ms(60)).unwrap();
+    sent(&mut master, ms(60));
+    assert!(reply(&mut master, 1, feedback, at(60_800)).unwrap().feedback().is_some());
+    master.set_point(id(1), torque(1.0), at(60_800)).unwrap();
+    sent(&mut master, at(60_800));
+    assert!(matches!(reply(&mut master, 1, feedback, at(61_100)), Some(Event::Stray { .. })));
+    assert!(reply(&mut master, 1, feedback, at(61_600)).unwrap().feedback().is_some());
+}
+
+#[test]
+fn an_answer_so_soon_after_another_counts_where_the_clock_is_coarse() {
+    let mut master = Master::<4>::new(Config { shortest_response: Duration::ZERO, ..Config::CAN });
+    for _ in 0..2 {
+        let ticket = ask(&mut master, 1, ReadMultiTurnAngle, ms(1));
+        let event = reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+        assert!(ticket.outcome(&event).is_some());
+    }
+}
+
 #[test]
 fn both_answers_of_a_request_sent_twice_are_accounted_for() {
     let mut master = Master::<4>::new(Config::CAN);

@@ -41,7 +41,7 @@ bitflags! {
 const RESTART_TAKES: Duration = Duration::from_secs(1);
 
 /// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
-const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
+pub(super) const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
 /// No motor turns a degree in less: 10,000 dps.
 const DEGREE_TAKES: Duration = Duration::from_micros(100);
 /// Nor half a turn: what lies further away is nearer to another turn.
