@@ -61,6 +61,13 @@ impl<C: Command> Asking<C> {
         Ok(())
     }
 
+    /// Nobody waits for its answer any more.
+    pub(super) fn withdraw<const N: usize>(&self, master: &mut Master<N>) {
+        if let Some(ticket) = self.ticket {
+            master.withdraw(ticket.id());
+        }
+    }
+
     /// Until when it waits for its turn, if it does.
     pub(super) fn latest_turn(&self) -> Option<Instant> {
         self.ticket.is_none().then_some(self.latest_turn)
@@ -91,6 +98,11 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
         self.open().next().is_some()
     }
 
+    /// Nobody waits for their answers any more.
+    pub(super) fn withdraw<const N: usize>(&self, master: &mut Master<N>) {
+        self.0.iter().for_each(|(asking, _)| asking.withdraw(master));
+    }
+
     /// Until when the first of them waits for its turn, if any does.
     pub(super) fn latest_turn(&mut self) -> Option<Instant> {
         self.open().filter_map(|(asking, _)| asking.latest_turn()).min()
@@ -110,9 +122,9 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
     }
 
     /// What came of each, once none is open.
-    pub(super) fn outcomes(self) -> [Outcome<C, E>; M] {
+    pub(super) fn outcomes(&mut self) -> [Outcome<C, E>; M] {
         let bus_is_down = || Err(CallError::Failed(Failure::BusDown));
-        self.0.map(|(_, outcome)| outcome.unwrap_or_else(bus_is_down))
+        self.0.each_mut().map(|(_, outcome)| outcome.take().unwrap_or_else(bus_is_down))
     }
 
     fn open(&mut self) -> impl Iterator<Item = &mut Asked<C, E>> {

@@ -8,6 +8,7 @@ use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::{Asking, Askings, CallError, outcome_of_set_point};
+use crate::io::on_drop::OnDrop;
 use crate::io::runner::LONGEST_STOP;
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;
@@ -16,7 +17,9 @@ use crate::time::Instant;
 ///
 /// The bus moves only while one of these futures is awaited. Any of them may be dropped, by a
 /// `select` or a time-out: no event is lost and no frame is sent twice. A request whose
-/// [`ask`](Self::ask) is dropped stays under way, and the next one waits for its end.
+/// [`ask`](Self::ask) is dropped stays under way, and the next one waits for its end. But what a stop
+/// [would refuse](crate::Kind::is_refused_while_stopped), such as a move, is not sent from then on: who knows when the
+/// bus moves next?
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
 pub trait AsyncRunner<const N: usize> {
     /// What the bus driver reports when it fails.
@@ -76,11 +79,15 @@ pub trait AsyncRunner<const N: usize> {
         patience: Option<Patience>,
         mut on_event: impl FnMut(Event),
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        let mut asking = Asking::new(motor, command, patience, self.now());
+        let asking = Asking::new(motor, command, patience, self.now());
+        let mut work = OnDrop::new((self, asking), |(runner, asking): &mut (&mut Self, _)| {
+            Asking::withdraw(asking, runner.master());
+        });
+        let (runner, asking) = &mut work.it;
         loop {
-            let now = self.now();
-            asking.put(self.master(), now)?;
-            let event = run_fairly(self, asking.latest_turn()).await.map_err(CallError::Bus)?;
+            let now = runner.now();
+            asking.put(runner.master(), now)?;
+            let event = run_fairly(*runner, asking.latest_turn()).await.map_err(CallError::Bus)?;
             let Some(event) = event else { continue };
             match asking.outcome(&event) {
                 Some(outcome) => return outcome.map_err(CallError::Failed),
@@ -106,13 +113,17 @@ pub trait AsyncRunner<const N: usize> {
         &mut self,
         questions: [(MotorId, C); M],
     ) -> [Result<C::Reply, CallError<Self::Error>>; M] {
-        let mut askings = Askings::new(questions, self.now());
+        let askings = Askings::new(questions, self.now());
+        let mut work = OnDrop::new((self, askings), |(runner, askings): &mut (&mut Self, _)| {
+            Askings::withdraw(askings, runner.master());
+        });
+        let (runner, askings) = &mut work.it;
         loop {
-            let now = self.now();
-            if !askings.put(self.master(), now) {
+            let now = runner.now();
+            if !askings.put(runner.master(), now) {
                 return askings.outcomes();
             }
-            match run_fairly(self, askings.latest_turn()).await {
+            match run_fairly(*runner, askings.latest_turn()).await {
                 Ok(event) => event.iter().for_each(|event| askings.note(event)),
                 Err(error) => askings.bus_has_failed(error),
             }

@@ -280,11 +280,10 @@ pub fn move_to<R: Runner<N>, C: MoveCommand, const N: usize>(
     on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, NotArrived<R::Error>> {
     // A panic leaves no future that the stop could go out with.
-    let moving = OnDrop::new(runner, |runner: &mut R| {
+    let moving = OnDrop::new(runner, |runner: &mut &mut R| {
         let _is_stopped = runner.stop(motor, StopKind::Hold);
     });
-    let result =
-        at_once(task::move_to(&mut Polled(moving.runner), motor, command, limits, on_look));
+    let result = at_once(task::move_to(&mut Polled(moving.it), motor, command, limits, on_look));
     moving.end();
     result
 }

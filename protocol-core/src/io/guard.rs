@@ -82,12 +82,12 @@ pub async fn guarded<R: AsyncRunner<N>, T, const N: usize>(
     kind: StopKind,
     work: impl AsyncFnOnce(&mut R) -> T,
 ) -> (T, MotorSet) {
-    let working = OnDrop::new(bus, |bus: &mut R| {
+    let working = OnDrop::new(bus, |bus: &mut &mut R| {
         // Nobody else is to be stopped, so there is a place for all.
         let _ = bus.master().stop_all(kind, MotorSet::EMPTY);
     });
-    let result = work(working.runner).await;
-    let unconfirmed = working.runner.stop_all(kind, MotorSet::EMPTY).await;
+    let result = work(working.it).await;
+    let unconfirmed = working.it.stop_all(kind, MotorSet::EMPTY).await;
     working.end();
     (result, unconfirmed)
 }

@@ -182,15 +182,15 @@ pub async fn move_to<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, NotArrived<R::Error>> {
-    let moving = OnDrop::new(runner, |runner: &mut R| {
+    let moving = OnDrop::new(runner, |runner: &mut &mut R| {
         // It was asked where it is, so it has a place.
         let _ = runner.master().stop(motor, StopKind::Hold);
     });
-    let outcome = go(moving.runner, motor, command, limits, on_look).await;
+    let outcome = go(moving.it, motor, command, limits, on_look).await;
     let result = match outcome {
         Ok(arrival) => Ok(arrival),
         Err(why) => {
-            let is_stopped = moving.runner.stop(motor, StopKind::Hold).await;
+            let is_stopped = moving.it.stop(motor, StopKind::Hold).await;
             Err(NotArrived { motor, why, is_stopped })
         }
     };

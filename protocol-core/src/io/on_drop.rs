@@ -1,14 +1,15 @@
 //! What becomes of a loop when work on it is left halfway.
 
-/// A loop, and what is done to it when this is dropped: by a future that is, or by a panic that unwinds.
-pub(super) struct OnDrop<'a, R, F: Fn(&mut R)> {
-    pub(super) runner: &'a mut R,
+/// What work is done on, and what is done to it when this is dropped: by a future that is, or by a panic that
+/// unwinds.
+pub(super) struct OnDrop<T, F: Fn(&mut T)> {
+    pub(super) it: T,
     act: F,
 }
 
-impl<'a, R, F: Fn(&mut R)> OnDrop<'a, R, F> {
-    pub(super) fn new(runner: &'a mut R, act: F) -> Self {
-        Self { runner, act }
+impl<T, F: Fn(&mut T)> OnDrop<T, F> {
+    pub(super) fn new(it: T, act: F) -> Self {
+        Self { it, act }
     }
 
     /// The work has come to its end, so that nothing is done.
@@ -17,8 +18,8 @@ impl<'a, R, F: Fn(&mut R)> OnDrop<'a, R, F> {
     }
 }
 
-impl<R, F: Fn(&mut R)> Drop for OnDrop<'_, R, F> {
+impl<T, F: Fn(&mut T)> Drop for OnDrop<T, F> {
     fn drop(&mut self) {
-        (self.act)(self.runner);
+        (self.act)(&mut self.it);
     }
 }

@@ -109,7 +109,8 @@ pub enum Failure {
     #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
     /// A set-point was dropped before it was sent: it waited for too long, the bus carried nothing, or the
-    /// motor was stopped or restarted. Or a move was, since the motor has restarted.
+    /// motor was stopped or restarted. Or a move was, since the motor has restarted, or the future of its call was
+    /// dropped.
     #[error("it could not be sent in time, so it was dropped")]
     Dropped,
 }

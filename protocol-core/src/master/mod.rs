@@ -289,6 +289,21 @@ impl<const N: usize> Master<N> {
         Ok(TicketId { motor, number })
     }
 
+    /// Nobody waits for its outcome any more: what a stop would refuse is not sent, or sent again, at any later time.
+    pub(crate) fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
+        let now = self.now;
+        self.due = now;
+        self.change(motor, |motor, config| match &mut motor.request {
+            Request::Waiting(asked) | Request::InFlight(asked)
+                if motor.ticket != number || !asked.kind().is_refused_while_stopped() => {}
+            Request::InFlight(asked) => asked.attempts_left = 0,
+            Request::Waiting(_) => {
+                motor.finish_request(Request::Failed(Failure::Dropped), config, now);
+            }
+            _ => {}
+        });
+    }
+
     /// Puts a set-point in a motor's stream. One that still waits is replaced and counted, never
     /// queued up; one that waits for longer than [`Config::set_point_max_age`] is dropped.
     ///

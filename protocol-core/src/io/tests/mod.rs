@@ -4,6 +4,7 @@ mod blocking;
 mod concurrent;
 mod guard;
 mod half_duplex;
+mod left_halfway;
 mod world;
 
 use crate::MotorId;

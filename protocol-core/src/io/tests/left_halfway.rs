@@ -1,0 +1,67 @@
+//! What was asked for by a future that is dropped.
+
+use super::world::{TestCan, TestClock, block_on, on_can, polls};
+use super::{id, step};
+use crate::command::{AbsolutePosition, ReadMultiTurnAngle, Shutdown};
+use crate::io::{AsyncCanMaster, AsyncRunner, Clock};
+use crate::master::{Event, Failure, Patience};
+use crate::time::Duration;
+use crate::units::{Angle, MaxSpeed};
+
+type Arm = AsyncCanMaster<TestCan, TestClock, 4>;
+
+/// A controller that takes nothing for 5 ms.
+fn on_busy_can() -> (TestCan, TestClock, Arm) {
+    let (bus, clock, arm) = on_can(Arm::new);
+    bus.state().full_until = 5_000;
+    (bus, clock, arm)
+}
+
+/// Runs the bus an hour later, and gives what happens then.
+fn an_hour_later(clock: &TestClock, arm: &mut Arm) -> std::vec::Vec<Event> {
+    clock.advance(3_600_000_000);
+    let mut events = std::vec::Vec::new();
+    let until = clock.now() + Duration::from_millis(100);
+    block_on(arm.run_until(until, |event| events.push(event))).unwrap();
+    events
+}
+
+#[test]
+fn a_move_is_not_sent_whenever_the_bus_is_run_next() {
+    let (bus, clock, mut arm) = on_busy_can();
+    assert!(polls(arm.ask(id(1), step()), 10).is_none());
+    let events = an_hour_later(&clock, &mut arm);
+    assert!(matches!(events[..], [Event::Failed { failure: Failure::Dropped, .. }]), "{events:?}");
+    assert!(bus.sent().is_empty(), "{:?}", bus.sent());
+    assert!(block_on(arm.ask(id(1), step())).is_ok());
+}
+
+#[test]
+fn nor_are_several() {
+    let (bus, clock, mut arm) = on_busy_can();
+    assert!(polls(arm.ask_together([(id(1), step()), (id(2), step())]), 10).is_none());
+    assert_eq!(an_hour_later(&clock, &mut arm).len(), 2);
+    assert!(bus.sent().is_empty(), "{:?}", bus.sent());
+}
+
+#[test]
+fn one_that_was_sent_is_not_sent_again() {
+    let (bus, clock, mut arm) = on_can(Arm::new);
+    let there = AbsolutePosition { max_speed: MaxSpeed::from_raw(90), angle: Angle::from_raw(1) };
+    let patience = Patience { reply_timeout: Duration::from_millis(20), attempts: 3 };
+    let asked = arm.ask_with(id(9), there, Some(patience), |_| {});
+    assert!(polls(asked, 10).is_none());
+    assert_eq!(bus.sent(), [there.encode()]);
+    let events = an_hour_later(&clock, &mut arm);
+    assert!(matches!(events[..], [Event::Failed { failure: Failure::NoReply, .. }]), "{events:?}");
+    assert_eq!(bus.sent().len(), 1);
+}
+
+#[test]
+fn what_ends_motion_and_what_reads_goes_all_the_same() {
+    let (bus, clock, mut arm) = on_busy_can();
+    assert!(polls(arm.ask(id(1), Shutdown), 10).is_none());
+    assert!(polls(arm.ask(id(2), ReadMultiTurnAngle), 10).is_none());
+    assert_eq!(an_hour_later(&clock, &mut arm).len(), 2);
+    assert_eq!(bus.sent(), [Shutdown.encode(), ReadMultiTurnAngle.encode()]);
+}
