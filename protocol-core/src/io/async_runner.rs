@@ -9,7 +9,7 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::{Asking, Askings, CallError, outcome_of_set_point};
 use crate::io::on_drop::OnDrop;
-use crate::io::runner::LONGEST_STOP;
+use crate::io::runner::{LONGEST_STOP, RETRY_AFTER};
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;
 
@@ -185,8 +185,14 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     let end = runner.now() + LONGEST_STOP;
     let mut unconfirmed = motors;
     let mut given_up = motors.without(runner.master().motors());
-    while !unconfirmed.without(given_up).is_empty() && runner.now() < end {
-        match run_fairly(runner, Some(end)).await {
+    while runner.now() < end {
+        let until = match unconfirmed.without(given_up).is_empty() {
+            false => end,
+            // On a line it stops also those who are not known.
+            true if runner.master().stop_to_all_packet().is_some() => runner.now() + RETRY_AFTER,
+            true => break,
+        };
+        match run_fairly(runner, Some(until)).await {
             Ok(Some(Event::StopConfirmed { motor })) => unconfirmed.remove(motor),
             Ok(Some(Event::StopUnconfirmed { motor })) => given_up.insert(motor),
             _ => {}

@@ -29,6 +29,9 @@ use crate::master::{MotorSet, StopKind};
 /// # Ok(()) }
 /// ```
 ///
+/// The motors are [those that have a place](crate::master::Master::motors): whoever was asked or moved by itself, and
+/// whom a [broadcast](crate::master::Master::broadcast) was expected to move.
+///
 /// Nothing is left without a stop but a program that is killed, or a panic that aborts: for those set the
 /// motors' communication-loss protection (0xB3).
 #[derive(Debug)]

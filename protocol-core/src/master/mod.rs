@@ -354,6 +354,9 @@ impl<const N: usize> Master<N> {
     /// answers of several motors are likely to collide. `expected` should name all who answer: the
     /// answers of others come as [`Event::Stray`].
     ///
+    /// Name in it all whom a command that moves, or opens brakes, may reach: each takes a place, so that
+    /// [`stop_all`](Self::stop_all) stops it. Whoever else is moved no stop of all reaches on CAN.
+    ///
     /// The next broadcast waits until all motors that have a place have answered this one, or its
     /// answers cannot come any more. One that [ends motion](Kind::ends_motion) drops the set-points and moves that
     /// wait; but an answer to it, other than to a [stop](Self::stop_all), does not say that nothing sent before
@@ -364,7 +367,7 @@ impl<const N: usize> Master<N> {
     /// # Errors
     /// [`RequestError`]: the command has no form for all motors or none on this bus, another
     /// broadcast is under way, the motors were stopped, or it moves them and one has
-    /// [restarted](Event::Restarted).
+    /// [restarted](Event::Restarted) or there is no place for all of `expected`: then nothing is sent.
     pub fn broadcast<C: Command>(
         &mut self,
         command: C,
@@ -379,6 +382,9 @@ impl<const N: usize> Master<N> {
         }
         if self.broadcast.is_active() {
             return Err(RequestError::Busy);
+        }
+        if kind.may_move() {
+            self.give_places(expected)?;
         }
         self.broadcast.put(kind, data, expected);
         if kind.ends_motion() {

@@ -160,6 +160,15 @@ impl<const N: usize> Master<N> {
         place.ok_or(RequestError::TooManyMotors { capacity: N })
     }
 
+    /// Gives each of these motors a place, or, where there is none for all, none of them one.
+    #[inline(never)]
+    pub(super) fn give_places(&mut self, motors: MotorSet) -> Result<(), RequestError> {
+        if self.motors().with(motors).len() > N {
+            return Err(RequestError::TooManyMotors { capacity: N });
+        }
+        motors.iter().try_for_each(|motor| self.place_for(motor).map(|_| ()))
+    }
+
     #[inline(never)]
     fn give_place(&mut self, motor: MotorId) -> Option<usize> {
         let mut motors = self.motors.iter_mut().enumerate();

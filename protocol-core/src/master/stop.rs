@@ -48,7 +48,7 @@ pub(super) const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
 const STOP_ATTEMPTS: u8 = 15;
 
 impl<const N: usize> Master<N> {
-    /// Stops every motor that this master knows and those of `also`, before anything else is sent
+    /// Stops every motor [that has a place](Self::motors) and those of `also`, before anything else is sent
     /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Until
     /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a
     /// restart and writes to ROM, for example, but not reads.
@@ -204,7 +204,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// The stop to all motors at once, if it is to be sent.
-    pub(super) fn stop_to_all_packet(&self) -> Option<Packet> {
+    pub(crate) fn stop_to_all_packet(&self) -> Option<Packet> {
         let (_, data) = self.stop_to_all?.command();
         Some(Packet { channel: Channel::Command(Target::All), data })
     }

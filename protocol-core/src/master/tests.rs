@@ -12,8 +12,8 @@ use super::*;
 use crate::command::{
     AbsolutePosition, ActiveReply, AnyReply, BaudCode, BusId, FunctionControl, IncrementalPosition,
     LockBrake, NoReply, PidIndex, RawCommand, RawMotion, RawReply, ReadModel, ReadMultiTurnAngle,
-    ReadPid, ReadRunTime, ReadStatus1, ReportedCommand, Reset, SetBaudRate, Shutdown, Stop, Switch,
-    Torque,
+    ReadPid, ReadRunTime, ReadStatus1, ReleaseBrake, ReportedCommand, Reset, SetBaudRate, Shutdown,
+    Stop, Switch, Torque,
 };
 use crate::data::Data;
 use crate::opcode::{LOST_MASTER_BYTE, ReplyRule};
@@ -1576,6 +1576,45 @@ fn a_broadcast_that_waits_is_dropped_by_a_stop_and_by_a_bus_that_is_down() {
             events(&mut master, ms(0)).contains(&Event::BroadcastDone { silent, was_sent: false })
         );
     }
+}
+
+#[test]
+fn whom_a_broadcast_may_move_is_stopped_with_all() {
+    let both: MotorSet = [1, 2].into_iter().map(id).collect();
+    type Put = fn(&mut Master<2>, MotorSet) -> Result<(), RequestError>;
+    let puts: [(Put, usize); 3] = [
+        (|master, both| master.broadcast(torque(1.0), both), 2),
+        (|master, both| master.broadcast(ReleaseBrake, both), 2),
+        (|master, both| master.broadcast(ReadMultiTurnAngle, both), 0),
+    ];
+    for (put, stops) in puts {
+        let mut master = Master::<2>::new(Config::CAN);
+        put(&mut master, both).unwrap();
+        assert_eq!(sent(&mut master, ms(0)).len(), 1);
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        let data: Vec<Data> = sent(&mut master, ms(1)).iter().map(|packet| packet.data).collect();
+        assert_eq!(data, [Stop.encode(); 2][..stops]);
+    }
+}
+
+#[test]
+fn a_broadcast_that_may_move_more_motors_than_there_is_room_for_is_refused() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let too_many = Err(RequestError::TooManyMotors { capacity: 2 });
+    let three = [1, 2, 3].into_iter().map(id).collect();
+    assert_eq!(master.broadcast(torque(1.0), three), too_many);
+    let _ = ask(&mut master, 3, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 3, ANGLE_REPLY, ms(1)).unwrap();
+    let two = [1, 2].into_iter().map(id).collect();
+    assert_eq!(master.broadcast(torque(1.0), two), too_many, "motor 3 has a place");
+    assert_eq!(sent(&mut master, ms(1)), []);
+    assert_eq!(master.motors(), id(3).into(), "nobody was given one for it");
+    // What moves nobody is asked of all, and so is what moves as many as there are places.
+    master.broadcast(ReadMultiTurnAngle, three).unwrap();
+    assert_eq!(master.motors(), id(3).into());
+    master.handle_bus_down(ms(2));
+    events(&mut master, ms(2));
+    master.broadcast(torque(1.0), [1, 3].into_iter().map(id).collect()).unwrap();
 }
 
 #[test]

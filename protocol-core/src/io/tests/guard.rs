@@ -3,14 +3,20 @@
 use core::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use super::world::{Broken, TestCan, TestClock, block_on, on_can, polls};
+use super::world::{Broken, TestCan, TestClock, block_on, on_can, on_rs485, polls};
 use super::{id, step, torque};
 use crate::command::{ReadMultiTurnAngle, Stop};
 use crate::error::RequestError;
+use crate::id::Target;
 use crate::io::async_bring_up::move_to;
 use crate::io::bring_up::MoveLimits;
-use crate::io::{AsyncCanMaster, AsyncRunner, CallError, CanMaster, Guard, Runner, guarded};
+use crate::io::{
+    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Guard, Runner,
+    SerialMaster, guarded,
+};
 use crate::master::{MotorSet, StopKind};
+use crate::packet::{Channel, Packet};
+use crate::wire::rs485::Frame;
 
 type Arm = CanMaster<TestCan, TestClock, 4>;
 
@@ -60,6 +66,35 @@ fn by_a_panic() {
 #[test]
 fn at_its_end_with_who_has_not_confirmed() {
     is_stopped_after(|bus| assert_eq!(bus.finish(), MotorSet::EMPTY));
+}
+
+/// On a line what goes to all reaches whom the master does not know, though nobody of them can confirm it.
+#[test]
+fn on_a_line_with_a_stop_to_all_also_where_the_master_knows_nobody() {
+    let stop = Packet { channel: Channel::Command(Target::All), data: Stop.encode() };
+    let stop = Frame::from_packet(&stop).unwrap().encode();
+    let (port, clock, mut arm) = on_rs485(SerialMaster::<_, _, 4>::new);
+    arm.master().broadcast(torque(), MotorSet::EMPTY).unwrap();
+    arm.poll().unwrap();
+    assert_eq!(Guard::new(&mut arm, StopKind::Hold).finish(), MotorSet::EMPTY);
+    assert!(port.written().ends_with(&stop), "{:?}", port.written());
+    assert!(clock.micros() < 20_000, "{}", clock.micros());
+
+    let (port, clock, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
+    assert_eq!(block_on(arm.stop_all(StopKind::Hold, MotorSet::EMPTY)), MotorSet::EMPTY);
+    assert!(port.written().ends_with(&stop), "{:?}", port.written());
+    assert!(clock.micros() < 20_000, "{}", clock.micros());
+}
+
+#[test]
+fn with_those_that_only_a_broadcast_has_moved() {
+    let (bus, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
+    let moved = [id(1), id(9)].into_iter().collect();
+    arm.master().broadcast(torque(), moved).unwrap();
+    arm.poll().unwrap();
+    assert_eq!(bus.sent(), [torque().encode()]);
+    // Nobody is at 9.
+    assert_eq!(Guard::new(&mut arm, StopKind::Hold).finish(), id(9).into());
 }
 
 #[test]
