@@ -136,14 +136,17 @@ async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
     command: C,
 ) -> Result<bool, CallError<R::Error>> {
     // Asked again while an answer is late, one motor would answer twice, too.
-    let usual = runner.master().patience(1);
+    let (kind, usual) = (command.kind(), runner.master().patience(1));
     let patience = Patience { reply_timeout: usual.reply_timeout.max(ANSWERED_IN), ..usual };
     for _ in 0..ATTEMPTS {
         let mut is_once = true;
-        let mut hear = |event| {
-            if matches!(event, Event::Stray { motor, .. } if motor == id) {
+        let mut hear = |event| match event {
+            Event::Stray { motor, .. } if motor == id => is_once = false,
+            // A second 0x9A looks like the report of an error. Where it is one, no harm is done by asking again later.
+            Event::Report { motor, reply } if motor == id && reply.opcode() == kind.opcode() => {
                 is_once = false;
             }
+            _ => {}
         };
         match runner.ask_with(id, command, Some(patience), &mut hear).await {
             Ok(_) => {}

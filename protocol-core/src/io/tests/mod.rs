@@ -2,6 +2,7 @@
 
 mod blocking;
 mod concurrent;
+mod failing;
 mod guard;
 mod half_duplex;
 mod left_halfway;

@@ -1,0 +1,274 @@
+//! Controllers that overrun, that have few places, and that fail for good; and two motors that say the same.
+
+use core::cell::RefCell;
+use core::future::{Future, poll_fn};
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
+use std::collections::VecDeque;
+use std::rc::Rc;
+use std::vec::Vec;
+
+use embedded_can::{ErrorKind, nb};
+
+use super::world::{TestClock, TestSerial, block_on, on_rs485, polls};
+use super::{id, torque};
+use crate::command::ReadMultiTurnAngle;
+use crate::id::Target;
+use crate::io::{
+    AsyncCan, AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Runner,
+    bring_up,
+};
+use crate::master::{Config, Event, Failure, MotorSet, StopKind};
+use crate::opcode::Opcode;
+use crate::packet::{Channel, Packet};
+use crate::time::Duration;
+use crate::wire::can::{self, Received, SimpleFrame};
+
+/// How long a drive takes to answer, in microseconds.
+const RESPONSE: u64 = 800;
+/// How long a frame takes.
+const FRAME: u64 = 136;
+
+/// What a controller reports.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Reported(ErrorKind);
+
+impl embedded_can::Error for Reported {
+    fn kind(&self) -> ErrorKind {
+        self.0
+    }
+}
+
+#[derive(Debug, Default)]
+struct State {
+    on_the_wire: VecDeque<(u64, SimpleFrame)>,
+    received: VecDeque<SimpleFrame>,
+    /// Frames that found no place.
+    lost: u32,
+    taken: usize,
+    /// It takes so many frames, and then none until that time.
+    refuses: Option<(usize, u64)>,
+    /// What the next look for a frame gives.
+    receive_error: Option<ErrorKind>,
+    /// Every call gives an error.
+    is_broken: bool,
+    /// Kinds that two motors of the id answer differently.
+    twins_differ_in: Vec<u8>,
+    /// How often it was looked at since somebody counted.
+    looks: usize,
+}
+
+/// A controller with three places for received frames, on a bus of drives that answer everything.
+#[derive(Clone, Debug)]
+struct Odd(Rc<RefCell<State>>, TestClock);
+
+impl Odd {
+    fn look(&self) -> Result<(), Reported> {
+        let mut state = self.0.borrow_mut();
+        state.looks += 1;
+        if !state.is_broken {
+            return Ok(());
+        }
+        assert!(state.looks < 1_000, "it leaves nobody else a turn");
+        Err(Reported(ErrorKind::Other))
+    }
+}
+
+impl nb::Can for Odd {
+    type Frame = SimpleFrame;
+    type Error = Reported;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Reported> {
+        self.look()?;
+        let now = self.1.micros();
+        let mut state = self.0.borrow_mut();
+        if state.refuses.is_some_and(|(after, until)| state.taken >= after && now < until) {
+            return Err(::nb::Error::WouldBlock);
+        }
+        state.taken += 1;
+        if let Received::Packet(Packet { channel: Channel::Command(Target::Motor(motor)), data }) =
+            can::decode(frame)
+        {
+            let mut at = now + RESPONSE;
+            let twins = if state.twins_differ_in.contains(&data[0]) { 2 } else { 1 };
+            for twin in 0..twins {
+                let last = state.on_the_wire.back().map_or(0, |(at, _)| at + FRAME);
+                at = at.max(last);
+                let data = [data[0], 30 + twin, 0, 0, 0xE5, 0x01, 0, 0];
+                let answer = Packet { channel: Channel::Reply(motor), data };
+                state.on_the_wire.push_back((at, can::encode(&answer).unwrap()));
+            }
+        }
+        Ok(None)
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Reported> {
+        self.look()?;
+        let now = self.1.micros();
+        let mut state = self.0.borrow_mut();
+        while let Some((_, frame)) = state.on_the_wire.pop_front_if(|(at, _)| *at <= now) {
+            if state.received.len() < 3 {
+                state.received.push_back(frame);
+            } else {
+                state.lost += 1;
+            }
+        }
+        if let Some(kind) = state.receive_error.take() {
+            return Err(::nb::Error::Other(Reported(kind)));
+        }
+        state.received.pop_front().ok_or(::nb::Error::WouldBlock)
+    }
+}
+
+fn pending<T>(result: ::nb::Result<T, Reported>) -> Poll<Result<T, Reported>> {
+    match result {
+        Ok(value) => Poll::Ready(Ok(value)),
+        Err(::nb::Error::WouldBlock) => Poll::Pending,
+        Err(::nb::Error::Other(error)) => Poll::Ready(Err(error)),
+    }
+}
+
+impl AsyncCan for Odd {
+    type Frame = SimpleFrame;
+    type Error = Reported;
+
+    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Reported> {
+        poll_fn(|_| pending(nb::Can::transmit(self, frame))).await
+    }
+
+    async fn receive(&mut self) -> Result<SimpleFrame, Reported> {
+        poll_fn(|_| pending(nb::Can::receive(self))).await
+    }
+}
+
+type Looked = (Rc<RefCell<State>>, TestClock);
+
+fn polling() -> (Looked, CanMaster<Odd, TestClock, 16>) {
+    let (state, clock) = Looked::default();
+    let can = Odd(state.clone(), clock.clone());
+    ((state, clock.clone()), CanMaster::new(can, clock, Config::CAN))
+}
+
+fn tasks() -> (Looked, AsyncCanMaster<Odd, TestClock, 16>) {
+    let (state, clock) = Looked::default();
+    let can = Odd(state.clone(), clock.clone());
+    ((state, clock.clone()), AsyncCanMaster::new(can, clock, Config::CAN))
+}
+
+/// Whether a request and a set-point that wait are dropped when the controller reports that.
+macro_rules! is_dropped {
+    ($kind:expr, $looked_and_arm:expr, $($wait:tt)*) => {{
+        let ((state, _), mut arm) = $looked_and_arm;
+        let mut events = Vec::new();
+        let _ticket = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+        arm.set_point(id(2), torque()).unwrap();
+        state.borrow_mut().refuses = Some((0, 5_000));
+        state.borrow_mut().receive_error = Some($kind);
+        let end = arm.now() + Duration::from_millis(15);
+        let told = arm.run_until(end, |event| events.push(event)) $($wait)*;
+        assert_eq!(told, Err(CallError::Bus(Reported($kind))));
+        arm.run_until(end, |event| events.push(event)) $($wait)* .unwrap();
+        is_dropped(&events)
+    }};
+}
+
+fn is_dropped(events: &[Event]) -> bool {
+    let count = |is_one: fn(&Event) -> bool| events.iter().filter(|event| is_one(event)).count();
+    let answered = count(|event| matches!(event, Event::Reply { .. } | Event::Feedback { .. }));
+    let dropped = count(|event| {
+        matches!(
+            event,
+            Event::Failed { failure: Failure::BusDown, .. } | Event::SetPointDropped { .. }
+        )
+    });
+    assert!([answered, dropped] == [2, 0] || [answered, dropped] == [0, 2], "{events:?}");
+    dropped > 0
+}
+
+#[test]
+fn an_overrun_drops_nothing_that_waits() {
+    for (kind, is_bus_down) in [(ErrorKind::Overrun, false), (ErrorKind::Other, true)] {
+        assert_eq!(is_dropped!(kind, polling(),), is_bus_down, "{kind:?}");
+        let of_tasks = block_on(async { is_dropped!(kind, tasks(), .await) });
+        assert_eq!(of_tasks, is_bus_down, "{kind:?}");
+    }
+}
+
+#[test]
+fn a_controller_with_three_places_loses_no_answer_while_it_takes_nothing() {
+    // It has taken eight questions, and is offered the ninth while the answers come.
+    let ((state, clock), mut arm) = polling();
+    state.borrow_mut().refuses = Some((8, 5_000));
+    let ask = |motor| (id(motor), ReadMultiTurnAngle);
+    let questions = [1, 2, 3, 4, 5, 6, 7, 8, 9].map(ask);
+    assert!(arm.ask_together(questions).iter().all(Result::is_ok));
+    assert_eq!((state.borrow().lost, state.borrow().taken), (0, 9));
+    assert!(clock.micros() >= 5_000 + RESPONSE);
+
+    let ((state, clock), mut arm) = tasks();
+    state.borrow_mut().refuses = Some((8, 5_000));
+    assert!(block_on(arm.ask_together(questions)).iter().all(Result::is_ok));
+    assert_eq!((state.borrow().lost, state.borrow().taken), (0, 9));
+    assert!(clock.micros() >= 5_000 + RESPONSE);
+}
+
+/// Polls a future every 0.1 ms until it is done, and gives how long that took. In each poll it may look at the bus
+/// a few times.
+fn patiently<F: Future>((state, clock): &Looked, future: F) -> (F::Output, u64) {
+    let mut future = pin!(future);
+    let mut context = Context::from_waker(Waker::noop());
+    let start = clock.micros();
+    loop {
+        state.borrow_mut().looks = 0;
+        let poll = future.as_mut().poll(&mut context);
+        let looks = state.borrow().looks;
+        assert!(looks <= 8, "{looks} looks at a bus that has failed");
+        if let Poll::Ready(output) = poll {
+            return (output, clock.micros() - start);
+        }
+        clock.advance(100);
+        assert!(clock.micros() < start + 60_000_000, "it comes to no end");
+    }
+}
+
+#[test]
+fn a_can_bus_that_fails_for_good_leaves_other_tasks_their_turns() {
+    let (looked, mut arm) = tasks();
+    block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap();
+    looked.0.borrow_mut().is_broken = true;
+    let questions = [1, 2, 3].map(|motor| (id(motor), ReadMultiTurnAngle));
+    let (outcomes, took_us) = patiently(&looked, arm.ask_together(questions));
+    assert!(outcomes.iter().all(Result::is_err), "{outcomes:?}");
+    assert!((100..60_000_000).contains(&took_us), "with a turn for the others: {took_us}");
+    let (unconfirmed, took_us) = patiently(&looked, arm.stop_all(StopKind::Hold, id(9).into()));
+    assert_eq!(unconfirmed, [1, 2, 3, 9].map(id).into_iter().collect::<MotorSet>());
+    assert!(took_us >= 1_000, "it may be well again: {took_us}");
+}
+
+#[test]
+fn a_line_that_fails_for_good_leaves_other_tasks_their_turns() {
+    let (port, clock, mut arm): (TestSerial, TestClock, AsyncSerialMaster<_, _, 4>) =
+        on_rs485(AsyncSerialMaster::new);
+    block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap();
+    (port.state().read_fails, port.state().write_fails) = (true, true);
+    let questions = [1, 2, 3].map(|motor| (id(motor), ReadMultiTurnAngle));
+    assert!(polls(arm.ask_together(questions), 1).is_none());
+    assert!(polls(arm.stop_all(StopKind::Hold, MotorSet::EMPTY), 100).is_none());
+    assert!(clock.micros() < 60_000_000);
+}
+
+#[test]
+fn two_motors_of_one_id_are_told_apart_by_whatever_they_answer_differently() {
+    for kind in [
+        Opcode::ReadStatus1,
+        Opcode::ReadStatus2,
+        Opcode::ReadStatus3,
+        Opcode::ReadRunTime,
+        Opcode::ReadMultiTurnAngle,
+    ] {
+        let ((state, _), mut arm) = polling();
+        assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(false));
+        state.borrow_mut().twins_differ_in = kind.byte().into_iter().collect();
+        assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(true), "{kind:?}");
+    }
+}
