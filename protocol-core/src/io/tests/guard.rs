@@ -2,9 +2,11 @@
 
 use core::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::vec::Vec;
 
-use super::world::{Broken, TestCan, TestClock, block_on, on_can, on_rs485, polls};
+use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_can, on_rs485, polls};
 use super::{id, step, torque};
+use crate::Data;
 use crate::command::{ReadMultiTurnAngle, Stop};
 use crate::error::RequestError;
 use crate::id::Target;
@@ -14,23 +16,43 @@ use crate::io::{
     AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Guard, Runner,
     SerialMaster, guarded,
 };
-use crate::master::{MotorSet, StopKind};
+use crate::master::{Event, Failure, MotorSet, StopKind};
 use crate::packet::{Channel, Packet};
 use crate::wire::rs485::Frame;
 
-type Arm = CanMaster<TestCan, TestClock, 4>;
+/// Leaves a control loop in this way on either bus, and checks that the stop was the last thing sent.
+macro_rules! is_stopped_after {
+    (|$bus:ident| $leave:expr) => {{
+        let (bus, _, mut arm) = on_can(CanMaster::<TestCan, TestClock, 4>::new);
+        is_left!(arm, |$bus| $leave);
+        assert_eq!(bus.sent().last(), Some(&Stop.encode()));
+        assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
 
-/// Leaves a control loop in this way, and checks that the stop was the last thing sent.
-fn is_stopped_after(leave: impl FnOnce(Guard<'_, Arm, 4>)) {
-    let (bus, _, mut arm) = on_can(CanMaster::new);
-    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
-    leave(Guard::new(&mut arm, StopKind::Hold));
-    assert_eq!(bus.sent().last(), Some(&Stop.encode()));
-    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+        let (port, _, mut arm) = on_rs485(SerialMaster::<TestSerial, TestClock, 4>::new);
+        is_left!(arm, |$bus| $leave);
+        assert_eq!(on_the_line(&port).last(), Some(&Stop.encode()));
+        assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+    }};
+}
+
+macro_rules! is_left {
+    ($arm:ident, |$bus:ident| $leave:expr) => {{
+        $arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+        #[allow(unused_mut, reason = "not every way changes anything")]
+        let mut $bus = Guard::new(&mut $arm, StopKind::Hold);
+        $leave;
+    }};
+}
+
+/// What was written to a line: frames of 3E, id, 08, eight bytes and a checksum of two.
+fn on_the_line(port: &TestSerial) -> Vec<Data> {
+    let written = port.written();
+    assert_eq!(written.len() % 13, 0, "no half of a frame");
+    written.chunks(13).map(|frame| frame[3..11].try_into().unwrap()).collect()
 }
 
 /// Streams, and fails at a motor that is not there.
-fn control(bus: &mut Arm) -> Result<(), CallError<Broken>> {
+fn control(bus: &mut impl Runner<4, Error = Broken>) -> Result<(), CallError<Broken>> {
     bus.set_point(id(1), torque())?;
     bus.ask(id(9), ReadMultiTurnAngle)?;
     unreachable!("nobody answers");
@@ -38,13 +60,13 @@ fn control(bus: &mut Arm) -> Result<(), CallError<Broken>> {
 
 #[test]
 fn by_an_error() {
-    is_stopped_after(|mut bus| assert!(control(&mut bus).is_err()));
+    is_stopped_after!(|bus| assert!(control(&mut *bus).is_err()));
 }
 
 #[test]
 #[expect(clippy::never_loop, reason = "it is left")]
 fn by_a_break() {
-    is_stopped_after(|mut bus| {
+    is_stopped_after!(|bus| {
         loop {
             bus.set_point(id(1), torque()).unwrap();
             break;
@@ -54,7 +76,7 @@ fn by_a_break() {
 
 #[test]
 fn by_a_panic() {
-    is_stopped_after(|mut bus| {
+    is_stopped_after!(|bus| {
         let result = catch_unwind(AssertUnwindSafe(move || {
             bus.set_point(id(1), torque()).unwrap();
             panic!("in the middle");
@@ -65,7 +87,7 @@ fn by_a_panic() {
 
 #[test]
 fn at_its_end_with_who_has_not_confirmed() {
-    is_stopped_after(|bus| assert_eq!(bus.finish(), MotorSet::EMPTY));
+    is_stopped_after!(|bus| assert_eq!(bus.finish(), MotorSet::EMPTY));
 }
 
 /// On a line what goes to all reaches whom the master does not know, though nobody of them can confirm it.
@@ -138,5 +160,69 @@ fn by_a_move_whose_future_is_dropped() {
     assert!(bus.sent().contains(&step().encode()), "it was on its way");
     let _event = block_on(arm.next_event());
     assert_eq!(bus.sent().get(before), Some(&Stop.encode()));
+    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+}
+
+/// Works for ever.
+async fn streaming<R: AsyncRunner<4, Error = Broken>>(bus: &mut R) {
+    loop {
+        bus.set_point(id(1), torque()).unwrap();
+        bus.next_event().await.unwrap();
+    }
+}
+
+#[test]
+fn by_an_error_of_a_task_on_a_line() {
+    let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
+    let (result, unconfirmed) = block_on(guarded(&mut arm, StopKind::Hold, async |bus| {
+        bus.set_point(id(1), torque())?;
+        bus.ask(id(9), ReadMultiTurnAngle).await?;
+        Ok::<(), CallError<Broken>>(())
+    }));
+    assert_eq!(result, Err(CallError::Failed(Failure::NoReply)));
+    assert_eq!(unconfirmed, id(9).into());
+    assert!(on_the_line(&port).ends_with(&[Stop.encode(); 2]));
+    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+}
+
+#[test]
+fn by_a_future_that_is_dropped_on_a_line() {
+    let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
+    block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap();
+    assert!(polls(guarded(&mut arm, StopKind::Hold, streaming), 20).is_none());
+    let before = on_the_line(&port).len();
+    assert!(before > 1, "it was at work");
+    while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
+    // First to all, then to the motor.
+    assert_eq!(on_the_line(&port)[before..], [Stop.encode(); 2]);
+    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+}
+
+#[test]
+fn by_a_panic_of_a_task() {
+    let work = async |bus: &mut AsyncCanMaster<TestCan, TestClock, 4>| {
+        bus.ask(id(1), ReadMultiTurnAngle).await.unwrap();
+        bus.set_point(id(1), torque()).unwrap();
+        panic!("in the middle");
+    };
+    let (bus, _, mut arm) = on_can(AsyncCanMaster::new);
+    let task = || block_on(guarded(&mut arm, StopKind::Hold, work));
+    assert!(catch_unwind(AssertUnwindSafe(task)).is_err());
+    let before = bus.sent().len();
+    while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
+    assert_eq!(bus.sent()[before..], [Stop.encode()]);
+    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+
+    let work = async |bus: &mut AsyncSerialMaster<TestSerial, TestClock, 4>| {
+        bus.ask(id(1), ReadMultiTurnAngle).await.unwrap();
+        bus.set_point(id(1), torque()).unwrap();
+        panic!("in the middle");
+    };
+    let (port, _, mut arm) = on_rs485(AsyncSerialMaster::new);
+    let task = || block_on(guarded(&mut arm, StopKind::Hold, work));
+    assert!(catch_unwind(AssertUnwindSafe(task)).is_err());
+    let before = on_the_line(&port).len();
+    while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
+    assert_eq!(on_the_line(&port)[before..], [Stop.encode(); 2]);
     assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
 }
