@@ -141,6 +141,34 @@ fn a_relative_move_is_never_sent_twice_unless_the_caller_says_so() {
 }
 
 #[test]
+fn a_patience_of_seconds_is_kept() {
+    let patience = Patience { reply_timeout: Duration::from_secs(10), attempts: 1 };
+    for config in [Config::CAN, Config::rs485(115_200, false)] {
+        let mut master = Master::<2>::new(config);
+        let tickets = [1, 1].map(|motor| {
+            let start = master.now;
+            let ticket = master.request_with(id(motor), ReadMultiTurnAngle, patience).unwrap();
+            assert_eq!(sent(&mut master, start).len(), 1);
+            for after in (100..9_999).step_by(100).chain([9_999]) {
+                assert_eq!(events(&mut master, start + Duration::from_millis(after)), []);
+            }
+            let told = events(&mut master, start + Duration::from_secs(10));
+            assert_eq!(ticket.outcome(&told[0]), Some(Err(Failure::NoReply)));
+            // What may come late, comes no more.
+            events(&mut master, start + Duration::from_secs(11));
+            ticket
+        });
+        assert_eq!(master.health(id(1)).lost as usize, tickets.len());
+        // One that takes as long as that is the answer.
+        let start = master.now;
+        let ticket = master.request_with(id(1), ReadMultiTurnAngle, patience).unwrap();
+        assert_eq!(sent(&mut master, start).len(), 1);
+        let event = reply(&mut master, 1, ANGLE_REPLY, start + Duration::from_millis(9_999));
+        assert!(ticket.outcome(&event.unwrap()).unwrap().is_ok());
+    }
+}
+
+#[test]
 fn a_late_answer_is_not_taken_for_the_next_ones() {
     let mut master = Master::<4>::new(Config::CAN);
     let _ = ask(&mut master, 1, step(), ms(0));

@@ -1,4 +1,5 @@
-//! What the angle of a stream shows of a restart: 180 degrees and 10,000 dps between two replies are no jump.
+//! Restarts: the pause after one that was asked for, and what the angle of a stream shows of others, where 180
+//! degrees and 10,000 dps between two replies are no jump.
 
 use super::*;
 
@@ -124,4 +125,28 @@ fn angles_of_two_scales_are_not_held_against_each_other() {
         motion_feedback(&mut master, now + Duration::from_millis(1)).unwrap();
         assert_eq!(events(&mut master, now + Duration::from_millis(1)), []);
     }
+}
+
+#[test]
+fn a_stop_does_not_shorten_the_pause_of_a_restart() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _reset = ask(&mut master, 1, Reset, ms(0));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let mut stops = 0;
+    let mut read_at = None;
+    for now in 100..2_500 {
+        for packet in sent(&mut master, ms(now)) {
+            match packet.data[0] {
+                0x81 => stops += 1,
+                _ => read_at = read_at.or(Some(now)),
+            }
+        }
+        let told = events(&mut master, ms(now));
+        if told.contains(&Event::StopUnconfirmed { motor: id(1) }) {
+            master.lift_stop();
+            let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+        }
+    }
+    assert_eq!(stops, 15, "nobody heard it");
+    assert_eq!(read_at, Some(2_000));
 }
