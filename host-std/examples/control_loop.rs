@@ -17,7 +17,7 @@ use myactuator_protocol_core::{Firmware, MotorId};
 
 /// Moves eight motors at 500 Hz until `plan` has nothing more to say. `scale` is that of their firmware:
 /// never guess it. However this is left, by an error or by its end, the motors are stopped; gives those that
-/// have not confirmed the stop: cut their power.
+/// have not confirmed the stop: cut their power. Lost cycles are not made up for; 50 ms of them end it.
 fn run<R: Runner<8>>(
     bus: &mut R,
     scale: &MotionRanges,
@@ -38,7 +38,10 @@ fn run<R: Runner<8>>(
             let Some(wanted) = plan(motor, measured) else { return Ok(bus.finish()) };
             bus.set_point(motor, wanted)?;
         }
-        next += Duration::from_millis(2);
+        next += match bus.now() - next {
+            late if late <= Duration::from_millis(50) => late.max(Duration::from_millis(2)),
+            _ => return Err(CallError::Failed(Failure::Dropped)),
+        };
         bus.run_until(next, |_event| {})?;
     }
 }
@@ -73,4 +76,53 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let running = run(&mut bus, &scale, plan)?;
     if running.is_empty() { Ok(()) } else { Err(format!("cut the power of {running}").into()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Has the program held in its tenth cycle for so long. Gives how it ends, and when each cycle began, in
+    /// milliseconds.
+    fn held_for(millis: u64) -> (Result<MotorSet, String>, Vec<u64>) {
+        let fleet = Fleet::new(8).on_can(1_000_000).unwrap();
+        let mut bus = fleet.master::<8>();
+        let scale = Firmware::V4_3.motion_ranges().unwrap();
+        let rest = MotionSetPoint {
+            position_rad: 0.0,
+            velocity_rad_s: 0.0,
+            kp: 0.0,
+            kd: 1.0,
+            torque_nm: 0.0,
+        };
+        let mut begun = Vec::new();
+        let left = run(&mut bus, &scale, |motor, _| {
+            if motor == MotorId::MIN {
+                begun.push(fleet.world.now().as_micros() / 1_000);
+                if begun.len() == 10 {
+                    fleet.world.run_for(Duration::from_millis(millis));
+                }
+            }
+            scale.quantise(&rest).ok().filter(|_| begun.len() <= 20)
+        });
+        assert!(bus.set_point(MotorId::MIN, scale.quantise(&rest).unwrap()).is_err(), "stopped");
+        (left.map_err(|error| error.to_string()), begun)
+    }
+
+    #[test]
+    fn cycles_that_were_missed_are_not_made_up_for() {
+        let (left, begun) = held_for(20);
+        assert_eq!(left, Ok(MotorSet::EMPTY));
+        // Every 2 ms from 0 and, after the hold of 20 ms at 18 ms, from 38 ms.
+        let expected: Vec<u64> =
+            (0..10).map(|n| 2 * n).chain((0..11).map(|n| 38 + 2 * n)).collect();
+        assert_eq!(begun, expected);
+    }
+
+    #[test]
+    fn what_was_held_for_longer_than_a_set_point_lives_ends() {
+        let (left, begun) = held_for(60);
+        assert_eq!(left, Err(Failure::Dropped.to_string()));
+        assert_eq!(begun.len(), 10);
+    }
 }

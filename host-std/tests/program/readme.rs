@@ -2,6 +2,10 @@
 
 use crate::run::{lines, run_words};
 
+#[path = "../../examples/control_loop.rs"]
+#[expect(dead_code, reason = "its tests are run here")]
+mod control_loop;
+
 const README: &str = include_str!("../../../README.md");
 const CONTROL_LOOP: &str = include_str!("../../examples/control_loop.rs");
 const TWO_ARMS: &str = include_str!("../../examples/two_arms.rs");
