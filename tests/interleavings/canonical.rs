@@ -2,8 +2,8 @@
 //! requests they come.
 //!
 //! It is made of the engine's `Debug` text, so that no field can be forgotten. Times count from now,
-//! the rounds of the motors from the master's, and what only counts or names is left out: health and
-//! tickets. What is left out of it can only change what is told, except for the time when a motor was
+//! the rounds of the motors from the master's, and what only counts, names or is asked by callers is left out:
+//! health, tickets and whether the newest set-point was dropped. What is left out of it can only change what is told, except for the time when a motor was
 //! heard last: nothing here takes the second after which that matters.
 
 use std::fmt::{self, Write};
@@ -126,6 +126,7 @@ impl Write for Sink {
             ", " | " { " | " }" | "(" | ")" => {}
             "Instant" => self.is_instant = true,
             "Record" | "Config" => self.leaves_out = true,
+            "true" | "false" if self.field == Field::Ignored => {}
             _ => {
                 if let Ok(number) = piece.parse() {
                     self.number(number);
@@ -136,7 +137,7 @@ impl Write for Sink {
                     "round" => Field::Round,
                     "pace" => Field::Pace,
                     "misses" => Field::Misses,
-                    "ticket" | "last_ticket" => Field::Ignored,
+                    "ticket" | "last_ticket" | "is_newest_dropped" => Field::Ignored,
                     _ => Field::Plain,
                 };
                 piece.hash(&mut self.hasher);

@@ -139,10 +139,10 @@ pub(super) fn outcome_of_set_point<C: SetPoint, const N: usize>(
     event: &Event,
 ) -> Option<Result<C::Reply, Failure>> {
     match event {
+        // The motor was stopped or the bus is down, or it grew too old. An earlier one may be in flight yet.
+        _ if master.is_newest_set_point_dropped(motor) => Some(Err(Failure::Dropped)),
         // What is told of a set-point now was that of an earlier one.
         _ if master.has_set_point_under_way(motor) => None,
-        // The motor was stopped or the bus is down, or it grew too old.
-        Event::SetPointDropped { motor: from } if *from == motor => Some(Err(Failure::Dropped)),
         Event::SetPointUnanswered { motor: from } if *from == motor => Some(Err(Failure::NoReply)),
         // Of another kind is the late feedback of an earlier set-point.
         Event::Feedback { motor: from, reply } if *from == motor => {

@@ -478,6 +478,11 @@ impl<const N: usize> Master<N> {
         Patience { reply_timeout: self.config.reply_timeout, attempts }
     }
 
+    /// Whether a motor's newest set-point was dropped before it was sent.
+    pub(crate) fn is_newest_set_point_dropped(&self, motor: MotorId) -> bool {
+        self.motor(motor).is_some_and(|motor| motor.is_newest_dropped)
+    }
+
     /// Whether a motor's newest set-point is still to be sent, or to be answered.
     pub(crate) fn has_set_point_under_way(&self, motor: MotorId) -> bool {
         let stream = self.motor(motor).map(|motor| &motor.stream);

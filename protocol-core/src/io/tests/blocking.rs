@@ -408,6 +408,21 @@ fn what_became_of_an_earlier_set_point_is_not_told_of_the_next() {
 }
 
 #[test]
+fn a_set_point_that_was_dropped_is_not_answered_by_the_feedback_of_the_one_before() {
+    let clock = TestClock::default();
+    let bus = TestCan::new(&clock);
+    // At this rate an answer is waited for up to 72 ms, and a set-point lives for 50 ms.
+    let mut arm = CanMaster::<_, _, 4>::new(bus.clone(), clock, Config::can(250_000));
+    arm.set_point(id(9), torque()).unwrap();
+    arm.poll().unwrap();
+    let data = [0xA1, 50, 100, 0, 0, 0, 0, 0];
+    bus.hear_at(60_000, &Packet { channel: Channel::Reply(id(9)), data });
+    let answer = arm.set_point_and_wait(id(9), torque());
+    assert_eq!(answer, Err(CallError::Failed(Failure::Dropped)));
+    assert_eq!(bus.sent().len(), 1);
+}
+
+#[test]
 fn whom_a_stop_has_no_place_for_has_not_confirmed_it() {
     let (_, _, mut arm) = on_can(CanMaster::<_, _, 1>::new);
     let both = [1, 2].map(id).into_iter().collect();

@@ -148,8 +148,12 @@ impl TestCan {
 
     /// Somebody says this.
     pub(super) fn hear(&self, packet: &Packet) {
-        let now = self.clock.micros();
-        self.state().replies.push_back((now, can::encode(packet).unwrap()));
+        self.hear_at(self.clock.micros(), packet);
+    }
+
+    /// Somebody says this then.
+    pub(super) fn hear_at(&self, micros: u64, packet: &Packet) {
+        self.state().replies.push_back((micros, can::encode(packet).unwrap()));
     }
 
     pub(super) fn sent(&self) -> Vec<Data> {

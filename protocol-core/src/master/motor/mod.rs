@@ -65,6 +65,8 @@ pub(super) struct Motor {
     pub(super) was_set_point: bool,
     /// All were told to end their motion, and nothing was sent to it since.
     pub(super) ends_with_all: bool,
+    /// Its newest set-point was dropped before it was sent, whatever is in flight.
+    pub(super) is_newest_dropped: bool,
     /// It has restarted: no set-points until the caller knows.
     pub(super) has_restarted: bool,
     /// Commands in a row that were not answered in time.
@@ -161,6 +163,7 @@ impl Motor {
     }
 
     pub(super) fn put_set_point(&mut self, set_point: SetPoint, expiry: Instant) {
+        self.is_newest_dropped = false;
         if self.stream.put(set_point, expiry).is_some() {
             self.health.superseded = self.health.superseded.saturating_add(1);
         }
@@ -169,6 +172,7 @@ impl Motor {
     #[inline(never)]
     pub(super) fn drop_waiting_set_point(&mut self) {
         if self.stream.drop_waiting().is_some() {
+            self.is_newest_dropped = true;
             self.news.insert(News::DROPPED);
             self.health.superseded = self.health.superseded.saturating_add(1);
         }
