@@ -2,11 +2,11 @@
 //!
 //! Nothing is asked, and nobody is looked for first: the command itself goes to every id, on RS485 to all at
 //! once before that, and those that confirm are reported. Exit status: 0 if the motor, or any motor if all are
-//! meant, has confirmed, else 1.
+//! meant, has confirmed, and the bus has carried the command to all that were meant, else 1.
 
 use myactuator_protocol_core::command::{Command, Shutdown, Stop};
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
@@ -16,7 +16,7 @@ use crate::cli::{Outcome, Unfinished};
 
 /// How often ids are tried that do not confirm.
 const ROUNDS: usize = 3;
-/// For how long a bus that reports errors is tried again.
+/// For how long a bus that carries nothing is tried again.
 const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
 const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
@@ -48,7 +48,8 @@ fn halt(arguments: &Motors, kind: StopKind) -> Outcome<(Session, MotorSet)> {
     Ok((session, motors))
 }
 
-/// Sends the command of this stop to every id, first once to each and then again to those that were silent.
+/// Sends the command of this stop to every id, first once to each and then again to those that were silent. A bus
+/// that carries nothing is waited for: no round counts in which it did not carry all.
 fn stop_every_id<C: Command + Copy>(
     session: &mut Session,
     kind: StopKind,
@@ -58,28 +59,54 @@ fn stop_every_id<C: Command + Copy>(
     // all.
     let _ = session.master.master().stop_all(kind, MotorSet::EMPTY);
     let mut confirmed = MotorSet::EMPTY;
-    for _ in 0..ROUNDS {
-        for motor in once(session, MotorSet::ALL.without(confirmed), command)?.iter() {
-            confirmed.insert(motor);
+    let mut rounds = 0;
+    let mut down_since = None;
+    let outage = loop {
+        let start = session.master.now();
+        let Round { answered, outage } = once(session, MotorSet::ALL.without(confirmed), command)?;
+        confirmed = confirmed.with(answered);
+        let now = session.master.now();
+        if outage.is_none() {
+            (rounds, down_since) = (rounds + 1, None);
+            if rounds == ROUNDS {
+                break outage;
+            }
+        } else if now - *down_since.get_or_insert(start) > LONGEST_OUTAGE {
+            break outage;
+        } else {
+            session.master.idle(now + LONGEST_IDLE);
         }
-    }
-    if !confirmed.is_empty() {
-        return Ok(confirmed);
-    }
-    Err(Unfinished::Failed(format!(
-        "no confirmation of the stop from any motor{}: if one is on {}, cut its power; then check the wiring and \
-         the bit rate ('scan --all-rates' tries the others)",
-        session.garbled(),
-        session.address
-    )))
+    };
+    let why = match &outage {
+        None if !confirmed.is_empty() => return Ok(confirmed),
+        None => String::new(),
+        Some(why) => format!("{why}; "),
+    };
+    Err(Unfinished::Failed(if confirmed.is_empty() {
+        format!(
+            "{why}no confirmation of the stop from any motor{}: if one is on {}, cut its power; then check the \
+             wiring and the bit rate ('scan --all-rates' tries the others)",
+            session.garbled(),
+            session.address
+        )
+    } else {
+        format!(
+            "{why}confirmation of the stop from {} only: cut the power of the others on {}",
+            named(confirmed),
+            session.address
+        )
+    }))
 }
 
-/// Sends a command once to each of these ids and gives those that have answered.
-fn once<C: Command + Copy>(
-    session: &mut Session,
-    motors: MotorSet,
-    command: C,
-) -> Outcome<MotorSet> {
+/// What came of sending a command once to many.
+struct Round {
+    answered: MotorSet,
+    /// Why the bus has not carried it to all, if it has not.
+    outage: Option<String>,
+}
+
+/// Sends a command once to each of these ids.
+fn once<C: Command + Copy>(session: &mut Session, motors: MotorSet, command: C) -> Outcome<Round> {
     let patience = session.master.master().patience(1);
     let now = session.master.now();
     let mut waiting = Vec::with_capacity(MotorId::COUNT);
@@ -88,12 +115,18 @@ fn once<C: Command + Copy>(
         waiting.push((motor, ticket.map_err(myactuator_protocol_core::io::CallError::from)?));
     }
     let mut answered = MotorSet::EMPTY;
+    let mut was_down = false;
+    let mut failure = None;
     while !waiting.is_empty() {
         let event = match session.master.poll() {
             Ok(Some(event)) => event,
+            Err(error) if session.master.now() - now > LONGEST_OUTAGE => {
+                (was_down, failure) = (true, Some(error));
+                break;
+            }
             // One refused frame must not keep the others from being stopped.
-            Err(error) if session.master.now() - now > LONGEST_OUTAGE => return Err(error.into()),
-            Ok(None) | Err(_) => {
+            idle => {
+                failure = idle.err().or(failure);
                 let soon = session.master.now() + LONGEST_IDLE;
                 session.master.idle(soon);
                 continue;
@@ -102,6 +135,7 @@ fn once<C: Command + Copy>(
         waiting.retain(|(motor, ticket)| match ticket.outcome(&event) {
             None => true,
             Some(outcome) => {
+                was_down |= matches!(outcome, Err(Failure::BusDown));
                 if outcome.is_ok() {
                     answered.insert(*motor);
                 }
@@ -109,7 +143,9 @@ fn once<C: Command + Copy>(
             }
         });
     }
-    Ok(answered)
+    let why =
+        || failure.map_or_else(|| "the bus carries nothing".to_owned(), |error| error.to_string());
+    Ok(Round { answered, outage: was_down.then(why) })
 }
 
 #[cfg(test)]
@@ -163,6 +199,42 @@ mod tests {
         let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Hold, Stop);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(told.contains("cut its power"), "{told}");
+    }
+
+    #[test]
+    fn a_bus_that_is_back_within_a_second_is_waited_for_and_all_are_stopped() {
+        // One takes nothing, the other leaves the bus with errors again and again.
+        for (faults, recovers) in [("cut", "mend+300ms"), ("corrupt=1", "corrupt=0+300ms")] {
+            let faults = [faults, recovers].map(|fault| fault.parse().unwrap());
+            let fleet = Fleet::new(4).faults(faults).on_can(1_000_000).unwrap();
+            let stopped = stop_every_id(&mut Session::on(&fleet), StopKind::Hold, Stop);
+            assert_eq!(stopped.map(MotorSet::len), Ok(4), "{recovers}");
+        }
+    }
+
+    #[test]
+    fn a_bus_that_stays_down_is_told_with_the_power_to_cut() {
+        for fault in ["cut", "corrupt=1"] {
+            let fleet = Fleet::new(2).faults([fault.parse().unwrap()]).on_can(1_000_000).unwrap();
+            let mut session = Session::on(&fleet);
+            let outcome = stop_every_id(&mut session, StopKind::Hold, Stop);
+            let Err(Unfinished::Failed(told)) = outcome else { panic!("{fault}: {outcome:?}") };
+            assert!(told.contains("cut its power"), "{fault}: {told}");
+            let tried = session.master.now().as_micros();
+            assert!((1_000_000..1_100_000).contains(&tried), "{fault}: {tried} us");
+        }
+    }
+
+    #[test]
+    fn whom_a_bus_that_went_down_has_not_told_is_not_passed_over() {
+        // The first has confirmed by then.
+        let faults = ["cut+6ms"].map(|fault| fault.parse().unwrap());
+        let fleet = Fleet::new(32).faults(faults).on_can(1_000_000).unwrap();
+        let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Off, Shutdown);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        let some = "the bus carries nothing; confirmation of the stop from motors 1 ";
+        assert!(told.starts_with(some), "{told}");
+        assert!(told.ends_with(" only: cut the power of the others on sim:1"), "{told}");
     }
 
     #[test]
