@@ -79,6 +79,23 @@ fn a_full_pipe_lets_the_motor_stop_in_time() {
 }
 
 #[test]
+fn a_motor_that_was_sent_off_stops_when_it_is_told_to_end_before_the_reply_is_printed() {
+    let simulation = Simulation::start(1, &["--only", "slcan"]);
+    let bus = simulation.bus("slcan");
+    let (_reader, writer) = full_pipe();
+    let mut send = myactuator();
+    send.args(["send", "--yes", "--bus", bus, "--id", "1", "speed", "--max-torque-pct", "0"]);
+    send.args(["--speed-dps", &DPS.to_string()]).stdin(Stdio::null());
+    let mut process = send.stdout(writer).stderr(Stdio::null()).spawn().unwrap();
+    sleep(Duration::from_millis(500));
+    assert!(process.try_wait().unwrap().is_none());
+    signal(&process, Signal::INT);
+    assert_eq!(ends_soon(&mut process).expect("an end").code(), Some(130));
+    let (angle, speed) = angle_and_speed(bus);
+    assert!(angle > 0.0 && speed == 0.0, "{angle} deg {speed} dps");
+}
+
+#[test]
 fn a_reader_that_was_killed_stops_the_motor() {
     let simulation = Simulation::start(1, &["--only", "slcan"]);
     let bus = simulation.bus("slcan");

@@ -10,7 +10,7 @@ use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::session::Session;
-use crate::cli::{Outcome, Unfinished, interrupt, report};
+use crate::cli::{Outcome, Unfinished, interrupt, printer, report, unwritten};
 
 /// How long to wait at the most before looking whether the user interrupts.
 const LONGEST_WAIT: Duration = Duration::from_millis(10);
@@ -123,6 +123,13 @@ impl Session {
         } else {
             Ok(())
         }
+    }
+
+    /// Waits until what was printed is read, ready to be interrupted.
+    pub(super) fn wait_for_reader(&self) -> Outcome {
+        let printed = printer::OUT.wait(|| self.check_interrupted().is_err());
+        printed.map_err(|error| unwritten(&error))?;
+        self.check_interrupted()
     }
 
     /// Waits, ready to be interrupted.

@@ -107,8 +107,14 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
         Target::Motor(motor) => sending.to_one(session, motor),
         Target::All => sending.to_all(session, motors),
     };
-    // One that moves is stopped if something goes wrong.
-    if kind.moves() { session.moving(motors, send) } else { send(session) }
+    if !kind.moves() {
+        return send(session);
+    }
+    // One that moves is stopped if something goes wrong, or it is to end before its reply is read.
+    session.moving(motors, |session| {
+        send(session)?;
+        session.wait_for_reader()
+    })
 }
 
 /// A command, and how its replies are reported.
@@ -254,6 +260,8 @@ impl Sending {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::Ordering;
+
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
     use myactuator_host_std::sim::bus::can::ControllerConfig;
@@ -312,6 +320,24 @@ mod tests {
         let (told, packets) = failed(&Fleet::new(1), "--id 9 read-status1");
         assert!(!told.contains("stopped"), "{told}");
         assert!(packets.iter().all(|packet| packet.data[0] == 0x9A));
+    }
+
+    #[test]
+    fn a_motor_that_was_sent_off_before_an_interruption_is_stopped() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        for line in ["--id 1", "--id all"] {
+            let mut session = Session::on(&fleet);
+            session.interrupted.store(true, Ordering::Relaxed);
+            let line = format!("{line} --json speed --speed-dps 90 --max-torque-pct 0");
+            let outcome = run_on(&mut session, &typed(&line));
+            let Err(Unfinished::Interrupted(told)) = outcome else { panic!("{line}: {outcome:?}") };
+            assert!(told.starts_with("interrupted; motor"), "{told}");
+            assert!(told.ends_with("(0x81)"), "{told}");
+        }
+        // Nothing is taken back of what moves nothing.
+        let mut session = Session::on(&fleet);
+        session.interrupted.store(true, Ordering::Relaxed);
+        assert_eq!(run_on(&mut session, &typed("--id 1 read-status1")), Ok(()));
     }
 
     #[test]
