@@ -2,7 +2,7 @@
 //!
 //! Nothing is asked, and nobody is looked for first: the command itself goes to every id, on RS485 to all at
 //! once before that, and those that confirm are reported. Exit status: 0 if the motor, or any motor if all are
-//! meant, has confirmed, and the bus has carried the command to all that were meant, else 1.
+//! meant, has confirmed, the bus has carried the command to all that were meant, and none of them moves on, else 1.
 
 use myactuator_protocol_core::command::{Command, Shutdown, Stop};
 use myactuator_protocol_core::io::Runner;
@@ -21,12 +21,14 @@ const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
 const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
 pub(super) fn stop(arguments: &Motors) -> Outcome {
-    let (mut session, motors) = halt(arguments, StopKind::Hold)?;
-    say(&session.stopped(motors))
+    let mut session = Session::open_to_stop(&arguments.on)?;
+    let motors = halt(&mut session, arguments.id, StopKind::Hold)?;
+    say(&session.stopped(motors)?)
 }
 
 pub(super) fn shut_down(arguments: &Motors) -> Outcome {
-    let (_, motors) = halt(arguments, StopKind::Off)?;
+    let mut session = Session::open_to_stop(&arguments.on)?;
+    let motors = halt(&mut session, arguments.id, StopKind::Off)?;
     let are = match motors.len() {
         1 => "is off (0x80): its shaft is free unless a brake holds it",
         _ => "are off (0x80): their shafts are free unless brakes hold them",
@@ -34,18 +36,18 @@ pub(super) fn shut_down(arguments: &Motors) -> Outcome {
     say(&format!("{} {are}", named(motors)))
 }
 
-/// Gives the motors that have confirmed, on their bus.
-fn halt(arguments: &Motors, kind: StopKind) -> Outcome<(Session, MotorSet)> {
-    let mut session = Session::open_to_stop(&arguments.on)?;
-    let motors = match (arguments.id, kind) {
+/// Gives the motors that have confirmed.
+fn halt(session: &mut Session, meant: Target, kind: StopKind) -> Outcome<MotorSet> {
+    let stopped = match (meant, kind) {
         (Target::Motor(motor), _) => {
             session.stop(kind, motor.into())?;
-            motor.into()
+            return Ok(motor.into());
         }
-        (Target::All, StopKind::Hold) => stop_every_id(&mut session, kind, Stop)?,
-        (Target::All, StopKind::Off) => stop_every_id(&mut session, kind, Shutdown)?,
+        (Target::All, StopKind::Hold) => stop_every_id(session, kind, Stop)?,
+        (Target::All, StopKind::Off) => stop_every_id(session, kind, Shutdown)?,
     };
-    Ok((session, motors))
+    session.see_stopped(kind, stopped)?;
+    Ok(stopped)
 }
 
 /// Sends the command of this stop to every id, first once to each and then again to those that were silent. A bus
@@ -154,10 +156,13 @@ mod tests {
     use myactuator_host_std::sim::Fleet;
     use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
     use myactuator_host_std::sim::bus::trace::{Event, Log};
+    use myactuator_protocol_core::command::Speed;
     use myactuator_protocol_core::io::SerialMaster;
     use myactuator_protocol_core::master::Config;
+    use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
+    use myactuator_protocol_core::{Channel, Packet};
 
-    use super::super::simulated::typed;
+    use super::super::simulated::{OtherMaster, Sends, to_first, typed};
     use super::*;
 
     #[test]
@@ -235,6 +240,43 @@ mod tests {
         let some = "the bus carries nothing; confirmation of the stop from motors 1 ";
         assert!(told.starts_with(some), "{told}");
         assert!(told.ends_with(" only: cut the power of the others on sim:1"), "{told}");
+    }
+
+    /// What the first of two motors is told from elsewhere.
+    const TURN: Speed =
+        Speed { max_torque: MaxTorque::from_raw(0), speed: SpeedTarget::from_raw(9_000) };
+
+    #[test]
+    fn a_motor_that_something_else_goes_on_moving_is_not_said_to_be_stopped() {
+        // Its data say nothing of motion mode, its channel does.
+        let motion =
+            Packet { channel: Channel::Motion(MotorId::MIN), data: [0x80, 0, 0x80, 0, 0, 0, 0, 0] };
+        for packet in [to_first(TURN.encode()), motion] {
+            for kind in [StopKind::Hold, StopKind::Off] {
+                for meant in [Target::Motor(MotorId::MIN), Target::All] {
+                    let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+                    OtherMaster::attach(&fleet, packet, Sends::Always);
+                    let outcome = halt(&mut Session::on(&fleet), meant, kind);
+                    let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+                    let why = "but something else on this bus goes on commanding motor 1: end that, or cut the power";
+                    assert!(told.ends_with(why), "{told}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn whoever_gives_way_to_a_stop_may_send_once_more() {
+        for meant in [Target::Motor(MotorId::MIN), Target::All] {
+            let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+            OtherMaster::attach(&fleet, to_first(TURN.encode()), Sends::UntilStopped);
+            fleet.world.run_for(Duration::from_millis(500));
+            assert!(Session::on(&fleet).standing(MotorId::MIN).is_err());
+            let mut session = Session::on(&fleet);
+            halt(&mut session, meant, StopKind::Hold).unwrap();
+            fleet.world.run_for(Duration::from_millis(500));
+            session.standing(MotorId::MIN).unwrap();
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@
 
 mod brake;
 mod change_id;
+mod elsewhere;
 mod group;
 mod halt;
 mod motion;

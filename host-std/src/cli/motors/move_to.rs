@@ -104,14 +104,12 @@ fn go(
     let mut progress = Progress::new(session.master.now());
     let start = session.master.now();
     let interrupted = session.interrupted.clone();
+    let stopped = session.master.stopped.clone();
     let mut shown = Ok(());
     let outcome = bring_up::move_to(&mut session.master, motor, command, limits, |look| {
         shown = progress.show(start + look.time, share(look), || line(look));
-        if shown.is_err() || interrupted.load(Ordering::Relaxed) {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
+        let is_over = interrupted.load(Ordering::Relaxed) || !stopped.get().is_empty();
+        if shown.is_err() || is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     drop(progress);
     match outcome {
@@ -122,7 +120,8 @@ fn go(
         )),
         Err(NotArrived { why: MoveFailure::GivenUp, .. }) => {
             shown?;
-            session.check_interrupted()
+            session.check_interrupted()?;
+            session.check_stopped_elsewhere()
         }
         Err(NotArrived { why: MoveFailure::Call(error), .. }) => {
             Err(Unfinished::of_motor(motor)(error))
@@ -148,4 +147,37 @@ fn line(look: &MoveProgress) -> String {
         look.feedback.speed.to_string(),
         look.feedback.current.to_string()
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::time::Instant;
+
+    use super::super::simulated::{OtherMaster, Sends, to_first};
+    use super::*;
+
+    #[test]
+    fn a_motor_that_is_stopped_from_elsewhere_is_told_so_at_once() {
+        for (first, how) in [
+            (0x81, "is stopped and holds still (0x81)"),
+            (0x80, "is off (0x80): its shaft is free unless a brake holds it"),
+        ] {
+            let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+            let stop = to_first([first, 0, 0, 0, 0, 0, 0, 0]);
+            OtherMaster::attach(&fleet, stop, Sends::Once(Duration::from_millis(300)));
+            let mut session = Session::on(&fleet);
+            let (max_speed, angle) = (MaxSpeed::from_raw(90), Angle::from_raw(18_000));
+            let outcome = session.moving(MotorId::MIN, |session| {
+                let command = AbsolutePosition { max_speed, angle };
+                go(session, MotorId::MIN, command, &MoveLimits::default())
+            });
+            let told = format!("something else on this bus has stopped motor 1; motor 1 {how}");
+            assert_eq!(outcome, Err(Unfinished::Failed(told)));
+            let is_on = fleet.drives[0].with(|drive| drive.state().output_on);
+            assert_eq!(is_on, first == 0x81);
+            let latest = session.master.now();
+            assert!(latest < Instant::from_millis(450), "{latest:?}");
+        }
+    }
 }

@@ -4,21 +4,26 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::Ordering;
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{BrakeCommand, ReadRunningMode, ReadStatus1};
+use myactuator_protocol_core::command::{BrakeCommand, ReadRunningMode, ReadStatus1, ReadStatus2};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
-use super::session::Session;
+use super::session::{Session, turns};
 use crate::cli::{Outcome, Unfinished, interrupt, printer, report, unwritten};
 
-/// How long to wait at the most before looking whether the user interrupts.
+/// How long a motor may take to come to rest.
+pub(super) const LONGEST_BRAKING: Duration = Duration::from_secs(3);
+/// How long to listen whether something else moves a motor that was stopped.
+const LISTENING: Duration = Duration::from_millis(50);
+/// How long to wait at the most before looking whether the user interrupts, or asking a motor again.
 const LONGEST_WAIT: Duration = Duration::from_millis(10);
 
 /// What stops a motor, and what cannot, for the help of those that move it.
 pub(super) const ENDS: &str = "\
 What stops the motor (0x81) before this program ends: an error, a fault of this program, Ctrl-C, Ctrl-\\, Ctrl-Z, \
-a request to end (SIGTERM) and a lost terminal, also while nobody reads what it prints.
+a request to end (SIGTERM) and a lost terminal, also while nobody reads what it prints. If another program on the bus stops the motor or switches it off, \
+that ends this one.
 Nothing of that works if the program is killed or frozen outright (kill -9, kill -STOP, a debugger, loss of \
 power), or the bus is cut: the motor goes on then. Against that set the motor's own communication-loss \
 protection: myactuator timeout.";
@@ -34,10 +39,16 @@ impl Session {
         interrupt::watch()
             .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))?;
         let motors = motors.into();
+        self.master.moved = motors;
         match catch_unwind(AssertUnwindSafe(|| work(self))) {
             Ok(outcome) => outcome.map_err(|why| {
-                let stopped = self.stop(StopKind::Hold, motors).map(|()| self.stopped(motors));
-                told_with_stop(why, stopped)
+                // What is refused after a stop fails for that.
+                let why = match (why, self.check_stopped_elsewhere()) {
+                    (Unfinished::Failed(_), Err(stopped)) => stopped,
+                    (why, _) => why,
+                };
+                let stopped = self.stop(StopKind::Hold, motors);
+                told_with_stop(why, stopped.and_then(|()| self.stopped(motors)))
             }),
             Err(panic) => {
                 if let Err(Unfinished::Failed(not_stopped)) = self.stop(StopKind::Hold, motors) {
@@ -48,11 +59,17 @@ impl Session {
         }
     }
 
+    /// Stops these motors, waits until they have confirmed, and sees that nothing else moves them on.
+    pub(super) fn stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
+        self.confirm_stop(kind, motors)?;
+        self.see_stopped(kind, motors)
+    }
+
     /// Stops these motors and waits until they have confirmed. One is stopped by itself: on RS485 a stop of
     /// all reaches the others on the line, too, which may hold a load.
-    pub(super) fn stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
+    fn confirm_stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
         if kind == StopKind::Off {
-            self.off = self.off.iter().chain(motors.iter()).collect();
+            self.master.off = self.master.off.with(motors);
         }
         let mut each = motors.iter();
         let silent = match (each.next(), each.next()) {
@@ -68,28 +85,84 @@ impl Session {
         )))
     }
 
+    /// Sees that nothing else on the bus moves these motors on, which have confirmed the stop. Whoever gives way
+    /// to a stop, as this program does, may have sent once more before hearing of it: so there is a second one.
+    pub(super) fn see_stopped(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
+        let mut moved = self.moved_elsewhere(motors);
+        if !moved.is_empty() {
+            self.confirm_stop(kind, moved)?;
+            moved = self.moved_elsewhere(moved);
+        }
+        if moved.is_empty() {
+            return Ok(());
+        }
+        let confirmed = match motors.len() {
+            1 => "has confirmed the stop",
+            _ => "have confirmed the stop",
+        };
+        Err(Unfinished::Failed(format!(
+            "{} {confirmed}, but something else on this bus goes on commanding {}: end that, or cut the power",
+            named(motors),
+            named(moved)
+        )))
+    }
+
+    /// Those of these motors that something else moves: the replies to it tell. They are asked all the while, so
+    /// that a short communication-loss protection does not let a load go.
+    fn moved_elsewhere(&mut self, motors: MotorSet) -> MotorSet {
+        let end = self.master.now() + LISTENING;
+        while self.master.now() < end {
+            // They have confirmed just now; what a failure would mean is found out by whoever asks next.
+            for motor in motors.iter() {
+                let _ = self.ask(motor, ReadStatus2);
+            }
+            let _ = self.master.run_until(self.master.now() + LONGEST_WAIT, |_| {});
+        }
+        let moved_on = self.master.moved_on;
+        motors.iter().filter(|motor| moved_on.contains(*motor)).collect()
+    }
+
     /// How motors are that have confirmed the stop.
-    pub(super) fn stopped(&mut self, motors: MotorSet) -> String {
+    ///
+    /// # Errors
+    /// The same, if one of them does not come to rest.
+    pub(super) fn stopped(&mut self, motors: MotorSet) -> Outcome<String> {
+        let latest = self.master.now() + LONGEST_BRAKING;
         let mut holding = MotorSet::EMPTY;
         let mut others = Vec::new();
+        let mut all_rest = true;
         for motor in motors.iter() {
-            match self.holds_nothing(motor) {
-                None => holding.insert(motor),
-                Some(told) => others.push(format!("motor {motor} {told}")),
+            match self.holds_nothing(motor, latest) {
+                Ok(None) => holding.insert(motor),
+                Ok(Some(told)) => others.push(format!("motor {motor} {told}")),
+                Err(Unfinished::Failed(turns)) => {
+                    all_rest = false;
+                    others.push(turns);
+                }
+                Err(why) => return Err(why),
             }
         }
         if !holding.is_empty() {
             others.insert(0, hold_still(holding));
         }
-        others.join("; ")
+        let told = others.join("; ");
+        if all_rest { Ok(told) } else { Err(Unfinished::Failed(told)) }
     }
 
     /// What is true of a motor that has confirmed the stop and does not hold still by it.
-    pub(super) fn holds_nothing(&mut self, motor: MotorId) -> Option<String> {
-        if self.off.contains(motor) {
-            return Some("is off (0x80): its shaft is free unless a brake holds it".to_owned());
+    ///
+    /// # Errors
+    /// As [`come_to_rest`](Self::come_to_rest).
+    pub(super) fn holds_nothing(
+        &mut self,
+        motor: MotorId,
+        latest: Instant,
+    ) -> Outcome<Option<String>> {
+        if self.master.off.contains(motor) {
+            let told = "is off (0x80): its shaft is free unless a brake holds it";
+            return Ok(Some(told.to_owned()));
         }
-        match self.ask(motor, ReadStatus1) {
+        let told = match self.ask(motor, ReadStatus1) {
             Ok(status) if status.errors.is_empty() => match status.brake {
                 BrakeCommand::LOCK => None,
                 _ => self.runs_nothing(motor),
@@ -103,6 +176,30 @@ impl Session {
                 "has confirmed the stop (0x81), but whether it holds is not known: it does not tell its errors"
                     .to_owned(),
             ),
+        };
+        if told.is_none() {
+            self.come_to_rest(motor, latest)?;
+        }
+        Ok(told)
+    }
+
+    /// Waits until a motor that slows down stands.
+    ///
+    /// # Errors
+    /// It turns until `latest`, or does not tell.
+    pub(super) fn come_to_rest(&mut self, motor: MotorId, latest: Instant) -> Outcome {
+        loop {
+            let speed = self.ask(motor, ReadStatus2)?.speed;
+            if !turns(speed) {
+                return Ok(());
+            }
+            if self.master.now() >= latest {
+                return Err(Unfinished::Failed(format!(
+                    "motor {motor} has confirmed the stop (0x81), but turns at {speed} after {} s: cut its power",
+                    LONGEST_BRAKING.as_millis() / 1000
+                )));
+            }
+            let _ = self.master.run_until(self.master.now() + LONGEST_WAIT, |_| {});
         }
     }
 
@@ -122,6 +219,17 @@ impl Session {
             Err(Unfinished::Interrupted("interrupted".to_owned()))
         } else {
             Ok(())
+        }
+    }
+
+    /// Ends the work if the motors that it moves were stopped elsewhere.
+    pub(super) fn check_stopped_elsewhere(&self) -> Outcome {
+        match self.master.stopped.get() {
+            MotorSet::EMPTY => Ok(()),
+            stopped => Err(Unfinished::Failed(format!(
+                "something else on this bus has stopped {}",
+                named(stopped)
+            ))),
         }
     }
 
@@ -187,9 +295,13 @@ fn told_with_stop(why: Unfinished, stopped: Outcome<String>) -> Unfinished {
 mod tests {
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::AbsolutePosition;
+    use myactuator_protocol_core::command::{
+        AbsolutePosition, AccelerationIndex, Speed, WriteAcceleration,
+    };
     use myactuator_protocol_core::io::bring_up;
-    use myactuator_protocol_core::units::{Angle, MaxSpeed, Milliseconds};
+    use myactuator_protocol_core::units::{
+        Acceleration, Angle, MaxSpeed, MaxTorque, Milliseconds, SpeedTarget,
+    };
 
     use super::*;
 
@@ -219,7 +331,7 @@ mod tests {
         let told = |session: &mut Session| {
             session.stop(StopKind::Hold, motor.into()).unwrap();
             let is_on = fleet.drives[0].with(|drive| drive.state().output_on);
-            (session.stopped(motor.into()), is_on)
+            (session.stopped(motor.into()).unwrap(), is_on)
         };
         let (sentence, is_on) = told(&mut session);
         assert!(sentence.contains("runs nothing (mode 0)"), "{sentence}");
@@ -227,6 +339,54 @@ mod tests {
         // It hears it steadily now.
         let holds = "motor 1 is stopped and holds still (0x81)".to_owned();
         assert_eq!(told(&mut session), (holds, true));
+    }
+
+    #[test]
+    fn a_stop_is_looked_after_without_a_silence_in_which_a_drive_lets_go() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let motor = MotorId::MIN;
+        bring_up::protect(&mut session.master, motor, Milliseconds::from_raw(30)).unwrap();
+        for _ in 0..3 {
+            session.ask(motor, ReadStatus2).unwrap();
+        }
+        session.stop(StopKind::Hold, motor.into()).unwrap();
+        assert!(fleet.drives[0].with(|drive| drive.state().output_on));
+    }
+
+    /// Turns a motor that slows down by 100 dps a second, and is interrupted.
+    fn interrupted_at(raw_speed: i32) -> (Outcome, f32) {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let index = AccelerationIndex::SPEED_DECELERATION;
+        let acceleration = Acceleration::try_from_raw(100).unwrap();
+        session.ask(MotorId::MIN, WriteAcceleration { index, acceleration }).unwrap();
+        let outcome = session.moving(MotorId::MIN, |session| {
+            let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(raw_speed));
+            session.ask(MotorId::MIN, Speed { max_torque, speed })?;
+            let later = session.master.now() + Duration::from_secs(1);
+            session.wait_until(later)?;
+            Err(Unfinished::Interrupted("interrupted".to_owned()))
+        });
+        (outcome, session.ask(MotorId::MIN, ReadStatus2).unwrap().speed.dps())
+    }
+
+    #[test]
+    fn a_motor_that_slows_down_still_is_not_said_to_hold_still() {
+        // From 180 dps it takes 1.8 s.
+        let (outcome, dps) = interrupted_at(18_000);
+        let told = "interrupted; motor 1 is stopped and holds still (0x81)";
+        assert_eq!(outcome, Err(Unfinished::Interrupted(told.to_owned())));
+        assert!(dps.abs() <= 2.0, "{dps} dps");
+        // From 540 dps 5.4 s, of which nobody waits for more than 3.
+        let (outcome, dps) = interrupted_at(54_000);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(
+            told.starts_with("interrupted; motor 1 has confirmed the stop (0x81), but turns at "),
+            "{told}"
+        );
+        assert!(told.ends_with(" dps after 3 s: cut its power"), "{told}");
+        assert!((200.0..260.0).contains(&dps), "{dps} dps");
     }
 
     #[test]

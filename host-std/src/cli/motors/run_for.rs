@@ -9,6 +9,7 @@ use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
 
+use super::moving::LONGEST_BRAKING;
 use super::progress::Progress;
 use super::session::{OneMotor, Session, healthy, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
@@ -17,8 +18,6 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 const SEND_EVERY: Duration = Duration::from_millis(10);
 /// How often errors are looked at, in commands.
 const ERRORS_EVERY: u32 = 10;
-/// How long a motor may take to come to rest before its brake is locked.
-const LONGEST_BRAKING: Duration = Duration::from_secs(3);
 /// So many commands in a row without a reply are a motor that does not answer.
 const MOST_MISSED: u32 = 5;
 
@@ -68,7 +67,8 @@ pub(super) fn run<C: Command + Copy>(
         let end = match run.end {
             StopKind::Hold => {
                 session.stop(StopKind::Hold, motor.into())?;
-                match session.holds_nothing(motor) {
+                let latest = session.master.now() + LONGEST_BRAKING;
+                match session.holds_nothing(motor, latest)? {
                     None => "it is stopped and holds still (0x81)".to_owned(),
                     Some(told) => format!("it {told}"),
                 }
@@ -89,13 +89,9 @@ pub(super) fn run<C: Command + Copy>(
 /// Stops a motor, locks its brake and switches it off, in the order in which no load falls.
 fn put_down(session: &mut Session, motor: MotorId) -> Outcome {
     session.stop(StopKind::Hold, motor.into())?;
-    let latest = session.master.now() + LONGEST_BRAKING;
-    while session.standing(motor).is_err() && session.master.now() < latest {
-        let soon = session.master.now() + SEND_EVERY;
-        session.wait_until(soon)?;
-    }
     // Not on a shaft that turns still.
-    session.standing(motor)?;
+    let latest = session.master.now() + LONGEST_BRAKING;
+    session.come_to_rest(motor, latest)?;
     session.ask(motor, LockBrake)?;
     session.stop(StopKind::Off, motor.into())
 }
@@ -155,7 +151,9 @@ mod tests {
     use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
-    use super::super::simulated::{sent, typed};
+    use myactuator_protocol_core::time::Instant;
+
+    use super::super::simulated::{OtherMaster, Sends, sent, to_first, typed};
     use super::*;
 
     const TURN: Speed =
@@ -210,7 +208,38 @@ mod tests {
                      drive cuts its output for that: nothing but a locked brake holds its shaft";
         assert!(told.ends_with(truth), "{told}");
         // It is stopped before it is asked how it is.
-        assert!(commands(&log).ends_with(&[0x81, 0x9A]));
+        let mut commands = commands(&log);
+        commands.retain(|byte| *byte != 0x9C);
+        assert!(commands.ends_with(&[0x81, 0x9A]), "{commands:02X?}");
+    }
+
+    #[test]
+    fn a_motor_that_is_stopped_from_elsewhere_is_not_started_again() {
+        for (first, holds, how) in [
+            (0x81, true, "is stopped and holds still (0x81)"),
+            (0x80, false, "is off (0x80): its shaft is free unless a brake holds it"),
+        ] {
+            let fleet = fleet();
+            let stop = to_first([first, 0, 0, 0, 0, 0, 0, 0]);
+            OtherMaster::attach(&fleet, stop, Sends::Once(Duration::from_millis(300)));
+            let mut session = Session::on(&fleet);
+            let log = fleet.world.log();
+            let why = turn(&mut session, || {});
+            let told = format!("something else on this bus has stopped motor 1; motor 1 {how}");
+            assert_eq!(why, Unfinished::Failed(told));
+            // One may have been on its way already. It is stopped as it was, and not switched on for that.
+            let sent = commands(&log);
+            let stopped = sent.iter().position(|byte| *byte == first).unwrap();
+            let after = &sent[stopped + 1..];
+            assert!(after.iter().filter(|byte| **byte == 0xA2).count() <= 1, "{after:02X?}");
+            assert!(
+                after.iter().all(|byte| [first, 0xA2, 0x9C, 0x9A, 0x70].contains(byte)),
+                "{after:02X?}"
+            );
+            assert_eq!(fleet.drives[0].with(|drive| drive.state().output_on), holds);
+            let latest = session.master.now();
+            assert!(latest < Instant::from_millis(450), "{latest:?}");
+        }
     }
 
     #[test]
@@ -220,7 +249,8 @@ mod tests {
         let log = fleet.world.log();
         let panics = AssertUnwindSafe(|| turn(&mut session, || panic!("made up")));
         catch_unwind(panics).unwrap_err();
-        let commands = commands(&log);
+        let mut commands = commands(&log);
+        commands.retain(|byte| *byte != 0x9C);
         assert_eq!((commands.contains(&0xA2), commands.last()), (true, Some(&0x81)));
     }
 

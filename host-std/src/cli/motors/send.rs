@@ -314,7 +314,7 @@ mod tests {
         let (first, rest) = packets.split_first().unwrap();
         assert_eq!((first.data, rest[0].data[0]), (C0, 0x81));
         // It is asked whether it has errors, and what it runs.
-        let is_expected = |packet: &Packet| [0x81, 0x9A, 0x70].contains(&packet.data[0]);
+        let is_expected = |packet: &Packet| [0x81, 0x9C, 0x9A, 0x70].contains(&packet.data[0]);
         assert!(rest[1..].iter().all(is_expected), "{rest:?}");
         // A read is none of those.
         let (told, packets) = failed(&Fleet::new(1), "--id 9 read-status1");

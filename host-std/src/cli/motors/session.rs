@@ -13,8 +13,10 @@ use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadSt
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, MotorSet};
+use myactuator_protocol_core::units::CoarseSpeed;
 use myactuator_protocol_core::{MotorId, Target};
 
+use super::elsewhere::Watched;
 use super::on_bus::OnBus;
 use crate::cli::arguments as parse;
 pub(super) use crate::cli::say;
@@ -111,11 +113,9 @@ impl From<CallError<BusError>> for Unfinished {
 /// A bus in use.
 #[derive(Debug)]
 pub(super) struct Session {
-    pub(super) master: AnyMaster<{ MotorId::COUNT }>,
+    pub(super) master: Watched,
     pub(super) address: BusAddress,
     pub(super) yes: bool,
-    /// The motors that this session has switched off.
-    pub(super) off: MotorSet,
     /// Set by Ctrl-C and the like, while a motor moves.
     pub(super) interrupted: Arc<AtomicBool>,
 }
@@ -161,10 +161,9 @@ impl Session {
             );
         }
         Ok(Self {
-            master,
+            master: Watched::new(master),
             address,
             yes: false,
-            off: MotorSet::EMPTY,
             interrupted: interrupt::flag(),
         })
     }
@@ -187,10 +186,9 @@ impl Session {
     #[cfg(test)]
     pub(super) fn by(master: AnyMaster<{ MotorId::COUNT }>) -> Self {
         Self {
-            master,
+            master: Watched::new(master),
             address: BusAddress::Simulated { motors: 1, kind: BusKind::Can },
             yes: true,
-            off: MotorSet::EMPTY,
             interrupted: Arc::default(),
         }
     }
@@ -244,7 +242,7 @@ impl Session {
 
     /// That something came which cannot be understood, if it did.
     pub(super) const fn garbled(&self) -> &'static str {
-        match self.master.garbled() {
+        match self.master.bus.garbled() {
             0 => "",
             _ => {
                 ", but bytes come that are no frame (do two motors have one id? connect only one of them)"
@@ -254,12 +252,17 @@ impl Session {
 
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
         let speed = self.ask(motor, ReadStatus2)?.speed;
-        if speed.dps().abs() <= STILL_DPS {
-            Ok(())
-        } else {
-            Err(Unfinished::Failed(format!("motor {motor} turns at {speed}: stop it first")))
+        if turns(speed) {
+            return Err(Unfinished::Failed(format!(
+                "motor {motor} turns at {speed}: stop it first"
+            )));
         }
+        Ok(())
     }
+}
+
+pub(super) fn turns(speed: CoarseSpeed) -> bool {
+    speed.dps().abs() > STILL_DPS
 }
 
 /// Refuses errors, and tells what to do about them.

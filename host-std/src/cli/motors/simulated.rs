@@ -2,18 +2,20 @@
 
 use myactuator_host_std::open::AnyMaster;
 use myactuator_host_std::sim::CanFleet;
+use myactuator_host_std::sim::bus::Node;
 use myactuator_host_std::sim::bus::trace::{Event, Log};
 use myactuator_protocol_core::io::CanMaster;
 use myactuator_protocol_core::master::Config;
+use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
-use myactuator_protocol_core::{Channel, Packet};
+use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
 use super::session::Session;
 
 /// A session on these drives by a master of this configuration, with the user's consent.
 pub(super) fn with(fleet: &CanFleet, config: Config) -> Session {
     let master = CanMaster::new(fleet.world.port(), fleet.world.clock(), config);
-    Session { master: AnyMaster::SimulatedCan(master), ..Session::on(fleet) }
+    Session::by(AnyMaster::SimulatedCan(master))
 }
 
 /// The arguments of a subcommand, typed like this.
@@ -36,4 +38,59 @@ pub(super) fn sent(log: &Log<SimpleFrame>) -> Vec<Packet> {
     let is_reply =
         |packet: &Packet| matches!(packet.channel, Channel::Reply(_) | Channel::MotionReply(_));
     packets.filter(|packet| !is_reply(packet)).collect()
+}
+
+/// A command to the motor with id 1.
+pub(super) fn to_first(data: Data) -> Packet {
+    Packet { channel: Channel::Command(Target::Motor(MotorId::MIN)), data }
+}
+
+/// When another program sends its command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Sends {
+    /// Every 10 ms.
+    Always,
+    /// The same, and once more after it has heard that the motor was stopped (0x81).
+    UntilStopped,
+    /// Once, so long after the start.
+    Once(Duration),
+}
+
+/// Another program on the bus, which sends one command.
+#[derive(Debug)]
+pub(super) struct OtherMaster {
+    packet: Packet,
+    sends: Sends,
+    next: Option<Instant>,
+}
+
+impl OtherMaster {
+    pub(super) fn attach(fleet: &CanFleet, packet: Packet, sends: Sends) {
+        let wait = if let Sends::Once(after) = sends { after } else { Duration::ZERO };
+        fleet.world.attach(Self { packet, sends, next: Some(fleet.world.now() + wait) });
+    }
+}
+
+impl Node<SimpleFrame> for OtherMaster {
+    fn handle_frame(&mut self, frame: &SimpleFrame, now: Instant) {
+        if let Received::Packet(Packet { channel: Channel::Reply(_), data: [0x81, ..] }) =
+            can::decode(frame)
+            && self.sends == Sends::UntilStopped
+        {
+            (self.sends, self.next) = (Sends::Once(Duration::ZERO), Some(now));
+        }
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<SimpleFrame> {
+        self.next.filter(|next| *next <= now)?;
+        self.next = match self.sends {
+            Sends::Once(_) => None,
+            Sends::Always | Sends::UntilStopped => Some(now + Duration::from_millis(10)),
+        };
+        can::encode(&self.packet)
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        self.next
+    }
 }

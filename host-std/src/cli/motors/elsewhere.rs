@@ -1,0 +1,158 @@
+//! What other programs on the same bus do to motors, as replies tell that nobody here has asked for.
+
+use std::cell::Cell;
+use std::rc::Rc;
+
+use myactuator_host_std::open::{AnyMaster, BusError};
+use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
+use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::{Kind, MotorId, Opcode};
+
+/// A bus in use. What stops a motor elsewhere while it is moved here stops it here, too: nothing more that may
+/// move it is sent.
+#[derive(Debug)]
+pub(super) struct Watched {
+    pub(super) bus: AnyMaster<{ MotorId::COUNT }>,
+    /// The motors that are moved here, until they are stopped here.
+    pub(super) moved: MotorSet,
+    /// Those of them that were stopped elsewhere.
+    pub(super) stopped: Rc<Cell<MotorSet>>,
+    /// The motors that were switched off, here or elsewhere.
+    pub(super) off: MotorSet,
+    /// The motors that were moved elsewhere since they have confirmed their last stop, if there was one.
+    pub(super) moved_on: MotorSet,
+}
+
+impl Watched {
+    pub(super) fn new(bus: AnyMaster<{ MotorId::COUNT }>) -> Self {
+        let [moved, off, moved_on] = [MotorSet::EMPTY; 3];
+        Self { bus, moved, stopped: Rc::default(), off, moved_on }
+    }
+
+    fn note(&mut self, event: &Event) {
+        match (*event, deed(event)) {
+            (Event::StopConfirmed { motor }, _) => {
+                self.moved_on.remove(motor);
+                // A second confirmation of a stop of one's own is nobody else's.
+                self.moved.remove(motor);
+            }
+            (Event::Reply { ticket, kind, .. }, _) if is_stop(kind) => {
+                self.moved_on.remove(ticket.motor());
+            }
+            (_, Some((motor, Deed::Moved))) => self.moved_on.insert(motor),
+            (_, Some((motor, Deed::Stopped(kind)))) if self.moved.contains(motor) => {
+                self.give_way(motor, kind);
+            }
+            _ => {}
+        }
+    }
+
+    fn give_way(&mut self, motor: MotorId, kind: StopKind) {
+        // There is a place for every motor.
+        let _ = self.bus.master().stop(motor, kind);
+        self.stopped.set(self.stopped.get().with(motor.into()));
+        if kind == StopKind::Off {
+            self.off.insert(motor);
+        }
+    }
+}
+
+impl Runner<{ MotorId::COUNT }> for Watched {
+    type Error = BusError;
+
+    fn master(&mut self) -> &mut Master<{ MotorId::COUNT }> {
+        self.bus.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.bus.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, BusError> {
+        let event = self.bus.poll()?;
+        event.iter().for_each(|event| self.note(event));
+        Ok(event)
+    }
+
+    fn idle(&mut self, until: Instant) {
+        self.bus.idle(until);
+    }
+}
+
+/// What somebody else has told a motor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Deed {
+    Moved,
+    Stopped(StopKind),
+}
+
+fn is_stop(kind: Kind) -> bool {
+    matches!(kind, Kind::Known(Opcode::Stop | Opcode::Shutdown))
+}
+
+/// What the event tells of somebody else.
+fn deed(event: &Event) -> Option<(MotorId, Deed)> {
+    let Event::Stray { motor, data } = *event else { return None };
+    // A reply of motion mode begins with the motor's id (5).
+    if data[0] == motor.get() {
+        return Some((motor, Deed::Moved));
+    }
+    let deed = match Opcode::from_byte(data[0])? {
+        Opcode::Stop => Deed::Stopped(StopKind::Hold),
+        Opcode::Shutdown => Deed::Stopped(StopKind::Off),
+        opcode if Kind::Known(opcode).moves() => Deed::Moved,
+        _ => return None,
+    };
+    Some((motor, deed))
+}
+
+#[cfg(test)]
+mod tests {
+    use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::time::Duration;
+
+    use super::super::session::Session;
+    use super::super::simulated::{OtherMaster, Sends, sent, to_first};
+    use super::*;
+    use crate::cli::{Outcome, Unfinished};
+
+    #[test]
+    fn nobody_gives_way_who_moves_nothing() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let stop = to_first([0x80, 0, 0, 0, 0, 0, 0, 0]);
+        OtherMaster::attach(&fleet, stop, Sends::Once(Duration::from_millis(10)));
+        let log = fleet.world.log();
+        let mut session = Session::on(&fleet);
+        let later = Instant::from_millis(50);
+        session.wait_until(later).unwrap();
+        assert_eq!(sent(&log), [stop]);
+    }
+
+    #[test]
+    fn ones_own_stop_that_is_confirmed_twice_is_nobody_elses() {
+        let twice = "duplicate=1@from-drives".parse().unwrap();
+        let fleet = Fleet::new(1).faults([twice]).on_can(1_000_000).unwrap();
+        let outcome: Outcome = Session::on(&fleet).moving(MotorId::MIN, |session| {
+            session.stop(StopKind::Hold, MotorId::MIN.into())?;
+            Err(Unfinished::Failed("made up".to_owned()))
+        });
+        let told = "made up; motor 1 is stopped and holds still (0x81)";
+        assert_eq!(outcome, Err(Unfinished::Failed(told.to_owned())));
+    }
+
+    #[test]
+    fn replies_that_nobody_asked_for_tell_who_else_is_there() {
+        let motor = MotorId::new(3).unwrap();
+        let told = |first| deed(&Event::Stray { motor, data: [first, 0, 0, 0, 0, 0, 0, 0] });
+        // 3: the reply of motion mode.
+        for first in [0xA1, 0xA2, 0xA4, 0xA6, 0xA8, 0xA9, 3] {
+            assert_eq!(told(first), Some((motor, Deed::Moved)), "{first:02X}");
+        }
+        assert_eq!(told(0x80), Some((motor, Deed::Stopped(StopKind::Off))));
+        assert_eq!(told(0x81), Some((motor, Deed::Stopped(StopKind::Hold))));
+        for first in [0x9A, 0x9C, 0x92, 0x77, 0x78, 4, 0xC0] {
+            assert_eq!(told(first), None, "{first:02X}");
+        }
+    }
+}
