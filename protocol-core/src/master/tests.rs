@@ -5,6 +5,7 @@ mod doubts;
 mod mailboxes;
 mod odd_orders;
 mod restarts;
+mod turns;
 
 use std::vec::Vec;
 

@@ -1,0 +1,249 @@
+//! Whose turn it is, until when somebody has to look, and what was left behind.
+
+use super::*;
+
+const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
+const MODEL_REPLY: [u8; 8] = [0xB5, 0x58, 0x38, 0, 0, 0, 0, 0];
+/// Of [`Config::CAN`]: 3 ms and 128 frames of 136 us; the late window is twice that.
+const TIMEOUT: Duration = Duration::from_micros(20_408);
+const WINDOW: Duration = Duration::from_micros(40_816);
+
+fn to_all(data: Data) -> Packet {
+    Packet { channel: Channel::Command(Target::All), data }
+}
+
+fn is_to(packets: &[Packet], motor: u8) -> bool {
+    matches!(packets, [Packet { channel: Channel::Command(Target::Motor(to)), .. }] if *to == id(motor))
+}
+
+fn once(millis: u64) -> Patience {
+    Patience { attempts: 1, reply_timeout: Duration::from_millis(millis) }
+}
+
+/// A read that nobody answers: its reply may come late.
+fn give_up<C: Command>(master: &mut Master<2>, command: C, now: u64) {
+    let _ = master.request_with(id(1), command, once(5)).unwrap();
+    assert_eq!(sent(master, ms(now)).len(), 1);
+    assert_eq!(events(master, ms(now + 5)).len(), 1);
+}
+
+#[test]
+fn a_request_waits_until_a_command_to_all_is_over() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    master.broadcast(ReadMultiTurnAngle, id(2).into()).unwrap();
+    let _ = master.request(id(2), ReadPid { index: PidIndex::SPEED_KP }).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [], "one waits for the other");
+    reply(&mut master, 1, MODEL_REPLY, ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [to_all(ReadMultiTurnAngle.encode())]);
+    // What ends motion waits for it, too, once it is in flight.
+    let _ = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), []);
+    reply(&mut master, 2, ANGLE_REPLY, ms(2)).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 2);
+}
+
+#[test]
+fn a_move_of_all_does_not_wait_for_a_request_that_waits_for_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), ReadModel).unwrap();
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(0));
+    assert_eq!(packets[0], to_all(torque(1.0).encode()));
+    assert!(is_to(&packets[1..], 1), "{packets:?}");
+}
+
+#[test]
+fn a_move_of_all_is_refused_while_any_motor_is_stopped() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let everybody = MotorSet::EMPTY;
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(master.broadcast(step(), everybody), Err(RequestError::Stopped));
+    master.lift_stop_of(id(1));
+    master.stop_all(StopKind::Hold, everybody).unwrap();
+    assert_eq!(master.broadcast(step(), everybody), Err(RequestError::Stopped));
+    master.lift_stop();
+    assert_eq!(master.broadcast(step(), everybody), Ok(()));
+}
+
+#[test]
+fn a_question_to_all_outlives_the_stops_of_single_motors() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for motor in [1, 2] {
+        let _ = ask(&mut master, motor, ReadModel, ms(0));
+        reply(&mut master, motor, MODEL_REPLY, ms(1)).unwrap();
+    }
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(2));
+    events(&mut master, ms(2));
+    // The shutdown would undo this, were it to go again; the question undoes nothing.
+    master.stop(id(1), StopKind::Hold).unwrap();
+    master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(events(&mut master, ms(3)), [], "it waits");
+    let packets = sent(&mut master, ms(3));
+    assert!(packets.iter().all(|packet| packet.data == Stop.encode()), "{packets:?}");
+}
+
+#[test]
+fn the_end_of_a_question_to_all_is_told_before_it_comes() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(ReadMultiTurnAngle, id(2).into()).unwrap();
+    sent(&mut master, ms(1));
+    assert_eq!(master.poll_at(), Some(ms(1) + TIMEOUT));
+}
+
+#[test]
+fn a_question_to_all_goes_again_when_the_last_one_is_answered_no_more() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    reply(&mut master, 1, MODEL_REPLY, ms(1)).unwrap();
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    sent(&mut master, ms(10));
+    let told = events(&mut master, ms(31));
+    assert_eq!(told, [Event::BroadcastDone { silent: id(1).into(), was_sent: true }]);
+    assert_eq!(master.poll_at(), None, "nobody waits for that");
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(31)), []);
+    // What somebody else says does not put it off: it moves nobody, however late it comes.
+    reply(&mut master, 2, MODEL_REPLY, ms(40));
+    assert_eq!(sent(&mut master, ms(40)), []);
+    let at = ms(10) + TIMEOUT + WINDOW;
+    assert_eq!(master.poll_at(), Some(at));
+    assert_eq!(sent(&mut master, at), [to_all(ReadMultiTurnAngle.encode())]);
+}
+
+#[test]
+fn another_reply_does_not_say_that_a_move_of_all_has_come() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(2));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(3)), None, "it moves the motor yet");
+}
+
+#[test]
+fn a_stop_does_not_wait_for_late_replies_to_reads() {
+    let stopped = Some(Event::StopConfirmed { motor: id(1) });
+    // The set-point that was given up is answered late, the read never.
+    let mut master = Master::<2>::new(Config::CAN);
+    give_up(&mut master, ReadModel, 0);
+    master.set_point(id(1), torque(1.0), ms(6)).unwrap();
+    sent(&mut master, ms(6));
+    assert_eq!(events(&mut master, ms(27)), [Event::SetPointUnanswered { motor: id(1) }]);
+    assert!(matches!(reply(&mut master, 1, TORQUE_REPLY, ms(28)), Some(Event::Feedback { .. })));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(28));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(29)), stopped);
+
+    // The set-point is answered in time.
+    let mut master = Master::<2>::new(Config::CAN);
+    give_up(&mut master, ReadModel, 0);
+    master.set_point(id(1), torque(1.0), ms(6)).unwrap();
+    sent(&mut master, ms(6));
+    assert!(matches!(reply(&mut master, 1, TORQUE_REPLY, ms(7)), Some(Event::Feedback { .. })));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(8));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(9)), stopped);
+}
+
+#[test]
+fn a_motor_that_has_something_under_way_is_not_forgotten() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert!(!master.forget(id(1)), "a set-point waits");
+    sent(&mut master, ms(0));
+    assert!(!master.forget(id(1)), "and is in flight");
+    reply(&mut master, 1, TORQUE_REPLY, ms(1)).unwrap();
+    let _ = master.request(id(1), ReadModel).unwrap();
+    assert!(!master.forget(id(1)), "a request waits");
+    sent(&mut master, ms(1));
+    assert!(!master.forget(id(1)), "and is in flight");
+    reply(&mut master, 1, MODEL_REPLY, ms(2)).unwrap();
+    assert!(master.forget(id(1)));
+}
+
+#[test]
+fn a_motor_is_forgotten_once_no_mailbox_can_move_it_any_more() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, step(), ms(0));
+    assert_eq!(events(&mut master, ms(21)).len(), 1);
+    assert_eq!(events(&mut master, ms(70)), []);
+    assert!(!master.forget(id(1)), "the bus may be cut");
+    // It is not, or no more.
+    reply(&mut master, 2, ANGLE_REPLY, ms(80)).unwrap();
+    assert_eq!(events(&mut master, ms(80)), []);
+    assert!(!master.forget(id(1)), "what lay in a mailbox comes now");
+    assert_eq!(master.poll_at(), None);
+    assert_eq!(events(&mut master, ms(81) + WINDOW), []);
+    assert!(master.forget(id(1)));
+}
+
+#[test]
+fn a_move_that_was_handed_back_does_not_make_the_next_one_go_twice() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), step()).unwrap();
+    let lost = sent(&mut master, ms(0))[0];
+    assert_eq!(events(&mut master, ms(21)).len(), 1);
+    let _ = master.request(id(1), step()).unwrap();
+    assert_eq!(sent(&mut master, ms(21)), [], "the reply to the first may come late");
+    master.handle_pushed_out(&lost);
+    assert_eq!(sent(&mut master, ms(22)).len(), 1);
+    assert!(matches!(events(&mut master, ms(43))[..], [Event::Failed { .. }]));
+    assert_eq!(sent(&mut master, ms(200)), []);
+}
+
+#[test]
+fn a_restart_that_was_handed_back_goes_at_once() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), Reset).unwrap();
+    let reset = sent(&mut master, ms(0))[0];
+    master.handle_pushed_out(&reset);
+    assert_eq!(sent(&mut master, ms(1)), [reset], "no drive restarts");
+}
+
+#[test]
+fn a_motor_that_has_run_for_as_long_as_a_moment_ago_has_not_restarted() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for now in [0, 1] {
+        let _ = ask(&mut master, 1, ReadRunTime, ms(now));
+        let event = reply(&mut master, 1, [0xB1, 0, 0, 0, 0x10, 0x27, 0, 0], ms(now + 1));
+        assert!(matches!(event, Some(Event::Reply { .. })), "{event:?}");
+    }
+    assert_eq!(events(&mut master, ms(3)), []);
+}
+
+#[test]
+fn time_outs_follow_the_answers() {
+    let config = Config { reply_timeout: Duration::from_millis(5), ..Config::CAN };
+    let longest = Duration::from_millis(40);
+    let mut master = Master::<2>::new(config.adapting_up_to(longest));
+    assert_eq!(master.config().reply_timeout, longest, "nothing is known yet");
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    reply(&mut master, 1, MODEL_REPLY, ms(1)).unwrap();
+    assert_eq!(master.config().reply_timeout, Duration::from_millis(5));
+}
+
+#[test]
+fn a_relative_move_is_given_the_usual_time() {
+    let config = Config { reply_timeout: Duration::from_millis(5), ..Config::CAN };
+    let mut master = Master::<2>::new(config);
+    let _ = ask(&mut master, 1, step(), ms(0));
+    assert!(matches!(events(&mut master, ms(5))[..], [Event::Failed { .. }]), "it writes no ROM");
+}
+
+#[test]
+fn a_set_point_goes_when_the_first_late_reply_cannot_come_any_more() {
+    let mut master = Master::<2>::new(Config::CAN);
+    give_up(&mut master, ReadModel, 0);
+    give_up(&mut master, ReadRunTime, 5);
+    give_up(&mut master, ReadMultiTurnAngle, 10);
+    assert_eq!(master.poll_at(), None, "nothing waits");
+    master.set_point(id(1), torque(1.0), ms(20)).unwrap();
+    assert_eq!(sent(&mut master, ms(20)), [], "nobody could tell its reply if it were late");
+    assert_eq!(master.poll_at(), Some(ms(5) + WINDOW));
+    assert_eq!(sent(&mut master, ms(5) + WINDOW).len(), 1);
+}
