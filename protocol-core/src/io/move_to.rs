@@ -308,4 +308,13 @@ mod tests {
         assert!(!nearest.has_stalled(960, 20, at(190), after));
         assert!(nearest.has_stalled(955, 20, at(191), after), "by a creep");
     }
+
+    #[test]
+    fn without_a_tolerance_what_stands_still_has_stalled_too() {
+        let at = Instant::from_millis;
+        let after = Duration::from_millis(100);
+        let mut nearest = Nearest { distance: u32::MAX, since: at(0) };
+        assert!(!nearest.has_stalled(1_000, 0, at(10), after));
+        assert!(nearest.has_stalled(1_000, 0, at(111), after));
+    }
 }

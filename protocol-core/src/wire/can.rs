@@ -231,4 +231,12 @@ mod tests {
         assert!(frame.is_remote_frame() && frame.dlc() == 8 && frame.data().is_empty());
         assert_eq!(remote(9), None);
     }
+
+    #[test]
+    fn a_frame_tells_how_long_its_identifier_is() {
+        let extended = SimpleFrame::new(embedded_can::ExtendedId::ZERO, &[]).unwrap();
+        assert!(extended.is_extended() && !extended.is_standard());
+        let standard = SimpleFrame::new(StandardId::ZERO, &[]).unwrap();
+        assert!(standard.is_standard() && !standard.is_extended());
+    }
 }

@@ -1,11 +1,13 @@
 //! The loops on buses of memory and time that moves only while somebody waits.
 
 mod blocking;
+mod calls;
 mod concurrent;
 mod failing;
 mod guard;
 mod half_duplex;
 mod left_halfway;
+mod patience;
 mod world;
 
 use crate::MotorId;

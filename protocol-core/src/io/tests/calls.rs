@@ -1,0 +1,213 @@
+//! What the calls that wait make of answers, and what they do on buses that are not kind.
+
+use core::ops::ControlFlow;
+use std::vec::Vec;
+
+use embedded_can::nb;
+
+use super::world::{Broken, TestCan, TestClock, on_can};
+use super::{id, step, torque};
+use crate::Data;
+use crate::command::{
+    AbsolutePosition, AnyReply, ForcePosition, ReadMultiTurnAngle, ReadRunTime, ReadStatus2,
+    ReadStatus3, Reset, Torque,
+};
+use crate::error::RequestError;
+use crate::firmware::Firmware;
+use crate::io::asking::outcome_of_set_point;
+use crate::io::bring_up::{self, BringUpError, MoveCommand, MoveFailure, MoveLimits};
+use crate::io::{CallError, CanMaster, Guard, Runner};
+use crate::master::{Config, Event, Failure, Master, MotorSet, StopKind};
+use crate::opcode::LOST_MASTER_BYTE;
+use crate::packet::{Channel, Packet};
+use crate::units::{Angle, MaxSpeed, MaxTorque};
+use crate::wire::can::{self, Received, SimpleFrame};
+
+fn arm() -> (TestCan, CanMaster<TestCan, TestClock, 4>) {
+    let (bus, _, arm) = on_can(CanMaster::new);
+    (bus, arm)
+}
+
+/// A bus from which frames come otherwise: once, twice, or not at all.
+struct Heard<F>(TestCan, F, Vec<SimpleFrame>);
+
+impl<F: FnMut(&Packet) -> usize> nb::Can for Heard<F> {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        self.0.transmit(frame)
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        if let Some(frame) = self.2.pop() {
+            return Ok(frame);
+        }
+        let frame = self.0.receive()?;
+        if let Received::Packet(packet) = can::decode(&frame) {
+            let times = (self.1)(&packet);
+            self.2.extend(core::iter::repeat_n(frame, times));
+        }
+        self.2.pop().ok_or(::nb::Error::WouldBlock)
+    }
+}
+
+fn hearing<F: FnMut(&Packet) -> usize>(times: F) -> (TestCan, CanMaster<Heard<F>, TestClock, 4>) {
+    let (bus, _, arm) =
+        on_can(|bus, clock, config| CanMaster::new(Heard(bus, times, Vec::new()), clock, config));
+    (bus, arm)
+}
+
+fn is_sent(bus: &TestCan, data: Data) -> bool {
+    bus.sent().contains(&data)
+}
+
+#[test]
+fn what_becomes_of_anothers_set_point_says_nothing_of_this_one() {
+    let master = Master::<4>::new(Config::CAN);
+    let outcome = |event| outcome_of_set_point::<Torque, 4>(&master, id(1), &event);
+    let data = [0xA1, 50, 100, 0, 0, 0, 7, 0];
+    let feedback = Packet { channel: Channel::Reply(id(1)), data };
+    let reply = AnyReply::decode(&feedback, Firmware::V4_3).unwrap();
+    for motor in [id(1), id(2)] {
+        let is_mine = motor == id(1);
+        let why = |failure| is_mine.then_some(Err(failure));
+        assert_eq!(outcome(Event::SetPointDropped { motor }), why(Failure::Dropped));
+        assert_eq!(outcome(Event::SetPointUnanswered { motor }), why(Failure::NoReply));
+        let told = outcome(Event::Feedback { motor, reply });
+        assert_eq!(told.is_some_and(|told| told.is_ok()), is_mine);
+    }
+}
+
+#[test]
+fn a_scan_without_a_free_place_says_so() {
+    let (_, _, mut arm) = on_can(CanMaster::<_, _, 1>::new);
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    let found = bring_up::scan(&mut arm, id(2).into(), |_, _| {});
+    assert_eq!(found, Err(CallError::Request(RequestError::TooManyMotors { capacity: 1 })));
+}
+
+#[test]
+fn a_scan_finds_whoever_tells_that_it_has_lost_its_master() {
+    let (bus, mut arm) = arm();
+    let data = [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0];
+    bus.hear(&Packet { channel: Channel::Reply(id(9)), data });
+    assert_eq!(bring_up::scan(&mut arm, id(9).into(), |_, _| {}), Ok(id(9).into()));
+}
+
+#[test]
+fn a_motor_is_there_or_is_not() {
+    let (bus, mut arm) = arm();
+    assert_eq!(bring_up::is_there(&mut arm, id(1)), Ok(true));
+    assert_eq!(bring_up::is_there(&mut arm, id(9)), Ok(false));
+    assert_eq!(bring_up::restart(&mut arm, id(1), id(1)), Ok(()));
+    assert!(is_sent(&bus, Reset.encode()));
+}
+
+#[test]
+fn a_zero_that_reads_otherwise_is_not_kept() {
+    // The offset is the one that was stored; the angle is 360 degrees.
+    let (_, mut arm) = arm();
+    let zero = bring_up::zero_here(&mut arm, id(1));
+    assert!(matches!(zero, Err(BringUpError::ZeroNotKept { .. })), "{zero:?}");
+}
+
+#[test]
+fn two_motors_that_differ_in_any_one_answer_share_an_id() {
+    // A second answer with errors and voltage (0x9A) is taken for an error report.
+    for command in [
+        ReadStatus2.encode(),
+        ReadRunTime.encode(),
+        ReadStatus3.encode(),
+        ReadMultiTurnAngle.encode(),
+    ] {
+        let (_, mut arm) = hearing(|packet| 1 + usize::from(packet.data[0] == command[0]));
+        assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(true), "{:#04x}", command[0]);
+    }
+}
+
+#[test]
+fn no_motor_is_restarted_for_an_id_that_nobody_has_taken() {
+    // The answers of these drives to function 5 are none.
+    let (bus, mut arm) = arm();
+    let changed = bring_up::change_id(&mut arm, id(1), id(5));
+    let refused = BringUpError::IdNotTaken { from: id(1), to: id(5), is_alone: false };
+    assert_eq!(changed, Err(refused));
+    assert!(!is_sent(&bus, Reset.encode()));
+
+    // Alone on the bus it is told by 0x79, too.
+    let (bus, mut arm) = hearing(|packet| usize::from(packet.channel == Channel::Reply(id(1))));
+    let changed = bring_up::change_id(&mut arm, id(1), id(5));
+    let refused = BringUpError::IdNotTaken { from: id(1), to: id(5), is_alone: true };
+    assert_eq!(changed, Err(refused));
+    assert!(bus.sent().iter().any(|data| data[0] == 0x79));
+    assert!(!is_sent(&bus, Reset.encode()));
+}
+
+#[test]
+fn a_motor_that_turns_has_not_arrived() {
+    // It is at 360 degrees, and turns at 500 dps, says every answer.
+    let (bus, mut arm) = arm();
+    let (max_speed, angle) = (MaxSpeed::from_raw(100), Angle::from_raw(36_000));
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let target = AbsolutePosition { max_speed, angle };
+    let moved = bring_up::move_to(&mut arm, id(1), target, &MoveLimits::default(), go_on);
+    let why = moved.expect_err("it turns").why;
+    assert!(matches!(why, MoveFailure::Stalled { .. }), "{why:?}");
+    // It was looked at for a second, every 20 ms, and at its errors with every fifth look.
+    let count = |byte| bus.sent().iter().filter(|data| data[0] == byte).count();
+    let (looks, of_errors) = (count(0x92), count(0x9A));
+    assert!((50..=54).contains(&looks), "{looks}");
+    assert!((11..=13).contains(&of_errors), "{of_errors}");
+}
+
+#[test]
+fn a_move_with_limited_force_ends_at_its_angle() {
+    let angle = Angle::from_raw(-4_500);
+    let (max_torque, max_speed) = (MaxTorque::from_raw(100), MaxSpeed::from_raw(100));
+    let command = ForcePosition { max_torque, max_speed, angle };
+    assert_eq!(command.target(Angle::from_raw(9_000)), Some(angle));
+}
+
+#[test]
+fn a_guard_ends_with_those_who_have_not_confirmed() {
+    let (_, mut arm) = arm();
+    let mut bus = Guard::new(&mut arm, StopKind::Off);
+    bus.ask(id(1), ReadMultiTurnAngle).unwrap();
+    bus.set_point(id(9), torque()).unwrap();
+    assert_eq!(bus.finish(), id(9).into());
+}
+
+/// A controller with one mailbox: what lies in it makes way for what comes next, once.
+struct OneMailbox(TestCan, Option<SimpleFrame>, bool);
+
+impl nb::Can for OneMailbox {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        if !self.2 && self.1.is_none() {
+            self.1 = Some(*frame);
+            return Ok(None);
+        }
+        self.2 = true;
+        self.0.transmit(frame)?;
+        Ok(self.1.take())
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        self.0.receive()
+    }
+}
+
+#[test]
+fn what_the_controller_hands_back_is_sent_all_the_same() {
+    let (bus, _, mut arm) = on_can(|bus, clock, config| {
+        CanMaster::<_, _, 4>::new(OneMailbox(bus, None, false), clock, config)
+    });
+    let moved = arm.ask_together([1, 2].map(|motor| (id(motor), step())));
+    assert!(moved.iter().all(|outcome| outcome.is_ok()), "{moved:?}");
+    let moves = bus.sent().iter().filter(|data| **data == step().encode()).count();
+    assert_eq!(moves, 2, "each once");
+    assert_eq!(arm.master().motors(), [1, 2].map(id).into_iter().collect::<MotorSet>());
+}

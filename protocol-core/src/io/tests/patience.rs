@@ -1,0 +1,176 @@
+//! Loops that are lent what they run on, and ports and controllers that have little room.
+
+use core::future::pending;
+
+use embedded_io::ReadReady as _;
+
+use super::world::{Broken, TestCan, TestClock, TestSerial, answer, block_on, on_can, on_rs485};
+use super::{id, step};
+use crate::command::{ReadMultiTurnAngle, ReadStatus1, Stop};
+use crate::io::echo::EchoFilter;
+use crate::io::{
+    AsyncCan, AsyncCanMaster, AsyncRunner, Clock, DelayClock, HalfDuplex, Runner, SerialMaster,
+};
+use crate::master::StopKind;
+use crate::time::{Duration, Instant};
+use crate::wire::can::{self, Received, SimpleFrame};
+use crate::wire::rs485::Frame;
+
+fn serial() -> (TestSerial, TestClock, SerialMaster<TestSerial, TestClock, 4>) {
+    on_rs485(SerialMaster::new)
+}
+
+/// A delay that nobody waits by.
+struct NoDelay;
+
+impl embedded_hal_async::delay::DelayNs for NoDelay {
+    async fn delay_ns(&mut self, _: u32) {}
+}
+
+#[test]
+fn a_clock_that_is_lent_or_has_a_delay_tells_the_same_time() {
+    fn now(clock: impl Clock) -> Instant {
+        clock.idle(clock.now() + Duration::from_micros(20));
+        clock.now()
+    }
+    let clock = TestClock::default();
+    clock.advance(1_000);
+    assert_eq!(now(&clock), Instant::from_micros(1_020));
+    assert_eq!(now(DelayClock::new(clock.clone(), NoDelay)), Instant::from_micros(1_040));
+    assert_eq!(clock.micros(), 1_040);
+}
+
+#[test]
+fn a_controller_that_is_lent_sends_and_receives() {
+    let clock = TestClock::default();
+    let mut bus = TestCan::new(&clock);
+    let mut arm = AsyncCanMaster::<_, _, 4>::new(&mut bus, clock, crate::master::Config::CAN);
+    assert_eq!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap().angle.degrees(), 360.0);
+}
+
+/// A controller with one place for received frames, on a bus where each command is answered at once.
+struct OnePlace(Option<SimpleFrame>);
+
+impl AsyncCan for OnePlace {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Broken> {
+        assert!(self.0.is_none(), "a frame is lost");
+        if let Received::Packet(command) = can::decode(frame) {
+            self.0 = answer(&command).and_then(|reply| can::encode(&reply));
+        }
+        Ok(None)
+    }
+
+    async fn receive(&mut self) -> Result<SimpleFrame, Broken> {
+        match self.0.take() {
+            Some(frame) => Ok(frame),
+            None => pending().await,
+        }
+    }
+}
+
+#[test]
+fn what_is_received_is_taken_between_any_two_that_are_sent() {
+    let (_, _, mut arm) =
+        on_can(|_, clock, config| AsyncCanMaster::<_, _, 4>::new(OnePlace(None), clock, config));
+    for motor in [1, 2, 3] {
+        let _ = arm.master().request(id(motor), ReadMultiTurnAngle).unwrap();
+    }
+    let until = Some(Instant::from_millis(10));
+    let mut strays = 0;
+    // They come sooner than any drive answers.
+    while block_on(arm.run(until)).unwrap().is_some() {
+        strays += 1;
+    }
+    assert_eq!(strays, 3);
+}
+
+#[test]
+fn noise_on_the_line_is_counted() {
+    let (port, _, mut arm) = serial();
+    for count in 1..=2 {
+        port.hear(&[0x55]);
+        assert_eq!(arm.poll(), Ok(None));
+        assert_eq!(arm.garbled(), count);
+    }
+}
+
+#[test]
+fn what_a_serial_port_has_not_taken_is_not_in_flight() {
+    let (port, clock, mut arm) = serial();
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    clock.advance(1_000);
+    port.state().write_fails = true;
+    let _ = arm.master().request(id(1), step()).unwrap();
+    assert_eq!(arm.poll(), Err(Broken));
+    assert!(!arm.master().is_anything_in_flight());
+}
+
+#[test]
+fn an_adapter_that_echoes_no_more_confirms_stops_again() {
+    let (port, clock, mut arm) = serial();
+    port.state().echoes = true;
+    // An echo that nobody told of is found.
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    assert!(arm.stop(id(1), StopKind::Hold));
+    port.state().echoes = false;
+    for _ in 0..5 {
+        arm.ask(id(1), ReadStatus1).unwrap();
+        let end = clock.now() + Duration::from_millis(200);
+        arm.run_until(end, |_| {}).unwrap();
+    }
+    arm.master().lift_stop();
+    port.forget();
+    assert!(arm.stop(id(1), StopKind::Hold));
+    let stop = Frame::from_packet(&Stop.packet(id(1))).unwrap().encode();
+    let stops = port.written().windows(stop.len()).filter(|bytes| *bytes == stop).count();
+    assert_eq!(stops, 1, "its confirmation is no echo");
+}
+
+#[test]
+fn confirmations_do_not_show_that_an_adapter_still_echoes() {
+    let mut echoes = EchoFilter::new(false);
+    echoes.is_found();
+    let [stop, read] = [Stop.packet(id(1)), ReadStatus1.packet(id(1))]
+        .map(|packet| Frame::from_packet(&packet).unwrap());
+    let mut now = Instant::from_millis(1);
+    for _ in 0..4 {
+        // The stop is confirmed, which passes for its echo; that of the read does not come.
+        echoes.sent(stop, now);
+        echoes.sent(read, now);
+        assert!(echoes.is_echo(&stop) && echoes.is_echoing());
+        for _ in 0..2 {
+            now = now + Duration::from_millis(60);
+            echoes.found_empty(now);
+        }
+    }
+    assert!(!echoes.is_echoing());
+}
+
+/// A pin that is not looked at.
+struct Pin;
+
+impl embedded_hal::digital::ErrorType for Pin {
+    type Error = core::convert::Infallible;
+}
+
+impl embedded_hal::digital::OutputPin for Pin {
+    fn set_low(&mut self) -> Result<(), Self::Error> {
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Self::Error> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_port_with_a_direction_pin_says_whether_bytes_have_come() {
+    let port = TestSerial::new(&TestClock::default());
+    let mut line = HalfDuplex::new(port.clone(), Pin, (), 0, 0).unwrap();
+    assert_eq!(line.read_ready(), Ok(false));
+    port.hear(&[0x3E]);
+    assert_eq!(line.read_ready(), Ok(true));
+}
