@@ -142,7 +142,7 @@ fn confirmations_do_not_show_that_an_adapter_still_echoes() {
         echoes.sent(read, now);
         assert!(echoes.is_echo(&stop) && echoes.is_echoing());
         for _ in 0..2 {
-            now = now + Duration::from_millis(60);
+            now += Duration::from_millis(60);
             echoes.found_empty(now);
         }
     }
