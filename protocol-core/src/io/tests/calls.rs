@@ -14,6 +14,7 @@ use crate::command::{
 };
 use crate::error::RequestError;
 use crate::firmware::Firmware;
+use crate::id::MotorId;
 use crate::io::asking::outcome_of_set_point;
 use crate::io::bring_up::{self, BringUpError, MoveCommand, MoveFailure, MoveLimits};
 use crate::io::{CallError, CanMaster, Guard, Runner};
@@ -142,6 +143,38 @@ fn no_motor_is_restarted_for_an_id_that_nobody_has_taken() {
     assert_eq!(changed, Err(refused));
     assert!(bus.sent().iter().any(|data| data[0] == 0x79));
     assert!(!is_sent(&bus, Reset.encode()));
+}
+
+/// A bus on which this motor hands function 5 back.
+struct Acknowledges(TestCan, MotorId);
+
+impl nb::Can for Acknowledges {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        if let Received::Packet(Packet { data: data @ [0x20, ..], .. }) = can::decode(frame) {
+            self.0.hear(&Packet { channel: Channel::Reply(self.1), data });
+        }
+        self.0.transmit(frame)
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        self.0.receive()
+    }
+}
+
+#[test]
+fn an_id_is_acknowledged_under_the_old_one_or_the_new_one() {
+    for (motor, is_taken) in [(1, true), (5, true), (2, false)] {
+        let (bus, _, mut arm) = on_can(|bus, clock, config| {
+            CanMaster::<_, _, 4>::new(Acknowledges(bus, id(motor)), clock, config)
+        });
+        let changed = bring_up::change_id(&mut arm, id(1), id(5));
+        // It is restarted, after which nobody is there with the new one.
+        assert!(changed.is_err());
+        assert_eq!(is_sent(&bus, Reset.encode()), is_taken, "by motor {motor}: {changed:?}");
+    }
 }
 
 #[test]
