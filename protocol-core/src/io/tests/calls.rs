@@ -73,7 +73,6 @@ fn what_becomes_of_anothers_set_point_says_nothing_of_this_one() {
     for motor in [id(1), id(2)] {
         let is_mine = motor == id(1);
         let why = |failure| is_mine.then_some(Err(failure));
-        assert_eq!(outcome(Event::SetPointDropped { motor }), why(Failure::Dropped));
         assert_eq!(outcome(Event::SetPointUnanswered { motor }), why(Failure::NoReply));
         let told = outcome(Event::Feedback { motor, reply });
         assert_eq!(told.is_some_and(|told| told.is_ok()), is_mine);
