@@ -3,6 +3,7 @@
 mod masters {
     mod application;
     mod bring_up;
+    mod dead_motors;
     mod losses;
     mod streams;
     mod tasks;
