@@ -50,9 +50,9 @@ pub trait Runner<const N: usize> {
     /// first, as well as the clock can.
     fn idle(&mut self, until: Instant);
 
-    /// Runs the bus until then. `on_event` gets what happens meanwhile. What can be sent is sent even when
-    /// `until` is past, and at least one event is looked for, so that a control loop that is late does
-    /// not stop hearing.
+    /// Runs the bus until then. `on_event` gets what happens meanwhile. When `until` is past, all that has come is
+    /// heard, and what can be sent is sent, all the same: a control loop that is late does not stop hearing, nor
+    /// sending.
     ///
     /// # Errors
     /// [`CallError::Bus`].

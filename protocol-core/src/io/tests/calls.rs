@@ -5,7 +5,7 @@ use std::vec::Vec;
 
 use embedded_can::nb;
 
-use super::world::{Broken, TestCan, TestClock, on_can};
+use super::world::{Broken, TestCan, TestClock, block_on, on_can};
 use super::{id, step, torque};
 use crate::Data;
 use crate::command::{
@@ -17,10 +17,11 @@ use crate::firmware::Firmware;
 use crate::id::MotorId;
 use crate::io::asking::outcome_of_set_point;
 use crate::io::bring_up::{self, BringUpError, MoveCommand, MoveFailure, MoveLimits};
-use crate::io::{CallError, CanMaster, Guard, Runner};
+use crate::io::{AsyncCanMaster, AsyncRunner, CallError, CanMaster, Guard, Runner};
 use crate::master::{Config, Event, Failure, Master, MotorSet, StopKind};
 use crate::opcode::LOST_MASTER_BYTE;
 use crate::packet::{Channel, Packet};
+use crate::time::Instant;
 use crate::units::{Angle, MaxSpeed, MaxTorque};
 use crate::wire::can::{self, Received, SimpleFrame};
 
@@ -242,4 +243,24 @@ fn what_the_controller_hands_back_is_sent_all_the_same() {
     let moves = bus.sent().iter().filter(|data| **data == step().encode()).count();
     assert_eq!(moves, 2, "each once");
     assert_eq!(arm.master().motors(), [1, 2].map(id).into_iter().collect::<MotorSet>());
+}
+
+/// Three motors report by themselves, and the loop comes too late each time.
+#[test]
+fn a_call_that_is_late_sends_behind_all_that_has_come() {
+    let data = [0x9C, 25, 0, 0, 0, 0, 0, 0];
+    let report = |motor| Packet { channel: Channel::Reply(id(motor)), data };
+
+    let (bus, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
+    [2, 3, 4].map(|motor| bus.hear(&report(motor)));
+    arm.set_point(id(1), torque()).unwrap();
+    let mut told = 0;
+    arm.run_until(Instant::ZERO, |_| told += 1).unwrap();
+    assert_eq!((told, bus.sent()), (3, Vec::from([torque().encode()])));
+
+    let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
+    [2, 3, 4].map(|motor| bus.hear(&report(motor)));
+    arm.set_point(id(1), torque()).unwrap();
+    block_on(arm.run_until(Instant::ZERO, |_| told += 1)).unwrap();
+    assert_eq!((told, bus.sent()), (6, Vec::from([torque().encode()])));
 }
