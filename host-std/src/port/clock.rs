@@ -8,15 +8,24 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use myactuator_protocol_core::io::Clock;
 use myactuator_protocol_core::time::{Duration, Instant};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::time::{ClockId, clock_gettime};
 
-/// The host's monotonic clock, in microseconds since it was made.
+/// The time since the machine started, that in which it was suspended included. `std::time::Instant` leaves
+/// that out, so that what was to be sent before would count as fresh.
+pub(super) fn since_boot() -> std::time::Duration {
+    // No time is negative here.
+    clock_gettime(ClockId::Boottime).try_into().unwrap_or_default()
+}
+
+/// The host's monotonic clock, in microseconds since it was made. It runs on while the machine is suspended.
 ///
 /// One that is made [for a port](Self::for_port) idles until something arrives there, by `ppoll` with
 /// a time-out in nanoseconds: a socket's own receive time-out is rounded to the kernel's ticks, which
 /// makes 4 ms of 1 ms. Such a clock keeps the port open, so drop it with the port.
 #[derive(Debug)]
 pub struct HostClock {
-    start: std::time::Instant,
+    /// Since the machine started.
+    start: std::time::Duration,
     port: Option<(OwnedFd, Backlog)>,
     waker: Option<Arc<OwnedFd>>,
 }
@@ -57,7 +66,7 @@ impl Default for HostClock {
 impl HostClock {
     /// A clock that sleeps when it idles.
     pub fn new() -> Self {
-        Self { start: std::time::Instant::now(), port: None, waker: None }
+        Self { start: since_boot(), port: None, waker: None }
     }
 
     /// A clock that idles until this socket or serial port can be read.
@@ -113,7 +122,7 @@ impl HostClock {
 
 impl Clock for HostClock {
     fn now(&self) -> Instant {
-        Instant::ZERO + Duration::from(self.start.elapsed())
+        Instant::ZERO + Duration::from(since_boot().saturating_sub(self.start))
     }
 
     fn idle(&self, until: Instant) {

@@ -7,6 +7,7 @@ use std::time::Duration;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use rustix::event::PollFlags;
 
+use crate::port::clock::since_boot;
 use crate::port::tty::Tty;
 use crate::port::{HostClock, PortError};
 
@@ -84,12 +85,15 @@ impl Write for Rs485 {
         if buf.is_empty() {
             return Ok(0);
         }
+        let begun = since_boot();
         loop {
             let written = self.tty.write(buf)?;
             if written > 0 {
                 return Ok(written);
             }
-            if !self.tty.wait(PollFlags::OUT, Some(LONGEST_STALL))? {
+            let has_room = self.tty.wait(PollFlags::OUT, Some(LONGEST_STALL))?;
+            // Room may come late to a program or a machine that was held meanwhile.
+            if !has_room || since_boot().saturating_sub(begun) > LONGEST_STALL {
                 self.tty.discard_output()?;
                 return Err(PortError::Stalled(self.tty.name().to_owned()));
             }

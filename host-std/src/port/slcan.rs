@@ -9,7 +9,7 @@ use embedded_can::nb::Can;
 use myactuator_protocol_core::wire::can::SimpleFrame;
 use rustix::event::PollFlags;
 
-use crate::port::clock::Backlog;
+use crate::port::clock::{Backlog, since_boot};
 use crate::port::outage::Outage;
 use crate::port::tty::Tty;
 use crate::port::{HostClock, PortError};
@@ -49,7 +49,8 @@ pub struct Slcan {
     unread: VecDeque<u8>,
     /// The rest of a line that the port has not taken yet.
     unsent: Vec<u8>,
-    stalled_since: Option<Instant>,
+    /// Since the machine started.
+    stalled_since: Option<Duration>,
     outage: Outage,
     backlog: Backlog,
 }
@@ -140,8 +141,9 @@ impl Slcan {
             self.stalled_since = None;
             return Ok(());
         }
-        let since = *self.stalled_since.get_or_insert_with(Instant::now);
-        if since.elapsed() < LONGEST_STALL {
+        let now = since_boot();
+        let since = *self.stalled_since.get_or_insert(now);
+        if now.saturating_sub(since) < LONGEST_STALL {
             return Ok(());
         }
         self.tty.discard_output()?;

@@ -83,7 +83,7 @@ pub(super) enum Order<E> {
 pub struct Latest {
     /// What it said, to its set-point stream or by itself.
     pub reply: AnyReply,
-    /// When that was heard.
+    /// When that was heard. On a machine that was suspended since then it is older than this says.
     pub heard_at: Instant,
 }
 
