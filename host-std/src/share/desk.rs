@@ -192,10 +192,10 @@ impl<E> Desk<E> {
     ) -> Awaited<Data, E> {
         let (answer, answered) = sync_channel(1);
         let mut state = self.lock();
-        state.check(motor, command.kind)?;
         if command.kind.ends_motion() {
             state.slot(motor).set_point = None;
         }
+        state.check(motor, command.kind)?;
         state.questions.push_back(Question { motor, command, patience, turn_ends: None, answer });
         self.leave(state);
         Ok(answered)
@@ -394,7 +394,10 @@ impl<E> State<E> {
         if let Life::Panicked(_) = self.life {
             return Err(self.last_words());
         }
-        if let Some(error) = self.error.take() {
+        // An error that is somebody else's keeps no stop from the bus.
+        if !kind.ends_motion()
+            && let Some(error) = self.error.take()
+        {
             return Err(SharedBusError::Bus(error));
         }
         let is_stopped = self.stops_all || self.stopped.contains(motor);

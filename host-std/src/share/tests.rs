@@ -5,7 +5,7 @@ use std::sync::{Arc, Barrier};
 use std::thread;
 
 use myactuator_protocol_core::command::{
-    AbsolutePosition, ReadMultiTurnAngle, ReadStatus1, Shutdown, Speed,
+    AbsolutePosition, ReadMultiTurnAngle, ReadStatus1, Shutdown, Speed, Stop,
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{CanMaster, Runner};
@@ -482,6 +482,23 @@ fn nothing_older_than_a_stop_outlives_it() {
         |told| matches!(told, SharedBusError::Panicked(words) if &*words == "the test is over");
     assert!(is_over(desk.wait(reading).unwrap_err()));
     assert!(is_over(desk.wait(stopping).unwrap_err()));
+}
+
+#[test]
+fn somebody_elses_error_keeps_no_stop_from_the_bus() {
+    let desk = Desk::new(None);
+    for command in [Untyped::of(&Stop), Untyped::of(&Shutdown)] {
+        desk.set_point(id(1), Untyped::of(&turn(90.0))).unwrap();
+        desk.fail(&Arc::new(CanError::BusOff), 0);
+        let stopping = desk.ask(id(1), command, None);
+        let mut free = Notes { takes_questions: true, ..Notes::default() };
+        assert!(desk.take(&mut free));
+        assert_eq!(free.told, ["1?"], "the set-point is older");
+        assert!(matches!(desk.wait(stopping), Err(SharedBusError::Failed(_))));
+        // Whoever moves a motor next is told.
+        let told = desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap_err();
+        assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
+    }
 }
 
 #[test]
