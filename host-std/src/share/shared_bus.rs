@@ -205,7 +205,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.0.desk.lift_stop_of(motor)
     }
 
-    /// Takes set-points again for a motor that [has
+    /// Takes set-points and moves again for a motor that [has
     /// restarted](myactuator_protocol_core::master::Event::Restarted): the caller knows where it is.
     ///
     /// # Errors
