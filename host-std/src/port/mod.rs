@@ -29,6 +29,7 @@ mod clock;
 mod error;
 mod latency;
 mod outage;
+mod outbox;
 mod serial;
 mod slcan;
 mod tty;

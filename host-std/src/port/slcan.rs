@@ -11,6 +11,7 @@ use rustix::event::PollFlags;
 
 use crate::port::clock::{Backlog, since_boot};
 use crate::port::outage::Outage;
+use crate::port::outbox::Outbox;
 use crate::port::tty::Tty;
 use crate::port::{HostClock, PortError};
 use crate::text::slcan::{AdapterCommand, Answer, Codec, Rate};
@@ -21,8 +22,6 @@ const LINE_RATE: u32 = 115_200;
 const ANSWER_TIME: Duration = Duration::from_millis(100);
 /// An adapter that says nothing for so long has said what it had to say.
 const QUIET: Duration = Duration::from_millis(20);
-/// A port that takes nothing for so long holds stale frames.
-const LONGEST_STALL: Duration = Duration::from_millis(20);
 /// Bytes read at once, and how often in one call at the most.
 const CHUNK: usize = 256;
 const READS_A_CALL: usize = 16;
@@ -47,10 +46,7 @@ pub struct Slcan {
     codec: Codec,
     /// What has arrived and is still to be looked at.
     unread: VecDeque<u8>,
-    /// The rest of a line that the port has not taken yet.
-    unsent: Vec<u8>,
-    /// Since the machine started.
-    stalled_since: Option<Duration>,
+    unsent: Outbox,
     outage: Outage,
     backlog: Backlog,
 }
@@ -68,8 +64,7 @@ impl Slcan {
             tty: Tty::open(path.as_ref(), LINE_RATE)?,
             codec: Codec::default(),
             unread: VecDeque::new(),
-            unsent: Vec::new(),
-            stalled_since: None,
+            unsent: Outbox::default(),
             outage: Outage::default(),
             backlog: Backlog::default(),
         };
@@ -101,7 +96,7 @@ impl Slcan {
 
     /// Sends a command of the set-up and waits for its answer; `None` if none comes.
     fn set_up(&mut self, command: AdapterCommand) -> Result<Option<Answer>, PortError> {
-        command.encode(&mut self.unsent);
+        self.unsent.put(command);
         let deadline = Instant::now() + ANSWER_TIME;
         loop {
             self.send_on()?;
@@ -131,28 +126,14 @@ impl Slcan {
 
     /// Hands the port what it has not taken yet.
     fn send_on(&mut self) -> Result<(), PortError> {
-        if self.unsent.is_empty() {
-            return Ok(());
-        }
-        let taken = self.tty.write(&self.unsent)?;
-        self.unsent.drain(..taken);
+        let sent = self.unsent.send_on(since_boot(), |bytes| self.tty.write(bytes));
         self.backlog.set(!self.unsent.is_empty());
-        if taken > 0 {
-            self.stalled_since = None;
+        if sent? {
             return Ok(());
         }
-        let now = since_boot();
-        let since = *self.stalled_since.get_or_insert(now);
-        if now.saturating_sub(since) < LONGEST_STALL {
-            return Ok(());
-        }
-        self.tty.discard_output()?;
-        self.stalled_since = None;
-        // The adapter may hold the beginning of a line.
-        self.unsent.clear();
-        AdapterCommand::Nothing.encode(&mut self.unsent);
         let stalled = PortError::Stalled(self.tty.name().to_owned());
         self.outage.begin(stalled.clone());
+        self.tty.discard_output()?;
         Err(stalled)
     }
 
@@ -180,7 +161,7 @@ impl Drop for Slcan {
     fn drop(&mut self) {
         let takes = self.unsent.is_empty();
         if takes {
-            AdapterCommand::Nothing.encode(&mut self.unsent);
+            self.unsent.put(AdapterCommand::Nothing);
             if let Ok(Some(_)) = self.set_up(AdapterCommand::Close) {
                 return;
             }
@@ -208,7 +189,7 @@ impl Can for Slcan {
             return Err(nb::Error::WouldBlock);
         }
         self.outage.admit(frame)?;
-        AdapterCommand::Transmit(*frame).encode(&mut self.unsent);
+        self.unsent.put(AdapterCommand::Transmit(*frame));
         self.send_on()?;
         Ok(None)
     }

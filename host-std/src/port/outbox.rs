@@ -1,0 +1,133 @@
+//! What an SLCAN adapter is still to be told.
+
+use std::time::Duration;
+
+use crate::port::PortError;
+use crate::text::slcan::AdapterCommand;
+
+/// A port that takes nothing for so long holds stale frames.
+const LONGEST_STALL: Duration = Duration::from_millis(20);
+
+/// The rest of a line that the port has not taken yet.
+///
+/// It never leaves late: a line of which some is left when the port fails, or takes nothing for too long, is
+/// dropped, and an end of line is put in its place, since the adapter may hold its beginning.
+#[derive(Debug, Default)]
+pub(super) struct Outbox {
+    rest: Vec<u8>,
+    /// Since when the port takes nothing; time since the machine started.
+    blocked_since: Option<Duration>,
+}
+
+impl Outbox {
+    pub(super) fn put(&mut self, command: AdapterCommand) {
+        command.encode(&mut self.rest);
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.rest.is_empty()
+    }
+
+    /// Hands the port what it has not taken yet; `write` says how much it takes. False if that has become stale
+    /// and was dropped.
+    pub(super) fn send_on(
+        &mut self,
+        now: Duration,
+        write: impl FnOnce(&[u8]) -> Result<usize, PortError>,
+    ) -> Result<bool, PortError> {
+        if self.rest.is_empty() {
+            return Ok(true);
+        }
+        let blocked_for = self.blocked_since.map(|since| now.saturating_sub(since));
+        // Also where the port would take it now, from a program that was held meanwhile.
+        if blocked_for.is_some_and(|span| span >= LONGEST_STALL) {
+            self.drop_rest();
+            return Ok(false);
+        }
+        match write(&self.rest) {
+            Ok(0) => {
+                self.blocked_since.get_or_insert(now);
+            }
+            Ok(taken) => {
+                self.rest.drain(..taken);
+                self.blocked_since = (!self.rest.is_empty()).then_some(now);
+            }
+            Err(error) => {
+                self.drop_rest();
+                return Err(error);
+            }
+        }
+        Ok(true)
+    }
+
+    fn drop_rest(&mut self) {
+        self.rest.clear();
+        self.blocked_since = None;
+        AdapterCommand::Nothing.encode(&mut self.rest);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use embedded_can::{Frame as _, StandardId};
+    use myactuator_protocol_core::wire::can::SimpleFrame;
+
+    const START: Duration = Duration::from_secs(100);
+    const END_OF_LINE: &[u8] = b"\r";
+
+    /// One that is to send a torque command.
+    fn with_torque() -> Outbox {
+        let id = StandardId::new(0x141).unwrap();
+        let frame = SimpleFrame::new(id, &[0xA1, 0, 0, 0, 50, 0, 0, 0]).unwrap();
+        let mut outbox = Outbox::default();
+        outbox.put(AdapterCommand::Transmit(frame));
+        outbox
+    }
+
+    /// What the port gets when it takes so many bytes.
+    fn sent(outbox: &mut Outbox, at_ms: u64, takes: usize) -> (bool, Vec<u8>) {
+        let mut got = Vec::new();
+        let is_fresh = outbox.send_on(START + Duration::from_millis(at_ms), |bytes| {
+            let taken = takes.min(bytes.len());
+            got.extend_from_slice(&bytes[..taken]);
+            Ok(taken)
+        });
+        (is_fresh.unwrap(), got)
+    }
+
+    #[test]
+    fn a_line_leaves_in_pieces_as_the_port_takes_it() {
+        let mut outbox = with_torque();
+        assert_eq!(sent(&mut outbox, 0, 5), (true, b"t1418".to_vec()));
+        // Each piece is progress.
+        for (at_ms, piece) in [(19, &b"A100"[..]), (38, b"0000"), (57, b"3200")] {
+            assert_eq!(sent(&mut outbox, at_ms, 4), (true, piece.to_vec()));
+        }
+        assert_eq!(sent(&mut outbox, 76, 100), (true, b"0000\r".to_vec()));
+        assert!(outbox.is_empty());
+    }
+
+    #[test]
+    fn what_was_told_to_be_unsent_is_never_sent() {
+        let mut outbox = with_torque();
+        let failed = outbox.send_on(START, |_| Err(PortError::Stalled("made up".into())));
+        assert!(failed.is_err());
+        assert_eq!(sent(&mut outbox, 1, 100), (true, END_OF_LINE.to_vec()));
+        assert!(outbox.is_empty());
+    }
+
+    #[test]
+    fn a_line_that_the_port_takes_too_late_is_dropped() {
+        // None of it, and a part, was taken before the program was held for a minute.
+        for takes in [0, 5] {
+            let mut outbox = with_torque();
+            assert!(sent(&mut outbox, 0, takes).0);
+            assert_eq!(sent(&mut outbox, 60_000, 100), (false, vec![]));
+            assert_eq!(sent(&mut outbox, 60_000, 100), (true, END_OF_LINE.to_vec()));
+        }
+        // A port that takes nothing all the while.
+        let mut outbox = with_torque();
+        assert_eq!([0, 19, 20].map(|at_ms| sent(&mut outbox, at_ms, 0).0), [true, true, false]);
+    }
+}
