@@ -26,6 +26,7 @@
 
 mod can;
 mod clock;
+mod drain;
 mod error;
 mod latency;
 mod outage;

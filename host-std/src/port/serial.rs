@@ -1,17 +1,20 @@
 //! RS485 over serial ports.
 
-use std::os::fd::{AsFd, BorrowedFd};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::Path;
 use std::time::Duration;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use rustix::event::PollFlags;
+use rustix::io::retry_on_intr;
+use rustix::termios::tcdrain;
 
 use crate::port::clock::since_boot;
-use crate::port::tty::Tty;
+use crate::port::drain::Drain;
+use crate::port::tty::{Tty, explain};
 use crate::port::{HostClock, PortError};
 
-/// How long a port may take no byte. At 1200 bit/s a frame of 13 bytes takes 110 ms.
+/// How long a port may take no byte, or keep what it has taken. At 1200 bit/s a frame of 13 bytes takes 110 ms.
 const LONGEST_STALL: Duration = Duration::from_secs(1);
 
 /// A serial port with an RS485 transceiver that switches its direction by itself, as USB adapters do.
@@ -22,11 +25,16 @@ const LONGEST_STALL: Duration = Duration::from_secs(1);
 /// meanwhile. [`flush`](Write::flush) waits until the bytes have left the kernel and the port's own
 /// send register; those that a USB adapter still holds it cannot see.
 ///
+/// Neither writing nor flushing waits for longer than a second. What the port still holds then is thrown away, as
+/// far as its driver does that, and nothing more is written before the rest has left. A thread waits for that; it
+/// has the scheduling of the one that opens the port.
+///
 /// A USB adapter that collects what it receives, up to 16 ms for some, is told not to, where its driver
 /// offers that and the user may: otherwise see [`SlowAdapter`](crate::port::SlowAdapter).
 #[derive(Debug)]
 pub struct Rs485 {
     tty: Tty,
+    drain: Drain<OwnedFd>,
 }
 
 impl Rs485 {
@@ -36,7 +44,10 @@ impl Rs485 {
     /// [`PortError`]: there is no such port, it is no serial port, the user may not open it, another
     /// program has it open, or it cannot run at this rate.
     pub fn open(path: impl AsRef<Path>, bit_rate: u32) -> Result<Self, PortError> {
-        Ok(Self { tty: Tty::open(path.as_ref(), bit_rate)? })
+        let tty = Tty::open(path.as_ref(), bit_rate)?;
+        let drain = Drain::new(|port: &OwnedFd| retry_on_intr(|| tcdrain(port)));
+        let drain = drain.map_err(|error| PortError::os(tty.name(), error))?;
+        Ok(Self { tty, drain })
     }
 
     /// A clock that waits for this port.
@@ -45,6 +56,14 @@ impl Rs485 {
     /// [`PortError::Os`] when the operating system has no file descriptor left.
     pub fn clock(&self) -> Result<HostClock, PortError> {
         HostClock::for_port(self).map_err(|error| PortError::os(self.tty.name(), error))
+    }
+
+    /// The port does not send: what it holds is stale.
+    fn stalled(&self) -> PortError {
+        match self.tty.discard_output() {
+            Ok(()) => PortError::Stalled(self.tty.name().to_owned()),
+            Err(error) => error,
+        }
     }
 }
 
@@ -80,10 +99,13 @@ impl Read for Rs485 {
 
 impl Write for Rs485 {
     /// Waits for room, a second at the most; then throws away what the port holds, for a command that
-    /// leaves so late is stale.
+    /// leaves so late is stale. Not at all while the port keeps what was to be flushed.
     fn write(&mut self, buf: &[u8]) -> Result<usize, PortError> {
         if buf.is_empty() {
             return Ok(0);
+        }
+        if !self.drain.is_over() {
+            return Err(self.stalled());
         }
         let begun = since_boot();
         loop {
@@ -94,13 +116,56 @@ impl Write for Rs485 {
             let has_room = self.tty.wait(PollFlags::OUT, Some(LONGEST_STALL))?;
             // Room may come late to a program or a machine that was held meanwhile.
             if !has_room || since_boot().saturating_sub(begun) > LONGEST_STALL {
-                self.tty.discard_output()?;
-                return Err(PortError::Stalled(self.tty.name().to_owned()));
+                return Err(self.stalled());
             }
         }
     }
 
     fn flush(&mut self) -> Result<(), PortError> {
-        self.tty.drain()
+        let failed = |error| explain(self.tty.name(), error);
+        let port = self.tty.as_fd().try_clone_to_owned().map_err(failed)?;
+        match self.drain.wait(port, LONGEST_STALL) {
+            Ok(true) => Ok(()),
+            Ok(false) => Err(self.stalled()),
+            Err(error) => Err(failed(error.into())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::File;
+    use std::sync::mpsc::sync_channel;
+
+    use rustix::pty::{OpenptFlags, openpt, ptsname, unlockpt};
+
+    /// A pseudo-terminal hands everything over at once, so what it keeps is made up.
+    #[test]
+    fn what_does_not_leave_is_given_up_and_nothing_follows_it() {
+        let line = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        unlockpt(&line).unwrap();
+        let path = ptsname(&line, Vec::new()).unwrap().into_string().unwrap();
+        let mut port = Rs485::open(path, 115_200).unwrap();
+        let (leave, left) = sync_channel::<()>(1);
+        let wait = move |_: &OwnedFd| {
+            let _ = left.recv();
+            Ok(())
+        };
+        port.drain = Drain::new(wait).unwrap();
+
+        port.write_all(b"stop").unwrap();
+        let told = port.flush().unwrap_err();
+        assert!(matches!(told, PortError::Stalled(_)), "{told}");
+        let told = port.write_all(b"move").unwrap_err();
+        assert!(matches!(told, PortError::Stalled(_)), "{told}");
+        // It goes on when the adapter does.
+        drop(leave);
+        port.flush().unwrap();
+        port.write_all(b"read").unwrap();
+        port.flush().unwrap();
+        let mut heard = [0; 8];
+        std::io::Read::read_exact(&mut File::from(line), &mut heard).unwrap();
+        assert_eq!(&heard, b"stopread");
     }
 }

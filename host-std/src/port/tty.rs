@@ -90,12 +90,6 @@ impl Tty {
         ready.map(|ready| ready > 0).map_err(|error| explain(&self.name, error.into()))
     }
 
-    /// Waits until the last byte has left the port.
-    pub(super) fn drain(&self) -> Result<(), PortError> {
-        retry_on_intr(|| rustix::termios::tcdrain(&self.port))
-            .map_err(|error| explain(&self.name, error.into()))
-    }
-
     pub(super) fn discard_output(&self) -> Result<(), PortError> {
         self.port.discard_output_buffer().map_err(|error| explain(&self.name, error))
     }
@@ -120,7 +114,7 @@ impl AsFd for Tty {
     }
 }
 
-fn explain(name: &str, error: io::Error) -> PortError {
+pub(super) fn explain(name: &str, error: io::Error) -> PortError {
     let port = || name.to_owned();
     match Errno::from_io_error(&error) {
         // A device file without a device behind it reports an input/output error.
