@@ -4,7 +4,7 @@
 //! here and now, and refuses what comes after it, whether or not the thread has seen it yet.
 
 use std::collections::VecDeque;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError::Timeout, SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -120,6 +120,8 @@ struct State<E> {
     /// An error that nobody was told yet.
     error: Option<Arc<E>>,
     subscribers: Vec<Subscriber>,
+    /// How often the thread took up what there is.
+    rounds: u64,
     /// Something was laid down since the thread last took up what there is.
     has_news: bool,
     /// The thread idles, and has to be woken for what is new.
@@ -155,6 +157,7 @@ impl<E> Desk<E> {
             restarted: MotorSet::EMPTY,
             error: None,
             subscribers: Vec::new(),
+            rounds: 0,
             has_news: false,
             is_idle: false,
         };
@@ -301,6 +304,25 @@ impl<E> Desk<E> {
         awaited?.recv().unwrap_or_else(|_| Err(self.lock().last_words()))
     }
 
+    /// Waits for the end of a stop of these motors, all of which count as unconfirmed when nobody can tell.
+    pub(super) fn wait_for_stop(
+        &self,
+        awaited: Awaited<MotorSet, E>,
+        motors: MotorSet,
+    ) -> Result<MotorSet, SharedBusError<E>> {
+        // The thread idles no longer than a stop may take: else its driver holds it.
+        const LONGEST_ROUND: Duration = Duration::from_secs(2);
+        let answered = awaited?;
+        loop {
+            let rounds = self.lock().rounds;
+            match answered.recv_timeout(LONGEST_ROUND) {
+                Err(Timeout) if self.lock().rounds == rounds => return Ok(motors),
+                Err(Timeout) => {}
+                answer => return answer.unwrap_or_else(|_| Err(self.lock().last_words())),
+            }
+        }
+    }
+
     // ---- the thread's side ----
 
     /// Hands the clerk what is there: orders, then set-points, then questions, then set-points that are newer than
@@ -309,6 +331,7 @@ impl<E> Desk<E> {
         let mut guard = self.lock();
         let state = &mut *guard;
         (state.is_idle, state.has_news) = (false, false);
+        state.rounds += 1;
         state.orders.drain(..).for_each(|order| clerk.obey(order));
         state.hand_over_set_points(clerk);
         // What one motor is asked, it is asked in that order.

@@ -168,14 +168,15 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// Stops all motors that were spoken to and those of `also`, before anything else is sent, and waits
     /// until each has confirmed it, or not, for up to
     /// [a second](myactuator_protocol_core::io::LONGEST_STOP). Gives those that have not: **cut their
-    /// power**. Whatever may move a motor and still waits, of any thread, is dropped, and nothing of that
-    /// kind is taken until [`lift_stop`](Self::lift_stop).
+    /// power**; every id there is, if the driver of the bus keeps its thread for 2 s. Whatever may move a motor
+    /// and still waits, of any thread, is dropped, and nothing of that kind is taken until
+    /// [`lift_stop`](Self::lift_stop).
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`]: nobody is there to stop them. **Cut their power.**
     pub fn stop_all(&self, kind: StopKind, also: MotorSet) -> Result<MotorSet, SharedBusError<E>> {
         let desk = &self.0.desk;
-        desk.wait(desk.stop_all(kind, also))
+        desk.wait_for_stop(desk.stop_all(kind, also), MotorSet::ALL)
     }
 
     /// Stops one motor, as [`stop_all`](Self::stop_all) stops all, and says whether it has confirmed it. If
@@ -185,7 +186,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// [`SharedBusError::Request`] if the master has no place for it, [`SharedBusError::Panicked`].
     pub fn stop(&self, motor: MotorId, kind: StopKind) -> Result<bool, SharedBusError<E>> {
         let desk = &self.0.desk;
-        Ok(desk.wait(desk.stop(motor, kind))?.is_empty())
+        Ok(desk.wait_for_stop(desk.stop(motor, kind), motor.into())?.is_empty())
     }
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse. Does not

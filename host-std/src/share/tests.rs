@@ -1,6 +1,7 @@
 //! Threads on one bus of simulated drives, in real time.
 
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Barrier};
 use std::thread;
 
@@ -352,6 +353,51 @@ fn a_stop_on_a_dead_bus_is_given_up() {
     let unconfirmed = bus.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert_eq!(unconfirmed, [id(1), id(2)].into_iter().collect());
     order.store(WORK, Ordering::SeqCst);
+}
+
+/// A bus whose driver does not come back from a write, until it is let go.
+struct HeldUp(SimMaster, Option<(SyncSender<()>, Receiver<()>)>);
+
+impl Runner<8> for HeldUp {
+    type Error = CanError;
+
+    fn master(&mut self) -> &mut Master<8> {
+        self.0.master()
+    }
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, CanError> {
+        if let Some((is_held, let_go)) = self.1.take() {
+            is_held.send(()).unwrap();
+            let _ = let_go.recv_timeout(std::time::Duration::from_secs(5));
+        }
+        self.0.poll()
+    }
+
+    fn idle(&mut self, until: Instant) {
+        self.0.idle(until);
+    }
+}
+
+#[test]
+fn a_stop_is_given_up_where_the_driver_does_not_come_back() {
+    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    let ((held, is_held), (let_go, goes_on)) = (sync_channel(1), sync_channel(1));
+    let held_up = HeldUp(fleet.master(), Some((held, goes_on)));
+    let bus = SharedBus::new(held_up, StopKind::Hold);
+    is_held.recv().unwrap();
+    let stopping = thread::spawn({
+        let bus = bus.clone();
+        move || bus.stop_all(StopKind::Hold, MotorSet::EMPTY)
+    });
+    assert!(!bus.stop(id(1), StopKind::Hold).unwrap());
+    // Nobody knows which of them is stopped.
+    assert_eq!(stopping.join().unwrap().unwrap(), MotorSet::ALL);
+    let_go.send(()).unwrap();
+    assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
 }
 
 #[test]
