@@ -252,14 +252,14 @@ fn a_call_that_is_late_sends_behind_all_that_has_come() {
     let report = |motor| Packet { channel: Channel::Reply(id(motor)), data };
 
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
-    [2, 3, 4].map(|motor| bus.hear(&report(motor)));
+    [2, 3, 4].into_iter().for_each(|motor| bus.hear(&report(motor)));
     arm.set_point(id(1), torque()).unwrap();
     let mut told = 0;
     arm.run_until(Instant::ZERO, |_| told += 1).unwrap();
     assert_eq!((told, bus.sent()), (3, Vec::from([torque().encode()])));
 
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
-    [2, 3, 4].map(|motor| bus.hear(&report(motor)));
+    [2, 3, 4].into_iter().for_each(|motor| bus.hear(&report(motor)));
     arm.set_point(id(1), torque()).unwrap();
     block_on(arm.run_until(Instant::ZERO, |_| told += 1)).unwrap();
     assert_eq!((told, bus.sent()), (6, Vec::from([torque().encode()])));
