@@ -8,8 +8,8 @@ use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write};
 
 /// A serial port whose transceiver is switched to sending by a pin: high while bytes leave.
 ///
-/// The pin goes high with the first byte written and low again in `flush`, after the last byte has
-/// left; so the port's own `flush` must wait for that.
+/// The pin goes high before the first byte is written, and low again in `flush`, after the last byte has left; so
+/// the port's own `flush` must wait for that. Where a write fails or takes nothing it goes low at once.
 ///
 /// It is a port of embedded-io if `serial` is one and `delay` is embedded-hal's, and a port of
 /// embedded-io-async if `delay` is embedded-hal-async's. There, a `write` or `flush` that is dropped
@@ -109,7 +109,7 @@ impl<S: Write, P: OutputPin, D: DelayNs> Write for HalfDuplex<S, P, D> {
             self.delay.delay_ns(self.setup_ns);
         }
         let written = self.serial.write(buf).map_err(HalfDuplexError::Serial);
-        if written.is_err() {
+        if !matches!(written, Ok(1..)) {
             self.turn_to_receiving()?;
         }
         written
@@ -144,7 +144,7 @@ where
             self.delay.delay_ns(self.setup_ns).await;
         }
         let written = self.serial.write(buf).await.map_err(HalfDuplexError::Serial);
-        if written.is_err() {
+        if !matches!(written, Ok(1..)) {
             self.turn_to_receiving()?;
         }
         written

@@ -190,3 +190,14 @@ fn reading_leaves_the_pin_alone() {
     assert_eq!(buf, [7; 3]);
     assert_eq!(rig.log(), [Low]);
 }
+
+#[test]
+fn the_pin_is_low_where_nothing_was_taken() {
+    let rig = Rig::default();
+    let mut port = rig.clone().half_duplex();
+    // Of nothing the port takes nothing, as a full one may.
+    assert_eq!(embedded_io::Write::write(&mut port, &[]), Ok(0));
+    assert_eq!(rig.log(), [Low, High, Wait(3_000), Write(0), Low]);
+    assert_eq!(block_on(embedded_io_async::Write::write(&mut port, &[])), Ok(0));
+    assert_eq!(rig.log()[5..], [High, Wait(3_000), Write(0), Low]);
+}
