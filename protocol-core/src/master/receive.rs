@@ -5,6 +5,7 @@ use crate::data::Data;
 use crate::id::MotorId;
 use crate::kind::Kind;
 use crate::master::broadcast::Broadcast;
+use crate::master::event::feedback_of;
 use crate::master::late::{Of, Question};
 use crate::master::motor::{DOUBLED_WITHIN, HALF_A_TURN_TAKES, Motor};
 use crate::master::request::{Asked, Request};
@@ -275,7 +276,9 @@ impl Motor {
         config: &Config,
         now: Instant,
     ) -> Meaning {
-        self.note_angle(&reply, config, now);
+        if let Some(feedback) = feedback_of(&reply) {
+            self.note_angle(feedback.angle.raw(), config, now);
+        }
         (self.latest, self.latest_at) = (Some(reply), now);
         Meaning::Feedback(reply, round_trip)
     }
@@ -292,17 +295,18 @@ impl Motor {
         self.bus_is_alive(now, config);
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
         let is_one_late = self.prolong_late(set_point.question, config, now);
-        let is_echo = set_point.data == packet.data;
+        let is_echo = || set_point.data == packet.data;
         self.stream.take_in_flight();
-        if heard.is_ignored_one() && (is_one_late || is_echo) {
+        if heard.is_ignored_one() && (is_one_late || is_echo()) {
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
         self.answered(Some(round_trip));
         // Also where nobody has heard why, an echo has no angle.
-        self.has_angle &= !is_echo;
+        let angle = feedback_of(&reply).filter(|_| !is_echo()).map(|feedback| feedback.angle.raw());
+        self.angle = self.angle.filter(|_| angle.is_some());
         let meaning = self.feedback(reply, Some(round_trip), config, now);
-        self.has_angle = !is_one_late && !is_echo && round_trip <= HALF_A_TURN_TAKES;
+        self.angle = angle.filter(|_| !is_one_late && round_trip <= HALF_A_TURN_TAKES);
         meaning
     }
 

@@ -10,7 +10,7 @@ use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::config::Config;
-use crate::master::event::{Failure, feedback_of};
+use crate::master::event::Failure;
 use crate::master::health::Record;
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::reported_bit;
@@ -44,8 +44,9 @@ const RESTART_TAKES: Duration = Duration::from_secs(1);
 pub(super) const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
 /// No motor turns a degree in less: 10,000 dps.
 const DEGREE_TAKES: Duration = Duration::from_micros(100);
-/// Nor half a turn: what lies further away is nearer to another turn.
-pub(super) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(180);
+/// In degrees: what lies further away is nearer to another turn.
+const HALF_A_TURN: u16 = 180;
+pub(super) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(HALF_A_TURN as u32);
 /// One that has not reported for so many of its intervals does so no more.
 const REPORTS_MISSED: u32 = 3;
 
@@ -95,8 +96,8 @@ pub(super) struct Motor {
     /// The newest feedback of its stream, and when it came.
     pub(super) latest: Option<AnyReply>,
     pub(super) latest_at: Instant,
-    /// That was measured just before it came.
-    pub(super) has_angle: bool,
+    /// Its angle in degrees, if that was measured just before it came.
+    pub(super) angle: Option<i16>,
     pub(super) health: Record,
 }
 
@@ -415,18 +416,13 @@ impl Motor {
         }
     }
 
-    /// Feedback of its stream says where it is: further from where it was than it can have turned since.
-    pub(super) fn note_angle(&mut self, reply: &AnyReply, config: &Config, now: Instant) {
-        if !core::mem::take(&mut self.has_angle) {
-            return;
-        }
-        let before = self.latest.as_ref().and_then(feedback_of);
-        if let (Some(before), Some(after)) = (before, feedback_of(reply)) {
-            let turned = after.angle.raw().wrapping_sub(before.angle.raw()).unsigned_abs();
-            let possible = HALF_A_TURN_TAKES + (now - self.latest_at);
-            if DEGREE_TAKES.times(turned.into()) > possible {
-                self.has_begun_anew(config, now);
-            }
+    /// Feedback of its stream says where it is, in degrees: further from where it was than it can have turned since.
+    pub(super) fn note_angle(&mut self, angle: i16, config: &Config, now: Instant) {
+        let Some(before) = self.angle.take() else { return };
+        let turned = angle.wrapping_sub(before).unsigned_abs();
+        let beyond = u32::from(turned.saturating_sub(HALF_A_TURN));
+        if beyond > 0 && DEGREE_TAKES.times(beyond) > now - self.latest_at {
+            self.has_begun_anew(config, now);
         }
     }
 
@@ -435,7 +431,7 @@ impl Motor {
         self.has_restarted = true;
         self.reports = 0;
         self.run_time_ms = 0;
-        self.has_angle = false;
+        self.angle = None;
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
     }
