@@ -8,13 +8,19 @@ use crate::text::slcan::AdapterCommand;
 /// A port that takes nothing for so long holds stale frames.
 const LONGEST_STALL: Duration = Duration::from_millis(20);
 
+/// No command has it, and no line that an adapter takes is so long.
+const JUNK: u8 = b'?';
+const LONGEST_LINE: usize = 64;
+
 /// The rest of a line that the port has not taken yet.
 ///
 /// It never leaves late: a line of which some is left when the port fails, or takes nothing for too long, is
-/// dropped, and an end of line is put in its place, since the adapter may hold its beginning.
+/// dropped. The adapter may hold all of it but its end, so that it is made too long to be any command first.
 #[derive(Debug, Default)]
 pub(super) struct Outbox {
     rest: Vec<u8>,
+    /// The port has taken some of the line.
+    is_begun: bool,
     /// Since when the port takes nothing; time since the machine started.
     blocked_since: Option<Duration>,
 }
@@ -50,7 +56,8 @@ impl Outbox {
             }
             Ok(taken) => {
                 self.rest.drain(..taken);
-                self.blocked_since = (!self.rest.is_empty()).then_some(now);
+                self.is_begun = !self.rest.is_empty();
+                self.blocked_since = self.is_begun.then_some(now);
             }
             Err(error) => {
                 self.drop_rest();
@@ -63,7 +70,10 @@ impl Outbox {
     fn drop_rest(&mut self) {
         self.rest.clear();
         self.blocked_since = None;
-        AdapterCommand::Nothing.encode(&mut self.rest);
+        if self.is_begun {
+            self.rest.extend([JUNK; LONGEST_LINE]);
+            AdapterCommand::Nothing.encode(&mut self.rest);
+        }
     }
 }
 
@@ -74,7 +84,6 @@ mod tests {
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
     const START: Duration = Duration::from_secs(100);
-    const END_OF_LINE: &[u8] = b"\r";
 
     /// One that is to send a torque command.
     fn with_torque() -> Outbox {
@@ -113,19 +122,25 @@ mod tests {
         let mut outbox = with_torque();
         let failed = outbox.send_on(START, |_| Err(PortError::Stalled("made up".into())));
         assert!(failed.is_err());
-        assert_eq!(sent(&mut outbox, 1, 100), (true, END_OF_LINE.to_vec()));
         assert!(outbox.is_empty());
     }
 
     #[test]
     fn a_line_that_the_port_takes_too_late_is_dropped() {
-        // None of it, and a part, was taken before the program was held for a minute.
-        for takes in [0, 5] {
+        // A part, and all but its end, was taken before the program was held for a minute.
+        for takes in [5, 21] {
             let mut outbox = with_torque();
             assert!(sent(&mut outbox, 0, takes).0);
             assert_eq!(sent(&mut outbox, 60_000, 100), (false, vec![]));
-            assert_eq!(sent(&mut outbox, 60_000, 100), (true, END_OF_LINE.to_vec()));
+            let (_, end) = sent(&mut outbox, 60_000, 100);
+            assert_eq!(end, [&[b'?'; 64][..], b"\r"].concat());
+            assert!(outbox.is_empty());
         }
+        // None of it: the adapter has heard nothing.
+        let mut outbox = with_torque();
+        assert!(sent(&mut outbox, 0, 0).0);
+        assert_eq!(sent(&mut outbox, 60_000, 100), (false, vec![]));
+        assert!(outbox.is_empty());
         // A port that takes nothing all the while.
         let mut outbox = with_torque();
         assert_eq!([0, 19, 20].map(|at_ms| sent(&mut outbox, at_ms, 0).0), [true, true, false]);

@@ -94,11 +94,11 @@ fn is_stop(kind: Kind) -> bool {
 /// What the event tells of somebody else.
 fn deed(event: &Event) -> Option<(MotorId, Deed)> {
     let Event::Stray { motor, data } = *event else { return None };
-    // A reply of motion mode begins with the motor's id (5).
-    if data[0] == motor.get() {
-        return Some((motor, Deed::Moved));
-    }
-    let deed = match Opcode::from_byte(data[0])? {
+    let Some(opcode) = Opcode::from_byte(data[0]) else {
+        // A reply of motion mode begins with the motor's id (5); that of motor 32 looks like one to 0x20.
+        return (data[0] == motor.get()).then_some((motor, Deed::Moved));
+    };
+    let deed = match opcode {
         Opcode::Stop => Deed::Stopped(StopKind::Hold),
         Opcode::Shutdown => Deed::Stopped(StopKind::Off),
         opcode if Kind::Known(opcode).moves() => Deed::Moved,

@@ -46,6 +46,10 @@ fn halt(session: &mut Session, meant: Target, kind: StopKind) -> Outcome<MotorSe
         (Target::All, StopKind::Hold) => stop_every_id(session, kind, Stop)?,
         (Target::All, StopKind::Off) => stop_every_id(session, kind, Shutdown)?,
     };
+    // Nobody waits for the others any more.
+    for motor in MotorSet::ALL.without(stopped).iter() {
+        session.master.master().forget(motor);
+    }
     session.see_stopped(kind, stopped)?;
     Ok(stopped)
 }

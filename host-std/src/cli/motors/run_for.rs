@@ -9,7 +9,6 @@ use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
 
-use super::moving::LONGEST_BRAKING;
 use super::progress::Progress;
 use super::session::{OneMotor, Session, healthy, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
@@ -67,8 +66,7 @@ pub(super) fn run<C: Command + Copy>(
         let end = match run.end {
             StopKind::Hold => {
                 session.stop(StopKind::Hold, motor.into())?;
-                let latest = session.master.now() + LONGEST_BRAKING;
-                match session.holds_nothing(motor, latest)? {
+                match session.holds_nothing(motor)? {
                     None => "it is stopped and holds still (0x81)".to_owned(),
                     Some(told) => format!("it {told}"),
                 }
@@ -90,8 +88,7 @@ pub(super) fn run<C: Command + Copy>(
 fn put_down(session: &mut Session, motor: MotorId) -> Outcome {
     session.stop(StopKind::Hold, motor.into())?;
     // Not on a shaft that turns still.
-    let latest = session.master.now() + LONGEST_BRAKING;
-    session.come_to_rest(motor, latest)?;
+    session.come_to_rest(motor)?;
     session.ask(motor, LockBrake)?;
     session.stop(StopKind::Off, motor.into())
 }
