@@ -6,6 +6,7 @@
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, RecvTimeoutError::Timeout, SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use myactuator_protocol_core::command::{AnyReply, RawReply, SetPoint};
@@ -16,6 +17,9 @@ use myactuator_protocol_core::{Command, Data, DecodeError, Kind, MotorId, time};
 use super::SharedBusError;
 use super::subscription::{Subscriber, Subscription};
 use crate::open::Wake;
+
+/// The thread idles no longer than a stop may take: else its driver holds it.
+const LONGEST_ROUND: Duration = Duration::from_secs(2);
 
 /// A command whose type only its caller knows.
 #[derive(Clone, Copy, Debug)]
@@ -310,8 +314,6 @@ impl<E> Desk<E> {
         awaited: Awaited<MotorSet, E>,
         motors: MotorSet,
     ) -> Result<MotorSet, SharedBusError<E>> {
-        // The thread idles no longer than a stop may take: else its driver holds it.
-        const LONGEST_ROUND: Duration = Duration::from_secs(2);
         let answered = awaited?;
         loop {
             let rounds = self.lock().rounds;
@@ -321,6 +323,21 @@ impl<E> Desk<E> {
                 answer => return answer.unwrap_or_else(|_| Err(self.lock().last_words())),
             }
         }
+    }
+
+    /// Waits for the end of the thread. False if it does not come back.
+    pub(super) fn wait_for_end(&self, thread: &JoinHandle<()>) -> bool {
+        let mut round = (self.lock().rounds, Instant::now());
+        while !thread.is_finished() {
+            thread::sleep(Duration::from_millis(1));
+            let rounds = self.lock().rounds;
+            if rounds != round.0 {
+                round = (rounds, Instant::now());
+            } else if round.1.elapsed() > LONGEST_ROUND {
+                return false;
+            }
+        }
+        true
     }
 
     // ---- the thread's side ----

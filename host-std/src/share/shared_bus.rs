@@ -32,7 +32,8 @@ struct Running<E> {
 impl<E> Drop for Running<E> {
     fn drop(&mut self) {
         self.desk.close();
-        if let Some(thread) = self.thread.take() {
+        // One that its driver holds cannot be waited for: it stops the motors when it is let go.
+        if let Some(thread) = self.thread.take_if(|thread| self.desk.wait_for_end(thread)) {
             // Its panics were caught, and told.
             let _ = thread.join();
         }

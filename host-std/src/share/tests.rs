@@ -401,6 +401,17 @@ fn a_stop_is_given_up_where_the_driver_does_not_come_back() {
 }
 
 #[test]
+fn a_guard_with_the_last_handle_tells_that_the_driver_does_not_come_back() {
+    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+    let ((held, is_held), (let_go, goes_on)) = (sync_channel(1), sync_channel(1));
+    let bus = SharedBus::new(HeldUp(fleet.master(), Some((held, goes_on))), StopKind::Hold);
+    is_held.recv().unwrap();
+    assert_eq!(Guard::new(bus, StopKind::Hold).finish().unwrap(), MotorSet::ALL);
+    // It was held all the while.
+    let_go.send(()).unwrap();
+}
+
+#[test]
 fn a_question_does_not_wait_for_ever_behind_a_stop_that_a_dead_bus_keeps() {
     let (_fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();
