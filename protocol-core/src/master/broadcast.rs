@@ -56,7 +56,7 @@ pub(super) struct Broadcast {
     /// What was sent may still reach these: move them, or let go whom it switches off or restarts, so that loads fall.
     moves: MotorSet,
     lets_go: MotorSet,
-    /// Something that was sent before the last one may still reach these.
+    /// Something that was sent before the last one may still reach these; said of `moves` and `lets_go` alone.
     before: MotorSet,
     on_its_way: OnItsWay,
 }
@@ -159,10 +159,11 @@ impl Broadcast {
         if matches!(kind.opcode(), Some(Opcode::Shutdown | Opcode::Reset)) && !config.is_rs485() {
             self.lets_go = MotorSet::ALL;
         }
-        let until = self.late_until().max(Some(now + config.reply_timeout + config.late_window));
+        let until = now + config.reply_timeout + config.late_window;
+        let until = self.late_until().map_or(until, |later| later.max(until));
         let may_be_cut = !config.is_rs485() && !self.moves.with(self.lets_go).is_empty();
-        let on_its_way = if may_be_cut { OnItsWay::WhileCut } else { OnItsWay::Until };
-        self.on_its_way = until.map_or(OnItsWay::No, on_its_way);
+        self.on_its_way =
+            if may_be_cut { OnItsWay::WhileCut(until) } else { OnItsWay::Until(until) };
     }
 
     /// Takes note of the time. Something was last heard at `heard_at`: what was on its way to us before the bus was
@@ -219,8 +220,7 @@ impl Broadcast {
     /// Whether this broadcast may go, as far as the one before it is concerned: nobody among the
     /// `known` motors and the expected ones can still answer that.
     pub(super) fn may_go(&self, known: MotorSet) -> bool {
-        let awaited = known.with(self.silent);
-        awaited.without(self.may_answer) == awaited
+        known.with(self.silent).iter().all(|motor| !self.may_answer.contains(motor))
     }
 
     /// The last one that was sent has reached these, or never will.
@@ -309,6 +309,13 @@ impl Broadcast {
 }
 
 impl<const N: usize> Master<N> {
+    /// When something was last heard on the bus, and earlier by as much as the late window has grown: what was sent
+    /// may have been given less time.
+    pub(super) fn heard_at_least(&self) -> Instant {
+        let more = self.round_trips.map_or(Duration::ZERO, |trips| trips.more());
+        Instant::ZERO + ((self.heard_at - Instant::ZERO) - more)
+    }
+
     pub(super) fn has_any_restarted(&self) -> bool {
         self.at(self.places.taken).any(|(_, motor)| motor.has_restarted)
     }
@@ -324,7 +331,7 @@ impl<const N: usize> Master<N> {
     /// still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         self.cancel_move_after_restart();
-        self.broadcast.age(now, self.heard_at, &self.config);
+        self.broadcast.age(now, self.heard_at_least(), &self.config);
         if self.broadcast.deadline(&self.config).is_none_or(|deadline| deadline > now) {
             return;
         }

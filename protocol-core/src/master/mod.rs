@@ -294,13 +294,14 @@ impl<const N: usize> Master<N> {
         let now = self.now;
         self.due = now;
         self.change(motor, |motor, config| match &mut motor.request {
-            Request::Waiting(asked) | Request::InFlight(asked)
-                if motor.ticket != number || !asked.kind().is_refused_while_stopped() => {}
-            Request::InFlight(asked) => asked.attempts_left = 0,
+            _ if motor.ticket != number => {}
+            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)
+                if !asked.kind().is_refused_while_stopped() => {}
+            Request::InFlight(asked) | Request::Sent(asked) => asked.withdraw(),
             Request::Waiting(_) => {
                 motor.finish_request(Request::Failed(Failure::Dropped), config, now);
             }
-            _ => {}
+            Request::None | Request::Failed(_) => {}
         });
     }
 
@@ -396,6 +397,7 @@ impl<const N: usize> Master<N> {
                     // Nothing older of this motor's follows that.
                     motor.drop_what_moves(Failure::Stopped, config, now);
                     motor.ends_with_all = true;
+                    motor.withdraw_what_moves();
                 });
             }
         }
@@ -412,7 +414,7 @@ impl<const N: usize> Master<N> {
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         if now >= self.due {
-            let heard_at = self.heard_at;
+            let heard_at = self.heard_at_least();
             let in_flight = self.places.in_flight;
             let is_can = !self.config.is_rs485();
             let is_quiet = !in_flight.is_empty() && is_can && self.quiet_at() <= now;

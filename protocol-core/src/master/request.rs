@@ -15,6 +15,8 @@ const SHORTEST_TIMEOUT: Duration = Duration::from_millis(1);
 pub(super) enum Purpose {
     /// The caller, who has a ticket for it.
     Caller,
+    /// The caller, but it is not sent again: he waits for it no more, or has told all to end their motion since.
+    Once,
     /// A stop: before everything else, whatever is in flight.
     Stop,
 }
@@ -56,6 +58,17 @@ impl Asked {
 
     pub(super) fn is_stop(&self) -> bool {
         self.purpose == Purpose::Stop
+    }
+
+    /// It is not sent again.
+    pub(super) fn withdraw(&mut self) {
+        if self.purpose == Purpose::Caller {
+            self.purpose = Purpose::Once;
+        }
+    }
+
+    pub(super) fn is_withdrawn(&self) -> bool {
+        self.purpose == Purpose::Once
     }
 
     pub(super) fn kind(&self) -> Kind {

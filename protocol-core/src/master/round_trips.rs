@@ -28,6 +28,11 @@ impl RoundTrips {
         Some(trips)
     }
 
+    /// What is added to the caller's time-outs now.
+    pub(super) fn more(&self) -> Duration {
+        self.more
+    }
+
     /// A reply came after its time-out: that is too short.
     pub(super) fn was_too_short(&mut self, config: &mut Config) {
         self.deviation_us = self.deviation_us.saturating_add(micros(config.reply_timeout) / 4);

@@ -5,6 +5,7 @@ use super::{id, step};
 use crate::command::{AbsolutePosition, ReadMultiTurnAngle, Shutdown};
 use crate::io::{AsyncCanMaster, AsyncRunner, Clock};
 use crate::master::{Event, Failure, Patience};
+use crate::packet::{Channel, Packet};
 use crate::time::Duration;
 use crate::units::{Angle, MaxSpeed};
 
@@ -54,6 +55,19 @@ fn one_that_was_sent_is_not_sent_again() {
     assert_eq!(bus.sent(), [there.encode()]);
     let events = an_hour_later(&clock, &mut arm);
     assert!(matches!(events[..], [Event::Failed { failure: Failure::NoReply, .. }]), "{events:?}");
+    assert_eq!(bus.sent().len(), 1);
+}
+
+/// A read of motor 1 is more urgent, and the controller hands the step back for it.
+#[test]
+fn one_that_is_handed_back_is_not_sent_again() {
+    let (bus, clock, mut arm) = on_can(Arm::new);
+    assert!(polls(arm.ask(id(9), step()), 10).is_none());
+    assert_eq!(bus.sent(), [step().encode()]);
+    let handed_back = Packet { channel: Channel::Command(id(9).into()), data: step().encode() };
+    arm.master().handle_pushed_out(&handed_back);
+    let events = an_hour_later(&clock, &mut arm);
+    assert!(matches!(events[..], [Event::Failed { failure: Failure::Dropped, .. }]), "{events:?}");
     assert_eq!(bus.sent().len(), 1);
 }
 

@@ -86,7 +86,10 @@ impl Motor {
             return;
         }
         let Request::InFlight(asked) = self.request else { return };
-        if asked.attempts_left > 0 && !(self.has_restarted && asked.kind().moves()) {
+        if asked.attempts_left > 0
+            && !asked.is_withdrawn()
+            && !(self.has_restarted && asked.kind().moves())
+        {
             self.request = Request::Waiting(asked);
             return;
         }
@@ -117,8 +120,8 @@ impl Motor {
             earliest.take(match asked.purpose {
                 _ if self.waits_for_motion(asked, false) => self.moves_no_more_at(),
                 Purpose::Stop => None,
-                Purpose::Caller if !self.late.has_room() => self.late.next_end(),
-                Purpose::Caller => self.late.end_of(asked.question),
+                Purpose::Caller | Purpose::Once if !self.late.has_room() => self.late.next_end(),
+                Purpose::Caller | Purpose::Once => self.late.end_of(asked.question),
             });
         }
     }

@@ -187,6 +187,16 @@ impl Motor {
         }
     }
 
+    /// What was sent and would move it is not sent again.
+    pub(super) fn withdraw_what_moves(&mut self) {
+        match &mut self.request {
+            Request::InFlight(asked) | Request::Sent(asked) if asked.kind().may_move() => {
+                asked.withdraw();
+            }
+            _ => {}
+        }
+    }
+
     /// Whether it is behind that round.
     pub(super) fn is_behind(&self, round: u32) -> bool {
         (self.round.wrapping_sub(round) as i32) < 0
@@ -309,6 +319,7 @@ impl Motor {
                 asked.unanswered = asked.unanswered.saturating_sub(1);
                 self.request = match asked.kind().may_move() {
                     true if self.ends_with_all => Request::Failed(Failure::Stopped),
+                    _ if asked.is_withdrawn() => Request::Failed(Failure::Dropped),
                     true if self.has_restarted => Request::Failed(Failure::Dropped),
                     _ => Request::Waiting(asked),
                 };

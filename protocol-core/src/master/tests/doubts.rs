@@ -233,3 +233,26 @@ fn a_shutdown_of_all_that_a_hold_overtakes_while_all_are_stopped_does_not_reach_
         }
     }
 }
+
+#[test]
+fn what_moves_and_is_in_flight_is_not_sent_again_once_all_are_told_to_end_their_motion() {
+    for is_handed_back in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let ticket = master.request(id(1), ReleaseBrake).unwrap();
+        let in_mailbox = sent(&mut master, ms(0));
+        assert_eq!(in_mailbox.len(), 1);
+        master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+        if is_handed_back {
+            master.handle_pushed_out(&in_mailbox[0]);
+        }
+        let (mut packets, mut failures) = (Vec::new(), Vec::new());
+        for at in 1..100 {
+            master.handle_timeout(ms(at));
+            packets.extend(sent(&mut master, ms(at)));
+            failures.extend(events(&mut master, ms(at)).iter().filter_map(|it| ticket.outcome(it)));
+        }
+        assert_eq!(packets, [packet_to_all(Shutdown.encode())]);
+        let why = if is_handed_back { Failure::Stopped } else { Failure::NoReply };
+        assert_eq!(failures, [Err(why)]);
+    }
+}
