@@ -15,7 +15,7 @@ const SHORTEST_TIMEOUT: Duration = Duration::from_millis(1);
 pub(super) enum Purpose {
     /// The caller, who has a ticket for it.
     Caller,
-    /// The caller, but it is not sent again: he waits for it no more, or has told all to end their motion since.
+    /// The caller, but it is not sent again: nobody waits for it any more, or all were told to end their motion since.
     Once,
     /// A stop: before everything else, whatever is in flight.
     Stop,
