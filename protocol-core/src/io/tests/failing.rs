@@ -10,7 +10,7 @@ use std::vec::Vec;
 
 use embedded_can::{ErrorKind, nb};
 
-use super::world::{TestClock, TestSerial, block_on, on_rs485, polls};
+use super::world::{TestClock, TestSerial, block_on, on_rs485, pending, polls};
 use super::{id, torque};
 use crate::command::ReadMultiTurnAngle;
 use crate::id::Target;
@@ -117,14 +117,6 @@ impl nb::Can for Odd {
             return Err(::nb::Error::Other(Reported(kind)));
         }
         state.received.pop_front().ok_or(::nb::Error::WouldBlock)
-    }
-}
-
-fn pending<T>(result: ::nb::Result<T, Reported>) -> Poll<Result<T, Reported>> {
-    match result {
-        Ok(value) => Poll::Ready(Ok(value)),
-        Err(::nb::Error::WouldBlock) => Poll::Pending,
-        Err(::nb::Error::Other(error)) => Poll::Ready(Err(error)),
     }
 }
 

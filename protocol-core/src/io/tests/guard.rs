@@ -136,13 +136,7 @@ fn by_an_error_of_a_task() {
 #[test]
 fn by_a_future_that_is_dropped() {
     let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
-    let work = guarded(&mut arm, StopKind::Hold, async |bus| {
-        loop {
-            bus.set_point(id(1), torque()).unwrap();
-            bus.next_event().await.unwrap();
-        }
-    });
-    assert!(polls(work, 50).is_none());
+    assert!(polls(guarded(&mut arm, StopKind::Hold, streaming), 50).is_none());
     // Nothing runs the bus just now; whatever runs it next sends the stop first.
     let before = bus.sent().len();
     let _event = block_on(arm.next_event());
@@ -198,28 +192,25 @@ fn by_a_future_that_is_dropped_on_a_line() {
     assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
 }
 
+/// Has set a motor in motion.
+async fn panicking<R: AsyncRunner<4, Error = Broken>>(bus: &mut R) {
+    bus.ask(id(1), ReadMultiTurnAngle).await.unwrap();
+    bus.set_point(id(1), torque()).unwrap();
+    panic!("in the middle");
+}
+
 #[test]
 fn by_a_panic_of_a_task() {
-    let work = async |bus: &mut AsyncCanMaster<TestCan, TestClock, 4>| {
-        bus.ask(id(1), ReadMultiTurnAngle).await.unwrap();
-        bus.set_point(id(1), torque()).unwrap();
-        panic!("in the middle");
-    };
-    let (bus, _, mut arm) = on_can(AsyncCanMaster::new);
-    let task = || block_on(guarded(&mut arm, StopKind::Hold, work));
+    let (bus, _, mut arm) = on_can(AsyncCanMaster::<_, _, 4>::new);
+    let task = || block_on(guarded(&mut arm, StopKind::Hold, panicking));
     assert!(catch_unwind(AssertUnwindSafe(task)).is_err());
     let before = bus.sent().len();
     while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
     assert_eq!(bus.sent()[before..], [Stop.encode()]);
     assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
 
-    let work = async |bus: &mut AsyncSerialMaster<TestSerial, TestClock, 4>| {
-        bus.ask(id(1), ReadMultiTurnAngle).await.unwrap();
-        bus.set_point(id(1), torque()).unwrap();
-        panic!("in the middle");
-    };
-    let (port, _, mut arm) = on_rs485(AsyncSerialMaster::new);
-    let task = || block_on(guarded(&mut arm, StopKind::Hold, work));
+    let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
+    let task = || block_on(guarded(&mut arm, StopKind::Hold, panicking));
     assert!(catch_unwind(AssertUnwindSafe(task)).is_err());
     let before = on_the_line(&port).len();
     while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}

@@ -199,7 +199,8 @@ impl nb::Can for TestCan {
     }
 }
 
-fn pending<T>(result: ::nb::Result<T, Broken>) -> Poll<Result<T, Broken>> {
+/// What a driver that polls says, for one that waits.
+pub(super) fn pending<T, E>(result: ::nb::Result<T, E>) -> Poll<Result<T, E>> {
     match result {
         Ok(value) => Poll::Ready(Ok(value)),
         Err(::nb::Error::WouldBlock) => Poll::Pending,
