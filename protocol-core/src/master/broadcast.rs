@@ -309,13 +309,6 @@ impl Broadcast {
 }
 
 impl<const N: usize> Master<N> {
-    /// When something was last heard on the bus, and earlier by as much as the late window has grown: what was sent
-    /// may have been given less time.
-    pub(super) fn heard_at_least(&self) -> Instant {
-        let more = self.round_trips.map_or(Duration::ZERO, |trips| trips.more());
-        Instant::ZERO + ((self.heard_at - Instant::ZERO) - more)
-    }
-
     pub(super) fn has_any_restarted(&self) -> bool {
         self.at(self.places.taken).any(|(_, motor)| motor.has_restarted)
     }

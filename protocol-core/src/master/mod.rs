@@ -393,12 +393,7 @@ impl<const N: usize> Master<N> {
             self.offer = None;
             self.due = now;
             for place in self.places.taken.iter() {
-                self.change_at(place, |motor, config| {
-                    // Nothing older of this motor's follows that.
-                    motor.drop_what_moves(Failure::Stopped, config, now);
-                    motor.ends_with_all = true;
-                    motor.withdraw_what_moves();
-                });
+                self.change_at(place, |motor, config| motor.end_with_all(config, now));
             }
         }
         Ok(())

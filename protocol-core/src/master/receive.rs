@@ -82,6 +82,13 @@ impl<const N: usize> Master<N> {
         self.handle_packet(&frame.as_reply()?, now)
     }
 
+    /// When something was last heard on the bus, and earlier by as much as the late window has grown: what was sent
+    /// may have been given less time.
+    pub(super) fn heard_at_least(&self) -> Instant {
+        let more = self.round_trips.map_or(Duration::ZERO, |trips| trips.more());
+        Instant::ZERO + ((self.heard_at - Instant::ZERO) - more)
+    }
+
     /// A frame on its way to us held up those that are queued.
     fn frame_has_come(&mut self, now: Instant) {
         self.heard_at = now;

@@ -31,8 +31,8 @@ impl StopKind {
         }
     }
 
-    /// How this command stops a motor, if it does.
-    pub(super) fn by(command: Kind) -> Option<Self> {
+    /// How this command stops a motor, if it does: 0x81 or 0x80.
+    pub fn by(command: Kind) -> Option<Self> {
         match command.opcode()? {
             Opcode::Stop => Some(Self::Hold),
             Opcode::Shutdown => Some(Self::Off),

@@ -37,7 +37,7 @@ impl Watched {
                 // A second confirmation of a stop of one's own is nobody else's.
                 self.moved.remove(motor);
             }
-            (Event::Reply { ticket, kind, .. }, _) if is_stop(kind) => {
+            (Event::Reply { ticket, kind, .. }, _) if StopKind::by(kind).is_some() => {
                 self.moved_on.remove(ticket.motor());
             }
             (_, Some((motor, Deed::Moved))) => self.moved_on.insert(motor),
@@ -87,10 +87,6 @@ enum Deed {
     Stopped(StopKind),
 }
 
-fn is_stop(kind: Kind) -> bool {
-    matches!(kind, Kind::Known(Opcode::Stop | Opcode::Shutdown))
-}
-
 /// What the event tells of somebody else.
 fn deed(event: &Event) -> Option<(MotorId, Deed)> {
     let Event::Stray { motor, data } = *event else { return None };
@@ -98,12 +94,9 @@ fn deed(event: &Event) -> Option<(MotorId, Deed)> {
         // A reply of motion mode begins with the motor's id (5); that of motor 32 looks like one to 0x20.
         return (data[0] == motor.get()).then_some((motor, Deed::Moved));
     };
-    let deed = match opcode {
-        Opcode::Stop => Deed::Stopped(StopKind::Hold),
-        Opcode::Shutdown => Deed::Stopped(StopKind::Off),
-        opcode if Kind::Known(opcode).moves() => Deed::Moved,
-        _ => return None,
-    };
+    let kind = Kind::Known(opcode);
+    let stopped = StopKind::by(kind).map(Deed::Stopped);
+    let deed = stopped.or_else(|| kind.moves().then_some(Deed::Moved))?;
     Some((motor, deed))
 }
 

@@ -187,8 +187,10 @@ impl Motor {
         }
     }
 
-    /// What was sent and would move it is not sent again.
-    pub(super) fn withdraw_what_moves(&mut self) {
+    /// All are told to end their motion: nothing older of this motor's follows that.
+    pub(super) fn end_with_all(&mut self, config: &Config, now: Instant) {
+        self.drop_what_moves(Failure::Stopped, config, now);
+        self.ends_with_all = true;
         match &mut self.request {
             Request::InFlight(asked) | Request::Sent(asked) if asked.kind().may_move() => {
                 asked.withdraw();
