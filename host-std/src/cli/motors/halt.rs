@@ -10,7 +10,7 @@ use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{MotorId, Target};
 
-use super::moving::named;
+use super::moving::{LONGEST_WAIT, named};
 use super::session::{Motors, Session, say};
 use crate::cli::{Outcome, Unfinished};
 
@@ -18,7 +18,6 @@ use crate::cli::{Outcome, Unfinished};
 const ROUNDS: usize = 3;
 /// For how long a bus that carries nothing is tried again.
 const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
-const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
 pub(super) fn stop(arguments: &Motors) -> Outcome {
     let mut session = Session::open_to_stop(&arguments.on)?;
@@ -80,7 +79,7 @@ fn stop_every_id<C: Command + Copy>(
         } else if now - *down_since.get_or_insert(start) > LONGEST_OUTAGE {
             break outage;
         } else {
-            session.master.idle(now + LONGEST_IDLE);
+            session.master.idle(now + LONGEST_WAIT);
         }
     };
     let why = match &outage {
@@ -133,7 +132,7 @@ fn once<C: Command + Copy>(session: &mut Session, motors: MotorSet, command: C) 
             // One refused frame must not keep the others from being stopped.
             idle => {
                 failure = idle.err().or(failure);
-                let soon = session.master.now() + LONGEST_IDLE;
+                let soon = session.master.now() + LONGEST_WAIT;
                 session.master.idle(soon);
                 continue;
             }

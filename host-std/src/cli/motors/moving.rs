@@ -16,14 +16,14 @@ use crate::cli::{Outcome, Unfinished, interrupt, printer, report, unwritten};
 const LONGEST_BRAKING: Duration = Duration::from_secs(3);
 /// How long to listen whether something else moves a motor that was stopped.
 const LISTENING: Duration = Duration::from_millis(50);
-/// How long to wait at the most before looking whether the user interrupts, or asking a motor again.
-const LONGEST_WAIT: Duration = Duration::from_millis(10);
+/// How long to wait at the most before looking at the bus again, or whether the user interrupts.
+pub(super) const LONGEST_WAIT: Duration = Duration::from_millis(10);
 
 /// What stops a motor, and what cannot, for the help of those that move it.
 pub(super) const ENDS: &str = "\
 What stops the motor (0x81) before this program ends: an error, a fault of this program, Ctrl-C, Ctrl-\\, Ctrl-Z, \
-a request to end (SIGTERM) and a lost terminal, also while nobody reads what it prints. If another program on the bus stops the motor or switches it off, \
-that ends this one.
+a request to end (SIGTERM) and a lost terminal, also while nobody reads what it prints. If another program on the \
+bus stops the motor or switches it off, that ends this one.
 Nothing of that works if the program is killed or frozen outright (kill -9, kill -STOP, a debugger, loss of \
 power), or the bus is cut: the motor goes on then. Against that set the motor's own communication-loss \
 protection: myactuator timeout.";
@@ -307,7 +307,7 @@ fn told_with_stop(why: Unfinished, stopped: Outcome<String>) -> Unfinished {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::open::AnyMaster;
-    use myactuator_host_std::sim::Fleet;
+    use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{
         AbsolutePosition, AccelerationIndex, Speed, WriteAcceleration,
     };
@@ -333,12 +333,19 @@ mod tests {
         assert_eq!((is_on(0), is_on(1)), (false, true), "a load on the other would fall");
     }
 
-    #[test]
-    fn a_motor_that_has_lost_its_master_is_not_said_to_hold_still() {
+    /// A motor that stops by itself when it has heard nothing for so long.
+    fn protected_after(millis: u32) -> (CanFleet, Session) {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
+        let silence = Milliseconds::from_raw(millis);
+        bring_up::protect(&mut session.master, MotorId::MIN, silence).unwrap();
+        (fleet, session)
+    }
+
+    #[test]
+    fn a_motor_that_has_lost_its_master_is_not_said_to_hold_still() {
         let motor = MotorId::MIN;
-        bring_up::protect(&mut session.master, motor, Milliseconds::from_raw(100)).unwrap();
+        let (fleet, mut session) = protected_after(100);
         let later = session.master.now() + Duration::from_millis(200);
         session.wait_until(later).unwrap();
         let told = |session: &mut Session| {
@@ -356,10 +363,8 @@ mod tests {
 
     #[test]
     fn a_stop_is_looked_after_without_a_silence_in_which_a_drive_lets_go() {
-        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let mut session = Session::on(&fleet);
         let motor = MotorId::MIN;
-        bring_up::protect(&mut session.master, motor, Milliseconds::from_raw(30)).unwrap();
+        let (fleet, mut session) = protected_after(30);
         for _ in 0..3 {
             session.ask(motor, ReadStatus2).unwrap();
         }

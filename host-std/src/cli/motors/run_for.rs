@@ -145,10 +145,9 @@ mod tests {
     use myactuator_host_std::sim::bus::trace::Log;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{ErrorFlags, Speed, Torque};
+    use myactuator_protocol_core::time::Instant;
     use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};
     use myactuator_protocol_core::wire::can::SimpleFrame;
-
-    use myactuator_protocol_core::time::Instant;
 
     use super::super::simulated::{OtherMaster, Sends, sent, to_first, typed};
     use super::*;

@@ -6,18 +6,14 @@ use myactuator_protocol_core::command::{AnyCommand, BusId, Phrase, RawCommand, a
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
 use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule};
-use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, Firmware, Kind, MotorId, Opcode, Packet, Target};
 
-use super::moving::{ENDS, named};
+use super::moving::{ENDS, LONGEST_WAIT, named};
 use super::on_bus::OnBus;
 use super::revision::MotorRevision;
 use super::session::{Consent, Session, say};
 use crate::cli::wanted::Wanted;
 use crate::cli::{Outcome, Unfinished, arguments as parse};
-
-/// How long to sleep at most between two looks at the bus.
-const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
 /// Send one command to a motor or to all, and explain what is answered
 ///
@@ -212,7 +208,7 @@ impl Sending {
                 }
                 Some(_) => {}
                 None => {
-                    let soon = session.master.now() + LONGEST_IDLE;
+                    let soon = session.master.now() + LONGEST_WAIT;
                     session.master.idle(soon);
                 }
             }
@@ -267,6 +263,7 @@ mod tests {
     use myactuator_host_std::sim::bus::can::ControllerConfig;
     use myactuator_protocol_core::command::{MotionLimits, MotionRanges, ReadStatus1, VersionDate};
     use myactuator_protocol_core::io::CanMaster;
+    use myactuator_protocol_core::time::Duration;
 
     use super::super::simulated::{sent, typed, with};
     use super::*;
