@@ -8,14 +8,13 @@ use crate::text::slcan::AdapterCommand;
 /// A port that takes nothing for so long holds stale frames.
 const LONGEST_STALL: Duration = Duration::from_millis(20);
 
-/// No command has it, and no line that an adapter takes is so long.
-const JUNK: u8 = b'?';
-const LONGEST_LINE: usize = 64;
+/// Behind whatever an adapter has of a line it makes that too long to be any command.
+const JUNK: [u8; 64] = [b'?'; 64];
 
 /// The rest of a line that the port has not taken yet.
 ///
 /// It never leaves late: a line of which some is left when the port fails, or takes nothing for too long, is
-/// dropped. The adapter may hold all of it but its end, so that it is made too long to be any command first.
+/// dropped. The adapter may hold all of it but its end, so that [`JUNK`] goes before that.
 #[derive(Debug, Default)]
 pub(super) struct Outbox {
     rest: Vec<u8>,
@@ -71,7 +70,7 @@ impl Outbox {
         self.rest.clear();
         self.blocked_since = None;
         if self.is_begun {
-            self.rest.extend([JUNK; LONGEST_LINE]);
+            self.rest.extend(JUNK);
             AdapterCommand::Nothing.encode(&mut self.rest);
         }
     }

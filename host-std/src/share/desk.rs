@@ -4,83 +4,23 @@
 //! here and now, and refuses what comes after it, whether or not the thread has seen it yet.
 
 use std::collections::VecDeque;
-use std::sync::mpsc::{Receiver, RecvTimeoutError::Timeout, SyncSender, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError::Timeout, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use myactuator_protocol_core::command::{AnyReply, RawReply, SetPoint};
+use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, StopKind};
-use myactuator_protocol_core::{Command, Data, DecodeError, Kind, MotorId, time};
+use myactuator_protocol_core::{Data, Kind, MotorId};
 
 use super::SharedBusError;
+use super::calls::{Awaited, Order, Question, Untyped};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::Wake;
 
 /// The thread idles no longer than a stop may take: else its driver holds it.
 const LONGEST_ROUND: Duration = Duration::from_secs(2);
-
-/// A command whose type only its caller knows.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Untyped {
-    kind: Kind,
-    data: Data,
-}
-
-impl Untyped {
-    pub(super) fn of(command: &impl Command) -> Self {
-        let data = command.encode();
-        Self { kind: command.kind().of_bytes(&data), data }
-    }
-}
-
-impl Command for Untyped {
-    type Reply = RawReply;
-
-    fn kind(&self) -> Kind {
-        self.kind
-    }
-
-    fn encode(&self) -> Data {
-        self.data
-    }
-
-    fn decode_reply(data: &Data) -> Result<RawReply, DecodeError> {
-        Ok(RawReply(*data))
-    }
-}
-
-// Whether it is one the master sees by its kind.
-impl SetPoint for Untyped {}
-
-/// Where the answer to a call goes.
-pub(super) type Answer<T, E> = SyncSender<Result<T, SharedBusError<E>>>;
-
-/// Where a caller waits for it, if the call could be laid down.
-pub(super) type Awaited<T, E> = Result<Receiver<Result<T, SharedBusError<E>>>, SharedBusError<E>>;
-
-/// A question that is still to be put.
-#[derive(Debug)]
-pub(super) struct Question<E> {
-    pub(super) motor: MotorId,
-    pub(super) command: Untyped,
-    pub(super) patience: Option<Patience>,
-    /// Until when it waits for its turn, on the clock of the bus, once it was there to be put.
-    pub(super) turn_ends: Option<time::Instant>,
-    pub(super) answer: Answer<Data, E>,
-}
-
-/// What goes before all questions and set-points, in the order in which it was said.
-#[derive(Debug)]
-pub(super) enum Order<E> {
-    StopAll { kind: StopKind, also: MotorSet, answer: Answer<MotorSet, E> },
-    Stop { motor: MotorId, kind: StopKind, answer: Answer<MotorSet, E> },
-    LiftStop,
-    LiftStopOf(MotorId),
-    Resume(MotorId),
-    Forget(MotorId),
-}
 
 /// The newest feedback of a motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -315,29 +255,38 @@ impl<E> Desk<E> {
         motors: MotorSet,
     ) -> Result<MotorSet, SharedBusError<E>> {
         let answered = awaited?;
-        loop {
-            let rounds = self.lock().rounds;
-            match answered.recv_timeout(LONGEST_ROUND) {
-                Err(Timeout) if self.lock().rounds == rounds => return Ok(motors),
-                Err(Timeout) => {}
-                answer => return answer.unwrap_or_else(|_| Err(self.lock().last_words())),
-            }
+        let answer = self.unless_held(|longest| match answered.recv_timeout(longest) {
+            Err(Timeout) => None,
+            answer => Some(answer),
+        });
+        match answer {
+            Some(answer) => answer.unwrap_or_else(|_| Err(self.lock().last_words())),
+            None => Ok(motors),
         }
     }
 
-    /// Waits for the end of the thread. False if it does not come back.
+    /// Waits for the end of the thread. False if its driver holds it.
     pub(super) fn wait_for_end(&self, thread: &JoinHandle<()>) -> bool {
-        let mut round = (self.lock().rounds, Instant::now());
-        while !thread.is_finished() {
-            thread::sleep(Duration::from_millis(1));
+        let ended = self.unless_held(|longest| {
+            let begun = Instant::now();
+            while !thread.is_finished() && begun.elapsed() < longest {
+                thread::sleep(Duration::from_millis(1));
+            }
+            thread.is_finished().then_some(())
+        });
+        ended.is_some()
+    }
+
+    /// Waits again and again, unless the thread does not come round meanwhile: then its driver holds it, and there is
+    /// nothing to wait for.
+    fn unless_held<T>(&self, mut wait: impl FnMut(Duration) -> Option<T>) -> Option<T> {
+        loop {
             let rounds = self.lock().rounds;
-            if rounds != round.0 {
-                round = (rounds, Instant::now());
-            } else if round.1.elapsed() > LONGEST_ROUND {
-                return false;
+            let outcome = wait(LONGEST_ROUND);
+            if outcome.is_some() || self.lock().rounds == rounds {
+                return outcome;
             }
         }
-        true
     }
 
     // ---- the thread's side ----

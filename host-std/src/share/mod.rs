@@ -52,9 +52,10 @@
 //! A program that is killed stops nothing: set the motors' communication-loss protection (0xB3).
 //!
 //! An error of the bus is told to all who wait for an answer; if nobody does, to whoever asks or moves a motor next;
-//! a command that ends motion is taken all the same. The thread goes on and tries again. A panic in the bus's driver stops the motors, as far as that driver
-//! still works, and is told to everybody from then on.
+//! a command that ends motion is taken all the same. The thread goes on and tries again. A panic in the bus's
+//! driver stops the motors, as far as that driver still works, and is told to everybody from then on.
 
+mod calls;
 mod desk;
 mod error;
 mod guard;

@@ -9,7 +9,8 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Failure, MotorSet, Patience, StopKind};
 use myactuator_protocol_core::{Command, MotorId};
 
-use super::desk::{Desk, Latest, Untyped};
+use super::calls::Untyped;
+use super::desk::{Desk, Latest};
 use super::{SharedBusError, Subscription, worker};
 use crate::open::{AnyMaster, BusAddress, BusError, Wake};
 

@@ -1,7 +1,6 @@
 //! Threads on one bus of simulated drives, in real time.
 
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Barrier};
 use std::thread;
 
@@ -16,7 +15,8 @@ use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
 
-use super::desk::{Clerk, Desk, Order, Question, Untyped};
+use super::calls::{Order, Question, Untyped};
+use super::desk::{Clerk, Desk};
 use super::{Guard, SharedBus, SharedBusError};
 use crate::sim::bus::SimClock;
 use crate::sim::bus::can::{CanBus, CanError, CanPort};
@@ -251,7 +251,7 @@ impl Runner<8> for Fragile {
             // A write that takes 100 ms, in which somebody gives another order.
             self.1.store(BLOCKED, Ordering::SeqCst);
             while self.1.load(Ordering::SeqCst) == BLOCKED {
-                thread::yield_now();
+                thread::sleep(std::time::Duration::from_millis(1));
             }
             let end = self.now() + Duration::from_millis(100);
             while self.now() < end {
@@ -285,6 +285,14 @@ fn fragile() -> (CanFleet, Arc<AtomicU32>, SharedBus<CanError>) {
     let order = Arc::new(AtomicU32::new(WORK));
     let bus = SharedBus::new(Fragile(fleet.master(), Arc::clone(&order)), StopKind::Hold);
     (fleet, order, bus)
+}
+
+/// Has the driver not come back until it gets another order.
+fn hold_up(order: &AtomicU32) {
+    order.store(BLOCK, Ordering::SeqCst);
+    while order.load(Ordering::SeqCst) != BLOCKED {
+        thread::yield_now();
+    }
 }
 
 #[test]
@@ -326,10 +334,7 @@ fn a_set_point_that_waited_for_a_blocked_bus_is_too_old() {
     bus.ask(id(1), ReadStatus1).unwrap();
     let (log, mut events) = (fleet.world.log(), bus.subscribe(100));
     for outcome in [WORK, FAIL_ONCE] {
-        order.store(BLOCK, Ordering::SeqCst);
-        while order.load(Ordering::SeqCst) != BLOCKED {
-            thread::yield_now();
-        }
+        hold_up(&order);
         bus.set_point(id(1), turn(90.0)).unwrap();
         order.store(outcome, Ordering::SeqCst);
         assert_eq!(events.next(), Some(Event::SetPointDropped { motor: id(1) }));
@@ -355,40 +360,10 @@ fn a_stop_on_a_dead_bus_is_given_up() {
     order.store(WORK, Ordering::SeqCst);
 }
 
-/// A bus whose driver does not come back from a write, until it is let go.
-struct HeldUp(SimMaster, Option<(SyncSender<()>, Receiver<()>)>);
-
-impl Runner<8> for HeldUp {
-    type Error = CanError;
-
-    fn master(&mut self) -> &mut Master<8> {
-        self.0.master()
-    }
-
-    fn now(&self) -> Instant {
-        self.0.now()
-    }
-
-    fn poll(&mut self) -> Result<Option<Event>, CanError> {
-        if let Some((is_held, let_go)) = self.1.take() {
-            is_held.send(()).unwrap();
-            let _ = let_go.recv_timeout(std::time::Duration::from_secs(5));
-        }
-        self.0.poll()
-    }
-
-    fn idle(&mut self, until: Instant) {
-        self.0.idle(until);
-    }
-}
-
 #[test]
 fn a_stop_is_given_up_where_the_driver_does_not_come_back() {
-    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-    let ((held, is_held), (let_go, goes_on)) = (sync_channel(1), sync_channel(1));
-    let held_up = HeldUp(fleet.master(), Some((held, goes_on)));
-    let bus = SharedBus::new(held_up, StopKind::Hold);
-    is_held.recv().unwrap();
+    let (_fleet, order, bus) = fragile();
+    hold_up(&order);
     let stopping = thread::spawn({
         let bus = bus.clone();
         move || bus.stop_all(StopKind::Hold, MotorSet::EMPTY)
@@ -396,19 +371,17 @@ fn a_stop_is_given_up_where_the_driver_does_not_come_back() {
     assert!(!bus.stop(id(1), StopKind::Hold).unwrap());
     // Nobody knows which of them is stopped.
     assert_eq!(stopping.join().unwrap().unwrap(), MotorSet::ALL);
-    let_go.send(()).unwrap();
+    order.store(WORK, Ordering::SeqCst);
     assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
 }
 
 #[test]
 fn a_guard_with_the_last_handle_tells_that_the_driver_does_not_come_back() {
-    let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-    let ((held, is_held), (let_go, goes_on)) = (sync_channel(1), sync_channel(1));
-    let bus = SharedBus::new(HeldUp(fleet.master(), Some((held, goes_on))), StopKind::Hold);
-    is_held.recv().unwrap();
+    let (_fleet, order, bus) = fragile();
+    hold_up(&order);
     assert_eq!(Guard::new(bus, StopKind::Hold).finish().unwrap(), MotorSet::ALL);
     // It was held all the while.
-    let_go.send(()).unwrap();
+    assert_eq!(order.swap(WORK, Ordering::SeqCst), BLOCKED);
 }
 
 #[test]

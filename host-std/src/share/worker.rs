@@ -12,7 +12,8 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
 
 use super::SharedBusError;
-use super::desk::{Answer, Clerk, Desk, Order, Question, Untyped};
+use super::calls::{Answer, Order, Question, Untyped};
+use super::desk::{Clerk, Desk};
 
 /// How long a thread idles that nothing can wake.
 const LONGEST_IDLE: Duration = Duration::from_millis(1);

@@ -1,0 +1,70 @@
+//! What callers lay on the desk, and where their answers go.
+
+use std::sync::mpsc::{Receiver, SyncSender};
+
+use myactuator_protocol_core::command::{RawReply, SetPoint};
+use myactuator_protocol_core::master::{MotorSet, Patience, StopKind};
+use myactuator_protocol_core::{Command, Data, DecodeError, Kind, MotorId, time};
+
+use super::SharedBusError;
+
+/// A command whose type only its caller knows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Untyped {
+    pub(super) kind: Kind,
+    data: Data,
+}
+
+impl Untyped {
+    pub(super) fn of(command: &impl Command) -> Self {
+        let data = command.encode();
+        Self { kind: command.kind().of_bytes(&data), data }
+    }
+}
+
+impl Command for Untyped {
+    type Reply = RawReply;
+
+    fn kind(&self) -> Kind {
+        self.kind
+    }
+
+    fn encode(&self) -> Data {
+        self.data
+    }
+
+    fn decode_reply(data: &Data) -> Result<RawReply, DecodeError> {
+        Ok(RawReply(*data))
+    }
+}
+
+// Whether it is one the master sees by its kind.
+impl SetPoint for Untyped {}
+
+/// Where the answer to a call goes.
+pub(super) type Answer<T, E> = SyncSender<Result<T, SharedBusError<E>>>;
+
+/// Where a caller waits for it, if the call could be laid down.
+pub(super) type Awaited<T, E> = Result<Receiver<Result<T, SharedBusError<E>>>, SharedBusError<E>>;
+
+/// A question that is still to be put.
+#[derive(Debug)]
+pub(super) struct Question<E> {
+    pub(super) motor: MotorId,
+    pub(super) command: Untyped,
+    pub(super) patience: Option<Patience>,
+    /// Until when it waits for its turn, on the clock of the bus, once it was there to be put.
+    pub(super) turn_ends: Option<time::Instant>,
+    pub(super) answer: Answer<Data, E>,
+}
+
+/// What goes before all questions and set-points, in the order in which it was said.
+#[derive(Debug)]
+pub(super) enum Order<E> {
+    StopAll { kind: StopKind, also: MotorSet, answer: Answer<MotorSet, E> },
+    Stop { motor: MotorId, kind: StopKind, answer: Answer<MotorSet, E> },
+    LiftStop,
+    LiftStopOf(MotorId),
+    Resume(MotorId),
+    Forget(MotorId),
+}
