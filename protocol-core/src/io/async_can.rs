@@ -1,20 +1,20 @@
 //! The async loop over CAN.
 
 use core::fmt;
-use core::future::ready;
+use core::future::poll_fn;
 use core::marker::PhantomData;
+use core::pin::pin;
+use core::task::{Context, Poll};
 
-use embassy_futures::select::{Either, select};
-use embassy_futures::yield_now;
-use embedded_can::Frame;
+use embedded_can::{Frame, nb};
 
-use crate::io::async_clock::{AsyncClock, wait};
-use crate::io::async_runner::{AsyncRunner, earlier};
-use crate::io::can::{FRAMES_A_ROUND, note_failed_receive, take_back};
-use crate::io::runner::{RETRY_AFTER, STUCK_AFTER};
+use crate::io::async_clock::AsyncClock;
+use crate::io::async_runner::AsyncRunner;
+use crate::io::can::CanPort;
+use crate::io::pump::{Pump, earlier};
+use crate::io::rest::rest;
 use crate::master::{Config, Event, Master};
-use crate::time::{Duration, Instant};
-use crate::wire::can;
+use crate::time::Instant;
 
 /// An async CAN controller: what embedded-can has no trait for.
 ///
@@ -33,14 +33,16 @@ pub trait AsyncCan {
     /// mailbox or queue. It must not wait until the frame is on the bus: one frame would be on its
     /// way at a time. Gives the frame that had to make way for it, if one had.
     ///
-    /// It is dropped when the controller takes nothing for the time of a frame. A frame whose future was
-    /// dropped must not have been taken: it is offered again, unless something more urgent is.
+    /// It is polled once, and dropped if it is not done then: the controller takes nothing. A frame whose future
+    /// was dropped must not have been taken: it is offered again, unless something more urgent is, when the
+    /// task is woken or after the time of a frame. A controller that needs more than one poll to take a frame,
+    /// behind SPI for example, gets a task of its own and a channel.
     async fn transmit(&mut self, frame: &Self::Frame) -> Result<Option<Self::Frame>, Self::Error>;
 
     /// The next frame from the bus.
     ///
-    /// It is dropped and called anew all the time. Dropping must lose no frame: one that arrives
-    /// later, or has arrived, is for the next call.
+    /// It is dropped and called anew all the time, after one poll for the most part. Dropping must lose no frame:
+    /// one that arrives later, or has arrived, is for the next call.
     async fn receive(&mut self) -> Result<Self::Frame, Self::Error>;
 }
 
@@ -127,112 +129,29 @@ where
 }
 
 /// Runs a [`Master`] on an async CAN controller.
-///
-/// It gives the controller frames for as long as it takes them at once, and looks for a received one
-/// after each, so that a controller with few places for received frames loses none.
-#[derive(Debug)]
-pub struct AsyncCanMaster<C, K, const N: usize> {
+pub struct AsyncCanMaster<C: AsyncCan, K, const N: usize> {
     can: C,
     clock: K,
-    master: Master<N>,
-    /// Since when the bus has not taken what is offered to it.
-    stuck_since: Option<Instant>,
-    /// Until when it was offered something last.
-    offered_at: Instant,
-    /// The event of a frame, until somebody takes it. Here rather than in a future, which may be
-    /// dropped.
-    told: Option<Event>,
+    pump: Pump<N>,
+    /// What came while the task waited.
+    received: Option<Result<C::Frame, C::Error>>,
 }
 
 impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncCanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock.
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        Self {
-            can,
-            clock,
-            master: Master::new(config),
-            stuck_since: None,
-            offered_at: Instant::ZERO,
-            told: None,
-        }
+        Self { can, clock, pump: Pump::new(config), received: None }
     }
 
     /// The controller and the clock back.
     pub fn release(self) -> (C, K) {
         (self.can, self.clock)
     }
+}
 
-    fn take(&mut self, received: Result<C::Frame, C::Error>) -> Result<(), C::Error> {
-        let now = self.clock.now();
-        match received {
-            Ok(frame) => {
-                self.told = self.master.handle_frame(&can::decode(&frame), now);
-                Ok(())
-            }
-            Err(error) => {
-                note_failed_receive(&mut self.master, &error, now);
-                Err(error)
-            }
-        }
-    }
-
-    /// Takes what the controller holds, up to the first event, but not so much that a babbling bus could
-    /// keep the task.
-    async fn receive(&mut self) -> Result<(), C::Error> {
-        for _ in 0..FRAMES_A_ROUND {
-            if self.told.is_some() {
-                return Ok(());
-            }
-            match select(self.can.receive(), ready(())).await {
-                Either::First(received) => self.take(received)?,
-                Either::Second(()) => return Ok(()),
-            }
-        }
-        yield_now().await;
-        Ok(())
-    }
-
-    /// Sends what the bus takes, up to the first event. Gives a time to try again if it takes no
-    /// more.
-    async fn transmit(&mut self) -> Result<Option<Instant>, C::Error> {
-        loop {
-            let now = self.clock.now();
-            // A task that did something else meanwhile has not found the bus stuck.
-            if now - core::mem::replace(&mut self.offered_at, now) >= STUCK_AFTER {
-                self.stuck_since = None;
-            }
-            let is_stuck = self.stuck_since.is_some_and(|since| now - since >= STUCK_AFTER);
-            let Some(packet) = self.master.poll_transmit(now) else { return Ok(None) };
-            // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
-            let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(None) };
-            self.stuck_since.get_or_insert(now);
-            // While it waits nothing is received, and a controller has few places for that. A bus that is
-            // stuck is offered it all the same, as it may be well again.
-            let frame_time = self.master.config().frame_time;
-            let patience = if is_stuck { Duration::ZERO } else { frame_time };
-            let patience = self.clock.wait_until(now + patience);
-            match select(self.can.transmit(&frame), patience).await {
-                Either::First(Ok(pushed_out)) => {
-                    self.stuck_since = None;
-                    self.master.handle_transmitted(self.clock.now());
-                    take_back(&mut self.master, pushed_out.as_ref());
-                }
-                Either::First(Err(error)) => {
-                    self.stuck_since = None;
-                    self.master.handle_bus_down(self.clock.now());
-                    return Err(error);
-                }
-                Either::Second(()) if is_stuck => {
-                    self.master.handle_bus_down(now);
-                    return Ok(Some(self.clock.now() + RETRY_AFTER));
-                }
-                Either::Second(()) => self.offered_at = self.clock.now(),
-            }
-            self.receive().await?;
-            if self.told.is_some() {
-                return Ok(None);
-            }
-        }
+impl<C: AsyncCan, K, const N: usize> fmt::Debug for AsyncCanMaster<C, K, N> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("AsyncCanMaster").field("pump", &self.pump).finish_non_exhaustive()
     }
 }
 
@@ -240,7 +159,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMast
     type Error = C::Error;
 
     fn master(&mut self) -> &mut Master<N> {
-        &mut self.master
+        &mut self.pump.master
     }
 
     fn now(&self) -> Instant {
@@ -248,28 +167,50 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMast
     }
 
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, C::Error> {
+        let Self { can, clock, pump, received } = self;
         loop {
-            // What was received comes first, so that the caller's answer to it is there when the
-            // next command is chosen.
-            if let Err(error) = self.receive().await {
-                // Some controllers report a bad state with each look: no stop waits for its end.
-                let _ = self.transmit().await;
-                return Err(error);
-            }
-            if let Some(event) = self.told.take() {
-                return Ok(Some(event));
-            }
-            self.master.handle_timeout(self.clock.now());
-            let retry_at = self.transmit().await?;
-            let event = self.told.take().or_else(|| self.master.poll_event());
-            if event.is_some() || until.is_some_and(|until| until <= self.clock.now()) {
+            let now = clock.now();
+            let event = poll_fn(|context| {
+                let mut once = PolledOnce { can, received, context };
+                Poll::Ready(pump.round(&mut CanPort(&mut once), now))
+            })
+            .await?
+            .or_else(|| pump.master.poll_event());
+            if event.is_some() || until.is_some_and(|until| until <= now) {
                 return Ok(event);
             }
-            let wake_at = earlier(earlier(self.master.poll_at(), retry_at), until);
-            let timer = wait(&mut self.clock, wake_at);
-            if let Either::First(received) = select(self.can.receive(), timer).await {
-                self.take(received)?;
-            }
+            let wake_at = earlier(pump.wake_at(), until);
+            rest(pin!(can.receive()), received, clock, wake_at, pump.refusals.has_refused()).await;
         }
+    }
+}
+
+/// An async controller as one that never waits.
+struct PolledOnce<'a, 'b, C: AsyncCan> {
+    can: &'a mut C,
+    received: &'a mut Option<Result<C::Frame, C::Error>>,
+    context: &'a mut Context<'b>,
+}
+
+impl<C: AsyncCan> nb::Can for PolledOnce<'_, '_, C> {
+    type Frame = C::Frame;
+    type Error = C::Error;
+
+    fn transmit(&mut self, frame: &C::Frame) -> ::nb::Result<Option<C::Frame>, C::Error> {
+        now_or_never(pin!(self.can.transmit(frame)).poll(self.context))
+    }
+
+    fn receive(&mut self) -> ::nb::Result<C::Frame, C::Error> {
+        match self.received.take() {
+            Some(received) => received.map_err(::nb::Error::Other),
+            None => now_or_never(pin!(self.can.receive()).poll(self.context)),
+        }
+    }
+}
+
+fn now_or_never<T, E>(poll: Poll<Result<T, E>>) -> ::nb::Result<T, E> {
+    match poll {
+        Poll::Ready(result) => result.map_err(::nb::Error::Other),
+        Poll::Pending => Err(::nb::Error::WouldBlock),
     }
 }

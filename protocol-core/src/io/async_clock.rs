@@ -91,11 +91,3 @@ impl<K: Clock, D: DelayNs> AsyncClock for DelayClock<K, D> {
         }
     }
 }
-
-/// Waits until then; for ever without an end.
-pub(super) async fn wait<K: AsyncClock>(clock: &mut K, until: Option<Instant>) {
-    match until {
-        Some(until) => clock.wait_until(until).await,
-        None => core::future::pending().await,
-    }
-}

@@ -9,7 +9,8 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::{Asking, Askings, CallError, outcome_of_set_point};
 use crate::io::on_drop::OnDrop;
-use crate::io::runner::{LONGEST_STOP, RETRY_AFTER};
+use crate::io::pump::RETRY_AFTER;
+use crate::io::runner::LONGEST_STOP;
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::Instant;
 
@@ -220,9 +221,4 @@ async fn run_fairly<R: AsyncRunner<N> + ?Sized, const N: usize>(
         yield_now().await;
     }
     result
-}
-
-/// The earlier of two times of which either may be missing.
-pub(super) fn earlier(a: Option<Instant>, b: Option<Instant>) -> Option<Instant> {
-    [a, b].into_iter().flatten().min()
 }

@@ -1,16 +1,19 @@
 //! The async loop over RS485.
 
-use core::future::ready;
+use core::future::poll_fn;
+use core::pin::pin;
+use core::task::{Context, Poll};
 
 use embassy_futures::select::{Either, select};
-use embassy_futures::yield_now;
-use embedded_io_async::{Read, Write};
+use embedded_io_async::{ErrorType, Read, Write};
 
-use crate::io::async_clock::{AsyncClock, wait};
-use crate::io::async_runner::{AsyncRunner, earlier};
+use crate::io::async_clock::AsyncClock;
+use crate::io::async_runner::AsyncRunner;
 use crate::io::clock::Clock;
-use crate::io::line::{Line, READS_A_ROUND};
-use crate::io::runner::{LONGEST_IDLE, STUCK_AFTER};
+use crate::io::line::Line;
+use crate::io::pump::{Port, Pump, STUCK_AFTER, earlier};
+use crate::io::rest::{rest, wait};
+use crate::io::runner::LONGEST_IDLE;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 use crate::wire::rs485::FRAME_LENGTH;
@@ -24,13 +27,94 @@ use crate::wire::rs485::FRAME_LENGTH;
 ///
 /// Its `flush` must wait until the last byte has left.
 #[derive(Debug)]
-pub struct AsyncSerialMaster<S, K, const N: usize> {
+pub struct AsyncSerialMaster<S: ErrorType, K, const N: usize> {
     serial: S,
     clock: K,
-    master: Master<N>,
+    pump: Pump<N>,
     line: Line,
+    /// What was read to the line's space while the task waited.
+    read: Option<Result<usize, S::Error>>,
     /// A sending was cut short: the port is to be flushed, so that it turns to receiving.
     unflushed: bool,
+}
+
+impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> {
+    /// A loop on this port, timed by this clock; see [`Config::rs485`].
+    pub fn new(serial: S, clock: K, config: Config) -> Self {
+        let (pump, line) = (Pump::new(config), Line::new(&config));
+        Self { serial, clock, pump, line, read: None, unflushed: false }
+    }
+
+    /// How often bytes came that are no frame: noise, or answers that collide, as those of two motors with one id.
+    pub const fn garbled(&self) -> u32 {
+        self.line.garbled
+    }
+
+    /// The port and the clock back.
+    pub fn release(self) -> (S, K) {
+        (self.serial, self.clock)
+    }
+
+    /// One round of the pump, and what it has to send.
+    async fn round(&mut self) -> Result<Option<Event>, S::Error> {
+        let Self { serial, clock, pump, line, read, .. } = self;
+        let (now, mut outgoing) = (clock.now(), None);
+        let event = poll_fn(|context| {
+            let mut port = PolledOnce { serial, line, read, outgoing: &mut outgoing, context };
+            Poll::Ready(pump.round(&mut port, now))
+        });
+        let event = event.await;
+        match outgoing {
+            Some(bytes) => event.and(self.send(&bytes).await.map(|()| None)),
+            None => event,
+        }
+    }
+
+    async fn send(&mut self, bytes: &[u8; FRAME_LENGTH]) -> Result<(), S::Error> {
+        self.unflushed = true;
+        let Self { serial, clock, pump, line, .. } = self;
+        let (until, master) = (clock.now() + STUCK_AFTER, &mut pump.master);
+        let mut sending = Sending { master, line, clock, bytes, rest: bytes, is_refused: false };
+        let patience = sending.clock.wait_until(until);
+        let outcome = select(write(serial, &mut sending.rest), patience).await;
+        // What the port has taken may be heard, and answered, whatever fails then.
+        sending.is_refused = sending.rest.len() == bytes.len();
+        drop(sending);
+        let is_taken = match outcome {
+            Either::First(taken) => taken,
+            Either::Second(()) => Ok(false),
+        };
+        self.unflushed = !matches!(is_taken, Ok(true));
+        if self.unflushed {
+            self.pump.bus_is_down(self.clock.now());
+        }
+        is_taken.map(|_| ())
+    }
+
+    /// Ends a sending that was cut short.
+    async fn settle(&mut self) -> Result<(), S::Error> {
+        if self.unflushed {
+            let patience = self.clock.wait_until(self.clock.now() + STUCK_AFTER);
+            if let Either::First(flushed) = select(self.serial.flush(), patience).await {
+                self.unflushed = false;
+                flushed.inspect_err(|_| self.pump.master.handle_bus_down(self.clock.now()))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes until nothing is left and waits until that has left; `false` with a port that takes nothing,
+/// which embedded-io forbids.
+async fn write<S: Write>(serial: &mut S, rest: &mut &[u8]) -> Result<bool, S::Error> {
+    while !rest.is_empty() {
+        match serial.write(rest).await? {
+            0 => return Ok(false),
+            bytes => *rest = rest.get(bytes..).unwrap_or(&[]),
+        }
+    }
+    serial.flush().await?;
+    Ok(true)
 }
 
 /// A frame that leaves. It counts as sent also when the future that sends it is dropped: some of it may have
@@ -56,95 +140,11 @@ impl<K: Clock, const N: usize> Drop for Sending<'_, K, N> {
     }
 }
 
-impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> {
-    /// A loop on this port, timed by this clock; see [`Config::rs485`].
-    pub fn new(serial: S, clock: K, config: Config) -> Self {
-        Self {
-            serial,
-            clock,
-            master: Master::new(config),
-            line: Line::new(&config),
-            unflushed: false,
-        }
-    }
-
-    /// The port and the clock back.
-    pub fn release(self) -> (S, K) {
-        (self.serial, self.clock)
-    }
-
-    /// Takes what the port holds, up to the first event.
-    async fn receive(&mut self, now: Instant) -> Result<Option<Event>, S::Error> {
-        for _ in 0..READS_A_ROUND {
-            let event = self.line.take(&mut self.master, now);
-            if event.is_some() {
-                return Ok(event);
-            }
-            match select(self.serial.read(self.line.space()), ready(())).await {
-                Either::First(Ok(0)) | Either::Second(()) => {
-                    self.line.found_empty(now);
-                    return Ok(None);
-                }
-                Either::First(bytes) => self.line.filled(bytes?),
-            }
-        }
-        yield_now().await;
-        Ok(self.line.take(&mut self.master, now))
-    }
-
-    async fn transmit(&mut self) -> Result<(), S::Error> {
-        let now = self.clock.now();
-        let Some(bytes) = self.line.offered(&mut self.master, now) else { return Ok(()) };
-        self.unflushed = true;
-        let Self { serial, clock, master, line, .. } = self;
-        let mut sending =
-            Sending { master, line, clock, bytes: &bytes, rest: &bytes, is_refused: false };
-        let patience = sending.clock.wait_until(now + STUCK_AFTER);
-        let outcome = select(write(serial, &mut sending.rest), patience).await;
-        // What the port has taken may be heard, and answered, whatever fails then.
-        sending.is_refused = sending.rest.len() == bytes.len();
-        drop(sending);
-        match outcome {
-            Either::First(Ok(true)) => self.unflushed = false,
-            Either::First(Ok(false)) | Either::Second(()) => {
-                self.master.handle_bus_down(self.clock.now());
-            }
-            Either::First(Err(error)) => return Err(error),
-        }
-        Ok(())
-    }
-
-    /// Ends a sending that was cut short.
-    async fn settle(&mut self) -> Result<(), S::Error> {
-        if self.unflushed {
-            let patience = self.clock.wait_until(self.clock.now() + STUCK_AFTER);
-            if let Either::First(flushed) = select(self.serial.flush(), patience).await {
-                self.unflushed = false;
-                flushed?;
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Writes until nothing is left and waits until that has left; `false` with a port that takes nothing,
-/// which embedded-io forbids.
-async fn write<S: Write>(serial: &mut S, rest: &mut &[u8]) -> Result<bool, S::Error> {
-    while !rest.is_empty() {
-        match serial.write(rest).await? {
-            0 => return Ok(false),
-            bytes => *rest = rest.get(bytes..).unwrap_or(&[]),
-        }
-    }
-    serial.flush().await?;
-    Ok(true)
-}
-
 impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncSerialMaster<S, K, N> {
     type Error = S::Error;
 
     fn master(&mut self) -> &mut Master<N> {
-        &mut self.master
+        &mut self.pump.master
     }
 
     fn now(&self) -> Instant {
@@ -152,48 +152,50 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncSer
     }
 
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, S::Error> {
-        let outcome = self.run_port(until).await;
-        if outcome.is_err() {
-            self.master.handle_bus_down(self.clock.now());
-        }
-        outcome
-    }
-}
-
-impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> {
-    async fn run_port(&mut self, until: Option<Instant>) -> Result<Option<Event>, S::Error> {
         loop {
             self.settle().await?;
-            let now = self.clock.now();
-            match self.receive(now).await {
-                Ok(None) => {}
-                Ok(event) => return Ok(event),
-                Err(error) => {
-                    self.master.handle_timeout(now);
-                    self.master.handle_bus_down(now);
-                    // On a noisy line there is an error with each look: no stop waits for its end.
-                    let _ = self.transmit().await;
-                    return Err(error);
-                }
-            }
-            self.master.handle_timeout(now);
-            self.transmit().await?;
-            let event = self.master.poll_event();
+            let event = self.round().await?.or_else(|| self.pump.master.poll_event());
             let now = self.clock.now();
             if event.is_some() || until.is_some_and(|until| until <= now) {
                 return Ok(event);
             }
-            let wake_at = earlier(self.master.poll_at(), until);
-            let timer = wait(&mut self.clock, wake_at);
-            match select(self.serial.read(self.line.space()), timer).await {
+            let Self { serial, clock, pump, line, read, .. } = self;
+            let wake_at = earlier(pump.wake_at(), until);
+            rest(pin!(serial.read(line.space())), read, clock, wake_at, false).await;
+            if let Some(Ok(0)) = read {
                 // The port is closed, for now or for good.
-                Either::First(Ok(0)) => {
-                    let again_at = earlier(wake_at, Some(now + LONGEST_IDLE));
-                    wait(&mut self.clock, again_at).await;
-                }
-                Either::First(bytes) => self.line.filled(bytes?),
-                Either::Second(()) => {}
+                wait(clock, earlier(wake_at, Some(now + LONGEST_IDLE))).await;
             }
         }
+    }
+}
+
+/// An async port as one that never waits. What is to be sent is sent after the round: to drop a frame half-way
+/// would send a part of it.
+struct PolledOnce<'a, 'b, S: ErrorType> {
+    serial: &'a mut S,
+    line: &'a mut Line,
+    read: &'a mut Option<Result<usize, S::Error>>,
+    outgoing: &'a mut Option<[u8; FRAME_LENGTH]>,
+    context: &'a mut Context<'b>,
+}
+
+impl<S: Read, const N: usize> Port<N> for PolledOnce<'_, '_, S> {
+    type Error = S::Error;
+
+    fn receive(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<Option<Event>, S::Error> {
+        let Self { serial, line, read, context, .. } = self;
+        line.receive(pump, now, |space| match read.take() {
+            Some(read) => read,
+            None => match pin!(serial.read(space)).poll(context) {
+                Poll::Ready(read) => read,
+                Poll::Pending => Ok(0),
+            },
+        })
+    }
+
+    fn transmit(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<(), S::Error> {
+        *self.outgoing = self.line.offered(pump, now);
+        Ok(())
     }
 }

@@ -1,15 +1,13 @@
 //! The loop over CAN.
 
-use embedded_can::{ErrorKind, Frame, blocking, nb};
+use embedded_can::{Error as _, ErrorKind, blocking, nb};
 
 use crate::io::clock::Clock;
-use crate::io::runner::{RETRY_AFTER, Runner, STUCK_AFTER};
+use crate::io::pump::{Port, Pump};
+use crate::io::runner::Runner;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 use crate::wire::can;
-
-/// Frames that one round takes at the most, so that a babbling bus cannot keep it.
-pub(super) const FRAMES_A_ROUND: usize = 64;
 
 /// Runs a [`Master`] on a CAN controller.
 ///
@@ -29,65 +27,18 @@ pub(super) const FRAMES_A_ROUND: usize = 64;
 pub struct CanMaster<C, K, const N: usize> {
     can: C,
     clock: K,
-    master: Master<N>,
-    /// Since when the bus has not taken what is offered to it.
-    stuck_since: Option<Instant>,
+    pump: Pump<N>,
 }
 
 impl<C: nb::Can, K: Clock, const N: usize> CanMaster<C, K, N> {
     /// A loop on this controller, timed by this clock.
     pub fn new(can: C, clock: K, config: Config) -> Self {
-        Self { can, clock, master: Master::new(config), stuck_since: None }
+        Self { can, clock, pump: Pump::new(config) }
     }
 
     /// The controller and the clock back.
     pub fn release(self) -> (C, K) {
         (self.can, self.clock)
-    }
-
-    fn receive(&mut self, now: Instant) -> Result<Option<Event>, C::Error> {
-        for _ in 0..FRAMES_A_ROUND {
-            match self.can.receive() {
-                Ok(frame) => {
-                    let event = self.master.handle_frame(&can::decode(&frame), now);
-                    if event.is_some() {
-                        return Ok(event);
-                    }
-                }
-                Err(::nb::Error::WouldBlock) => break,
-                Err(::nb::Error::Other(error)) => {
-                    note_failed_receive(&mut self.master, &error, now);
-                    return Err(error);
-                }
-            }
-        }
-        Ok(None)
-    }
-
-    fn transmit(&mut self, now: Instant) -> Result<(), C::Error> {
-        while let Some(packet) = self.master.poll_transmit(now) {
-            // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
-            let Some(frame) = can::encode::<C::Frame>(&packet) else { return Ok(()) };
-            match self.can.transmit(&frame) {
-                Ok(pushed_out) => {
-                    self.stuck_since = None;
-                    self.master.handle_transmitted(now);
-                    take_back(&mut self.master, pushed_out.as_ref());
-                }
-                Err(::nb::Error::WouldBlock) => {
-                    if now - *self.stuck_since.get_or_insert(now) > STUCK_AFTER {
-                        self.master.handle_bus_down(now);
-                    }
-                    return Ok(());
-                }
-                Err(::nb::Error::Other(error)) => {
-                    self.stuck_since = None;
-                    self.master.handle_bus_down(now);
-                    return Err(error);
-                }
-            }
-        }
-        Ok(())
     }
 }
 
@@ -95,7 +46,7 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
     type Error = C::Error;
 
     fn master(&mut self) -> &mut Master<N> {
-        &mut self.master
+        &mut self.pump.master
     }
 
     fn now(&self) -> Instant {
@@ -103,50 +54,72 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
     }
 
     fn poll(&mut self) -> Result<Option<Event>, C::Error> {
-        let now = self.clock.now();
-        // What was received comes first, so that the caller's answer to it is there when the next
-        // command is chosen.
-        match self.receive(now) {
-            Ok(None) => {}
-            Ok(event) => return Ok(event),
-            Err(error) => {
-                // Some controllers report a bad state with each look: no stop waits for its end.
-                let _ = self.transmit(now);
-                return Err(error);
-            }
-        }
-        self.master.handle_timeout(now);
-        self.transmit(now)?;
-        Ok(self.master.poll_event())
+        let event = self.pump.round(&mut CanPort(&mut self.can), self.clock.now())?;
+        Ok(event.or_else(|| self.pump.master.poll_event()))
     }
 
     fn idle(&mut self, until: Instant) {
-        let deadline = self.master.poll_at().map_or(until, |at| at.min(until));
-        // Nothing else tells when a controller takes again what it has refused.
-        let now = self.clock.now();
-        let is_refused = self.stuck_since.is_some() && self.master.poll_transmit(now).is_some();
-        let deadline = if is_refused { deadline.min(now + RETRY_AFTER) } else { deadline };
-        self.clock.idle(deadline);
+        self.clock.idle(self.pump.wake_at().map_or(until, |at| at.min(until)));
     }
 }
 
-/// The controller reports an error in place of a frame.
-pub(super) fn note_failed_receive<const N: usize>(
-    master: &mut Master<N>,
-    error: &impl embedded_can::Error,
-    now: Instant,
-) {
-    master.handle_timeout(now);
-    // A frame that was overwritten says nothing about the bus; anything else may.
-    if error.kind() != ErrorKind::Overrun {
-        master.handle_bus_down(now);
-    }
-}
+/// A controller, as the pump sees it.
+pub(super) struct CanPort<'a, C>(pub(super) &'a mut C);
 
-/// A frame had to make way for another in the controller: it is the master's again.
-pub(super) fn take_back<const N: usize>(master: &mut Master<N>, pushed_out: Option<&impl Frame>) {
-    if let Some(can::Received::Packet(packet)) = pushed_out.map(can::decode) {
-        master.handle_pushed_out(&packet);
+impl<C: nb::Can, const N: usize> Port<N> for CanPort<'_, C> {
+    type Error = C::Error;
+
+    fn receive(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<Option<Event>, C::Error> {
+        while pump.looks_again() {
+            match self.0.receive() {
+                Ok(frame) => {
+                    let event = pump.master.handle_frame(&can::decode(&frame), now);
+                    if event.is_some() {
+                        return Ok(event);
+                    }
+                }
+                Err(::nb::Error::WouldBlock) => break,
+                Err(::nb::Error::Other(error)) => return Err(error),
+            }
+        }
+        Ok(None)
+    }
+
+    fn transmit(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<(), C::Error> {
+        let Pump { master, refusals, .. } = pump;
+        while let Some(packet) = master.poll_transmit(now) {
+            // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
+            let Some(frame) = can::encode::<C::Frame>(&packet) else { break };
+            match self.0.transmit(&frame) {
+                Ok(pushed_out) => {
+                    refusals.end();
+                    master.handle_transmitted(now);
+                    // A frame that had to make way for it is the master's again.
+                    if let Some(can::Received::Packet(packet)) =
+                        pushed_out.as_ref().map(can::decode)
+                    {
+                        master.handle_pushed_out(&packet);
+                    }
+                }
+                Err(::nb::Error::WouldBlock) => {
+                    if refusals.note(now) {
+                        master.handle_bus_down(now);
+                    }
+                    return Ok(());
+                }
+                Err(::nb::Error::Other(error)) => {
+                    refusals.end();
+                    return Err(error);
+                }
+            }
+        }
+        refusals.pause();
+        Ok(())
+    }
+
+    fn is_harmless(error: &C::Error) -> bool {
+        // A frame that was overwritten says nothing about the bus; anything else may.
+        error.kind() == ErrorKind::Overrun
     }
 }
 

@@ -1,14 +1,13 @@
 //! From the bytes of a serial port to the master: what the blocking and the async loop share.
 
 use crate::io::echo::{EchoFilter, Probe, can_be_a_reply};
+use crate::io::pump::Pump;
 use crate::master::{Bus, Config, Event, Master};
 use crate::time::Instant;
 use crate::wire::rs485::{FRAME_LENGTH, Fed, Frame, Receiver};
 
 /// Bytes read at once.
 const CHUNK: usize = 32;
-/// How often one round reads at the most, so that a babbling line cannot keep it.
-pub(super) const READS_A_ROUND: usize = 64;
 
 /// The receiving side of a serial port, and the bytes that were read from it and not looked at yet.
 #[derive(Debug)]
@@ -31,12 +30,31 @@ impl Line {
         Self { receiver, echoes, probe, garbled: 0, chunk: [0; CHUNK], next: 0, end: 0 }
     }
 
-    /// Hands on the bytes that were read, up to the first event.
-    pub(super) fn take<const N: usize>(
+    /// Takes what the port holds, up to the first event. `read` gives 0 bytes where it holds none.
+    pub(super) fn receive<E, const N: usize>(
         &mut self,
-        master: &mut Master<N>,
+        pump: &mut Pump<N>,
         now: Instant,
-    ) -> Option<Event> {
+        mut read: impl FnMut(&mut [u8]) -> Result<usize, E>,
+    ) -> Result<Option<Event>, E> {
+        loop {
+            let event = self.take(&mut pump.master, now);
+            if event.is_some() || !pump.looks_again() {
+                return Ok(event);
+            }
+            (self.next, self.end) = (0, 0);
+            match read(&mut self.chunk)? {
+                0 => {
+                    self.found_empty(now);
+                    return Ok(None);
+                }
+                bytes => self.end = bytes.min(CHUNK),
+            }
+        }
+    }
+
+    /// Hands on the bytes that were read, up to the first event.
+    fn take<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> Option<Event> {
         while let Some(&byte) = self.chunk.get(..self.end).and_then(|read| read.get(self.next)) {
             self.next += 1;
             if self.probe.has_come_back(byte) {
@@ -65,12 +83,13 @@ impl Line {
     /// nobody knows whether the adapter echoes, what shows it goes before what its echo may seem to answer.
     pub(super) fn offered<const N: usize>(
         &mut self,
-        master: &mut Master<N>,
+        pump: &mut Pump<N>,
         now: Instant,
     ) -> Option<[u8; FRAME_LENGTH]> {
-        let frame = Frame::from_packet(&master.poll_transmit(now)?)?;
+        pump.refusals.pause();
+        let frame = Frame::from_packet(&pump.master.poll_transmit(now)?)?;
         if !self.echoes.is_echoing() && can_be_a_reply(&frame) && self.probe.is_due() {
-            master.let_another_go_first(now);
+            pump.master.let_another_go_first(now);
             return Some(Probe::FRAME);
         }
         self.echoes.sent(frame, now);
@@ -85,7 +104,7 @@ impl Line {
     }
 
     /// The port holds nothing now.
-    pub(super) fn found_empty(&mut self, now: Instant) {
+    fn found_empty(&mut self, now: Instant) {
         if self.echoes.is_echoing() {
             // If it is lost, because the line is out of order for a while, it is asked for again.
             self.probe = Probe::new();
@@ -93,15 +112,8 @@ impl Line {
         self.echoes.found_empty(now);
     }
 
-    /// Where to read to, once [`take`](Self::take) has given its last event.
-    pub(super) fn space(&mut self) -> &mut [u8] {
-        self.next = 0;
-        self.end = 0;
+    /// Where to read to while nothing of [`receive`](Self::receive) is left: what is read there is given to that.
+    pub(super) const fn space(&mut self) -> &mut [u8] {
         &mut self.chunk
-    }
-
-    /// So many bytes were read to [`space`](Self::space).
-    pub(super) fn filled(&mut self, bytes: usize) {
-        self.end = bytes.min(CHUNK);
     }
 }

@@ -33,6 +33,8 @@ mod line;
 mod move_to;
 mod on_drop;
 mod polled;
+mod pump;
+mod rest;
 mod runner;
 mod serial;
 #[cfg(test)]

@@ -4,7 +4,8 @@ use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 
 use crate::io::async_runner::AsyncRunner;
-use crate::io::runner::{LONGEST_IDLE, RETRY_AFTER, Runner};
+use crate::io::pump::RETRY_AFTER;
+use crate::io::runner::{LONGEST_IDLE, Runner};
 use crate::master::{Event, Master};
 use crate::time::Instant;
 

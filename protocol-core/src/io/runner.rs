@@ -21,12 +21,6 @@ pub const LONGEST_TURN: Duration = Duration::from_secs(2);
 /// How long a loop sleeps at most between two looks at the bus.
 pub(super) const LONGEST_IDLE: Duration = Duration::from_millis(10);
 
-/// How soon a bus that takes nothing, or has failed, is tried again.
-pub(super) const RETRY_AFTER: Duration = Duration::from_millis(1);
-
-/// A bus that takes nothing for so long counts as down.
-pub(super) const STUCK_AFTER: Duration = Duration::from_millis(20);
-
 /// A loop that runs a [`Master`] on a bus.
 pub trait Runner<const N: usize> {
     /// What the bus driver reports when it fails.

@@ -3,7 +3,8 @@
 use embedded_io::{Read, ReadReady, Write};
 
 use crate::io::clock::Clock;
-use crate::io::line::{Line, READS_A_ROUND};
+use crate::io::line::Line;
+use crate::io::pump::{Port, Pump};
 use crate::io::runner::Runner;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
@@ -14,14 +15,14 @@ use crate::time::Instant;
 pub struct SerialMaster<S, K, const N: usize> {
     serial: S,
     clock: K,
-    master: Master<N>,
+    pump: Pump<N>,
     line: Line,
 }
 
 impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N> {
     /// A loop on this port, timed by this clock; see [`Config::rs485`].
     pub fn new(serial: S, clock: K, config: Config) -> Self {
-        Self { serial, clock, master: Master::new(config), line: Line::new(&config) }
+        Self { serial, clock, pump: Pump::new(config), line: Line::new(&config) }
     }
 
     /// How often bytes came that are no frame: noise, or answers that collide, as those of two motors with one id.
@@ -33,61 +34,13 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> SerialMaster<S, K, N
     pub fn release(self) -> (S, K) {
         (self.serial, self.clock)
     }
-
-    fn receive(&mut self, now: Instant) -> Result<Option<Event>, S::Error> {
-        for _ in 0..READS_A_ROUND {
-            let event = self.line.take(&mut self.master, now);
-            if event.is_some() {
-                return Ok(event);
-            }
-            if !self.serial.read_ready()? {
-                self.line.found_empty(now);
-                return Ok(None);
-            }
-            match self.serial.read(self.line.space())? {
-                0 => return Ok(None),
-                bytes => self.line.filled(bytes),
-            }
-        }
-        Ok(self.line.take(&mut self.master, now))
-    }
-
-    fn transmit(&mut self, now: Instant) -> Result<(), S::Error> {
-        let Some(bytes) = self.line.offered(&mut self.master, now) else { return Ok(()) };
-        let mut rest = bytes.as_slice();
-        let written = self.write(&mut rest);
-        // What the port has taken may be heard, and answered, whatever fails then.
-        if rest.len() < bytes.len() {
-            self.master.handle_transmitted(self.clock.now());
-        }
-        if rest.is_empty() {
-            self.line.was_sent(&bytes);
-        }
-        if let Ok(false) = written {
-            self.master.handle_bus_down(now);
-        }
-        written.map(|_| ())
-    }
-
-    /// Writes until nothing is left and waits until that has left; `false` with a port that takes nothing,
-    /// which embedded-io forbids.
-    fn write(&mut self, rest: &mut &[u8]) -> Result<bool, S::Error> {
-        while !rest.is_empty() {
-            match self.serial.write(rest)? {
-                0 => return Ok(false),
-                bytes => *rest = rest.get(bytes..).unwrap_or(&[]),
-            }
-        }
-        self.serial.flush()?;
-        Ok(true)
-    }
 }
 
 impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Runner<N> for SerialMaster<S, K, N> {
     type Error = S::Error;
 
     fn master(&mut self) -> &mut Master<N> {
-        &mut self.master
+        &mut self.pump.master
     }
 
     fn now(&self) -> Instant {
@@ -95,30 +48,63 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Runner<N> for Serial
     }
 
     fn poll(&mut self) -> Result<Option<Event>, S::Error> {
-        let now = self.clock.now();
-        // What was received comes first, so that the caller's answer to it is there when the next
-        // command is chosen.
-        match self.receive(now) {
-            Ok(None) => {}
-            Ok(event) => return Ok(event),
-            Err(error) => {
-                self.master.handle_timeout(now);
-                self.master.handle_bus_down(now);
-                // On a noisy line there is an error with each look: no stop waits for its end.
-                let _ = self.transmit(now);
-                return Err(error);
-            }
-        }
-        self.master.handle_timeout(now);
-        if let Err(error) = self.transmit(now) {
-            self.master.handle_bus_down(now);
-            return Err(error);
-        }
-        Ok(self.master.poll_event())
+        let Self { serial, clock, pump, line } = self;
+        let now = clock.now();
+        let event = pump.round(&mut SerialPort { serial, clock, line }, now)?;
+        Ok(event.or_else(|| pump.master.poll_event()))
     }
 
     fn idle(&mut self, until: Instant) {
-        let deadline = self.master.poll_at().map_or(until, |at| at.min(until));
-        self.clock.idle(deadline);
+        self.clock.idle(self.pump.wake_at().map_or(until, |at| at.min(until)));
     }
+}
+
+/// A serial port, as the pump sees it.
+struct SerialPort<'a, S, K> {
+    serial: &'a mut S,
+    clock: &'a K,
+    line: &'a mut Line,
+}
+
+impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Port<N> for SerialPort<'_, S, K> {
+    type Error = S::Error;
+
+    fn receive(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<Option<Event>, S::Error> {
+        let Self { serial, line, .. } = self;
+        line.receive(
+            pump,
+            now,
+            |space| if serial.read_ready()? { serial.read(space) } else { Ok(0) },
+        )
+    }
+
+    fn transmit(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<(), S::Error> {
+        let Some(bytes) = self.line.offered(pump, now) else { return Ok(()) };
+        let mut rest = bytes.as_slice();
+        let written = write(self.serial, &mut rest);
+        // What the port has taken may be heard, and answered, whatever fails then.
+        if rest.len() < bytes.len() {
+            pump.master.handle_transmitted(self.clock.now());
+        }
+        if rest.is_empty() {
+            self.line.was_sent(&bytes);
+        }
+        if !written? {
+            pump.bus_is_down(now);
+        }
+        Ok(())
+    }
+}
+
+/// Writes until nothing is left and waits until that has left; `false` with a port that takes nothing,
+/// which embedded-io forbids.
+fn write<S: Write>(serial: &mut S, rest: &mut &[u8]) -> Result<bool, S::Error> {
+    while !rest.is_empty() {
+        match serial.write(rest)? {
+            0 => return Ok(false),
+            bytes => *rest = rest.get(bytes..).unwrap_or(&[]),
+        }
+    }
+    serial.flush()?;
+    Ok(true)
 }

@@ -16,7 +16,7 @@ use crate::command::ReadMultiTurnAngle;
 use crate::id::Target;
 use crate::io::{
     AsyncCan, AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Runner,
-    bring_up,
+    SerialMaster, bring_up,
 };
 use crate::master::{Config, Event, Failure, MotorSet, StopKind};
 use crate::opcode::Opcode;
@@ -247,6 +247,18 @@ fn a_line_that_fails_for_good_leaves_other_tasks_their_turns() {
     assert!(polls(arm.ask_together(questions), 1).is_none());
     assert!(polls(arm.stop_all(StopKind::Hold, MotorSet::EMPTY), 100).is_none());
     assert!(clock.micros() < 60_000_000);
+}
+
+#[test]
+fn a_line_that_fails_for_good_lets_the_clock_idle() {
+    for takes_nothing in [false, true] {
+        let (port, clock, mut arm): (TestSerial, TestClock, SerialMaster<_, _, 4>) =
+            on_rs485(SerialMaster::new);
+        (port.state().write_fails, port.state().takes_nothing) = (!takes_nothing, takes_nothing);
+        let unconfirmed = arm.stop_all(StopKind::Hold, id(1).into());
+        assert_eq!(unconfirmed, id(1).into());
+        assert_eq!(clock.micros(), 1_000_000);
+    }
 }
 
 #[test]

@@ -4,6 +4,7 @@ mod blocking;
 mod calls;
 mod concurrent;
 mod failing;
+mod floods;
 mod guard;
 mod half_duplex;
 mod left_halfway;

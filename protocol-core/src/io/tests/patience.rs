@@ -1,19 +1,14 @@
 //! Loops that are lent what they run on, and ports and controllers that have little room.
 
-use core::future::pending;
-
 use embedded_io::ReadReady as _;
 
-use super::world::{Broken, TestCan, TestClock, TestSerial, answer, block_on, on_can, on_rs485};
+use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_rs485};
 use super::{id, step};
 use crate::command::{ReadMultiTurnAngle, ReadStatus1, Stop};
 use crate::io::echo::EchoFilter;
-use crate::io::{
-    AsyncCan, AsyncCanMaster, AsyncRunner, Clock, DelayClock, HalfDuplex, Runner, SerialMaster,
-};
+use crate::io::{AsyncCanMaster, AsyncRunner, Clock, DelayClock, HalfDuplex, Runner, SerialMaster};
 use crate::master::StopKind;
 use crate::time::{Duration, Instant};
-use crate::wire::can::{self, Received, SimpleFrame};
 use crate::wire::rs485::Frame;
 
 fn serial() -> (TestSerial, TestClock, SerialMaster<TestSerial, TestClock, 4>) {
@@ -46,45 +41,6 @@ fn a_controller_that_is_lent_sends_and_receives() {
     let mut bus = TestCan::new(&clock);
     let mut arm = AsyncCanMaster::<_, _, 4>::new(&mut bus, clock, crate::master::Config::CAN);
     assert_eq!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap().angle.degrees(), 360.0);
-}
-
-/// A controller with one place for received frames, on a bus where each command is answered at once.
-struct OnePlace(Option<SimpleFrame>);
-
-impl AsyncCan for OnePlace {
-    type Frame = SimpleFrame;
-    type Error = Broken;
-
-    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Broken> {
-        assert!(self.0.is_none(), "a frame is lost");
-        if let Received::Packet(command) = can::decode(frame) {
-            self.0 = answer(&command).and_then(|reply| can::encode(&reply));
-        }
-        Ok(None)
-    }
-
-    async fn receive(&mut self) -> Result<SimpleFrame, Broken> {
-        match self.0.take() {
-            Some(frame) => Ok(frame),
-            None => pending().await,
-        }
-    }
-}
-
-#[test]
-fn what_is_received_is_taken_between_any_two_that_are_sent() {
-    let (_, _, mut arm) =
-        on_can(|_, clock, config| AsyncCanMaster::<_, _, 4>::new(OnePlace(None), clock, config));
-    for motor in [1, 2, 3] {
-        let _ = arm.master().request(id(motor), ReadMultiTurnAngle).unwrap();
-    }
-    let until = Some(Instant::from_millis(10));
-    let mut strays = 0;
-    // They come sooner than any drive answers.
-    while block_on(arm.run(until)).unwrap().is_some() {
-        strays += 1;
-    }
-    assert_eq!(strays, 3);
 }
 
 #[test]

@@ -376,7 +376,7 @@ impl embedded_io_async::Read for TestSerial {
 }
 
 /// Each call takes one poll more than it would have to, as on a bus where bytes take time.
-pub(super) async fn a_moment() {
+async fn a_moment() {
     let mut first = true;
     poll_fn(|_| if core::mem::take(&mut first) { Poll::Pending } else { Poll::Ready(()) }).await;
 }

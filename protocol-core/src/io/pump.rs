@@ -1,0 +1,134 @@
+//! The round that every loop goes, on CAN and on RS485, polled or as a task. None of it waits.
+
+use crate::master::{Config, Event, Master};
+use crate::time::{Duration, Instant};
+
+/// How often a bus is looked at in a row that always has something, before it is sent to all the same.
+const LOOKS_IN_A_ROW: u8 = 64;
+
+/// A bus that takes nothing for so long counts as down.
+pub(super) const STUCK_AFTER: Duration = Duration::from_millis(20);
+
+/// How soon a bus that takes nothing, or has failed, is tried again.
+pub(super) const RETRY_AFTER: Duration = Duration::from_millis(1);
+
+/// What is received and sent by.
+pub(super) trait Port<const N: usize> {
+    type Error;
+
+    /// Takes what has come, up to the first event, with one of the pump's looks for each time that it is asked.
+    fn receive(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<Option<Event>, Self::Error>;
+
+    /// Sends what the bus takes.
+    fn transmit(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<(), Self::Error>;
+
+    /// Whether this error of receiving says nothing about the bus.
+    fn is_harmless(_: &Self::Error) -> bool {
+        false
+    }
+}
+
+/// A master, and what its loop remembers from round to round.
+#[derive(Debug)]
+pub(super) struct Pump<const N: usize> {
+    pub(super) master: Master<N>,
+    /// How often the bus is looked at yet before it is sent to.
+    looks: u8,
+    pub(super) refusals: Refusals,
+}
+
+impl<const N: usize> Pump<N> {
+    pub(super) fn new(config: Config) -> Self {
+        let (master, refusals) = (Master::new(config), Refusals::default());
+        Self { master, looks: LOOKS_IN_A_ROW, refusals }
+    }
+
+    /// One round. Gives the first event of what has come; those of the master itself are not among them.
+    pub(super) fn round<P: Port<N>>(
+        &mut self,
+        port: &mut P,
+        now: Instant,
+    ) -> Result<Option<Event>, P::Error> {
+        // What was received comes first, so that the caller's answer to it is there when the next command is chosen.
+        let failed = match port.receive(self, now) {
+            Ok(None) => None,
+            Ok(event) => return Ok(event),
+            Err(error) => Some(error),
+        };
+        self.looks = LOOKS_IN_A_ROW;
+        self.master.handle_timeout(now);
+        if failed.as_ref().is_some_and(|error| !P::is_harmless(error)) {
+            self.bus_is_down(now);
+        }
+        // Some controllers report a bad state with each look: no stop waits for its end.
+        let sent = port.transmit(self, now);
+        if sent.is_err() {
+            self.bus_is_down(now);
+        }
+        failed.map_or(sent, Err).map(|()| None)
+    }
+
+    /// Whether the bus is looked at once more. One that babbles keeps neither stops nor time-outs back.
+    pub(super) fn looks_again(&mut self) -> bool {
+        let left = self.looks.checked_sub(1);
+        self.looks = left.unwrap_or(0);
+        left.is_some()
+    }
+
+    /// The bus is down. What waits all the same, a stop, is offered to it again soon.
+    pub(super) fn bus_is_down(&mut self, now: Instant) {
+        self.refusals.note(now);
+        self.master.handle_bus_down(now);
+    }
+
+    /// When there is something to do again, unless something arrives first. While the bus refuses what is due, that
+    /// is when it is offered again.
+    pub(super) fn wake_at(&self) -> Option<Instant> {
+        self.refusals.retry_at().or_else(|| self.master.poll_at())
+    }
+}
+
+/// The earlier of two times of which either may be missing.
+pub(super) fn earlier(a: Option<Instant>, b: Option<Instant>) -> Option<Instant> {
+    [a, b].into_iter().flatten().min()
+}
+
+/// For how long a bus has taken nothing of what it was offered.
+#[derive(Debug, Default)]
+pub(super) struct Refusals {
+    /// When it refused what waits now.
+    last: Option<Instant>,
+    total: Duration,
+}
+
+impl Refusals {
+    /// The bus takes nothing. Gives whether it counts as down.
+    pub(super) fn note(&mut self, now: Instant) -> bool {
+        // Whoever was held up for long between two offers has not found the bus stuck.
+        const LONGEST_PAUSE: Duration = Duration::from_millis(10);
+        if let Some(last) = self.last {
+            self.total = self.total + (now - last).min(LONGEST_PAUSE);
+        }
+        self.last = Some(now);
+        self.total >= STUCK_AFTER
+    }
+
+    /// It has taken something.
+    pub(super) fn end(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Nothing is offered to it any more.
+    pub(super) fn pause(&mut self) {
+        self.last = None;
+    }
+
+    pub(super) const fn has_refused(&self) -> bool {
+        self.last.is_some()
+    }
+
+    /// When it is offered that again: hardly anything else tells when a bus takes something again.
+    fn retry_at(&self) -> Option<Instant> {
+        self.last.map(|last| last + RETRY_AFTER)
+    }
+}

@@ -1,0 +1,50 @@
+//! How a task waits between two rounds.
+
+use core::future::poll_fn;
+use core::pin::{Pin, pin};
+use core::task::Poll;
+
+use crate::io::async_clock::AsyncClock;
+use crate::time::Instant;
+
+/// Waits until something is received, which is kept in `received`, or until then; where a controller refuses what
+/// is offered to it, until anything wakes the task, for that may be the controller.
+///
+/// A bus that babbles leaves other tasks their turns: they get one whatever is there already.
+pub(super) async fn rest<T>(
+    mut receive: Pin<&mut impl Future<Output = T>>,
+    received: &mut Option<T>,
+    clock: &mut impl AsyncClock,
+    until: Option<Instant>,
+    is_refused: bool,
+) {
+    let mut timer = pin!(wait(clock, until));
+    let (mut has_waited, mut is_over) = (false, false);
+    poll_fn(|context| {
+        is_over |= has_waited && is_refused;
+        if !is_over {
+            if let Poll::Ready(it) = receive.as_mut().poll(context) {
+                *received = Some(it);
+                is_over = true;
+            } else {
+                is_over = timer.as_mut().poll(context).is_ready();
+            }
+        }
+        match (is_over, has_waited) {
+            (true, true) => return Poll::Ready(()),
+            (true, false) => context.waker().wake_by_ref(),
+            (false, _) => {}
+        }
+        has_waited = true;
+        Poll::Pending
+    })
+    .await;
+}
+
+/// Waits until then; for ever without an end.
+pub(super) async fn wait(clock: &mut impl AsyncClock, until: Option<Instant>) {
+    match until {
+        Some(until) => clock.wait_until(until).await,
+        None => core::future::pending().await,
+    }
+}
