@@ -170,6 +170,7 @@ impl Oracle {
                 }
             }
             Event::Stray { motor, .. } => self.told[motor.index()].strays += 1,
+            Event::Overrun => self.totals.bus_errors += 1,
             ref other => truth.breaks(format!("what is {other:?}?")),
         }
     }

@@ -117,8 +117,7 @@ impl<C: nb::Can, const N: usize> Port<N> for CanPort<'_, C> {
         Ok(())
     }
 
-    fn is_harmless(error: &C::Error) -> bool {
-        // A frame that was overwritten says nothing about the bus; anything else may.
+    fn is_overrun(error: &C::Error) -> bool {
         error.kind() == ErrorKind::Overrun
     }
 }

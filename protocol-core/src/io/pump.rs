@@ -22,8 +22,8 @@ pub(super) trait Port<const N: usize> {
     /// Sends what the bus takes.
     fn transmit(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<(), Self::Error>;
 
-    /// Whether this error of receiving says nothing about the bus.
-    fn is_harmless(_: &Self::Error) -> bool {
+    /// Whether this error of receiving says that a frame found no place, and nothing of the bus.
+    fn is_overrun(_: &Self::Error) -> bool {
         false
     }
 }
@@ -53,11 +53,12 @@ impl<const N: usize> Pump<N> {
         let failed = match port.receive(self, now) {
             Ok(None) => None,
             Ok(event) => return Ok(event),
+            Err(error) if P::is_overrun(&error) => return Ok(Some(Event::Overrun)),
             Err(error) => Some(error),
         };
         self.looks = LOOKS_IN_A_ROW;
         self.master.handle_timeout(now);
-        if failed.as_ref().is_some_and(|error| !P::is_harmless(error)) {
+        if failed.is_some() {
             self.bus_is_down(now);
         }
         // Some controllers report a bad state with each look: no stop waits for its end.

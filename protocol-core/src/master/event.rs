@@ -219,6 +219,9 @@ pub enum Event {
         /// The data field.
         data: Data,
     },
+    /// The controller had no place for a frame that came: what it answered counts as unanswered. Look at the bus
+    /// more often.
+    Overrun,
 }
 
 impl Event {
