@@ -5,7 +5,7 @@ use myactuator_host_std::sim::bus::faults::FaultPlan;
 use myactuator_host_std::sim::bus::rs485::Rs485Line;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
-use myactuator_protocol_core::master::{Event, Failure, MotorSet, StopKind};
+use myactuator_protocol_core::master::{Event, Failure, MotorSet, Presence, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_tests::rig::{Ledger, Rig, angle, step};
 use myactuator_tests::values::{id, millis};
@@ -47,6 +47,27 @@ fn no_set_point_is_sent_after_a_newer_one_however_many_come() {
     for cuts in [false, true] {
         flood::<CanBus>(cuts);
         flood::<Rs485Line>(cuts);
+    }
+}
+
+/// More frames fit the controller than the motors miss replies: what it refuses has to count, too.
+#[test]
+fn a_stream_of_any_number_of_motors_sees_that_the_bus_is_cut() {
+    for motors in [1, 2, 4, 8, 16] {
+        let mut rig = Rig::<CanBus>::new(motors, 3);
+        for number in 1..20 {
+            rig.put_all(number);
+            rig.run_for(millis(5));
+        }
+        rig.world.cut(rig.port);
+        for number in 20..40 {
+            rig.put_all(number);
+            rig.run_for(millis(5));
+        }
+        for motor in rig.motors() {
+            let presence = rig.runner.master().health(motor).presence;
+            assert_eq!(presence, Presence::Silent, "motor {motor} of {motors} after 100 ms");
+        }
     }
 }
 

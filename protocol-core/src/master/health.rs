@@ -12,9 +12,9 @@ pub enum Presence {
     Unknown,
     /// It answered last time.
     Present,
-    /// It did not answer last time, or the time before.
+    /// It did not answer last time, or the time before, or could not be asked: the bus carried nothing.
     Late,
-    /// It did not answer three times or more.
+    /// It did not answer, or could not be asked, three times or more.
     Silent,
 }
 
@@ -95,10 +95,9 @@ impl Record {
         }
     }
 
-    /// No reply came in time, so often in a row.
-    pub(super) fn count_miss(&mut self, in_a_row: u8) {
+    /// It did not answer, or could not be asked, so often in a row.
+    pub(super) fn was_silent(&mut self, in_a_row: u8) {
         self.presence = if in_a_row < SILENT_AFTER { Presence::Late } else { Presence::Silent };
-        self.lost = self.lost.saturating_add(1);
     }
 }
 

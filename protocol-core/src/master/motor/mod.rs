@@ -381,8 +381,12 @@ impl Motor {
         }
     }
 
-    /// The bus carries nothing: what waits is dropped but for stops, and late replies come later.
+    /// The bus carries nothing: what waits is dropped but for stops, and late replies come later. Who cannot be
+    /// reached is as silent as who does not answer.
     pub(super) fn bus_is_down(&mut self, now: Instant, config: &Config) {
+        if self.is_waiting() && !self.is_stop_waiting() {
+            self.was_silent(config, now);
+        }
         self.drop_waiting_set_point();
         self.late.extend(now + config.late_window);
         if self.may_yet_move() {
@@ -393,11 +397,17 @@ impl Motor {
         }
     }
 
-    /// A reply has not come in time. Who was silent for as long as a restart takes gets no more set-points: the
-    /// first that it heard would move it from wherever it thinks it is.
+    /// A reply has not come in time.
     pub(super) fn has_missed(&mut self, config: &Config, now: Instant) {
+        self.health.lost = self.health.lost.saturating_add(1);
+        self.was_silent(config, now);
+    }
+
+    /// Who was silent for as long as a restart takes gets no more set-points: the first that it heard would move it
+    /// from wherever it thinks it is.
+    fn was_silent(&mut self, config: &Config, now: Instant) {
         self.misses = self.misses.saturating_add(1);
-        self.health.count_miss(self.misses);
+        self.health.was_silent(self.misses);
         let is_silent = self.health.last_seen().is_some_and(|seen| now - seen >= RESTART_TAKES);
         if is_silent && !self.has_restarted {
             self.has_begun_anew(config, now);
