@@ -101,8 +101,7 @@ pub enum Failure {
     /// A reply came, but its fields hold what is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. Where
-    /// it was a restart that had been sent, that is reported, too ([`Event::Restarted`]).
+    /// A stop took its place, before it was sent or before it was answered: it may have been carried out.
     #[error("the motors were stopped first")]
     Stopped,
     /// The bus carried nothing while the command waited.
@@ -197,8 +196,8 @@ pub enum Event {
         /// Its reply.
         reply: AnyReply,
     },
-    /// A motor has restarted, as far as the protocol shows: it was silent for a second, which is reported when it
-    /// does not answer and once more when it does again, has run for less long than it said before (0xB1), or the
+    /// A motor has restarted: 0x76 was sent to it. Or it has, as far as the protocol shows: it was silent for a second,
+    /// which is reported when it does not answer and once more when it does again, has run for less long than it said before (0xB1), or the
     /// angle of its stream's feedback is more than half a turn beyond what 10,000 degrees/s could have turned.
     /// Its turns may be lost. Whatever moves it is refused until
     /// [`Master::resume`](crate::master::Master::resume).

@@ -279,7 +279,7 @@ fn commands_without_reply_are_done_when_sent_and_give_the_drive_time() {
     let mut master = Master::<2>::new(Config::CAN);
     let reset = ask(&mut master, 1, Reset, ms(0));
     let told = events(&mut master, ms(0));
-    assert_eq!(reset.outcome(&told[0]), Some(Ok(NoReply)));
+    assert!(told.iter().any(|event| reset.outcome(event) == Some(Ok(NoReply))), "{told:?}");
     // Nothing goes to that motor for two seconds; others are served.
     let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
     let _other = master.request(id(2), ReadMultiTurnAngle).unwrap();

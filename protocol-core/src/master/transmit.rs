@@ -72,7 +72,9 @@ impl<const N: usize> Master<N> {
             Offer::Broadcast => {
                 if let (Some(kind), data) = self.broadcast.command() {
                     for place in self.places.taken.iter() {
-                        self.change_at(place, |motor, _| motor.note_reports(kind, &data));
+                        self.change_at(place, |motor, config| {
+                            motor.note_sent(kind, &data, config, now)
+                        });
                     }
                 }
                 self.broadcast.was_sent(now, &self.config);

@@ -147,11 +147,7 @@ impl Motor {
         if is_callers {
             self.news.insert(News::STOPPED);
         }
-        let [reset, off] = [Opcode::Reset, Opcode::Shutdown].map(Kind::Known);
-        if matches!(self.request, Request::Sent(asked) if asked.kind() == reset) {
-            // Its outcome does not tell that.
-            self.has_begun_anew(config, now);
-        }
+        let off = Kind::Known(Opcode::Shutdown);
         // A controller that keeps no order sends it behind this, and a load that is held falls.
         let is_off = |it: &Asked| it.unanswered > 0 && it.kind() == off && stop.kind() != off;
         if self.request.under_way().is_some_and(is_off) || self.settled_at > now {
@@ -263,7 +259,6 @@ impl Motor {
     /// back for a while.
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
-        self.note_reports(asked.kind(), &asked.data);
         let late = now + asked.timeout + config.late_window;
         self.was_sent(now);
         self.was_set_point = false;
@@ -274,6 +269,7 @@ impl Motor {
                 self.may_move_until(late, config);
             }
             self.request = Request::Sent(asked);
+            self.note_sent(asked.kind(), &asked.data, config, now);
             return Some(true);
         }
         // Only a stop goes over something in flight, which may still be on its way.
@@ -464,10 +460,10 @@ impl Motor {
         self.reports & bit != 0 && self.may_report_yet(now)
     }
 
-    /// Keeps track of what it reports by itself, from the commands that switch that.
-    pub(super) fn note_reports(&mut self, sent: Kind, data: &Data) {
-        match sent.opcode() {
-            Some(Opcode::Reset) => self.reports = 0,
+    /// Keeps track of what commands without a reply change: what it reports by itself, and where it believes it is.
+    pub(super) fn note_sent(&mut self, kind: Kind, data: &Data, config: &Config, now: Instant) {
+        match kind.opcode() {
+            Some(Opcode::Reset) => self.has_begun_anew(config, now),
             Some(Opcode::ActiveReply) => {
                 let [_, command, enable, low, high, ..] = *data;
                 let bit = Opcode::from_byte(command).and_then(reported_bit).unwrap_or(0);

@@ -150,3 +150,38 @@ fn a_stop_does_not_shorten_the_pause_of_a_restart() {
     assert_eq!(stops, 15, "nobody heard it");
     assert_eq!(read_at, Some(2_000));
 }
+
+#[test]
+fn a_stream_does_not_go_on_behind_a_restart_that_was_asked_for() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let reset = ask(&mut master, 1, Reset, ms(0));
+    let told = events(&mut master, ms(0));
+    assert!(told.iter().any(|event| reset.outcome(event) == Some(Ok(NoReply))), "{told:?}");
+    assert!(told.contains(&Event::Restarted { motor: id(1) }), "for whoever streams: {told:?}");
+    for now in [1, 2_000, 3_000] {
+        let refused = master.set_point(id(1), torque(1.0), ms(now));
+        assert_eq!(refused, Err(RequestError::Restarted), "its turns are lost");
+        assert_eq!(sent(&mut master, ms(now)), []);
+    }
+    master.resume(id(1));
+    assert_eq!(master.set_point(id(1), torque(1.0), ms(3_000)), Ok(()));
+}
+
+#[test]
+fn what_waits_behind_a_restart_does_not_move_the_motor() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _reset = master.request(id(1), Reset).unwrap();
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [Reset.packet(id(1))]);
+    assert!(events(&mut master, ms(0)).contains(&Event::SetPointDropped { motor: id(1) }));
+}
+
+#[test]
+fn nor_does_a_stream_go_on_behind_a_restart_of_all() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!is_restart(&mut master, 0, 1_000, 0));
+    master.broadcast(Reset, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(50)).len(), 1);
+    assert!(events(&mut master, ms(50)).contains(&Event::Restarted { motor: id(1) }));
+    assert_eq!(master.set_point(id(1), torque(1.0), ms(51)), Err(RequestError::Restarted));
+}
