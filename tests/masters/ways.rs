@@ -4,14 +4,17 @@ use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::plant::{EndStop, Load};
 use myactuator_protocol_core::RequestError;
 use myactuator_protocol_core::command::{
-    AnyReply, IncrementalPosition, ReadModel, ReadMultiTurnAngle, Stop,
+    AnyReply, ForcePosition, IncrementalPosition, ReadModel, ReadMultiTurnAngle, ReadStatus2, Stop,
 };
-use myactuator_protocol_core::io::bring_up::{self, MoveFailure, MoveLimits, Protection};
+use myactuator_protocol_core::io::bring_up::{
+    self, MoveFailure, MoveLimits, Protection, WhenStalled,
+};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
-use myactuator_protocol_core::units::Milliseconds;
+use myactuator_protocol_core::units::{MaxTorque, Milliseconds};
 use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
@@ -33,6 +36,8 @@ on_both_buses! {
     a_protected_motor_is_moved_after_a_pause
     a_fault_on_the_way_ends_the_move
     a_motor_that_falls_silent_has_not_confirmed_its_stop
+    a_restart_on_the_way_ends_the_move_and_forbids_another
+    a_gripper_goes_on_pressing_with_what_it_was_given
 }
 
 fn each_question_has_its_own_answer<W: Wire>() {
@@ -293,4 +298,48 @@ fn a_motor_that_falls_silent_has_not_confirmed_its_stop<W: Wire>() {
     assert!(matches!(not_arrived.why, MoveFailure::Call(_)), "{not_arrived}");
     assert!(!not_arrived.is_stopped);
     assert!(not_arrived.to_string().ends_with("cut its power"), "{not_arrived}");
+}
+
+/// Its turns are lost, so that it would go on to another.
+fn a_restart_on_the_way_ends_the_move_and_forbids_another<W: Wire>() {
+    let fleet = Fleet::new(1).faults(["reset@1+1.5s".parse().unwrap()]);
+    let bus = W::drives(&fleet).unwrap();
+    let runner = &mut master(&bus);
+    for attempt in 0..2 {
+        let limits = MoveLimits::default();
+        let go_on = |_: &_| ControlFlow::Continue(());
+        let moved = bring_up::move_to(runner, id(1), go_to(900.0, 360), &limits, go_on);
+        let restarted = MoveFailure::Call(CallError::Request(RequestError::Restarted));
+        assert_eq!(moved.map_err(|it| it.why), Err(restarted), "attempt {attempt}");
+        runner.master().lift_stop();
+    }
+    listen(runner, millis(500));
+    let at = state(&bus.drives[0]).angle_deg;
+    assert!(at < 250.0, "two turns were 720 degrees, and it was stopped: {at}");
+    runner.master().resume(id(1));
+    assert!(runner.ask(id(1), go_to(0.0, 360)).is_ok());
+}
+
+fn a_gripper_goes_on_pressing_with_what_it_was_given<W: Wire>() {
+    let jaw = EndStop { at_deg: 20.0, stiffness_nm_per_rad: 500.0, restitution: 0.0 };
+    let fleet = Fleet::new(1).load(Load { upper_stop: Some(jaw), ..Load::NONE });
+    for when_stalled in [WhenStalled::Press, WhenStalled::Stop] {
+        let bus = W::drives(&fleet).unwrap();
+        let runner = &mut master(&bus);
+        let max_torque = MaxTorque::from_raw(10);
+        let grip = ForcePosition { max_torque, max_speed: up_to(90), angle: degrees(90.0) };
+        let limits = MoveLimits { when_stalled, ..MoveLimits::default() };
+        let go_on = |_: &_| ControlFlow::Continue(());
+        let met = bring_up::move_to(runner, id(1), grip, &limits, go_on);
+        assert_eq!(met.is_ok(), when_stalled == WhenStalled::Press, "{met:?}");
+        listen(runner, millis(500));
+        let pressing = runner.ask(id(1), ReadStatus2).unwrap().current.amperes();
+        if let Ok(met) = met {
+            assert!((19.0..23.0).contains(&met.angle.degrees()), "{met:?}");
+            assert!((0.5..1.5).contains(&pressing), "as limited, not more: {pressing} A");
+            assert!(runner.set_point(id(1), push(0.1)).is_ok(), "nothing has stopped it");
+        } else {
+            assert_eq!(runner.set_point(id(1), push(0.1)), Err(RequestError::Stopped));
+        }
+    }
 }

@@ -11,7 +11,9 @@ use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_bring_up as task;
-pub use crate::io::move_to::{MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived};
+pub use crate::io::move_to::{
+    MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived, WhenStalled,
+};
 use crate::io::on_drop::OnDrop;
 use crate::io::polled::{Polled, at_once};
 use crate::io::runner::Runner;
@@ -270,8 +272,8 @@ pub fn restart<R: Runner<N>, const N: usize>(
 ///
 /// # Errors
 /// [`NotArrived`], after a stop, which holds until [`lift_stop_of`](crate::master::Master::lift_stop_of): it
-/// has stalled, its time is up, it reports an error or does not answer, or `on_look` gave it up. A panic of
-/// `on_look` stops it, too.
+/// has stalled ([a gripper may](WhenStalled::Press)), its time is up, it reports an error, has restarted or does not
+/// answer, or `on_look` gave it up. A panic of `on_look` stops it, too.
 pub fn move_to<R: Runner<N>, C: MoveCommand, const N: usize>(
     runner: &mut R,
     motor: MotorId,

@@ -7,6 +7,7 @@ use crate::command::{
     AbsolutePosition, Command, ErrorFlags, Feedback, ForcePosition, IncrementalPosition,
     ReadMultiTurnAngle, ReadStatus1, ReadStatus2,
 };
+use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
@@ -79,12 +80,34 @@ pub struct MoveLimits {
     pub time: Option<Duration>,
     /// A motor that comes no nearer for so long has stalled.
     pub stalled_after: Duration,
+    /// What becomes of it then.
+    pub when_stalled: WhenStalled,
 }
 
-/// Within 0.2 degrees, in the usual time, and with no more than a second without progress.
+/// What becomes of a motor that has stalled on its way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum WhenStalled {
+    /// It has not arrived, and is stopped: it holds where it is **with all its torque**, whatever limited that of the
+    /// move.
+    #[default]
+    Stop,
+    /// It goes on pressing with the torque that the move allows, as a gripper does
+    /// ([`ForcePosition`](crate::command::ForcePosition)), and the move ends well: its
+    /// [`angle`](MoveProgress::angle) is where it has met something.
+    Press,
+}
+
+/// Within 0.2 degrees, in the usual time, with no more than a second without progress, and then a stop.
 impl Default for MoveLimits {
     fn default() -> Self {
-        Self { tolerance: Angle::from_raw(20), time: None, stalled_after: Duration::from_secs(1) }
+        Self {
+            tolerance: Angle::from_raw(20),
+            time: None,
+            stalled_after: Duration::from_secs(1),
+            when_stalled: WhenStalled::Stop,
+        }
     }
 }
 
@@ -124,7 +147,9 @@ pub enum MoveFailure<E> {
     #[error("the drive reports an error ({0})")]
     Fault(ErrorFlags),
     /// It came no nearer for a while.
-    #[error("it stands at {at} and not at {target}: does a load or a limit of angle hold it?")]
+    #[error(
+        "it is at {at} and comes no nearer to {target}: does a load or a limit of angle hold it?"
+    )]
     Stalled {
         /// Where it is.
         at: Angle,
@@ -221,10 +246,21 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
     let time = limits.time.unwrap_or_else(|| usual_time(from, target, command.max_speed()));
     let mut nearest = Nearest { distance: u32::MAX, since: start };
     let mut looks = 0;
+    let mut last = Look { at: start, angle: from, dps: 0 };
     loop {
         runner.run_until(start + LOOK_EVERY.times(looks), |_| {}).await?;
+        let at = runner.now();
         let angle = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
         let feedback = runner.ask(motor, ReadStatus2).await?;
+        let look = Look { at, angle, dps: feedback.speed.raw().unsigned_abs() };
+        if look.has_jumped_from(&last, runner.now()) {
+            runner.master().note_restart(motor);
+        }
+        last = look;
+        // If it has restarted, its target is not where it was.
+        if runner.master().has_restarted(motor) {
+            return Err(CallError::Request(RequestError::Restarted).into());
+        }
         let now = runner.now();
         let progress = MoveProgress { from, target, time: now - start, angle, feedback };
         let distance = angle.raw().abs_diff(target.raw());
@@ -242,12 +278,33 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
             return Err(MoveFailure::GivenUp);
         }
         if nearest.has_stalled(distance, tolerance, now, limits.stalled_after) {
-            return Err(MoveFailure::Stalled { at: angle, target });
+            return match limits.when_stalled {
+                WhenStalled::Press => Ok(progress),
+                WhenStalled::Stop => Err(MoveFailure::Stalled { at: angle, target }),
+            };
         }
         if progress.time > time {
             return Err(MoveFailure::TimedOut { at: angle, target });
         }
         looks += 1;
+    }
+}
+
+/// A look at the motor.
+struct Look {
+    /// When it began.
+    at: Instant,
+    angle: Angle,
+    dps: u16,
+}
+
+impl Look {
+    /// Whether it is half a turn further from where it was than it can have turned, at twice the speed that was seen:
+    /// then its turns were lost.
+    fn has_jumped_from(&self, last: &Self, now: Instant) -> bool {
+        let dps = 2 * u64::from(self.dps.max(last.dps));
+        let most_hundredths = 18_000 + dps * (now - last.at).as_micros() / 10_000;
+        u64::from(self.angle.raw().abs_diff(last.angle.raw())) > most_hundredths
     }
 }
 
@@ -296,6 +353,24 @@ mod tests {
         assert_eq!(time(0, 9_000, 90), 8_000);
         assert_eq!(time(1_000, -8_000, 45), 11_000);
         assert_eq!(time(0, 9_000, 0), 8_000);
+    }
+
+    #[test]
+    fn a_turn_that_is_lost_between_two_looks_is_a_jump() {
+        let look = |ms, degrees: i32, dps| Look {
+            at: Instant::from_millis(ms),
+            angle: Angle::from_raw(100 * degrees),
+            dps,
+        };
+        // 180 degrees and, in 50 ms at twice 500 dps, another 50.
+        let last = look(100, 720, 500);
+        for (degrees, is_jump) in [(720, false), (490, false), (489, true), (951, true)] {
+            let jumped = look(120, degrees, 0).has_jumped_from(&last, Instant::from_millis(150));
+            assert_eq!(jumped, is_jump, "{degrees}");
+        }
+        assert!(
+            !look(120, 950, 500).has_jumped_from(&look(100, 720, 0), Instant::from_millis(150))
+        );
     }
 
     #[test]

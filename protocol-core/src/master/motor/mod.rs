@@ -446,7 +446,7 @@ impl Motor {
     }
 
     #[inline(never)]
-    fn has_begun_anew(&mut self, config: &Config, now: Instant) {
+    pub(super) fn has_begun_anew(&mut self, config: &Config, now: Instant) {
         self.has_restarted = true;
         self.reports = 0;
         self.run_time_ms = 0;
