@@ -20,7 +20,8 @@ pub(super) struct Watched {
     pub(super) stopped: Rc<Cell<MotorSet>>,
     /// The motors that were switched off, here or elsewhere.
     pub(super) off: MotorSet,
-    /// The motors that were moved elsewhere since they have confirmed their last stop, if there was one.
+    /// The motors that were moved elsewhere since they have confirmed their last stop, if there was one; or, where
+    /// that was to switch them off, switched on.
     pub(super) moved_on: MotorSet,
 }
 
@@ -43,6 +44,10 @@ impl Watched {
             (_, Some((motor, Deed::Moved))) => self.moved_on.insert(motor),
             (_, Some((motor, Deed::Stopped(kind)))) if self.moved.contains(motor) => {
                 self.give_way(motor, kind);
+            }
+            // It switches the output on, to hold still (2.18).
+            (_, Some((motor, Deed::Stopped(StopKind::Hold)))) if self.off.contains(motor) => {
+                self.moved_on.insert(motor);
             }
             _ => {}
         }
@@ -80,6 +85,9 @@ impl Runner<{ MotorId::COUNT }> for Watched {
     }
 }
 
+/// Commands that V4.4 moves by and the table does not have: to a position, with feed-forward of speed or torque.
+const MOVES_OF_V4_4: [u8; 2] = [0x72, 0x73];
+
 /// What somebody else has told a motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Deed {
@@ -92,7 +100,8 @@ fn deed(event: &Event) -> Option<(MotorId, Deed)> {
     let Event::Stray { motor, data } = *event else { return None };
     let Some(opcode) = Opcode::from_byte(data[0]) else {
         // A reply of motion mode begins with the motor's id (5); that of motor 32 looks like one to 0x20.
-        return (data[0] == motor.get()).then_some((motor, Deed::Moved));
+        let moves = data[0] == motor.get() || MOVES_OF_V4_4.contains(&data[0]);
+        return moves.then_some((motor, Deed::Moved));
     };
     let kind = Kind::Known(opcode);
     let stopped = StopKind::by(kind).map(Deed::Stopped);
@@ -138,8 +147,8 @@ mod tests {
     fn replies_that_nobody_asked_for_tell_who_else_is_there() {
         let motor = MotorId::new(3).unwrap();
         let told = |first| deed(&Event::Stray { motor, data: [first, 0, 0, 0, 0, 0, 0, 0] });
-        // 3: the reply of motion mode.
-        for first in [0xA1, 0xA2, 0xA4, 0xA6, 0xA8, 0xA9, 3] {
+        // 3: the reply of motion mode. 0x72 and 0x73: V4.4 moves by them.
+        for first in [0xA1, 0xA2, 0xA4, 0xA6, 0xA8, 0xA9, 3, 0x72, 0x73] {
             assert_eq!(told(first), Some((motor, Deed::Moved)), "{first:02X}");
         }
         assert_eq!(told(0x80), Some((motor, Deed::Stopped(StopKind::Off))));

@@ -4,20 +4,18 @@
 //! once before that, and those that confirm are reported. Exit status: 0 if the motor, or any motor if all are
 //! meant, has confirmed, the bus has carried the command to all that were meant, and none of them moves on, else 1.
 
+use myactuator_protocol_core::Target;
 use myactuator_protocol_core::command::{Command, Shutdown, Stop};
-use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
-use myactuator_protocol_core::time::Duration;
-use myactuator_protocol_core::{MotorId, Target};
 
-use super::moving::{LONGEST_WAIT, named};
+use super::moving::{LONGEST_OUTAGE, LONGEST_WAIT, named};
 use super::session::{Motors, Session, say};
+use super::together::Together;
 use crate::cli::{Outcome, Unfinished};
 
 /// How often ids are tried that do not confirm.
 const ROUNDS: usize = 3;
-/// For how long a bus that carries nothing is tried again.
-const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
 
 pub(super) fn stop(arguments: &Motors) -> Outcome {
     let mut session = Session::open_to_stop(&arguments.on)?;
@@ -60,20 +58,26 @@ fn stop_every_id<C: Command + Copy>(
     kind: StopKind,
     command: C,
 ) -> Outcome<MotorSet> {
+    if kind == StopKind::Off {
+        session.master.off = MotorSet::ALL;
+    }
     // On RS485 one to all goes first: nobody waits behind those that are silent. There is a place for
     // all.
     let _ = session.master.master().stop_all(kind, MotorSet::EMPTY);
     let mut confirmed = MotorSet::EMPTY;
     let mut rounds = 0;
     let mut down_since = None;
+    let begun = session.master.now();
     let outage = loop {
         let start = session.master.now();
-        let Round { answered, outage } = once(session, MotorSet::ALL.without(confirmed), command)?;
+        let Round { answered, outage } = once(session, MotorSet::ALL.without(confirmed), command);
         confirmed = confirmed.with(answered);
         let now = session.master.now();
         if outage.is_none() {
             (rounds, down_since) = (rounds + 1, None);
-            if rounds == ROUNDS {
+            // A line that fails tells it by nothing but silence.
+            let may_be_down = confirmed.is_empty() && now - begun <= LONGEST_OUTAGE;
+            if rounds >= ROUNDS && !may_be_down {
                 break outage;
             }
         } else if now - *down_since.get_or_insert(start) > LONGEST_OUTAGE {
@@ -111,46 +115,16 @@ struct Round {
 }
 
 /// Sends a command once to each of these ids.
-fn once<C: Command + Copy>(session: &mut Session, motors: MotorSet, command: C) -> Outcome<Round> {
+fn once<C: Command + Copy>(session: &mut Session, motors: MotorSet, command: C) -> Round {
     let patience = session.master.master().patience(1);
-    let now = session.master.now();
-    let mut waiting = Vec::with_capacity(MotorId::COUNT);
-    for motor in motors.iter() {
-        let ticket = session.master.master().request_with(motor, command, patience);
-        waiting.push((motor, ticket.map_err(myactuator_protocol_core::io::CallError::from)?));
-    }
-    let mut answered = MotorSet::EMPTY;
-    let mut was_down = false;
-    let mut failure = None;
-    while !waiting.is_empty() {
-        let event = match session.master.poll() {
-            Ok(Some(event)) => event,
-            Err(error) if session.master.now() - now > LONGEST_OUTAGE => {
-                (was_down, failure) = (true, Some(error));
-                break;
-            }
-            // One refused frame must not keep the others from being stopped.
-            idle => {
-                failure = idle.err().or(failure);
-                let soon = session.master.now() + LONGEST_WAIT;
-                session.master.idle(soon);
-                continue;
-            }
-        };
-        waiting.retain(|(motor, ticket)| match ticket.outcome(&event) {
-            None => true,
-            Some(outcome) => {
-                was_down |= matches!(outcome, Err(Failure::BusDown));
-                if outcome.is_ok() {
-                    answered.insert(*motor);
-                }
-                false
-            }
-        });
-    }
+    let Together { outcomes, failure } = session.ask_each(motors, command, Some(patience));
+    let was_down = outcomes
+        .iter()
+        .any(|(_, outcome)| matches!(outcome, Err(CallError::Failed(Failure::BusDown))));
+    let answered = outcomes.into_iter().filter(|(_, outcome)| outcome.is_ok());
     let why =
         || failure.map_or_else(|| "the bus carries nothing".to_owned(), |error| error.to_string());
-    Ok(Round { answered, outage: was_down.then(why) })
+    Round { answered: answered.map(|(motor, _)| motor).collect(), outage: was_down.then(why) }
 }
 
 #[cfg(test)]
@@ -162,8 +136,9 @@ mod tests {
     use myactuator_protocol_core::command::Speed;
     use myactuator_protocol_core::io::SerialMaster;
     use myactuator_protocol_core::master::Config;
+    use myactuator_protocol_core::time::Duration;
     use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
-    use myactuator_protocol_core::{Channel, Packet};
+    use myactuator_protocol_core::{Channel, MotorId, Packet};
 
     use super::super::simulated::{OtherMaster, Sends, to_first, typed};
     use super::*;
@@ -249,6 +224,18 @@ mod tests {
     const TURN: Speed =
         Speed { max_torque: MaxTorque::from_raw(0), speed: SpeedTarget::from_raw(9_000) };
 
+    /// That it is not said to be stopped while something else sends this every so often.
+    fn is_not_left_alone(packet: Packet, every_ms: u64, kind: StopKind) {
+        for meant in [Target::Motor(MotorId::MIN), Target::All] {
+            let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+            OtherMaster::attach(&fleet, packet, Sends::Every(Duration::from_millis(every_ms)));
+            let outcome = halt(&mut Session::on(&fleet), meant, kind);
+            let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+            let why = "but something else on this bus goes on commanding motor 1: end that, or cut the power";
+            assert!(told.ends_with(why), "{told}");
+        }
+    }
+
     #[test]
     fn a_motor_that_something_else_goes_on_moving_is_not_said_to_be_stopped() {
         // Its data say nothing of motion mode, its channel does.
@@ -256,16 +243,21 @@ mod tests {
             Packet { channel: Channel::Motion(MotorId::MIN), data: [0x80, 0, 0x80, 0, 0, 0, 0, 0] };
         for packet in [to_first(TURN.encode()), motion] {
             for kind in [StopKind::Hold, StopKind::Off] {
-                for meant in [Target::Motor(MotorId::MIN), Target::All] {
-                    let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
-                    OtherMaster::attach(&fleet, packet, Sends::Always);
-                    let outcome = halt(&mut Session::on(&fleet), meant, kind);
-                    let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-                    let why = "but something else on this bus goes on commanding motor 1: end that, or cut the power";
-                    assert!(told.ends_with(why), "{told}");
-                }
+                is_not_left_alone(packet, 10, kind);
             }
         }
+    }
+
+    #[test]
+    fn who_commands_a_motor_seldom_is_heard_all_the_same() {
+        for every_ms in [60, 100, 200] {
+            is_not_left_alone(to_first(TURN.encode()), every_ms, StopKind::Hold);
+        }
+    }
+
+    #[test]
+    fn a_motor_that_something_else_switches_on_again_is_not_said_to_be_off() {
+        is_not_left_alone(to_first(Stop.encode()), 10, StopKind::Off);
     }
 
     #[test]
@@ -279,6 +271,18 @@ mod tests {
             halt(&mut session, meant, StopKind::Hold).unwrap();
             fleet.world.run_for(Duration::from_millis(500));
             session.standing(MotorId::MIN).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_line_that_fails_for_a_moment_is_waited_for() {
+        for meant in [Target::Motor(MotorId::MIN), Target::All] {
+            for kind in [StopKind::Hold, StopKind::Off] {
+                let faults = ["cut", "mend+700ms"].map(|fault| fault.parse().unwrap());
+                let fleet = Fleet::new(2).faults(faults).on_rs485(2_500_000).unwrap();
+                let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+                assert!(halt(&mut session, meant, kind).is_ok(), "{meant:?} {kind:?}");
+            }
         }
     }
 

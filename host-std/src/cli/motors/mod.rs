@@ -26,6 +26,7 @@ mod simulated;
 mod speed;
 mod status;
 mod timeout;
+mod together;
 mod torque;
 mod zero;
 
@@ -44,8 +45,14 @@ pub(super) enum Subcommand {
     Torque(torque::Arguments),
     Motion(motion::Arguments),
     /// Stop motors at once (0x81): they hold still
+    ///
+    /// For 250 ms after that it is seen whether another program goes on commanding them: one that does so less often
+    /// than that passes unnoticed.
     Stop(session::Motors),
     /// Switch motors off at once (0x80): their shafts are free unless brakes hold them
+    ///
+    /// For 250 ms after that it is seen whether another program commands them, which switches them on again: one that
+    /// does so less often than that passes unnoticed.
     Shutdown(session::Motors),
     Brake(brake::Arguments),
     Zero(zero::Arguments),

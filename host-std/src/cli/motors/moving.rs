@@ -14,8 +14,10 @@ use crate::cli::{Outcome, Unfinished, interrupt, printer, report, unwritten};
 
 /// How long a motor may take to come to rest.
 const LONGEST_BRAKING: Duration = Duration::from_secs(3);
-/// How long to listen whether something else moves a motor that was stopped.
-const LISTENING: Duration = Duration::from_millis(50);
+/// How long to listen whether something else moves a motor that was stopped: who commands it, does so more often.
+const LISTENING: Duration = Duration::from_millis(250);
+/// For how long a bus that carries nothing is tried again.
+pub(super) const LONGEST_OUTAGE: Duration = Duration::from_secs(1);
 /// How long to wait at the most before looking at the bus again, or whether the user interrupts.
 pub(super) const LONGEST_WAIT: Duration = Duration::from_millis(10);
 
@@ -65,24 +67,33 @@ impl Session {
         self.see_stopped(kind, motors)
     }
 
-    /// Stops these motors and waits until they have confirmed. One is stopped by itself: on RS485 a stop of
-    /// all reaches the others on the line, too, which may hold a load.
+    /// Stops these motors and waits until they have confirmed; a line that fails for a moment is waited for.
     fn confirm_stop(&mut self, kind: StopKind, motors: MotorSet) -> Outcome {
         if kind == StopKind::Off {
             self.master.off = self.master.off.with(motors);
         }
+        let begun = self.master.now();
+        let mut silent = motors;
+        while !silent.is_empty() {
+            silent = self.silent_at_stop(kind, silent);
+            if !silent.is_empty() && self.master.now() - begun >= LONGEST_OUTAGE {
+                return Err(Unfinished::Failed(format!(
+                    "no confirmation of the stop from motor {silent}: if it is on this bus, cut its power"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Stops these motors; gives those that have not confirmed. One is stopped by itself: on RS485 a stop of all
+    /// reaches the others on the line, too, which may hold a load.
+    fn silent_at_stop(&mut self, kind: StopKind, motors: MotorSet) -> MotorSet {
         let mut each = motors.iter();
-        let silent = match (each.next(), each.next()) {
+        match (each.next(), each.next()) {
             (Some(only), None) if self.master.stop(only, kind) => MotorSet::EMPTY,
             (Some(_), None) => motors,
             _ => self.master.stop_all(kind, motors),
-        };
-        if silent.is_empty() {
-            return Ok(());
         }
-        Err(Unfinished::Failed(format!(
-            "no confirmation of the stop from motor {silent}: if it is on this bus, cut its power"
-        )))
     }
 
     /// Sees that nothing else on the bus moves these motors on, which have confirmed the stop. Whoever gives way
@@ -118,9 +129,7 @@ impl Session {
         let end = self.master.now() + LISTENING;
         while self.master.now() < end {
             // They have confirmed just now; what a failure would mean is found out by whoever asks next.
-            for motor in motors.iter() {
-                let _ = self.ask(motor, ReadStatus2);
-            }
+            self.ask_each(motors, ReadStatus2, None);
             let _ = self.master.run_until(self.master.now() + LONGEST_WAIT, |_| {});
         }
         self.moved_on(motors)
@@ -136,57 +145,71 @@ impl Session {
     /// # Errors
     /// The same, if one of them does not come to rest.
     pub(super) fn stopped(&mut self, motors: MotorSet) -> Outcome<String> {
-        let mut holding = MotorSet::EMPTY;
-        let mut others = Vec::new();
-        let mut all_rest = true;
-        for motor in motors.iter() {
-            match self.holds_nothing(motor) {
-                Ok(None) => holding.insert(motor),
-                Ok(Some(told)) => others.push(format!("motor {motor} {told}")),
-                Err(Unfinished::Failed(turns)) => {
-                    all_rest = false;
-                    others.push(turns);
-                }
-                Err(why) => return Err(why),
-            }
-        }
-        if !holding.is_empty() {
-            others.insert(0, hold_still(holding));
-        }
+        let mut others = self.that_hold_nothing(motors);
+        let of = |told: &[(MotorId, String)]| told.iter().map(|(motor, _)| *motor).collect();
+        let resting = motors.without(of(&others));
+        let restless = self.restless(resting);
+        let all_rest = restless.is_empty();
+        let holding = resting.without(of(&restless));
+        others.extend(restless);
+        others.sort_unstable_by_key(|(motor, _)| *motor);
         // Who commands seldom may not have been heard before.
         self.is_left_alone(motors, self.moved_on(motors))?;
-        let told = others.join("; ");
+        let others = others.into_iter().map(|(motor, told)| format!("motor {motor} {told}"));
+        let holding = (!holding.is_empty()).then(|| hold_still(holding));
+        let told = holding.into_iter().chain(others).collect::<Vec<_>>().join("; ");
         if all_rest { Ok(told) } else { Err(Unfinished::Failed(told)) }
     }
 
     /// What is true of a motor that has confirmed the stop and does not hold still by it.
     ///
     /// # Errors
-    /// As [`come_to_rest`](Self::come_to_rest).
+    /// As [`come_to_rest`](Self::come_to_rest); or something else goes on commanding it.
     pub(super) fn holds_nothing(&mut self, motor: MotorId) -> Outcome<Option<String>> {
-        if self.master.off.contains(motor) {
-            let told = "is off (0x80): its shaft is free unless a brake holds it";
-            return Ok(Some(told.to_owned()));
-        }
-        let told = match self.ask(motor, ReadStatus1) {
-            Ok(status) if status.errors.is_empty() => match status.brake {
-                BrakeCommand::LOCK => None,
-                _ => self.runs_nothing(motor),
-            },
-            Ok(status) => Some(format!(
-                "has confirmed the stop (0x81) but reports an error ({}), and its drive cuts its output for \
-                 that: nothing but a locked brake holds its shaft",
-                status.errors
-            )),
-            Err(_) => Some(
-                "has confirmed the stop (0x81), but whether it holds is not known: it does not tell its errors"
-                    .to_owned(),
-            ),
-        };
+        let told = self.that_hold_nothing(motor.into()).pop().map(|(_, told)| told);
         if told.is_none() {
             self.come_to_rest(motor)?;
         }
+        self.is_left_alone(motor.into(), self.moved_on(motor.into()))?;
         Ok(told)
+    }
+
+    /// Those that have confirmed the stop and do not hold still by it, with what is true of them.
+    fn that_hold_nothing(&mut self, motors: MotorSet) -> Vec<(MotorId, String)> {
+        let off: MotorSet =
+            motors.iter().filter(|motor| self.master.off.contains(*motor)).collect();
+        let told = "is off (0x80): its shaft is free unless a brake holds it";
+        let mut holding_nothing: Vec<_> =
+            off.iter().map(|motor| (motor, told.to_owned())).collect();
+        let mut may_run_nothing = MotorSet::EMPTY;
+        for (motor, status) in self.ask_each(motors.without(off), ReadStatus1, None).outcomes {
+            let told = match status {
+                Ok(status) if status.errors.is_empty() => {
+                    if status.brake != BrakeCommand::LOCK {
+                        may_run_nothing.insert(motor);
+                    }
+                    continue;
+                }
+                Ok(status) => format!(
+                    "has confirmed the stop (0x81) but reports an error ({}), and its drive cuts its output for \
+                     that: nothing but a locked brake holds its shaft",
+                    status.errors
+                ),
+                Err(_) => "has confirmed the stop (0x81), but whether it holds is not known: it does not tell its \
+                           errors"
+                    .to_owned(),
+            };
+            holding_nothing.push((motor, told));
+        }
+        // A drive that has lost its master confirms 0x81 and does not run it until it hears it steadily (2.31.1).
+        for (motor, reply) in self.ask_each(may_run_nothing, ReadRunningMode, None).outcomes {
+            if reply.is_ok_and(|reply| reply.mode.raw() == 0) {
+                let told = "has confirmed the stop (0x81) but runs nothing (mode 0), as a drive does that has heard \
+                            nothing for too long ('myactuator timeout'): its shaft is free";
+                holding_nothing.push((motor, told.to_owned()));
+            }
+        }
+        holding_nothing
     }
 
     /// Waits until a motor that slows down stands.
@@ -194,36 +217,46 @@ impl Session {
     /// # Errors
     /// It turns and has not become slower for [`LONGEST_BRAKING`], or does not tell.
     pub(super) fn come_to_rest(&mut self, motor: MotorId) -> Outcome {
-        let mut slowest = u16::MAX;
-        let mut latest = self.master.now();
-        loop {
-            let speed = self.ask(motor, ReadStatus2)?.speed;
-            if !turns(speed) {
-                return Ok(());
-            }
-            let now = self.master.now();
-            if speed.raw().unsigned_abs() < slowest {
-                slowest = speed.raw().unsigned_abs();
-                latest = now + LONGEST_BRAKING;
-            }
-            if now >= latest {
-                return Err(Unfinished::Failed(format!(
-                    "motor {motor} has confirmed the stop (0x81), but turns at {speed} and becomes no slower: cut \
-                     its power"
-                )));
-            }
-            let _ = self.master.run_until(self.master.now() + LONGEST_WAIT, |_| {});
+        match self.restless(motor.into()).pop() {
+            Some((motor, told)) => Err(Unfinished::Failed(format!("motor {motor} {told}"))),
+            None => Ok(()),
         }
     }
 
-    /// A drive that has lost its master confirms 0x81 and does not run it until it hears it steadily (2.31.1).
-    fn runs_nothing(&mut self, motor: MotorId) -> Option<String> {
-        let mode = self.ask(motor, ReadRunningMode).ok()?.mode;
-        (mode.raw() == 0).then(|| {
-            "has confirmed the stop (0x81) but runs nothing (mode 0), as a drive does that has heard nothing for \
-             too long ('myactuator timeout'): its shaft is free"
-                .to_owned()
-        })
+    /// Waits until these motors, which slow down, stand. Gives those of which that does not come true: they turn and
+    /// have not become slower for [`LONGEST_BRAKING`], or do not tell.
+    fn restless(&mut self, motors: MotorSet) -> Vec<(MotorId, String)> {
+        let mut restless = Vec::new();
+        let mut turning = motors;
+        let latest = self.master.now() + LONGEST_BRAKING;
+        // The slowest of each so far, and when it has to be slower.
+        let mut slowing = [(u16::MAX, latest); MotorId::COUNT];
+        while !turning.is_empty() {
+            for (motor, reply) in self.ask_each(turning, ReadStatus2, None).outcomes {
+                let (slowest, latest) = &mut slowing[motor.index()];
+                let now = self.master.now();
+                let told = match reply.map(|reply| reply.speed) {
+                    Ok(speed) if !turns(speed) => None,
+                    Ok(speed) if speed.raw().unsigned_abs() < *slowest => {
+                        (*slowest, *latest) = (speed.raw().unsigned_abs(), now + LONGEST_BRAKING);
+                        continue;
+                    }
+                    Ok(_) if now < *latest => continue,
+                    Ok(speed) => Some(format!(
+                        "has confirmed the stop (0x81), but turns at {speed} and becomes no slower: cut its power"
+                    )),
+                    Err(error) => Some(format!(
+                        "has confirmed the stop (0x81), but whether it stands is not known: {error}"
+                    )),
+                };
+                turning.remove(motor);
+                restless.extend(told.map(|told| (motor, told)));
+            }
+            if !turning.is_empty() {
+                let _ = self.master.run_until(self.master.now() + LONGEST_WAIT, |_| {});
+            }
+        }
+        restless
     }
 
     /// Ends the work if the user has interrupted it.
@@ -418,6 +451,34 @@ mod tests {
             "{told}"
         );
         assert!(session.master.now() - begun < Duration::from_millis(3_100));
+    }
+
+    #[test]
+    fn several_motors_are_looked_after_together() {
+        let fleet = Fleet::new(6).on_can(1_000_000).unwrap();
+        let motors: MotorSet = MotorId::all().take(6).collect();
+        let mut session = Session::on(&fleet);
+        session.stop(StopKind::Hold, motors).unwrap();
+        for turned in &fleet.drives[..3] {
+            turned.with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
+        }
+        // These say nothing any more; the last one acknowledges their frames.
+        for silent in &fleet.drives[3..5] {
+            fleet.world.cut(silent.station());
+        }
+        let begun = session.master.now();
+        let outcome = session.stopped(motors);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        let told: Vec<&str> = told.split("; ").collect();
+        assert_eq!(told[0], "motor 6 is stopped and holds still (0x81)");
+        for (told, motor) in told[1..].iter().zip(1..) {
+            let how =
+                if motor <= 3 { "becomes no slower" } else { "whether it holds is not known" };
+            assert!(told.starts_with(&format!("motor {motor} ")) && told.contains(how), "{told}");
+        }
+        assert_eq!(told.len(), 6, "{told:?}");
+        let took = session.master.now() - begun;
+        assert!(took < Duration::from_millis(3_200), "{took:?}");
     }
 
     #[test]

@@ -48,9 +48,9 @@ pub(super) fn to_first(data: Data) -> Packet {
 /// When another program sends its command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Sends {
-    /// Every 10 ms.
-    Always,
-    /// The same, and once more after it has heard that the motor was stopped (0x81).
+    /// Again and again, so long after each other.
+    Every(Duration),
+    /// Every 10 ms, and once more after it has heard that the motor was stopped (0x81).
     UntilStopped,
     /// Once, so long after the start.
     Once(Duration),
@@ -85,7 +85,8 @@ impl Node<SimpleFrame> for OtherMaster {
         self.next.filter(|next| *next <= now)?;
         self.next = match self.sends {
             Sends::Once(_) => None,
-            Sends::Always | Sends::UntilStopped => Some(now + Duration::from_millis(10)),
+            Sends::Every(span) => Some(now + span),
+            Sends::UntilStopped => Some(now + Duration::from_millis(10)),
         };
         can::encode(&self.packet)
     }

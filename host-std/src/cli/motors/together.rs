@@ -1,0 +1,87 @@
+//! One command to several motors at the same time: it takes as long as the slowest.
+
+use myactuator_host_std::open::BusError;
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::command::Command;
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io::{CallError, LONGEST_TURN, Runner};
+use myactuator_protocol_core::master::{Failure, MotorSet, Patience, Ticket};
+
+use super::moving::{LONGEST_OUTAGE, LONGEST_WAIT};
+use super::session::Session;
+
+/// What came of it.
+pub(super) struct Together<R> {
+    /// Of each motor, in their order.
+    pub(super) outcomes: Vec<(MotorId, Result<R, CallError<BusError>>)>,
+    /// The last error of the bus, which keeps nobody else from being asked.
+    pub(super) failure: Option<BusError>,
+}
+
+struct Asked<C: Command> {
+    motor: MotorId,
+    /// Once it could be put.
+    ticket: Option<Ticket<C>>,
+    outcome: Option<Result<C::Reply, CallError<BusError>>>,
+}
+
+impl Session {
+    /// Sends this to each of these motors. A bus that fails is tried again, for [`LONGEST_OUTAGE`].
+    pub(super) fn ask_each<C: Command + Copy>(
+        &mut self,
+        motors: MotorSet,
+        command: C,
+        patience: Option<Patience>,
+    ) -> Together<C::Reply> {
+        let begun = self.master.now();
+        let asked = motors.iter().map(|motor| Asked { motor, ticket: None, outcome: None });
+        let mut asked: Vec<Asked<C>> = asked.collect();
+        let mut failure = None;
+        while asked.iter().any(|asked| asked.outcome.is_none()) {
+            let waited = self.master.now() - begun;
+            let is_open = |asked: &&mut Asked<C>| asked.outcome.is_none();
+            for asked in asked.iter_mut().filter(is_open).filter(|asked| asked.ticket.is_none()) {
+                match self.put(asked.motor, command, patience) {
+                    Ok(ticket) => asked.ticket = Some(ticket),
+                    // An earlier question to it is under way.
+                    Err(RequestError::Busy) if waited < LONGEST_TURN => {}
+                    Err(error) => asked.outcome = Some(Err(error.into())),
+                }
+            }
+            let open = asked.iter_mut().filter(is_open);
+            match self.master.poll() {
+                Ok(Some(event)) => open.for_each(|asked| {
+                    let outcome = asked.ticket.and_then(|ticket| ticket.outcome(&event));
+                    asked.outcome = outcome.map(|outcome| outcome.map_err(CallError::Failed));
+                }),
+                Err(error) if waited > LONGEST_OUTAGE => {
+                    failure = Some(error);
+                    open.for_each(|asked| {
+                        asked.outcome = Some(Err(CallError::Failed(Failure::BusDown)));
+                    });
+                }
+                // One refused frame must not keep the others from hearing theirs.
+                idle => {
+                    failure = idle.err().or(failure);
+                    let soon = self.master.now() + LONGEST_WAIT;
+                    self.master.idle(soon);
+                }
+            }
+        }
+        let outcomes = asked.into_iter().filter_map(|asked| Some((asked.motor, asked.outcome?)));
+        Together { outcomes: outcomes.collect(), failure }
+    }
+
+    fn put<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        patience: Option<Patience>,
+    ) -> Result<Ticket<C>, RequestError> {
+        let master = self.master.master();
+        match patience {
+            Some(patience) => master.request_with(motor, command, patience),
+            None => master.request(motor, command),
+        }
+    }
+}
