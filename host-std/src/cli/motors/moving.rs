@@ -24,7 +24,8 @@ pub(super) const LONGEST_WAIT: Duration = Duration::from_millis(10);
 /// What stops a motor, and what cannot, for the help of those that move it.
 pub(super) const ENDS: &str = "\
 What stops the motor (0x81) before this program ends: an error, a fault of this program, Ctrl-C, Ctrl-\\, Ctrl-Z, \
-a request to end (SIGTERM) and a lost terminal, also while nobody reads what it prints. If another program on the \
+a request to end (SIGTERM and whatever else can be caught) and a lost terminal, also while nobody reads what it \
+prints. If another program on the \
 bus stops the motor or switches it off, that ends this one.
 Nothing of that works if the program is killed or frozen outright (kill -9, kill -STOP, a debugger, loss of \
 power), or the bus is cut: the motor goes on then. Against that set the motor's own communication-loss \

@@ -17,6 +17,9 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 const SEND_EVERY: Duration = Duration::from_millis(10);
 /// How often errors are looked at, in commands.
 const ERRORS_EVERY: u32 = 10;
+/// Between two commands goes less time than this, however badly the motor answers: else the program, or the machine,
+/// was frozen. The motor may have stopped by itself, and nobody expects it to go on.
+const LONGEST_GAP: Duration = Duration::from_secs(1);
 /// So many commands in a row without a reply are a motor that does not answer.
 const MOST_MISSED: u32 = 5;
 
@@ -104,6 +107,7 @@ fn repeat<C: Command + Copy>(
     let start = session.master.now();
     let mut progress = Progress::new(start);
     let mut missed = 0;
+    let mut last = start;
     for turn in 0.. {
         let at = SEND_EVERY.times(turn);
         session.wait_until(start + at.min(length))?;
@@ -111,6 +115,14 @@ fn repeat<C: Command + Copy>(
         if now - start >= length {
             return Ok(());
         }
+        let gap = now - last;
+        if gap > LONGEST_GAP {
+            return Err(Unfinished::Failed(format!(
+                "this program was held up for {:.2} s, and goes on with nothing",
+                seconds(gap)
+            )));
+        }
+        last = now;
         match session.master.ask(motor, command) {
             Ok(reply) => {
                 missed = 0;
@@ -141,6 +153,7 @@ pub(super) fn seconds(span: Duration) -> f64 {
 #[cfg(test)]
 mod tests {
     use std::panic::{AssertUnwindSafe, catch_unwind};
+    use std::sync::atomic::{AtomicBool, Ordering};
 
     use myactuator_host_std::sim::bus::trace::Log;
     use myactuator_host_std::sim::{CanFleet, Fleet};
@@ -236,6 +249,28 @@ mod tests {
             let latest = session.master.now();
             assert!(latest < Instant::from_millis(650), "{latest:?}");
         }
+    }
+
+    #[test]
+    fn a_program_that_was_held_up_moves_nothing_again() {
+        let fleet = fleet();
+        let mut session = Session::on(&fleet);
+        let log = fleet.world.log();
+        let frozen = AtomicBool::new(false);
+        let outcome: Outcome = session.moving(MotorId::MIN, |session| {
+            repeat(session, &typed("--id 1 --for-s 60"), TURN, |_| {
+                if !frozen.swap(true, Ordering::Relaxed) {
+                    log.take();
+                    fleet.world.run_for(Duration::from_secs(5));
+                }
+                String::new()
+            })
+        });
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.starts_with("this program was held up for 5.0"), "{told}");
+        assert!(told.ends_with("; motor 1 is stopped and holds still (0x81)"), "{told}");
+        let commands = commands(&log);
+        assert!(!commands.contains(&0xA2) && commands.contains(&0x81), "{commands:02X?}");
     }
 
     #[test]
