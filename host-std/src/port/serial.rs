@@ -11,7 +11,7 @@ use rustix::termios::tcdrain;
 
 use crate::port::clock::since_boot;
 use crate::port::drain::Drain;
-use crate::port::tty::{Tty, explain};
+use crate::port::tty::Tty;
 use crate::port::{HostClock, PortError};
 
 /// How long a port may take no byte, or keep what it has taken. At 1200 bit/s a frame of 13 bytes takes 110 ms.
@@ -35,6 +35,8 @@ const LONGEST_STALL: Duration = Duration::from_secs(1);
 pub struct Rs485 {
     tty: Tty,
     drain: Drain<OwnedFd>,
+    /// It was said that bytes are there, and none was read since.
+    is_promised: bool,
 }
 
 impl Rs485 {
@@ -47,7 +49,7 @@ impl Rs485 {
         let tty = Tty::open(path.as_ref(), bit_rate)?;
         let drain = Drain::new(|port: &OwnedFd| retry_on_intr(|| tcdrain(port)));
         let drain = drain.map_err(|error| PortError::os(tty.name(), error))?;
-        Ok(Self { tty, drain })
+        Ok(Self { tty, drain, is_promised: false })
     }
 
     /// A clock that waits for this port.
@@ -79,18 +81,25 @@ impl ErrorType for Rs485 {
 
 impl ReadReady for Rs485 {
     fn read_ready(&mut self) -> Result<bool, PortError> {
-        self.tty.wait(PollFlags::IN, Some(Duration::ZERO))
+        self.is_promised = self.tty.wait(PollFlags::IN, Some(Duration::ZERO))?;
+        Ok(self.is_promised)
     }
 }
 
 impl Read for Rs485 {
+    /// Waits until something has come, but not for what [`read_ready`](ReadReady::read_ready) has told of: where that
+    /// is gone another program reads the port, which is an error.
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, PortError> {
         if buf.is_empty() {
             return Ok(0);
         }
+        let is_promised = std::mem::take(&mut self.is_promised);
         loop {
             if let Some(length) = self.tty.read(buf)? {
                 return Ok(length);
+            }
+            if is_promised {
+                return Err(PortError::InUse(self.tty.name().to_owned()));
             }
             self.tty.wait(PollFlags::IN, None)?;
         }
@@ -122,12 +131,12 @@ impl Write for Rs485 {
     }
 
     fn flush(&mut self) -> Result<(), PortError> {
-        let failed = |error| explain(self.tty.name(), error);
-        let port = self.tty.as_fd().try_clone_to_owned().map_err(failed)?;
+        let port = self.tty.as_fd().try_clone_to_owned();
+        let port = port.map_err(|error| self.tty.failed(error))?;
         match self.drain.wait(port, LONGEST_STALL) {
             Ok(true) => Ok(()),
             Ok(false) => Err(self.stalled()),
-            Err(error) => Err(failed(error.into())),
+            Err(error) => Err(self.tty.failed(error)),
         }
     }
 }
@@ -143,9 +152,7 @@ mod tests {
     /// A pseudo-terminal hands everything over at once, so what it keeps is made up.
     #[test]
     fn what_does_not_leave_is_given_up_and_nothing_follows_it() {
-        let line = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
-        unlockpt(&line).unwrap();
-        let path = ptsname(&line, Vec::new()).unwrap().into_string().unwrap();
+        let (mut line, path) = line();
         let mut port = Rs485::open(path, 115_200).unwrap();
         let (leave, left) = sync_channel::<()>(1);
         let wait = move |_: &OwnedFd| {
@@ -165,7 +172,56 @@ mod tests {
         port.write_all(b"read").unwrap();
         port.flush().unwrap();
         let mut heard = [0; 8];
-        std::io::Read::read_exact(&mut File::from(line), &mut heard).unwrap();
+        std::io::Read::read_exact(&mut line, &mut heard).unwrap();
         assert_eq!(&heard, b"stopread");
+    }
+
+    /// The device's end of a line, and the path of the serial port.
+    fn line() -> (File, String) {
+        let line = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        unlockpt(&line).unwrap();
+        let path = ptsname(&line, Vec::new()).unwrap().into_string().unwrap();
+        (File::from(line), path)
+    }
+
+    #[test]
+    fn a_port_is_free_again_though_a_wait_for_its_last_byte_goes_on() {
+        let (_line, path) = line();
+        let mut port = Rs485::open(&path, 115_200).unwrap();
+        let (_leave, left) = sync_channel::<()>(1);
+        port.drain = Drain::new(move |_: &OwnedFd| {
+            let _ = left.recv();
+            Ok(())
+        })
+        .unwrap();
+        port.write_all(b"stop").unwrap();
+        assert!(matches!(port.flush(), Err(PortError::Stalled(_))));
+        drop(port);
+        Rs485::open(&path, 115_200).unwrap();
+    }
+
+    #[test]
+    fn bytes_that_another_program_takes_away_hold_nobody_up() {
+        let (mut line, path) = line();
+        // It had the port open before, as those have that look at each new adapter.
+        let mut thief = File::options().read(true).write(true).open(&path).unwrap();
+        let mut port = Rs485::open(&path, 115_200).unwrap();
+        std::io::Write::write_all(&mut line, b"reply").unwrap();
+        assert!(port.tty.wait(PollFlags::IN, Some(Duration::from_secs(5))).unwrap());
+        assert!(port.read_ready().unwrap());
+        std::io::Read::read_exact(&mut thief, &mut [0; 5]).unwrap();
+        let (told, telling) = sync_channel(1);
+        std::thread::spawn(move || told.send(port.read(&mut [0; 16])));
+        let told = telling.recv_timeout(Duration::from_secs(5)).expect("an end").unwrap_err();
+        assert!(matches!(told, PortError::InUse(_)), "{told}");
+    }
+
+    #[test]
+    fn what_went_while_it_was_flushed_is_told_to_have_gone() {
+        let (line, path) = line();
+        let mut port = Rs485::open(&path, 115_200).unwrap();
+        drop(line);
+        let told = port.flush().unwrap_err();
+        assert!(matches!(told, PortError::PortGone(_)), "{told}");
     }
 }

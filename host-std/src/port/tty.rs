@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::FlockOperation;
 use rustix::io::{Errno, retry_on_intr};
+use rustix::termios::{ControlModes, OptionalActions, tcgetattr, tcsetattr};
 use serial2::{KeepSettings, SerialPort};
 
 use crate::port::{PortError, latency};
@@ -45,6 +46,11 @@ impl Tty {
         let unable = |_| PortError::LineRate { port: self.name.clone(), bit_rate };
         settings.set_baud_rate(bit_rate).map_err(unable)?;
         self.port.set_configuration(&settings).map_err(unable)?;
+        // An earlier program may have asked that the line is hung up without a carrier, which no adapter has.
+        let mut settings = tcgetattr(&self.port).map_err(|error| failed(error.into()))?;
+        settings.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD;
+        tcsetattr(&self.port, OptionalActions::Now, &settings)
+            .map_err(|error| failed(error.into()))?;
         self.port.discard_buffers().map_err(failed)
     }
 
@@ -52,13 +58,21 @@ impl Tty {
         &self.name
     }
 
+    /// Why the port, which was open, fails.
+    pub(super) fn failed(&self, error: impl Into<io::Error>) -> PortError {
+        match explain(&self.name, error.into()) {
+            PortError::NoSuchPort(name) => PortError::PortGone(name),
+            other => other,
+        }
+    }
+
     /// What has arrived; `None` if nothing has.
     pub(super) fn read(&self, buffer: &mut [u8]) -> Result<Option<usize>, PortError> {
         match retry_on_intr(|| rustix::io::read(&self.port, &mut *buffer)) {
-            Ok(0) | Err(Errno::IO) => Err(PortError::PortGone(self.name.clone())),
+            Ok(0) => Err(PortError::PortGone(self.name.clone())),
             Ok(length) => Ok(Some(length)),
             Err(Errno::AGAIN) => Ok(None),
-            Err(error) => Err(explain(&self.name, error.into())),
+            Err(error) => Err(self.failed(error)),
         }
     }
 
@@ -67,8 +81,7 @@ impl Tty {
         match retry_on_intr(|| rustix::io::write(&self.port, bytes)) {
             Ok(length) => Ok(length),
             Err(Errno::AGAIN) => Ok(0),
-            Err(Errno::IO) => Err(PortError::PortGone(self.name.clone())),
-            Err(error) => Err(explain(&self.name, error.into())),
+            Err(error) => Err(self.failed(error)),
         }
     }
 
@@ -87,24 +100,25 @@ impl Tty {
             });
             poll(&mut [PollFd::new(&self.port, flags)], left.as_ref())
         });
-        ready.map(|ready| ready > 0).map_err(|error| explain(&self.name, error.into()))
+        ready.map(|ready| ready > 0).map_err(|error| self.failed(error))
     }
 
     pub(super) fn discard_output(&self) -> Result<(), PortError> {
-        self.port.discard_output_buffer().map_err(|error| explain(&self.name, error))
+        self.port.discard_output_buffer().map_err(|error| self.failed(error))
     }
 
     pub(super) fn discard_input(&self) -> Result<(), PortError> {
-        self.port.discard_input_buffer().map_err(|error| explain(&self.name, error))
+        self.port.discard_input_buffer().map_err(|error| self.failed(error))
     }
 }
 
 /// Exclusive mode outlives the program where the terminal does: a pseudo-terminal, or one that somebody else has
-/// open.
+/// open. The lock lives as long as any copy of the file descriptor: that of a clock, or of a wait that was given up.
 impl Drop for Tty {
     fn drop(&mut self) {
         // A port that has gone is nobody's.
         let _ = rustix::termios::ioctl_tiocnxcl(&self.port);
+        let _ = rustix::fs::flock(&self.port, FlockOperation::Unlock);
     }
 }
 
@@ -114,7 +128,7 @@ impl AsFd for Tty {
     }
 }
 
-pub(super) fn explain(name: &str, error: io::Error) -> PortError {
+fn explain(name: &str, error: io::Error) -> PortError {
     let port = || name.to_owned();
     match Errno::from_io_error(&error) {
         // A device file without a device behind it reports an input/output error.
@@ -125,5 +139,28 @@ pub(super) fn explain(name: &str, error: io::Error) -> PortError {
         Some(Errno::BUSY | Errno::AGAIN) => PortError::InUse(port()),
         Some(Errno::NOTTY | Errno::ISDIR | Errno::NOTDIR) => PortError::NotASerialPort(port()),
         _ => PortError::os(name, error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::File;
+
+    use rustix::pty::{OpenptFlags, openpt, ptsname, unlockpt};
+
+    #[test]
+    fn what_an_earlier_program_has_set_does_not_hang_the_line_up() {
+        let line = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        unlockpt(&line).unwrap();
+        let path = ptsname(&line, Vec::new()).unwrap().into_string().unwrap();
+        // Which keeps them, as a serial port does from one program to the next.
+        let earlier = File::options().read(true).write(true).open(&path).unwrap();
+        let mut settings = tcgetattr(&earlier).unwrap();
+        settings.control_modes.remove(ControlModes::CLOCAL);
+        tcsetattr(&earlier, OptionalActions::Now, &settings).unwrap();
+        let tty = Tty::open(Path::new(&path), 115_200).unwrap();
+        let modes = tcgetattr(&tty).unwrap().control_modes;
+        assert!(modes.contains(ControlModes::CLOCAL | ControlModes::CREAD), "{modes:?}");
     }
 }
