@@ -1,6 +1,7 @@
 //! What callers lay on the desk, and where their answers go.
 
 use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::{Arc, Weak};
 
 use myactuator_protocol_core::command::{RawReply, SetPoint};
 use myactuator_protocol_core::master::{MotorSet, Patience, StopKind};
@@ -45,11 +46,21 @@ impl SetPoint for Untyped {}
 pub(super) type Answer<T, E> = SyncSender<Result<T, SharedBusError<E>>>;
 
 /// Where a caller waits for it, if the call could be laid down.
-pub(super) type Awaited<T, E> = Result<Receiver<Result<T, SharedBusError<E>>>, SharedBusError<E>>;
+pub(super) type Awaited<T, E> = Result<Waiting<T, E>, SharedBusError<E>>;
+
+/// Who waits for an answer.
+#[derive(Debug)]
+pub(super) struct Waiting<T, E> {
+    pub(super) answered: Receiver<Result<T, SharedBusError<E>>>,
+    /// Says that somebody still does.
+    pub(super) asker: Arc<()>,
+}
 
 /// A question that is still to be put.
 #[derive(Debug)]
 pub(super) struct Question<E> {
+    /// Gone when nobody waits for the answer any more.
+    pub(super) asker: Weak<()>,
     pub(super) motor: MotorId,
     pub(super) command: Untyped,
     pub(super) patience: Option<Patience>,

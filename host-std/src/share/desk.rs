@@ -15,12 +15,15 @@ use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, StopK
 use myactuator_protocol_core::{Data, Kind, MotorId};
 
 use super::SharedBusError;
-use super::calls::{Awaited, Order, Question, Untyped};
+use super::calls::{Answer, Awaited, Order, Question, Untyped, Waiting};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::Wake;
 
-/// The thread idles no longer than a stop may take: else its driver holds it.
-const LONGEST_ROUND: Duration = Duration::from_secs(2);
+/// What is laid down the thread takes up sooner, also where it idles: else its driver holds it. Tests wait for less.
+const LONGEST_ROUND: Duration = Duration::from_millis(if cfg!(test) { 500 } else { 2_000 });
+/// How often it is looked at meanwhile: a program that is frozen and goes on finds that time is up, and has looked
+/// once.
+const LOOKS: u32 = 20;
 
 /// The newest feedback of a motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -66,8 +69,8 @@ struct State<E> {
     subscribers: Vec<Subscriber>,
     /// How often the thread took up what there is.
     rounds: u64,
-    /// Something was laid down since the thread last took up what there is.
-    has_news: bool,
+    /// Since when something lies there that the thread has not taken up.
+    news_since: Option<Instant>,
     /// The thread idles, and has to be woken for what is new.
     is_idle: bool,
 }
@@ -102,7 +105,7 @@ impl<E> Desk<E> {
             error: None,
             subscribers: Vec::new(),
             rounds: 0,
-            has_news: false,
+            news_since: None,
             is_idle: false,
         };
         Self { state: Mutex::new(state), changed: Condvar::new(), wake }
@@ -119,7 +122,7 @@ impl<E> Desk<E> {
 
     /// Unlocks it and has the thread look at it.
     fn leave(&self, mut state: MutexGuard<'_, State<E>>) {
-        state.has_news = true;
+        state.news_since.get_or_insert_with(Instant::now);
         let was_idle = std::mem::take(&mut state.is_idle);
         drop(state);
         self.changed.notify_one();
@@ -137,15 +140,17 @@ impl<E> Desk<E> {
         command: Untyped,
         patience: Option<Patience>,
     ) -> Awaited<Data, E> {
-        let (answer, answered) = sync_channel(1);
+        let (answer, waiting) = call();
         let mut state = self.lock();
         if command.kind.ends_motion() {
             state.slot(motor).set_point = None;
         }
         state.check(motor, command.kind)?;
-        state.questions.push_back(Question { motor, command, patience, turn_ends: None, answer });
+        let asker = Arc::downgrade(&waiting.asker);
+        let question = Question { asker, motor, command, patience, turn_ends: None, answer };
+        state.questions.push_back(question);
         self.leave(state);
-        Ok(answered)
+        Ok(waiting)
     }
 
     /// Lays down a set-point in place of an older one.
@@ -156,6 +161,9 @@ impl<E> Desk<E> {
     ) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
         state.check(motor, command.kind)?;
+        if state.news_since.is_some_and(|since| since.elapsed() > LONGEST_ROUND) {
+            return Err(SharedBusError::Held);
+        }
         let slot = state.slot(motor);
         if let Some(refusal) = slot.refusal.take() {
             return Err(refusal.into());
@@ -167,23 +175,23 @@ impl<E> Desk<E> {
 
     /// Stops all. The answer is who has not confirmed it.
     pub(super) fn stop_all(&self, kind: StopKind, also: MotorSet) -> Awaited<MotorSet, E> {
-        let (answer, answered) = sync_channel(1);
+        let (answer, waiting) = call();
         let mut state = self.lock();
         state.stops_all = true;
         state.drop_what_is_stopped(MotorSet::ALL);
         state.order(Order::StopAll { kind, also, answer })?;
         self.leave(state);
-        Ok(answered)
+        Ok(waiting)
     }
 
     pub(super) fn stop(&self, motor: MotorId, kind: StopKind) -> Awaited<MotorSet, E> {
-        let (answer, answered) = sync_channel(1);
+        let (answer, waiting) = call();
         let mut state = self.lock();
         state.stopped.insert(motor);
         state.drop_what_is_stopped(motor.into());
         state.order(Order::Stop { motor, kind, answer })?;
         self.leave(state);
-        Ok(answered)
+        Ok(waiting)
     }
 
     pub(super) fn lift_stop(&self) -> Result<(), SharedBusError<E>> {
@@ -244,8 +252,7 @@ impl<E> Desk<E> {
 
     /// Waits for an answer.
     pub(super) fn wait<T>(&self, awaited: Awaited<T, E>) -> Result<T, SharedBusError<E>> {
-        // Only a thread that has ended answers nothing, and it has said why.
-        awaited?.recv().unwrap_or_else(|_| Err(self.lock().last_words()))
+        self.answer(&awaited?).unwrap_or(Err(SharedBusError::Held))
     }
 
     /// Waits for the end of a stop of these motors, all of which count as unconfirmed when nobody can tell.
@@ -254,15 +261,17 @@ impl<E> Desk<E> {
         awaited: Awaited<MotorSet, E>,
         motors: MotorSet,
     ) -> Result<MotorSet, SharedBusError<E>> {
-        let answered = awaited?;
-        let answer = self.unless_held(|longest| match answered.recv_timeout(longest) {
+        self.answer(&awaited?).unwrap_or(Ok(motors))
+    }
+
+    /// Waits for an answer. `None` if the thread's driver holds it.
+    fn answer<T>(&self, waiting: &Waiting<T, E>) -> Option<Result<T, SharedBusError<E>>> {
+        let answer = self.unless_held(|longest| match waiting.answered.recv_timeout(longest) {
             Err(Timeout) => None,
             answer => Some(answer),
         });
-        match answer {
-            Some(answer) => answer.unwrap_or_else(|_| Err(self.lock().last_words())),
-            None => Ok(motors),
-        }
+        // Only a thread that has ended answers nothing, and it has said why.
+        answer.map(|answer| answer.unwrap_or_else(|_| Err(self.lock().last_words())))
     }
 
     /// Waits for the end of the thread. False if its driver holds it.
@@ -280,13 +289,20 @@ impl<E> Desk<E> {
     /// Waits again and again, unless the thread does not come round meanwhile: then its driver holds it, and there is
     /// nothing to wait for.
     fn unless_held<T>(&self, mut wait: impl FnMut(Duration) -> Option<T>) -> Option<T> {
-        loop {
-            let rounds = self.lock().rounds;
-            let outcome = wait(LONGEST_ROUND);
-            if outcome.is_some() || self.lock().rounds == rounds {
-                return outcome;
+        let mut look = || wait(LONGEST_ROUND / LOOKS);
+        // What comes soon costs nobody another round.
+        let mut outcome = look();
+        while outcome.is_none() {
+            let state = self.lock();
+            let rounds = state.rounds;
+            // One that idles comes round, too.
+            self.leave(state);
+            outcome = (0..LOOKS).find_map(|_| look());
+            if self.lock().rounds == rounds {
+                break;
             }
         }
+        outcome
     }
 
     // ---- the thread's side ----
@@ -296,13 +312,16 @@ impl<E> Desk<E> {
     pub(super) fn take(&self, clerk: &mut impl Clerk<E>) -> bool {
         let mut guard = self.lock();
         let state = &mut *guard;
-        (state.is_idle, state.has_news) = (false, false);
+        (state.is_idle, state.news_since) = (false, None);
         state.rounds += 1;
         state.orders.drain(..).for_each(|order| clerk.obey(order));
         state.hand_over_set_points(clerk);
         // What one motor is asked, it is asked in that order.
         let mut busy = MotorSet::EMPTY;
         for question in std::mem::take(&mut state.questions) {
+            if question.asker.strong_count() == 0 {
+                continue;
+            }
             let motor = question.motor;
             let left = if busy.contains(motor) { Some(question) } else { clerk.put(question) };
             if let Some(question) = left {
@@ -317,14 +336,15 @@ impl<E> Desk<E> {
     /// Says that the thread is going to idle. False if there is something new.
     pub(super) fn may_idle(&self) -> bool {
         let mut state = self.lock();
-        state.is_idle = !state.has_news;
+        state.is_idle = state.news_since.is_none();
         state.is_idle
     }
 
     /// Waits until something is laid down, but not for longer.
     pub(super) fn wait_for_callers(&self, longest: Duration) {
         let state = self.lock();
-        let result = self.changed.wait_timeout_while(state, longest, |state| !state.has_news);
+        let is_quiet = |state: &mut State<E>| state.news_since.is_none();
+        let result = self.changed.wait_timeout_while(state, longest, is_quiet);
         drop(result.unwrap_or_else(PoisonError::into_inner));
     }
 
@@ -371,6 +391,12 @@ impl<E> Desk<E> {
         state.questions.clear();
         state.subscribers.clear();
     }
+}
+
+/// Where an answer goes, and where it is waited for.
+fn call<T, E>() -> (Answer<T, E>, Waiting<T, E>) {
+    let (answer, answered) = sync_channel(1);
+    (answer, Waiting { answered, asker: Arc::default() })
 }
 
 impl<E> State<E> {

@@ -23,6 +23,12 @@ pub enum SharedBusError<E = BusError> {
     /// It was sent, and has no answer, or a stop came before it.
     #[error("{0}")]
     Failed(Failure),
+    /// The bus driver keeps its thread for 2 s already (or the program was frozen). Whether a command was sent, or is
+    /// when the driver comes back, is not known.
+    #[error(
+        "the driver of the bus does not come back, so it is not known whether the command is sent: if a motor must stop now, cut its power"
+    )]
+    Held,
     /// The bus driver panicked, with these words, and the thread has ended.
     #[error("the thread of the bus has panicked: {0}")]
     Panicked(Arc<str>),
@@ -34,6 +40,7 @@ impl<E> Clone for SharedBusError<E> {
             Self::Bus(error) => Self::Bus(Arc::clone(error)),
             Self::Request(error) => Self::Request(*error),
             Self::Failed(failure) => Self::Failed(*failure),
+            Self::Held => Self::Held,
             Self::Panicked(words) => Self::Panicked(Arc::clone(words)),
         }
     }

@@ -119,7 +119,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     ///
     /// # Errors
     /// [`SharedBusError`]. What is next and gets no turn within 2 s, since a stop waits for a bus that is down,
-    /// say, is [`Busy`](myactuator_protocol_core::error::RequestError::Busy).
+    /// say, is [`Busy`](myactuator_protocol_core::error::RequestError::Busy); where the driver of the bus keeps its
+    /// thread for 2 s, [`Held`](SharedBusError::Held).
     pub fn ask<C: Command>(
         &self,
         motor: MotorId,
@@ -159,6 +160,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// [`SharedBusError::Request`]: the motors were stopped, or the set-point before this one was not taken,
     /// as [`Master::set_point`](myactuator_protocol_core::master::Master::set_point) has it; then this one
     /// was not put either. [`SharedBusError::Bus`] if the bus failed and nobody was told yet.
+    /// [`SharedBusError::Held`] if nothing was taken up for 2 s.
     pub fn set_point<C: SetPoint>(
         &self,
         motor: MotorId,

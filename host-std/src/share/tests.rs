@@ -1,7 +1,7 @@
 //! Threads on one bus of simulated drives, in real time.
 
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Barrier};
+use std::sync::{Arc, Barrier, mpsc};
 use std::thread;
 
 use myactuator_protocol_core::command::{
@@ -361,18 +361,49 @@ fn a_stop_on_a_dead_bus_is_given_up() {
 }
 
 #[test]
-fn a_stop_is_given_up_where_the_driver_does_not_come_back() {
-    let (_fleet, order, bus) = fragile();
+fn nobody_waits_for_ever_for_a_driver_that_does_not_come_back() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    let log = fleet.world.log();
     hold_up(&order);
-    let stopping = thread::spawn({
-        let bus = bus.clone();
-        move || bus.stop_all(StopKind::Hold, MotorSet::EMPTY)
+    let (sender, told) = mpsc::channel();
+    // Threads that wait for ever do not end with this one.
+    let asking = |call: fn(&SharedBus<CanError>) -> Option<SharedBusError<CanError>>| {
+        let (bus, sender) = (bus.clone(), sender.clone());
+        thread::spawn(move || sender.send(call(&bus)));
+    };
+    asking(|bus| bus.ask(id(1), ReadMultiTurnAngle).err());
+    asking(|bus| {
+        let for_ever = Patience { reply_timeout: Duration::from_secs(3_600), attempts: 1 };
+        bus.ask_with(id(2), ReadMultiTurnAngle, for_ever).err()
+    });
+    asking(|bus| {
+        // It is not told at once: the driver may come back.
+        bus.set_point(id(2), turn(1.0)).unwrap();
+        let again = || bus.set_point(id(2), turn(1.0)).err();
+        let pause = |_: &_| thread::sleep(std::time::Duration::from_millis(10));
+        (0..1_000).map(|_| again()).inspect(pause).find_map(|told| told)
     });
     assert!(!bus.stop(id(1), StopKind::Hold).unwrap());
-    // Nobody knows which of them is stopped.
-    assert_eq!(stopping.join().unwrap().unwrap(), MotorSet::ALL);
+    for _ in 0..3 {
+        let told = told.recv_timeout(std::time::Duration::from_secs(10)).expect("an answer");
+        assert!(matches!(told, Some(SharedBusError::Held)), "{told:?}");
+    }
     order.store(WORK, Ordering::SeqCst);
     assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+    // What nobody waits for any more is not sent then.
+    assert!(packets(&log).iter().all(|packet| packet.data[0] != 0x92));
+}
+
+#[test]
+fn who_waits_for_long_is_not_told_that_the_driver_is_held() {
+    // It idles until the time is up, which is longer than two rounds may take, unless it is woken.
+    let (fleet, bus) = shared(1);
+    fleet.world.cut(fleet.drives[0].station());
+    let patience = Patience { reply_timeout: Duration::from_millis(1_200), attempts: 1 };
+    let told = bus.ask_with(id(1), ReadMultiTurnAngle, patience).unwrap_err();
+    assert!(matches!(told, SharedBusError::Failed(Failure::NoReply)), "{told}");
+    fleet.world.mend(fleet.drives[0].station());
 }
 
 #[test]
@@ -544,7 +575,7 @@ fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
     desk.set_point(id(2), Untyped::of(&turn(2.0))).unwrap();
     let _other = desk.ask(id(2), Untyped::of(&goal), None);
     desk.publish(&Event::Restarted { motor: id(1) });
-    assert!(is_refused(moving.unwrap().try_recv().unwrap().unwrap_err()));
+    assert!(is_refused(desk.wait(moving).unwrap_err()));
     assert!(is_refused(desk.set_point(id(1), Untyped::of(&turn(3.0))).unwrap_err()));
     assert!(is_refused(desk.wait(desk.ask(id(1), Untyped::of(&goal), None)).unwrap_err()));
     desk.resume(id(1)).unwrap();
