@@ -17,16 +17,23 @@ const SIGNALS: [i32; 14] = [
 ];
 
 static CAME: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
+static AGAIN: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
 /// Set when one of them has come.
 pub(super) fn flag() -> Arc<AtomicBool> {
     Arc::clone(&CAME)
 }
 
-/// From now on they only set the flag.
+/// The same, to be cleared by whoever has done something about it: set again, the user does not want to wait.
+pub(super) fn again() -> Arc<AtomicBool> {
+    Arc::clone(&AGAIN)
+}
+
+/// From now on they only set the flags.
 pub(super) fn watch() -> io::Result<()> {
     for signal in SIGNALS {
         signal_hook::flag::register(signal, flag())?;
+        signal_hook::flag::register(signal, again())?;
     }
     Ok(())
 }

@@ -136,3 +136,17 @@ fn signals_stop_the_motor_first_although_nobody_reads() {
         assert_eq!(angle_and_speed(bus).1, 0.0, "{kind:?}");
     }
 }
+
+#[test]
+fn a_stop_goes_on_although_ctrl_c_is_pressed() {
+    let simulation = Simulation::start(1, &["--only", "rs485"]);
+    let mut stop = myactuator();
+    // It goes on trying for a second: nobody has this id.
+    stop.args(["stop", "--id", "7", "--bus", simulation.bus("rs485")]);
+    let process = stop.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    sleep(Duration::from_millis(500));
+    signal(&process, Signal::INT);
+    let ended = process.wait_with_output().unwrap();
+    let told = text(&ended.stderr);
+    assert!(told.contains("no confirmation of the stop from motor 7"), "{}: {told}", ended.status);
+}

@@ -26,7 +26,7 @@ pub(super) const ENDS: &str = "\
 What stops the motor (0x81) before this program ends: an error, a fault of this program, Ctrl-C, Ctrl-\\, Ctrl-Z, \
 a request to end (SIGTERM and whatever else can be caught) and a lost terminal, also while nobody reads what it \
 prints. If another program on the \
-bus stops the motor or switches it off, that ends this one.
+bus stops the motor or switches it off, that ends this one. Ctrl-C once more does not wait until the motor stands.
 Nothing of that works if the program is killed or frozen outright (kill -9, kill -STOP, a debugger, loss of \
 power), or the bus is cut: the motor goes on then. Against that set the motor's own communication-loss \
 protection: myactuator timeout.";
@@ -50,6 +50,7 @@ impl Session {
                     (Unfinished::Failed(_), Err(stopped)) => stopped,
                     (why, _) => why,
                 };
+                self.again.store(false, Ordering::Relaxed);
                 let stopped = self.stop(StopKind::Hold, motors);
                 told_with_stop(why, stopped.and_then(|()| self.stopped(motors)))
             }),
@@ -225,7 +226,7 @@ impl Session {
     }
 
     /// Waits until these motors, which slow down, stand. Gives those of which that does not come true: they turn and
-    /// have not become slower for [`LONGEST_BRAKING`], or do not tell.
+    /// have not become slower for [`LONGEST_BRAKING`], or do not tell, or the user does not want to wait.
     fn restless(&mut self, motors: MotorSet) -> Vec<(MotorId, String)> {
         let mut restless = Vec::new();
         let mut turning = motors;
@@ -238,6 +239,9 @@ impl Session {
                 let now = self.master.now();
                 let told = match reply.map(|reply| reply.speed) {
                     Ok(speed) if !turns(speed) => None,
+                    Ok(speed) if self.is_not_to_wait() => Some(format!(
+                        "has confirmed the stop (0x81) and turns yet at {speed}: its rest was not waited for"
+                    )),
                     Ok(speed) if speed.raw().unsigned_abs() < *slowest => {
                         (*slowest, *latest) = (speed.raw().unsigned_abs(), now + LONGEST_BRAKING);
                         continue;
@@ -258,6 +262,11 @@ impl Session {
             }
         }
         restless
+    }
+
+    /// Whether Ctrl-C or the like came, once more if it was that for which motors were stopped.
+    pub(super) fn is_not_to_wait(&self) -> bool {
+        self.again.load(Ordering::Relaxed)
     }
 
     /// Ends the work if the user has interrupted it.
@@ -367,6 +376,16 @@ mod tests {
         assert_eq!((is_on(0), is_on(1)), (false, true), "a load on the other would fall");
     }
 
+    #[test]
+    fn the_help_says_for_how_long_others_are_listened_to() {
+        let all = clap::Command::new("typed");
+        let all = <super::super::Subcommand as clap::Subcommand>::augment_subcommands(all);
+        for name in ["stop", "shutdown"] {
+            let help = all.find_subcommand(name).unwrap().get_long_about().unwrap().to_string();
+            assert!(help.contains(&format!("For {} ms after", LISTENING.as_millis())), "{help}");
+        }
+    }
+
     /// A motor that stops by itself when it has heard nothing for so long.
     fn protected_after(millis: u32) -> (CanFleet, Session) {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
@@ -434,6 +453,23 @@ mod tests {
         let (outcome, dps) = interrupted_at(54_000);
         assert_eq!(outcome, Err(Unfinished::Interrupted(told.to_owned())));
         assert!(dps.abs() <= 2.0, "{dps} dps");
+    }
+
+    #[test]
+    fn who_presses_ctrl_c_again_does_not_wait_for_a_motor_that_slows_down() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
+        fleet.drives[0].with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
+        session.again.store(true, Ordering::Relaxed);
+        let begun = session.master.now();
+        let outcome = session.stopped(MotorId::MIN.into());
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(
+            told.starts_with("motor 1 has confirmed the stop (0x81) and turns yet at 200"),
+            "{told}"
+        );
+        assert!(session.master.now() - begun < Duration::from_millis(20));
     }
 
     #[test]

@@ -118,6 +118,8 @@ pub(super) struct Session {
     pub(super) yes: bool,
     /// Set by Ctrl-C and the like, while a motor moves.
     pub(super) interrupted: Arc<AtomicBool>,
+    /// Set by them, too, also after the motor was stopped for that.
+    pub(super) again: Arc<AtomicBool>,
 }
 
 impl Session {
@@ -126,8 +128,11 @@ impl Session {
         Self::open_on(on.to_look()?)
     }
 
-    /// Opens a bus to stop its motors, which needs no consent.
+    /// Opens a bus to stop its motors, which needs no consent. Ctrl-C and the like do not end that: it takes no
+    /// longer than it must.
     pub(super) fn open_to_stop(on: &OnBus) -> Outcome<Self> {
+        // Where nothing can be watched for, a stop is a stop all the same.
+        let _ = interrupt::watch();
         Self::open_on(on.to_act()?).map_err(|why| match why {
             Unfinished::Failed(why) => Unfinished::Failed(format!(
                 "{why}; no motor was told to stop: if one must stop now, cut its power"
@@ -165,6 +170,7 @@ impl Session {
             address,
             yes: false,
             interrupted: interrupt::flag(),
+            again: interrupt::again(),
         })
     }
 
@@ -190,6 +196,7 @@ impl Session {
             address: BusAddress::Simulated { motors: 1, kind: BusKind::Can },
             yes: true,
             interrupted: Arc::default(),
+            again: Arc::default(),
         }
     }
 
