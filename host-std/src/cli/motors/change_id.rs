@@ -44,8 +44,14 @@ fn run_on(session: &mut Session, id: Option<MotorId>, to: MotorId) -> Outcome {
     session.confirm(&format!(
         "Motor {from} will be switched off, get id {to} in its ROM, and restart: hold the shaft if a load pulls at it. Its whole turns may be lost."
     ))?;
-    bring_up::change_id(&mut session.master, from, to)?;
+    change(session, from, to)?;
     say(&format!("motor {from} is motor {to} now"))
+}
+
+fn change(session: &mut Session, from: MotorId, to: MotorId) -> Outcome {
+    session.standing(from)?;
+    bring_up::change_id(&mut session.master, from, to)?;
+    Ok(())
 }
 
 /// The motor that is meant.
@@ -70,7 +76,10 @@ fn which(found: MotorSet, id: Option<MotorId>) -> Outcome<MotorId> {
 mod tests {
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::Speed;
     use myactuator_protocol_core::drive::Quirks;
+    use myactuator_protocol_core::time::Instant;
+    use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 
     use super::super::{odd_drive, simulated::sent};
     use super::*;
@@ -99,6 +108,19 @@ mod tests {
         assert!(sent(&log).iter().all(|packet| packet.data[0] != 0x79));
         let there: Vec<u8> = session.meant(Target::All).unwrap().iter().map(MotorId::get).collect();
         assert_eq!(there, [1, 3, 7]);
+    }
+
+    #[test]
+    fn a_motor_that_begins_to_turn_while_the_user_is_asked_keeps_its_id() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(18_000));
+        session.ask(id(1), Speed { max_torque, speed }).unwrap();
+        session.wait_until(Instant::from_millis(500)).unwrap();
+        let log = fleet.world.log();
+        let told = failed(change(&mut session, id(1), id(7)));
+        assert!(told.contains("turns at 1"), "{told}");
+        assert!(sent(&log).iter().all(|packet| packet.data[0] >= 0x90), "something was written");
     }
 
     #[test]

@@ -39,6 +39,7 @@ fn run_on(session: &mut Session, motor: MotorId) -> Outcome {
 }
 
 fn restart(session: &mut Session, motor: MotorId) -> Outcome {
+    session.standing(motor)?;
     let ran = session.ask(motor, ReadRunTime)?.run_time.raw();
     bring_up::restart(&mut session.master, motor, motor)?;
     let runs = session.ask(motor, ReadRunTime)?.run_time.raw();
@@ -95,13 +96,15 @@ mod tests {
         let later = session.master.now() + Duration::from_secs(1);
         session.wait_until(later).unwrap();
         let log = fleet.world.log();
-        let told = run_on(&mut session, MotorId::MIN);
-        let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
-        assert!(
-            told.starts_with("motor 1 turns at 1") && told.ends_with("stop it first"),
-            "{told}"
-        );
-        assert!(sent(&log).iter().all(|packet| packet.data[0] != 0x76));
+        // The user is not asked for that; and one that begins to turn meanwhile is not restarted, either.
+        for told in [run_on, restart].map(|reset| reset(&mut session, MotorId::MIN)) {
+            let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
+            assert!(
+                told.starts_with("motor 1 turns at 1") && told.ends_with("stop it first"),
+                "{told}"
+            );
+            assert!(sent(&log).iter().all(|packet| packet.data[0] != 0x76));
+        }
     }
 
     #[test]

@@ -257,6 +257,7 @@ impl Session {
         }
     }
 
+    /// Refuses a motor that turns: before the user is asked, and once more then, for an answer may take minutes.
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
         let speed = self.ask(motor, ReadStatus2)?.speed;
         if turns(speed) {

@@ -31,6 +31,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 
 /// Makes it, and tells the zero.
 fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
+    session.standing(motor)?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
     let offset = bring_up::zero_here(&mut session.master, motor)?;
     let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
@@ -42,12 +43,30 @@ fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::AbsolutePosition;
+    use myactuator_protocol_core::command::{AbsolutePosition, Speed};
     use myactuator_protocol_core::io::Runner;
-    use myactuator_protocol_core::time::Duration;
-    use myactuator_protocol_core::units::{Angle, MaxSpeed};
+    use myactuator_protocol_core::time::{Duration, Instant};
+    use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
 
+    use super::super::simulated::sent;
     use super::*;
+    use crate::cli::Unfinished;
+
+    #[test]
+    fn a_motor_that_begins_to_turn_while_the_user_is_asked_gets_no_zero() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(18_000));
+        session.ask(MotorId::MIN, Speed { max_torque, speed }).unwrap();
+        session.wait_until(Instant::from_millis(500)).unwrap();
+        let log = fleet.world.log();
+        let told = make(&mut session, MotorId::MIN).unwrap_err();
+        assert!(
+            matches!(&told, Unfinished::Failed(told) if told.contains("turns at 1")),
+            "{told:?}"
+        );
+        assert!(sent(&log).iter().all(|packet| packet.data[0] >= 0x90), "something was written");
+    }
 
     #[test]
     fn where_the_motor_stands_is_its_zero_afterwards() {
