@@ -23,32 +23,48 @@ pub(super) struct Watched {
     /// The motors that were moved elsewhere since they have confirmed their last stop, if there was one; or, where
     /// that was to switch them off, switched on.
     pub(super) moved_on: MotorSet,
+    /// Those that were switched off elsewhere since then.
+    let_go: MotorSet,
 }
 
 impl Watched {
     pub(super) fn new(bus: AnyMaster<{ MotorId::COUNT }>) -> Self {
-        let [moved, off, moved_on] = [MotorSet::EMPTY; 3];
-        Self { bus, moved, stopped: Rc::default(), off, moved_on }
+        let [moved, off, moved_on, let_go] = [MotorSet::EMPTY; 4];
+        Self { bus, moved, stopped: Rc::default(), off, moved_on, let_go }
+    }
+
+    /// Whether a motor was switched off, here or elsewhere, after all that was seen.
+    pub(super) const fn is_off(&self, motor: MotorId) -> bool {
+        self.off.contains(motor) || self.let_go.contains(motor)
+    }
+
+    fn has_confirmed(&mut self, motor: MotorId) {
+        self.moved_on.remove(motor);
+        self.let_go.remove(motor);
     }
 
     fn note(&mut self, event: &Event) {
         match (*event, deed(event)) {
             (Event::StopConfirmed { motor }, _) => {
-                self.moved_on.remove(motor);
+                self.has_confirmed(motor);
                 // A second confirmation of a stop of one's own is nobody else's.
                 self.moved.remove(motor);
             }
             (Event::Reply { ticket, kind, .. }, _) if StopKind::by(kind).is_some() => {
-                self.moved_on.remove(ticket.motor());
+                self.has_confirmed(ticket.motor());
             }
             (_, Some((motor, Deed::Moved))) => self.moved_on.insert(motor),
             (_, Some((motor, Deed::Stopped(kind)))) if self.moved.contains(motor) => {
                 self.give_way(motor, kind);
             }
             // It switches the output on, to hold still (2.18).
-            (_, Some((motor, Deed::Stopped(StopKind::Hold)))) if self.off.contains(motor) => {
-                self.moved_on.insert(motor);
+            (_, Some((motor, Deed::Stopped(StopKind::Hold)))) => {
+                self.let_go.remove(motor);
+                if self.off.contains(motor) {
+                    self.moved_on.insert(motor);
+                }
             }
+            (_, Some((motor, Deed::Stopped(StopKind::Off)))) => self.let_go.insert(motor),
             _ => {}
         }
     }

@@ -261,6 +261,20 @@ mod tests {
     }
 
     #[test]
+    fn a_motor_that_something_else_switches_off_after_the_stop_is_not_said_to_hold_still() {
+        for meant in [Target::Motor(MotorId::MIN), Target::All] {
+            let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+            let soon = Sends::Once(Duration::from_millis(100));
+            OtherMaster::attach(&fleet, to_first(Shutdown.encode()), soon);
+            let mut session = Session::on(&fleet);
+            let motors = halt(&mut session, meant, StopKind::Hold).unwrap();
+            let told = session.stopped(motors).unwrap();
+            let off = "motor 1 is off (0x80): its shaft is free unless a brake holds it";
+            assert!(told.ends_with(off), "{told}");
+        }
+    }
+
+    #[test]
     fn whoever_gives_way_to_a_stop_may_send_once_more() {
         for meant in [Target::Motor(MotorId::MIN), Target::All] {
             let fleet = Fleet::new(2).on_can(1_000_000).unwrap();

@@ -178,8 +178,7 @@ impl Session {
 
     /// Those that have confirmed the stop and do not hold still by it, with what is true of them.
     fn that_hold_nothing(&mut self, motors: MotorSet) -> Vec<(MotorId, String)> {
-        let off: MotorSet =
-            motors.iter().filter(|motor| self.master.off.contains(*motor)).collect();
+        let off: MotorSet = motors.iter().filter(|motor| self.master.is_off(*motor)).collect();
         let told = "is off (0x80): its shaft is free unless a brake holds it";
         let mut holding_nothing: Vec<_> =
             off.iter().map(|motor| (motor, told.to_owned())).collect();
