@@ -150,3 +150,17 @@ fn a_stop_goes_on_although_ctrl_c_is_pressed() {
     let told = text(&ended.stderr);
     assert!(told.contains("no confirmation of the stop from motor 7"), "{}: {told}", ended.status);
 }
+
+#[test]
+fn what_is_written_is_not_left_halfway_although_ctrl_c_is_pressed() {
+    let simulation = Simulation::start(1, &["--only", "rs485"]);
+    let mut zero = myactuator();
+    zero.args(["zero", "--yes", "--id", "1", "--bus", simulation.bus("rs485")]);
+    let process = zero.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
+    // A zero that is stored counts from the next start on: the motor restarts for that, for a second and more.
+    sleep(Duration::from_millis(500));
+    signal(&process, Signal::INT);
+    let ended = process.wait_with_output().unwrap();
+    let told = text(&ended.stdout);
+    assert!(told.contains("is the zero"), "{}: {told}", ended.status);
+}

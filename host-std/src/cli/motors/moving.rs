@@ -10,7 +10,7 @@ use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
 use super::session::{Session, turns};
-use crate::cli::{Outcome, Unfinished, interrupt, printer, report, unwritten};
+use crate::cli::{Outcome, Unfinished, printer, report, unwritten};
 
 /// How long a motor may take to come to rest.
 const LONGEST_BRAKING: Duration = Duration::from_secs(3);
@@ -39,8 +39,7 @@ impl Session {
         motors: impl Into<MotorSet>,
         work: impl FnOnce(&mut Self) -> Outcome<T>,
     ) -> Outcome<T> {
-        interrupt::watch()
-            .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))?;
+        self.is_not_left_halfway()?;
         let motors = motors.into();
         self.master.moved = motors;
         match catch_unwind(AssertUnwindSafe(|| work(self))) {

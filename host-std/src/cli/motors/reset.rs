@@ -39,6 +39,7 @@ fn run_on(session: &mut Session, motor: MotorId) -> Outcome {
 }
 
 fn restart(session: &mut Session, motor: MotorId) -> Outcome {
+    session.is_not_left_halfway()?;
     session.standing(motor)?;
     let ran = session.ask(motor, ReadRunTime)?.run_time.raw();
     bring_up::restart(&mut session.master, motor, motor)?;

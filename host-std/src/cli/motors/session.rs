@@ -257,6 +257,12 @@ impl Session {
         }
     }
 
+    /// From now on Ctrl-C and the like end nothing halfway: they are looked at where something can end.
+    pub(super) fn is_not_left_halfway(&self) -> Outcome {
+        interrupt::watch()
+            .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))
+    }
+
     /// Refuses a motor that turns: before the user is asked, and once more then, for an answer may take minutes.
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
         let speed = self.ask(motor, ReadStatus2)?.speed;

@@ -28,6 +28,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         0 => format!("Motor {motor} will go on with what it does when its master falls silent."),
         _ => format!("Motor {motor} will cut its output when it hears nothing for {time}."),
     })?;
+    session.is_not_left_halfway()?;
     let told =
         bring_up::protect(&mut session.master, motor, time).map_err(Unfinished::of_motor(motor))?;
     say(&sentence(motor, time, told))
