@@ -61,8 +61,11 @@ pub enum RequestError {
     /// The command exists on CAN only.
     #[error("{0} exists on CAN only")]
     CanOnly(Opcode),
-    /// A request to that motor, or a broadcast, is still under way: wait for its outcome.
-    #[error("an earlier request is under way: wait for its outcome")]
+    /// A request to that motor, its stop, or a broadcast, is still under way: wait for its outcome. A stop is for as
+    /// long as the bus takes nothing.
+    #[error(
+        "an earlier request, or a stop that the bus does not take, is under way: wait for its outcome"
+    )]
     Busy,
     /// The motor reports this reply by itself (0xB6) and does not answer when asked for it.
     #[error("{0} is reported by the motor itself, which then does not answer it")]

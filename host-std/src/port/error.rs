@@ -68,7 +68,9 @@ pub enum PortError {
     #[error("\"{0}\" is no serial port: expected one such as /dev/ttyUSB0")]
     NotASerialPort(String),
     /// Another program has the serial port open.
-    #[error("another program uses \"{0}\": find it with 'fuser {0}' and end it")]
+    #[error(
+        "another program uses \"{0}\": find it with 'fuser {0}' and end it, by Ctrl-C or SIGTERM so that it can stop its motors"
+    )]
     InUse(String),
     /// The user may not open this.
     #[error(

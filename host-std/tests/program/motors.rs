@@ -116,6 +116,19 @@ fn move_goes_on_by_an_angle_with_and_without_a_limit_of_torque() {
 }
 
 #[test]
+fn move_with_little_torque_presses_if_it_may_and_else_is_stopped() {
+    // 1 % of the rated torque does not overcome friction.
+    let weak = "move --id 1 --angle-deg 90 --max-torque-pct 1";
+    let lines = done(&format!("{weak} --press"));
+    let end = lines.last().unwrap();
+    assert!(end.starts_with("motor 1 has met something at 0.00 deg after "), "{end}");
+    let (status, told) = refused(weak);
+    assert_eq!(status, 1);
+    assert!(told.contains("comes no nearer to 90 deg"), "{told}");
+    assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
+}
+
+#[test]
 fn a_motor_that_does_not_arrive_in_time_is_stopped() {
     let (status, told) = refused("move --id 1 --angle-deg 720 --timeout-s 1");
     assert_eq!(status, 1);

@@ -166,6 +166,7 @@ pub trait AsyncRunner<const N: usize> {
     }
 
     /// As [`Runner::stop`](crate::io::Runner::stop). The stop is in force with the first poll of this future.
+    #[must_use = "a motor that has not confirmed the stop may still move: cut its power"]
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
         self.master().stop(motor, kind).is_ok() && unconfirmed(self, motor.into()).await.is_empty()
     }
@@ -176,6 +177,7 @@ pub trait AsyncRunner<const N: usize> {
     ///
     /// The stop is in force with the first poll of this future, and goes on with any other future of
     /// this loop if this one is dropped.
+    #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     async fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
         // Those that the master has no place for are not stopped, and stay unconfirmed.
         let _ = self.master().stop_all(kind, also);

@@ -32,9 +32,12 @@ use crate::master::{MotorSet, StopKind};
 /// The motors are [those that have a place](crate::master::Master::motors): whoever was asked or moved by itself, and
 /// whom a [broadcast](crate::master::Master::broadcast) was expected to move.
 ///
-/// Nothing is left without a stop but a program that is killed, or a panic that aborts: for those set the
-/// motors' communication-loss protection (0xB3).
+/// It cannot stop them where nobody leaves it: in a program that is killed, aborts, calls `exit`, is ended by a signal
+/// (Ctrl-C) that it does not handle, or returns from `main` while the guard lives in another thread. For those set
+/// the motors' communication-loss protection (0xB3): it switches them off, also those that a stop holds, when nobody
+/// speaks to them any more.
 #[derive(Debug)]
+#[must_use = "the motors are stopped when it is dropped"]
 pub struct Guard<'a, R: Runner<N>, const N: usize> {
     bus: &'a mut R,
     kind: StopKind,
@@ -47,6 +50,7 @@ impl<'a, R: Runner<N>, const N: usize> Guard<'a, R, N> {
     }
 
     /// Stops all motors now, and gives those that have not confirmed it: **cut their power**.
+    #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     pub fn finish(self) -> MotorSet {
         let mut guard = core::mem::ManuallyDrop::new(self);
         let kind = guard.kind;

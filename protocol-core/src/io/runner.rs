@@ -140,15 +140,18 @@ pub trait Runner<const N: usize> {
     /// Stops one motor and waits until it has confirmed, or not: then **cut its power**. See
     /// [`Master::stop`]; until [`Master::lift_stop_of`] whatever may move it is refused. An error of the bus
     /// does not end it, as with [`stop_all`](Self::stop_all).
+    #[must_use = "a motor that has not confirmed the stop may still move: cut its power"]
     fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
         at_once(Polled(self).stop(motor, kind))
     }
 
-    /// Stops all motors and waits until each has confirmed, or not; see [`Master::stop_all`]. Gives
-    /// those that have not: **cut their power**. An error of the bus does not end it; it goes on for up
-    /// to [`LONGEST_STOP`], in the hope that the bus comes back.
+    /// Stops all motors [that have a place](Master::motors) and those of `also`, and waits until each has confirmed,
+    /// or not; see [`Master::stop_all`]. Gives those of them that have not: **cut their power**. A motor that this
+    /// master has never spoken to is not among them: name it. An error of the bus does not end it; it goes on for
+    /// up to [`LONGEST_STOP`], in the hope that the bus comes back.
     ///
     /// Until [`Master::lift_stop`] whatever may move a motor is refused.
+    #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
         at_once(Polled(self).stop_all(kind, also))
     }

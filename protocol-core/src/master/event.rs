@@ -88,7 +88,9 @@ impl<C> defmt::Format for Ticket<C> {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub enum Failure {
-    /// No reply came in time, after all attempts.
+    /// No reply came in time, after all attempts. It may have been carried out; and what a controller keeps because
+    /// nobody acknowledges it will be, when the bus is whole again: stop the motor, or cut its power, before anybody
+    /// mends the wire.
     #[error("no reply: is the motor powered, and is this its id?")]
     NoReply,
     /// The drive had lost its master and answered without doing anything (it does so once after its

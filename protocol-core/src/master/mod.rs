@@ -36,7 +36,10 @@
 //! from before a cut that an adapter holds back for longer than the reply time-out says that the bus is whole,
 //! so that a stop may be confirmed before a move that lies in a mailbox. A Shutdown of one motor that lies in one and
 //! has been given up when the motor is told to hold may come after that is confirmed. And a stop cannot be
-//! confirmed by a motor whose replies do not come through: then cut its power. Nothing here can tell more.
+//! confirmed by a motor whose replies do not come through: then cut its power. Where a bus swaps a move and the stop
+//! behind it, and their answers as well, the stop is confirmed before it moves. And a command that was given up for
+//! want of an answer may lie in the mailbox of a controller that nobody acknowledges: it is obeyed when the bus is
+//! whole again, whenever that is, unless the controller can be reset. Nothing here can tell more.
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every

@@ -17,7 +17,9 @@ use crate::time::Duration;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum StopKind {
-    /// 0x81: stop and hold still (2.18). A drive that has lost its master (0xB3) may confirm it and hold nothing.
+    /// 0x81: stop and hold still (2.18), with all the torque that the drive has. It confirms that it was told, and
+    /// needs time to stand. One that reports an error or has lost its master (0xB3), now or later, confirms it and
+    /// holds nothing: where a load could fall, read its errors (0x9A) and lock a brake.
     Hold,
     /// 0x80: switch the outputs off (2.17). The shafts are free to turn unless brakes hold them.
     Off,

@@ -9,7 +9,7 @@ use myactuator_protocol_core::command::{
 };
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::io::bring_up::{
-    self, MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived,
+    self, MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived, WhenStalled,
 };
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
@@ -25,7 +25,8 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 ///
 /// It has arrived when it stands within 0.2 degrees of the target; then it holds its position until it
 /// is told something else. If it does not arrive in time, reports an error or Ctrl-C is pressed, it is
-/// stopped (0x81). Exit status: 0 if it has arrived, 1 if not, 2 for wrong usage, 130 if interrupted.
+/// stopped (0x81) and holds with all its torque, but with --press where it has met something. Exit status: 0
+/// if it has arrived or presses, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
 #[command(after_help = ENDS)]
 pub(in crate::cli) struct Arguments {
@@ -43,6 +44,9 @@ pub(in crate::cli) struct Arguments {
     /// The largest torque, % of the rated current, 1 to 255: moves by force-limited position (0xA9).
     #[arg(long, value_parser = parse::max_torque, allow_hyphen_values = true)]
     max_torque_pct: Option<MaxTorque>,
+    /// Go on pressing with that torque against what is in the way.
+    #[arg(long, requires = "max_torque_pct")]
+    press: bool,
     /// How long it may take, s [default: 5 s and three times what the way takes at full speed].
     #[arg(long, value_parser = parse::seconds, allow_hyphen_values = true)]
     timeout_s: Option<Duration>,
@@ -71,7 +75,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         .unwrap_or_default();
     session
         .confirm(&format!("Motor {motor} will move from {here} to {target} {speed}{torque}."))?;
-    let limits = MoveLimits { time: arguments.timeout_s, ..MoveLimits::default() };
+    let when_stalled = if arguments.press { WhenStalled::Press } else { WhenStalled::Stop };
+    let limits = MoveLimits { time: arguments.timeout_s, when_stalled, ..MoveLimits::default() };
     let angle = arguments.angle_deg;
     session.moving(motor, |session| match (arguments.max_torque_pct, arguments.relative) {
         (Some(max_torque), _) => {
@@ -112,7 +117,13 @@ fn go(
         if shown.is_err() || is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     drop(progress);
+    let tolerance = limits.tolerance.raw().unsigned_abs();
     match outcome {
+        Ok(end) if end.angle.raw().abs_diff(end.target.raw()) > tolerance => say(&format!(
+            "motor {motor} has met something at {:.2} deg after {:.2} s and presses against it",
+            end.angle.degrees_f64(),
+            seconds(end.time)
+        )),
         Ok(arrival) => say(&format!(
             "motor {motor} has arrived at {:.2} deg after {:.2} s and holds its position",
             arrival.angle.degrees_f64(),

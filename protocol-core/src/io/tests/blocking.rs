@@ -291,7 +291,7 @@ fn the_first_stop_on_an_adapter_is_not_confirmed_by_an_echo_that_nobody_told_of(
     }
     // A stop of all shows it by itself.
     let (port, _, mut arm) = serial();
-    arm.stop_all(StopKind::Hold, id(1).into());
+    let _ = arm.stop_all(StopKind::Hold, id(1).into());
     assert_eq!(port.written()[..4], [0x3E, 0xCD, 8, 0x81]);
 }
 
