@@ -268,7 +268,7 @@ impl Motor {
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             Some(_) if heard.is_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
-                Ok(reply) => self.feedback(reply, None, config, now),
+                Ok(reply) => self.feedback(reply, angle_of(&reply), None, config, now),
                 Err(_) => Meaning::Late,
             },
             None => Meaning::Unasked,
@@ -279,12 +279,13 @@ impl Motor {
     fn feedback(
         &mut self,
         reply: AnyReply,
+        angle: Option<i16>,
         round_trip: Option<Duration>,
         config: &Config,
         now: Instant,
     ) -> Meaning {
-        if let Some(feedback) = feedback_of(&reply) {
-            self.note_angle(feedback.angle.raw(), config, now);
+        if let Some(angle) = angle {
+            self.note_angle(angle, config, now);
         }
         (self.latest, self.latest_at) = (Some(reply), now);
         Meaning::Feedback(reply, round_trip)
@@ -310,9 +311,8 @@ impl Motor {
         let round_trip = now - self.sent;
         self.answered(Some(round_trip));
         // Also where nobody has heard why, an echo has no angle.
-        let angle = feedback_of(&reply).filter(|_| !is_echo()).map(|feedback| feedback.angle.raw());
-        self.angle = self.angle.filter(|_| angle.is_some());
-        let meaning = self.feedback(reply, Some(round_trip), config, now);
+        let angle = angle_of(&reply).filter(|_| !is_echo());
+        let meaning = self.feedback(reply, angle, Some(round_trip), config, now);
         self.angle = angle.filter(|_| !is_one_late && round_trip <= HALF_A_TURN_TAKES);
         meaning
     }
@@ -362,4 +362,9 @@ impl Motor {
         asked.attempts_left = asked.attempts_left.max(1);
         self.request = Request::Waiting(asked);
     }
+}
+
+/// Where the motor is, in degrees, if this feedback says so.
+fn angle_of(reply: &AnyReply) -> Option<i16> {
+    feedback_of(reply).map(|feedback| feedback.angle.raw())
 }
