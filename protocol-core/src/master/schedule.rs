@@ -123,7 +123,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// Whether the broadcast that waits may go: no answer that looks like its own can come from a
-    /// request, nor from the broadcast before it.
+    /// request, nor from the broadcast before it. Nor does one that moves a motor which was heard to have restarted.
     fn broadcast_may_go(&self) -> bool {
         let Some(question) = self.broadcast.question() else { return false };
         let is_first = |asked: &Asked| {
@@ -133,6 +133,7 @@ impl<const N: usize> Master<N> {
             motor.request.under_way().is_some_and(is_first) || motor.late.may_be_mistaken(question)
         };
         !self.at(self.places.taken).any(|(_, motor)| keeps_back(motor))
+            && !(question.kind.moves() && self.has_any_restarted())
             && self.broadcast.may_go(self.motors())
     }
 

@@ -184,4 +184,19 @@ fn nor_does_a_stream_go_on_behind_a_restart_of_all() {
     assert_eq!(sent(&mut master, ms(50)).len(), 1);
     assert!(events(&mut master, ms(50)).contains(&Event::Restarted { motor: id(1) }));
     assert_eq!(master.set_point(id(1), torque(1.0), ms(51)), Err(RequestError::Restarted));
+
+fn a_restart_is_heard_before_a_move_of_all_that_waits() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!is_restart(&mut master, 0, 1_000, 720));
+    // It waits for the read, whose repetition could be taken for an answer to it.
+    let _read = master.request(id(2), ReadMultiTurnAngle).unwrap();
+    master.set_point(id(1), torque(1.0), ms(4)).unwrap();
+    assert_eq!(sent(&mut master, ms(4)).len(), 2);
+    master.broadcast(torque(1.0), [id(1), id(2)].into_iter().collect()).unwrap();
+    reply(&mut master, 2, ANGLE_REPLY, ms(5)).unwrap();
+    reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 0x68, 1], ms(5)).unwrap();
+    assert_eq!(master.poll_transmit(ms(5)), None, "nobody has looked at the time since");
+    let over =
+        Event::BroadcastDone { silent: [id(1), id(2)].into_iter().collect(), was_sent: false };
+    assert!(events(&mut master, ms(5)).contains(&over));
 }
