@@ -90,6 +90,11 @@ impl Broadcast {
         self.is_waiting() && self.kind.is_some_and(Kind::moves)
     }
 
+    /// Whether it waits to move this motor, or what was sent may still do so.
+    pub(super) fn may_yet_move(&self, motor: MotorId) -> bool {
+        self.moves.contains(motor) || self.is_waiting() && self.kind.is_some_and(Kind::may_move)
+    }
+
     pub(super) fn is_in_flight(&self) -> bool {
         self.state == State::InFlight
     }

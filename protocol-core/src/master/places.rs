@@ -136,14 +136,16 @@ impl<const N: usize> Master<N> {
 
     /// Gives a motor's place and counters up, so that another motor can have it. `false`, and
     /// nothing changes, while it has a request or a set-point under way or an event that was not
-    /// polled, or while something that was sent and not answered may move it yet, out of a mailbox for example.
+    /// polled, or while something that was sent to it or to all and not answered may move it yet, out of a mailbox for
+    /// example.
     ///
     /// A late reply that may still come is no longer guarded against: leave the motor alone for
     /// [`Config::late_window`] after a request that was not answered.
     pub fn forget(&mut self, motor: MotorId) -> bool {
         let now = self.now;
         let Some(place) = self.places.of(motor) else { return false };
-        let is_idle = self.motors.get(place).is_some_and(|motor| motor.is_idle(now));
+        let is_idle = self.motors.get(place).is_some_and(|motor| motor.is_idle(now))
+            && !self.broadcast.may_yet_move(motor);
         if is_idle {
             if let Some(of) = self.motors.get_mut(place) {
                 *of = Motor::default();

@@ -256,3 +256,24 @@ fn what_moves_and_is_in_flight_is_not_sent_again_once_all_are_told_to_end_their_
         assert_eq!(failures, [Err(why)]);
     }
 }
+
+#[test]
+fn a_motor_that_a_command_to_all_may_yet_move_is_not_forgotten() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), id(1).into()).unwrap();
+    assert!(!master.forget(id(1)), "it waits");
+    sent(&mut master, ms(0));
+    assert!(!master.forget(id(1)), "it is in flight");
+    let over = Event::BroadcastDone { silent: id(1).into(), was_sent: true };
+    assert!(events(&mut master, ms(21)).contains(&over));
+    assert!(!master.forget(id(1)), "it may lie in a mailbox");
+    let feedback = [0xA1, 0x32, 0x64, 0, 0, 0, 0x68, 1];
+    reply(&mut master, 1, feedback, ms(30));
+    assert!(master.forget(id(1)), "it has come");
+    // What moves nobody does not matter.
+    to_all(&mut master, ReadMultiTurnAngle, 100);
+    let _read = ask(&mut master, 1, ReadRunTime, ms(200));
+    reply(&mut master, 1, [0xB1, 0, 0, 0, 1, 0, 0, 0], ms(201)).unwrap();
+    to_all(&mut master, ReadMultiTurnAngle, 202);
+    assert!(master.forget(id(1)));
+}
