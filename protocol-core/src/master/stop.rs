@@ -55,6 +55,9 @@ impl<const N: usize> Master<N> {
     /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a
     /// restart and writes to ROM, for example, but not reads.
     ///
+    /// On CAN it goes to those motors only: whom a [`broadcast`](Self::broadcast) has moved without having named it
+    /// goes on. Name all whom it may reach, there or in `also`.
+    ///
     /// Called again before it was lifted it goes on with what is under way, so that it may be called in every
     /// cycle.
     ///
