@@ -264,9 +264,13 @@ impl Broadcast {
         answers
     }
 
+    pub(super) fn in_flight_since(&self) -> Option<Instant> {
+        self.is_in_flight().then_some(self.sent)
+    }
+
     /// When it is over though not all have answered.
     pub(super) fn deadline(&self, config: &Config) -> Option<Instant> {
-        self.is_in_flight().then(|| self.sent + config.reply_timeout)
+        self.in_flight_since().map(|sent| sent + config.reply_timeout)
     }
 
     /// A controller has handed it back: it was never on the bus, and moves nobody. Gives whether it ends motion, so

@@ -283,6 +283,7 @@ impl<const N: usize> Master<N> {
         })
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
         if kind.ends_motion() {
+            self.let_line_answer();
             self.broadcast.cancel_what_moves();
             if let Some(by) = StopKind::by(kind) {
                 self.overtakes_broadcast(motor, by);
@@ -363,7 +364,8 @@ impl<const N: usize> Master<N> {
     ///
     /// The next broadcast waits until all motors that have a place have answered this one, or its
     /// answers cannot come any more. One that [ends motion](Kind::ends_motion) drops the set-points and moves that
-    /// wait; but an answer to it, other than to a [stop](Self::stop_all), does not say that nothing sent before
+    /// wait, and after one that lets go (0x80, 0x76) nobody is held who was to be: a Stop (0x81) of one motor that is
+    /// under way becomes a Shutdown of it, and is confirmed as a stop. An answer to it, other than to a [stop](Self::stop_all), does not say that nothing sent before
     /// can move the motor any more. If a motor is [stopped](Self::stop) by itself while it waits, or before a
     /// controller hands it back, and it would undo that, the others that have a place get it each by itself, as a
     /// stop, and this one is over: nobody without a place gets it then, and a restart goes to nobody.
@@ -395,8 +397,12 @@ impl<const N: usize> Master<N> {
             // What was offered may be a set-point that this ends.
             self.offer = None;
             self.due = now;
+            let off = self.stop_that_lets_go(kind);
+            if off.is_some() {
+                self.let_line_answer();
+            }
             for place in self.places.taken.iter() {
-                self.change_at(place, |motor, config| motor.end_with_all(config, now));
+                self.change_at(place, |motor, config| motor.end_with_all(off, config, now));
             }
         }
         Ok(())

@@ -2,10 +2,12 @@
 
 use core::cmp::Reverse;
 
+use crate::kind::Kind;
 use crate::master::motor::Motor;
 use crate::master::request::Asked;
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::{Bus, Config, Master, Offer};
+use crate::opcode::Opcode;
 use crate::time::Instant;
 
 /// The earliest of several points in time.
@@ -126,8 +128,12 @@ impl<const N: usize> Master<N> {
     /// request, nor from the broadcast before it. Nor does one that moves a motor which was heard to have restarted.
     fn broadcast_may_go(&self) -> bool {
         let Some(question) = self.broadcast.question() else { return false };
+        // What all are told to do now is not undone by what one was told to do before.
+        let holds = question.kind == Kind::Known(Opcode::Stop);
+        let lets_go = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Shutdown);
         let is_first = |asked: &Asked| {
-            asked.unanswered > 0 || question.kind.may_move() && asked.kind().ends_motion()
+            let may_move = question.kind.may_move() && asked.kind().ends_motion();
+            asked.unanswered > 0 || may_move || holds && lets_go(asked)
         };
         let keeps_back = |motor: &Motor| {
             motor.request.under_way().is_some_and(is_first) || motor.late.may_be_mistaken(question)

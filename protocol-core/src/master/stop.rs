@@ -113,8 +113,9 @@ impl<const N: usize> Master<N> {
     }
 
     /// On a line the answer to what a stop goes over would meet it: the drive would hear neither.
-    fn let_line_answer(&mut self) {
-        let last_sent = self.at(self.places.in_flight).map(|(_, motor)| motor.sent).max();
+    pub(super) fn let_line_answer(&mut self) {
+        let of_motors = self.at(self.places.in_flight).map(|(_, motor)| motor.sent);
+        let last_sent = of_motors.chain(self.broadcast.in_flight_since()).max();
         if let (Bus::Rs485 { .. }, Some(sent)) = (self.config.bus, last_sent) {
             self.busy_until = self.busy_until.max(sent + self.config.settle_time);
         }
@@ -152,6 +153,13 @@ impl<const N: usize> Master<N> {
         }
     }
 
+    /// What a motor that is about to be held gets instead where all are let go by this.
+    pub(super) fn stop_that_lets_go(&self, all: Kind) -> Option<Asked> {
+        let lets_go = matches!(all.opcode(), Some(Opcode::Shutdown | Opcode::Reset));
+        let (off, data) = StopKind::Off.command();
+        lets_go.then(|| self.stop_of(off, data))
+    }
+
     fn stop_of(&self, command: Kind, data: Data) -> Asked {
         let reply_timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
         let patience = Patience { reply_timeout, attempts: STOP_ATTEMPTS };
@@ -179,6 +187,7 @@ impl<const N: usize> Master<N> {
             return;
         }
         let (stop, now) = (self.stop_of(kind, data), self.now);
+        self.let_line_answer();
         for motor in self.motors().without(held.with(off).with(undone)).iter() {
             self.change(motor, |motor, config| motor.put_stop(stop, config, now));
         }

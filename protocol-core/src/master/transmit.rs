@@ -78,6 +78,9 @@ impl<const N: usize> Master<N> {
                     }
                 }
                 self.broadcast.was_sent(now, &self.config);
+                if !self.broadcast.is_in_flight() {
+                    silence = self.config.settle_time;
+                }
             }
             Offer::StopToAll => {
                 self.stop_to_all = None;

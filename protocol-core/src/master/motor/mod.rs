@@ -184,7 +184,12 @@ impl Motor {
     }
 
     /// All are told to end their motion: nothing older of this motor's follows that.
-    pub(super) fn end_with_all(&mut self, config: &Config, now: Instant) {
+    /// With `off` they are let go by it: to hold this one still, or once more, would switch it on again.
+    pub(super) fn end_with_all(&mut self, off: Option<Asked>, config: &Config, now: Instant) {
+        let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
+        if let Some(off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
+            self.put_stop(off, config, now);
+        }
         self.drop_what_moves(Failure::Stopped, config, now);
         self.ends_with_all = true;
         match &mut self.request {

@@ -277,3 +277,91 @@ fn a_motor_that_a_command_to_all_may_yet_move_is_not_forgotten() {
     to_all(&mut master, ReadMultiTurnAngle, 202);
     assert!(master.forget(id(1)));
 }
+
+#[test]
+fn no_older_hold_of_one_motor_follows_a_shutdown_of_all() {
+    let hold_by_stop = |master: &mut Master<2>| master.stop(id(1), StopKind::Hold).unwrap();
+    let hold_by_request = |master: &mut Master<2>| _ = master.request(id(1), Stop).unwrap();
+    let off = |master: &mut Master<2>| master.broadcast(Shutdown, MotorSet::EMPTY);
+    let restart = |master: &mut Master<2>| master.broadcast(Reset, MotorSet::EMPTY);
+    for (hold, end) in [
+        (&hold_by_stop as &dyn Fn(&mut Master<2>), &off as &dyn Fn(&mut Master<2>) -> _),
+        (&hold_by_request, &off),
+        (&hold_by_request, &restart),
+    ] {
+        for answers in [0, 1] {
+            let mut master = Master::<2>::new(Config::CAN);
+            // A set-point is lost, so that an answer to the hold leaves it in doubt.
+            master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+            sent(&mut master, ms(0));
+            events(&mut master, ms(21));
+            hold(&mut master);
+            assert_eq!(sent(&mut master, ms(22))[0].data, Stop.encode());
+            for _ in 0..answers {
+                assert_eq!(reply(&mut master, 1, Stop.encode(), ms(23)), None);
+            }
+            end(&mut master).unwrap();
+            // It does not wait for the end of that doubt.
+            let mut packets = sent(&mut master, ms(24));
+            reply(&mut master, 1, Shutdown.encode(), ms(25));
+            packets.extend(sent(&mut master, ms(25)));
+            let is_to_all = |packet: &Packet| packet.channel == Channel::Command(Target::All);
+            assert!(packets.iter().any(is_to_all), "{packets:?}");
+            for at in 26..400 {
+                for packet in sent(&mut master, ms(at)) {
+                    if packet.channel == Channel::Command(id(1).into()) {
+                        reply(&mut master, 1, packet.data, ms(at + 1));
+                    }
+                    packets.push(packet);
+                }
+            }
+            let is_hold = |packet: &Packet| packet.data == Stop.encode();
+            assert!(!packets.iter().any(is_hold), "{answers}: {packets:?}");
+        }
+    }
+}
+
+#[test]
+fn no_older_shutdown_of_one_motor_follows_what_holds_all() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let off = master.request(id(1), Shutdown).unwrap();
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    let of_one = Packet { channel: Channel::Command(id(1).into()), data: Shutdown.encode() };
+    assert_eq!(sent(&mut master, ms(0)), [of_one]);
+    let told = reply(&mut master, 1, Shutdown.encode(), ms(1)).unwrap();
+    assert!(off.outcome(&told).is_some());
+    assert_eq!(sent(&mut master, ms(1)), [packet_to_all(Stop.encode())]);
+}
+
+/// When something is first sent on a line after these two: what `before` asks is sent at 0 ms and not answered.
+fn sent_on_line(before: impl Fn(&mut Master<2>), then: impl Fn(&mut Master<2>)) -> Instant {
+    // What a drive answers without being waited for has 5 ms.
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    before(&mut master);
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    then(&mut master);
+    let mut times = (1..20).map(ms);
+    times.find(|&at| !sent(&mut master, at).is_empty()).expect("it is sent")
+}
+
+#[test]
+fn on_rs485_nothing_meets_the_answers_to_a_command_to_all() {
+    let read = |master: &mut Master<2>| _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    let unheard = |master: &mut Master<2>| master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    // And 0.1 ms for the drives to turn around.
+    assert_eq!(sent_on_line(unheard, read), ms(6));
+    let move_all = |master: &mut Master<2>| master.broadcast(step(), id(1).into()).unwrap();
+    let stop = |master: &mut Master<2>| master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent_on_line(move_all, stop), ms(5));
+    let stop_all = |master: &mut Master<2>| master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    assert_eq!(sent_on_line(move_all, stop_all), ms(5));
+    let off = |master: &mut Master<2>| _ = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent_on_line(move_all, off), ms(5));
+}
+
+#[test]
+fn on_rs485_no_shutdown_meets_the_answer_to_a_hold_that_it_takes_the_place_of() {
+    let hold = |master: &mut Master<2>| master.stop(id(1), StopKind::Hold).unwrap();
+    let off_all = |master: &mut Master<2>| master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent_on_line(hold, off_all), ms(5));
+}

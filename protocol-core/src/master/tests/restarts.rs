@@ -184,7 +184,9 @@ fn nor_does_a_stream_go_on_behind_a_restart_of_all() {
     assert_eq!(sent(&mut master, ms(50)).len(), 1);
     assert!(events(&mut master, ms(50)).contains(&Event::Restarted { motor: id(1) }));
     assert_eq!(master.set_point(id(1), torque(1.0), ms(51)), Err(RequestError::Restarted));
+}
 
+#[test]
 fn a_restart_is_heard_before_a_move_of_all_that_waits() {
     let mut master = Master::<2>::new(Config::CAN);
     assert!(!is_restart(&mut master, 0, 1_000, 720));
