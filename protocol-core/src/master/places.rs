@@ -139,7 +139,8 @@ impl<const N: usize> Master<N> {
     /// polled, or while something that was sent to it or to all and not answered may move it yet, out of a mailbox for
     /// example.
     ///
-    /// A late reply that may still come is no longer guarded against: leave the motor alone for
+    /// No stop of all and no guard reaches it from then on, so see it stopped first. A late reply that may still come
+    /// is no longer guarded against: leave the motor alone for
     /// [`Config::late_window`] after a request that was not answered.
     pub fn forget(&mut self, motor: MotorId) -> bool {
         let now = self.now;
