@@ -1,34 +1,39 @@
-//! Every interleaving of what callers do and what a bus does to it, with one and with two motors, up to
-//! a number of calls, of faults and of steps: what must hold of the master holds in every state.
+//! Every interleaving of what callers do and what a bus does to it, on CAN and on a line, with one and with two
+//! motors, up to a number of calls, of faults and of steps: what must hold of the master holds in every state.
+//! Each search has an alphabet of its own, since all calls together would be too many.
 //!
-//! The engine is cloned and tried on, breadth first, against the model of `world`. `state` says what may
-//! happen and what must hold. `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints
+//! The engine is cloned and tried on, breadth first, against the model of `world`. `callers` says what callers do,
+//! `state` what may happen and what must hold. `cargo test -p myactuator-tests --test interleavings -- --nocapture` prints
 //! how many states there were; with `--ignored` it goes further, which takes ten minutes. `longer` draws
 //! longer runs of the same by chance, and `calls` any calls at all; what fails is shrunk.
 
 mod interleavings {
+    pub(crate) mod callers;
     mod calls;
     mod canonical;
     mod longer;
     pub(crate) mod search;
     pub(crate) mod state;
-    mod world;
+    pub(crate) mod world;
 }
 
+use interleavings::callers::Call;
 use interleavings::search::{Bounds, search};
-use interleavings::state::Call;
+use interleavings::world::Medium;
+use myactuator_protocol_core::master::StopKind::{Hold, Off};
 
 /// One motor: everything.
 const ONE: Bounds = Bounds {
     name: "everything",
+    medium: Medium::Can,
     calls: &[
         Call::Read(0),
         Call::Move(0),
         Call::Shutdown(0),
         Call::Torque(0),
         Call::Motion(0),
-        Call::StopOne(0),
-        Call::StopAll,
+        Call::StopOne(0, Hold),
+        Call::StopAll(Off),
         Call::Lift,
         Call::Broadcast,
     ],
@@ -40,13 +45,14 @@ const ONE: Bounds = Bounds {
 /// Two motors: what one may do to the other.
 const TWO: Bounds = Bounds {
     name: "reads, motion mode, stops",
+    medium: Medium::Can,
     calls: &[
         Call::Read(0),
         Call::Motion(0),
         Call::Motion(1),
-        Call::StopOne(0),
-        Call::StopOne(1),
-        Call::StopAll,
+        Call::StopOne(0, Hold),
+        Call::StopOne(1, Hold),
+        Call::StopAll(Off),
         Call::Lift,
         Call::Broadcast,
     ],
@@ -58,19 +64,115 @@ const TWO: Bounds = Bounds {
 /// Commands to all, which may move what is stopped, and end what moves.
 const ALL: Bounds = Bounds {
     name: "commands to all",
+    medium: Medium::Can,
     calls: &[
         Call::Move(0),
         Call::Shutdown(0),
         Call::Torque(0),
         Call::Motion(0),
-        Call::StopOne(0),
-        Call::StopAll,
+        Call::StopOne(0, Hold),
+        Call::StopAll(Off),
         Call::Lift,
         Call::Broadcast,
         Call::TorqueAll,
         Call::ShutdownAll,
     ],
     ..ONE
+};
+
+/// Both kinds of stops, of one and of all, and the commands to one and to all that do the same.
+const KINDS: Bounds = Bounds {
+    name: "both kinds of stops",
+    medium: Medium::Can,
+    calls: &[
+        Call::Torque(0),
+        Call::Shutdown(0),
+        Call::Hold(0),
+        Call::StopOne(0, Hold),
+        Call::StopOne(0, Off),
+        Call::StopAll(Hold),
+        Call::StopAll(Off),
+        Call::LiftOf(0),
+        Call::ShutdownAll,
+        Call::ShutdownAllUnheard,
+        Call::HoldAll,
+    ],
+    most_calls: 3,
+    faults: 0,
+    depth: 60,
+};
+
+/// A stop of one, and a command to all after it that stops in the other way.
+const ENDS: Bounds = Bounds {
+    name: "stops of one and of all",
+    calls: &[Call::Torque(0), Call::StopOne(0, Hold), Call::ShutdownAll],
+    faults: 1,
+    depth: 16,
+    ..KINDS
+};
+
+/// What lies in mailboxes while the bus is cut.
+const CUT: Bounds = Bounds {
+    name: "a bus that is cut",
+    medium: Medium::CanThatIsCut,
+    calls: &[Call::Torque(0), Call::StopOne(0, Hold), Call::ShutdownAll, Call::BusDown],
+    most_calls: 2,
+    faults: 1,
+    depth: 60,
+};
+
+const CUT_FOR_LONG: Bounds = Bounds {
+    calls: &[
+        Call::Torque(0),
+        Call::Move(0),
+        Call::TorqueAll,
+        Call::StopOne(0, Hold),
+        Call::StopAll(Off),
+        Call::ShutdownAll,
+        Call::BusDown,
+    ],
+    ..CUT
+};
+
+/// A line: one exchange at a time.
+const LINE: Bounds = Bounds {
+    name: "a line",
+    medium: Medium::Line,
+    calls: &[
+        Call::Read(0),
+        Call::Move(0),
+        Call::Shutdown(0),
+        Call::Torque(0),
+        Call::StopOne(0, Hold),
+        Call::StopOne(0, Off),
+        Call::StopAll(Hold),
+        Call::StopAll(Off),
+        Call::Lift,
+        Call::Broadcast,
+        Call::TorqueAll,
+        Call::ShutdownAll,
+        Call::ShutdownAllUnheard,
+        Call::HoldAll,
+    ],
+    most_calls: 3,
+    faults: 1,
+    depth: 60,
+};
+
+/// Two motors on a line.
+const LINE_OF_TWO: Bounds = Bounds {
+    name: "a line of two",
+    calls: &[
+        Call::Read(0),
+        Call::Torque(0),
+        Call::Torque(1),
+        Call::StopOne(0, Hold),
+        Call::StopOne(1, Off),
+        Call::StopAll(Off),
+        Call::LiftOf(1),
+        Call::ShutdownAllUnheard,
+    ],
+    ..LINE
 };
 
 #[test]
@@ -86,12 +188,28 @@ fn one_motor_and_more_calls() {
 #[test]
 fn one_motor_and_commands_to_all() {
     search::<1>(&Bounds { faults: 1, ..ALL });
-    search::<1>(&Bounds { most_calls: 3, faults: 0, ..ALL });
 }
 
 #[test]
 fn two_motors() {
     search::<2>(&TWO);
+}
+
+#[test]
+fn both_kinds_of_stops() {
+    search::<1>(&Bounds { most_calls: 2, faults: 1, ..KINDS });
+    search::<1>(&ENDS);
+}
+
+#[test]
+fn a_cut_bus() {
+    search::<1>(&CUT);
+}
+
+#[test]
+fn a_line() {
+    search::<1>(&Bounds { most_calls: 2, ..LINE });
+    search::<2>(&Bounds { most_calls: 2, ..LINE_OF_TWO });
 }
 
 #[test]
@@ -104,10 +222,30 @@ fn one_motor_for_long() {
 #[ignore = "takes minutes"]
 fn commands_to_all_for_long() {
     search::<1>(&ALL);
+    search::<1>(&Bounds { most_calls: 3, faults: 0, ..ALL });
 }
 
 #[test]
 #[ignore = "takes minutes"]
 fn two_motors_for_long() {
     search::<2>(&Bounds { most_calls: 3, faults: 0, ..TWO });
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn both_kinds_of_stops_for_long() {
+    search::<1>(&KINDS);
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn a_cut_bus_for_long() {
+    search::<1>(&CUT_FOR_LONG);
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn a_line_for_long() {
+    search::<1>(&LINE);
+    search::<2>(&LINE_OF_TWO);
 }

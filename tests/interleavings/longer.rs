@@ -5,7 +5,8 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::{Config, RngSeed};
 
-use super::state::{Call, State, Step};
+use super::search::Bounds;
+use super::state::{State, Step};
 
 /// Calls of one run: the model has a bit for each.
 const CALLS: u8 = 30;
@@ -34,6 +35,9 @@ fn sort_of(step: Step) -> Sort {
         | Step::ReplyTwice(_)
         | Step::LoseReply(_)
         | Step::LoseMaster(_)
+        | Step::TakeAndLose
+        | Step::Cut
+        | Step::Mend
         | Step::Foreign => Sort::Fault,
     }
 }
@@ -47,15 +51,16 @@ fn any_sort() -> impl Strategy<Value = Sort> {
     ]
 }
 
-fn run<const N: usize>(calls: &[Call], choices: &[(Sort, Index)]) -> Result<(), TestCaseError> {
-    let mut state = State::<N>::new(CALLS, FAULTS);
+fn run<const N: usize>(bounds: &Bounds, choices: &[(Sort, Index)]) -> Result<(), TestCaseError> {
+    let mut state = State::<N>::new(bounds.medium, CALLS, FAULTS);
     let end = state.world.now + LONGEST_RUN;
     let failed =
         |state: &State<N>, broken| Err(TestCaseError::fail(format!("{broken}\n{state:?}")));
     for (sort, index) in choices {
         let is_of_sort =
             |step: &Step| std::mem::discriminant(&sort_of(*step)) == std::mem::discriminant(sort);
-        let steps: Vec<Step> = state.possible(calls).into_iter().filter(is_of_sort).collect();
+        let steps: Vec<Step> =
+            state.possible(bounds.calls).into_iter().filter(is_of_sort).collect();
         if steps.is_empty() || is_after(&state, end) {
             continue;
         }
@@ -90,11 +95,11 @@ proptest! {
 
     #[test]
     fn one_motor_by_chance(choices in choices()) {
-        run::<1>(crate::ONE.calls, &choices)?;
+        run::<1>(&crate::ONE, &choices)?;
     }
 
     #[test]
     fn two_motors_by_chance(choices in choices()) {
-        run::<2>(crate::TWO.calls, &choices)?;
+        run::<2>(&crate::TWO, &choices)?;
     }
 }

@@ -6,12 +6,15 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-use super::state::{Broken, Call, State, Step};
+use super::callers::Call;
+use super::state::{Broken, State, Step};
+use super::world::Medium;
 
 /// How far a search goes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     pub(crate) name: &'static str,
+    pub(crate) medium: Medium,
     /// What callers do.
     pub(crate) calls: &'static [Call],
     /// So many of it in one run.
@@ -46,7 +49,7 @@ pub(crate) fn search<const N: usize>(bounds: &Bounds) {
     let begun = Instant::now();
     let seen = Seen::new();
     let found = Mutex::new(Found::new());
-    let mut level = vec![State::<N>::new(bounds.most_calls, bounds.faults)];
+    let mut level = vec![State::<N>::new(bounds.medium, bounds.most_calls, bounds.faults)];
     let mut states = 1;
     let mut depth = 0;
     while !level.is_empty() && depth < bounds.depth && found.lock().unwrap().is_empty() {

@@ -2,38 +2,18 @@
 
 use std::fmt;
 
-use myactuator_protocol_core::command::{
-    IncrementalPosition, RawMotion, ReadMultiTurnAngle, Shutdown, Torque,
-};
-use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::master::{Event, Master, StopKind, Ticket};
+use myactuator_protocol_core::master::{Event, Master, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::units::{Angle, Current, MaxSpeed};
 use myactuator_protocol_core::wire::can::Received;
-use myactuator_protocol_core::{Channel, Command, Data, MotorId, Packet};
-use myactuator_tests::rig::with_token;
+use myactuator_protocol_core::wire::rs485;
+use myactuator_protocol_core::{Channel, Data, MotorId, Packet};
 
+use super::callers::Call;
 use super::canonical;
-use super::world::{self, Open, World, call_of, motor_at, motor_of, moves, urgency};
+use super::world::{self, Medium, Open, World, call_of, motor_at, motor_of, moves, urgency};
 
 /// What must hold and did not.
 pub(crate) type Broken = String;
-
-/// What a caller does, to the motor with this index.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Call {
-    Read(u8),
-    Move(u8),
-    Shutdown(u8),
-    Torque(u8),
-    Motion(u8),
-    StopOne(u8),
-    StopAll,
-    Lift,
-    Broadcast,
-    TorqueAll,
-    ShutdownAll,
-}
 
 /// What happens next. The numbers are indices of motors or of frames on their way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,6 +36,11 @@ pub(crate) enum Step {
     LoseMaster(u8),
     /// Somebody else's answers come: from a motor of ours, and from one of theirs.
     Foreign,
+    /// On a line: it takes what the master offers, and nobody hears it.
+    TakeAndLose,
+    /// The bus is cut: what is on its way to the drives stays there.
+    Cut,
+    Mend,
     /// A millisecond passes.
     Tick,
     /// The time comes that `poll_at` gave.
@@ -65,10 +50,10 @@ pub(crate) enum Step {
 /// One state.
 #[derive(Clone)]
 pub(crate) struct State<const N: usize> {
-    master: Master<N>,
+    pub(super) master: Master<N>,
     pub(crate) world: World,
     /// So many calls may still be made.
-    calls_left: u8,
+    pub(super) calls_left: u8,
     /// How it came to be.
     pub(crate) steps: Vec<Step>,
 }
@@ -80,10 +65,10 @@ const LONGEST_WAIT: Duration = Duration::from_millis(100);
 const MOST_STEPS: usize = 300;
 
 impl<const N: usize> State<N> {
-    pub(crate) fn new(calls: u8, faults: u8) -> Self {
-        let mut master = Master::new(world::config());
+    pub(crate) fn new(medium: Medium, calls: u8, faults: u8) -> Self {
+        let mut master = Master::new(world::config(medium));
         master.handle_timeout(world::START);
-        let world = World::new(N, faults);
+        let world = World::new(medium, N, faults);
         Self { master, world, calls_left: calls, steps: Vec::new() }
     }
 
@@ -100,25 +85,32 @@ impl<const N: usize> State<N> {
                 steps.extend(calls.iter().copied().map(Step::CallBeforeEvents));
             }
         }
+        let may_fail = self.world.faults_left > 0;
         for index in 0..self.world.commands.len() as u8 {
             steps.extend([Step::Hear(index)]);
-            if self.world.faults_left > 0 {
+            if may_fail {
                 steps.extend([Step::HearTwice(index), Step::LoseCommand(index)]);
                 steps.push(Step::TakeForAnother(index));
             }
         }
+        let is_line = self.world.medium == Medium::Line;
         for motor in 0..N as u8 {
             if self.world.first_reply(motor.into()).is_some() {
                 steps.push(Step::Reply(motor));
-                if self.world.faults_left > 0 {
+                if may_fail {
                     steps.extend([Step::ReplyTwice(motor), Step::LoseReply(motor)]);
                 }
             }
-            if self.world.faults_left > 0 {
+            if may_fail && !is_line {
                 steps.push(Step::LoseMaster(motor));
             }
         }
-        steps.push(Step::Foreign);
+        match self.world.medium {
+            Medium::Line if may_fail => steps.push(Step::TakeAndLose),
+            Medium::Line => {}
+            Medium::Can => steps.push(Step::Foreign),
+            Medium::CanThatIsCut => steps.extend([Step::Foreign, Step::Cut, Step::Mend]),
+        }
         steps
     }
 
@@ -146,12 +138,18 @@ impl<const N: usize> State<N> {
         match step {
             Step::Call(_) | Step::CallBeforeEvents(_) => Ok(false),
             Step::Take => self.take(None),
+            Step::TakeAndLose => {
+                self.world.loses_next = true;
+                Ok(self.world.fault() && self.take(None)?)
+            }
+            Step::Cut => Ok(self.world.fault() && self.world.cut()),
+            Step::Mend => Ok(self.world.mend()),
             Step::TakeForAnother(index) => Ok(self.world.fault() && self.take(Some(index.into()))?),
             Step::Hear(index) => Ok(self.hear(index.into(), 1)),
             Step::HearTwice(index) => Ok(self.world.fault() && self.hear(index.into(), 2)),
             Step::LoseCommand(index) => {
                 self.world.commands.remove(index.into());
-                Ok(self.world.fault())
+                Ok(!self.world.is_cut() && self.world.fault())
             }
             Step::Reply(motor) => self.reply(motor.into(), false),
             Step::ReplyTwice(motor) => Ok(self.world.fault() && self.reply(motor.into(), true)?),
@@ -163,11 +161,11 @@ impl<const N: usize> State<N> {
             }
             Step::LoseMaster(motor) => {
                 self.world.lose_master(motor.into());
-                Ok(self.world.fault())
+                Ok(!self.world.is_cut() && self.world.fault())
             }
             Step::Foreign => {
                 self.foreign()?;
-                Ok(true)
+                Ok(!self.world.is_cut())
             }
             Step::Tick => Ok(self.pass(self.world.now + Duration::from_millis(1))),
             Step::Sleep => {
@@ -180,92 +178,6 @@ impl<const N: usize> State<N> {
 
     fn pass(&mut self, until: Instant) -> bool {
         self.world.pass(until)
-    }
-
-    fn call(&mut self, call: Call) -> bool {
-        if self.calls_left == 0 {
-            return false;
-        }
-        self.calls_left -= 1;
-        self.world.calls += 1;
-        let number = self.world.calls;
-        let token = u32::from(number);
-        match call {
-            Call::Read(at) => self.request(at, with_token(ReadMultiTurnAngle, token)),
-            Call::Move(at) => {
-                let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(number.into()));
-                self.request(at, IncrementalPosition { max_speed, angle })
-            }
-            Call::Shutdown(at) => {
-                let done = self.request(at, with_token(Shutdown, token));
-                if done {
-                    self.world.truth[usize::from(at)].last_stop = number;
-                }
-                done
-            }
-            Call::Torque(at) => {
-                let command = Torque { current: Current::from_raw(number.into()) };
-                self.master.set_point(motor_at(at.into()), command, self.world.now).is_ok()
-            }
-            Call::Motion(at) => {
-                let command = RawMotion::decode(&[0, 0, 0, 0, 0, 0, 0, number]);
-                self.master.set_point(motor_at(at.into()), command, self.world.now).is_ok()
-            }
-            Call::StopOne(at) => {
-                let done = self.master.stop(motor_at(at.into()), StopKind::Hold).is_ok();
-                self.is_stopped(at.into(), false);
-                done
-            }
-            Call::StopAll => {
-                let known = self.master.motors();
-                let done = self.master.stop_all(StopKind::Off, known).is_ok();
-                known.iter().for_each(|motor| self.is_stopped(motor.index(), true));
-                done && !known.is_empty()
-            }
-            Call::Lift => {
-                self.master.lift_stop();
-                let were = self.world.truth.iter().any(|truth| truth.is_stopped);
-                self.world.truth.iter_mut().for_each(|truth| truth.lift());
-                were
-            }
-            Call::Broadcast => self.broadcast(with_token(ReadMultiTurnAngle, token)),
-            Call::TorqueAll => self.broadcast(Torque { current: Current::from_raw(number.into()) }),
-            Call::ShutdownAll => {
-                let done = self.broadcast(with_token(Shutdown, token));
-                self.world.truth.iter_mut().for_each(|truth| truth.last_stop = number);
-                done
-            }
-        }
-    }
-
-    fn broadcast<C: Command>(&mut self, command: C) -> bool {
-        let all = (0..N).map(motor_at).collect();
-        let done = self.master.broadcast(command, all) == Ok(());
-        self.world.broadcast = Some(self.world.calls);
-        done
-    }
-
-    /// A stop like the one that is under way changes nothing. Once off a motor stays so.
-    fn is_stopped(&mut self, motor: usize, is_off: bool) {
-        let number = self.world.calls;
-        let truth = &mut self.world.truth[motor];
-        let is_off = is_off || truth.is_off;
-        if truth.is_stopped && truth.is_stopping && truth.is_off == is_off {
-            return;
-        }
-        truth.is_off = is_off;
-        (truth.is_stopped, truth.is_stopping) = (true, true);
-        (truth.stop_call, truth.last_stop) = (number, number);
-    }
-
-    fn request<C: Command>(&mut self, at: u8, command: C) -> bool {
-        let data = command.encode();
-        let asked: Result<Ticket<C>, RequestError> =
-            self.master.request(motor_at(at.into()), command);
-        let Ok(ticket) = asked else { return false };
-        let open = Open { ticket: ticket.id(), data };
-        self.world.truth[usize::from(at)].open = Some(open);
-        true
     }
 
     /// The bus takes what is offered, and hands another frame back for it.
@@ -289,7 +201,10 @@ impl<const N: usize> State<N> {
             self.master.handle_transmitted(now);
         }
         self.note_sent(&packet, call, true);
-        self.world.send(packet, call);
+        // After a fault the end of an exchange may not be seen.
+        if !self.world.send(packet, call) && !self.world.had_fault {
+            return Err("a command meets an answer on the line".into());
+        }
         Ok(true)
     }
 
@@ -297,15 +212,18 @@ impl<const N: usize> State<N> {
     /// move a motor that is stopped. Gives the call that it is of.
     fn check_offered(&mut self, packet: &Packet) -> Result<u8, Broken> {
         let call = call_of(packet);
+        self.check_kind_of_stop(packet)?;
+        let stops_all = self.world.stops_all;
         let Some(truth) = motor_of(packet).and_then(|motor| self.world.truth_of(motor)) else {
             let is_wrong = |truth: &world::Truth| truth.is_stopped || call < truth.last_stop;
-            if moves(packet) && self.world.truth.iter().any(is_wrong) {
+            let is_stopped = stops_all || self.world.truth.iter().any(is_wrong);
+            if moves(packet) && is_stopped {
                 return Err("all are moved, and one is stopped".into());
             }
             return Ok(call);
         };
         if moves(packet) {
-            if truth.is_stopped {
+            if stops_all || truth.is_stopped {
                 return Err("a stopped motor is moved".into());
             }
             if call < truth.last_stop {
@@ -319,17 +237,37 @@ impl<const N: usize> State<N> {
                 return Err("a set-point is sent after itself or a newer one".into());
             }
         }
-        Ok(if world::stops(packet) && call == 0 { truth.stop_call } else { call })
+        Ok(if world::stops(packet) && call == 0 { truth.call_of_stop() } else { call })
+    }
+
+    /// No older hold switches on whom something newer has switched off, and no older Shutdown lets go whom something
+    /// newer holds.
+    fn check_kind_of_stop(&self, packet: &Packet) -> Result<(), Broken> {
+        let Some(kind) = world::kind_of_stop(packet) else { return Ok(()) };
+        let mut of = self.world.truth.iter().enumerate();
+        let is_undone = of.any(|(index, truth)| {
+            let is_to_it = motor_of(packet).is_none_or(|motor| motor == motor_at(index));
+            is_to_it && truth.is_wanted_sent && truth.wants.is_some_and(|wanted| wanted != kind)
+        });
+        if is_undone { Err(format!("an older {kind:?} undoes a newer one")) } else { Ok(()) }
     }
 
     fn note_sent(&mut self, packet: &Packet, call: u8, is_sent: bool) {
+        if let Some(kind) = world::kind_of_stop(packet) {
+            for (index, truth) in self.world.truth.iter_mut().enumerate() {
+                let is_to_it = motor_of(packet).is_none_or(|motor| motor == motor_at(index));
+                if is_to_it && truth.wants == Some(kind) {
+                    truth.is_wanted_sent = is_sent;
+                }
+            }
+        }
         let Some(truth) = motor_of(packet).and_then(|motor| self.world.truth_of(motor)) else {
             return;
         };
-        let bit = 1 << call;
         if !moves(packet) {
             return;
         }
+        let bit = 1 << call;
         let sent = match packet.channel {
             Channel::Command(_) if packet.data[0] == 0xA8 => &mut truth.moves_sent,
             _ => &mut truth.set_points_sent,
@@ -362,7 +300,14 @@ impl<const N: usize> State<N> {
     }
 
     fn receive(&mut self, packet: Packet) -> Result<(), Broken> {
-        match self.master.handle_frame(&Received::Packet(packet), self.world.now) {
+        let now = self.world.now;
+        let event = if self.world.medium == Medium::Line {
+            let frame = rs485::Frame::from_packet(&packet).expect("no motion mode on a line");
+            self.master.handle_line(&frame, now)
+        } else {
+            self.master.handle_frame(&Received::Packet(packet), now)
+        };
+        match event {
             Some(event) => self.told(&event),
             None => Ok(()),
         }
@@ -404,9 +349,10 @@ impl<const N: usize> State<N> {
                     return Err("a broadcast that is over is answered".into());
                 };
                 let data = reply.encode();
-                // The answer to a shutdown has no values, and feedback is a stream's as well.
-                let is_any = matches!(data[0], 0x80 | 0xA1) || self.world.is_doubled(data[0]);
-                let is_its = is_any || call_of_data(&data) == call;
+                // The answer to what stops has no values, and feedback is a stream's as well.
+                let is_any =
+                    matches!(data[0], 0x80 | 0x81 | 0xA1) || self.world.is_doubled(data[0]);
+                let is_its = is_any || self.world.was_cut || call_of_data(&data) == call;
                 if is_its { Ok(()) } else { Err("a broadcast is given another's answer".into()) }
             }
             Event::BroadcastDone { .. } => match self.world.broadcast.take() {
@@ -426,7 +372,8 @@ impl<const N: usize> State<N> {
 
     fn check_answer(&self, asked: &Data, answer: &Data) -> Result<(), Broken> {
         let byte = answer[0];
-        if call_of_data(asked) != call_of_data(answer) && !self.world.is_doubled(byte) {
+        let may_be_older = self.world.is_doubled(byte) || self.world.was_cut;
+        if call_of_data(asked) != call_of_data(answer) && !may_be_older {
             return Err("a request is given another's answer".into());
         }
         let may_be_untold = self.world.lost_master_untold || self.world.is_doubled(byte);
@@ -438,11 +385,12 @@ impl<const N: usize> State<N> {
 
     fn check_confirmed(&mut self, motor: MotorId) -> Result<(), Broken> {
         let Some(truth) = self.world.truth_of(motor) else { return Ok(()) };
-        if !std::mem::take(&mut truth.is_stopping) {
+        let stop = truth.call_of_stop();
+        if !std::mem::take(&mut truth.is_stopping) && std::mem::take(&mut truth.all_call) == 0 {
             return Err("a stop is confirmed that nobody waits for".into());
         }
-        let stop = truth.stop_call;
-        self.check_heard(motor, stop)
+        self.check_heard(motor, stop)?;
+        self.check_held(motor)
     }
 
     /// The drive must have heard this stop after the last motion that is older.
@@ -453,15 +401,25 @@ impl<const N: usize> State<N> {
             let is_to_it = motor_of(&frame.packet).is_none_or(|to| to == motor);
             moves(&frame.packet) && is_to_it && frame.call < stop
         };
-        if heard < stop {
-            return if self.world.is_stop_doubled() {
-                Ok(())
-            } else {
-                Err("a stop is confirmed, and not heard".into())
-            };
+        let is_stop_doubled = self.world.is_stop_doubled();
+        if heard < stop && !is_stop_doubled && !self.world.was_cut {
+            return Err("a stop is confirmed, and not heard".into());
         }
-        if self.world.commands.iter().any(is_older) {
+        if !is_stop_doubled && self.world.commands.iter().any(is_older) {
             return Err("a stop is confirmed, and older motion is still to come".into());
+        }
+        Ok(())
+    }
+
+    /// Who is to be held and has confirmed it is let go by nothing that is older.
+    fn check_held(&self, motor: MotorId) -> Result<(), Broken> {
+        let Some(truth) = self.world.truth.get(motor.index()) else { return Ok(()) };
+        let lets_go = |frame: &world::Frame| {
+            let is_to_it = motor_of(&frame.packet).is_none_or(|to| to == motor);
+            is_to_it && world::kind_of_stop(&frame.packet) == Some(StopKind::Off)
+        };
+        if truth.wants == Some(StopKind::Hold) && self.world.commands.iter().any(lets_go) {
+            return Err("a hold is confirmed, and a Shutdown is still to come".into());
         }
         Ok(())
     }
@@ -476,6 +434,7 @@ impl<const N: usize> State<N> {
         let mut state = self.clone();
         let since = state.world.now;
         state.world.faults_left = u8::MAX;
+        state.world.mend();
         for _ in 0..MOST_STEPS {
             state.master.handle_timeout(state.world.now);
             state.poll_events()?;
@@ -523,6 +482,11 @@ impl<const N: usize> State<N> {
             let is_heard = truth.stop_heard >= truth.stop_call || self.world.is_stop_doubled();
             if truth.is_stopped && !is_heard {
                 return Err("a stopped motor moves".into());
+            }
+            let is_other =
+                truth.heard.is_some_and(|heard| truth.wants.is_some_and(|it| it != heard));
+            if truth.is_stopped && truth.last_stop == truth.stop_call && is_other {
+                return Err("a motor is off and was to be held, or the other way round".into());
             }
         }
         Ok(())

@@ -1,13 +1,14 @@
 //! The model of the world: frames on their way to the drives, drives that answer in order, replies on
 //! their way back, and what is true, which the oracle knows and the master does not.
 //!
-//! It is CAN, with mailboxes that send by priority. Times are whole milliseconds, so that states meet
+//! It is CAN, with mailboxes that send by priority; or a line, on which a command is through when it was sent, all
+//! answers come in order, and those of two motors to one command meet each other. Times are whole milliseconds, so that states meet
 //! again: a drive takes one to answer. A command and its reply are through sooner than
 //! [`Config::late_window`] after the command's sending, as the master's documentation asks.
 
 use std::hash::{Hash, Hasher};
 
-use myactuator_protocol_core::master::{Config, TicketId};
+use myactuator_protocol_core::master::{Bus, Config, StopKind, TicketId};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
@@ -25,9 +26,28 @@ const LOST_MASTER: Data = [0xF1, 0, 0, 0, 0, 0, 0, 0];
 /// The clock does not start at zero, which for the engine means "never".
 pub(crate) const START: Instant = Instant::from_millis(1_000);
 
+/// What carries the frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Medium {
+    Can,
+    /// As a fault it may be cut, and be mended at any time.
+    CanThatIsCut,
+    /// RS485.
+    Line,
+}
+
+/// A cut is noticed by then.
+const LONGEST_CUT: Duration = Duration::from_millis(30);
+
 /// How the master is set up: the order of the times is that of [`Config::CAN`].
-pub(crate) fn config() -> Config {
+pub(crate) fn config(medium: Medium) -> Config {
+    let (bus, settle_time) = match medium {
+        Medium::Can | Medium::CanThatIsCut => (Bus::Can, MS),
+        // Longer than any answer takes that is not late.
+        Medium::Line => (Bus::Rs485 { turnaround: Duration::ZERO, echo: false }, MS.times(3)),
+    };
     Config {
+        bus,
         reply_timeout: Duration::from_millis(3),
         attempts: 2,
         frame_time: Duration::ZERO,
@@ -35,7 +55,7 @@ pub(crate) fn config() -> Config {
         longest_response: Duration::from_millis(2),
         late_window: Duration::from_millis(5),
         set_point_max_age: Duration::from_millis(3),
-        settle_time: Duration::from_millis(1),
+        settle_time,
         ..Config::CAN
     }
 }
@@ -57,7 +77,7 @@ pub(crate) struct Frame {
 impl Frame {
     fn hash_from_now<H: Hasher>(&self, now: Instant, hasher: &mut H) {
         (self.packet.channel, self.packet.data, self.call, self.is_late).hash(hasher);
-        from_now(self.sent, now, config().late_window).hash(hasher);
+        from_now(self.sent, now, config(Medium::Can).late_window).hash(hasher);
         from_now(self.ready, now, Duration::ZERO).hash(hasher);
     }
 
@@ -83,7 +103,16 @@ pub(crate) fn moves(packet: &Packet) -> bool {
 
 /// Whether a command stops the motor.
 pub(crate) fn stops(packet: &Packet) -> bool {
-    matches!(packet.channel, Channel::Command(_)) && matches!(packet.data[0], 0x80 | 0x81)
+    kind_of_stop(packet).is_some()
+}
+
+/// How a command stops the motor, if it does.
+pub(crate) fn kind_of_stop(packet: &Packet) -> Option<StopKind> {
+    match packet.channel {
+        Channel::Command(_) if packet.data[0] == 0x81 => Some(StopKind::Hold),
+        Channel::Command(_) if packet.data[0] == 0x80 => Some(StopKind::Off),
+        _ => None,
+    }
 }
 
 /// The number of the call that a command or an honest reply is of; stops of the master have none.
@@ -117,33 +146,46 @@ pub(crate) struct Open {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Truth {
     pub(crate) open: Option<Open>,
-    /// It was stopped, and that was not lifted.
+    /// It was stopped by itself, and that was not lifted.
     pub(crate) is_stopped: bool,
-    /// And switched off by that.
+    /// It was switched off by a stop that was not lifted.
     pub(crate) is_off: bool,
+    /// How the last command or call that ended its motion did it, where that is clear.
+    pub(crate) wants: Option<StopKind>,
+    /// And that was sent.
+    pub(crate) is_wanted_sent: bool,
+    /// The command to all that ended its motion last: it may get that by itself, and confirm it.
+    pub(crate) all_call: u8,
     /// The call that stopped it last; and the last one that was a request for a stop or a stop.
     pub(crate) stop_call: u8,
     pub(crate) last_stop: u8,
-    /// A stop that is neither confirmed nor given up.
+    /// A stop that is neither confirmed nor given up, and of which kind the last one was.
     pub(crate) is_stopping: bool,
+    pub(crate) stop_kind: Option<StopKind>,
     /// Which set-points and moves were sent and not handed back, a bit each.
     pub(crate) set_points_sent: u32,
     pub(crate) moves_sent: u32,
     /// The drive has heard the stop of this call, and no motion of an older call after it.
     pub(crate) stop_heard: u8,
+    /// How the drive was stopped last, by what it has heard.
+    pub(crate) heard: Option<StopKind>,
     /// The drive has lost its master and ignores the next command.
     pub(crate) ignores: bool,
 }
 
 impl Truth {
-    pub(crate) fn lift(&mut self) {
-        (self.is_stopped, self.is_off) = (false, false);
+    /// The call that a stop of the master is of.
+    pub(crate) fn call_of_stop(&self) -> u8 {
+        if self.is_stopping { self.stop_call } else { self.stop_call.max(self.all_call) }
     }
 
     fn hash_all<H: Hasher>(&self, hasher: &mut H) {
         self.open.map(|open| open.data).hash(hasher);
-        (self.is_stopped, self.is_off, self.is_stopping).hash(hasher);
-        (self.stop_call, self.last_stop).hash(hasher);
+        (self.is_stopped, self.is_off, self.is_stopping, self.is_wanted_sent).hash(hasher);
+        (self.stop_call, self.last_stop, self.all_call).hash(hasher);
+        [self.wants, self.heard, self.stop_kind]
+            .map(|kind| kind.map(|it| it == StopKind::Off))
+            .hash(hasher);
         (self.set_points_sent, self.moves_sent, self.stop_heard, self.ignores).hash(hasher);
     }
 }
@@ -151,7 +193,16 @@ impl Truth {
 /// Everything but the master.
 #[derive(Clone, Debug)]
 pub(crate) struct World {
+    pub(crate) medium: Medium,
     pub(crate) now: Instant,
+    /// Since when the bus is cut, if it is.
+    cut_at: Option<Instant>,
+    /// What was on its way to the drives came later than anybody waits for it.
+    pub(crate) was_cut: bool,
+    /// What is sent next on a line is heard by nobody.
+    pub(crate) loses_next: bool,
+    /// All were stopped, and that was not lifted.
+    pub(crate) stops_all: bool,
     /// On their way to the drives.
     pub(crate) commands: Vec<Frame>,
     /// On their way back.
@@ -164,6 +215,10 @@ pub(crate) struct World {
     pub(crate) calls: u8,
     /// So many faults may still happen.
     pub(crate) faults_left: u8,
+    /// And one has.
+    pub(crate) had_fault: bool,
+    /// The byte of the master's stop to all on a line.
+    stopped_all_by: Option<u8>,
     /// Commands that a drive heard or answered twice: nobody can tell their replies apart.
     doubled: u8,
     /// A drive's message that it has lost its master was lost.
@@ -171,15 +226,22 @@ pub(crate) struct World {
 }
 
 impl World {
-    pub(crate) fn new(motors: usize, faults: u8) -> Self {
+    pub(crate) fn new(medium: Medium, motors: usize, faults: u8) -> Self {
         Self {
+            medium,
             now: START,
+            cut_at: None,
+            was_cut: false,
+            loses_next: false,
+            stops_all: false,
             commands: Vec::new(),
             replies: Vec::new(),
             truth: vec![Truth::default(); motors],
             broadcast: None,
             calls: 0,
             faults_left: faults,
+            had_fault: false,
+            stopped_all_by: None,
             doubled: 0,
             lost_master_untold: false,
         }
@@ -192,13 +254,16 @@ impl World {
         }
         self.truth.iter().for_each(|truth| truth.hash_all(hasher));
         (self.broadcast, self.calls, self.faults_left).hash(hasher);
-        (self.doubled, self.lost_master_untold).hash(hasher);
+        (self.had_fault && self.medium == Medium::Line, self.stopped_all_by).hash(hasher);
+        (self.doubled, self.lost_master_untold, self.stops_all, self.was_cut).hash(hasher);
+        self.cut_at.map(|at| from_now(at, self.now, LONGEST_CUT)).hash(hasher);
     }
 
     /// Whether one more fault may happen, which then has.
     pub(crate) fn fault(&mut self) -> bool {
         let may = self.faults_left > 0;
         self.faults_left -= u8::from(may);
+        self.had_fault |= may;
         may
     }
 
@@ -222,7 +287,16 @@ impl World {
 
     /// Lets time pass, unless a frame would have to be through before. `false`: it may not.
     pub(crate) fn pass(&mut self, until: Instant) -> bool {
-        let patience = config();
+        let patience = config(self.medium);
+        if let Some(at) = self.cut_at {
+            let is_reply_too_late = !self.replies.is_empty() && until > at + patience.reply_timeout;
+            if until > at + LONGEST_CUT || is_reply_too_late {
+                return false;
+            }
+            // What is on its way to the drives waits for the end of that.
+            self.now = self.now.max(until);
+            return true;
+        }
         let is_too_late = |frame: &Frame, more| until + more >= frame.sent + patience.late_window;
         if self.commands.iter().any(|frame| is_too_late(frame, RESPONSE))
             || self.replies.iter().any(|frame| is_too_late(frame, Duration::ZERO))
@@ -235,6 +309,7 @@ impl World {
                     return false;
                 }
                 self.faults_left -= 1;
+                self.had_fault = true;
                 frame.is_late = true;
             }
         }
@@ -242,16 +317,53 @@ impl World {
         true
     }
 
-    /// The controller takes a frame.
-    pub(crate) fn send(&mut self, packet: Packet, call: u8) {
+    /// The controller takes a frame, or it is sent on the line. `false`: it meets an answer there.
+    pub(crate) fn send(&mut self, packet: Packet, call: u8) -> bool {
         let (sent, ready) = (self.now, self.now);
         self.commands.push(Frame { packet, call, sent, ready, is_late: false });
+        if self.medium != Medium::Line {
+            return true;
+        }
+        // Of two that meet nothing is heard.
+        let under_way = self.replies.len();
+        self.replies.retain(|reply| reply.ready <= self.now);
+        let is_clear = self.replies.len() == under_way;
+        if std::mem::take(&mut self.loses_next) || !is_clear {
+            self.commands.clear();
+        } else {
+            self.hear(0, 1);
+        }
+        if motor_of(&packet).is_none() && self.truth.len() > 1 {
+            self.replies.retain(|reply| reply.sent < sent || reply.call != call);
+        }
+        is_clear
+    }
+
+    /// The bus is cut, if it is whole.
+    pub(crate) fn cut(&mut self) -> bool {
+        let is_whole = self.cut_at.is_none();
+        self.cut_at = self.cut_at.or(Some(self.now));
+        is_whole
+    }
+
+    /// The bus is whole again, if it is cut: what waits to be sent has its time from now on.
+    pub(crate) fn mend(&mut self) -> bool {
+        let was_cut = self.cut_at.take().is_some();
+        if was_cut {
+            self.was_cut |= !self.commands.is_empty();
+            self.commands.iter_mut().for_each(|frame| frame.sent = self.now);
+        }
+        was_cut
+    }
+
+    pub(crate) fn is_cut(&self) -> bool {
+        self.cut_at.is_some()
     }
 
     /// Whether this frame may leave next: it is the first, or more urgent than all before it.
     /// `None` if there is no such frame.
     pub(crate) fn may_leave(&self, index: usize) -> Option<bool> {
-        let frame = self.commands.get(index)?;
+        let frame = self.commands.get(index).filter(|_| !self.is_cut())?;
         let mut before = self.commands.iter().take(index);
         Some(before.all(|other| urgency(&frame.packet) < urgency(&other.packet)))
     }
@@ -261,6 +373,14 @@ impl World {
         let frame = self.commands.remove(index);
         if times > 1 {
             self.doubled |= bit_of(byte_of(&frame.packet));
+        }
+        // Nobody waits for the answers to the master's stop to all on a line. If they come later than that keeps the
+        // line, they are taken for those to the stops of one.
+        if self.medium == Medium::Line && frame.motor().is_none() && frame.call == 0 {
+            self.stopped_all_by = Some(byte_of(&frame.packet));
+        }
+        if let Some(byte) = self.stopped_all_by.filter(|_| self.had_fault) {
+            self.doubled |= bit_of(byte);
         }
         for _ in 0..times {
             match frame.motor() {
@@ -273,7 +393,8 @@ impl World {
     fn hears(&mut self, motor: MotorId, frame: &Frame) {
         let Some(truth) = self.truth.get_mut(motor.index()) else { return };
         let ignores = std::mem::take(&mut truth.ignores);
-        if stops(&frame.packet) {
+        if let Some(kind) = kind_of_stop(&frame.packet) {
+            truth.heard = Some(kind).filter(|_| !ignores);
             // One that ignores it stands still as well: its output is cut.
             truth.stop_heard = truth.stop_heard.max(frame.call);
         } else if moves(&frame.packet) && !ignores && frame.call < truth.stop_heard {
@@ -301,8 +422,12 @@ impl World {
         self.replies.push(Frame { packet, call: 0, sent, ready, is_late: false });
     }
 
-    /// The first reply of this motor: each drive's come in order.
+    /// The first reply of this motor: each drive's come in order, and on a line all.
     pub(crate) fn first_reply(&self, motor: usize) -> Option<usize> {
+        if self.medium == Medium::Line {
+            let first = self.replies.first()?;
+            return (first.motor() == Some(motor_at(motor))).then_some(0);
+        }
         self.replies.iter().position(|frame| frame.motor() == Some(motor_at(motor)))
     }
 

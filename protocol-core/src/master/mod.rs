@@ -364,11 +364,11 @@ impl<const N: usize> Master<N> {
     ///
     /// The next broadcast waits until all motors that have a place have answered this one, or its
     /// answers cannot come any more. One that [ends motion](Kind::ends_motion) drops the set-points and moves that
-    /// wait, and after one that lets go (0x80, 0x76) nobody is held who was to be: a Stop (0x81) of one motor that is
-    /// under way becomes a Shutdown of it, and is confirmed as a stop. An answer to it, other than to a [stop](Self::stop_all), does not say that nothing sent before
-    /// can move the motor any more. If a motor is [stopped](Self::stop) by itself while it waits, or before a
-    /// controller hands it back, and it would undo that, the others that have a place get it each by itself, as a
-    /// stop, and this one is over: nobody without a place gets it then, and a restart goes to nobody.
+    /// wait, and where one lets go (0x80, 0x76) a Stop (0x81) of one motor that is under way becomes a Shutdown of it,
+    /// which is confirmed as a stop. But an answer to it, other than to a [stop](Self::stop_all), does not say that
+    /// nothing sent before can move the motor any more. If a motor is [stopped](Self::stop) by itself while it waits,
+    /// or before a controller hands it back, and it would undo that, the others that have a place get it each by
+    /// itself, as a stop, and this one is over: nobody without a place gets it then, and a restart goes to nobody.
     ///
     /// # Errors
     /// [`RequestError`]: the command has no form for all motors or none on this bus, another
