@@ -107,7 +107,7 @@ const ENDS: Bounds = Bounds {
     name: "stops of one and of all",
     calls: &[Call::Torque(0), Call::StopOne(0, Hold), Call::ShutdownAll],
     faults: 1,
-    depth: 16,
+    depth: 13,
     ..KINDS
 };
 
