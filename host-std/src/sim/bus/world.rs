@@ -113,8 +113,12 @@ impl<B: Medium> World<B> {
     fn leave(&self, mut guard: MutexGuard<'_, State<B>>) {
         let state = &mut *guard;
         let woken = state.waiting.take_ready(&state.kernel);
+        let may_anybody_sleep = state.wall_zero.is_some();
         drop(guard);
-        self.0.changed.notify_all();
+        // A system call, also where nobody does.
+        if may_anybody_sleep {
+            self.0.changed.notify_all();
+        }
         woken.into_iter().for_each(Waker::wake);
     }
 
