@@ -282,19 +282,21 @@ impl Broadcast {
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last_reaches_no_more(MotorSet::ALL);
-        if matches!(self.state, State::InFlight | State::Sent) {
-            self.state = State::Waiting;
-        }
         let is_decided = matches!(self.state, State::Again | State::Dropped);
-        !is_decided && self.kind.is_some_and(Kind::ends_motion)
+        let ends_motion = self.kind.is_some_and(Kind::ends_motion);
+        self.state = match self.state {
+            // Something else has ended it.
+            State::Done if !ends_motion => State::Dropped,
+            State::InFlight | State::Sent | State::Done => State::Waiting,
+            state => state,
+        };
+        !is_decided && ends_motion
     }
 
     pub(super) fn goes_again(&mut self) {
-        self.state = match self.state {
-            State::None => State::Again,
-            State::Done => State::Waiting,
-            state => state,
-        };
+        if self.state == State::None {
+            self.state = State::Again;
+        }
     }
 
     /// Until when something may have to wait for late answers, or for what may still reach a drive on a whole bus.

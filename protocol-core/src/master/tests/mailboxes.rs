@@ -635,3 +635,17 @@ fn a_request_to_hold_is_answered_only_when_no_shutdown_of_all_can_switch_the_mot
     });
     assert!(matches!(told, Some(Ok(_))), "{told:?}");
 }
+
+#[test]
+fn a_question_to_all_that_is_handed_back_when_it_is_over_was_not_sent() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    let in_mailbox = sent(&mut master, ms(0))[0];
+    // This ends it, and is more urgent.
+    master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(1))[0].data, Stop.encode());
+    master.handle_pushed_out(&in_mailbox);
+    let done = Event::BroadcastDone { silent: id(1).into(), was_sent: false };
+    assert_eq!(events(&mut master, ms(1)), [done]);
+    assert_eq!(sent(&mut master, ms(1)), []);
+}
