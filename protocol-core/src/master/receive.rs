@@ -78,7 +78,12 @@ impl<const N: usize> Master<N> {
     /// Takes a reply from the RS485 line. What the adapter hands back of one's own bytes is none: see
     /// [`EchoFilter`](crate::io::EchoFilter).
     pub fn handle_line(&mut self, frame: &rs485::Frame, now: Instant) -> Option<Event> {
+        let before = self.busy_until;
         self.line_is_free_after_turnaround(now);
+        // Whoever fills the line holds no stop up.
+        if !self.is_anything_in_flight() && self.choose_stop().is_some() {
+            self.busy_until = before.min(self.busy_until);
+        }
         self.handle_packet(&frame.as_reply()?, now)
     }
 

@@ -37,7 +37,7 @@ impl<const N: usize> Master<N> {
 
     /// Each motor's first stop before any second, and on a line those first that answered last time: a
     /// motor that is not there keeps it for as long as a stop is waited for.
-    fn choose_stop(&self) -> Option<Offer> {
+    pub(super) fn choose_stop(&self) -> Option<Offer> {
         if self.stop_to_all.is_some() {
             return Some(Offer::StopToAll);
         }

@@ -696,3 +696,19 @@ fn what_ends_motion_and_goes_once_more_does_not_wait_for_new_moves_of_all() {
     assert_eq!(moves, 0, "they wait, too");
     assert!(sent(&mut master, ms(101)).iter().any(|it| it.data == torque(1.0).encode()));
 }
+
+#[test]
+fn whoever_fills_a_line_holds_no_stop_up() {
+    let mut master = Master::<2>::new(Config::rs485(115_200, false));
+    let of_another = Frame { address: Target::Motor(id(2)), data: ANGLE_REPLY };
+    // With an adapter that delivers every millisecond, and somebody who speaks all the time, as two motors of one id
+    // may that answer each other.
+    let looks_at = |master: &mut Master<2>, at| {
+        master.handle_line(&of_another, at);
+        !sent(master, at).is_empty()
+    };
+    assert!(!looks_at(&mut master, ms(0)));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let sent_at = (1..100).find(|&at| looks_at(&mut master, ms(at)));
+    assert_eq!(sent_at, Some(1));
+}
