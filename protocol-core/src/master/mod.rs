@@ -31,7 +31,8 @@
 //! more and has not heard). A drive that has lost its master sends back the first command and ignores it:
 //! if its message of that is lost, this may be taken for the answer. A restart shows by a second in which what the
 //! motor is asked stays without an answer, by a run time that has gone back when it is read (0xB1), or by an angle
-//! that jumps under a stream, of motion mode excepted: one that shows by none of these is not noticed. An echo on
+//! that jumps under a stream, of motion mode excepted: one that shows by none of these is not noticed. Nor is a jump
+//! for as long as the feedback may be that to a set-point given up before: until the stream rests. An echo on
 //! RS485 that nobody told of confirms a stop if noise has taken all echoes that would have shown it. A frame
 //! from before a cut that an adapter holds back for longer than the reply time-out says that the bus is whole,
 //! so that a stop may be confirmed before a move that lies in a mailbox. A Shutdown of one motor that lies in one and
