@@ -8,8 +8,10 @@
 //!   async loops in the world's executor, and another on those whose futures are dropped now and then.
 //! - `world`: the bus, and how the master's computer treats it. `drives`: the drives and another master.
 //! - `callers`: when the master is asked, stopped and left alone. `asks`: what it is asked.
-//! - `truth`: what really happened. `oracle`: what must hold of each event by that. `excuses`: what no
-//!   master can know, each with its name, noted when it happens.
+//! - `names`: how frames are told apart. `truth`: what really happened. `stops`: when first stops went.
+//!   `set_points`: what became of each. `turning`: where shafts are, and what shows of turns that are lost.
+//! - `oracle`: what must hold of each event by that. `excuses`: what no master can know, each with its name,
+//!   noted when it happens.
 //!
 //! Frames carry tokens, so that each reply says which command it was made for. A run that fails says its
 //! seed. `MASTER_TRUTH_SEED=N cargo test -p myactuator-tests --test master_truth alone` runs that alone.
@@ -20,9 +22,13 @@ mod master_truth {
     mod drives;
     mod excuses;
     mod hosts;
+    mod names;
     mod oracle;
     mod runs;
     mod scenarios;
+    mod set_points;
+    mod stops;
     mod truth;
+    mod turning;
     mod world;
 }

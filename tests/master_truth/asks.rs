@@ -19,8 +19,8 @@ use myactuator_tests::values::id;
 
 use super::callers::Session;
 use super::drives::UNKNOWN;
+use super::names::REQUESTS;
 use super::oracle::{Asked, Open};
-use super::truth::REQUESTS;
 use super::world::Rough;
 
 /// Marks a speed request, to be told from a stream's.
@@ -134,7 +134,7 @@ impl<W: Rough> Session<W> {
         let (kind, data) = (command.kind(), command.encode());
         let is_stopped = self.stopped.contains(motor);
         let moves = matches!(kind, Kind::Known(Opcode::Speed | Opcode::IncrementalPosition));
-        let awaits_resume = self.stage.book.open().pages[motor.index()].awaits_resume;
+        let awaits_resume = self.stage.book.open().pages[motor.index()].has_restarted();
         let master = self.stage.host.master();
         let asked = match patience {
             Some(patience) => master.request_with(motor, command, patience),
@@ -170,6 +170,10 @@ impl<W: Rough> Session<W> {
 
     pub(super) fn stream(&mut self, index: usize) {
         let motor = id(index as u8 + 1);
+        // A set-point has 16 bits for its token.
+        if self.numbers[index] > u32::from(u16::MAX) - 2 {
+            return;
+        }
         self.due[index] = false;
         // One put often replaces another that still waits.
         for _ in 0..=self.dice.below(2) {
@@ -199,9 +203,10 @@ impl<W: Rough> Session<W> {
             let page = &truth.pages[motor.index()];
             match put {
                 Ok(()) => {
-                    let is_refused = page.is_stopped || page.awaits_resume;
+                    let is_refused = page.is_stopped || page.has_restarted();
                     truth.put(motor, channel, &data);
                     drop(truth);
+                    self.streamed[index] = self.now();
                     assert!(!is_refused, "motor {motor} takes a set-point. {}", self.told());
                     continue;
                 }

@@ -16,6 +16,8 @@ use super::world::{Rough, RoughError, Stage};
 fn longest_wait(motors: u8, burst_ms: u64) -> Duration {
     Duration::from_millis(4_000 + 3 * 2 * u64::from(motors) * burst_ms)
 }
+/// An event waits for those before it, and for a caller who does not look.
+const RESTART_IS_TOLD: Duration = Duration::from_millis(50);
 const HOUR: Duration = Duration::from_secs(3_600);
 
 /// One run of a scenario.
@@ -27,6 +29,8 @@ pub(crate) struct Session<W: Rough> {
     pub(super) asked: u32,
     /// When each open request was put, in the world's time.
     pub(super) since: Vec<Instant>,
+    /// When each motor's newest set-point was put, in the world's time.
+    pub(super) streamed: Vec<Instant>,
     /// The next set-point's number of each motor.
     pub(super) numbers: Vec<u32>,
     next_ask: Vec<Instant>,
@@ -67,6 +71,7 @@ impl<W: Rough> Session<W> {
             dice: Dice::new(scenario.seed),
             asked: 0,
             since: vec![Instant::ZERO; count],
+            streamed: vec![Instant::ZERO; count],
             numbers: vec![1; count],
             next_ask: vec![Instant::ZERO; count],
             due: vec![true; count],
@@ -135,6 +140,20 @@ impl<W: Rough> Session<W> {
         self.oracle.open.iter().all(Option::is_none)
             && self.oracle.broadcast.is_none()
             && self.stopped.is_empty()
+            && !self.motors().any(|motor| self.awaits_feedback(motor))
+    }
+
+    /// Whether something is still to be told of its newest set-point, as nobody has stopped it since.
+    fn awaits_feedback(&self, motor: MotorId) -> bool {
+        let truth = self.stage.book.open();
+        let page = &truth.pages[motor.index()];
+        !self.due[motor.index()] && page.set_points.put_at > page.stop_called
+    }
+
+    /// It waits until it is too old, then its feedback may be lost; and nobody looks for a while.
+    fn longest_stream_wait(&self) -> Duration {
+        let config = self.scenario.config::<W>();
+        config.set_point_max_age + config.reply_timeout + Duration::from_millis(60)
     }
 
     /// Now, in the world's time.
@@ -159,6 +178,16 @@ impl<W: Rough> Session<W> {
             let waited = now - self.since[motor.index()];
             let open = self.oracle.open[motor.index()];
             assert!(open.is_none() || waited < longest, "{open:?} hangs. {}", self.told());
+            let waited = now - self.streamed[motor.index()];
+            let hangs = self.awaits_feedback(motor) && waited > self.longest_stream_wait();
+            assert!(!hangs, "a set-point of motor {motor} hangs. {}", self.told());
+            let mut truth = self.stage.book.open();
+            let (page, now) = (&truth.pages[motor.index()], truth.now);
+            if page.set_points.is_dropped_for_nothing(now, RESTART_IS_TOLD) {
+                truth.breaks(format!("a set-point of motor {motor} was dropped for nothing"));
+            } else if page.turning.is_restart_untold(now, RESTART_IS_TOLD) {
+                truth.breaks(format!("the angle of motor {motor} jumps, and nothing is told"));
+            }
         }
         if self.scenario.conditions.jumps && self.dice.below(20_000) == 0 {
             self.jump();
@@ -184,8 +213,11 @@ impl<W: Rough> Session<W> {
     /// The caller does not look for an hour.
     fn jump(&mut self) {
         self.stage.world.run_for(Duration::from_micros(self.dice.below(30_000)));
+        let now = self.now();
         let mut truth = self.stage.book.open();
         truth.clock_ahead = truth.clock_ahead + HOUR;
+        truth.tick(now);
+        truth.nobody_could_offer();
     }
 
     /// Cuts, slows, babbles and restarts for the scenario's share of the time; and now and then, a drive

@@ -12,7 +12,9 @@ use myactuator_tests::dice::Dice;
 use myactuator_tests::rig::with_token;
 use myactuator_tests::wire::Wire;
 
-use super::truth::{Book, DONE, REPORTS, STRANGERS, has_values, is_asking};
+use super::names::{REPORTS, STRANGERS, has_angle, has_values, is_asking};
+use super::truth::{Book, DONE};
+use super::turning::Shaft;
 
 /// A byte that no drive here knows.
 pub(crate) const UNKNOWN: u8 = 0x71;
@@ -41,6 +43,7 @@ pub(crate) struct Drive<W> {
     report: Option<(u8, Duration, Instant)>,
     reported: u32,
     last_reply: Option<Packet>,
+    shaft: Shaft,
     /// How long it takes to restart.
     pub(crate) boot: Duration,
     /// One reply in so many comes twice, 0 for none.
@@ -49,12 +52,14 @@ pub(crate) struct Drive<W> {
 
 impl<W> Drive<W> {
     pub(crate) fn new(motor: MotorId, seed: u64, book: Book) -> Self {
+        let mut dice = Dice::new(seed);
+        let shaft = Shaft::new(&mut dice);
         Self {
             wire: PhantomData,
             motor,
             receiver: Receiver::new(),
             replies: VecDeque::new(),
-            dice: Dice::new(seed),
+            dice,
             book,
             deaf_until: Instant::ZERO,
             booted: Instant::ZERO,
@@ -62,6 +67,7 @@ impl<W> Drive<W> {
             report: None,
             reported: 0,
             last_reply: None,
+            shaft,
             boot: Duration::ZERO,
             repeats: 0,
         }
@@ -91,6 +97,7 @@ impl<W> Drive<W> {
     fn restart(&mut self, now: Instant) {
         self.replies.clear();
         self.receiver.reset();
+        self.shaft.loses_turns(now);
         self.deaf_until = now + self.boot;
         self.booted = self.deaf_until;
         (self.lost, self.report, self.last_reply) = (None, None, None);
@@ -156,7 +163,12 @@ impl<W> Drive<W> {
                 let run_time = (now - self.booted).as_millis() as u32;
                 data[4..].copy_from_slice(&run_time.to_le_bytes());
             }
-            _ if has_values(command[0]) => data[3] = DONE,
+            _ if has_values(command[0]) => {
+                data[3] = DONE;
+                if has_angle(command[0]) {
+                    data[6..].copy_from_slice(&self.shaft.angle(now).to_le_bytes());
+                }
+            }
             _ => {}
         }
         data

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 use myactuator_protocol_core::time::{Duration, Instant};
 
-use super::truth::Question;
+use super::names::Question;
 
 /// Why an event may be wrong, or a command come when it must not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

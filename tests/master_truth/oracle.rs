@@ -7,7 +7,11 @@ use myactuator_protocol_core::master::{Event, Failure, Health, MotorSet, TicketI
 use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Packet};
 
 use super::excuses::Excuse;
-use super::truth::{DONE, MAY_HAVE_RESTARTED, Name, Truth, has_values, question_of};
+use super::names::{Name, has_angle, has_values, question_of};
+use super::truth::{DONE, MAY_HAVE_RESTARTED, Sending, Truth};
+
+/// A stop is given up after so many.
+const STOP_ATTEMPTS: u32 = 15;
 
 /// A request whose outcome is to come.
 #[derive(Clone, Copy, Debug)]
@@ -134,11 +138,25 @@ impl Oracle {
             Event::SetPointUnanswered { motor } => {
                 self.totals.unanswered += 1;
                 self.told[motor.index()].unanswered += 1;
+                let (now, window) = (truth.now, truth.late_window);
+                let page = truth.page(motor);
+                page.turning.was_given_up(now + window);
+                // A drive that has lost its master answers the first command, and has ignored it.
+                if !page.set_points.unanswered() && page.lost_master_delivered == 0 {
+                    truth.breaks(format!("{event:?}, and all were answered"));
+                }
             }
-            Event::SetPointDropped { .. } => {}
+            Event::SetPointDropped { motor } => {
+                let (now, max_age) = (truth.now, truth.set_point_max_age);
+                if !truth.page(motor).set_points.dropped(now, max_age) {
+                    truth.breaks(format!("{event:?}, and none was"));
+                }
+            }
             Event::BroadcastReply { motor, reply } => self.check_broadcast(motor, &reply, truth),
-            Event::BroadcastDone { silent, .. } => match self.broadcast.take() {
-                Some(asked) if asked.expected.without(asked.answered) == silent => {}
+            Event::BroadcastDone { silent, was_sent } => match self.broadcast.take() {
+                Some(asked)
+                    if asked.expected.without(asked.answered) == silent
+                        && was_sent == (sending(MotorId::MIN, &asked.data, truth).taken > 0) => {}
                 asked => truth.breaks(format!("{event:?} of {asked:?}")),
             },
             Event::StopConfirmed { motor } => {
@@ -147,9 +165,11 @@ impl Oracle {
             }
             Event::StopUnconfirmed { motor } => {
                 self.totals.unconfirmed += 1;
-                let page = &mut truth.pages[motor.index()];
-                if !std::mem::take(&mut page.is_stopping) {
-                    truth.breaks(format!("{event:?}, and nobody stops it"));
+                let page = truth.page(motor);
+                let was_stopping = std::mem::take(&mut page.is_stopping);
+                let taken = page.stops_taken;
+                if !was_stopping || taken < STOP_ATTEMPTS {
+                    truth.breaks(format!("{event:?} after {taken} attempts"));
                 }
             }
             Event::Report { motor, reply } => {
@@ -190,7 +210,7 @@ impl Oracle {
         let is_true = match failure {
             Failure::NoReply => {
                 self.told[motor.index()].no_reply += 1;
-                of.taken > 0
+                of.taken > 0 && (!of.was_answered || truth.flips)
             }
             // One of the two has lost its master, and the other answers.
             Failure::NotExecuted if truth.twin == Some(motor) => {
@@ -286,7 +306,7 @@ fn is_move(data: &Data) -> bool {
     Name::of(&Packet { channel: Channel::Command(MotorId::MIN.into()), data: *data }).moves()
 }
 
-fn sending(motor: MotorId, data: &Data, truth: &Truth) -> super::truth::Sending {
+fn sending(motor: MotorId, data: &Data, truth: &Truth) -> Sending {
     let packet = Packet { channel: Channel::Command(motor.into()), data: *data };
     truth.pages[motor.index()].sendings.get(&Name::of(&packet)).copied().unwrap_or_default()
 }
@@ -330,10 +350,25 @@ fn check_feedback(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
     let packet = Packet { channel, data };
     let name = Name::of(&packet);
     let sending = truth.pages[motor.index()].sendings.get(&name).copied().unwrap_or_default();
+    note_angle(motor, &data, &sending, truth);
     if truth.flips || data[3] == DONE && name.moves() && sending.heard > sending.ignored {
         return;
     }
     excused_or(motor, &packet, truth, || format!("motor {motor}: {reply:?} is no feedback"));
+}
+
+/// Where the motor says it is.
+fn note_angle(motor: MotorId, data: &Data, sending: &Sending, truth: &mut Truth) {
+    if truth.flips || truth.twin == Some(motor) {
+        return;
+    }
+    let (now, window) = (truth.now, truth.late_window);
+    let page = truth.page(motor);
+    if !has_angle(data[0]) || data[3] != DONE {
+        return page.turning.is_unknown();
+    }
+    let is_certain = sending.was_answered && sending.delivered == 1;
+    page.turning.told(i16::from_le_bytes([data[6], data[7]]), is_certain, now, window);
 }
 
 /// The drive must have heard a stop since it was called for.
@@ -359,7 +394,7 @@ fn check_report(motor: MotorId, reply: &AnyReply, truth: &mut Truth) {
     let packet = Packet { channel: Channel::Reply(motor), data };
     let reports = &truth.pages[motor.index()].reports;
     // A broadcast is answered by motors that nobody expects to, too.
-    let of_broadcast = |sending: &super::truth::Sending| sending.put == 0 && sending.heard > 0;
+    let of_broadcast = |sending: &Sending| sending.put == 0 && sending.heard > 0;
     let is_unexpected =
         truth.pages[motor.index()].sendings.get(&Name::of(&packet)).is_some_and(of_broadcast);
     let is_report = is_unexpected || reports.contains(&Name::of(&packet).token)
@@ -379,6 +414,8 @@ fn check_restarted(motor: MotorId, truth: &mut Truth) {
     let may_have = std::mem::take(&mut page.longest_silence).max(silence) >= MAY_HAVE_RESTARTED;
     let has = page.restarted.take().is_some();
     page.awaits_resume = true;
+    page.set_points.restarted();
+    page.turning.restarted();
     if truth.twin == Some(motor) && !may_have && !has {
         // The run times of two drives: one may be behind the other's.
         truth.excuse(Excuse::TwoMotorsOfOneId);

@@ -18,13 +18,13 @@ use super::world::Rough;
 
 const RATES: [u32; 4] = [0, 1, 10, 50];
 const MOTORS: [u8; 4] = [1, 3, 8, 32];
-/// Requests a scenario. With twelve troubles in sixteen scenarios each that is 614 400 on CAN and 115 200
+/// Requests a scenario. With twelve troubles in sixteen scenarios each that is 307 200 on CAN and 57 600
 /// on RS485, whose bytes take longer to simulate.
-const ON_CAN: u64 = 3_200;
-const ON_RS485: u64 = 600;
-/// Drawn scenarios, and requests of each: 300 000 on both buses, so that all are a million and more.
-const DRAWN_ON_CAN: u64 = 220;
-const DRAWN_ON_RS485: u64 = 80;
+const ON_CAN: u64 = 1_600;
+const ON_RS485: u64 = 300;
+/// Drawn scenarios, and requests of each: 750 000 on both buses, so that all are a million and more.
+const DRAWN_ON_CAN: u64 = 640;
+const DRAWN_ON_RS485: u64 = 110;
 const DRAWN_REQUESTS: u64 = 1_000;
 /// So many tests share them, to run side by side.
 const SHARES: u64 = 4;
@@ -44,7 +44,10 @@ fn run<W: Rough>(scenario: Scenario) {
         assert_eq!((totals.unconfirmed, totals.bus_errors), (0, 0), "{told}");
         assert!(totals.excused.is_empty(), "{told}");
     }
-    assert!(totals.replies * 10 > totals.requests, "hardly any answers: {told}");
+    // Some worlds are down, or stopped, for most of the time.
+    let ended_early = totals.failed(Why::BusDown) + totals.failed(Why::Stopped);
+    let of_others = totals.requests - ended_early;
+    assert!(totals.replies * 10 > of_others, "hardly any answers: {told}");
 }
 
 /// Every rate and several numbers of motors with this trouble.
@@ -107,11 +110,15 @@ drawn! {
     fourth: 3,
 }
 
-/// A clock jumps, and then a motor is first heard that had answered with nothing but what looks like an
-/// echo: its silence is told once more.
 #[test]
 fn what_once_broke() {
+    // A clock jumps, and then a motor is first heard that had answered with nothing but what looks like an
+    // echo: its silence is told once more.
     run::<Rs485Line>(Scenario::drawn::<Rs485Line>(3573, DRAWN_REQUESTS));
+    // A question to all lies in a mailbox when a stop ends it, and is handed back: it was not sent.
+    run::<CanBus>(Scenario::drawn::<CanBus>(10_003, DRAWN_REQUESTS));
+    // Two motors of one id answer each other without end on a line: a stop does not wait for that.
+    run::<Rs485Line>(Scenario::drawn::<Rs485Line>(10_035, DRAWN_REQUESTS));
 }
 
 /// Runs the drawn scenario of the seed in `MASTER_TRUTH_SEED`, on both buses; without it, nothing.

@@ -186,7 +186,7 @@ impl Scenario {
     }
 
     /// An echo that nobody configured is given up when one does not come back. Where anybody speaks
-    /// meanwhile, or the caller does not look, that happens again and again.
+    /// meanwhile, that happens again and again.
     fn keep_the_echo_whole(&mut self) {
         if self.trouble.is_by_hand() {
             self.trouble = Trouble::Lose;
@@ -194,7 +194,6 @@ impl Scenario {
         let c = &mut self.conditions;
         (c.twins, c.stranger, c.lost_masters, c.reports, c.repeats) =
             (false, false, false, false, false);
-        (c.jumps, c.fails) = (false, false);
     }
 
     /// The master's configuration. Whoever expects frames to be held back for longer than usual must say

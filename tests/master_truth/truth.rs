@@ -4,88 +4,23 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use myactuator_protocol_core::master::MotorSet;
+use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
-use myactuator_protocol_core::{Channel, Data, MotorId, Opcode, Packet, Target};
-use myactuator_tests::rig::token_of;
+use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
 use super::excuses::{Excuse, Excuses};
+use super::names::{Name, REPORTS, has_values, is_asking, question_of};
+use super::set_points::SetPoints;
+use super::stops::{Answers, Offers};
+use super::turning::Turning;
 
-/// Tokens of requests; below are the numbers of set-points.
-pub(crate) const REQUESTS: u32 = 0x0100_0000;
-/// Tokens of what drives report by themselves.
-pub(crate) const REPORTS: u32 = 0x3D00_0000;
-/// Tokens of another master.
-pub(crate) const STRANGERS: u32 = 0x3E00_0000;
 /// In byte 3 of a reply with values: the command was executed, and not only sent back.
 pub(crate) const DONE: u8 = 0xD0;
 /// A motor that was silent for so long may have restarted.
 pub(super) const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
 
-/// What tells one command and its replies from all others of a motor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Name {
-    /// The command byte, 0 for motion mode.
-    pub(crate) byte: u8,
-    pub(crate) token: u32,
-}
-
-/// What the master can tell apart: a command byte and an index.
-pub(crate) type Question = (u8, u8);
-
-impl Name {
-    pub(crate) fn of(packet: &Packet) -> Self {
-        let d = &packet.data;
-        let (byte, token) = match (packet.channel, d[0]) {
-            (Channel::Motion(_), _) => (0, u32::from(u16::from_be_bytes([d[0], d[1]]))),
-            (Channel::MotionReply(_), _) => (0, u32::from(u16::from_be_bytes([d[1], d[2]]))),
-            // The reply's value lies where the others have their token.
-            (_, 0xB1) => (0xB1, REQUESTS | u32::from_le_bytes([d[1], d[2], d[3], 0])),
-            (_, byte) => (byte, token_of(d)),
-        };
-        Self { byte, token }
-    }
-
-    pub(crate) fn is_strangers(self) -> bool {
-        self.token & 0xFF00_0000 == STRANGERS
-    }
-
-    /// Whether it is a set-point of a stream.
-    pub(crate) fn is_set_point(self) -> bool {
-        matches!(self.byte, 0 | 0xA2 | 0xA4) && self.token < REQUESTS
-    }
-
-    pub(crate) fn moves(self) -> bool {
-        matches!(self.byte, 0 | 0xA2 | 0xA4 | 0xA8)
-    }
-
-    /// Whether it is a stop of the master itself.
-    fn is_stop(self) -> bool {
-        self.token == 0 && self.is_ending()
-    }
-
-    fn is_ending(self) -> bool {
-        matches!(self.byte, 0x76 | 0x78 | 0x80 | 0x81)
-    }
-}
-
-/// The question of a command or a reply.
-pub(crate) fn question_of(packet: &Packet) -> Question {
-    let name = Name::of(packet);
-    let has_index = matches!(name.byte, 0x30 | 0x31 | 0x42);
-    (name.byte, if has_index { packet.data[1] } else { 0 })
-}
-
-/// Whether a command is answered.
-pub(crate) fn is_asking(packet: &Packet) -> bool {
-    matches!(packet.channel, Channel::Motion(_))
-        || Opcode::from_byte(packet.data[0]).is_none_or(Opcode::has_reply)
-}
-
-/// Whether a drive answers with values, and not with the command's own bytes.
-pub(crate) fn has_values(byte: u8) -> bool {
-    !matches!(byte, 0x31 | 0x77 | 0x78 | 0x80 | 0x81)
-}
+/// What comes sooner after its command may be taken for a doubled frame.
+const TOO_SOON: Duration = Duration::from_micros(500);
 
 /// What became of one command.
 #[derive(Clone, Copy, Debug, Default)]
@@ -100,6 +35,8 @@ pub(crate) struct Sending {
     pub(crate) ignored: u32,
     /// How often a reply to it reached the master.
     pub(crate) delivered: u32,
+    /// What was sent last was answered, and in time whatever the master takes for the longest.
+    pub(crate) was_answered: bool,
 }
 
 /// What is true of one motor.
@@ -108,15 +45,23 @@ pub(crate) struct Page {
     pub(crate) sendings: HashMap<Name, Sending>,
     /// Commands with a reply that the bus took.
     pub(crate) asking: u64,
+    /// When the last of these was; and how many in a row were, with nothing heard of the motor since.
+    pub(super) asked_at: Instant,
+    pub(super) unanswered: u32,
+    /// The last one was answered in time.
+    pub(super) answered_newest: bool,
     newest_set_point: u32,
+    pub(crate) set_points: SetPoints,
     /// The caller has stopped it and not lifted that; and when.
     pub(crate) is_stopped: bool,
     pub(crate) stop_called: u64,
-    stop_called_at: Instant,
+    pub(super) stop_called_at: Instant,
+    /// How well it answered then.
+    pub(super) answers: Answers,
     /// The stop is neither confirmed nor given up.
     pub(crate) is_stopping: bool,
     pub(crate) is_confirmed: bool,
-    stops_taken: u32,
+    pub(crate) stops_taken: u32,
     pub(crate) stop_heard: u64,
     /// When the newest of the commands that end motion was put, of those that the bus took.
     ended: u64,
@@ -125,6 +70,7 @@ pub(crate) struct Page {
     /// When it last restarted, and when that was told.
     pub(crate) restarted: Option<u64>,
     pub(crate) awaits_resume: bool,
+    pub(crate) turning: Turning,
     /// How often the master has heard that it has lost it.
     pub(crate) lost_master_delivered: u32,
     /// It has said so, and none of that has reached the master.
@@ -146,10 +92,18 @@ pub(crate) struct Truth {
     /// Counts what happens, so that earlier and later are told apart.
     moment: u64,
     pub(crate) now: Instant,
+    /// As that, in the world's time.
+    pub(super) world: Instant,
     /// What the master's clock is ahead of the world's, and its steps.
     pub(crate) clock_ahead: Duration,
     pub(crate) clock_step: Duration,
     pub(crate) late_window: Duration,
+    /// No reply counts as lost that comes within this.
+    longest_response: Duration,
+    pub(crate) set_point_max_age: Duration,
+    pub(super) offers: Offers,
+    /// When something was last sent to all.
+    pub(super) last_to_all: Option<Instant>,
     /// An adapter hands back each command.
     pub(crate) echoes: bool,
     /// Two motors have this id.
@@ -171,14 +125,19 @@ pub(crate) struct Truth {
 pub(crate) struct Book(Arc<Mutex<Truth>>);
 
 impl Book {
-    pub(crate) fn new(late_window: Duration) -> Self {
+    pub(crate) fn new(config: &Config) -> Self {
         Self(Arc::new(Mutex::new(Truth {
             pages: vec![Page::default(); MotorId::COUNT],
             moment: 0,
             now: Instant::ZERO,
+            world: Instant::ZERO,
             clock_ahead: Duration::ZERO,
             clock_step: Duration::from_micros(1),
-            late_window,
+            late_window: config.late_window,
+            longest_response: config.longest_response.min(config.reply_timeout),
+            set_point_max_age: config.set_point_max_age,
+            offers: Offers::new(config),
+            last_to_all: None,
             echoes: false,
             twin: None,
             first_stops_within: None,
@@ -195,6 +154,17 @@ impl Book {
     }
 }
 
+impl Page {
+    /// As far as the caller can know, so that nothing may move it.
+    pub(crate) fn has_restarted(&self) -> bool {
+        self.awaits_resume || self.turning.has_jumped()
+    }
+
+    pub(crate) fn waits_for_first_stop(&self) -> bool {
+        self.is_stopping && self.stops_taken == 0
+    }
+}
+
 impl Truth {
     pub(crate) fn next_moment(&mut self) -> u64 {
         self.moment += 1;
@@ -203,6 +173,7 @@ impl Truth {
 
     /// It is this late in the world: what the master's clock shows.
     pub(crate) fn tick(&mut self, world: Instant) -> Instant {
+        self.world = world;
         let exact = (world + self.clock_ahead).as_micros();
         self.now = Instant::from_micros(exact - exact % self.clock_step.as_micros());
         self.now
@@ -215,7 +186,7 @@ impl Truth {
         Instant::from_micros(shown.saturating_sub(self.clock_ahead.as_micros()))
     }
 
-    fn page(&mut self, motor: MotorId) -> &mut Page {
+    pub(super) fn page(&mut self, motor: MotorId) -> &mut Page {
         &mut self.pages[motor.index()]
     }
 
@@ -228,26 +199,15 @@ impl Truth {
 
     /// A caller has given this to the master.
     pub(crate) fn put(&mut self, motor: MotorId, channel: Channel, data: &Data) {
-        let put = self.next_moment();
+        let (put, now, max_age) = (self.next_moment(), self.now, self.set_point_max_age);
         let name = Name::of(&Packet { channel, data: *data });
-        self.page(motor).sendings.entry(name).or_default().put = put;
-    }
-
-    /// A caller has stopped these.
-    pub(crate) fn stop(&mut self, motors: MotorSet) {
-        let (called, now) = (self.next_moment(), self.now);
-        for motor in motors.iter() {
-            let page = self.page(motor);
-            (page.is_stopped, page.is_stopping, page.is_confirmed) = (true, true, false);
-            (page.stop_called, page.stop_called_at, page.stops_taken) = (called, now, 0);
-        }
-    }
-
-    /// A caller has lifted the stop of these.
-    pub(crate) fn lift(&mut self, motors: MotorSet) {
-        for motor in motors.iter() {
-            let page = self.page(motor);
-            (page.is_stopped, page.is_confirmed) = (false, false);
+        let page = self.page(motor);
+        page.sendings.entry(name).or_default().put = put;
+        if name.is_set_point() {
+            page.set_points.put(name.token, now, max_age);
+            page.set_points.put_at = put;
+        } else if name.is_ending() {
+            page.set_points.may_be_dropped();
         }
     }
 
@@ -259,8 +219,11 @@ impl Truth {
             }
             _ => {
                 let is_stop = Name::of(packet).is_stop();
+                self.last_to_all = Some(self.now);
                 for motor in MotorId::all() {
                     let put = if is_stop { self.page(motor).stop_called } else { 0 };
+                    // Who does not answer is counted as missing that.
+                    self.page(motor).answered_newest &= is_stop;
                     self.note_taken(motor, packet, put);
                 }
             }
@@ -268,7 +231,12 @@ impl Truth {
     }
 
     fn taken_of(&mut self, motor: MotorId, packet: &Packet) {
-        let name = Name::of(packet);
+        let (name, now) = (Name::of(packet), self.now);
+        if is_asking(packet) {
+            let page = self.page(motor);
+            (page.asked_at, page.answered_newest) = (now, false);
+            page.unanswered += 1;
+        }
         if name.is_stop() {
             self.check_stops(motor);
             let page = self.page(motor);
@@ -276,9 +244,6 @@ impl Truth {
             page.stops_taken += 1;
             self.note_taken(motor, packet, called);
             return;
-        }
-        if self.pages.iter().any(|page| page.is_stopping && page.stops_taken == 0) {
-            self.breaks(format!("motor {motor}: {name:X?} goes before a first stop"));
         }
         let page = self.page(motor);
         let Some(sending) = page.sendings.get(&name).copied() else {
@@ -293,7 +258,7 @@ impl Truth {
             "is sent after itself or a newer one"
         } else if name.byte == 0xA8 && sending.taken > 0 {
             "acts again, and is sent again"
-        } else if name.is_set_point() && page.awaits_resume {
+        } else if name.is_set_point() && page.has_restarted() {
             "is sent to a motor that has restarted"
         } else {
             ""
@@ -301,6 +266,9 @@ impl Truth {
         if name.is_set_point() {
             page.newest_set_point = page.newest_set_point.max(name.token);
         }
+        let was_dropped =
+            if name.is_set_point() { page.set_points.taken(name.token) } else { None };
+        let wrong = was_dropped.unwrap_or(wrong);
         if !wrong.is_empty() {
             self.breaks(format!("motor {motor}: {name:X?} {wrong}"));
         }
@@ -317,21 +285,8 @@ impl Truth {
         if name.is_ending() {
             page.ended = page.ended.max(put);
         }
+        sending.was_answered = false;
         page.asking += u64::from(is_asking(packet));
-    }
-
-    /// Every motor gets its first stop before any gets its second, and in time.
-    fn check_stops(&mut self, motor: MotorId) {
-        let is_second = self.page(motor).stops_taken > 0;
-        let waits = |page: &Page| page.is_stopping && page.stops_taken == 0;
-        if is_second && self.pages.iter().any(waits) {
-            self.breaks(format!("motor {motor} gets a second stop before another's first"));
-        }
-        let (now, within) = (self.now, self.first_stops_within);
-        let took = now - self.page(motor).stop_called_at;
-        if let Some(within) = within.filter(|within| !is_second && took > *within) {
-            self.breaks(format!("motor {motor}: its first stop takes {took} and not {within}"));
-        }
     }
 
     /// The controller has handed a command back.
@@ -352,6 +307,9 @@ impl Truth {
             } else if name.is_set_point() && page.newest_set_point == name.token {
                 // It may go again.
                 page.newest_set_point -= 1;
+            }
+            if name.is_set_point() {
+                page.set_points.handed_back(name.token);
             }
         }
     }
@@ -433,8 +391,10 @@ impl Truth {
         let (Channel::Reply(motor) | Channel::MotionReply(motor)) = packet.channel else { return };
         let (name, question, now) = (Name::of(packet), question_of(packet), self.now);
         let (window, doubled) = (self.late_window, self.doubled(motor));
+        let longest = self.longest_response;
         let copies = 1 + u32::from(self.echoes);
         let page = self.page(motor);
+        page.unanswered = 0;
         let is_lost_master = packet.data[0] == 0xF1;
         if is_lost_master {
             page.lost_master_untold = false;
@@ -459,12 +419,25 @@ impl Truth {
             && !name.is_stop()
         {
             sending.delivered += 1;
+            let took = now - sending.last_taken;
+            let is_in_time = TOO_SOON <= took && took < longest;
+            let is_executed = packet.data[3] == DONE || copies == 1 && !has_values(name.byte);
+            if is_in_time && is_executed && sending.ignored == 0 && !sending.was_answered {
+                sending.was_answered = true;
+                page.set_points.answered_soon += u64::from(name.is_set_point());
+                page.answered_newest |= sending.last_taken == page.asked_at;
+            }
             if sending.delivered > sending.taken * copies {
                 page.excuses.note(question, doubled, now, window);
             } else if now - sending.last_taken > window {
                 page.excuses.note(question, Excuse::HeldBack, now, window);
             }
         }
+    }
+
+    /// The port has failed or refused: what waits may be dropped.
+    pub(crate) fn port_has_failed(&mut self) {
+        self.pages.iter_mut().for_each(|page| page.set_points.may_be_dropped());
     }
 
     pub(crate) fn excuse(&mut self, excuse: Excuse) {

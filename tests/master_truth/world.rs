@@ -158,6 +158,12 @@ fn packet_of(frame: &SimpleFrame) -> Option<Packet> {
 }
 
 impl RoughCan {
+    fn note_offered(&self, frame: &SimpleFrame) {
+        let mut truth = self.book.open();
+        truth.tick(self.port.world().now());
+        truth.offered(packet_of(frame).as_ref());
+    }
+
     fn note_taken(&self, frame: &SimpleFrame, back: Option<&SimpleFrame>) {
         let mut truth = self.book.open();
         truth.tick(self.port.world().now());
@@ -176,14 +182,18 @@ impl nb::Can for RoughCan {
 
     fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, RoughError> {
         let now = self.port.world().now();
-        if with(&self.manner, |manner| manner.refuses(now)) {
-            return Err(::nb::Error::WouldBlock);
+        self.note_offered(frame);
+        let result = if with(&self.manner, |manner| manner.refuses(now)) {
+            Err(::nb::Error::WouldBlock)
+        } else if let Some(error) = with(&self.manner, Manner::fails) {
+            Err(::nb::Error::Other(error))
+        } else {
+            nb::Can::transmit(&mut self.port, frame).map_err(|error| error.map(RoughError::Can))
+        };
+        if result.is_err() {
+            self.book.open().port_has_failed();
         }
-        if let Some(error) = with(&self.manner, Manner::fails) {
-            return Err(::nb::Error::Other(error));
-        }
-        let back =
-            nb::Can::transmit(&mut self.port, frame).map_err(|error| error.map(RoughError::Can))?;
+        let back = result?;
         self.note_taken(frame, back.as_ref());
         Ok(back)
     }
@@ -195,6 +205,7 @@ impl nb::Can for RoughCan {
             self.arrived.push_back((delivery, frame));
         }
         if let Some(error) = with(&self.manner, Manner::fails) {
+            self.book.open().port_has_failed();
             return Err(::nb::Error::Other(error));
         }
         let next = self.arrived.pop_front_if(|(at, _)| *at <= now);
@@ -227,9 +238,20 @@ pub(crate) struct RoughSerial {
     is_dropped: bool,
 }
 
+/// The command of a whole frame.
+fn frame_of(buf: &[u8]) -> Option<Packet> {
+    let mut receiver = Receiver::new();
+    buf.iter().find_map(|&byte| match receiver.feed(byte) {
+        Fed::Frame(frame) => Some(frame.as_command()),
+        _ => None,
+    })
+}
+
 impl RoughSerial {
     fn fails(&mut self) -> Result<(), RoughError> {
-        with(&self.manner, Manner::fails).map_or(Ok(()), Err)
+        let Some(error) = with(&self.manner, Manner::fails) else { return Ok(()) };
+        self.book.open().port_has_failed();
+        Err(error)
     }
 
     /// What it takes of this: now and then a part.
@@ -240,15 +262,18 @@ impl RoughSerial {
         Ok(&buf[..most.min(buf.len())])
     }
 
+    fn note_offered(&self, buf: &[u8]) {
+        let mut truth = self.book.open();
+        truth.tick(self.world.now());
+        truth.offered(frame_of(buf).as_ref());
+    }
+
     /// A frame counts as taken with its first byte, whatever becomes of the others.
     fn note_taken(&self, buf: &[u8]) {
-        let mut receiver = Receiver::new();
-        for &byte in buf {
-            if let Fed::Frame(frame) = receiver.feed(byte) {
-                let mut truth = self.book.open();
-                truth.tick(self.world.now());
-                truth.taken(&frame.as_command());
-            }
+        if let Some(packet) = frame_of(buf) {
+            let mut truth = self.book.open();
+            truth.tick(self.world.now());
+            truth.taken(&packet);
         }
     }
 }
@@ -292,6 +317,7 @@ impl Read for RoughSerial {
 
 impl Write for RoughSerial {
     fn write(&mut self, buf: &[u8]) -> Result<usize, RoughError> {
+        self.note_offered(buf);
         let part = self.part_of(buf)?;
         let count = self.port.write(part).map_err(RoughError::Serial)?;
         self.note_taken(buf);
@@ -407,7 +433,7 @@ impl<W: Rough> Stage<W> {
     pub(crate) fn new(scenario: &Scenario, config: Config) -> Self {
         let conditions = &scenario.conditions;
         let world = W::world(scenario.seed);
-        let book = Book::new(config.late_window);
+        let book = Book::new(&config);
         {
             let mut truth = book.open();
             truth.clock_step =

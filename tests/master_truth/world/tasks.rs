@@ -11,16 +11,46 @@ use myactuator_protocol_core::wire::can::SimpleFrame;
 use myactuator_protocol_core::wire::rs485::FRAME_LENGTH;
 use myactuator_tests::wire::Wire;
 
-use super::{Manner, RoughCan, RoughClock, RoughError, RoughSerial, Shared, with};
+use super::{Book, Manner, RoughCan, RoughClock, RoughError, RoughSerial, Shared, with};
 
 /// A serial port that has taken a part of a frame takes the rest within this.
 const LONGEST_GAP_US: u64 = 500;
+
+/// A port that holds a frame for 20 ms takes nothing, as far as the loops know.
+const LONG: Duration = Duration::from_millis(15);
 
 /// Waits until then, in the world's time; for ever without an end.
 async fn sleep<M: Medium>(world: &World<M>, until: Option<Instant>) {
     match until {
         Some(until) => world.clock().wait_until(until).await,
         None => pending().await,
+    }
+}
+
+/// A port that has something to send, and has not taken it: nothing else can be offered to it.
+struct Holds<M: Medium> {
+    world: World<M>,
+    book: Book,
+    since: Instant,
+    has_taken: bool,
+}
+
+impl<M: Medium> Holds<M> {
+    fn new(world: &World<M>, book: &Book) -> Self {
+        let (since, has_taken) = (world.now(), false);
+        Self { world: world.clone(), book: book.clone(), since, has_taken }
+    }
+}
+
+impl<M: Medium> Drop for Holds<M> {
+    fn drop(&mut self) {
+        let (mut truth, now) = (self.book.open(), self.world.now());
+        truth.tick(now);
+        truth.nobody_could_offer();
+        // Whoever has waited for so long may give up before that has left.
+        if !self.has_taken || now - self.since > LONG {
+            truth.port_has_failed();
+        }
     }
 }
 
@@ -44,9 +74,14 @@ impl AsyncCan for RoughCan {
     type Error = RoughError;
 
     async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, RoughError> {
+        self.note_offered(frame);
+        let mut holds = Holds::new(self.port.world(), &self.book);
         wait_for_a_place(self.port.world(), &self.manner).await;
-        with(&self.manner, Manner::fails).map_or(Ok(()), Err)?;
+        let error = with(&self.manner, Manner::fails);
+        error.map_or(Ok(()), Err)?;
         let back = AsyncCan::transmit(&mut self.port, frame).await.map_err(RoughError::Can)?;
+        holds.has_taken = true;
+        drop(holds);
         self.note_taken(frame, back.as_ref());
         Ok(back)
     }
@@ -88,6 +123,8 @@ impl embedded_io_async::Read for RoughSerial {
 
 impl embedded_io_async::Write for RoughSerial {
     async fn write(&mut self, buf: &[u8]) -> Result<usize, RoughError> {
+        self.note_offered(buf);
+        let mut holds = Holds::new(&self.world, &self.book);
         // A frame that is dropped before its first byte counts as sent all the same: no loop knows what a
         // port has taken of it. So where any are dropped, only the rest of a frame has to wait.
         if buf.len() < FRAME_LENGTH {
@@ -99,6 +136,7 @@ impl embedded_io_async::Write for RoughSerial {
         let part = self.part_of(buf)?;
         let written = embedded_io_async::Write::write(&mut self.port, part).await;
         let count = written.map_err(RoughError::Serial)?;
+        holds.has_taken = true;
         self.note_taken(buf);
         Ok(count)
     }

@@ -1,0 +1,141 @@
+//! Each stop's first sending in time, in whatever world: as soon as the port takes it, before anything else, and
+//! that of a motor that answers before that of one that does not.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::Packet;
+use myactuator_protocol_core::master::{Bus, Config, MotorSet};
+use myactuator_protocol_core::time::{Duration, Instant};
+
+use super::names::Name;
+use super::truth::{Page, Truth};
+
+/// A refused port is offered it again after 1 ms, and whoever had an error or events to take first does not look
+/// meanwhile.
+const NEXT_OFFER: Duration = Duration::from_micros(1_500);
+/// A motor that left so many commands in a row unanswered counts as dead.
+const IS_DEAD: u32 = 5;
+
+/// A stop waits for that, and goes then over what is in flight.
+const STOP_TAKES: Duration = Duration::from_millis(100);
+
+/// How well a motor answered when it was stopped, as far as that is beyond doubt.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) enum Answers {
+    /// What it was asked last, and that in time.
+    Well,
+    #[default]
+    Unsure,
+    /// Nothing it was asked for a long time.
+    Never,
+}
+
+/// When the port is to be offered a first stop, in the world's time.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Offers {
+    /// Within this after the last time, or after the stop was called.
+    within: Duration,
+    since: Instant,
+}
+
+impl Offers {
+    pub(crate) fn new(config: &Config) -> Self {
+        let within = match config.bus {
+            Bus::Can => NEXT_OFFER,
+            // The exchange under way, or one with a motor that is not there.
+            Bus::Rs485 { turnaround, .. } => {
+                let exchange = config.reply_timeout + config.frame_time.times(2);
+                NEXT_OFFER + exchange + config.settle_time + turnaround
+            }
+        };
+        Self { within, since: Instant::ZERO }
+    }
+}
+
+impl Truth {
+    fn is_first_stop_due(&self) -> bool {
+        self.pages.iter().any(Page::waits_for_first_stop)
+    }
+
+    /// A caller has stopped these.
+    pub(crate) fn stop(&mut self, motors: MotorSet) {
+        if !self.is_first_stop_due() {
+            self.offers.since = self.world;
+        }
+        let (called, now) = (self.next_moment(), self.now);
+        for motor in motors.iter() {
+            let (answers, until) = (self.answers(motor), now + STOP_TAKES + self.late_window);
+            let page = self.page(motor);
+            page.turning.was_given_up(until);
+            (page.is_stopped, page.is_stopping, page.is_confirmed) = (true, true, false);
+            (page.stop_called, page.stop_called_at, page.stops_taken) = (called, now, 0);
+            page.answers = answers;
+            page.set_points.may_be_dropped();
+        }
+    }
+
+    /// A caller has lifted the stop of these.
+    pub(crate) fn lift(&mut self, motors: MotorSet) {
+        for motor in motors.iter() {
+            let page = self.page(motor);
+            (page.is_stopped, page.is_confirmed) = (false, false);
+        }
+    }
+
+    fn answers(&mut self, motor: MotorId) -> Answers {
+        let (now, window) = (self.now, self.late_window);
+        // Who has not answered one to all has missed that when its time is up.
+        let is_asked_with_all = self.last_to_all.is_some_and(|at| now - at <= window);
+        let is_in_doubt = self.flips || self.echoes || self.twin == Some(motor);
+        let page = self.page(motor);
+        if page.unanswered >= IS_DEAD && now - page.asked_at > window {
+            Answers::Never
+        } else if page.answered_newest && !is_asked_with_all && !is_in_doubt {
+            Answers::Well
+        } else {
+            Answers::Unsure
+        }
+    }
+
+    /// The port is offered this; `None` for what goes to nobody.
+    pub(crate) fn offered(&mut self, packet: Option<&Packet>) {
+        if !self.is_first_stop_due() {
+            return;
+        }
+        let Offers { within, since } = self.offers;
+        let (took, within) = (self.world - since, within + self.clock_step);
+        if took > within {
+            self.breaks(format!("no first stop is tried for {took}, and not {within}"));
+        }
+        if let Some(packet) = packet.filter(|packet| !Name::of(packet).is_stop()) {
+            self.breaks(format!("{packet:X?} goes before a first stop"));
+        }
+        self.offers.since = self.world;
+    }
+
+    /// The port has kept what it was offered until now, or nobody has looked.
+    pub(crate) fn nobody_could_offer(&mut self) {
+        self.offers.since = self.world;
+    }
+
+    /// A stop was taken: every motor gets its first stop before any gets its second, and in time.
+    pub(super) fn check_stops(&mut self, motor: MotorId) {
+        let is_second = self.page(motor).stops_taken > 0;
+        if is_second && self.is_first_stop_due() {
+            self.breaks(format!("motor {motor} gets a second stop before another's first"));
+        }
+        let is_first_due_to =
+            |page: &Page, answers| page.waits_for_first_stop() && page.answers == answers;
+        if is_first_due_to(self.page(motor), Answers::Never)
+            && self.pages.iter().any(|page| is_first_due_to(page, Answers::Well))
+        {
+            self.breaks(format!(
+                "motor {motor} never answers, and is stopped before one that does"
+            ));
+        }
+        let (now, within) = (self.now, self.first_stops_within);
+        let took = now - self.page(motor).stop_called_at;
+        if let Some(within) = within.filter(|within| !is_second && took > *within) {
+            self.breaks(format!("motor {motor}: its first stop takes {took} and not {within}"));
+        }
+    }
+}
