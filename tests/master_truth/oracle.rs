@@ -412,7 +412,7 @@ fn check_restarted(motor: MotorId, truth: &mut Truth) {
     // What ends the silence may be an answer that is like an echo.
     let silence = page.delivered_at.map_or(MAY_HAVE_RESTARTED, |before| truth.now - before);
     let may_have = std::mem::take(&mut page.longest_silence).max(silence) >= MAY_HAVE_RESTARTED;
-    let has = page.restarted.take().is_some();
+    let has = page.restarted.take().is_some() | std::mem::take(&mut page.was_reset);
     page.awaits_resume = true;
     page.set_points.restarted();
     page.turning.restarted();

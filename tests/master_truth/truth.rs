@@ -69,6 +69,8 @@ pub(crate) struct Page {
     ended_heard: u64,
     /// When it last restarted, and when that was told.
     pub(crate) restarted: Option<u64>,
+    /// The master has told it to restart, and not reported that.
+    pub(crate) was_reset: bool,
     pub(crate) awaits_resume: bool,
     pub(crate) turning: Turning,
     /// How often the master has heard that it has lost it.
@@ -284,6 +286,9 @@ impl Truth {
         sending.last_taken = now;
         if name.is_ending() {
             page.ended = page.ended.max(put);
+        }
+        if name.byte == 0x76 {
+            (page.was_reset, page.awaits_resume) = (true, true);
         }
         sending.was_answered = false;
         page.asking += u64::from(is_asking(packet));

@@ -12,9 +12,9 @@ pub enum Presence {
     Unknown,
     /// It answered last time.
     Present,
-    /// It did not answer last time, or the time before, or could not be asked: the bus carried nothing.
+    /// It did not answer last time, or the time before.
     Late,
-    /// It did not answer, or could not be asked, three times or more.
+    /// It did not answer three times or more, or could not be asked: the bus carried nothing.
     Silent,
 }
 
@@ -52,7 +52,7 @@ pub(super) struct Record {
     /// If it was heard.
     heard_at: Instant,
     was_heard: bool,
-    presence: Presence,
+    pub(super) presence: Presence,
     round_trip_us: u32,
     pub(super) answered: u32,
     pub(super) lost: u16,
@@ -95,9 +95,10 @@ impl Record {
         }
     }
 
-    /// It did not answer, or could not be asked, so often in a row.
-    pub(super) fn was_silent(&mut self, in_a_row: u8) {
+    /// No reply came in time, so often in a row.
+    pub(super) fn count_miss(&mut self, in_a_row: u8) {
         self.presence = if in_a_row < SILENT_AFTER { Presence::Late } else { Presence::Silent };
+        self.lost = self.lost.saturating_add(1);
     }
 }
 

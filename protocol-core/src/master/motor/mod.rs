@@ -11,7 +11,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::config::Config;
 use crate::master::event::Failure;
-use crate::master::health::Record;
+use crate::master::health::{Presence, Record};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::reported_bit;
 use crate::master::request::{Asked, Request};
@@ -382,10 +382,10 @@ impl Motor {
         }
     }
 
-    /// The bus carries nothing: what waits is dropped but for stops, and late replies come later. Who cannot be
-    /// reached is as silent as who does not answer.
+    /// The bus carries nothing: what waits is dropped but for stops, and late replies come later.
     pub(super) fn bus_is_down(&mut self, now: Instant, config: &Config) {
         if self.is_waiting() && !self.is_stop_waiting() {
+            self.health.presence = Presence::Silent;
             self.was_silent(config, now);
         }
         self.drop_waiting_set_point();
@@ -400,15 +400,14 @@ impl Motor {
 
     /// A reply has not come in time.
     pub(super) fn has_missed(&mut self, config: &Config, now: Instant) {
-        self.health.lost = self.health.lost.saturating_add(1);
+        self.misses = self.misses.saturating_add(1);
+        self.health.count_miss(self.misses);
         self.was_silent(config, now);
     }
 
     /// Who was silent for as long as a restart takes gets no more set-points: the first that it heard would move it
     /// from wherever it thinks it is.
     fn was_silent(&mut self, config: &Config, now: Instant) {
-        self.misses = self.misses.saturating_add(1);
-        self.health.was_silent(self.misses);
         let is_silent = self.health.last_seen().is_some_and(|seen| now - seen >= RESTART_TAKES);
         if is_silent && !self.has_restarted {
             self.has_begun_anew(config, now);
