@@ -62,7 +62,7 @@ pub trait AsyncRunner<const N: usize> {
     ) -> Result<(), CallError<Self::Error>> {
         let mut late_events = 0;
         loop {
-            let event = self.run(Some(until)).await.map_err(CallError::Bus)?;
+            let event = run_fairly(self, Some(until)).await.map_err(CallError::Bus)?;
             let is_all = event.is_none() || late_events == MOST_LATE_EVENTS;
             event.into_iter().for_each(&mut on_event);
             if self.now() >= until {

@@ -21,7 +21,7 @@ use crate::io::{
 use crate::master::{Config, Event, Failure, MotorSet, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
-use crate::time::Duration;
+use crate::time::{Duration, Instant};
 use crate::wire::can::{self, Received, SimpleFrame};
 
 /// How long a drive takes to answer, in microseconds.
@@ -276,4 +276,19 @@ fn two_motors_of_one_id_are_told_apart_by_whatever_they_answer_differently() {
         state.borrow_mut().twins_differ_in = kind.byte().into_iter().collect();
         assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(true), "{kind:?}");
     }
+}
+
+#[test]
+fn a_control_loop_that_goes_on_after_each_error_leaves_other_tasks_their_turns() {
+    let (looked, mut arm) = tasks();
+    looked.0.borrow_mut().is_broken = true;
+    let (failed, took_us) = patiently(&looked, async {
+        let mut failed = 0;
+        while arm.now() < Instant::from_millis(10) {
+            let tick = arm.now() + Duration::from_millis(2);
+            failed += usize::from(arm.run_until(tick, |_| {}).await.is_err());
+        }
+        failed
+    });
+    assert!(failed > 0 && took_us < 20_000, "{failed} {took_us}");
 }
