@@ -2,8 +2,6 @@
 
 use core::fmt;
 
-use embassy_futures::yield_now;
-
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
@@ -36,7 +34,7 @@ pub trait AsyncRunner<const N: usize> {
     /// there is one. Whatever can be sent is sent, even when `until` is past.
     ///
     /// # Errors
-    /// What the bus driver reports. The master stays sound: call again.
+    /// What the bus driver reports. The master stays sound: call again, which goes on a millisecond later.
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, Self::Error>;
 
     /// Runs the bus until there is an event.
@@ -45,7 +43,7 @@ pub trait AsyncRunner<const N: usize> {
     /// As [`run`](Self::run).
     async fn next_event(&mut self) -> Result<Event, Self::Error> {
         loop {
-            if let Some(event) = run_fairly(self, None).await? {
+            if let Some(event) = self.run(None).await? {
                 return Ok(event);
             }
         }
@@ -62,7 +60,7 @@ pub trait AsyncRunner<const N: usize> {
     ) -> Result<(), CallError<Self::Error>> {
         let mut late_events = 0;
         loop {
-            let event = run_fairly(self, Some(until)).await.map_err(CallError::Bus)?;
+            let event = self.run(Some(until)).await.map_err(CallError::Bus)?;
             let is_all = event.is_none() || late_events == MOST_LATE_EVENTS;
             event.into_iter().for_each(&mut on_event);
             if self.now() >= until {
@@ -94,7 +92,7 @@ pub trait AsyncRunner<const N: usize> {
         loop {
             let now = runner.now();
             asking.put(runner.master(), now)?;
-            let event = run_fairly(*runner, asking.latest_turn()).await.map_err(CallError::Bus)?;
+            let event = runner.run(asking.latest_turn()).await.map_err(CallError::Bus)?;
             let Some(event) = event else { continue };
             match asking.outcome(&event) {
                 Some(outcome) => return outcome.map_err(CallError::Failed),
@@ -130,7 +128,7 @@ pub trait AsyncRunner<const N: usize> {
             if !askings.put(runner.master(), now) {
                 return askings.outcomes();
             }
-            match run_fairly(*runner, askings.latest_turn()).await {
+            match runner.run(askings.latest_turn()).await {
                 Ok(event) => event.iter().for_each(|event| askings.note(event)),
                 Err(error) => askings.bus_has_failed(error),
             }
@@ -204,23 +202,11 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
             true if runner.master().stop_to_all_packet().is_some() => runner.now() + RETRY_AFTER,
             true => break,
         };
-        match run_fairly(runner, Some(until)).await {
+        match runner.run(Some(until)).await {
             Ok(Some(Event::StopConfirmed { motor })) => unconfirmed.remove(motor),
             Ok(Some(Event::StopUnconfirmed { motor })) => given_up.insert(motor),
             _ => {}
         }
     }
     unconfirmed
-}
-
-/// As [`AsyncRunner::run`]; a bus that fails again and again leaves the other tasks their turns.
-async fn run_fairly<R: AsyncRunner<N> + ?Sized, const N: usize>(
-    runner: &mut R,
-    until: Option<Instant>,
-) -> Result<Option<Event>, R::Error> {
-    let result = runner.run(until).await;
-    if result.is_err() {
-        yield_now().await;
-    }
-    result
 }

@@ -85,7 +85,9 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
             Either::Second(()) => Ok(false),
         };
         self.unflushed = !matches!(is_taken, Ok(true));
-        if self.unflushed {
+        if is_taken.is_err() {
+            self.pump.round_has_failed(self.clock.now());
+        } else if self.unflushed {
             self.pump.bus_is_down(self.clock.now());
         }
         is_taken.map(|_| ())
@@ -97,7 +99,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncSerialMaster<S, K, N> 
             let patience = self.clock.wait_until(self.clock.now() + STUCK_AFTER);
             if let Either::First(flushed) = select(self.serial.flush(), patience).await {
                 self.unflushed = false;
-                flushed.inspect_err(|_| self.pump.master.handle_bus_down(self.clock.now()))?;
+                flushed.inspect_err(|_| self.pump.round_has_failed(self.clock.now()))?;
             }
         }
         Ok(())
@@ -152,6 +154,9 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncSer
     }
 
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, S::Error> {
+        if self.pump.rests_until.is_some() {
+            wait(&mut self.clock, self.pump.rests_until).await;
+        }
         loop {
             self.settle().await?;
             let event = self.round().await?.or_else(|| self.pump.master.poll_event());

@@ -35,12 +35,14 @@ pub(super) struct Pump<const N: usize> {
     /// How often the bus is looked at yet before it is sent to.
     looks: u8,
     pub(super) refusals: Refusals,
+    /// The last round has failed: a task begins the next one not before this, so that others have their turns.
+    pub(super) rests_until: Option<Instant>,
 }
 
 impl<const N: usize> Pump<N> {
     pub(super) fn new(config: Config) -> Self {
         let (master, refusals) = (Master::new(config), Refusals::default());
-        Self { master, looks: LOOKS_IN_A_ROW, refusals }
+        Self { master, looks: LOOKS_IN_A_ROW, refusals, rests_until: None }
     }
 
     /// One round. Gives the first event of what has come; those of the master itself are not among them.
@@ -57,16 +59,23 @@ impl<const N: usize> Pump<N> {
             Err(error) => Some(error),
         };
         self.looks = LOOKS_IN_A_ROW;
+        self.rests_until = None;
         self.master.handle_timeout(now);
         if failed.is_some() {
-            self.bus_is_down(now);
+            self.round_has_failed(now);
         }
         // Some controllers report a bad state with each look: no stop waits for its end.
         let sent = port.transmit(self, now);
         if sent.is_err() {
-            self.bus_is_down(now);
+            self.round_has_failed(now);
         }
         failed.map_or(sent, Err).map(|()| None)
+    }
+
+    /// The port reports an error: the bus may be down.
+    pub(super) fn round_has_failed(&mut self, now: Instant) {
+        self.rests_until = Some(now + RETRY_AFTER);
+        self.bus_is_down(now);
     }
 
     /// Whether the bus is looked at once more. One that babbles keeps neither stops nor time-outs back.

@@ -386,6 +386,27 @@ fn what_the_controller_refuses_is_soon_offered_again() {
 }
 
 #[test]
+fn a_loop_idles_until_it_is_told_or_something_is_due() {
+    let far = Instant::from_millis(1_000);
+    let clock = Told::default();
+    let mut of_can =
+        CanMaster::<_, _, 4>::new(TestCan::new(&TestClock::default()), &clock, Config::CAN);
+    idles(&mut of_can, &clock, far);
+    let port = TestSerial::new(&TestClock::default());
+    let mut of_line = SerialMaster::<_, _, 4>::new(port, &clock, Config::rs485(115_200, true));
+    idles(&mut of_line, &clock, far);
+}
+
+fn idles(arm: &mut impl Runner<4>, clock: &Told, far: Instant) {
+    arm.idle(far);
+    assert_eq!(clock.0.get(), Some(far), "nothing is due");
+    let _read = arm.master().request(id(1), ReadMultiTurnAngle).unwrap();
+    assert!(arm.poll().is_ok());
+    arm.idle(far);
+    assert!(clock.0.get() < Some(Instant::from_millis(50)), "its time-out: {:?}", clock.0.get());
+}
+
+#[test]
 fn a_scan_does_not_wait_for_ever_for_a_stop_that_a_dead_bus_keeps() {
     let (bus, clock, mut arm) = can();
     bus.state().full_until = u64::MAX;

@@ -11,7 +11,7 @@ use std::vec::Vec;
 use embedded_can::{ErrorKind, nb};
 
 use super::world::{TestClock, TestSerial, block_on, on_rs485, pending, polls};
-use super::{id, torque};
+use super::{id, step, torque};
 use crate::command::ReadMultiTurnAngle;
 use crate::id::Target;
 use crate::io::{
@@ -260,6 +260,39 @@ fn a_line_that_fails_for_good_lets_the_clock_idle() {
         assert_eq!(unconfirmed, id(1).into());
         assert_eq!(clock.micros(), 1_000_000);
     }
+}
+
+#[test]
+fn a_move_of_which_a_part_was_taken_is_not_sent_again() {
+    let (port, clock, mut arm): (TestSerial, TestClock, SerialMaster<_, _, 4>) =
+        on_rs485(SerialMaster::new);
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    clock.advance(10_000);
+    port.forget();
+    (port.state().at_most, port.state().fails_after) = (5, Some(5));
+    let step = arm.master().request(id(1), step()).unwrap();
+    let outcome = arm.run_until(arm.now() + Duration::from_millis(1), |_| {});
+    assert!(matches!(outcome, Err(CallError::Bus(_))), "{outcome:?}");
+    port.state().fails_after = None;
+    let mut told = None;
+    let end = arm.now() + Duration::from_millis(100);
+    arm.run_until(end, |event| told = told.or(step.outcome(&event))).unwrap();
+    assert_eq!(told, Some(Err(Failure::NoReply)));
+    assert_eq!(port.written().len(), 5);
+}
+
+#[test]
+fn a_port_whose_flush_has_failed_is_flushed_all_the_same() {
+    let (port, _, mut arm): (TestSerial, TestClock, AsyncSerialMaster<_, _, 4>) =
+        on_rs485(AsyncSerialMaster::new);
+    port.state().flush_fails = true;
+    let outcome = block_on(arm.ask(id(1), ReadMultiTurnAngle));
+    assert!(matches!(outcome, Err(CallError::Bus(_))), "{outcome:?}");
+    assert!(!port.is_flushed());
+    port.state().flush_fails = false;
+    let soon = arm.now() + Duration::from_millis(2);
+    block_on(arm.run_until(soon, |_| {})).unwrap();
+    assert!(port.is_flushed(), "its transceiver is turned round");
 }
 
 #[test]

@@ -254,6 +254,35 @@ fn a_controller_that_takes_frames_again_wakes_the_task() {
     assert_eq!(bus.sent.get(), 1);
 }
 
+/// Polls it once, and gives how often that wakes the task; nothing when it is done.
+fn wakes<F: Future>(future: F) -> Option<usize> {
+    let woken = Arc::new(Woken::default());
+    let waker = Waker::from(woken.clone());
+    let is_pending = pin!(future).poll(&mut Context::from_waker(&waker)).is_pending();
+    is_pending.then(|| woken.0.load(Ordering::Relaxed))
+}
+
+#[test]
+fn a_task_wakes_itself_for_what_has_come_and_for_nothing_else() {
+    let mut arm = AsyncCanMaster::<_, _, 4>::new(Babbling::new(false), Still, Config::CAN);
+    assert_eq!(wakes(arm.run(None)), Some(1), "it holds a frame already");
+    let mut arm = AsyncCanMaster::<_, _, 4>::new(Full::default(), Still, Config::CAN);
+    assert_eq!(wakes(arm.run(None)), Some(0), "there is nothing to do");
+    let (_, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
+    assert_eq!(wakes(arm.run(None)), Some(0));
+}
+
+#[test]
+fn a_port_that_was_closed_is_heard_when_it_is_open_again() {
+    let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
+    port.state().closed = true;
+    let mut event = pin!(arm.run(None));
+    assert!(polls(event.as_mut(), 100).is_none());
+    port.state().closed = false;
+    port.hear(&Frame::from_packet(&babble(true)).unwrap().encode());
+    assert!(matches!(block_on(event), Ok(Some(_))));
+}
+
 #[test]
 fn noise_on_the_line_of_a_task_is_counted() {
     let (port, clock, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);

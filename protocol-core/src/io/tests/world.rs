@@ -231,6 +231,8 @@ pub(super) struct SerialState {
     /// The most bytes that one call of `read` or `write` moves; 0 for no limit.
     pub(super) at_most: usize,
     pub(super) write_fails: bool,
+    /// It fails once it has taken so many bytes.
+    pub(super) fails_after: Option<usize>,
     pub(super) takes_nothing: bool,
     pub(super) flush_fails: bool,
     pub(super) read_fails: bool,
@@ -334,7 +336,8 @@ impl embedded_io::Read for TestSerial {
 impl embedded_io::Write for TestSerial {
     fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
         let mut state = self.state.borrow_mut();
-        if state.write_fails {
+        let has_failed = state.fails_after.is_some_and(|bytes| state.written.len() >= bytes);
+        if state.write_fails || has_failed {
             return Err(Broken);
         }
         if state.takes_nothing {
