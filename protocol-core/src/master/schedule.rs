@@ -139,7 +139,7 @@ impl<const N: usize> Master<N> {
             motor.request.under_way().is_some_and(is_first) || motor.late.may_be_mistaken(question)
         };
         !self.at(self.places.taken).any(|(_, motor)| keeps_back(motor))
-            && !(question.kind.moves() && self.has_any_restarted())
+            && (!question.kind.moves() || !self.has_any_restarted())
             && self.broadcast.may_go(self.motors())
     }
 
