@@ -20,7 +20,7 @@ use super::subscription::{Subscriber, Subscription};
 use crate::open::Wake;
 
 /// What is laid down the thread takes up sooner, also where it idles: else its driver holds it. Tests wait for less.
-const LONGEST_ROUND: Duration = Duration::from_millis(if cfg!(test) { 500 } else { 2_000 });
+const LONGEST_ROUND: Duration = Duration::from_millis(if cfg!(test) { 1_000 } else { 2_000 });
 /// How often it is looked at meanwhile: a program that is frozen and goes on finds that time is up, and has looked
 /// once.
 const LOOKS: u32 = 20;
@@ -319,7 +319,7 @@ impl<E> Desk<E> {
         // What one motor is asked, it is asked in that order.
         let mut busy = MotorSet::EMPTY;
         for question in std::mem::take(&mut state.questions) {
-            if question.asker.strong_count() == 0 {
+            if question.asker.strong_count() == 0 && !question.command.kind.ends_motion() {
                 continue;
             }
             let motor = question.motor;

@@ -13,7 +13,7 @@ use crate::run::{myactuator, run, text};
 use crate::sim_serve::Simulation;
 
 /// How long the program may take to end after a signal: the stop, and its last words.
-const SOON: Duration = Duration::from_secs(2);
+const SOON: Duration = Duration::from_secs(10);
 /// How fast the motor turns.
 const DPS: f64 = 90.0;
 
@@ -36,7 +36,17 @@ pub(crate) fn full_pipe() -> (io::PipeReader, io::PipeWriter) {
     (reader, writer)
 }
 
+/// Once it does something about that, which takes it longer on a busy machine.
 fn signal(process: &Child, signal: Signal) {
+    let caught = || {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
+        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+        u64::from_str_radix(caught.trim(), 16).unwrap()
+    };
+    let start = Instant::now();
+    while caught() >> (signal.as_raw() - 1) & 1 == 0 && start.elapsed() < SOON {
+        sleep(Duration::from_millis(10));
+    }
     kill_process(Pid::from_child(process), signal).unwrap();
 }
 

@@ -235,7 +235,9 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
     if !errors.is_empty() {
         return Err(MoveFailure::Fault(errors));
     }
+    let at = runner.now();
     let from = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
+    let mut last = Look { at, angle: from, dps: 0 };
     let target = command.target(from).ok_or(MoveFailure::OutOfRange { here: from })?;
     // One that names a place may be sent again.
     let attempts = if command.kind().repeat() == Repeat::ActsAgain { 1 } else { ATTEMPTS };
@@ -246,7 +248,6 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
     let time = limits.time.unwrap_or_else(|| usual_time(from, target, command.max_speed()));
     let mut nearest = Nearest { distance: u32::MAX, since: start };
     let mut looks = 0;
-    let mut last = Look { at: start, angle: from, dps: 0 };
     loop {
         runner.run_until(start + LOOK_EVERY.times(looks), |_| {}).await?;
         let at = runner.now();

@@ -159,7 +159,8 @@ pub enum Event {
         /// The motor.
         motor: MotorId,
     },
-    /// A set-point waited too long, or the bus carried nothing, and it was dropped.
+    /// A set-point was dropped before it was sent: it waited too long, the bus carried nothing, the motor was told to
+    /// end its motion, or it has restarted.
     SetPointDropped {
         /// The motor.
         motor: MotorId,
@@ -198,7 +199,7 @@ pub enum Event {
         /// Its reply.
         reply: AnyReply,
     },
-    /// A motor has restarted: 0x76 was sent to it. Or it has, as far as the protocol shows: it was silent for a second,
+    /// A motor has restarted: the bus has taken 0x76 for it, which a controller may hand back. Or it has, as far as the protocol shows: it was silent for a second,
     /// which is reported when it does not answer and once more when it does again, has run for less long than it said before (0xB1), or the
     /// angle of its stream's feedback is more than half a turn beyond what 10,000 degrees/s could have turned.
     /// Its turns may be lost. Whatever moves it is refused until

@@ -14,7 +14,7 @@ pub enum Presence {
     Present,
     /// It did not answer last time, or the time before.
     Late,
-    /// It did not answer three times or more, or could not be asked: the bus carried nothing.
+    /// It did not answer three times or more, or could not be asked as often: the bus carried nothing.
     Silent,
 }
 
@@ -44,7 +44,7 @@ pub struct Health {
 
 /// What took longer counts as this: it was the caller who did not look.
 const LONGEST_ROUND_TRIP: Duration = Duration::from_millis(250);
-const SILENT_AFTER: u8 = 3;
+pub(super) const SILENT_AFTER: u8 = 3;
 
 /// [`Health`] as it is kept, in less space.
 #[derive(Clone, Copy, Debug, Default)]

@@ -112,7 +112,8 @@ impl<const N: usize> Master<N> {
         Ok(())
     }
 
-    /// On a line the answer to what a stop goes over would meet it: the drive would hear neither.
+    /// On a line the answer to what is in flight would meet what ends motion and goes over it: nobody would hear
+    /// either.
     pub(super) fn let_line_answer(&mut self) {
         let of_motors = self.at(self.places.in_flight).map(|(_, motor)| motor.sent);
         let last_sent = of_motors.chain(self.broadcast.in_flight_since()).max();
@@ -173,6 +174,9 @@ impl<const N: usize> Master<N> {
         let (held, off) = self.broadcast.stopped_since();
         let undone = match kind.opcode() {
             _ if !kind.ends_motion() => return,
+            _ if kind.is_refused_while_stopped() && self.is_any_stopped() => {
+                return self.broadcast.cancel();
+            }
             Some(Opcode::Shutdown) => held,
             // What a stop has switched off stays off until that is lifted, whenever it was.
             Some(Opcode::Stop) => off.with(self.switched_off),

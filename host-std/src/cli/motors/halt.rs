@@ -77,7 +77,7 @@ fn stop_every_id<C: Command + Copy>(
             (rounds, down_since) = (rounds + 1, None);
             // A line that fails tells it by nothing but silence.
             let may_be_down = confirmed.is_empty() && now - begun <= LONGEST_OUTAGE;
-            if rounds >= ROUNDS && !may_be_down || session.is_not_to_wait() {
+            if rounds >= ROUNDS && (!may_be_down || session.is_not_to_wait()) {
                 break outage;
             }
         } else if now - *down_since.get_or_insert(start) > LONGEST_OUTAGE {

@@ -11,7 +11,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::config::Config;
 use crate::master::event::Failure;
-use crate::master::health::{Presence, Record};
+use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::reported_bit;
 use crate::master::request::{Asked, Request};
@@ -72,6 +72,8 @@ pub(super) struct Motor {
     pub(super) has_restarted: bool,
     /// Commands in a row that were not answered in time.
     misses: u8,
+    /// How often in a row it could not be asked, because the bus carried nothing.
+    unreached: u8,
     /// Which reports (0xB6) are on, a bit each.
     reports: u8,
     /// The longest interval of these, in 10 ms.
@@ -187,7 +189,10 @@ impl Motor {
     /// With `off` they are let go by it: to hold this one still, or once more, would switch it on again.
     pub(super) fn end_with_all(&mut self, off: Option<Asked>, config: &Config, now: Instant) {
         let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
-        if let Some(off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
+        if let (Some(mut off), Some(held)) = (off, self.request.under_way().filter(|it| holds(it)))
+        {
+            // All do not wait longer for one that does not answer.
+            off.attempts_left = held.attempts_left.max(1);
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);
@@ -385,8 +390,11 @@ impl Motor {
     /// The bus carries nothing: what waits is dropped but for stops, and late replies come later.
     pub(super) fn bus_is_down(&mut self, now: Instant, config: &Config) {
         if self.is_waiting() && !self.is_stop_waiting() {
-            self.health.presence = Presence::Silent;
-            self.was_silent(config, now);
+            self.unreached = self.unreached.saturating_add(1);
+            if self.unreached >= SILENT_AFTER {
+                self.health.presence = Presence::Silent;
+                self.was_silent(config, now);
+            }
         }
         self.drop_waiting_set_point();
         self.late.extend(now + config.late_window);
@@ -423,6 +431,7 @@ impl Motor {
     /// same once more.
     #[inline]
     pub(super) fn was_heard(&mut self, config: &Config, now: Instant) -> bool {
+        self.unreached = 0;
         let Some(before) = self.health.note_heard(now) else { return false };
         let silence = now - before;
         if self.misses > 0 && silence >= RESTART_TAKES {

@@ -649,3 +649,16 @@ fn a_question_to_all_that_is_handed_back_when_it_is_over_was_not_sent() {
     assert_eq!(events(&mut master, ms(1)), [done]);
     assert_eq!(sent(&mut master, ms(1)), []);
 }
+
+#[test]
+fn no_restart_of_all_comes_back_behind_a_stop_of_all_though_nobody_has_a_place() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(Reset, MotorSet::EMPTY).unwrap();
+    let reset = sent(&mut master, ms(0));
+    assert_eq!(reset, [packet_to_all(Reset.encode())]);
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    master.handle_pushed_out(&reset[0]);
+    for at in 1..100 {
+        assert_eq!(sent(&mut master, ms(at)), [], "at {at} ms");
+    }
+}

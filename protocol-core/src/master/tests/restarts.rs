@@ -202,3 +202,19 @@ fn a_restart_is_heard_before_a_move_of_all_that_waits() {
         Event::BroadcastDone { silent: [id(1), id(2)].into_iter().collect(), was_sent: false };
     assert!(events(&mut master, ms(5)).contains(&over));
 }
+
+#[test]
+fn one_error_of_the_bus_is_neither_a_restart_nor_silence() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!is_restart(&mut master, 0, 1_000, 0));
+    // It rested for longer than a restart takes.
+    for (errors, presence) in
+        [(1, Presence::Present), (2, Presence::Present), (3, Presence::Silent)]
+    {
+        master.set_point(id(1), torque(1.0), ms(5_000 + errors)).unwrap();
+        master.handle_bus_down(ms(5_000 + errors));
+        assert_eq!(master.health(id(1)).presence, presence, "{errors}");
+        assert_eq!(master.has_restarted(id(1)), errors == 3);
+        events(&mut master, ms(5_000 + errors));
+    }
+}
