@@ -189,10 +189,7 @@ impl Motor {
     /// With `off` they are let go by it: to hold this one still, or once more, would switch it on again.
     pub(super) fn end_with_all(&mut self, off: Option<Asked>, config: &Config, now: Instant) {
         let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
-        if let (Some(mut off), Some(held)) = (off, self.request.under_way().filter(|it| holds(it)))
-        {
-            // All do not wait longer for one that does not answer.
-            off.attempts_left = held.attempts_left.max(1);
+        if let Some(off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);
