@@ -59,7 +59,7 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
     }
 
     fn idle(&mut self, until: Instant) {
-        self.clock.idle(self.pump.wake_at().map_or(until, |at| at.min(until)));
+        self.pump.idle(&self.clock, until);
     }
 }
 

@@ -1,5 +1,6 @@
 //! The round that every loop goes, on CAN and on RS485, polled or as a task. None of it waits.
 
+use crate::io::clock::Clock;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
 
@@ -95,6 +96,11 @@ impl<const N: usize> Pump<N> {
     /// is when it is offered again.
     pub(super) fn wake_at(&self) -> Option<Instant> {
         self.refusals.retry_at().or_else(|| self.master.poll_at())
+    }
+
+    /// Lets the clock of a loop that polls idle until then, or until there is something to do.
+    pub(super) fn idle(&self, clock: &impl Clock, until: Instant) {
+        clock.idle(self.wake_at().map_or(until, |at| at.min(until)));
     }
 }
 

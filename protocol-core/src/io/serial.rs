@@ -55,7 +55,7 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Runner<N> for Serial
     }
 
     fn idle(&mut self, until: Instant) {
-        self.clock.idle(self.pump.wake_at().map_or(until, |at| at.min(until)));
+        self.pump.idle(&self.clock, until);
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod deadlines;
 mod late_moves;
+mod reports;
 
 use bitflags::bitflags;
 
@@ -13,7 +14,6 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
-use crate::master::reported_bit;
 use crate::master::request::{Asked, Request};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
@@ -47,8 +47,6 @@ const DEGREE_TAKES: Duration = Duration::from_micros(100);
 /// In degrees: what lies further away is nearer to another turn.
 const HALF_A_TURN: u16 = 180;
 pub(super) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(HALF_A_TURN as u32);
-/// One that has not reported for so many of its intervals does so no more.
-const REPORTS_MISSED: u32 = 3;
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Motor {
@@ -465,35 +463,13 @@ impl Motor {
         self.drop_what_moves(Failure::Dropped, config, now);
     }
 
-    /// Whether it reports this by itself.
-    pub(super) fn reports(&self, bit: u8, now: Instant) -> bool {
-        self.reports & bit != 0 && self.may_report_yet(now)
-    }
-
-    /// Keeps track of what commands without a reply change: what it reports by itself, and where it believes it is.
+    /// Keeps track of what commands without a reply change: where it believes it is, and what it reports by itself.
     pub(super) fn note_sent(&mut self, kind: Kind, data: &Data, config: &Config, now: Instant) {
         match kind.opcode() {
             Some(Opcode::Reset) => self.has_begun_anew(config, now),
-            Some(Opcode::ActiveReply) => {
-                let [_, command, enable, low, high, ..] = *data;
-                let bit = Opcode::from_byte(command).and_then(reported_bit).unwrap_or(0);
-                self.reports &= !bit;
-                if enable != 0 {
-                    self.reports |= bit;
-                    let interval = u16::from_le_bytes([low, high]);
-                    self.report_interval = self.report_interval.max(interval);
-                }
-            }
+            Some(Opcode::ActiveReply) => self.note_reports(data),
             _ => {}
         }
-    }
-
-    /// Whether it reports, as it was told: one that was not heard for so long does so no more.
-    fn may_report_yet(&self, now: Instant) -> bool {
-        let interval = Duration::from_millis(10 * u64::from(self.report_interval));
-        let longest_silence = RESTART_TAKES + interval.times(REPORTS_MISSED);
-        let since = self.health.last_seen().map_or(self.sent, |seen| seen.max(self.sent));
-        now - since < longest_silence
     }
 }
 
