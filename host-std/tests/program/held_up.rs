@@ -2,7 +2,7 @@
 
 use std::io::{self, Read as _, Write as _};
 use std::os::fd::AsFd as _;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -147,16 +147,22 @@ fn signals_stop_the_motor_first_although_nobody_reads() {
     }
 }
 
+/// How it ends where Ctrl-C is pressed half a second after its start.
+fn interrupted(command: &mut Command) -> Output {
+    let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let process = command.spawn().unwrap();
+    sleep(Duration::from_millis(500));
+    signal(&process, Signal::INT);
+    process.wait_with_output().unwrap()
+}
+
 #[test]
 fn a_stop_goes_on_although_ctrl_c_is_pressed() {
     let simulation = Simulation::start(1, &["--only", "rs485"]);
     let mut stop = myactuator();
     // It goes on trying for a second: nobody has this id.
     stop.args(["stop", "--id", "7", "--bus", simulation.bus("rs485")]);
-    let process = stop.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-    sleep(Duration::from_millis(500));
-    signal(&process, Signal::INT);
-    let ended = process.wait_with_output().unwrap();
+    let ended = interrupted(&mut stop);
     let told = text(&ended.stderr);
     assert!(told.contains("no confirmation of the stop from motor 7"), "{}: {told}", ended.status);
 }
@@ -166,11 +172,8 @@ fn what_is_written_is_not_left_halfway_although_ctrl_c_is_pressed() {
     let simulation = Simulation::start(1, &["--only", "rs485"]);
     let mut zero = myactuator();
     zero.args(["zero", "--yes", "--id", "1", "--bus", simulation.bus("rs485")]);
-    let process = zero.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
     // A zero that is stored counts from the next start on: the motor restarts for that, for a second and more.
-    sleep(Duration::from_millis(500));
-    signal(&process, Signal::INT);
-    let ended = process.wait_with_output().unwrap();
+    let ended = interrupted(&mut zero);
     let told = text(&ended.stdout);
     assert!(told.contains("is the zero"), "{}: {told}", ended.status);
 }

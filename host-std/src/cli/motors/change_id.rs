@@ -77,12 +77,12 @@ fn which(found: MotorSet, id: Option<MotorId>) -> Outcome<MotorId> {
 mod tests {
     use myactuator_host_std::open::AnyMaster;
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::Speed;
     use myactuator_protocol_core::drive::Quirks;
-    use myactuator_protocol_core::time::Instant;
-    use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 
-    use super::super::{odd_drive, simulated::sent};
+    use super::super::{
+        odd_drive,
+        simulated::{sent, turning},
+    };
     use super::*;
 
     fn id(id: u8) -> MotorId {
@@ -114,10 +114,7 @@ mod tests {
     #[test]
     fn a_motor_that_begins_to_turn_while_the_user_is_asked_keeps_its_id() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let mut session = Session::on(&fleet);
-        let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(18_000));
-        session.ask(id(1), Speed { max_torque, speed }).unwrap();
-        session.wait_until(Instant::from_millis(500)).unwrap();
+        let mut session = turning(&fleet);
         let log = fleet.world.log();
         let told = failed(change(&mut session, id(1), id(7)));
         assert!(told.contains("turns at 1"), "{told}");

@@ -55,12 +55,14 @@ fn restart(session: &mut Session, motor: MotorId) -> Outcome {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::{BaudCode, ErrorFlags, SetBaudRate, Speed};
+    use myactuator_protocol_core::command::{BaudCode, ErrorFlags, SetBaudRate};
     use myactuator_protocol_core::io::Runner;
     use myactuator_protocol_core::time::Duration;
-    use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 
-    use super::super::{odd_drive, simulated::sent};
+    use super::super::{
+        odd_drive,
+        simulated::{sent, turning},
+    };
     use super::*;
 
     #[test]
@@ -91,11 +93,7 @@ mod tests {
     #[test]
     fn a_turning_motor_is_not_restarted() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let mut session = Session::on(&fleet);
-        let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(18_000));
-        session.ask(MotorId::MIN, Speed { max_torque, speed }).unwrap();
-        let later = session.master.now() + Duration::from_secs(1);
-        session.wait_until(later).unwrap();
+        let mut session = turning(&fleet);
         let log = fleet.world.log();
         // The user is not asked for that; and one that begins to turn meanwhile is not restarted, either.
         for told in [run_on, restart].map(|reset| reset(&mut session, MotorId::MIN)) {

@@ -4,9 +4,11 @@ use myactuator_host_std::open::AnyMaster;
 use myactuator_host_std::sim::CanFleet;
 use myactuator_host_std::sim::bus::Node;
 use myactuator_host_std::sim::bus::trace::{Event, Log};
-use myactuator_protocol_core::io::CanMaster;
+use myactuator_protocol_core::command::Speed;
+use myactuator_protocol_core::io::{CanMaster, Runner as _};
 use myactuator_protocol_core::master::Config;
 use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
@@ -16,6 +18,16 @@ use super::session::Session;
 pub(super) fn with(fleet: &CanFleet, config: Config) -> Session {
     let master = CanMaster::new(fleet.world.port(), fleet.world.clock(), config);
     Session::by(AnyMaster::SimulatedCan(master))
+}
+
+/// A session whose motor 1 turns, after half a second at 180 dps.
+pub(super) fn turning(fleet: &CanFleet) -> Session {
+    let mut session = Session::on(fleet);
+    let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(18_000));
+    session.ask(MotorId::MIN, Speed { max_torque, speed }).unwrap();
+    let later = session.master.now() + Duration::from_millis(500);
+    session.wait_until(later).unwrap();
+    session
 }
 
 /// The arguments of a subcommand, typed like this.

@@ -44,22 +44,19 @@ fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::{AbsolutePosition, Speed};
+    use myactuator_protocol_core::command::AbsolutePosition;
     use myactuator_protocol_core::io::Runner;
-    use myactuator_protocol_core::time::{Duration, Instant};
-    use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
+    use myactuator_protocol_core::time::Duration;
+    use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
-    use super::super::simulated::sent;
+    use super::super::simulated::{sent, turning};
     use super::*;
     use crate::cli::Unfinished;
 
     #[test]
     fn a_motor_that_begins_to_turn_while_the_user_is_asked_gets_no_zero() {
         let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
-        let mut session = Session::on(&fleet);
-        let (max_torque, speed) = (MaxTorque::from_raw(0), SpeedTarget::from_raw(18_000));
-        session.ask(MotorId::MIN, Speed { max_torque, speed }).unwrap();
-        session.wait_until(Instant::from_millis(500)).unwrap();
+        let mut session = turning(&fleet);
         let log = fleet.world.log();
         let told = make(&mut session, MotorId::MIN).unwrap_err();
         assert!(
