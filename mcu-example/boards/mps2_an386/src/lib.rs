@@ -17,6 +17,7 @@ mod board;
 mod clock;
 mod device;
 mod ending;
+mod executor;
 mod slcan;
 mod tasks;
 mod uart;
@@ -29,8 +30,8 @@ pub use board::Mps2;
 pub use clock::Clock;
 pub use device::UartId;
 pub use ending::Bus;
+pub use executor::run;
 pub use slcan::Slcan;
-pub use tasks::sleep;
 pub use uart::{Queues, Stalled, Uart};
 
 use watchdog::Watchdog;

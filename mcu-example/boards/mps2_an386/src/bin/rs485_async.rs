@@ -3,8 +3,8 @@
 #![no_main]
 
 use board_emulated::patient;
-use embassy_executor::Spawner;
-use mps2_an386::{Bus, Parts, sleep, start};
+use cortex_m_rt::entry;
+use mps2_an386::{Bus, Parts, run, start};
 use myactuator_mcu_example::{Movement, Setup, run_async};
 use myactuator_protocol_core::io::AsyncSerialMaster;
 use myactuator_protocol_core::master::Config;
@@ -12,12 +12,16 @@ use myactuator_protocol_core::units::MaxSpeed;
 
 const BIT_RATE: u32 = 1_000_000;
 
-#[embassy_executor::main]
-async fn main(spawner: Spawner) -> ! {
+#[entry]
+fn main() -> ! {
+    run(|spawner| spawner.spawn(application().expect("spawned once")))
+}
+
+#[embassy_executor::task]
+async fn application() -> ! {
     // Twice what the movement needs at its fastest.
     let setup = Setup::new(Movement::Position { max_speed: MaxSpeed::from_raw(60) });
     let Parts { cause, clock, uart, mut board } = start(Bus::Rs485, BIT_RATE, &setup);
-    spawner.spawn(sleep().expect("spawned once"));
     let mut bus =
         AsyncSerialMaster::<_, _, 8>::new(uart, clock, patient(Config::rs485(BIT_RATE, false)));
     run_async(&mut bus, &mut board, setup, cause).await
