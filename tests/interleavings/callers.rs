@@ -79,7 +79,7 @@ impl<const N: usize> State<N> {
                 let known = self.master.motors();
                 let is_put = self.master.stop_all(kind, known).is_ok();
                 known.iter().for_each(|motor: MotorId| self.stops(motor.index(), kind));
-                self.world.stops_all = true;
+                (self.world.stops_all, self.world.stop_all_call) = (true, number);
                 is_put && !known.is_empty()
             }
             Call::Lift => {

@@ -220,7 +220,8 @@ impl<const N: usize> State<N> {
             if moves(packet) && is_stopped {
                 return Err("all are moved, and one is stopped".into());
             }
-            return Ok(call);
+            let is_of_stop_all = world::stops(packet) && call == 0;
+            return Ok(if is_of_stop_all { self.world.stop_all_call } else { call });
         };
         if moves(packet) {
             if stops_all || truth.is_stopped {

@@ -203,6 +203,8 @@ pub(crate) struct World {
     pub(crate) loses_next: bool,
     /// All were stopped, and that was not lifted.
     pub(crate) stops_all: bool,
+    /// The call that stopped all last: a stop to all at once is of that.
+    pub(crate) stop_all_call: u8,
     /// On their way to the drives.
     pub(crate) commands: Vec<Frame>,
     /// On their way back.
@@ -234,6 +236,7 @@ impl World {
             was_cut: false,
             loses_next: false,
             stops_all: false,
+            stop_all_call: 0,
             commands: Vec::new(),
             replies: Vec::new(),
             truth: vec![Truth::default(); motors],
@@ -255,7 +258,8 @@ impl World {
         self.truth.iter().for_each(|truth| truth.hash_all(hasher));
         (self.broadcast, self.calls, self.faults_left).hash(hasher);
         (self.had_fault && self.medium == Medium::Line, self.stopped_all_by).hash(hasher);
-        (self.doubled, self.lost_master_untold, self.stops_all, self.was_cut).hash(hasher);
+        (self.doubled, self.lost_master_untold, self.was_cut).hash(hasher);
+        (self.stops_all, self.stop_all_call).hash(hasher);
         self.cut_at.map(|at| from_now(at, self.now, LONGEST_CUT)).hash(hasher);
     }
 
@@ -376,7 +380,7 @@ impl World {
         }
         // Nobody waits for the answers to the master's stop to all on a line. If they come later than that keeps the
         // line, they are taken for those to the stops of one.
-        if self.medium == Medium::Line && frame.motor().is_none() && frame.call == 0 {
+        if self.medium == Medium::Line && frame.motor().is_none() && call_of(&frame.packet) == 0 {
             self.stopped_all_by = Some(byte_of(&frame.packet));
         }
         if let Some(byte) = self.stopped_all_by.filter(|_| self.had_fault) {

@@ -56,6 +56,8 @@ pub(super) struct Broadcast {
     /// What was sent may still reach these: move them, or let go whom it switches off or restarts, so that loads fall.
     moves: MotorSet,
     lets_go: MotorSet,
+    /// Something that may move was sent, so that a stop of all has to reach whom nobody has named.
+    has_moved: bool,
     /// Something that was sent before the last one may still reach these; said of `moves` and `lets_go` alone.
     before: MotorSet,
     on_its_way: OnItsWay,
@@ -88,6 +90,11 @@ impl Broadcast {
 
     pub(super) fn waits_to_move(&self) -> bool {
         self.is_waiting() && self.kind.is_some_and(Kind::moves)
+    }
+
+    /// Whether a command to all may have moved anybody, since ever.
+    pub(super) fn has_moved(&self) -> bool {
+        self.has_moved
     }
 
     /// Whether it waits to move this motor, or what was sent may still do so.
@@ -158,7 +165,7 @@ impl Broadcast {
         // Who answers one of the two may be reached by the other yet.
         self.before = self.moves.with(self.lets_go);
         if kind.may_move() {
-            self.moves = MotorSet::ALL;
+            (self.moves, self.has_moved) = (MotorSet::ALL, true);
         }
         // A line keeps the order, so that what is to hold comes behind this.
         if matches!(kind.opcode(), Some(Opcode::Shutdown | Opcode::Reset)) && !config.is_rs485() {
@@ -275,10 +282,7 @@ impl Broadcast {
 
     /// A controller has handed it back: it was never on the bus, and moves nobody. Gives whether it ends motion, so
     /// that it goes once more.
-    pub(super) fn was_pushed_out(&mut self, packet: &Packet) -> bool {
-        if self.packet().as_ref() != Some(packet) {
-            return false;
-        }
+    pub(super) fn was_pushed_out(&mut self) -> bool {
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last_reaches_no_more(MotorSet::ALL);

@@ -35,6 +35,8 @@ pub(super) enum Of {
     Request,
     /// A stop went over it: it counted as nothing.
     RequestStopped,
+    /// The stop to all, which a motor answers beside its own. It counts as nothing.
+    StopToAll,
     /// An attempt of a request that has its answer by another: it counted as lost.
     RequestAnswered,
     /// Its time was up, and it counted as lost.

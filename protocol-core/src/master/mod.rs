@@ -155,7 +155,7 @@ pub struct Master<const N: usize> {
     switched_off: MotorSet,
     /// These have lost their master and will ignore the next command.
     lost_master: MotorSet,
-    /// RS485: a stop to all at once is to be sent before each motor's own.
+    /// A stop to all at once is to be sent before each motor's own.
     stop_to_all: Option<StopKind>,
     /// The round that the motors are in: that of the last one served.
     pace: u32,
@@ -361,7 +361,7 @@ impl<const N: usize> Master<N> {
     /// answers of others come as [`Event::Stray`].
     ///
     /// Name in it all whom a command that moves, or opens brakes, may reach: each takes a place, so that
-    /// [`stop_all`](Self::stop_all) stops it. Whoever else is moved no stop of all reaches on CAN.
+    /// [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms.
     ///
     /// The next broadcast waits until all motors that have a place have answered this one, or its
     /// answers cannot come any more. One that [ends motion](Kind::ends_motion) drops the set-points and moves that

@@ -263,13 +263,20 @@ impl Motor {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
-            if asked.is_stop() && self.take_late(false, data, may_be_doubled).is_some() {
-                self.send_again(asked, false);
-                return Meaning::Nothing;
-            }
-            return self.take_answer(asked, heard, config);
+            let late =
+                if asked.is_stop() { self.take_late(false, data, may_be_doubled) } else { None };
+            return match late {
+                None => self.take_answer(asked, heard, config),
+                // The other answer is on its way.
+                Some(Of::StopToAll) => Meaning::Nothing,
+                Some(_) => {
+                    self.send_again(asked, false);
+                    Meaning::Nothing
+                }
+            };
         }
         match self.take_late(is_motion, data, may_be_doubled) {
+            Some(Of::StopToAll) => Meaning::Nothing,
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             Some(_) if heard.is_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {

@@ -5,12 +5,12 @@ use crate::data::Data;
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
-use crate::master::late::Question;
+use crate::master::late::{Of, Question};
 use crate::master::request::{Asked, Purpose};
 use crate::master::{Bus, Master, MotorSet, Patience};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
-use crate::time::Duration;
+use crate::time::{Duration, Instant};
 
 /// How motors are to be stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,14 +55,15 @@ impl<const N: usize> Master<N> {
     /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a
     /// restart and writes to ROM, for example, but not reads.
     ///
-    /// On CAN it goes to those motors only: whom a [`broadcast`](Self::broadcast) has moved without having named it
-    /// goes on. Name all whom it may reach, there or in `also`.
+    /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved whom nobody has named, one to all at
+    /// once goes before each motor's own. Whoever has no place confirms nothing, and gets it but once: name all whom a
+    /// broadcast may reach, there or in `also`. It does not go where it would switch on whom an earlier stop has
+    /// switched off.
     ///
     /// Called again before it was lifted it goes on with what is under way, so that it may be called in every
     /// cycle.
     ///
-    /// Each motor gets its first stop before any gets its second; on RS485 one to all at once goes
-    /// before these. Its confirmation, or its absence, comes as an event; a stop that is not confirmed
+    /// Each motor gets its first stop before any gets its second. Its confirmation, or its absence, comes as an event; a stop that is not confirmed
     /// within 50 ms is repeated, however long [`Config::reply_timeout`](crate::master::Config::reply_timeout) is. What was sent before the
     /// stop may still be on its way, in a controller's mailbox for example: a confirmation counts only
     /// once nothing of that can move the motor any more.
@@ -75,7 +76,7 @@ impl<const N: usize> Master<N> {
     /// stopped all the same.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
         self.let_line_answer();
-        let is_same_for_all = kind == StopKind::Off || self.switched_off.is_empty();
+        let was_same_for_all = self.is_same_for_all(kind);
         self.broadcast.cancel();
         let mut result = Ok(());
         for motor in also.iter() {
@@ -88,8 +89,9 @@ impl<const N: usize> Master<N> {
             }
         }
         self.stops_all = true;
+        let is_to_all = self.config.is_rs485() || self.broadcast.has_moved();
         if is_any_new {
-            self.stop_to_all = (self.config.is_rs485() && is_same_for_all).then_some(kind);
+            self.stop_to_all = (is_to_all && was_same_for_all).then_some(kind);
         }
         result
     }
@@ -218,6 +220,40 @@ impl<const N: usize> Master<N> {
         self.stopped.remove(motor);
         if !self.stops_all {
             self.switched_off.remove(motor);
+        }
+    }
+
+    /// Whether a stop like this may go to all at once: it switches nobody on who is to stay off.
+    fn is_same_for_all(&self, kind: StopKind) -> bool {
+        kind == StopKind::Off || self.switched_off.is_empty()
+    }
+
+    /// The stop to all was sent. On CAN each motor that hears it answers it beside its own.
+    pub(super) fn stop_to_all_was_sent(&mut self, now: Instant) {
+        let Some(kind) = self.stop_to_all.take() else { return };
+        if self.config.is_rs485() {
+            return;
+        }
+        let (command, data) = kind.command();
+        let question = Question::of(command, &data);
+        for place in self.places.taken.iter() {
+            self.change_at(place, |motor, config| {
+                let until = now + config.reply_timeout + config.late_window;
+                motor.expect_late(question, Of::StopToAll, 1, until, config);
+            });
+        }
+    }
+
+    /// The stop to all was handed back. While it is in force it goes once more.
+    pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) {
+        let all = [StopKind::Hold, StopKind::Off];
+        let kind = all.into_iter().find(|kind| kind.command().1 == packet.data);
+        let Some(kind) = kind else { return };
+        for place in self.places.taken.iter() {
+            self.change_at(place, |motor, _| motor.take_late(false, &packet.data, false));
+        }
+        if self.stops_all && self.stop_to_all.is_none() && self.is_same_for_all(kind) {
+            self.stop_to_all = Some(kind);
         }
     }
 

@@ -6,6 +6,7 @@ mod mailboxes;
 mod odd_orders;
 mod restarts;
 mod turns;
+mod unnamed;
 
 use std::vec::Vec;
 
@@ -1612,8 +1613,9 @@ fn whom_a_broadcast_may_move_is_stopped_with_all() {
     let both: MotorSet = [1, 2].into_iter().map(id).collect();
     type Put = fn(&mut Master<2>, MotorSet) -> Result<(), RequestError>;
     let puts: [(Put, usize); 3] = [
-        (|master, both| master.broadcast(torque(1.0), both), 2),
-        (|master, both| master.broadcast(ReleaseBrake, both), 2),
+        // One to all, who may be more, and one each.
+        (|master, both| master.broadcast(torque(1.0), both), 3),
+        (|master, both| master.broadcast(ReleaseBrake, both), 3),
         (|master, both| master.broadcast(ReadMultiTurnAngle, both), 0),
     ];
     for (put, stops) in puts {
@@ -1622,7 +1624,7 @@ fn whom_a_broadcast_may_move_is_stopped_with_all() {
         assert_eq!(sent(&mut master, ms(0)).len(), 1);
         master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
         let data: Vec<Data> = sent(&mut master, ms(1)).iter().map(|packet| packet.data).collect();
-        assert_eq!(data, [Stop.encode(); 2][..stops]);
+        assert_eq!(data, [Stop.encode(); 3][..stops]);
     }
 }
 
@@ -1881,9 +1883,9 @@ fn a_stop_is_confirmed_only_when_no_command_to_all_can_move_the_motor_any_more()
     // Motor 2 gets its place only now.
     let both = [1, 2].into_iter().map(id).collect();
     master.stop_all(StopKind::Off, both).unwrap();
-    assert_eq!(sent(&mut master, ms(1)).len(), 2);
-    for motor in [1, 2] {
-        assert_eq!(reply(&mut master, motor, Shutdown.encode(), ms(2)), None, "{motor}");
+    assert_eq!(sent(&mut master, ms(1)).len(), 3, "to all, and to each");
+    for (motor, now) in [(1, 2), (2, 2), (1, 3), (2, 3)] {
+        assert_eq!(reply(&mut master, motor, Shutdown.encode(), ms(now)), None, "{motor}");
     }
     assert_eq!(sent(&mut master, ms(3)), []);
     // Motor 1 answers what was sent to all, motor 2 does not.
@@ -1912,14 +1914,16 @@ fn while_the_bus_is_down_a_command_to_all_does_not_grow_old() {
     // It lies in a queue for as long as the bus is down.
     master.handle_bus_down(ms(60));
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
-    sent(&mut master, ms(90));
-    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(91)), None);
-    assert_eq!(sent(&mut master, ms(91)), []);
+    assert_eq!(sent(&mut master, ms(90)).len(), 2, "to all, and to motor 1");
+    for now in [91, 92] {
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now)), None);
+        assert_eq!(sent(&mut master, ms(now)), []);
+    }
     // Handed back it was never sent, and nothing moves any more.
     master.handle_pushed_out(&pushed_out);
-    assert_eq!(sent(&mut master, ms(92)).len(), 1);
+    assert_eq!(sent(&mut master, ms(93)).len(), 1);
     let confirmed = Some(Event::StopConfirmed { motor: id(1) });
-    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(93)), confirmed);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(94)), confirmed);
 }
 
 #[test]

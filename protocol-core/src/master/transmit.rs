@@ -83,7 +83,7 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::StopToAll => {
-                self.stop_to_all = None;
+                self.stop_to_all_was_sent(now);
                 silence = self.config.settle_time;
             }
         }
@@ -109,7 +109,9 @@ impl<const N: usize> Master<N> {
                 });
             }
             Channel::Command(Target::All) | Channel::BusId => {
-                if self.broadcast.was_pushed_out(packet) {
+                if self.broadcast.packet().as_ref() != Some(packet) {
+                    self.stop_to_all_was_pushed_out(packet);
+                } else if self.broadcast.was_pushed_out() {
                     self.end_motion_of_all();
                 }
                 self.cancel_move_after_restart();

@@ -31,7 +31,7 @@ impl Motor {
     }
 
     /// The reply to this question, which was sent so often, may come late.
-    pub(super) fn expect_late(
+    pub(in crate::master) fn expect_late(
         &mut self,
         question: Question,
         of: Of,

@@ -1,0 +1,97 @@
+//! On CAN a command to all may move motors that nobody has named: a stop of all goes to all at once, too.
+
+use super::*;
+
+const TO_ALL: Channel = Channel::Command(Target::All);
+
+/// All were told to move; motor 1 has a place, and whoever else has heard it has none.
+fn all_move() -> Master<2> {
+    let mut master = Master::new(Config::CAN);
+    master.broadcast(torque(1.0), id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(1));
+    events(&mut master, ms(1));
+    master
+}
+
+fn channels(packets: &[Packet]) -> Vec<Channel> {
+    packets.iter().map(|packet| packet.channel).collect()
+}
+
+fn to(motor: u8) -> Channel {
+    Channel::Command(Target::Motor(id(motor)))
+}
+
+fn confirmed(motor: u8) -> Option<Event> {
+    Some(Event::StopConfirmed { motor: id(motor) })
+}
+
+#[test]
+fn a_stop_of_all_reaches_whom_a_command_to_all_has_moved() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(channels(&packets), [TO_ALL, to(1)], "before each motor's own");
+    assert!(packets.iter().all(|packet| packet.data == Stop.encode()));
+    // What all are told that cannot move them asks for no such thing.
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    sent(&mut master, ms(0));
+    master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(100))), [to(1)]);
+}
+
+#[test]
+fn its_answer_confirms_no_stop_of_one_motor() {
+    let stopped = || {
+        let mut master = all_move();
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(100)).len(), 2);
+        master
+    };
+    let mut master = stopped();
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(101)), None, "to one of the two");
+    assert_eq!(sent(&mut master, ms(101)), [], "the other answer is on its way");
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(102)), confirmed(1));
+    assert!(master.motors() == id(1).into() && events(&mut master, ms(102)).is_empty());
+
+    // One of the two commands, or of the answers, is lost.
+    let mut master = stopped();
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(101)), None);
+    assert_eq!(channels(&sent(&mut master, ms(121))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(122)), confirmed(1));
+}
+
+#[test]
+fn an_answer_that_comes_before_ones_own_stop_was_sent_is_none_to_it() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    let packet = master.poll_transmit(ms(100)).unwrap();
+    master.handle_transmitted(ms(100));
+    assert_eq!(packet.channel, TO_ALL);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), None);
+    assert_eq!(channels(&sent(&mut master, ms(101))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), confirmed(1));
+}
+
+#[test]
+fn handed_back_it_goes_once_more_and_its_answer_is_awaited_once() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    master.handle_pushed_out(&packets[0]);
+    // Only the motor's own was on the bus.
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
+    assert_eq!(channels(&sent(&mut master, ms(101))), [TO_ALL]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None);
+    // Not after the stop was lifted, and not where it would switch on who is to be off.
+    master.lift_stop();
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(sent(&mut master, ms(103)), []);
+    let mut master = all_move();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    master.stop(id(1), StopKind::Off).unwrap();
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(channels(&sent(&mut master, ms(101))), [to(1)]);
+}
