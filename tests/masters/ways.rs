@@ -13,7 +13,7 @@ use myactuator_protocol_core::io::bring_up::{
     self, MoveFailure, MoveLimits, Protection, WhenStalled,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Failure, StopKind};
+use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::units::{MaxTorque, Milliseconds};
 use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
@@ -35,6 +35,7 @@ on_both_buses! {
     a_panic_on_the_way_stops_the_motor
     a_protected_motor_is_moved_after_a_pause
     a_fault_on_the_way_ends_the_move
+    a_stop_of_all_reaches_whom_nobody_has_named
     a_motor_that_falls_silent_has_not_confirmed_its_stop
     a_restart_on_the_way_ends_the_move_and_forbids_another
     a_gripper_goes_on_pressing_with_what_it_was_given
@@ -86,6 +87,23 @@ fn on_can_four_are_asked_in_less_than_the_time_of_two() {
     let asked = [1, 2, 3, 4].map(|motor| (id(motor), ReadMultiTurnAngle));
     assert!(bus.ask_together(asked).iter().all(Result::is_ok));
     assert!(bus.now() - begun < one.times(2), "{} for four, {one} for one", bus.now() - begun);
+}
+
+fn a_stop_of_all_reaches_whom_nobody_has_named<W: Wire>() {
+    let bus = W::drives(&Fleet::new(3)).unwrap();
+    let runner = &mut master(&bus);
+    runner.master().broadcast(turn(90.0), id(1).into()).unwrap();
+    listen(runner, millis(500));
+    let speeds = || bus.drives.iter().map(|drive| state(drive).measurement.speed_dps.abs());
+    assert!(
+        speeds().all(|speed| speed > 80.0),
+        "all have heard it: {:?}",
+        speeds().collect::<Vec<_>>()
+    );
+    assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+    assert_eq!(runner.master().motors(), id(1).into());
+    listen(runner, millis(500));
+    assert!(speeds().all(|speed| speed < 1.0), "{:?}", speeds().collect::<Vec<_>>());
 }
 
 fn the_bus_runs_until_then<W: Wire>() {
