@@ -4,6 +4,7 @@ use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
+use crate::master::on_its_way::OnItsWay;
 use crate::master::{Config, Event, Master, MotorSet, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::Packet;
@@ -23,19 +24,6 @@ enum State {
     Done,
     /// It was never sent; to be reported.
     Dropped,
-}
-
-/// Whether what was sent may still reach a drive, and be answered.
-#[derive(Clone, Copy, Debug, Default)]
-enum OnItsWay {
-    /// It has, or never will.
-    #[default]
-    No,
-    /// The bus is whole: not after this.
-    Until(Instant),
-    /// Not after this on a whole bus. But nothing was heard since, apart from what was on its way to us: the bus may
-    /// be cut, and this in a mailbox for as long as that lasts.
-    WhileCut(Instant),
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -60,7 +48,8 @@ pub(super) struct Broadcast {
     has_moved: bool,
     /// Something that was sent before the last one may still reach these; said of `moves` and `lets_go` alone.
     before: MotorSet,
-    on_its_way: OnItsWay,
+    /// So may its late answers.
+    pub(super) on_its_way: OnItsWay,
 }
 
 impl Broadcast {
@@ -171,43 +160,18 @@ impl Broadcast {
         if matches!(kind.opcode(), Some(Opcode::Shutdown | Opcode::Reset)) && !config.is_rs485() {
             self.lets_go = MotorSet::ALL;
         }
-        let until = now + config.reply_timeout + config.late_window;
-        let until = self.late_until().map_or(until, |later| later.max(until));
         let may_be_cut = !config.is_rs485() && !self.moves.with(self.lets_go).is_empty();
-        self.on_its_way =
-            if may_be_cut { OnItsWay::WhileCut(until) } else { OnItsWay::Until(until) };
+        self.on_its_way.put(now + config.reply_timeout + config.late_window, may_be_cut);
     }
 
-    /// Takes note of the time. Something was last heard at `heard_at`: what was on its way to us before the bus was
-    /// cut is heard within the usual time-out.
+    /// Takes note of the time; see [`OnItsWay::age`].
     fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
-        match self.on_its_way {
-            OnItsWay::WhileCut(until) if heard_at + config.late_window >= until => {
-                self.bus_is_alive(heard_at, config);
-            }
-            _ => {}
+        self.on_its_way.age(now, heard_at, config);
+        if self.on_its_way.end_on_whole_bus().is_none_or(|end| end <= now) {
+            self.may_answer = MotorSet::EMPTY;
         }
-        match self.on_its_way {
-            OnItsWay::WhileCut(until) if until <= now => self.may_answer = MotorSet::EMPTY,
-            OnItsWay::Until(until) if until <= now => {
-                (self.on_its_way, self.may_answer) = (OnItsWay::No, MotorSet::EMPTY);
-                (self.moves, self.lets_go) = (MotorSet::EMPTY, MotorSet::EMPTY);
-            }
-            _ => {}
-        }
-    }
-
-    /// The bus is whole: what lay in a mailbox all the time comes now.
-    pub(super) fn bus_is_alive(&mut self, now: Instant, config: &Config) {
-        if let OnItsWay::WhileCut(until) = self.on_its_way {
-            self.on_its_way = OnItsWay::Until(until.max(now + config.late_window));
-        }
-    }
-
-    /// The bus carries nothing: late answers come later, and so does what was sent.
-    pub(super) fn extend(&mut self, until: Instant) {
-        if let OnItsWay::Until(at) | OnItsWay::WhileCut(at) = &mut self.on_its_way {
-            *at = until.max(*at);
+        if !self.on_its_way.is_any() {
+            (self.moves, self.lets_go) = (MotorSet::EMPTY, MotorSet::EMPTY);
         }
     }
 
@@ -226,7 +190,7 @@ impl Broadcast {
 
     /// The same, for a time that is known: on a bus that may be cut only an answer tells when that ends.
     pub(super) fn may_undo_for_a_while(&self, end: Kind, motor: MotorId) -> bool {
-        matches!(self.on_its_way, OnItsWay::Until(_)) && self.may_undo(end, motor)
+        self.on_its_way.end().is_some() && self.may_undo(end, motor)
     }
 
     /// Whether this broadcast may go, as far as the one before it is concerned: nobody among the
@@ -300,14 +264,6 @@ impl Broadcast {
     pub(super) fn goes_again(&mut self) {
         if self.state == State::None {
             self.state = State::Again;
-        }
-    }
-
-    /// Until when something may have to wait for late answers, or for what may still reach a drive on a whole bus.
-    pub(super) fn late_until(&self) -> Option<Instant> {
-        match self.on_its_way {
-            OnItsWay::No => None,
-            OnItsWay::Until(until) | OnItsWay::WhileCut(until) => Some(until),
         }
     }
 

@@ -57,6 +57,7 @@ mod health;
 mod late;
 mod motor;
 mod motor_set;
+mod on_its_way;
 mod places;
 mod receive;
 mod request;
@@ -461,7 +462,7 @@ impl<const N: usize> Master<N> {
         if self.broadcast.is_waiting() {
             self.broadcast.cancel();
         }
-        self.broadcast.extend(now + self.config.late_window);
+        self.broadcast.on_its_way.extend(now + self.config.late_window);
         self.due = now;
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, config| motor.bus_is_down(now, config));

@@ -5,9 +5,8 @@ use crate::data::Data;
 use crate::id::MotorId;
 use crate::kind::Kind;
 use crate::master::broadcast::Broadcast;
-use crate::master::event::feedback_of;
 use crate::master::late::{Of, Question};
-use crate::master::motor::{DOUBLED_WITHIN, HALF_A_TURN_TAKES, Motor};
+use crate::master::motor::{DOUBLED_WITHIN, HALF_A_TURN_TAKES, Motor, angle_of};
 use crate::master::request::{Asked, Request};
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, MotorSet, TicketId, reported_bit};
@@ -157,7 +156,7 @@ impl<const N: usize> Master<N> {
             Meaning::Nothing => None,
             Meaning::OnceMore => {
                 // No move to all goes between the attempts of that, either.
-                self.broadcast.bus_is_alive(now, &self.config);
+                self.broadcast.on_its_way.bus_is_alive(now, &self.config);
                 None
             }
             Meaning::OfBroadcast => {
@@ -312,7 +311,7 @@ impl Motor {
     ) -> Meaning {
         let &mut Heard { packet, at: now, .. } = heard;
         let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
-        self.bus_is_alive(now, config);
+        self.on_its_way.bus_is_alive(now, config);
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
         let is_one_late = self.prolong_late(set_point.question, config, now);
         let is_echo = || set_point.data == packet.data;
@@ -325,7 +324,7 @@ impl Motor {
         // Also where nobody has heard why, an echo has no angle.
         let angle = angle_of(&reply).filter(|_| !is_echo());
         let meaning = self.feedback(reply, angle, Some(round_trip), config, now);
-        self.angle = angle.filter(|_| !is_one_late && round_trip <= HALF_A_TURN_TAKES);
+        self.knows_angle = angle.is_some() && !is_one_late && round_trip <= HALF_A_TURN_TAKES;
         meaning
     }
 
@@ -351,7 +350,7 @@ impl Motor {
         let kind = asked.kind();
         if kind.ends_motion() && (heard.to_all.may_undo(kind, motor) || self.may_yet_move()) {
             // Nothing that moves it goes between the attempts of what ends its motion.
-            self.bus_is_alive(now, config);
+            self.on_its_way.bus_is_alive(now, config);
             self.send_again(asked, true);
             return Meaning::OnceMore;
         }
@@ -374,9 +373,4 @@ impl Motor {
         asked.attempts_left = asked.attempts_left.max(1);
         self.request = Request::Waiting(asked);
     }
-}
-
-/// Where the motor is, in degrees, if this feedback says so.
-fn angle_of(reply: &AnyReply) -> Option<i16> {
-    feedback_of(reply).map(|feedback| feedback.angle.raw())
 }

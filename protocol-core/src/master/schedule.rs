@@ -3,7 +3,7 @@
 use core::cmp::Reverse;
 
 use crate::kind::Kind;
-use crate::master::motor::Motor;
+use crate::master::motor::{LastSent, Motor};
 use crate::master::request::Asked;
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::{Bus, Config, Master, Offer};
@@ -76,7 +76,7 @@ impl<const N: usize> Master<N> {
         // One round ahead of a motor that may be waiting for its turn to answer is enough. That is not one that
         // did not answer last time, nor one that the quiet bus has shown to be silent.
         for (_, motor) in self.at(self.places.in_flight) {
-            if motor.is_behind(round) && !motor.was_missed() && !motor.had_its_chance {
+            if motor.is_behind(round) && !motor.was_missed() && !motor.had_its_chance() {
                 return None;
             }
         }
@@ -90,7 +90,11 @@ impl<const N: usize> Master<N> {
         let asked = motor.request.waiting();
         let request_may_go = asked.is_some_and(|asked| self.request_may_go(motor, asked));
         match (motor.may_send_set_point(), request_may_go) {
-            (true, true) => Some(if motor.was_set_point { request } else { set_point }),
+            (true, true) => Some(if motor.last_sent.contains(LastSent::SET_POINT) {
+                request
+            } else {
+                set_point
+            }),
             (true, false) => Some(set_point),
             (false, true) => Some(request),
             (false, false) => None,
@@ -153,7 +157,7 @@ impl<const N: usize> Master<N> {
         let waits = |motor: &Motor| self.is_undone_with_all(motor) || self.is_confusable(motor);
         let is_late_awaited = question.is_some() && !self.broadcast.may_go(self.motors());
         if is_late_awaited || self.at(self.places.waiting).any(|(_, motor)| waits(motor)) {
-            earliest.take(self.broadcast.late_until());
+            earliest.take(self.broadcast.on_its_way.end_on_whole_bus());
         }
     }
 
@@ -188,7 +192,7 @@ impl<const N: usize> Master<N> {
         }
         let mut first_sent = Earliest::default();
         for (_, motor) in self.at(self.places.in_flight) {
-            first_sent.take((!motor.had_its_chance).then_some(motor.sent));
+            first_sent.take((!motor.had_its_chance()).then_some(motor.sent));
         }
         let Config { longest_response, reply_timeout, .. } = self.config;
         let sent = first_sent.0?;

@@ -3,7 +3,7 @@
 use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::Of;
-use crate::master::motor::{Motor, News};
+use crate::master::motor::{LastSent, Motor, News};
 use crate::master::request::{Purpose, Request};
 use crate::master::schedule::Earliest;
 use crate::time::{Duration, Instant};
@@ -16,8 +16,7 @@ const SELDOM: u8 = 2;
 impl Motor {
     /// Whether time alone changes anything about it, though nothing is under way.
     pub(in crate::master) fn lingers(&self) -> bool {
-        let is_held = self.settled_at > Instant::ZERO || self.moves_until > Instant::ZERO;
-        is_held || !self.late.is_empty()
+        self.settled_at > Instant::ZERO || self.may_yet_move() || !self.late.is_empty()
     }
 
     /// When what is in flight counts as lost.
@@ -36,7 +35,7 @@ impl Motor {
     fn set_point_timeout(&self, config: &Config) -> Duration {
         let usual = self.health.round_trip();
         let is_known = usual > Duration::ZERO && self.misses < SELDOM;
-        if !is_known || !(self.had_its_chance || config.is_rs485()) {
+        if !is_known || !(self.had_its_chance() || config.is_rs485()) {
             return config.reply_timeout;
         }
         config.longest_response.max(usual.times(USUAL_TIMES)).min(config.reply_timeout)
@@ -62,17 +61,13 @@ impl Motor {
         let waited = now - self.sent;
         let is_over = is_quiet || !config.is_rs485() && waited >= config.reply_timeout;
         if self.is_in_flight() && waited >= config.longest_response && is_over {
-            self.had_its_chance = true;
+            self.last_sent.insert(LastSent::HAD_ITS_CHANCE);
         }
-        if self.is_unheard && heard_at + config.late_window >= self.moves_until {
-            self.bus_is_alive(now, config);
-        }
+        self.on_its_way.age(now, heard_at, config);
         self.is_beyond_late |= self.late.expire(now);
+        self.is_beyond_late &= self.may_yet_move();
         if self.settled_at <= now {
             self.settled_at = Instant::ZERO;
-        }
-        if self.moves_no_more_at().is_some_and(|at| at <= now) {
-            (self.moves_until, self.is_beyond_late) = (Instant::ZERO, false);
         }
         self.drop_what_is_too_old(now);
         if self.deadline(config).is_none_or(|deadline| deadline > now) {
@@ -99,11 +94,11 @@ impl Motor {
     /// When [`handle_timeout`](Self::handle_timeout) has something to do.
     pub(in crate::master) fn due(&self, config: &Config, earliest: &mut Earliest) {
         self.too_old_at(config, earliest);
-        if self.is_in_flight() && !self.had_its_chance && !config.is_rs485() {
+        if self.is_in_flight() && !self.had_its_chance() && !config.is_rs485() {
             earliest.take(self.sent + config.longest_response);
         }
         earliest.take(Some(self.settled_at).filter(|&at| at > Instant::ZERO));
-        earliest.take(self.moves_no_more_at());
+        earliest.take(self.on_its_way.end());
         earliest.take(self.late.next_end());
     }
 
@@ -118,7 +113,7 @@ impl Motor {
         }
         if let Some(asked) = self.request.waiting() {
             earliest.take(match asked.purpose {
-                _ if self.waits_for_motion(asked, false) => self.moves_no_more_at(),
+                _ if self.waits_for_motion(asked, false) => self.on_its_way.end(),
                 Purpose::Stop => None,
                 Purpose::Caller | Purpose::Once if !self.late.has_room() => self.late.next_end(),
                 Purpose::Caller | Purpose::Once => self.late.end_of(asked.question),

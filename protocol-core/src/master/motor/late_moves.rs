@@ -4,17 +4,13 @@ use crate::data::Data;
 use crate::master::config::Config;
 use crate::master::late::{Of, Question};
 use crate::master::motor::Motor;
+use crate::master::on_its_way::OnItsWay;
 use crate::time::Instant;
 
 impl Motor {
     /// Whether a command that was given up may still reach the drive and move it.
     pub(in crate::master) fn may_yet_move(&self) -> bool {
-        self.moves_until > Instant::ZERO
-    }
-
-    /// When that ends, if it does by itself.
-    pub(super) fn moves_no_more_at(&self) -> Option<Instant> {
-        (self.may_yet_move() && !self.is_unheard).then_some(self.moves_until)
+        self.on_its_way.is_any()
     }
 
     /// What moves, or switches off what is to be held, was sent, and no late reply tells that it has come.
@@ -26,8 +22,7 @@ impl Motor {
     /// What moves was given up.
     fn may_move_until_answered(&mut self, until: Instant, config: &Config) {
         self.is_beyond_late &= self.may_yet_move();
-        self.moves_until = self.moves_until.max(until);
-        self.is_unheard = !config.is_rs485();
+        self.on_its_way.put(until, !config.is_rs485());
     }
 
     /// The reply to this question, which was sent so often, may come late.
@@ -58,7 +53,7 @@ impl Motor {
         let could_move = self.late.may_move();
         let of = self.late.take(is_motion, reply, may_be_doubled)?;
         if could_move && !self.late.may_move() && !self.is_beyond_late {
-            (self.moves_until, self.is_unheard) = (Instant::ZERO, false);
+            self.on_its_way = OnItsWay::No;
         }
         Some(of)
     }
@@ -79,13 +74,5 @@ impl Motor {
             self.may_move_until_answered(until, config);
         }
         is_one_late
-    }
-
-    /// What may move it was given up, and the bus is whole after that: if it lay in a mailbox all the time, it comes
-    /// now.
-    pub(in crate::master) fn bus_is_alive(&mut self, now: Instant, config: &Config) {
-        if core::mem::take(&mut self.is_unheard) {
-            self.moves_until = self.moves_until.max(now + config.late_window);
-        }
     }
 }

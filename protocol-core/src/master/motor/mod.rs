@@ -11,9 +11,10 @@ use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::config::Config;
-use crate::master::event::Failure;
+use crate::master::event::{Failure, feedback_of};
 use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
+use crate::master::on_its_way::OnItsWay;
 use crate::master::request::{Asked, Request};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
@@ -37,6 +38,19 @@ bitflags! {
     }
 }
 
+bitflags! {
+    /// What is known of the last command that a motor was sent.
+    #[derive(Clone, Copy, Debug, Default)]
+    pub(super) struct LastSent: u8 {
+        /// It was a set-point, so that it is a waiting request's turn.
+        const SET_POINT = 1 << 0;
+        /// The bus was quiet when its reply was due: that does not wait for the bus, and nobody waits for it.
+        const HAD_ITS_CHANCE = 1 << 1;
+        /// All were told to end their motion since.
+        const ENDED_WITH_ALL = 1 << 2;
+    }
+}
+
 /// A motor that was silent for so long and answers again may have restarted: that takes 1.1 s.
 const RESTART_TAKES: Duration = Duration::from_secs(1);
 
@@ -57,13 +71,7 @@ pub(super) struct Motor {
     pub(super) stream: Stream,
     pub(super) late: LateReplies,
     pub(super) news: News,
-    /// The bus was quiet when the reply to its last command was due: that does not wait for the bus, and nobody
-    /// waits for it.
-    pub(super) had_its_chance: bool,
-    /// A set-point was sent last, so that it is a waiting request's turn.
-    pub(super) was_set_point: bool,
-    /// All were told to end their motion, and nothing was sent to it since.
-    pub(super) ends_with_all: bool,
+    pub(super) last_sent: LastSent,
     /// Its newest set-point was dropped before it was sent, whatever is in flight.
     pub(super) is_newest_dropped: bool,
     /// It has restarted: no set-points until the caller knows.
@@ -82,11 +90,8 @@ pub(super) struct Motor {
     pub(super) sent: Instant,
     /// The motor restarts, or settles after another command without reply: it gets nothing before.
     settled_at: Instant,
-    /// Until when a command that was given up may still reach the drive and move it, if any may. On CAN that
-    /// does not end while nothing is heard on the bus: it may be cut, and the command in a mailbox. What was on its
-    /// way before it was cut is heard within the usual time-out.
-    moves_until: Instant,
-    is_unheard: bool,
+    /// What was given up, or switches it off when it is to be held, and may move it yet.
+    pub(super) on_its_way: OnItsWay,
     /// Some of it is not among `late`, whose replies then say nothing of it.
     is_beyond_late: bool,
     /// How long it had run when it said so last, in milliseconds.
@@ -96,8 +101,8 @@ pub(super) struct Motor {
     /// The newest feedback of its stream, and when it came.
     pub(super) latest: Option<AnyReply>,
     pub(super) latest_at: Instant,
-    /// Its angle in degrees, if that was measured just before it came.
-    pub(super) angle: Option<i16>,
+    /// Its angle was measured just before that came.
+    pub(super) knows_angle: bool,
     pub(super) health: Record,
 }
 
@@ -191,7 +196,7 @@ impl Motor {
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);
-        self.ends_with_all = true;
+        self.last_sent.insert(LastSent::ENDED_WITH_ALL);
         match &mut self.request {
             Request::InFlight(asked) | Request::Sent(asked) if asked.kind().may_move() => {
                 asked.withdraw();
@@ -216,6 +221,16 @@ impl Motor {
 
     pub(super) fn is_settled(&self, now: Instant) -> bool {
         self.settled_at <= now
+    }
+
+    /// Whether its last reply was due while the bus was quiet.
+    pub(super) fn had_its_chance(&self) -> bool {
+        self.last_sent.contains(LastSent::HAD_ITS_CHANCE)
+    }
+
+    /// Whether all were told to end their motion since it was sent anything.
+    fn ended_with_all(&self) -> bool {
+        self.last_sent.contains(LastSent::ENDED_WITH_ALL)
     }
 
     /// Whether it did not answer last time.
@@ -254,9 +269,8 @@ impl Motor {
         Some(Packet { channel: channel(self.id?, set_point.question.kind), data: set_point.data })
     }
 
-    fn was_sent(&mut self, now: Instant) {
-        self.sent = now;
-        (self.had_its_chance, self.ends_with_all) = (false, false);
+    fn was_sent(&mut self, what: LastSent, now: Instant) {
+        (self.last_sent, self.sent) = (what, now);
         self.round = self.round.wrapping_add(1);
     }
 
@@ -265,8 +279,7 @@ impl Motor {
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
-        self.was_sent(now);
-        self.was_set_point = false;
+        self.was_sent(LastSent::empty(), now);
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
             self.settled_at = self.settled_at.max(now + config.hold_after(asked.kind()));
@@ -290,8 +303,7 @@ impl Motor {
     }
 
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
-        self.was_sent(now);
-        self.was_set_point = true;
+        self.was_sent(LastSent::SET_POINT, now);
         self.stream.was_sent();
     }
 
@@ -321,7 +333,7 @@ impl Motor {
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
                 self.request = match asked.kind().may_move() {
-                    true if self.ends_with_all => Request::Failed(Failure::Stopped),
+                    true if self.ended_with_all() => Request::Failed(Failure::Stopped),
                     _ if asked.is_withdrawn() => Request::Failed(Failure::Dropped),
                     true if self.has_restarted => Request::Failed(Failure::Dropped),
                     _ => Request::Waiting(asked),
@@ -335,7 +347,7 @@ impl Motor {
             if !self.stream.was_pushed_out() {
                 self.health.superseded = self.health.superseded.saturating_add(1);
             } else if self.has_restarted
-                || self.ends_with_all
+                || self.ended_with_all()
                 || self.request.under_way().is_some_and(ends_motion)
             {
                 // What waits to end motion was asked for after it, and a restart is news since.
@@ -393,9 +405,7 @@ impl Motor {
         }
         self.drop_waiting_set_point();
         self.late.extend(now + config.late_window);
-        if self.may_yet_move() {
-            self.moves_until = self.moves_until.max(now + config.late_window);
-        }
+        self.on_its_way.extend(now + config.late_window);
         if self.request.waiting().is_some_and(|asked| !asked.is_stop()) {
             self.finish_request(Request::Failed(Failure::BusDown), config, now);
         }
@@ -429,7 +439,7 @@ impl Motor {
         self.unreached = 0;
         let Some(before) = self.health.note_heard(now) else { return false };
         let silence = now - before;
-        if self.misses > 0 && silence >= RESTART_TAKES {
+        if self.was_missed() && silence >= RESTART_TAKES {
             self.has_begun_anew(config, now);
         }
         silence < DOUBLED_WITHIN
@@ -445,7 +455,10 @@ impl Motor {
 
     /// Feedback of its stream says where it is, in degrees: further from where it was than it can have turned since.
     pub(super) fn note_angle(&mut self, angle: i16, config: &Config, now: Instant) {
-        let Some(before) = self.angle.take() else { return };
+        let knows_angle = core::mem::take(&mut self.knows_angle);
+        let Some(before) = self.latest.filter(|_| knows_angle).and_then(|it| angle_of(&it)) else {
+            return;
+        };
         let turned = angle.wrapping_sub(before).unsigned_abs();
         let beyond = u32::from(turned.saturating_sub(HALF_A_TURN));
         if beyond > 0 && DEGREE_TAKES.times(beyond) > now - self.latest_at {
@@ -458,7 +471,7 @@ impl Motor {
         self.has_restarted = true;
         self.reports = 0;
         self.run_time_ms = 0;
-        self.angle = None;
+        self.knows_angle = false;
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
     }
@@ -471,6 +484,11 @@ impl Motor {
             _ => {}
         }
     }
+}
+
+/// Where the motor is, in degrees, if this feedback says so.
+pub(super) fn angle_of(reply: &AnyReply) -> Option<i16> {
+    feedback_of(reply).map(|feedback| feedback.angle.raw())
 }
 
 fn channel(motor: MotorId, kind: Kind) -> Channel {
