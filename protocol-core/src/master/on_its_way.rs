@@ -17,6 +17,7 @@ pub(super) enum OnItsWay {
 
 impl OnItsWay {
     /// Something more may come until then; where the bus may be cut, for as long as it is.
+    #[inline(never)]
     pub(super) fn put(&mut self, until: Instant, may_be_cut: bool) {
         let until = self.end_on_whole_bus().map_or(until, |at| at.max(until));
         *self = if may_be_cut { Self::WhileCut(until) } else { Self::Until(until) };
@@ -58,6 +59,7 @@ impl OnItsWay {
 
     /// Takes note of the time. Something was last heard at `heard_at`: what was on its way to us before the bus was
     /// cut is heard within the usual time-out.
+    #[inline(never)]
     pub(super) fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
         if self.end_on_whole_bus().is_some_and(|end| heard_at + config.late_window >= end) {
             self.bus_is_alive(heard_at, config);

@@ -229,6 +229,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// The stop to all was sent. On CAN each motor that hears it answers it beside its own.
+    #[inline(never)]
     pub(super) fn stop_to_all_was_sent(&mut self, now: Instant) {
         let Some(kind) = self.stop_to_all.take() else { return };
         if self.config.is_rs485() {

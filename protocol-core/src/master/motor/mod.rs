@@ -454,6 +454,7 @@ impl Motor {
     }
 
     /// Feedback of its stream says where it is, in degrees: further from where it was than it can have turned since.
+    #[inline(never)]
     pub(super) fn note_angle(&mut self, angle: i16, config: &Config, now: Instant) {
         let knows_angle = core::mem::take(&mut self.knows_angle);
         let Some(before) = self.latest.filter(|_| knows_angle).and_then(|it| angle_of(&it)) else {
