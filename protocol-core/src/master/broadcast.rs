@@ -280,17 +280,6 @@ impl Broadcast {
 }
 
 impl<const N: usize> Master<N> {
-    pub(super) fn has_any_restarted(&self) -> bool {
-        self.at(self.places.taken).any(|(_, motor)| motor.has_restarted)
-    }
-
-    /// What would move a motor that has restarted does not go by itself.
-    pub(super) fn cancel_move_after_restart(&mut self) {
-        if self.broadcast.waits_to_move() && self.has_any_restarted() {
-            self.broadcast.cancel();
-        }
-    }
-
     /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may
     /// still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {

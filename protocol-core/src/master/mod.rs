@@ -61,6 +61,7 @@ mod on_its_way;
 mod places;
 mod receive;
 mod request;
+mod restarts;
 mod round_trips;
 mod schedule;
 mod stop;
@@ -408,25 +409,6 @@ impl<const N: usize> Master<N> {
             }
         }
         Ok(())
-    }
-
-    /// The caller has found out that a motor has restarted, by its angle for example, which the master has not: as
-    /// [`Event::Restarted`], which follows.
-    pub fn note_restart(&mut self, motor: MotorId) {
-        let now = self.now;
-        self.offer = None;
-        self.change(motor, |motor, config| motor.has_begun_anew(config, now));
-    }
-
-    /// Whether a motor [has restarted](Event::Restarted) and was not [resumed](Self::resume).
-    pub fn has_restarted(&self, motor: MotorId) -> bool {
-        self.motor(motor).is_some_and(|motor| motor.has_restarted)
-    }
-
-    /// Takes set-points and moves again for a motor that [has restarted](Event::Restarted): the caller knows where
-    /// it is.
-    pub fn resume(&mut self, motor: MotorId) {
-        self.change(motor, |motor, _| motor.has_restarted = false);
     }
 
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.

@@ -3,6 +3,7 @@
 mod deadlines;
 mod late_moves;
 mod reports;
+pub(super) mod restarts;
 
 use bitflags::bitflags;
 
@@ -11,7 +12,7 @@ use crate::data::Data;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::config::Config;
-use crate::master::event::{Failure, feedback_of};
+use crate::master::event::Failure;
 use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
@@ -51,17 +52,8 @@ bitflags! {
     }
 }
 
-/// A motor that was silent for so long and answers again may have restarted: that takes 1.1 s.
-const RESTART_TAKES: Duration = Duration::from_secs(1);
-
 /// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
 pub(super) const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
-/// No motor turns a degree in less: 10,000 dps.
-const DEGREE_TAKES: Duration = Duration::from_micros(100);
-/// In degrees: what lies further away is nearer to another turn.
-const HALF_A_TURN: u16 = 180;
-pub(super) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(HALF_A_TURN as u32);
-
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Motor {
     pub(super) id: Option<MotorId>,
@@ -418,15 +410,6 @@ impl Motor {
         self.was_silent(config, now);
     }
 
-    /// Who was silent for as long as a restart takes gets no more set-points: the first that it heard would move it
-    /// from wherever it thinks it is.
-    fn was_silent(&mut self, config: &Config, now: Instant) {
-        let is_silent = self.health.last_seen().is_some_and(|seen| now - seen >= RESTART_TAKES);
-        if is_silent && !self.has_restarted {
-            self.has_begun_anew(config, now);
-        }
-    }
-
     pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
         self.misses = 0;
         self.health.count_answer(round_trip);
@@ -439,42 +422,8 @@ impl Motor {
         self.unreached = 0;
         let Some(before) = self.health.note_heard(now) else { return false };
         let silence = now - before;
-        if self.was_missed() && silence >= RESTART_TAKES {
-            self.has_begun_anew(config, now);
-        }
+        self.is_back_after(silence, config, now);
         silence < DOUBLED_WITHIN
-    }
-
-    /// It has said how long it has run.
-    pub(super) fn has_run_for(&mut self, run_time_ms: u32, config: &Config, now: Instant) {
-        let before = core::mem::replace(&mut self.run_time_ms, run_time_ms);
-        if run_time_ms < before {
-            self.has_begun_anew(config, now);
-        }
-    }
-
-    /// Feedback of its stream says where it is, in degrees: further from where it was than it can have turned since.
-    #[inline(never)]
-    pub(super) fn note_angle(&mut self, angle: i16, config: &Config, now: Instant) {
-        let knows_angle = core::mem::take(&mut self.knows_angle);
-        let Some(before) = self.latest.filter(|_| knows_angle).and_then(|it| angle_of(&it)) else {
-            return;
-        };
-        let turned = angle.wrapping_sub(before).unsigned_abs();
-        let beyond = u32::from(turned.saturating_sub(HALF_A_TURN));
-        if beyond > 0 && DEGREE_TAKES.times(beyond) > now - self.latest_at {
-            self.has_begun_anew(config, now);
-        }
-    }
-
-    #[inline(never)]
-    pub(super) fn has_begun_anew(&mut self, config: &Config, now: Instant) {
-        self.has_restarted = true;
-        self.reports = 0;
-        self.run_time_ms = 0;
-        self.knows_angle = false;
-        self.news.insert(News::RESTARTED);
-        self.drop_what_moves(Failure::Dropped, config, now);
     }
 
     /// Keeps track of what commands without a reply change: where it believes it is, and what it reports by itself.
@@ -485,11 +434,6 @@ impl Motor {
             _ => {}
         }
     }
-}
-
-/// Where the motor is, in degrees, if this feedback says so.
-pub(super) fn angle_of(reply: &AnyReply) -> Option<i16> {
-    feedback_of(reply).map(|feedback| feedback.angle.raw())
 }
 
 fn channel(motor: MotorId, kind: Kind) -> Channel {

@@ -1,7 +1,8 @@
 //! What a motor reports by itself, as it was told by 0xB6.
 
 use crate::data::Data;
-use crate::master::motor::{Motor, RESTART_TAKES};
+use crate::master::motor::Motor;
+use crate::master::motor::restarts::RESTART_TAKES;
 use crate::master::reported_bit;
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
