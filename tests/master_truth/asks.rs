@@ -20,7 +20,8 @@ use myactuator_tests::values::id;
 use super::callers::Session;
 use super::drives::UNKNOWN;
 use super::names::REQUESTS;
-use super::oracle::{Asked, Open};
+use super::oracle::{Asked, Open, is_move};
+use super::truth::Page;
 use super::world::Rough;
 
 /// Marks a speed request, to be told from a stream's.
@@ -58,14 +59,33 @@ impl<W: Rough> Session<W> {
         // Not everyone who answers is expected to.
         let expected: MotorSet = self.motors().filter(|motor| motor.get() % 3 != 0).collect();
         let master = self.stage.host.master();
-        let (begun, data) = if self.dice.below(2) == 0 {
-            let command = with_token(ReadMultiTurnAngle, token);
-            (master.broadcast(command, expected), command.encode())
-        } else {
-            let command = with_token(ReadPid { index: PidIndex::SPEED_KP }, token);
-            (master.broadcast(command, expected), command.encode())
+        let (begun, data) = match self.dice.below(5) {
+            0..2 => {
+                let command = with_token(ReadMultiTurnAngle, token);
+                (master.broadcast(command, expected), command.encode())
+            }
+            2..4 => {
+                let command = with_token(ReadPid { index: PidIndex::SPEED_KP }, token);
+                (master.broadcast(command, expected), command.encode())
+            }
+            _ => {
+                let (max_speed, angle) = (MaxSpeed::from_raw(0), Angle::from_raw(token as i32));
+                let command = IncrementalPosition { max_speed, angle };
+                (master.broadcast(command, expected), command.encode())
+            }
         };
-        begun.expect("there is no other broadcast");
+        let mut truth = self.stage.book.open();
+        let any = |is_so: fn(&Page) -> bool| truth.pages.iter().any(is_so);
+        match begun {
+            Ok(()) if is_move(&data) && any(|page| page.is_stopped || page.has_restarted()) => {
+                truth.breaks("all are moved, and one is stopped or has restarted");
+            }
+            Ok(()) => truth.put_to_all(&data),
+            Err(RequestError::Stopped) if any(|page| page.is_stopped) => return,
+            Err(RequestError::Restarted) => return,
+            Err(error) => truth.breaks(format!("{error} to {data:X?} to all")),
+        }
+        drop(truth);
         self.oracle.broadcast = Some(Asked { data, expected, answered: MotorSet::EMPTY });
     }
 

@@ -302,7 +302,7 @@ fn is_repeated(byte: u8) -> bool {
     )
 }
 
-fn is_move(data: &Data) -> bool {
+pub(super) fn is_move(data: &Data) -> bool {
     Name::of(&Packet { channel: Channel::Command(MotorId::MIN.into()), data: *data }).moves()
 }
 
@@ -413,14 +413,17 @@ fn check_restarted(motor: MotorId, truth: &mut Truth) {
     let silence = page.delivered_at.map_or(MAY_HAVE_RESTARTED, |before| truth.now - before);
     let may_have = std::mem::take(&mut page.longest_silence).max(silence) >= MAY_HAVE_RESTARTED;
     let has = page.restarted.take().is_some() | std::mem::take(&mut page.was_reset);
+    // A run time of 0, sent back by a drive that has ignored the question; feedback of long ago, that a bus has held
+    // back for longer than anybody expects.
+    let misleading =
+        [0xB1, 0xA2, 0xA4].into_iter().find_map(|byte| page.excuses.of((byte, 0), now));
     page.awaits_resume = true;
     page.set_points.restarted();
     page.turning.restarted();
     if truth.twin == Some(motor) && !may_have && !has {
         // The run times of two drives: one may be behind the other's.
         truth.excuse(Excuse::TwoMotorsOfOneId);
-    } else if let Some(excuse) = page.excuses.of((0xB1, 0), now).filter(|_| !may_have && !has) {
-        // A run time of 0, sent back by a drive that has ignored the question.
+    } else if let Some(excuse) = misleading.filter(|_| !may_have && !has) {
         truth.excuse(excuse);
     } else if !may_have && !has && !truth.flips {
         truth.breaks(format!("motor {motor} has not restarted"));

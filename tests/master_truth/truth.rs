@@ -213,6 +213,15 @@ impl Truth {
         }
     }
 
+    /// A caller has given this to the master, for all.
+    pub(crate) fn put_to_all(&mut self, data: &Data) {
+        let put = self.next_moment();
+        let name = Name::of(&Packet { channel: Channel::Command(Target::All), data: *data });
+        for motor in MotorId::all().filter(|_| name.moves()) {
+            self.page(motor).sendings.entry(name).or_default().put = put;
+        }
+    }
+
     /// The bus has taken a command of the master's.
     pub(crate) fn taken(&mut self, packet: &Packet) {
         match packet.channel {
@@ -220,10 +229,16 @@ impl Truth {
                 self.taken_of(motor, packet);
             }
             _ => {
-                let is_stop = Name::of(packet).is_stop();
+                let name = Name::of(packet);
+                let is_stop = name.is_stop();
                 self.last_to_all = Some(self.now);
                 for motor in MotorId::all() {
-                    let put = if is_stop { self.page(motor).stop_called } else { 0 };
+                    let page = self.page(motor);
+                    let sending = page.sendings.get(&name).copied().unwrap_or_default();
+                    let put = if is_stop { page.stop_called } else { sending.put };
+                    if name.moves() && (page.is_stopped || put < page.ended || sending.taken > 0) {
+                        self.breaks(format!("{name:X?} moves all, and motor {motor} is stopped"));
+                    }
                     // Who does not answer is counted as missing that.
                     self.page(motor).answered_newest &= is_stop;
                     self.note_taken(motor, packet, put);
@@ -297,9 +312,9 @@ impl Truth {
     /// The controller has handed a command back.
     pub(crate) fn handed_back(&mut self, packet: &Packet) {
         let name = Name::of(packet);
-        let motors: Vec<MotorId> = match packet.channel {
-            Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => vec![motor],
-            _ => MotorId::all().collect(),
+        let (motors, is_own): (Vec<MotorId>, bool) = match packet.channel {
+            Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => (vec![motor], true),
+            _ => (MotorId::all().collect(), false),
         };
         for motor in motors {
             let page = self.page(motor);
@@ -308,7 +323,8 @@ impl Truth {
                 sending.taken -= 1;
             }
             if name.is_stop() {
-                page.stops_taken = page.stops_taken.saturating_sub(1);
+                // One to all is nobody's own.
+                page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_own));
             } else if name.is_set_point() && page.newest_set_point == name.token {
                 // It may go again.
                 page.newest_set_point -= 1;
