@@ -2,6 +2,8 @@
 
 use core::fmt;
 
+use embassy_futures::yield_now;
+
 use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
@@ -49,7 +51,7 @@ pub trait AsyncRunner<const N: usize> {
         }
     }
 
-    /// As [`Runner::run_until`](crate::io::Runner::run_until).
+    /// As [`Runner::run_until`](crate::io::Runner::run_until). When `until` is past, other tasks get a turn.
     ///
     /// # Errors
     /// As there.
@@ -58,7 +60,7 @@ pub trait AsyncRunner<const N: usize> {
         until: Instant,
         mut on_event: impl FnMut(Event),
     ) -> Result<(), CallError<Self::Error>> {
-        let mut late_events = 0;
+        let (is_late, mut late_events) = (self.now() >= until, 0);
         loop {
             let event = self.run(Some(until)).await.map_err(CallError::Bus)?;
             let is_all = event.is_none() || late_events == MOST_LATE_EVENTS;
@@ -66,6 +68,10 @@ pub trait AsyncRunner<const N: usize> {
             if self.now() >= until {
                 // Whoever is late hears all that has come: what waits goes behind that.
                 if is_all {
+                    // Of a loop that is always late others would have none: the task of a stop button, say.
+                    if is_late {
+                        yield_now().await;
+                    }
                     return Ok(());
                 }
                 late_events += 1;

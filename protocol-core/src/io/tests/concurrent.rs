@@ -1,8 +1,12 @@
 //! The async loops: they do what the polling ones do, and their futures may be dropped anywhere.
 
+use core::pin::pin;
 use std::format;
 use std::string::String;
 use std::vec::Vec;
+
+use embassy_futures::select::select;
+use embassy_futures::yield_now;
 
 use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_can, on_rs485, polls};
 use super::{id, step, torque};
@@ -346,4 +350,24 @@ fn a_stop_goes_out_while_each_look_at_the_bus_is_an_error() {
         clock.advance(1_000);
     }
     assert!(port.written().len() > 13, "and again");
+}
+
+#[test]
+fn a_control_loop_that_is_always_late_leaves_other_tasks_their_turns() {
+    let (_, clock, mut arm) = can();
+    clock.advance(1_000);
+    let late = async {
+        for _ in 0..100 {
+            arm.run_until(Instant::ZERO, |_| {}).await.unwrap();
+        }
+    };
+    let mut turns = 0;
+    let other = async {
+        loop {
+            turns += 1;
+            yield_now().await;
+        }
+    };
+    block_on(select(pin!(late), pin!(other)));
+    assert!(turns >= 100, "{turns}");
 }
