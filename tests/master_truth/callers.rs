@@ -54,6 +54,9 @@ impl<W: Rough> Session<W> {
             let mut truth = stage.book.open();
             truth.flips = scenario.trouble == Trouble::Undetected;
             truth.reorders = matches!(scenario.trouble, Trouble::Reorder | Trouble::All);
+            if scenario.conditions.repeats && W::NAME == "RS485" {
+                truth.offers.unknown_commands_are_asked();
+            }
             if scenario.is_kind() {
                 let motors = u64::from(scenario.motors);
                 // CAN: what was queued before, and two frames each. RS485: what is in flight, one to

@@ -12,6 +12,8 @@ use super::truth::{Page, Truth};
 /// A refused port is offered it again after 1 ms, and whoever had an error or events to take first does not look
 /// meanwhile.
 const NEXT_OFFER: Duration = Duration::from_micros(1_500);
+/// Longer than any other reply is waited for.
+const ROM_TIMEOUT: Duration = Duration::from_millis(20);
 /// A motor that left so many commands in a row unanswered counts as dead.
 const IS_DEAD: u32 = 5;
 
@@ -48,6 +50,11 @@ impl Offers {
             }
         };
         Self { within, since: Instant::ZERO }
+    }
+
+    /// Some ask what a line waits for longer, as it does for a write to ROM: a command that no firmware knows.
+    pub(crate) fn unknown_commands_are_asked(&mut self) {
+        self.within = self.within + ROM_TIMEOUT;
     }
 }
 
