@@ -9,7 +9,8 @@ use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write};
 /// A serial port whose transceiver is switched to sending by a pin: high while bytes leave.
 ///
 /// The pin goes high before the first byte is written, and low again in `flush`, after the last byte has left; so
-/// the port's own `flush` must wait for that. Where a write fails or takes nothing it goes low at once.
+/// the port's own `flush` must wait for that. Where a write fails or takes nothing it goes low, too: at once if nothing
+/// was written before, else after what was has left.
 ///
 /// It is a port of embedded-io if `serial` is one and `delay` is embedded-hal's, and a port of
 /// embedded-io-async if `delay` is embedded-hal-async's. There, a `write` or `flush` that is dropped
@@ -105,12 +106,15 @@ impl<S: ReadReady, P: OutputPin, D> ReadReady for HalfDuplex<S, P, D> {
 
 impl<S: Write, P: OutputPin, D: DelayNs> Write for HalfDuplex<S, P, D> {
     fn write(&mut self, buf: &[u8]) -> Result<usize, Self::Error> {
-        if self.turn_to_sending()? {
+        let is_first = self.turn_to_sending()?;
+        if is_first {
             self.delay.delay_ns(self.setup_ns);
         }
         let written = self.serial.write(buf).map_err(HalfDuplexError::Serial);
-        if !matches!(written, Ok(1..)) {
-            self.turn_to_receiving()?;
+        match written {
+            Ok(1..) => {}
+            _ if is_first => self.turn_to_receiving()?,
+            _ => self.flush()?,
         }
         written
     }
@@ -140,12 +144,15 @@ where
     D: embedded_hal_async::delay::DelayNs,
 {
     async fn write(&mut self, buf: &[u8]) -> Result<usize, Self::Error> {
-        if self.turn_to_sending()? {
+        let is_first = self.turn_to_sending()?;
+        if is_first {
             self.delay.delay_ns(self.setup_ns).await;
         }
         let written = self.serial.write(buf).await.map_err(HalfDuplexError::Serial);
-        if !matches!(written, Ok(1..)) {
-            self.turn_to_receiving()?;
+        match written {
+            Ok(1..) => {}
+            _ if is_first => self.turn_to_receiving()?,
+            _ => self.flush().await?,
         }
         written
     }

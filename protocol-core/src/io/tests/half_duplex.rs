@@ -1,6 +1,6 @@
 //! The direction pin.
 
-use core::cell::RefCell;
+use core::cell::{Cell, RefCell};
 use core::convert::Infallible;
 use std::rc::Rc;
 use std::vec::Vec;
@@ -28,6 +28,9 @@ struct Rig {
     fails: bool,
     cannot_flush: bool,
     hangs: bool,
+    /// So many bytes it takes yet.
+    room: Option<Rc<Cell<usize>>>,
+    fails_when_full: bool,
 }
 
 impl Rig {
@@ -90,7 +93,10 @@ impl embedded_io::Read for Rig {
 impl embedded_io::Write for Rig {
     fn write(&mut self, buf: &[u8]) -> Result<usize, Broken> {
         self.note(Write(buf.len()));
-        self.outcome(buf.len())
+        let Some(room) = &self.room else { return self.outcome(buf.len()) };
+        let taken = buf.len().min(room.get());
+        room.set(room.get() - taken);
+        if taken == 0 && self.fails_when_full { Err(Broken) } else { Ok(taken) }
     }
 
     fn flush(&mut self) -> Result<(), Broken> {
@@ -178,6 +184,33 @@ fn a_write_that_is_dropped_is_made_good_by_the_next_flush() {
     assert_eq!(rig.log().last(), Some(&Wait(3_000)), "still high");
     block_on(port.flush()).unwrap();
     assert_eq!(rig.log().last(), Some(&Low));
+}
+
+/// A port that takes so many bytes and then nothing, or reports an error.
+fn full_after_two(fails: bool) -> Rig {
+    Rig { room: Some(Rc::new(Cell::new(2))), fails_when_full: fails, ..Rig::default() }
+}
+
+#[test]
+fn what_the_port_has_taken_leaves_before_the_pin_falls_although_it_takes_no_more() {
+    // A driver that goes off in mid-byte cuts what is on the line.
+    let cut = [Low, High, Wait(3_000), Write(3), Write(1), Flush, Wait(5_000), Low];
+    for fails in [false, true] {
+        let last = if fails { Err(HalfDuplexError::Serial(Broken)) } else { Ok(0) };
+        let rig = full_after_two(fails);
+        let mut port = rig.clone().half_duplex();
+        assert_eq!(embedded_io::Write::write(&mut port, &[1, 2, 3]), Ok(2));
+        assert_eq!(embedded_io::Write::write(&mut port, &[3]), last);
+        assert_eq!(rig.log(), cut);
+        let rig = full_after_two(fails);
+        let mut port = rig.clone().half_duplex();
+        block_on(async {
+            use embedded_io_async::Write;
+            assert_eq!(port.write(&[1, 2, 3]).await, Ok(2));
+            assert_eq!(port.write(&[3]).await, last);
+        });
+        assert_eq!(rig.log(), cut);
+    }
 }
 
 #[test]
