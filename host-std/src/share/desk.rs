@@ -4,7 +4,7 @@
 //! here and now, and refuses what comes after it, whether or not the thread has seen it yet.
 
 use std::collections::VecDeque;
-use std::sync::mpsc::{RecvTimeoutError::Timeout, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError::Timeout, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -252,7 +252,7 @@ impl<E> Desk<E> {
 
     /// Waits for an answer.
     pub(super) fn wait<T>(&self, awaited: Awaited<T, E>) -> Result<T, SharedBusError<E>> {
-        self.answer(&awaited?).unwrap_or(Err(SharedBusError::Held))
+        self.answer(awaited?).unwrap_or(Err(SharedBusError::Held))
     }
 
     /// Waits for the end of a stop of these motors, all of which count as unconfirmed when nobody can tell.
@@ -261,14 +261,22 @@ impl<E> Desk<E> {
         awaited: Awaited<MotorSet, E>,
         motors: MotorSet,
     ) -> Result<MotorSet, SharedBusError<E>> {
-        self.answer(&awaited?).unwrap_or(Ok(motors))
+        self.answer(awaited?).unwrap_or(Ok(motors))
     }
 
     /// Waits for an answer. `None` if the thread's driver holds it.
-    fn answer<T>(&self, waiting: &Waiting<T, E>) -> Option<Result<T, SharedBusError<E>>> {
-        let answer = self.unless_held(|longest| match waiting.answered.recv_timeout(longest) {
+    fn answer<T>(&self, waiting: Waiting<T, E>) -> Option<Result<T, SharedBusError<E>>> {
+        let Waiting { answered, asker } = waiting;
+        let take = |from: &Receiver<_>, longest| match from.recv_timeout(longest) {
             Err(Timeout) => None,
             answer => Some(answer),
+        };
+        let answer = self.unless_held(|longest| take(&answered, longest)).or_else(|| {
+            // An error of the bus that comes now is told here, or to the next: nobody is told while this is locked.
+            let _state = self.lock();
+            let last = take(&answered, Duration::ZERO);
+            drop((answered, asker));
+            last
         });
         // Only a thread that has ended answers nothing, and it has said why.
         answer.map(|answer| answer.unwrap_or_else(|_| Err(self.lock().last_words())))
@@ -368,15 +376,21 @@ impl<E> Desk<E> {
         }
     }
 
-    /// The bus has failed. `told` were told so already.
-    pub(super) fn fail(&self, error: &Arc<E>, told: usize) {
+    /// The bus has failed. Tells those whose answers these are, and all who wait here; if none of them is there any
+    /// more, whoever comes next. What ends motion and has nobody to put it again stays.
+    pub(super) fn fail(&self, error: &Arc<E>, asked: impl IntoIterator<Item = Answer<Data, E>>) {
         let mut state = self.lock();
-        let waiting = std::mem::take(&mut state.questions);
-        if told + waiting.len() == 0 {
+        let tell = |answer: &Answer<Data, E>| {
+            answer.send(Err(SharedBusError::Bus(Arc::clone(error)))).is_ok()
+        };
+        let mut told = asked.into_iter().filter(|answer| tell(answer)).count();
+        state.questions.retain(|question| {
+            let is_told = tell(&question.answer);
+            told += usize::from(is_told);
+            !is_told && question.command.kind.ends_motion()
+        });
+        if told == 0 {
             state.error = Some(Arc::clone(error));
-        }
-        for question in waiting {
-            let _ = question.answer.send(Err(SharedBusError::Bus(Arc::clone(error))));
         }
     }
 

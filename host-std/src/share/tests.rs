@@ -1,11 +1,12 @@
 //! Threads on one bus of simulated drives, in real time.
 
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Arc, Barrier, mpsc};
+use std::sync::mpsc::{self, sync_channel};
+use std::sync::{Arc, Barrier};
 use std::thread;
 
 use myactuator_protocol_core::command::{
-    AbsolutePosition, ReadMultiTurnAngle, ReadStatus1, Shutdown, Speed, Stop,
+    AbsolutePosition, IncrementalPosition, ReadMultiTurnAngle, ReadStatus1, Shutdown, Speed, Stop,
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{CanMaster, Runner};
@@ -230,6 +231,8 @@ const PANIC_ONCE: u32 = 3;
 const REFUSE: u32 = 4;
 const BLOCK: u32 = 5;
 const BLOCKED: u32 = 6;
+/// Blocks when something waits to be sent, and sends nothing of it in that look at the bus.
+const BLOCK_AT_WORK: u32 = 7;
 
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
@@ -247,7 +250,10 @@ impl Runner<8> for Fragile {
 
     fn poll(&mut self) -> Result<Option<Event>, CanError> {
         let mut order = self.1.load(Ordering::SeqCst);
-        if order == BLOCK {
+        let now = self.0.now();
+        let has_work = self.0.master().clone().poll_transmit(now).is_some();
+        let at_work = order == BLOCK_AT_WORK && has_work;
+        if order == BLOCK || at_work {
             // A write that takes 100 ms, in which somebody gives another order.
             self.1.store(BLOCKED, Ordering::SeqCst);
             while self.1.load(Ordering::SeqCst) == BLOCKED {
@@ -258,12 +264,15 @@ impl Runner<8> for Fragile {
                 self.0.idle(end);
             }
             order = self.1.load(Ordering::SeqCst);
+            if at_work && order == WORK {
+                return Ok(None);
+            }
         }
-        if order != FAIL && order != REFUSE {
+        if ![FAIL, REFUSE, BLOCK_AT_WORK].contains(&order) {
             self.1.store(WORK, Ordering::SeqCst);
         }
         match order {
-            WORK => self.0.poll(),
+            WORK | BLOCK_AT_WORK => self.0.poll(),
             REFUSE => {
                 let now = self.0.now();
                 self.0.master().handle_bus_down(now);
@@ -393,6 +402,48 @@ fn nobody_waits_for_ever_for_a_driver_that_does_not_come_back() {
     assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
     // What nobody waits for any more is not sent then.
     assert!(packets(&log).iter().all(|packet| packet.data[0] != 0x92));
+}
+
+/// Ten degrees on.
+const STEP: IncrementalPosition =
+    IncrementalPosition { max_speed: MaxSpeed::from_raw(90), angle: Angle::from_raw(1_000) };
+
+#[test]
+fn a_move_that_its_caller_has_given_up_is_not_sent_when_the_driver_comes_back() {
+    for outcome in [WORK, FAIL_ONCE] {
+        let (fleet, order, bus) = fragile();
+        bus.ask(id(1), ReadStatus1).unwrap();
+        let (log, events) = (fleet.world.log(), bus.subscribe(100));
+        // The master has it by then, and has not sent it.
+        order.store(BLOCK_AT_WORK, Ordering::SeqCst);
+        let told = bus.ask(id(1), STEP).unwrap_err();
+        assert!(matches!(told, SharedBusError::Held), "{told}");
+        order.store(outcome, Ordering::SeqCst);
+        while bus.ask(id(1), ReadStatus1).is_err() {}
+        assert!(packets(&log).iter().all(|packet| packet.data[0] == 0x9A));
+        let is_dropped = |event: Event| matches!(event, Event::Failed { failure, .. } if failure == Failure::Dropped);
+        assert!(std::iter::from_fn(|| events.try_next()).any(is_dropped), "it was the master's");
+    }
+}
+
+#[test]
+fn who_is_told_an_error_of_the_bus_has_not_moved_anything_later() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    let log = fleet.world.log();
+    order.store(BLOCK_AT_WORK, Ordering::SeqCst);
+    let asking = thread::spawn({
+        let bus = bus.clone();
+        move || bus.ask(id(1), STEP)
+    });
+    while order.load(Ordering::SeqCst) != BLOCKED {
+        thread::yield_now();
+    }
+    order.store(FAIL_ONCE, Ordering::SeqCst);
+    let told = asking.join().unwrap().unwrap_err();
+    assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
+    while bus.ask(id(1), ReadStatus1).is_err() {}
+    assert!(packets(&log).iter().all(|packet| packet.data[0] == 0x9A));
 }
 
 #[test]
@@ -550,7 +601,7 @@ fn somebody_elses_error_keeps_no_stop_from_the_bus() {
     let desk = Desk::new(None);
     for command in [Untyped::of(&Stop), Untyped::of(&Shutdown)] {
         desk.set_point(id(1), Untyped::of(&turn(90.0))).unwrap();
-        desk.fail(&Arc::new(CanError::BusOff), 0);
+        desk.fail(&Arc::new(CanError::BusOff), []);
         let stopping = desk.ask(id(1), command, None);
         let mut free = Notes { takes_questions: true, ..Notes::default() };
         assert!(desk.take(&mut free));
@@ -560,6 +611,35 @@ fn somebody_elses_error_keeps_no_stop_from_the_bus() {
         let told = desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap_err();
         assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
     }
+}
+
+#[test]
+fn an_error_that_only_callers_who_have_gone_were_told_is_told_to_the_next() {
+    let desk = Desk::new(None);
+    let reading = Untyped::of(&ReadStatus1);
+    let is_told = |outcome| matches!(outcome, Err(SharedBusError::Bus(_)));
+    let error = Arc::new(CanError::BusOff);
+    // One at the desk, and one whose question was put.
+    drop(desk.ask(id(1), reading, None).unwrap());
+    let (put, gone) = sync_channel(1);
+    drop(gone);
+    desk.fail(&error, [put]);
+    assert!(is_told(desk.wait(desk.ask(id(1), reading, None))));
+    // Who still waits is told, and nobody else.
+    let waiting = desk.ask(id(1), reading, None);
+    drop(desk.ask(id(2), reading, None).unwrap());
+    desk.fail(&error, []);
+    assert!(is_told(desk.wait(waiting)));
+    assert!(desk.ask(id(1), reading, None).is_ok());
+}
+
+#[test]
+fn what_ends_motion_outlives_an_error_that_its_caller_is_not_there_to_be_told() {
+    let desk = Desk::new(None);
+    drop(desk.ask(id(1), Untyped::of(&Shutdown), None).unwrap());
+    drop(desk.ask(id(2), Untyped::of(&ReadStatus1), None).unwrap());
+    desk.fail(&Arc::new(CanError::BusOff), []);
+    assert_eq!(taken(&desk), ["1?"]);
 }
 
 #[test]

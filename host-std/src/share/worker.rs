@@ -2,7 +2,7 @@
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time;
 
 use myactuator_protocol_core::error::RequestError;
@@ -62,6 +62,8 @@ struct Worker<R: Runner<N>, const N: usize> {
 
 /// A question that was put.
 struct Asked<E> {
+    /// Gone when nobody waits for the answer any more.
+    asker: Weak<()>,
     ticket: Ticket<Untyped>,
     answer: Answer<Data, E>,
 }
@@ -78,6 +80,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     /// One round of the bus. False when it is time to end.
     fn round(&mut self, desk: &Desk<R::Error>) -> bool {
         self.turn_ends = None;
+        self.withdraw_what_was_given_up();
         let goes_on = desk.take(self);
         self.looked_at = self.runner.now();
         match self.runner.poll() {
@@ -92,6 +95,18 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         }
         self.end_stops();
         goes_on
+    }
+
+    /// What moves a motor and was given up, while the driver held this thread, does not go out late.
+    fn withdraw_what_was_given_up(&mut self) {
+        let master = self.runner.master();
+        self.asked.retain(|asked| {
+            let is_awaited = asked.asker.strong_count() > 0;
+            if !is_awaited {
+                master.withdraw(asked.ticket.id());
+            }
+            is_awaited
+        });
     }
 
     fn answer(&mut self, event: &Event) {
@@ -149,10 +164,13 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     /// Tells everybody who waits, and lets the bus rest.
     fn fail(&mut self, error: R::Error, desk: &Desk<R::Error>) {
         let error = Arc::new(error);
-        desk.fail(&error, self.asked.len());
-        for asked in self.asked.drain(..) {
-            let _ = asked.answer.send(Err(SharedBusError::Bus(Arc::clone(&error))));
-        }
+        let master = self.runner.master();
+        let answers = self.asked.drain(..).map(|asked| {
+            // Who is told of a failure may do it again.
+            master.withdraw(asked.ticket.id());
+            asked.answer
+        });
+        desk.fail(&error, answers);
         desk.wait_for_callers(RETRY_AFTER);
         // In virtual time, time goes on here only.
         let until = self.runner.now() + RETRY_AFTER.into();
@@ -212,7 +230,10 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             None => master.request(motor, command),
         };
         match ticket {
-            Ok(ticket) => self.asked.push(Asked { ticket, answer: question.answer }),
+            Ok(ticket) => {
+                let Question { asker, answer, .. } = question;
+                self.asked.push(Asked { asker, ticket, answer });
+            }
             Err(RequestError::Busy) if now < turn_ends => {
                 self.turn_ends =
                     Some(self.turn_ends.map_or(turn_ends, |first| first.min(turn_ends)));

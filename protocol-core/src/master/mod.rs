@@ -296,8 +296,13 @@ impl<const N: usize> Master<N> {
         Ok(TicketId { motor, number })
     }
 
-    /// Nobody waits for its outcome any more: what a stop would refuse is not sent, or sent again, at any later time.
-    pub(crate) fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
+    /// Nobody waits for the outcome of this request any more, so what a stop would refuse, a move say, must not be
+    /// sent, or sent again, at any later time. One that waits fails ([`Failure::Dropped`]). One that is on the wire, or
+    /// lies in a controller's mailbox, is not called back: it is carried out, its answer still comes, and only a
+    /// [stop](Self::stop) ends what it does; if it is lost or handed back it is not sent once more. What reads, writes
+    /// or ends motion goes on. One that is over is left alone. The `ask` of the [loops](crate::io) does this when it is
+    /// left.
+    pub fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
         let now = self.now;
         self.due = now;
         self.change(motor, |motor, config| match &mut motor.request {
