@@ -1,20 +1,28 @@
 //! The signals that ask the program to end, or to halt: while a motor moves they stop it first.
 
 use std::io;
+use std::ops::RangeInclusive;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock};
 
 use signal_hook::consts::{
-    SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPROF, SIGQUIT, SIGTERM, SIGTSTP, SIGTTOU, SIGUSR1, SIGUSR2,
-    SIGVTALRM, SIGXCPU, SIGXFSZ,
+    SIGABRT, SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPROF, SIGQUIT, SIGSYS, SIGTERM, SIGTRAP, SIGTSTP,
+    SIGTTOU, SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU, SIGXFSZ,
 };
 
+/// Two that have a number on Linux and no constant here.
+const SIGSTKFLT: i32 = 16;
+const SIGPWR: i32 = 30;
+
 /// Ctrl-C, Ctrl-\, Ctrl-Z, a request to end, a hang-up, the halt of a background job that prints, and whatever else
-/// would end a program that does nothing about it: what a user or a limit sends to it.
-const SIGNALS: [i32; 14] = [
+/// would end a program that does nothing about it: what a user, a watchdog or a limit sends to it.
+const SIGNALS: [i32; 19] = [
     SIGINT, SIGQUIT, SIGTSTP, SIGTERM, SIGHUP, SIGTTOU, SIGUSR1, SIGUSR2, SIGALRM, SIGVTALRM,
-    SIGPROF, SIGIO, SIGXCPU, SIGXFSZ,
+    SIGPROF, SIGIO, SIGXCPU, SIGXFSZ, SIGABRT, SIGTRAP, SIGSYS, SIGSTKFLT, SIGPWR,
 ];
+
+/// They would, too. The C library keeps the first few to itself, and refuses them.
+const REAL_TIME: RangeInclusive<i32> = 32..=64;
 
 static CAME: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 static AGAIN: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
@@ -32,9 +40,17 @@ pub(super) fn again() -> Arc<AtomicBool> {
 /// From now on they only set the flags.
 pub(super) fn watch() -> io::Result<()> {
     for signal in SIGNALS {
-        signal_hook::flag::register(signal, flag())?;
-        signal_hook::flag::register(signal, again())?;
+        set_flags_at(signal)?;
     }
+    for signal in REAL_TIME {
+        let _ = set_flags_at(signal);
+    }
+    Ok(())
+}
+
+fn set_flags_at(signal: i32) -> io::Result<()> {
+    signal_hook::flag::register(signal, flag())?;
+    signal_hook::flag::register(signal, again())?;
     Ok(())
 }
 
@@ -49,14 +65,17 @@ mod tests {
     /// Of `signal(7)`, those that end or halt a program that does nothing about them, and that are not a fault of
     /// its own, which no handler may return from. SIGKILL and SIGSTOP nobody can catch; what a program reads while
     /// motors move is no terminal (SIGTTIN).
-    const THAT_END_OR_HALT: [(&str, u32); 14] = [
+    const THAT_END_OR_HALT: [(&str, u32); 19] = [
         ("HUP", 1),
         ("INT", 2),
         ("QUIT", 3),
+        ("TRAP", 5),
+        ("ABRT", 6),
         ("USR1", 10),
         ("USR2", 12),
         ("ALRM", 14),
         ("TERM", 15),
+        ("STKFLT", 16),
         ("TSTP", 20),
         ("TTOU", 22),
         ("XCPU", 24),
@@ -64,6 +83,8 @@ mod tests {
         ("VTALRM", 26),
         ("PROF", 27),
         ("IO", 29),
+        ("PWR", 30),
+        ("SYS", 31),
     ];
 
     #[test]
@@ -74,6 +95,10 @@ mod tests {
         let caught = u64::from_str_radix(caught.trim(), 16).unwrap();
         for (name, number) in THAT_END_OR_HALT {
             assert!(caught & 1 << (number - 1) != 0, "SIG{name}");
+        }
+        // The C library keeps the first real-time signals to itself, 35 is SIGRTMIN of all.
+        for number in 35..=64 {
+            assert!(caught & 1 << (number - 1) != 0, "real-time signal {number}");
         }
     }
 }
