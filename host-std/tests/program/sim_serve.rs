@@ -198,10 +198,11 @@ fn a_stop_does_not_say_that_a_motor_holds_whose_output_is_cut() {
         Simulation::start(1, &["--only", "slcan", "--count", "2", "--fault", "stall@2"]);
     let output = run(&["stop", "--bus", simulation.bus("slcan")]);
     assert_eq!(
-        text(&output.stdout),
-        "motor 1 is stopped and holds still (0x81); motor 2 has confirmed the stop (0x81) but reports an error \
+        text(&output.stderr),
+        "error: motor 1 is stopped and holds still (0x81); motor 2 has confirmed the stop (0x81) but reports an error \
          (motor stalled), and its drive cuts its output for that: nothing but a locked brake holds its shaft\n"
     );
+    assert_eq!(output.status.code(), Some(1));
 }
 
 #[test]

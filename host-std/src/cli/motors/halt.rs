@@ -2,7 +2,8 @@
 //!
 //! Nothing is asked, and nobody is looked for first: the command itself goes to every id, on RS485 to all at
 //! once before that, and those that confirm are reported. Exit status: 0 if the motor, or any motor if all are
-//! meant, has confirmed, the bus has carried the command to all that were meant, and none of them moves on, else 1.
+//! meant, has confirmed, the bus has carried the command to all that were meant, none of them moves on, and none that
+//! was to hold still is known, or may be feared, to hold nothing, else 1.
 
 use myactuator_protocol_core::Target;
 use myactuator_protocol_core::command::{Command, Shutdown, Stop};

@@ -31,6 +31,9 @@ Nothing of that works if the program is killed or frozen outright (kill -9, kill
 power), or the bus is cut: the motor goes on then. Against that set the motor's own communication-loss \
 protection: myactuator timeout.";
 
+/// What is true of a motor that was switched off.
+const OFF: &str = "is off (0x80): its shaft is free unless a brake holds it";
+
 impl Session {
     /// Does `work`, which moves these motors. If it fails or panics, or Ctrl-C, Ctrl-\\, Ctrl-Z, a hang-up or
     /// a request to end comes, they are stopped (0x81) before anything else.
@@ -141,48 +144,35 @@ impl Session {
         motors.iter().filter(|motor| self.master.moved_on.contains(*motor)).collect()
     }
 
-    /// How motors are that have confirmed the stop.
+    /// How motors are that have confirmed the stop: they hold still, or were switched off.
     ///
     /// # Errors
-    /// The same, if one of them does not come to rest.
+    /// The same, if one of them holds nothing, does not tell, or does not come to rest: nobody may rely on it.
     pub(super) fn stopped(&mut self, motors: MotorSet) -> Outcome<String> {
-        let mut others = self.that_hold_nothing(motors);
+        let off: MotorSet = motors.iter().filter(|motor| self.master.is_off(*motor)).collect();
         let of = |told: &[(MotorId, String)]| told.iter().map(|(motor, _)| *motor).collect();
-        let resting = motors.without(of(&others));
-        let restless = self.restless(resting);
-        let all_rest = restless.is_empty();
-        let holding = resting.without(of(&restless));
-        others.extend(restless);
+        let mut failing = self.that_hold_nothing(motors.without(off));
+        let resting = motors.without(off).without(of(&failing));
+        failing.extend(self.restless(resting));
+        let holding = resting.without(of(&failing));
+        let all_well = failing.is_empty();
+        let mut others: Vec<_> = off.iter().map(|motor| (motor, OFF.to_owned())).collect();
+        others.extend(failing);
         others.sort_unstable_by_key(|(motor, _)| *motor);
         // Who commands seldom may not have been heard before.
         self.is_left_alone(motors, self.moved_on(motors))?;
         let others = others.into_iter().map(|(motor, told)| format!("motor {motor} {told}"));
         let holding = (!holding.is_empty()).then(|| hold_still(holding));
         let told = holding.into_iter().chain(others).collect::<Vec<_>>().join("; ");
-        if all_rest { Ok(told) } else { Err(Unfinished::Failed(told)) }
+        if all_well { Ok(told) } else { Err(Unfinished::Failed(told)) }
     }
 
-    /// What is true of a motor that has confirmed the stop and does not hold still by it.
-    ///
-    /// # Errors
-    /// As [`come_to_rest`](Self::come_to_rest); or something else goes on commanding it.
-    pub(super) fn holds_nothing(&mut self, motor: MotorId) -> Outcome<Option<String>> {
-        let told = self.that_hold_nothing(motor.into()).pop().map(|(_, told)| told);
-        if told.is_none() {
-            self.come_to_rest(motor)?;
-        }
-        self.is_left_alone(motor.into(), self.moved_on(motor.into()))?;
-        Ok(told)
-    }
-
-    /// Those that have confirmed the stop and do not hold still by it, with what is true of them.
+    /// Those that have confirmed the stop (0x81) and do not hold still by it, or do not tell, with what is true of
+    /// them.
     fn that_hold_nothing(&mut self, motors: MotorSet) -> Vec<(MotorId, String)> {
-        let off: MotorSet = motors.iter().filter(|motor| self.master.is_off(*motor)).collect();
-        let told = "is off (0x80): its shaft is free unless a brake holds it";
-        let mut holding_nothing: Vec<_> =
-            off.iter().map(|motor| (motor, told.to_owned())).collect();
+        let mut holding_nothing = Vec::new();
         let mut may_run_nothing = MotorSet::EMPTY;
-        for (motor, status) in self.ask_each(motors.without(off), ReadStatus1, None).outcomes {
+        for (motor, status) in self.ask_each(motors, ReadStatus1, None).outcomes {
             let told = match status {
                 Ok(status) if status.errors.is_empty() => {
                     if status.brake != BrakeCommand::LOCK {
@@ -402,14 +392,16 @@ mod tests {
         let told = |session: &mut Session| {
             session.stop(StopKind::Hold, motor.into()).unwrap();
             let is_on = fleet.drives[0].with(|drive| drive.state().output_on);
-            (session.stopped(motor.into()).unwrap(), is_on)
+            (session.stopped(motor.into()), is_on)
         };
-        let (sentence, is_on) = told(&mut session);
+        let (Err(Unfinished::Failed(sentence)), is_on) = told(&mut session) else {
+            panic!("nothing holds it")
+        };
         assert!(sentence.contains("runs nothing (mode 0)"), "{sentence}");
         assert!(!is_on, "{sentence}");
         // It hears it steadily now.
         let holds = "motor 1 is stopped and holds still (0x81)".to_owned();
-        assert_eq!(told(&mut session), (holds, true));
+        assert_eq!(told(&mut session), (Ok(holds), true));
     }
 
     #[test]
@@ -514,6 +506,18 @@ mod tests {
         assert_eq!(told.len(), 6, "{told:?}");
         let took = session.master.now() - begun;
         assert!(took < Duration::from_millis(3_200), "{took:?}");
+    }
+
+    #[test]
+    fn a_stop_of_which_nobody_knows_whether_it_holds_is_no_success() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
+        // The other one acknowledges its frames.
+        fleet.world.cut(fleet.drives[0].station());
+        let outcome = session.stopped(MotorId::MIN.into());
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.ends_with("whether it holds is not known: it does not tell its errors"));
     }
 
     #[test]

@@ -9,6 +9,7 @@ use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
 
+use super::moving::named;
 use super::progress::Progress;
 use super::session::{OneMotor, Session, healthy, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
@@ -69,10 +70,7 @@ pub(super) fn run<C: Command + Copy>(
         let end = match run.end {
             StopKind::Hold => {
                 session.stop(StopKind::Hold, motor.into())?;
-                match session.holds_nothing(motor)? {
-                    None => "it is stopped and holds still (0x81)".to_owned(),
-                    Some(told) => format!("it {told}"),
-                }
+                session.stopped(motor.into())?.replacen(&named(motor.into()), "it", 1)
             }
             StopKind::Off if opens => {
                 put_down(session, motor)?;
