@@ -275,6 +275,33 @@ mod tests {
         }
     }
 
+    /// What is told of two stopped motors: something else turns the second, which is waited for, and sends these to the
+    /// first so many milliseconds after the start. And whether the first's output is on then.
+    fn told_of_first(packets: &[(Packet, u64)]) -> (String, bool) {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        for (packet, after_ms) in packets {
+            OtherMaster::attach(&fleet, *packet, Sends::Once(Duration::from_millis(*after_ms)));
+        }
+        let mut session = Session::on(&fleet);
+        let motors = halt(&mut session, Target::All, StopKind::Hold).unwrap();
+        fleet.drives[1].with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
+        let Err(Unfinished::Failed(told)) = session.stopped(motors) else { panic!("one turns") };
+        assert!(told.contains("motor 2 has confirmed the stop (0x81), but turns at"), "{told}");
+        let of_first = told.split("; ").find(|told| told.starts_with("motor 1 "));
+        let is_on = fleet.drives[0].with(|drive| drive.state().output_on);
+        (of_first.expect("something").to_owned(), is_on)
+    }
+
+    #[test]
+    fn what_is_done_to_a_motor_while_another_is_waited_for_is_told() {
+        let [off, on] = [to_first(Shutdown.encode()), to_first(Stop.encode())];
+        let is_off = "motor 1 is off (0x80): its shaft is free unless a brake holds it".to_owned();
+        assert_eq!(told_of_first(&[(off, 100)]), (is_off.clone(), false));
+        assert_eq!(told_of_first(&[(off, 1_000)]), (is_off, false));
+        let on_again = "motor 1 was switched off and on again by something else on this bus: how it stands is not known";
+        assert_eq!(told_of_first(&[(off, 100), (on, 1_000)]), (on_again.to_owned(), true));
+    }
+
     #[test]
     fn whoever_gives_way_to_a_stop_may_send_once_more() {
         for meant in [Target::Motor(MotorId::MIN), Target::All] {

@@ -34,6 +34,10 @@ protection: myactuator timeout.";
 /// What is true of a motor that was switched off.
 const OFF: &str = "is off (0x80): its shaft is free unless a brake holds it";
 
+/// What is true of one that was, elsewhere, and then told to hold still.
+const ON_AGAIN: &str =
+    "was switched off and on again by something else on this bus: how it stands is not known";
+
 impl Session {
     /// Does `work`, which moves these motors. If it fails or panics, or Ctrl-C, Ctrl-\\, Ctrl-Z, a hang-up or
     /// a request to end comes, they are stopped (0x81) before anything else.
@@ -144,17 +148,26 @@ impl Session {
         motors.iter().filter(|motor| self.master.moved_on.contains(*motor)).collect()
     }
 
+    /// Those of these motors that are off, as far as is known.
+    fn off(&self, motors: MotorSet) -> MotorSet {
+        motors.iter().filter(|motor| self.master.is_off(*motor)).collect()
+    }
+
     /// How motors are that have confirmed the stop: they hold still, or were switched off.
     ///
     /// # Errors
     /// The same, if one of them holds nothing, does not tell, or does not come to rest: nobody may rely on it.
     pub(super) fn stopped(&mut self, motors: MotorSet) -> Outcome<String> {
-        let off: MotorSet = motors.iter().filter(|motor| self.master.is_off(*motor)).collect();
+        let was_off = self.off(motors);
         let of = |told: &[(MotorId, String)]| told.iter().map(|(motor, _)| *motor).collect();
-        let mut failing = self.that_hold_nothing(motors.without(off));
-        let resting = motors.without(off).without(of(&failing));
+        let mut failing = self.that_hold_nothing(motors.without(was_off));
+        let resting = motors.without(was_off).without(of(&failing));
         failing.extend(self.restless(resting));
-        let holding = resting.without(of(&failing));
+        // That takes its time, in which something else may do more to them.
+        let off = self.off(motors);
+        failing.extend(was_off.without(off).iter().map(|motor| (motor, ON_AGAIN.to_owned())));
+        let off = off.without(of(&failing));
+        let holding = motors.without(off).without(of(&failing));
         let all_well = failing.is_empty();
         let mut others: Vec<_> = off.iter().map(|motor| (motor, OFF.to_owned())).collect();
         others.extend(failing);
