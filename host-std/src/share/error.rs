@@ -23,8 +23,9 @@ pub enum SharedBusError<E = BusError> {
     /// It was sent, and has no answer, or a stop came before it.
     #[error("{0}")]
     Failed(Failure),
-    /// The bus driver keeps its thread for 2 s already (or the program was frozen). Whether a command was sent, or is
-    /// when the driver comes back, is not known.
+    /// The bus driver keeps its thread for 2 s already (or the program was frozen). Whether a command was sent is
+    /// not known, nor whether the driver sends it yet in the round in which it hangs; after that round no command that a
+    /// stop would refuse, a move say, is sent any more.
     #[error(
         "the driver of the bus does not come back, so it is not known whether the command is sent: if a motor must stop now, cut its power"
     )]

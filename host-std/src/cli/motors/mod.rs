@@ -47,7 +47,8 @@ pub(super) enum Subcommand {
     /// Stop motors at once (0x81): they hold still
     ///
     /// For 250 ms after that it is seen whether another program goes on commanding them: one that does so less often
-    /// than that passes unnoticed.
+    /// than that passes unnoticed. Exit status: 1 if one of them has not confirmed, goes on turning, or does not hold:
+    /// it reports an error, runs nothing, or does not tell.
     Stop(session::Motors),
     /// Switch motors off at once (0x80): their shafts are free unless brakes hold them
     ///
