@@ -244,21 +244,20 @@ impl Broadcast {
         self.in_flight_since().map(|sent| sent + config.reply_timeout)
     }
 
-    /// A controller has handed it back: it was never on the bus, and moves nobody. Gives whether it ends motion, so
-    /// that it goes once more.
+    /// A controller has handed it back: it was never on the bus, and moves nobody. Gives whether that changes what
+    /// becomes of it, so that it goes once more if it ends motion.
     pub(super) fn was_pushed_out(&mut self) -> bool {
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last_reaches_no_more(MotorSet::ALL);
         let is_decided = matches!(self.state, State::Again | State::Dropped);
-        let ends_motion = self.kind.is_some_and(Kind::ends_motion);
         self.state = match self.state {
             // Something else has ended it.
-            State::Done if !ends_motion => State::Dropped,
+            State::Done if !self.kind.is_some_and(Kind::ends_motion) => State::Dropped,
             State::InFlight | State::Sent | State::Done => State::Waiting,
             state => state,
         };
-        !is_decided && ends_motion
+        !is_decided
     }
 
     pub(super) fn goes_again(&mut self) {

@@ -115,8 +115,7 @@ impl Motor {
             earliest.take(match asked.purpose {
                 _ if self.waits_for_motion(asked, false) => self.on_its_way.end(),
                 Purpose::Stop => None,
-                Purpose::Caller | Purpose::Once if !self.late.has_room() => self.late.next_end(),
-                Purpose::Caller | Purpose::Once => self.late.end_of(asked.question),
+                Purpose::Caller | Purpose::Once => self.late.next_end(),
             });
         }
     }

@@ -61,7 +61,7 @@ impl Motor {
         };
         let turned = angle.wrapping_sub(before).unsigned_abs();
         let beyond = u32::from(turned.saturating_sub(HALF_A_TURN));
-        if beyond > 0 && DEGREE_TAKES.times(beyond) > now - self.latest_at {
+        if DEGREE_TAKES.times(beyond) > now - self.latest_at {
             self.has_begun_anew(config, now);
         }
     }
