@@ -60,23 +60,16 @@ pub trait AsyncRunner<const N: usize> {
         until: Instant,
         mut on_event: impl FnMut(Event),
     ) -> Result<(), CallError<Self::Error>> {
-        let (is_late, mut late_events) = (self.now() >= until, 0);
-        loop {
-            let event = self.run(Some(until)).await.map_err(CallError::Bus)?;
-            let is_all = event.is_none() || late_events == MOST_LATE_EVENTS;
-            event.into_iter().for_each(&mut on_event);
-            if self.now() >= until {
-                // Whoever is late hears all that has come: what waits goes behind that.
-                if is_all {
-                    // Of a loop that is always late others would have none: the task of a stop button, say.
-                    if is_late {
-                        yield_now().await;
-                    }
-                    return Ok(());
-                }
-                late_events += 1;
-            }
+        let is_late = self.now() >= until;
+        // Whoever is late hears all that has come: what waits goes behind that.
+        while let Some(event) = self.run(Some(until)).await.map_err(CallError::Bus)? {
+            on_event(event);
         }
+        if is_late {
+            // Of a loop that is always late others would have none: the task of a stop button, say.
+            yield_now().await;
+        }
+        Ok(())
     }
 
     /// As [`Runner::ask_with`](crate::io::Runner::ask_with).
@@ -189,9 +182,6 @@ pub trait AsyncRunner<const N: usize> {
         unconfirmed(self, motors).await
     }
 }
-
-/// How many events a call that is late takes at the most, on a bus on which they come faster than they are taken.
-const MOST_LATE_EVENTS: u8 = 64;
 
 /// Runs the bus until each of these motors has confirmed its stop, or not. Gives those that have not.
 async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(

@@ -45,8 +45,8 @@ pub trait Runner<const N: usize> {
     fn idle(&mut self, until: Instant);
 
     /// Runs the bus until then. `on_event` gets what happens meanwhile. When `until` is past, all that has come is
-    /// heard, up to 65 events, and then what can be sent is sent: a control loop that is late does not stop hearing,
-    /// nor sending.
+    /// heard, with up to 64 looks at a bus that always has something, and then what can be sent is sent: a control
+    /// loop that is late does not stop hearing, nor sending.
     ///
     /// # Errors
     /// [`CallError::Bus`].
