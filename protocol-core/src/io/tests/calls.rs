@@ -128,6 +128,22 @@ fn two_motors_that_differ_in_any_one_answer_share_an_id() {
 }
 
 #[test]
+fn what_others_say_and_errors_that_are_reported_are_no_second_answers() {
+    let status = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
+    let angle = [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0];
+    for (motor, data) in [(1, status), (2, status), (2, angle)] {
+        let (bus, mut arm) = arm();
+        // Motor 2 has a place, too.
+        arm.ask(id(2), ReadRunTime).unwrap();
+        let start = arm.now();
+        // The first question is answered after 0.8 ms, and heard out until 25.8 ms.
+        let said = Packet { channel: Channel::Reply(id(motor)), data };
+        bus.hear_at(start.as_micros() + 100, &said);
+        assert_eq!(bring_up::is_shared(&mut arm, id(1)), Ok(false), "{motor}: {:#04x}", data[0]);
+    }
+}
+
+#[test]
 fn no_motor_is_restarted_for_an_id_that_nobody_has_taken() {
     // The answers of these drives to function 5 are none.
     let (bus, mut arm) = arm();

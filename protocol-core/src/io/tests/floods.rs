@@ -136,6 +136,21 @@ fn a_bus_that_babbles_leaves_other_tasks_their_turns() {
 }
 
 #[test]
+fn a_call_whose_time_is_up_hears_what_has_come_and_no_more() {
+    let bus = Babbling::new(true);
+    let mut arm = CanMaster::<_, _, 4>::new(bus.clone(), TestClock::default(), Config::CAN);
+    let mut told = 0;
+    arm.run_until(Instant::ZERO, |_| told += 1).unwrap();
+    assert_eq!(told, ROUNDS - 1, "after as many looks it is sent to");
+
+    // Nothing has come.
+    let bus = Babbling::default();
+    let mut arm = CanMaster::<_, _, 4>::new(bus.clone(), TestClock::default(), Config::CAN);
+    arm.run_until(Instant::ZERO, |_| {}).unwrap();
+    assert_eq!(bus.looks.get(), 1);
+}
+
+#[test]
 fn what_comes_at_every_look_does_not_hide_that_an_answer_does_not() {
     let (bus, clock) = (Babbling::new(true), TestClock::default());
     let mut arm = CanMaster::<_, _, 4>::new(bus, clock.clone(), Config::CAN);

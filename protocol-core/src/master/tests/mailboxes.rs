@@ -394,6 +394,30 @@ fn what_was_on_its_way_before_a_cut_does_not_say_that_the_bus_is_whole_again() {
 }
 
 #[test]
+fn nor_does_it_where_the_window_has_grown_since() {
+    let longest_reply_timeout = Duration::from_millis(40);
+    let mut master = Master::<2>::new(Config { longest_reply_timeout, ..Config::CAN });
+    // One answer after 1 ms: the shortest time-outs do.
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.set_point(id(2), torque(1.0), ms(10)).unwrap();
+    sent(&mut master, ms(10));
+    // This may be heard of until 32.4 ms, and come until 73.2 ms on a bus that is whole.
+    master.broadcast(step(), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(12)).len(), 1);
+    events(&mut master, ms(12));
+    // On its way when the bus was cut. A mean of 3.4 ms and four times 5.1 ms: the window is 44.3 ms now.
+    reply(&mut master, 2, TORQUE_REPLY, ms(30)).unwrap();
+    assert_eq!(master.config().reply_timeout, Duration::from_micros(23_875));
+    for now in 31..100 {
+        sent(&mut master, ms(now));
+    }
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), None, "it may lie in a mailbox");
+}
+
+#[test]
 fn what_ends_the_motion_of_all_and_is_handed_back_before_its_end_was_told_undoes_no_later_stop() {
     let one = |motor, data| Packet { channel: Channel::Command(id(motor).into()), data };
     let [off, hold] = [Shutdown.encode(), Stop.encode()];

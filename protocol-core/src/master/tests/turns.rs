@@ -114,6 +114,56 @@ fn a_question_to_all_goes_again_when_the_last_one_is_answered_no_more() {
 }
 
 #[test]
+fn an_answer_to_all_may_come_later_where_the_bus_was_down() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    reply(&mut master, 1, MODEL_REPLY, ms(1)).unwrap();
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    sent(&mut master, ms(10));
+    events(&mut master, ms(31));
+    // Its time was up at 71.2 ms.
+    master.handle_bus_down(ms(60));
+    let _ = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(sent(&mut master, ms(72)), [], "the answer would be taken for this one's");
+    let at = ms(60) + WINDOW;
+    assert_eq!(master.poll_at(), Some(at));
+    assert!(is_to(&sent(&mut master, at), 1));
+}
+
+#[test]
+fn what_reads_is_asked_again_though_all_were_told_to_end_their_motion() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(1));
+    let again = sent(&mut master, ms(21));
+    assert!(is_to(&again, 1) && again[0].data == ReadModel.encode(), "{again:?}");
+}
+
+#[test]
+fn who_withdraws_what_is_over_withdraws_nothing_since() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let over = ask(&mut master, 1, ReadModel, ms(0));
+    reply(&mut master, 1, MODEL_REPLY, ms(1)).unwrap();
+    let _ = master.request(id(1), step()).unwrap();
+    master.withdraw(over.id());
+    assert!(is_to(&sent(&mut master, ms(2)), 1));
+}
+
+#[test]
+fn on_rs485_a_command_follows_a_turnaround_behind_whatever_was_heard() {
+    let config = Config::rs485(115_200, false);
+    let Bus::Rs485 { turnaround, .. } = config.bus else { unreachable!() };
+    let mut master = Master::<2>::new(config);
+    let heard = Packet { channel: Channel::Reply(id(2)), data: MODEL_REPLY };
+    master.handle_line(&Frame::from_packet(&heard).unwrap(), ms(10));
+    let _ = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(10)), []);
+    assert_eq!(master.poll_at(), Some(ms(10) + turnaround));
+    assert!(is_to(&sent(&mut master, ms(10) + turnaround), 1));
+}
+
+#[test]
 fn another_reply_does_not_say_that_a_move_of_all_has_come() {
     let mut master = Master::<2>::new(Config::CAN);
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
