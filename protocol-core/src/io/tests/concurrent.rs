@@ -92,6 +92,16 @@ fn on_rs485_the_async_loop_does_what_the_polling_one_does() {
 }
 
 #[test]
+fn the_time_of_a_loop_is_that_of_its_clock() {
+    let (_, clock, arm) = can();
+    clock.advance(5_000);
+    assert_eq!(arm.now(), Instant::from_millis(5));
+    let (_, clock, arm) = serial();
+    clock.advance(5_000);
+    assert_eq!(arm.now(), Instant::from_millis(5));
+}
+
+#[test]
 fn nothing_is_lost_or_sent_twice_when_futures_are_dropped() {
     for most in 1..40 {
         let (bus, clock, mut arm) = can();
