@@ -19,7 +19,8 @@ pub enum Bus {
         /// Whether the adapter hands back what is sent: then the first frame with the same bytes is
         /// dropped. Where this says no, the loops ask before the first command whose echo may pass for its
         /// answer, by two frames that no drive answers: see [`EchoFilter`](crate::io::EchoFilter). If noise takes both echoes, that of a stop of one
-        /// motor may pass for its confirmation until the first stop of all or two reads have shown it.
+        /// motor may pass for its confirmation until the first stop of all or two reads have shown it. Where this says yes and
+        /// there is none, an answer of the command's own bytes counts as the echo: no stop is confirmed.
         echo: bool,
     },
 }

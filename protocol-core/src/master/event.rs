@@ -106,7 +106,8 @@ pub enum Failure {
     /// A stop took its place, before it was sent or before it was answered: it may have been carried out.
     #[error("the motors were stopped first")]
     Stopped,
-    /// The bus carried nothing while the command waited.
+    /// The bus carried nothing while the command waited. With an [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is
+    /// not done at its first poll every request ends so.
     #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
     /// A set-point was dropped before it was sent: it waited for too long, the bus carried nothing, or the
@@ -227,7 +228,8 @@ pub enum Event {
 }
 
 impl Event {
-    /// Temperature, torque current, speed and angle, if the event brings them.
+    /// Temperature, torque current, speed and angle, if the event brings them. The feedback of motion mode does not:
+    /// it is an [`AnyReply::Motion`], which [`MotionRanges::feedback`](crate::command::MotionRanges::feedback) scales.
     pub const fn feedback(&self) -> Option<(MotorId, Feedback)> {
         match self {
             Self::Feedback { motor, reply }

@@ -107,7 +107,8 @@ const NEVER: Instant = Instant::from_micros(u64::MAX);
 ///    [`poll_at`](Self::poll_at) says;
 /// 3. [`poll_transmit`](Self::poll_transmit) for what to send next, and
 ///    [`handle_transmitted`](Self::handle_transmitted) once the bus has taken it, until there is
-///    nothing more to send or the bus takes no more;
+///    nothing more to send or the bus takes no more; with [`handle_pushed_out`](Self::handle_pushed_out) for
+///    what a controller hands back, and [`handle_bus_down`](Self::handle_bus_down) when it takes nothing for long;
 /// 4. [`poll_event`](Self::poll_event) until it gives nothing more.
 ///
 /// The loops of [`io`](crate::io) do just that.
