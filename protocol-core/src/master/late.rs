@@ -111,6 +111,12 @@ impl LateReplies {
         self.0.iter().flatten().any(|late| late.question == question)
     }
 
+    /// Whether a stop to all is among them that tells the motor something else than this: by priority it may come
+    /// behind this.
+    pub(super) fn is_stop_to_all_other_than(&self, stop: Question) -> bool {
+        self.0.iter().flatten().any(|late| late.of == Of::StopToAll && late.question != stop)
+    }
+
     /// Whether a command is among them that may move the motor: it may not have reached it yet.
     pub(super) fn may_move(&self) -> bool {
         self.0.iter().flatten().any(Late::may_move)

@@ -150,8 +150,8 @@ pub struct Master<const N: usize> {
     /// `None` where these stay.
     round_trips: Option<RoundTrips>,
     offer: Option<Offer>,
-    /// All were stopped: nothing moves until that is lifted.
-    stops_all: bool,
+    /// All were stopped so: nothing moves until that is lifted.
+    stops_all: Option<StopKind>,
     /// These were stopped, each by itself.
     stopped: MotorSet,
     /// These were switched off by a stop that is in force: no other stop switches them on.
@@ -190,7 +190,7 @@ impl<const N: usize> Master<N> {
             config,
             round_trips,
             offer: None,
-            stops_all: false,
+            stops_all: None,
             stopped: MotorSet::EMPTY,
             switched_off: MotorSet::EMPTY,
             lost_master: MotorSet::EMPTY,

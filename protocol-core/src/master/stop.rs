@@ -88,10 +88,14 @@ impl<const N: usize> Master<N> {
                 is_any_new |= self.put_stop(place, motor, kind);
             }
         }
-        self.stops_all = true;
+        if self.stops_all != Some(StopKind::Off) {
+            self.stops_all = Some(kind);
+        }
         let is_to_all = self.config.is_rs485() || self.broadcast.has_moved();
         if is_any_new {
-            self.stop_to_all = (is_to_all && was_same_for_all).then_some(kind);
+            let may_go = (is_to_all && was_same_for_all).then_some(kind);
+            // One that waits and switches off has reached nobody yet.
+            self.stop_to_all = may_go.or(self.stop_to_all.filter(|&it| it == StopKind::Off));
         }
         result
     }
@@ -201,16 +205,16 @@ impl<const N: usize> Master<N> {
 
     /// Whether it was stopped, and that was not lifted.
     pub(super) fn is_stopped(&self, motor: MotorId) -> bool {
-        self.stops_all || self.stopped.contains(motor)
+        self.stops_all.is_some() || self.stopped.contains(motor)
     }
 
     pub(super) fn is_any_stopped(&self) -> bool {
-        self.stops_all || !self.stopped.is_empty()
+        self.stops_all.is_some() || !self.stopped.is_empty()
     }
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse.
     pub fn lift_stop(&mut self) {
-        self.stops_all = false;
+        self.stops_all = None;
         self.stopped = MotorSet::EMPTY;
         self.switched_off = MotorSet::EMPTY;
     }
@@ -218,7 +222,7 @@ impl<const N: usize> Master<N> {
     /// Accepts again what [`stop`](Self::stop) made it refuse to this motor.
     pub fn lift_stop_of(&mut self, motor: MotorId) {
         self.stopped.remove(motor);
-        if !self.stops_all {
+        if self.stops_all.is_none() {
             self.switched_off.remove(motor);
         }
     }
@@ -241,21 +245,28 @@ impl<const N: usize> Master<N> {
             self.change_at(place, |motor, config| {
                 let until = now + config.reply_timeout + config.late_window;
                 motor.expect_late(question, Of::StopToAll, 1, until, config);
+                let is_other = |it: &Asked| it.is_stop() && it.question != question;
+                if motor.request.under_way().is_some_and(is_other) {
+                    // By priority it may come behind the motor's own.
+                    motor.may_move_until(until, config);
+                }
             });
         }
     }
 
-    /// The stop to all was handed back. While it is in force it goes once more.
-    pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) {
+    /// The stop to all was handed back. While it is in force it goes once more; gives whether it is.
+    pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) -> bool {
         let all = [StopKind::Hold, StopKind::Off];
         let kind = all.into_iter().find(|kind| kind.command().1 == packet.data);
-        let Some(kind) = kind else { return };
+        let Some(kind) = kind else { return false };
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, _| motor.take_late(false, &packet.data, false));
         }
-        if self.stops_all && self.stop_to_all.is_none() && self.is_same_for_all(kind) {
+        let is_in_force = self.stops_all == Some(kind);
+        if is_in_force && self.stop_to_all.is_none() && self.is_same_for_all(kind) {
             self.stop_to_all = Some(kind);
         }
+        is_in_force
     }
 
     /// The stop to all motors at once, if it is to be sent.

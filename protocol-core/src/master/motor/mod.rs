@@ -147,7 +147,9 @@ impl Motor {
         let off = Kind::Known(Opcode::Shutdown);
         // A controller that keeps no order sends it behind this, and a load that is held falls.
         let is_off = |it: &Asked| it.unanswered > 0 && it.kind() == off && stop.kind() != off;
-        if self.request.under_way().is_some_and(is_off) || self.settled_at > now {
+        let is_undone = self.request.under_way().is_some_and(is_off)
+            || self.late.is_stop_to_all_other_than(stop.question);
+        if is_undone || self.settled_at > now {
             self.may_move_until(now + stop.timeout + config.late_window, config);
         }
         let is_waiting = self.request.waiting().is_some();

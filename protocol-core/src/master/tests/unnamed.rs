@@ -95,3 +95,58 @@ fn handed_back_it_goes_once_more_and_its_answer_is_awaited_once() {
     master.handle_pushed_out(&packets[0]);
     assert_eq!(channels(&sent(&mut master, ms(101))), [to(1)]);
 }
+
+#[test]
+fn an_older_one_that_is_handed_back_does_not_follow_a_newer_stop() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    let older = sent(&mut master, ms(100));
+    master.lift_stop();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(101))), [TO_ALL, to(1)]);
+    // It would let go whom the newer one holds.
+    master.handle_pushed_out(&older[0]);
+    assert_eq!(sent(&mut master, ms(102)), []);
+}
+
+#[test]
+fn one_that_waits_is_not_given_up_for_another_that_may_not_go() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    // Whom nobody has named has heard nothing yet.
+    master.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(channels(&packets), [TO_ALL, to(1), to(2)]);
+    assert_eq!(packets[0].data, Shutdown.encode());
+}
+
+#[test]
+fn handed_back_it_is_not_taken_for_a_command_to_all_of_long_ago() {
+    let mut master = all_move();
+    sent(&mut master, ms(200));
+    master.broadcast(Stop, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(300)).len(), 1);
+    reply(&mut master, 1, Stop.encode(), ms(301));
+    events(&mut master, ms(301));
+    events(&mut master, ms(900));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(1_000));
+    assert_eq!(channels(&packets), [TO_ALL, to(1)]);
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(channels(&sent(&mut master, ms(1_000))), [TO_ALL], "at once");
+}
+
+#[test]
+fn off_is_confirmed_once_no_hold_of_all_can_come_behind_it() {
+    // In a controller that sends by priority 0x141 overtakes 0x280, whichever was put first.
+    for is_sent_before in [false, true] {
+        let mut master = all_move();
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        if is_sent_before {
+            sent(&mut master, ms(100));
+        }
+        master.stop(id(1), StopKind::Off).unwrap();
+        sent(&mut master, ms(100));
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), None, "{is_sent_before}");
+    }
+}
