@@ -262,7 +262,7 @@ impl<const N: usize> Master<N> {
         self.offer = None;
         let (pace, now, number) = (self.pace, self.now, self.last_ticket.wrapping_add(1));
         let place = self.place_for(motor)?;
-        self.change_at(place, |motor, _| {
+        self.change_at(place, |motor, config| {
             if !motor.request.is_none() || motor.news.contains(News::STOPPED) {
                 return Err(RequestError::Busy);
             }
@@ -279,6 +279,9 @@ impl<const N: usize> Master<N> {
             }
             if kind.ends_motion() {
                 motor.drop_waiting_set_point();
+            }
+            if StopKind::by(kind).is_some() && motor.late.is_stop_to_all_other_than(question) {
+                motor.may_move_until(now + patience.reply_timeout + config.late_window, config);
             }
             motor.join(pace);
             motor.request = Request::Waiting(Asked::new(Purpose::Caller, question, data, patience));

@@ -245,7 +245,8 @@ impl<const N: usize> Master<N> {
             self.change_at(place, |motor, config| {
                 let until = now + config.reply_timeout + config.late_window;
                 motor.expect_late(question, Of::StopToAll, 1, until, config);
-                let is_other = |it: &Asked| it.is_stop() && it.question != question;
+                let is_other =
+                    |it: &Asked| StopKind::by(it.kind()).is_some() && it.question != question;
                 if motor.request.under_way().is_some_and(is_other) {
                     // By priority it may come behind the motor's own.
                     motor.may_move_until(until, config);

@@ -150,3 +150,24 @@ fn off_is_confirmed_once_no_hold_of_all_can_come_behind_it() {
         assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), None, "{is_sent_before}");
     }
 }
+
+#[test]
+fn a_shutdown_that_is_asked_for_is_answered_once_no_hold_of_all_can_come_behind_it() {
+    for is_sent_before in [false, true] {
+        let mut master = all_move();
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        let packets = sent(&mut master, ms(100));
+        master.handle_pushed_out(&packets[0]);
+        assert_eq!(reply(&mut master, 1, Stop.encode(), ms(101)), confirmed(1));
+        // It goes once more, before or beside the request.
+        if is_sent_before {
+            assert_eq!(channels(&sent(&mut master, ms(101))), [TO_ALL]);
+        }
+        let ticket = master.request(id(1), Shutdown).unwrap();
+        sent(&mut master, ms(102));
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(103)), None, "{is_sent_before}");
+        assert_eq!(channels(&sent(&mut master, ms(300))), [to(1)]);
+        let event = reply(&mut master, 1, Shutdown.encode(), ms(301)).unwrap();
+        assert_eq!(ticket.outcome(&event), Some(Ok(Shutdown)));
+    }
+}
