@@ -58,7 +58,7 @@ impl<const N: usize> Master<N> {
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved whom nobody has named, one to all at
     /// once goes before each motor's own. Whoever has no place confirms nothing, and gets it but once: name all whom a
     /// broadcast may reach, there or in `also`. It does not go where it would switch on whom an earlier stop has
-    /// switched off.
+    /// switched off; one that waits to switch off goes all the same.
     ///
     /// Called again before it was lifted it goes on with what is under way, so that it may be called in every
     /// cycle.
