@@ -255,19 +255,17 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// The stop to all was handed back. While it is in force it goes once more; gives whether it is.
+    /// The stop to all was handed back, if this is it: it goes once more. Gives whether it is, and in force.
     pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) -> bool {
-        let all = [StopKind::Hold, StopKind::Off];
-        let kind = all.into_iter().find(|kind| kind.command().1 == packet.data);
-        let Some(kind) = kind else { return false };
+        let is_it = |kind: &StopKind| kind.command().1 == packet.data;
+        let Some(kind) = self.stops_all.filter(is_it) else { return false };
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, _| motor.take_late(false, &packet.data, false));
         }
-        let is_in_force = self.stops_all == Some(kind);
-        if is_in_force && self.stop_to_all.is_none() && self.is_same_for_all(kind) {
+        if self.is_same_for_all(kind) {
             self.stop_to_all = Some(kind);
         }
-        is_in_force
+        true
     }
 
     /// The stop to all motors at once, if it is to be sent.

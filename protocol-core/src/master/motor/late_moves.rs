@@ -14,6 +14,7 @@ impl Motor {
     }
 
     /// What moves, or switches off what is to be held, was sent, and no late reply tells that it has come.
+    #[inline(never)]
     pub(in crate::master) fn may_move_until(&mut self, until: Instant, config: &Config) {
         self.may_move_until_answered(until, config);
         self.is_beyond_late = true;
