@@ -366,11 +366,11 @@ impl<const N: usize> Master<N> {
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))
     }
 
-    /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until
-    /// all have come or the time is up. It is sent when no request is in flight, and requests wait
-    /// until it is over, but for those that end motion while it waits. On CAN it reaches motors whose id filter (function 2) is off; on RS485 the
-    /// answers of several motors are likely to collide. `expected` should name all who answer: the
-    /// answers of others come as [`Event::Stray`].
+    /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all have come or
+    /// the time is up. It is sent when no request is in flight, and requests wait until it is over, but for those that
+    /// end motion while it waits. On CAN it reaches motors whose id filter (function 2) is off; on RS485 the answers of
+    /// several motors are likely to collide. `expected` should name all who answer: the answers of others come as
+    /// [`Event::Stray`].
     ///
     /// Name in it all whom a command that moves, or opens brakes, may reach: each takes a place, so that
     /// [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms.

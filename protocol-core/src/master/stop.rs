@@ -63,10 +63,11 @@ impl<const N: usize> Master<N> {
     /// Called again before it was lifted it goes on with what is under way, so that it may be called in every
     /// cycle.
     ///
-    /// Each motor gets its first stop before any gets its second. Its confirmation, or its absence, comes as an event; a stop that is not confirmed
-    /// within 50 ms is repeated, however long [`Config::reply_timeout`](crate::master::Config::reply_timeout) is. What was sent before the
-    /// stop may still be on its way, in a controller's mailbox for example: a confirmation counts only
-    /// once nothing of that can move the motor any more.
+    /// Each motor gets its first stop before any gets its second. Its confirmation, or its absence, comes as an event;
+    /// a stop that is not confirmed within 50 ms is repeated, however long
+    /// [`Config::reply_timeout`](crate::master::Config::reply_timeout) is. What was sent before the stop may still be on
+    /// its way, in a controller's mailbox for example: a confirmation counts only once nothing of that can move the
+    /// motor any more.
     ///
     /// A motor that a stop has switched off stays off until that stop is lifted: it is not sent
     /// [`StopKind::Hold`], which would switch it on, but [`StopKind::Off`] once more.
