@@ -69,7 +69,7 @@ impl<const N: usize> Master<N> {
     /// its way, in a controller's mailbox for example: a confirmation counts only once nothing of that can move the
     /// motor any more.
     ///
-    /// A motor that a stop has switched off stays off until that stop is lifted: it is not sent
+    /// A motor that has a place and that a stop has switched off stays off until that stop is lifted: it is not sent
     /// [`StopKind::Hold`], which would switch it on, but [`StopKind::Off`] once more.
     ///
     /// # Errors
@@ -77,7 +77,7 @@ impl<const N: usize> Master<N> {
     /// stopped all the same.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
         self.let_line_answer();
-        let was_same_for_all = self.is_same_for_all(kind);
+        let (was, was_same_for_all) = (self.stops_all, self.is_same_for_all(kind));
         self.broadcast.cancel();
         let mut result = Ok(());
         for motor in also.iter() {
@@ -92,11 +92,13 @@ impl<const N: usize> Master<N> {
         if self.stops_all != Some(StopKind::Off) {
             self.stops_all = Some(kind);
         }
-        let is_to_all = self.config.is_rs485() || self.broadcast.has_moved();
+        // On CAN once for a stop: each motor answers it, and not all may hear it.
+        let is_for_unnamed = self.broadcast.has_moved() && was != Some(kind);
         if is_any_new {
-            let may_go = (is_to_all && was_same_for_all).then_some(kind);
-            // One that waits and switches off has reached nobody yet.
-            self.stop_to_all = may_go.or(self.stop_to_all.filter(|&it| it == StopKind::Off));
+            let goes = was_same_for_all && (self.config.is_rs485() || is_for_unnamed);
+            // One that waits has reached nobody yet.
+            let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
+            self.stop_to_all = goes.then_some(kind).or(waits);
         }
         result
     }
@@ -230,13 +232,15 @@ impl<const N: usize> Master<N> {
 
     /// Whether a stop like this may go to all at once: it switches nobody on who is to stay off.
     fn is_same_for_all(&self, kind: StopKind) -> bool {
-        kind == StopKind::Off || self.switched_off.is_empty()
+        let is_any_off = !self.switched_off.is_empty() || self.stops_all == Some(StopKind::Off);
+        kind == StopKind::Off || !is_any_off
     }
 
     /// The stop to all was sent. On CAN each motor that hears it answers it beside its own.
     #[inline(never)]
     pub(super) fn stop_to_all_was_sent(&mut self, now: Instant) {
         let Some(kind) = self.stop_to_all.take() else { return };
+        self.due = now;
         if self.config.is_rs485() {
             return;
         }

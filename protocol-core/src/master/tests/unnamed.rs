@@ -171,3 +171,59 @@ fn a_shutdown_that_is_asked_for_is_answered_once_no_hold_of_all_can_come_behind_
         assert_eq!(ticket.outcome(&event), Some(Ok(Shutdown)));
     }
 }
+
+#[test]
+fn who_was_switched_off_with_all_is_switched_on_by_no_hold_of_all() {
+    // Nobody has a place, so that nobody is known to be off.
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    for (kind, now) in [(StopKind::Off, 0), (StopKind::Hold, 100)] {
+        master.stop_all(kind, MotorSet::EMPTY).unwrap();
+        let packets = sent(&mut master, ms(now));
+        assert!(packets.iter().all(|packet| packet.data == Shutdown.encode()), "{packets:?}");
+    }
+}
+
+#[test]
+fn what_waits_for_a_lost_answer_to_it_goes_when_that_can_come_no_more() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
+    master.handle_timeout(ms(101));
+    assert_eq!(channels(&sent(&mut master, ms(200))), [TO_ALL]);
+    // The time-out and the late window later, 61.2 ms.
+    let _ = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(261)), []);
+    assert_eq!(channels(&sent(&mut master, ms(262))), [to(1)]);
+}
+
+#[test]
+fn who_stops_all_in_every_cycle_hears_of_a_motor_that_hears_no_command_to_all() {
+    let mut master = all_move();
+    let (mut to_all, mut confirmed) = (0, 0);
+    for now in 100..300 {
+        master.stop_all(StopKind::Hold, id(2).into()).unwrap();
+        let channels = channels(&sent(&mut master, ms(now)));
+        to_all += channels.iter().filter(|&&channel| channel == TO_ALL).count();
+        // Its id filter is on (function 2).
+        for _ in channels.iter().filter(|&&channel| channel == to(2)) {
+            let event = reply(&mut master, 2, Stop.encode(), ms(now) + Duration::from_micros(700));
+            confirmed += usize::from(event == Some(Event::StopConfirmed { motor: id(2) }));
+        }
+        let told = events(&mut master, ms(now));
+        assert!(!told.contains(&Event::StopUnconfirmed { motor: id(2) }), "{now}");
+    }
+    assert_eq!(to_all, 1, "the same stop goes to all once");
+    assert!(confirmed > 50, "{confirmed}");
+}
+
+#[test]
+fn one_that_waits_goes_no_more_once_it_was_lifted_and_another_stop_is_in_force() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    master.lift_stop();
+    master.stop(id(1), StopKind::Off).unwrap();
+    master.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    assert!(!channels(&sent(&mut master, ms(100))).contains(&TO_ALL));
+}
