@@ -48,7 +48,7 @@ pub(super) struct Broadcast {
     has_moved: bool,
     /// Something that was sent before the last one may still reach these; said of `moves` and `lets_go` alone.
     before: MotorSet,
-    /// So may its late answers.
+    /// Until when what was sent may still reach a drive, and be answered.
     pub(super) on_its_way: OnItsWay,
 }
 

@@ -82,7 +82,7 @@ pub(super) struct Motor {
     pub(super) sent: Instant,
     /// The motor restarts, or settles after another command without reply: it gets nothing before.
     settled_at: Instant,
-    /// What was given up, or switches it off when it is to be held, and may move it yet.
+    /// What was given up and may move it yet, or undo the stop that is told to it.
     pub(super) on_its_way: OnItsWay,
     /// Some of it is not among `late`, whose replies then say nothing of it.
     is_beyond_late: bool,
