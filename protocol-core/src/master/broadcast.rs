@@ -41,15 +41,73 @@ pub(super) struct Broadcast {
     sent: Instant,
     sent_byte: u8,
     may_answer: MotorSet,
-    /// What was sent may still reach these: move them, or let go whom it switches off or restarts, so that loads fall.
-    moves: MotorSet,
-    lets_go: MotorSet,
+    /// What the last one may still do, and what was sent before it, or as a stop to all.
+    last: MayUndo,
+    others: MayUndo,
     /// Something that may move was sent, so that a stop of all has to reach whom nobody has named.
     has_moved: bool,
-    /// Something that was sent before the last one may still reach these; said of `moves` and `lets_go` alone.
-    before: MotorSet,
     /// Until when what was sent may still reach a drive, and be answered.
     pub(super) on_its_way: OnItsWay,
+}
+
+/// Whom what was sent may still reach and undo what ends their motion.
+#[derive(Clone, Copy, Debug, Default)]
+struct MayUndo {
+    /// It moves these.
+    moves: MotorSet,
+    /// It lets these go, by switching them off or restarting them, so that loads fall.
+    lets_go: MotorSet,
+    /// It holds these, and switches them on.
+    holds: MotorSet,
+}
+
+impl MayUndo {
+    /// What this command to all does. By priority it may come behind what one motor is told; a line keeps the order in
+    /// which motion is ended.
+    fn by(kind: Kind, config: &Config) -> Self {
+        let is_can = !config.is_rs485();
+        Self {
+            moves: all_if(kind.may_move()),
+            lets_go: all_if(
+                is_can && matches!(kind.opcode(), Some(Opcode::Shutdown | Opcode::Reset)),
+            ),
+            holds: all_if(is_can && kind == Kind::Known(Opcode::Stop)),
+        }
+    }
+
+    fn with(self, other: Self) -> Self {
+        Self {
+            moves: self.moves.with(other.moves),
+            lets_go: self.lets_go.with(other.lets_go),
+            holds: self.holds.with(other.holds),
+        }
+    }
+
+    fn without(self, motor: MotorId) -> Self {
+        let motor = MotorSet::from(motor);
+        Self {
+            moves: self.moves.without(motor),
+            lets_go: self.lets_go.without(motor),
+            holds: self.holds.without(motor),
+        }
+    }
+
+    /// Whom it keeps from being stopped by this.
+    fn by_end(self, end: Kind) -> MotorSet {
+        match StopKind::by(end) {
+            Some(StopKind::Hold) => self.moves.with(self.lets_go),
+            Some(StopKind::Off) => self.moves.with(self.holds),
+            None => self.moves,
+        }
+    }
+
+    fn is_none(self) -> bool {
+        self.moves.with(self.lets_go).with(self.holds).is_empty()
+    }
+}
+
+fn all_if(is_so: bool) -> MotorSet {
+    if is_so { MotorSet::ALL } else { MotorSet::EMPTY }
 }
 
 impl Broadcast {
@@ -88,7 +146,8 @@ impl Broadcast {
 
     /// Whether it waits to move this motor, or what was sent may still do so.
     pub(super) fn may_yet_move(&self, motor: MotorId) -> bool {
-        self.moves.contains(motor) || self.is_waiting() && self.kind.is_some_and(Kind::may_move)
+        self.others.with(self.last).moves.contains(motor)
+            || self.is_waiting() && self.kind.is_some_and(Kind::may_move)
     }
 
     pub(super) fn is_in_flight(&self) -> bool {
@@ -142,7 +201,6 @@ impl Broadcast {
 
     pub(super) fn was_sent(&mut self, now: Instant, config: &Config) {
         let Some(kind) = self.kind else { return };
-        let all_if = |is_so: bool| if is_so { MotorSet::ALL } else { MotorSet::EMPTY };
         let awaits_reply = kind.has_reply() && !self.silent.is_empty();
         self.state = match self.state {
             State::Again => State::None,
@@ -151,17 +209,17 @@ impl Broadcast {
         };
         (self.sent, self.sent_byte) = (now, self.data[0]);
         self.may_answer = all_if(kind.has_reply());
-        // Who answers one of the two may be reached by the other yet.
-        self.before = self.moves.with(self.lets_go);
-        if kind.may_move() {
-            (self.moves, self.has_moved) = (MotorSet::ALL, true);
-        }
-        // A line keeps the order, so that what is to hold comes behind this.
-        if matches!(kind.opcode(), Some(Opcode::Shutdown | Opcode::Reset)) && !config.is_rs485() {
-            self.lets_go = MotorSet::ALL;
-        }
-        let may_be_cut = !config.is_rs485() && !self.moves.with(self.lets_go).is_empty();
+        self.has_moved |= kind.may_move();
+        self.others = self.others.with(self.last);
+        self.last = MayUndo::by(kind, config);
+        let may_be_cut = !config.is_rs485() && !self.others.with(self.last).is_none();
         self.on_its_way.put(now + config.reply_timeout + config.late_window, may_be_cut);
+    }
+
+    /// A stop to all was sent, on CAN: it may reach anybody until then, and its answers do not come here.
+    pub(super) fn stop_was_sent(&mut self, stop: Kind, until: Instant, config: &Config) {
+        self.others = self.others.with(MayUndo::by(stop, config));
+        self.on_its_way.put(until, true);
     }
 
     /// Takes note of the time; see [`OnItsWay::age`].
@@ -171,7 +229,7 @@ impl Broadcast {
             self.may_answer = MotorSet::EMPTY;
         }
         if !self.on_its_way.is_any() {
-            (self.moves, self.lets_go) = (MotorSet::EMPTY, MotorSet::EMPTY);
+            (self.last, self.others) = (MayUndo::default(), MayUndo::default());
         }
     }
 
@@ -181,11 +239,9 @@ impl Broadcast {
         self.may_answer.contains(motor) && self.sent_byte == byte
     }
 
-    /// Whether what was sent may still reach this motor and undo what ends its motion: move it, or let go whom it is
-    /// to hold.
+    /// Whether what was sent may still reach this motor and undo what ends its motion.
     pub(super) fn may_undo(&self, end: Kind, motor: MotorId) -> bool {
-        let is_to_hold = end == Kind::Known(Opcode::Stop);
-        self.moves.contains(motor) || is_to_hold && self.lets_go.contains(motor)
+        self.others.with(self.last).by_end(end).contains(motor)
     }
 
     /// The same, for a time that is known: on a bus that may be cut only an answer tells when that ends.
@@ -197,12 +253,6 @@ impl Broadcast {
     /// `known` motors and the expected ones can still answer that.
     pub(super) fn may_go(&self, known: MotorSet) -> bool {
         known.with(self.silent).iter().all(|motor| !self.may_answer.contains(motor))
-    }
-
-    /// The last one that was sent has reached these, or never will.
-    fn last_reaches_no_more(&mut self, motors: MotorSet) {
-        let reached = motors.without(self.before);
-        (self.moves, self.lets_go) = (self.moves.without(reached), self.lets_go.without(reached));
     }
 
     /// Whether this reply of `motor` answers the broadcast; each motor that is expected to does so
@@ -221,7 +271,7 @@ impl Broadcast {
         }
         if self.may_be_mistaken(data[0], motor) {
             self.may_answer.remove(motor);
-            self.last_reaches_no_more(motor.into());
+            self.last = self.last.without(motor);
         }
         let answers = self.is_in_flight()
             && self.silent.contains(motor)
@@ -249,7 +299,7 @@ impl Broadcast {
     pub(super) fn was_pushed_out(&mut self) -> bool {
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
-        self.last_reaches_no_more(MotorSet::ALL);
+        self.last = MayUndo::default();
         let is_decided = matches!(self.state, State::Again | State::Dropped);
         self.state = match self.state {
             // Something else has ended it.

@@ -35,8 +35,9 @@ pub(super) enum Of {
     Request,
     /// A stop went over it: it counted as nothing.
     RequestStopped,
-    /// The stop to all, which a motor answers beside its own. It counts as nothing.
-    StopToAll,
+    /// A stop that is confirmed by the answer to another of its sendings, or one to all that tells the motor nothing
+    /// new. It counts as nothing.
+    StopAnswered,
     /// An attempt of a request that has its answer by another: it counted as lost.
     RequestAnswered,
     /// Its time was up, and it counted as lost.
@@ -109,12 +110,6 @@ impl LateReplies {
     /// Whether the reply to this question could be one of these.
     pub(super) fn may_be_mistaken(&self, question: Question) -> bool {
         self.0.iter().flatten().any(|late| late.question == question)
-    }
-
-    /// Whether a stop to all is among them that tells the motor something else than this: by priority it may come
-    /// behind this.
-    pub(super) fn is_stop_to_all_other_than(&self, stop: Question) -> bool {
-        self.0.iter().flatten().any(|late| late.of == Of::StopToAll && late.question != stop)
     }
 
     /// Whether a command is among them that may move the motor: it may not have reached it yet.

@@ -278,14 +278,13 @@ impl<const N: usize> Master<N> {
                     return Err(RequestError::Streamed(opcode));
                 }
             }
+            let asked = Asked::new(Purpose::Caller, question, data, patience);
             if kind.ends_motion() {
                 motor.drop_waiting_set_point();
-            }
-            if StopKind::by(kind).is_some() && motor.late.is_stop_to_all_other_than(question) {
-                motor.may_move_until(now + patience.reply_timeout + config.late_window, config);
+                motor.let_shutdown_come_first(&asked, config, now);
             }
             motor.join(pace);
-            motor.request = Request::Waiting(Asked::new(Purpose::Caller, question, data, patience));
+            motor.request = Request::Waiting(asked);
             motor.ticket = number;
             Ok(())
         })

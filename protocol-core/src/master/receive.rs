@@ -256,8 +256,13 @@ impl Motor {
             self.last_answered = Some(set_point.question);
             return self.take_feedback(&set_point, heard, config);
         }
-        if let Some(&asked) = self.request.in_flight().filter(|asked| answers(asked.question)) {
+        if let Some(&asked) = self.request.answerable().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
+            // Something from before may have come behind what this answers.
+            if let (true, Request::Waiting(stop)) = (asked.once_more, &mut self.request) {
+                stop.unanswered -= 1;
+                return Meaning::Nothing;
+            }
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
             if asked.is_stop() && heard.to_all.may_be_mistaken(data[0], heard.from) {
                 self.send_again(asked, false);
@@ -265,18 +270,20 @@ impl Motor {
             }
             let late =
                 if asked.is_stop() { self.take_late(false, data, may_be_doubled) } else { None };
-            return match late {
-                None => self.take_answer(asked, heard, config),
-                // The other answer is on its way.
-                Some(Of::StopToAll) => Meaning::Nothing,
-                Some(_) => {
-                    self.send_again(asked, false);
-                    Meaning::Nothing
-                }
-            };
+            if late.is_none() {
+                return self.take_answer(asked, heard, config);
+            }
+            self.send_again(asked, false);
+            return Meaning::Nothing;
+        }
+        // Too soon after that: to one sent before, or to all.
+        let is_of_stop =
+            |asked: &Asked| asked.is_stop() && asked.unanswered > 1 && is_same(asked.question);
+        if self.request.in_flight().is_some_and(is_of_stop) {
+            return Meaning::Nothing;
         }
         match self.take_late(is_motion, data, may_be_doubled) {
-            Some(Of::StopToAll) => Meaning::Nothing,
+            Some(Of::StopAnswered) => Meaning::Nothing,
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             Some(_) if heard.is_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {

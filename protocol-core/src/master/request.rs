@@ -113,8 +113,24 @@ impl Request {
         }
     }
 
+    /// What an answer may come to: what is in flight, and a stop whose next sending waits.
+    pub(super) fn answerable(&self) -> Option<&Asked> {
+        match self {
+            Self::InFlight(asked) => Some(asked),
+            Self::Waiting(asked) if asked.is_stop() && asked.unanswered > 0 => Some(asked),
+            _ => None,
+        }
+    }
+
     /// What is under way: waiting or in flight.
     pub(super) fn under_way(&self) -> Option<&Asked> {
         self.waiting().or(self.in_flight())
+    }
+
+    pub(super) fn under_way_mut(&mut self) -> Option<&mut Asked> {
+        match self {
+            Self::Waiting(asked) | Self::InFlight(asked) => Some(asked),
+            Self::None | Self::Sent(_) | Self::Failed(_) => None,
+        }
     }
 }

@@ -5,7 +5,7 @@ use crate::data::Data;
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
-use crate::master::late::{Of, Question};
+use crate::master::late::Question;
 use crate::master::request::{Asked, Purpose};
 use crate::master::{Bus, Master, MotorSet, Patience};
 use crate::opcode::Opcode;
@@ -99,6 +99,9 @@ impl<const N: usize> Master<N> {
             // One that waits has reached nobody yet.
             let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
             self.stop_to_all = goes.then_some(kind).or(waits);
+            if self.stop_to_all == Some(StopKind::Off) {
+                self.switched_off = MotorSet::ALL;
+            }
         }
         result
     }
@@ -236,7 +239,7 @@ impl<const N: usize> Master<N> {
         kind == StopKind::Off || !is_any_off
     }
 
-    /// The stop to all was sent. On CAN each motor that hears it answers it beside its own.
+    /// The stop to all was sent.
     #[inline(never)]
     pub(super) fn stop_to_all_was_sent(&mut self, now: Instant) {
         let Some(kind) = self.stop_to_all.take() else { return };
@@ -245,27 +248,21 @@ impl<const N: usize> Master<N> {
             return;
         }
         let (command, data) = kind.command();
-        let question = Question::of(command, &data);
+        let told = Question::of(command, &data);
+        let until = now + self.config.reply_timeout + self.config.late_window;
         for place in self.places.taken.iter() {
-            self.change_at(place, |motor, config| {
-                let until = now + config.reply_timeout + config.late_window;
-                motor.expect_late(question, Of::StopToAll, 1, until, config);
-                let is_other =
-                    |it: &Asked| StopKind::by(it.kind()).is_some() && it.question != question;
-                if motor.request.under_way().is_some_and(is_other) {
-                    // By priority it may come behind the motor's own.
-                    motor.may_move_until(until, config);
-                }
-            });
+            self.change_at(place, |motor, config| motor.stop_to_all_was_sent(told, until, config));
         }
+        self.broadcast.stop_was_sent(command, until, &self.config);
     }
 
     /// The stop to all was handed back, if this is it: it goes once more. Gives whether it is, and in force.
     pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) -> bool {
         let is_it = |kind: &StopKind| kind.command().1 == packet.data;
         let Some(kind) = self.stops_all.filter(is_it) else { return false };
+        let told = Question::of(kind.command().0, &packet.data);
         for place in self.places.taken.iter() {
-            self.change_at(place, |motor, _| motor.take_late(false, &packet.data, false));
+            self.change_at(place, |motor, _| motor.stop_to_all_was_pushed_out(told, &packet.data));
         }
         if self.is_same_for_all(kind) {
             self.stop_to_all = Some(kind);

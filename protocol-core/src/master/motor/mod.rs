@@ -17,6 +17,7 @@ use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
 use crate::master::request::{Asked, Request};
+use crate::master::stop::StopKind;
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
@@ -144,18 +145,49 @@ impl Motor {
         if is_callers {
             self.news.insert(News::STOPPED);
         }
-        let off = Kind::Known(Opcode::Shutdown);
-        // A controller that keeps no order sends it behind this, and a load that is held falls.
-        let is_off = |it: &Asked| it.unanswered > 0 && it.kind() == off && stop.kind() != off;
-        let is_undone = self.request.under_way().is_some_and(is_off)
-            || self.late.is_stop_to_all_other_than(stop.question);
-        if is_undone || self.settled_at > now {
+        self.let_shutdown_come_first(&stop, config, now);
+        if self.settled_at > now {
             self.may_move_until(now + stop.timeout + config.late_window, config);
         }
         let is_waiting = self.request.waiting().is_some();
         let of = if is_waiting { Of::Request } else { Of::RequestStopped };
         self.give_request_up(of, config, now);
         self.request = Request::Waiting(stop);
+    }
+
+    /// What ends motion is to count once no Shutdown from before can come any more: a controller that keeps no order
+    /// sends it behind this, and a load that is held falls.
+    #[inline(never)]
+    pub(super) fn let_shutdown_come_first(&mut self, end: &Asked, config: &Config, now: Instant) {
+        let (kind, data) = StopKind::Off.command();
+        let off = Question::of(kind, &data);
+        let is_sent = |it: &Asked| it.unanswered > 0 && it.question == off;
+        let may_come =
+            self.request.under_way().is_some_and(is_sent) || self.late.may_be_mistaken(off);
+        if may_come && end.question != off {
+            self.may_move_until(now + end.timeout + config.late_window, config);
+        }
+    }
+
+    /// A stop to all was sent, which tells it this. On CAN it is answered beside the motor's own: where that is the
+    /// same, as one more sending of it.
+    pub(super) fn stop_to_all_was_sent(&mut self, told: Question, until: Instant, config: &Config) {
+        match self.request.under_way_mut() {
+            Some(asked) if asked.question == told => {
+                asked.unanswered = asked.unanswered.saturating_add(1);
+            }
+            _ => self.expect_late(told, Of::StopAnswered, 1, until, config),
+        }
+    }
+
+    /// The stop to all was handed back: nobody answers it.
+    pub(super) fn stop_to_all_was_pushed_out(&mut self, told: Question, data: &Data) {
+        match self.request.under_way_mut() {
+            Some(asked) if asked.question == told && asked.unanswered > 0 => asked.unanswered -= 1,
+            _ => {
+                self.take_late(false, data, false);
+            }
+        }
     }
 
     pub(super) fn put_set_point(&mut self, set_point: SetPoint, expiry: Instant) {
@@ -357,7 +389,7 @@ impl Motor {
                     // What was taken for its answer came late, to one that counted as lost.
                     self.health.answered = self.health.answered.saturating_sub(1);
                 }
-                Some(Of::RequestStopped | Of::StreamStopped | Of::StopToAll) | None => {}
+                Some(Of::RequestStopped | Of::StreamStopped | Of::StopAnswered) | None => {}
             }
         }
     }
@@ -373,7 +405,12 @@ impl Motor {
 
     /// The request is over.
     pub(super) fn finish_request(&mut self, outcome: Request, config: &Config, now: Instant) {
-        let of = if outcome.is_none() { Of::RequestAnswered } else { Of::Request };
+        let is_stop = self.request.under_way().is_some_and(Asked::is_stop);
+        let of = match outcome {
+            Request::None if is_stop => Of::StopAnswered,
+            Request::None => Of::RequestAnswered,
+            _ => Of::Request,
+        };
         self.give_request_up(of, config, now);
         self.request = outcome;
     }
