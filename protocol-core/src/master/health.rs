@@ -84,7 +84,6 @@ impl Record {
 
     /// A reply came in time. How long it took is not known where several attempts were under way.
     pub(super) fn count_answer(&mut self, round_trip: Option<Duration>) {
-        self.presence = Presence::Present;
         self.answered = self.answered.saturating_add(1);
         if let Some(round_trip) = round_trip {
             let measured_us = round_trip.min(LONGEST_ROUND_TRIP).as_micros() as u32;

@@ -340,6 +340,7 @@ impl Motor {
     fn take_answer(&mut self, mut asked: Asked, heard: &mut Heard<'_>, config: &Config) -> Meaning {
         let &mut Heard { from: motor, at: now, packet: &Packet { data, .. }, .. } = heard;
         asked.unanswered = asked.unanswered.saturating_sub(1);
+        let is_in_flight = self.request.in_flight().is_some();
         self.request = Request::InFlight(asked);
         if heard.is_ignored_one() && asked.data == data {
             if asked.is_stop() {
@@ -353,8 +354,13 @@ impl Motor {
             return Meaning::Nothing;
         }
         // With more than one attempt under way nobody knows which one this answers.
-        let round_trip = (asked.unanswered == 0).then_some(now - self.sent);
-        self.answered(round_trip);
+        let round_trip = (is_in_flight && asked.unanswered == 0).then_some(now - self.sent);
+        if is_in_flight {
+            self.answered(round_trip);
+        } else {
+            // That counted as lost, or was to all.
+            self.is_there();
+        }
         let kind = asked.kind();
         if kind.ends_motion() && (heard.to_all.may_undo(kind, motor) || self.may_yet_move()) {
             // Nothing that moves it goes between the attempts of what ends its motion.

@@ -449,8 +449,13 @@ impl Motor {
         self.was_silent(config, now);
     }
 
-    pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
+    pub(super) fn is_there(&mut self) {
         self.misses = 0;
+        self.health.presence = Presence::Present;
+    }
+
+    pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
+        self.is_there();
         self.health.count_answer(round_trip);
     }
 

@@ -71,8 +71,12 @@ fn an_answer_that_comes_before_ones_own_stop_was_sent_confirms_it() {
     let packet = master.poll_transmit(ms(100)).unwrap();
     master.handle_transmitted(ms(100));
     assert_eq!(packet.channel, TO_ALL);
+    let before = master.health(id(1));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
     assert_eq!(sent(&mut master, ms(101)), []);
+    // It answers no command of its own.
+    let Health { answered, round_trip, .. } = master.health(id(1));
+    assert_eq!((answered, round_trip), (before.answered, before.round_trip));
 }
 
 #[test]
