@@ -224,6 +224,9 @@ impl Broadcast {
 
     /// Takes note of the time; see [`OnItsWay::age`].
     fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
+        if !self.on_its_way.is_any() {
+            return;
+        }
         self.on_its_way.age(now, heard_at, config);
         if self.on_its_way.end_on_whole_bus().is_none_or(|end| end <= now) {
             self.may_answer = MotorSet::EMPTY;
