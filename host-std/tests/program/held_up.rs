@@ -129,7 +129,9 @@ fn a_slow_reader_gets_the_result_all_the_same() {
     });
     assert_eq!(process.wait().unwrap().code(), Some(0));
     let told = reading.join().unwrap();
-    assert!(told.ends_with("motor 1 has run for 20 s: it is stopped and holds still (0x81)\n"));
+    assert!(
+        told.ends_with("motor 1 has run for 20 s; motor 1 is stopped and holds still (0x81)\n")
+    );
 }
 
 #[test]

@@ -142,7 +142,7 @@ fn speed_turns_the_motor_and_then_holds_it() {
     for bus in ["sim", "sim:1,rs485"] {
         let lines = done(&format!("speed --bus {bus} --id 1 --speed-dps -90 --for-s 0.5"));
         let (end, way) = lines.split_last().unwrap();
-        let told = "motor 1 has run for 0.5 s: it is stopped and holds still (0x81)";
+        let told = "motor 1 has run for 0.5 s; motor 1 is stopped and holds still (0x81)";
         assert_eq!(end, told);
         assert_eq!(before(way.last().unwrap(), "dps"), -90.0);
     }

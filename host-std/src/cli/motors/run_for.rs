@@ -9,7 +9,6 @@ use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
 
-use super::moving::named;
 use super::progress::Progress;
 use super::session::{OneMotor, Session, healthy, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
@@ -67,22 +66,18 @@ pub(super) fn run<C: Command + Copy>(
             session.release_brake(motor)?;
         }
         repeat(session, span, run.command, reading)?;
-        let end = match run.end {
-            StopKind::Hold => {
-                session.stop(StopKind::Hold, motor.into())?;
-                session.stopped(motor.into())?.replacen(&named(motor.into()), "it", 1)
-            }
-            StopKind::Off if opens => {
-                put_down(session, motor)?;
-                "it is stopped, its brake locked again (0x78) and it is off (0x80)".to_owned()
-            }
-            StopKind::Off => {
-                session.stop(StopKind::Off, motor.into())?;
-                "it is off (0x80): its shaft is free unless a brake holds it".to_owned()
-            }
-        };
-        say(&format!("motor {motor} has run for {seconds} s: {end}"))
-    })
+        match run.end {
+            StopKind::Off if opens => put_down(session, motor),
+            kind => session.stop(kind, motor.into()),
+        }
+    })?;
+    let end = match run.end {
+        StopKind::Off if opens => {
+            format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)")
+        }
+        _ => session.stopped(motor.into())?,
+    };
+    say(&format!("motor {motor} has run for {seconds} s; {end}"))
 }
 
 /// Stops a motor, locks its brake and switches it off, in the order in which no load falls.
@@ -218,6 +213,26 @@ mod tests {
         let mut commands = commands(&log);
         commands.retain(|byte| *byte != 0x9C);
         assert!(commands.ends_with(&[0x81, 0x9A]), "{commands:02X?}");
+    }
+
+    #[test]
+    fn a_stop_at_the_end_that_holds_nothing_is_told_once() {
+        let fleet = fleet();
+        let mut session = Session::on(&fleet);
+        let drive = fleet.drives[0].clone();
+        let turning = Run {
+            command: TURN,
+            does: "turn".to_owned(),
+            needs_open_brake: false,
+            end: StopKind::Hold,
+        };
+        let outcome = run(&mut session, &typed("--id 1 --for-s 0.25 --yes"), &turning, |_| {
+            // Whatever turns it is stronger.
+            drive.with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
+            String::new()
+        });
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert_eq!(told.matches("becomes no slower").count(), 1, "{told}");
     }
 
     #[test]
