@@ -166,7 +166,7 @@ fn motion_runs_to_its_position_by_the_ranges_told() {
         assert_eq!(done(&format!("{motion} {ranges}")), lines, "{ranges}");
     }
     let (end, way) = lines.split_last().unwrap();
-    assert!(end.ends_with("it is stopped and holds still (0x81)"), "{end}");
+    assert!(end.ends_with("motor 2 is stopped and holds still (0x81)"), "{end}");
     assert!((before(way.last().unwrap(), "rad") - 1.0).abs() < 0.05, "{way:?}");
     // Others than its firmware's would multiply the torque.
     let (status, told) = refused(&format!("{motion} --ranges 12.566,45,500,5,60"));

@@ -258,10 +258,12 @@ impl Motor {
         }
         if let Some(&asked) = self.request.answerable().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
-            // Something from before may have come behind what this answers.
-            if let (true, Request::Waiting(stop)) = (asked.once_more, &mut self.request) {
-                stop.unanswered -= 1;
-                return Meaning::Nothing;
+            // Of what waits to be sent again: the last answer doubled, or something may have come behind what it answers.
+            if let Request::Waiting(stop) = &mut self.request {
+                if may_be_doubled || asked.once_more {
+                    stop.unanswered -= u8::from(!may_be_doubled);
+                    return Meaning::Nothing;
+                }
             }
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
             if asked.is_stop() && heard.to_all.may_be_mistaken(data[0], heard.from) {

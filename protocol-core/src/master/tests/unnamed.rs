@@ -290,6 +290,23 @@ fn off_is_confirmed_once_no_broadcast_stop_can_come_behind_it() {
 }
 
 #[test]
+fn a_doubled_answer_to_an_earlier_stop_confirms_none_that_waits() {
+    let mut master = all_have_moved();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 2);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
+    master.lift_stop();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(102))), [to(1)]);
+    // The answer to the other of the first two, twice, before this one goes once more.
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(103)), None);
+    let soon = ms(103) + Duration::from_micros(300);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), soon), None);
+    assert_eq!(channels(&sent(&mut master, ms(104))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(105)), confirmed(1));
+}
+
+#[test]
 fn hold_is_confirmed_once_no_shutdown_of_before_can_come_behind_it() {
     // It was sent twice and answered once: the other may lie in a mailbox.
     let mut master = Master::<2>::new(Config::CAN);
