@@ -69,8 +69,9 @@ impl<const N: usize> Master<N> {
     /// its way, in a controller's mailbox for example: a confirmation counts only once nothing of that can move the
     /// motor any more.
     ///
-    /// A motor that has a place and that a stop has switched off stays off until that stop is lifted: it is not sent
-    /// [`StopKind::Hold`], which would switch it on, but [`StopKind::Off`] once more.
+    /// A motor that has a place and that a stop has switched off, by itself or with all at once, stays off until that
+    /// stop is lifted: it is not sent [`StopKind::Hold`], which would switch it on, but [`StopKind::Off`] once more.
+    /// With all at once everybody is, also who is named only later.
     ///
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
