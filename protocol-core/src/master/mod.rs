@@ -37,8 +37,10 @@
 //! from before a cut that an adapter holds back for longer than the reply time-out says that the bus is whole,
 //! so that a stop may be confirmed before a move that lies in a mailbox. A Shutdown of one motor that lies in one and
 //! has been given up when the motor is told to hold may come after that is confirmed; so may a stop to all that has
-//! lain in one until nobody expected its answer any more, after a later stop of another kind. And a stop cannot be
-//! confirmed by a motor whose replies do not come through: then cut its power. Where a bus swaps a move and the stop
+//! lain in one until nobody expected its answer any more, after a later stop of another kind. A controller that keeps no
+//! order among frames of one motor may send a Stop behind a Shutdown that was asked for after it, so that a motor which
+//! is confirmed to be off is switched on and held. And a stop cannot be confirmed by a motor whose replies do not come
+//! through: then cut its power. Where a bus swaps a move and the stop
 //! behind it, and their answers as well, the stop is confirmed before it moves. And a command that was given up for
 //! want of an answer may lie in the mailbox of a controller that nobody acknowledges: it is obeyed when the bus is
 //! whole again, whenever that is, unless the controller can be reset. Nothing here can tell more.
