@@ -3,19 +3,17 @@
 //! Everything is under one lock, so what counts is the order of the calls: a stop drops what is older
 //! here and now, and refuses what comes after it, whether or not the thread has seen it yet.
 
-use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, RecvTimeoutError::Timeout, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use myactuator_protocol_core::command::AnyReply;
-use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::master::{Event, Failure, MotorSet, Patience, StopKind};
-use myactuator_protocol_core::{Data, Kind, MotorId};
+use myactuator_protocol_core::master::{Event, MotorSet, Patience, StopKind};
+use myactuator_protocol_core::{Data, MotorId};
 
 use super::SharedBusError;
 use super::calls::{Answer, Awaited, Order, Question, Untyped, Waiting};
+use super::state::{Clerk, Latest, Life, State};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::Wake;
 
@@ -24,66 +22,6 @@ const LONGEST_ROUND: Duration = Duration::from_millis(if cfg!(test) { 1_000 } el
 /// How often it is looked at meanwhile: a program that is frozen and goes on finds that time is up, and has looked
 /// once.
 const LOOKS: u32 = 20;
-
-/// The newest feedback of a motor.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Latest {
-    /// What it said, to its set-point stream or by itself.
-    pub reply: AnyReply,
-    /// When that was heard. On a machine that was suspended since then it is older than this says.
-    pub heard_at: Instant,
-}
-
-/// What a motor's callers have left and may find.
-#[derive(Debug, Default)]
-struct Slot {
-    /// The newest set-point, until it is taken up.
-    set_point: Option<Untyped>,
-    /// Why an earlier one was not taken.
-    refusal: Option<RequestError>,
-    latest: Option<Latest>,
-}
-
-/// Whether the bus still runs.
-#[derive(Debug)]
-enum Life {
-    Running,
-    /// Nobody has a handle any more.
-    Closing,
-    /// The thread has panicked, with these words.
-    Panicked(Arc<str>),
-}
-
-#[derive(Debug)]
-struct State<E> {
-    life: Life,
-    orders: Vec<Order<E>>,
-    questions: VecDeque<Question<E>>,
-    slots: [Slot; MotorId::COUNT],
-    stops_all: bool,
-    stopped: MotorSet,
-    /// These were told to have restarted, and not resumed.
-    restarted: MotorSet,
-    /// An error that nobody was told yet.
-    error: Option<Arc<E>>,
-    subscribers: Vec<Subscriber>,
-    /// How often the thread took up what there is.
-    rounds: u64,
-    /// Since when something lies there that the thread has not taken up.
-    news_since: Option<Instant>,
-    /// The thread idles, and has to be woken for what is new.
-    is_idle: bool,
-}
-
-/// Who takes it all up.
-pub(super) trait Clerk<E> {
-    fn obey(&mut self, order: Order<E>);
-
-    fn set_point(&mut self, motor: MotorId, set_point: Untyped) -> Result<(), RequestError>;
-
-    /// Puts a question; gives it back if it has to wait.
-    fn put(&mut self, question: Question<E>) -> Option<Question<E>>;
-}
 
 pub(super) struct Desk<E> {
     state: Mutex<State<E>>,
@@ -94,21 +32,7 @@ pub(super) struct Desk<E> {
 
 impl<E> Desk<E> {
     pub(super) fn new(wake: Option<Wake>) -> Self {
-        let state = State {
-            life: Life::Running,
-            orders: Vec::new(),
-            questions: VecDeque::new(),
-            slots: std::array::from_fn(|_| Slot::default()),
-            stops_all: false,
-            stopped: MotorSet::EMPTY,
-            restarted: MotorSet::EMPTY,
-            error: None,
-            subscribers: Vec::new(),
-            rounds: 0,
-            news_since: None,
-            is_idle: false,
-        };
-        Self { state: Mutex::new(state), changed: Condvar::new(), wake }
+        Self { state: Mutex::new(State::new()), changed: Condvar::new(), wake }
     }
 
     /// Whether the thread can be woken while it idles.
@@ -411,96 +335,4 @@ impl<E> Desk<E> {
 fn call<T, E>() -> (Answer<T, E>, Waiting<T, E>) {
     let (answer, answered) = sync_channel(1);
     (answer, Waiting { answered, asker: Arc::default() })
-}
-
-impl<E> State<E> {
-    fn slot(&mut self, motor: MotorId) -> &mut Slot {
-        &mut self.slots[motor.index()]
-    }
-
-    /// Whether a command may be laid down.
-    fn check(&mut self, motor: MotorId, kind: Kind) -> Result<(), SharedBusError<E>> {
-        if let Life::Panicked(_) = self.life {
-            return Err(self.last_words());
-        }
-        // An error that is somebody else's keeps no stop from the bus.
-        if !kind.ends_motion()
-            && let Some(error) = self.error.take()
-        {
-            return Err(SharedBusError::Bus(error));
-        }
-        let is_stopped = self.stops_all || self.stopped.contains(motor);
-        if is_stopped && kind.is_refused_while_stopped() {
-            return Err(RequestError::Stopped.into());
-        }
-        if self.restarted.contains(motor) && kind.moves() {
-            return Err(RequestError::Restarted.into());
-        }
-        Ok(())
-    }
-
-    fn order(&mut self, order: Order<E>) -> Result<(), SharedBusError<E>> {
-        if let Life::Panicked(_) = self.life {
-            return Err(self.last_words());
-        }
-        self.orders.push(order);
-        Ok(())
-    }
-
-    /// Hands the clerk the set-points, but for those of motors that are still to be asked to end their motion: what
-    /// is there for one of these is newer than that, which would drop it.
-    fn hand_over_set_points(&mut self, clerk: &mut impl Clerk<E>) {
-        let ends_motion = |question: &&Question<E>| question.command.kind.ends_motion();
-        let ending: MotorSet =
-            self.questions.iter().filter(ends_motion).map(|question| question.motor).collect();
-        for motor in MotorSet::ALL.without(ending).iter() {
-            let slot = self.slot(motor);
-            if let Some(set_point) = slot.set_point.take()
-                && let Err(refusal) = clerk.set_point(motor, set_point)
-            {
-                slot.refusal = Some(refusal);
-            }
-        }
-    }
-
-    /// A stop drops whatever is older than it.
-    fn drop_what_is_stopped(&mut self, motors: MotorSet) {
-        for motor in motors.iter() {
-            self.slot(motor).set_point = None;
-        }
-        self.drop_questions(|motor, kind| {
-            let is_dropped = motors.contains(motor) && kind.is_refused_while_stopped();
-            is_dropped.then_some(SharedBusError::Failed(Failure::Stopped))
-        });
-    }
-
-    /// A restart drops what moves and is older than the word of it.
-    fn drop_what_moves(&mut self, restarted: MotorId) {
-        let slot = self.slot(restarted);
-        if slot.set_point.take().is_some() {
-            slot.refusal = Some(RequestError::Restarted);
-        }
-        self.drop_questions(|motor, kind| {
-            let is_dropped = motor == restarted && kind.moves();
-            is_dropped.then_some(SharedBusError::Request(RequestError::Restarted))
-        });
-    }
-
-    /// Drops the questions of which this gives why.
-    fn drop_questions(&mut self, why: impl Fn(MotorId, Kind) -> Option<SharedBusError<E>>) {
-        self.questions.retain(|question| {
-            let why = why(question.motor, question.command.kind);
-            why.is_none_or(|error| {
-                let _ = question.answer.send(Err(error));
-                false
-            })
-        });
-    }
-
-    fn last_words(&self) -> SharedBusError<E> {
-        SharedBusError::Panicked(match &self.life {
-            Life::Panicked(words) => Arc::clone(words),
-            Life::Running | Life::Closing => Arc::from("nobody is there any more"),
-        })
-    }
 }

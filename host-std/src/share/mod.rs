@@ -61,13 +61,14 @@ mod desk;
 mod error;
 mod guard;
 mod shared_bus;
+mod state;
 mod subscription;
 #[cfg(test)]
 mod tests;
 mod worker;
 
-pub use desk::Latest;
 pub use error::SharedBusError;
 pub use guard::Guard;
 pub use shared_bus::SharedBus;
+pub use state::Latest;
 pub use subscription::Subscription;

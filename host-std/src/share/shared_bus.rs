@@ -10,7 +10,8 @@ use myactuator_protocol_core::master::{Failure, MotorSet, Patience, StopKind};
 use myactuator_protocol_core::{Command, MotorId};
 
 use super::calls::Untyped;
-use super::desk::{Desk, Latest};
+use super::desk::Desk;
+use super::state::Latest;
 use super::{SharedBusError, Subscription, worker};
 use crate::open::{AnyMaster, BusAddress, BusError, Wake};
 

@@ -17,7 +17,8 @@ use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
 use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
 
 use super::calls::{Order, Question, Untyped};
-use super::desk::{Clerk, Desk};
+use super::desk::Desk;
+use super::state::Clerk;
 use super::{Guard, SharedBus, SharedBusError};
 use crate::sim::bus::SimClock;
 use crate::sim::bus::can::{CanBus, CanError, CanPort};

@@ -13,7 +13,8 @@ use myactuator_protocol_core::{Data, MotorId};
 
 use super::SharedBusError;
 use super::calls::{Answer, Order, Question, Untyped};
-use super::desk::{Clerk, Desk};
+use super::desk::Desk;
+use super::state::Clerk;
 
 /// How long a thread idles that nothing can wake.
 const LONGEST_IDLE: Duration = Duration::from_millis(1);

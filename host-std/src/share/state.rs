@@ -1,0 +1,183 @@
+//! What lies on the desk of the bus, and what a stop or a restart takes away from it.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Instant;
+
+use myactuator_protocol_core::command::AnyReply;
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::master::{Failure, MotorSet};
+use myactuator_protocol_core::{Kind, MotorId};
+
+use super::SharedBusError;
+use super::calls::{Order, Question, Untyped};
+use super::subscription::Subscriber;
+
+/// The newest feedback of a motor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Latest {
+    /// What it said, to its set-point stream or by itself.
+    pub reply: AnyReply,
+    /// When that was heard. On a machine that was suspended since then it is older than this says.
+    pub heard_at: Instant,
+}
+
+/// What a motor's callers have left and may find.
+#[derive(Debug, Default)]
+pub(super) struct Slot {
+    /// The newest set-point, until it is taken up.
+    pub(super) set_point: Option<Untyped>,
+    /// Why an earlier one was not taken.
+    pub(super) refusal: Option<RequestError>,
+    pub(super) latest: Option<Latest>,
+}
+
+/// Whether the bus still runs.
+#[derive(Debug)]
+pub(super) enum Life {
+    Running,
+    /// Nobody has a handle any more.
+    Closing,
+    /// The thread has panicked, with these words.
+    Panicked(Arc<str>),
+}
+
+#[derive(Debug)]
+pub(super) struct State<E> {
+    pub(super) life: Life,
+    pub(super) orders: Vec<Order<E>>,
+    pub(super) questions: VecDeque<Question<E>>,
+    pub(super) slots: [Slot; MotorId::COUNT],
+    pub(super) stops_all: bool,
+    pub(super) stopped: MotorSet,
+    /// These were told to have restarted, and not resumed.
+    pub(super) restarted: MotorSet,
+    /// An error that nobody was told yet.
+    pub(super) error: Option<Arc<E>>,
+    pub(super) subscribers: Vec<Subscriber>,
+    /// How often the thread took up what there is.
+    pub(super) rounds: u64,
+    /// Since when something lies there that the thread has not taken up.
+    pub(super) news_since: Option<Instant>,
+    /// The thread idles, and has to be woken for what is new.
+    pub(super) is_idle: bool,
+}
+
+/// Who takes it all up.
+pub(super) trait Clerk<E> {
+    fn obey(&mut self, order: Order<E>);
+
+    fn set_point(&mut self, motor: MotorId, set_point: Untyped) -> Result<(), RequestError>;
+
+    /// Puts a question; gives it back if it has to wait.
+    fn put(&mut self, question: Question<E>) -> Option<Question<E>>;
+}
+
+impl<E> State<E> {
+    pub(super) fn new() -> Self {
+        Self {
+            life: Life::Running,
+            orders: Vec::new(),
+            questions: VecDeque::new(),
+            slots: std::array::from_fn(|_| Slot::default()),
+            stops_all: false,
+            stopped: MotorSet::EMPTY,
+            restarted: MotorSet::EMPTY,
+            error: None,
+            subscribers: Vec::new(),
+            rounds: 0,
+            news_since: None,
+            is_idle: false,
+        }
+    }
+
+    pub(super) fn slot(&mut self, motor: MotorId) -> &mut Slot {
+        &mut self.slots[motor.index()]
+    }
+
+    /// Whether a command may be laid down.
+    pub(super) fn check(&mut self, motor: MotorId, kind: Kind) -> Result<(), SharedBusError<E>> {
+        if let Life::Panicked(_) = self.life {
+            return Err(self.last_words());
+        }
+        // An error that is somebody else's keeps no stop from the bus.
+        if !kind.ends_motion()
+            && let Some(error) = self.error.take()
+        {
+            return Err(SharedBusError::Bus(error));
+        }
+        let is_stopped = self.stops_all || self.stopped.contains(motor);
+        if is_stopped && kind.is_refused_while_stopped() {
+            return Err(RequestError::Stopped.into());
+        }
+        if self.restarted.contains(motor) && kind.moves() {
+            return Err(RequestError::Restarted.into());
+        }
+        Ok(())
+    }
+
+    pub(super) fn order(&mut self, order: Order<E>) -> Result<(), SharedBusError<E>> {
+        if let Life::Panicked(_) = self.life {
+            return Err(self.last_words());
+        }
+        self.orders.push(order);
+        Ok(())
+    }
+
+    /// Hands the clerk the set-points, but for those of motors that are still to be asked to end their motion: what
+    /// is there for one of these is newer than that, which would drop it.
+    pub(super) fn hand_over_set_points(&mut self, clerk: &mut impl Clerk<E>) {
+        let ends_motion = |question: &&Question<E>| question.command.kind.ends_motion();
+        let ending: MotorSet =
+            self.questions.iter().filter(ends_motion).map(|question| question.motor).collect();
+        for motor in MotorSet::ALL.without(ending).iter() {
+            let slot = self.slot(motor);
+            if let Some(set_point) = slot.set_point.take()
+                && let Err(refusal) = clerk.set_point(motor, set_point)
+            {
+                slot.refusal = Some(refusal);
+            }
+        }
+    }
+
+    /// A stop drops whatever is older than it.
+    pub(super) fn drop_what_is_stopped(&mut self, motors: MotorSet) {
+        for motor in motors.iter() {
+            self.slot(motor).set_point = None;
+        }
+        self.drop_questions(|motor, kind| {
+            let is_dropped = motors.contains(motor) && kind.is_refused_while_stopped();
+            is_dropped.then_some(SharedBusError::Failed(Failure::Stopped))
+        });
+    }
+
+    /// A restart drops what moves and is older than the word of it.
+    pub(super) fn drop_what_moves(&mut self, restarted: MotorId) {
+        let slot = self.slot(restarted);
+        if slot.set_point.take().is_some() {
+            slot.refusal = Some(RequestError::Restarted);
+        }
+        self.drop_questions(|motor, kind| {
+            let is_dropped = motor == restarted && kind.moves();
+            is_dropped.then_some(SharedBusError::Request(RequestError::Restarted))
+        });
+    }
+
+    /// Drops the questions of which this gives why.
+    fn drop_questions(&mut self, why: impl Fn(MotorId, Kind) -> Option<SharedBusError<E>>) {
+        self.questions.retain(|question| {
+            let why = why(question.motor, question.command.kind);
+            why.is_none_or(|error| {
+                let _ = question.answer.send(Err(error));
+                false
+            })
+        });
+    }
+
+    pub(super) fn last_words(&self) -> SharedBusError<E> {
+        SharedBusError::Panicked(match &self.life {
+            Life::Panicked(words) => Arc::clone(words),
+            Life::Running | Life::Closing => Arc::from("nobody is there any more"),
+        })
+    }
+}
