@@ -35,15 +35,12 @@
 //! for as long as the feedback may be that to a set-point given up before: until the stream rests. An echo on
 //! RS485 that nobody told of confirms a stop if noise has taken all echoes that would have shown it. A frame
 //! from before a cut that an adapter holds back for longer than the reply time-out says that the bus is whole,
-//! so that a stop may be confirmed before a move that lies in a mailbox. A Shutdown of one motor that lies in one and
-//! has been given up when the motor is told to hold may come after that is confirmed; so may a stop to all that has
-//! lain in one until nobody expected its answer any more, after a later stop of another kind. A controller that keeps no
-//! order among frames of one motor may send a Stop behind a Shutdown that was asked for after it, so that a motor which
-//! is confirmed to be off is switched on and held. And a stop cannot be confirmed by a motor whose replies do not come
-//! through: then cut its power. Where a bus swaps a move and the stop
-//! behind it, and their answers as well, the stop is confirmed before it moves. And a command that was given up for
-//! want of an answer may lie in the mailbox of a controller that nobody acknowledges: it is obeyed when the bus is
-//! whole again, whenever that is, unless the controller can be reset. Nothing here can tell more.
+//! so that a stop may be confirmed before a move that lies in a mailbox. A stop of one motor, or to all, that has
+//! lain in one until nobody expected its answer any more may come after a later stop of the other kind is confirmed.
+//! And a stop cannot be confirmed by a motor whose replies do not come through: then cut its power. Where a bus swaps a
+//! move and the stop behind it, and their answers as well, the stop is confirmed before it moves. And a command that was
+//! given up for want of an answer may lie in the mailbox of a controller that nobody acknowledges: it is obeyed when the
+//! bus is whole again, whenever that is, unless the controller can be reset. Nothing here can tell more.
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
@@ -283,7 +280,7 @@ impl<const N: usize> Master<N> {
             let asked = Asked::new(Purpose::Caller, question, data, patience);
             if kind.ends_motion() {
                 motor.drop_waiting_set_point();
-                motor.let_shutdown_come_first(&asked, config, now);
+                motor.let_other_stop_come_first(&asked, config, now);
             }
             motor.join(pace);
             motor.request = Request::Waiting(asked);

@@ -145,7 +145,7 @@ impl Motor {
         if is_callers {
             self.news.insert(News::STOPPED);
         }
-        self.let_shutdown_come_first(&stop, config, now);
+        self.let_other_stop_come_first(&stop, config, now);
         if self.settled_at > now {
             self.may_move_until(now + stop.timeout + config.late_window, config);
         }
@@ -155,16 +155,18 @@ impl Motor {
         self.request = Request::Waiting(stop);
     }
 
-    /// What ends motion is to count once no Shutdown from before can come any more: a controller that keeps no order
-    /// sends it behind this, and a load that is held falls.
+    /// What ends motion is to count once no stop of the other kind from before can come any more. A controller that
+    /// keeps no order sends that behind this: a load that is held falls, or a motor that is off is switched on.
     #[inline(never)]
-    pub(super) fn let_shutdown_come_first(&mut self, end: &Asked, config: &Config, now: Instant) {
-        let (kind, data) = StopKind::Off.command();
-        let off = Question::of(kind, &data);
-        let is_sent = |it: &Asked| it.unanswered > 0 && it.question == off;
-        let may_come =
-            self.request.under_way().is_some_and(is_sent) || self.late.may_be_mistaken(off);
-        if may_come && end.question != off {
+    pub(super) fn let_other_stop_come_first(&mut self, end: &Asked, config: &Config, now: Instant) {
+        let of = |stop: StopKind| {
+            let (kind, data) = stop.command();
+            Question::of(kind, &data)
+        };
+        let off = of(StopKind::Off);
+        let other = if end.question == off { of(StopKind::Hold) } else { off };
+        let is_sent = |it: &Asked| it.unanswered > 0 && it.question == other;
+        if self.request.under_way().is_some_and(is_sent) || self.late.may_be_mistaken(other) {
             self.may_move_until(now + end.timeout + config.late_window, config);
         }
     }

@@ -323,6 +323,31 @@ fn hold_is_confirmed_once_no_shutdown_of_before_can_come_behind_it() {
 }
 
 #[test]
+fn off_is_confirmed_once_no_hold_of_before_can_come_behind_it() {
+    // A controller that keeps no order among frames of one motor sends the Off first, and the Hold switches it on.
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(1))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None);
+    assert_eq!(sent(&mut master, ms(3)), []);
+    assert_eq!(channels(&sent(&mut master, ms(300))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(301)), confirmed(1));
+}
+
+#[test]
+fn off_behind_a_hold_that_is_confirmed_waits_for_nothing() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(1)), confirmed(1));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(2))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(3)), confirmed(1));
+}
+
+#[test]
 fn one_that_waits_goes_no_more_once_it_was_lifted_and_another_stop_is_in_force() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
