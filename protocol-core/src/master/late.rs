@@ -19,6 +19,11 @@ impl Question {
         Self { kind, key: kind.key(command).unwrap_or(0) }
     }
 
+    /// What every command of this kind asks, where it has no key byte.
+    pub(super) const fn without_key(kind: Kind) -> Self {
+        Self { kind, key: 0 }
+    }
+
     /// Whether these bytes, from the channel of motion mode or not, can be a reply to it.
     pub(super) fn is_answered_by(self, is_motion: bool, reply: &Data) -> bool {
         if is_motion {

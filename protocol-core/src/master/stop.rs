@@ -33,6 +33,10 @@ impl StopKind {
         }
     }
 
+    pub(super) const fn question(self) -> Question {
+        Question::without_key(self.command().0)
+    }
+
     /// How this command stops a motor, if it does: 0x81 or 0x80.
     pub fn by(command: Kind) -> Option<Self> {
         match command.opcode()? {
@@ -248,20 +252,19 @@ impl<const N: usize> Master<N> {
         if self.config.is_rs485() {
             return;
         }
-        let (command, data) = kind.command();
-        let told = Question::of(command, &data);
+        let told = kind.question();
         let until = now + self.config.reply_timeout + self.config.late_window;
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, config| motor.stop_to_all_was_sent(told, until, config));
         }
-        self.broadcast.stop_was_sent(command, until, &self.config);
+        self.broadcast.stop_was_sent(told.kind, until, &self.config);
     }
 
     /// The stop to all was handed back, if this is it: it goes once more. Gives whether it is, and in force.
     pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) -> bool {
         let is_it = |kind: &StopKind| kind.command().1 == packet.data;
         let Some(kind) = self.stops_all.filter(is_it) else { return false };
-        let told = Question::of(kind.command().0, &packet.data);
+        let told = kind.question();
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, _| motor.stop_to_all_was_pushed_out(told, &packet.data));
         }

@@ -145,13 +145,13 @@ impl Motor {
         if is_callers {
             self.news.insert(News::STOPPED);
         }
-        self.let_other_stop_come_first(&stop, config, now);
         if self.settled_at > now {
             self.may_move_until(now + stop.timeout + config.late_window, config);
         }
         let is_waiting = self.request.waiting().is_some();
         let of = if is_waiting { Of::Request } else { Of::RequestStopped };
         self.give_request_up(of, config, now);
+        self.let_other_stop_come_first(&stop, config, now);
         self.request = Request::Waiting(stop);
     }
 
@@ -159,14 +159,9 @@ impl Motor {
     /// keeps no order sends that behind this: a load that is held falls, or a motor that is off is switched on.
     #[inline(never)]
     pub(super) fn let_other_stop_come_first(&mut self, end: &Asked, config: &Config, now: Instant) {
-        let of = |stop: StopKind| {
-            let (kind, data) = stop.command();
-            Question::of(kind, &data)
-        };
-        let off = of(StopKind::Off);
-        let other = if end.question == off { of(StopKind::Hold) } else { off };
-        let is_sent = |it: &Asked| it.unanswered > 0 && it.question == other;
-        if self.request.under_way().is_some_and(is_sent) || self.late.may_be_mistaken(other) {
+        let off = StopKind::Off.question();
+        let other = if end.question == off { StopKind::Hold.question() } else { off };
+        if self.late.may_be_mistaken(other) {
             self.may_move_until(now + end.timeout + config.late_window, config);
         }
     }
