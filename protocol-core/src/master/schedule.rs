@@ -1,11 +1,9 @@
 //! Whose turn it is on the bus, and when.
 
-use core::cmp::Reverse;
-
 use crate::kind::Kind;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::Asked;
-use crate::master::stop::LONGEST_STOP_TIMEOUT;
+use crate::master::stop::{LONGEST_STOP_TIMEOUT, STOP_ATTEMPTS};
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::Instant;
@@ -36,7 +34,7 @@ impl<const N: usize> Master<N> {
     }
 
     /// Each motor's first stop before any second, and on a line those first that answered last time: a
-    /// motor that is not there keeps it for as long as a stop is waited for.
+    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
     pub(super) fn choose_stop(&self) -> Option<Offer> {
         if self.stop_to_all.is_some() {
             return Some(Offer::StopToAll);
@@ -50,7 +48,8 @@ impl<const N: usize> Master<N> {
             (!waits).then_some((place, motor, stop))
         });
         let urgency = |(_, motor, stop): &(_, &Motor, &Asked)| {
-            (Reverse(stop.attempts_left), motor.was_missed())
+            let is_first = stop.attempts_left == STOP_ATTEMPTS;
+            (!is_first, is_first && motor.was_missed(), motor.sent)
         };
         stops.min_by_key(urgency).map(|(place, ..)| Offer::Request(place as u8))
     }

@@ -51,7 +51,7 @@ impl StopKind {
 /// stop waits on a line for another motor's answer.
 pub(super) const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
 /// How many stop frames a motor gets before it counts as not stopped.
-const STOP_ATTEMPTS: u8 = 15;
+pub(super) const STOP_ATTEMPTS: u8 = 15;
 
 impl<const N: usize> Master<N> {
     /// Stops every motor [that has a place](Self::motors) and those of `also`, before anything else is sent
@@ -151,10 +151,14 @@ impl<const N: usize> Master<N> {
         self.offer = None;
         self.due = self.now;
         let (command, data) = kind.command();
-        let stop = self.stop_of(command, data);
+        let mut stop = self.stop_of(command, data);
         let now = self.now;
         let is_new = self.change_at(place, |motor, config| {
             let goes_on = was_stopped && motor.is_stopping_as(&stop);
+            if was_stopped && motor.last_answered == Some(stop.question) {
+                // It has confirmed this: first come those who have not been told.
+                stop.attempts_left -= 1;
+            }
             if !goes_on {
                 motor.put_stop(stop, config, now);
             }

@@ -169,22 +169,26 @@ impl Motor {
     /// A stop to all was sent, which tells it this. On CAN it is answered beside the motor's own: where that is the
     /// same, as one more sending of it.
     pub(super) fn stop_to_all_was_sent(&mut self, told: Question, until: Instant, config: &Config) {
-        match self.request.under_way_mut() {
-            Some(asked) if asked.question == told => {
-                asked.unanswered = asked.unanswered.saturating_add(1);
-            }
-            _ => self.expect_late(told, Of::StopAnswered, 1, until, config),
+        match self.own_stop(told) {
+            Some(stop) => stop.unanswered = stop.unanswered.saturating_add(1),
+            None => self.expect_late(told, Of::StopAnswered, 1, until, config),
         }
     }
 
     /// The stop to all was handed back: nobody answers it.
     pub(super) fn stop_to_all_was_pushed_out(&mut self, told: Question, data: &Data) {
-        match self.request.under_way_mut() {
-            Some(asked) if asked.question == told && asked.unanswered > 0 => asked.unanswered -= 1,
+        match self.own_stop(told) {
+            Some(stop) if stop.unanswered > 0 => stop.unanswered -= 1,
             _ => {
                 self.take_late(false, data, false);
             }
         }
+    }
+
+    /// The stop that tells it this, if that is under way.
+    fn own_stop(&mut self, told: Question) -> Option<&mut Asked> {
+        let stop = self.request.under_way_mut()?;
+        (stop.is_stop() && stop.question == told).then_some(stop)
     }
 
     pub(super) fn put_set_point(&mut self, set_point: SetPoint, expiry: Instant) {

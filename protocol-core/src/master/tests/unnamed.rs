@@ -243,7 +243,7 @@ fn who_stops_all_in_every_cycle_hears_of_a_motor_that_hears_no_command_to_all() 
 fn a_motor_that_hears_no_command_to_all_confirms_at_its_first_answer() {
     let mut master = all_have_moved();
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
-    assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1), to(2)]);
+    assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(2), to(1)]);
     assert_eq!(reply(&mut master, 2, Stop.encode(), ms(101)), confirmed(2));
 }
 
@@ -355,4 +355,38 @@ fn one_that_waits_goes_no_more_once_it_was_lifted_and_another_stop_is_in_force()
     master.stop(id(1), StopKind::Off).unwrap();
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert!(!channels(&sent(&mut master, ms(100))).contains(&TO_ALL));
+}
+
+#[test]
+fn one_that_goes_again_answers_no_request_of_the_caller() {
+    let mut master = all_have_moved();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(channels(&packets), [TO_ALL, to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
+    events(&mut master, ms(101));
+    master.handle_pushed_out(&packets[0]);
+    let ticket = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(102))), [TO_ALL]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(103)), None, "that to the one to all");
+    assert_eq!(channels(&sent(&mut master, ms(104))), [to(1)]);
+    let event = reply(&mut master, 1, Shutdown.encode(), ms(105)).unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Ok(Shutdown)));
+}
+
+#[test]
+fn one_that_is_handed_back_takes_nothing_from_a_request_of_the_caller() {
+    let mut master = all_have_moved();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None);
+    events(&mut master, ms(102));
+    let ticket = ask(&mut master, 1, Shutdown, ms(103));
+    master.handle_pushed_out(&packets[0]);
+    // Its own was lost. The one to all goes before its second, and is answered.
+    assert_eq!(channels(&sent(&mut master, ms(104))), [TO_ALL]);
+    let event = reply(&mut master, 1, Shutdown.encode(), ms(105)).unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Ok(Shutdown)));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(106)), None, "expected, and no stray");
 }
