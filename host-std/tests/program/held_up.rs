@@ -149,6 +149,28 @@ fn signals_stop_the_motor_first_although_nobody_reads() {
     }
 }
 
+#[test]
+fn ctrl_c_while_the_motor_comes_to_rest_waits_for_it_and_is_no_failure() {
+    let simulation = Simulation::start(1, &["--only", "slcan"]);
+    let bus = simulation.bus("slcan");
+    // From 540 dps it takes 5.4 s.
+    let slowly = "write-acceleration --index speed-deceleration --acceleration-dps2 100";
+    let mut send = myactuator();
+    send.args(["send", "--yes", "--bus", bus, "--id", "1"]).args(slowly.split(' '));
+    let sent = send.stdin(Stdio::null()).output().unwrap();
+    assert!(sent.status.success(), "{}", text(&sent.stderr));
+    let mut turn = myactuator();
+    turn.args(["speed", "--yes", "--bus", bus, "--id", "1", "--speed-dps", "540", "--for-s", "1"]);
+    turn.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let process = turn.spawn().unwrap();
+    sleep(Duration::from_secs(3));
+    signal(&process, Signal::INT);
+    let ended = process.wait_with_output().unwrap();
+    let told = "error: interrupted; motor 1 is stopped and holds still (0x81)\n";
+    assert_eq!((text(&ended.stderr), ended.status.code()), (told, Some(130)));
+    assert_eq!(angle_and_speed(bus).1, 0.0);
+}
+
 /// How it ends where Ctrl-C is pressed half a second after its start.
 fn interrupted(command: &mut Command) -> Output {
     let command = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());

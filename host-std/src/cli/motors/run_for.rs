@@ -61,32 +61,31 @@ pub(super) fn run<C: Command + Copy>(
         StopKind::Off => "then be switched off",
     };
     session.confirm(&format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does))?;
-    session.moving(motor, |session| {
+    let end = session.moving(motor, |session| {
         if opens {
             session.release_brake(motor)?;
         }
         repeat(session, span, run.command, reading)?;
-        match run.end {
+        let end = match run.end {
             StopKind::Off if opens => put_down(session, motor),
-            kind => session.stop(kind, motor.into()),
-        }
-    })?;
-    let end = match run.end {
-        StopKind::Off if opens => {
-            format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)")
-        }
-        _ => session.stopped(motor.into())?,
-    };
+            kind => session.stop(kind, motor.into()).and_then(|()| session.stopped(motor.into())),
+        };
+        // Whoever interrupts that gets a stop that is waited for, like anybody who interrupts.
+        session.check_interrupted()?;
+        // A last stop that fails tells what is true: it is no reason for one more.
+        Ok(end)
+    })??;
     say(&format!("motor {motor} has run for {seconds} s; {end}"))
 }
 
 /// Stops a motor, locks its brake and switches it off, in the order in which no load falls.
-fn put_down(session: &mut Session, motor: MotorId) -> Outcome {
+fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.stop(StopKind::Hold, motor.into())?;
     // Not on a shaft that turns still.
     session.come_to_rest(motor)?;
-    session.ask(motor, LockBrake)?;
-    session.stop(StopKind::Off, motor.into())
+    session.moving(motor, |session| session.ask(motor, LockBrake))?;
+    session.stop(StopKind::Off, motor.into())?;
+    Ok(format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)"))
 }
 
 /// Sends the command over and over until the time is up.
@@ -150,12 +149,14 @@ mod tests {
 
     use myactuator_host_std::sim::bus::trace::Log;
     use myactuator_host_std::sim::{CanFleet, Fleet};
-    use myactuator_protocol_core::command::{ErrorFlags, Speed, Torque};
+    use myactuator_protocol_core::command::{
+        AccelerationIndex, ErrorFlags, Speed, Torque, WriteAcceleration,
+    };
     use myactuator_protocol_core::time::Instant;
-    use myactuator_protocol_core::units::{Current, MaxTorque, SpeedTarget};
+    use myactuator_protocol_core::units::{Acceleration, Current, MaxTorque, SpeedTarget};
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
-    use super::super::simulated::{OtherMaster, Sends, sent, to_first, typed};
+    use super::super::simulated::{CtrlC, OtherMaster, Sends, sent, to_first, typed};
     use super::*;
 
     const TURN: Speed =
@@ -215,24 +216,87 @@ mod tests {
         assert!(commands.ends_with(&[0x81, 0x9A]), "{commands:02X?}");
     }
 
+    /// Runs the motor so for this time, and stops it at the end.
+    fn run_to_end<C: Command + Copy>(
+        session: &mut Session,
+        command: C,
+        (for_s, opens, end): (f32, bool, StopKind),
+        then: impl Fn(),
+    ) -> Outcome {
+        let run_it = Run { command, does: "turn".to_owned(), needs_open_brake: opens, end };
+        let typed = typed(&format!("--id 1 --for-s {for_s} --yes"));
+        run(session, &typed, &run_it, |_| {
+            then();
+            String::new()
+        })
+    }
+
     #[test]
     fn a_stop_at_the_end_that_holds_nothing_is_told_once() {
         let fleet = fleet();
-        let mut session = Session::on(&fleet);
         let drive = fleet.drives[0].clone();
-        let turning = Run {
-            command: TURN,
-            does: "turn".to_owned(),
-            needs_open_brake: false,
-            end: StopKind::Hold,
-        };
-        let outcome = run(&mut session, &typed("--id 1 --for-s 0.25 --yes"), &turning, |_| {
-            // Whatever turns it is stronger.
-            drive.with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
-            String::new()
-        });
+        let outcome =
+            run_to_end(&mut Session::on(&fleet), TURN, (0.25, false, StopKind::Hold), || {
+                // Whatever turns it is stronger.
+                drive.with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
+            });
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert_eq!(told.matches("becomes no slower").count(), 1, "{told}");
+    }
+
+    #[test]
+    fn a_stop_at_the_end_that_something_else_undoes_is_told_once() {
+        for end in [StopKind::Hold, StopKind::Off] {
+            let fleet = fleet();
+            // Its first comes after the run.
+            for after_ms in (320..5_000).step_by(20) {
+                let after = Sends::Once(Duration::from_millis(after_ms));
+                OtherMaster::attach(&fleet, to_first(TURN.encode()), after);
+            }
+            let mut session = Session::on(&fleet);
+            let outcome = run_to_end(&mut session, TURN, (0.3, false, end), || {});
+            let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+            assert_eq!(told.matches("goes on commanding motor 1").count(), 1, "{told}");
+        }
+    }
+
+    #[test]
+    fn a_last_stop_that_nobody_confirms_is_told_once() {
+        for end in [StopKind::Hold, StopKind::Off] {
+            for opens in [false, true] {
+                // The other one goes on acknowledging frames. One command without a reply is no failure.
+                let cut = "cut@1+995ms".parse().unwrap();
+                let fleet = Fleet::new(2).brakes(true).faults([cut]).on_can(1_000_000).unwrap();
+                let mut session = Session::on(&fleet);
+                let outcome = run_to_end(&mut session, TURN, (1.0, opens, end), || {});
+                let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+                let silent = told.matches("no confirmation of the stop from motor 1").count();
+                assert_eq!(silent, 1, "{told}");
+            }
+        }
+    }
+
+    #[test]
+    fn ctrl_c_while_a_motor_comes_to_rest_waits_for_it_and_is_no_failure() {
+        // From 90 dps it takes 0.9 s.
+        let slowly = WriteAcceleration {
+            index: AccelerationIndex::SPEED_DECELERATION,
+            acceleration: Acceleration::try_from_raw(100).unwrap(),
+        };
+        for (opens, end) in [(false, StopKind::Hold), (true, StopKind::Hold), (true, StopKind::Off)]
+        {
+            // Soon after the last stop, and while the motor is waited for.
+            for after_ms in [1_010, 1_100, 1_600] {
+                let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
+                let mut session = Session::on(&fleet);
+                session.ask(MotorId::MIN, slowly).unwrap();
+                CtrlC::attach(&fleet, &session, Duration::from_millis(after_ms));
+                let outcome = run_to_end(&mut session, TURN, (1.0, opens, end), || {});
+                let told = "interrupted; motor 1 is stopped and holds still (0x81)".to_owned();
+                assert_eq!(outcome, Err(Unfinished::Interrupted(told)), "{end:?} {after_ms}");
+                session.standing(MotorId::MIN).unwrap();
+            }
+        }
     }
 
     #[test]

@@ -1,5 +1,8 @@
 //! Simulated drives under a subcommand, for its tests.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use myactuator_host_std::open::AnyMaster;
 use myactuator_host_std::sim::CanFleet;
 use myactuator_host_std::sim::bus::Node;
@@ -105,5 +108,36 @@ impl Node<SimpleFrame> for OtherMaster {
 
     fn poll_at(&self) -> Option<Instant> {
         self.next
+    }
+}
+
+/// A user who presses Ctrl-C, once.
+#[derive(Debug)]
+pub(super) struct CtrlC {
+    at: Option<Instant>,
+    flags: [Arc<AtomicBool>; 2],
+}
+
+impl CtrlC {
+    pub(super) fn attach(fleet: &CanFleet, session: &Session, after: Duration) {
+        let flags = [session.interrupted.clone(), session.again.clone()];
+        fleet.world.attach(Self { at: Some(fleet.world.now() + after), flags });
+    }
+}
+
+impl Node<SimpleFrame> for CtrlC {
+    fn handle_frame(&mut self, _: &SimpleFrame, _: Instant) {}
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<SimpleFrame> {
+        if self.at.take_if(|at| *at <= now).is_some() {
+            for flag in &self.flags {
+                flag.store(true, Ordering::Relaxed);
+            }
+        }
+        None
+    }
+
+    fn poll_at(&self) -> Option<Instant> {
+        self.at
     }
 }
