@@ -89,7 +89,7 @@ impl<const N: usize> Master<N> {
         let asked = motor.request.waiting();
         let request_may_go = asked.is_some_and(|asked| self.request_may_go(motor, asked));
         match (motor.may_send_set_point(), request_may_go) {
-            (true, true) => Some(if motor.last_sent.contains(LastSent::SET_POINT) {
+            (true, true) => Some(if motor.last_sent.contains(LastSent::REQUESTS_TURN) {
                 request
             } else {
                 set_point

@@ -44,8 +44,8 @@ bitflags! {
     /// What is known of the last command that a motor was sent.
     #[derive(Clone, Copy, Debug, Default)]
     pub(super) struct LastSent: u8 {
-        /// It was a set-point, so that it is a waiting request's turn.
-        const SET_POINT = 1 << 0;
+        /// It was a set-point, or a request that was handed back: it is a waiting request's turn.
+        const REQUESTS_TURN = 1 << 0;
         /// The bus was quiet when its reply was due: that does not wait for the bus, and nobody waits for it.
         const HAD_ITS_CHANCE = 1 << 1;
         /// All were told to end their motion since.
@@ -330,7 +330,7 @@ impl Motor {
     }
 
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
-        self.was_sent(LastSent::SET_POINT, now);
+        self.was_sent(LastSent::REQUESTS_TURN, now);
         self.stream.was_sent();
     }
 
@@ -359,6 +359,7 @@ impl Motor {
                 }
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
+                self.last_sent.insert(LastSent::REQUESTS_TURN);
                 self.request = match asked.kind().may_move() {
                     true if self.ended_with_all() => Request::Failed(Failure::Stopped),
                     _ if asked.is_withdrawn() => Request::Failed(Failure::Dropped),
