@@ -2,6 +2,7 @@
 //! [`Config::CAN`] is 20.4 ms, its late window 40.8 ms.
 
 mod doubts;
+mod every_cycle;
 mod mailboxes;
 mod odd_orders;
 mod restarts;
