@@ -9,6 +9,7 @@
 //! - `world`: the bus, and how the master's computer treats it. `drives`: the drives and another master.
 //! - `callers`: when the master is asked, stopped and left alone. `asks`: what it is asked.
 //! - `names`: how frames are told apart. `truth`: what really happened. `stops`: when first stops went.
+//!   `to_all`: what all are told at once, and what becomes of that.
 //!   `set_points`: what became of each. `turning`: where shafts are, and what shows of turns that are lost.
 //! - `oracle`: what must hold of each event by that. `excuses`: what no master can know, each with its name,
 //!   noted when it happens.
@@ -28,6 +29,7 @@ mod master_truth {
     mod scenarios;
     mod set_points;
     mod stops;
+    mod to_all;
     mod truth;
     mod turning;
     mod world;

@@ -449,6 +449,7 @@ impl<W: Rough> Stage<W> {
             let mut drive = Drive::<W>::new(motor, seed, book.clone());
             drive.boot = if conditions.restarts { BOOT } else { Duration::ZERO };
             drive.repeats = if conditions.repeats { 50 } else { 0 };
+            drive.is_deaf_to_all = conditions.deaf_to_all && Dice::new(seed).below(2) == 0;
             let drive = Arc::new(Mutex::new(drive));
             stations.push(W::seat(&world, Arc::clone(&drive)));
             drives.push(drive);
