@@ -25,6 +25,9 @@ use super::to_all::{SHUTDOWN, STOP};
 use super::truth::Page;
 use super::world::Rough;
 
+/// A request is sent so often at the most, where nothing else is said.
+const ATTEMPTS: u32 = 3;
+
 /// Marks a speed request, to be told from a stream's.
 const REQUEST_MARK: u8 = 7;
 
@@ -88,6 +91,7 @@ impl<W: Rough> Session<W> {
             Err(error) => truth.breaks(format!("{error} to {data:X?} to all")),
         }
         drop(truth);
+        self.all_asked_since = self.stage.book.open().clocks.calm;
         self.oracle.broadcast = Some(Asked { data, expected, answered: MotorSet::EMPTY });
     }
 
@@ -123,6 +127,7 @@ impl<W: Rough> Session<W> {
         }
         drop(truth);
         self.oracle.totals.ended_all += 1;
+        self.all_asked_since = self.stage.book.open().clocks.calm;
         self.oracle.broadcast = Some(Asked { data, expected, answered: MotorSet::EMPTY });
     }
 
@@ -207,6 +212,11 @@ impl<W: Rough> Session<W> {
                 );
                 self.oracle.totals.requests += 1;
                 self.since[motor.index()] = self.now();
+                let timeout = patience.map_or(self.bounds.timeout(&data), |it| it.reply_timeout);
+                let attempts = patience.map_or(ATTEMPTS, |it| it.attempts.into());
+                let longest = self.bounds.request(&data, timeout, attempts);
+                let begun = self.stage.book.open().clocks.free;
+                self.limits[motor.index()] = (begun, longest);
                 self.oracle.open[motor.index()] = Some(Open { ticket: ticket.id(), kind, data });
                 let (known, now) = (self.stage.host.master().motors(), self.now());
                 let mut truth = self.stage.book.open();

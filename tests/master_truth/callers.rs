@@ -7,15 +7,11 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_tests::dice::Dice;
 use myactuator_tests::values::id;
 
+use super::bounds::{Bounds, Quiet};
 use super::oracle::{Oracle, Totals};
 use super::scenarios::{Pace, Scenario, Trouble};
 use super::world::{Rough, RoughError, Stage};
 
-/// An outcome takes at the longest: a restart (2 s), and three attempts with their waiting; behind bursts, each as
-/// long as an exchange with each motor for its request and its set-point.
-fn longest_wait(motors: u8, burst_ms: u64) -> Duration {
-    Duration::from_millis(4_000 + 3 * 2 * u64::from(motors) * burst_ms)
-}
 /// An event waits for those before it, and for a caller who does not look.
 const RESTART_IS_TOLD: Duration = Duration::from_millis(50);
 const HOUR: Duration = Duration::from_secs(3_600);
@@ -29,6 +25,12 @@ pub(crate) struct Session<W: Rough> {
     pub(super) asked: u32,
     /// When each open request was put, in the world's time.
     pub(super) since: Vec<Instant>,
+    /// When it was put in free time, and how long it may take.
+    pub(super) limits: Vec<(Duration, Duration)>,
+    pub(super) bounds: Bounds,
+    /// When the newest command to all was put, in calm time.
+    pub(super) all_asked_since: Duration,
+    pub(super) watched_at: Instant,
     /// When each motor's newest set-point was put, in the world's time.
     pub(super) streamed: Vec<Instant>,
     /// The next set-point's number of each motor.
@@ -41,13 +43,13 @@ pub(crate) struct Session<W: Rough> {
     /// Who is stopped next by itself, while something to all may wait.
     overtakes_at: Option<Instant>,
     /// All are stopped again as often, and when next.
-    again: Option<(StopKind, Duration, Instant)>,
+    pub(super) again: Option<(StopKind, Duration, Instant)>,
     /// Motors that are stopped; when that is lifted, once all have confirmed.
     pub(super) stopped: MotorSet,
     lifted_at: Option<Instant>,
     rests_until: Instant,
     next_mischief: Instant,
-    mischief: Option<usize>,
+    pub(super) mischief: Option<usize>,
 }
 
 impl<W: Rough> Session<W> {
@@ -80,6 +82,10 @@ impl<W: Rough> Session<W> {
             dice: Dice::new(scenario.seed),
             asked: 0,
             since: vec![Instant::ZERO; count],
+            limits: vec![(Duration::ZERO, Duration::ZERO); count],
+            bounds: Bounds::new(&scenario, scenario.config::<W>()),
+            all_asked_since: Duration::ZERO,
+            watched_at: Instant::ZERO,
             streamed: vec![Instant::ZERO; count],
             numbers: vec![1; count],
             next_ask: vec![Instant::ZERO; count],
@@ -112,6 +118,7 @@ impl<W: Rough> Session<W> {
     pub(crate) fn run(mut self) -> Totals {
         let mut quiet = false;
         loop {
+            self.watch();
             let more = self.oracle.totals.requests < self.scenario.requests;
             if more {
                 self.make_mischief();
@@ -124,8 +131,12 @@ impl<W: Rough> Session<W> {
             if !more && self.is_over() {
                 break;
             }
+            let (now, failures) = (self.stage.host.now(), self.stage.book.open().failures);
             let heard = match self.stage.host.poll() {
-                Ok(None) => self.wait(),
+                Ok(None) => {
+                    self.check_wake(now, failures);
+                    self.wait()
+                }
                 heard => heard,
             };
             match heard {
@@ -187,11 +198,7 @@ impl<W: Rough> Session<W> {
     /// anything, an outcome comes far too late.
     fn wait(&mut self) -> Result<Option<Event>, RoughError> {
         let now = self.now();
-        let longest = longest_wait(self.scenario.motors, self.scenario.conditions.burst_ms);
         for motor in self.motors() {
-            let waited = now - self.since[motor.index()];
-            let open = self.oracle.open[motor.index()];
-            assert!(open.is_none() || waited < longest, "{open:?} hangs. {}", self.told());
             let waited = now - self.streamed[motor.index()];
             let hangs = self.awaits_feedback(motor) && waited > self.longest_stream_wait();
             assert!(!hangs, "a set-point of motor {motor} hangs. {}", self.told());
@@ -229,6 +236,7 @@ impl<W: Rough> Session<W> {
         self.stage.world.run_for(Duration::from_micros(self.dice.below(30_000)));
         let now = self.now();
         let mut truth = self.stage.book.open();
+        truth.clocks.disturb(Quiet::None);
         truth.clock_ahead = truth.clock_ahead + HOUR;
         truth.tick(now);
         truth.nobody_could_offer();

@@ -64,6 +64,8 @@ pub(crate) struct Totals {
     pub(crate) lost_master: u64,
     pub(crate) bus_errors: u64,
     pub(crate) excused: HashMap<Excuse, u64>,
+    /// The longest that a request, a command to all and a stop took, in percent of what they may.
+    pub(crate) slowest: [u64; 3],
 }
 
 /// Why requests failed, to be counted.
@@ -407,10 +409,11 @@ fn check_confirmed(motor: MotorId, truth: &mut Truth) {
     let now = truth.now;
     let page = &mut truth.pages[motor.index()];
     let may_be = std::mem::take(&mut page.may_be_stopping);
+    page.other_stops.clear();
     if !std::mem::take(&mut page.is_stopping) && !may_be {
         return truth.breaks(format!("motor {motor} confirms no stop"));
     }
-    if page.stop_heard > page.stop_called {
+    if page.stop_heard > page.stop_due_since {
         page.is_confirmed = page.is_stopped;
         return;
     }

@@ -16,7 +16,7 @@ const ROM_TIMEOUT: Duration = Duration::from_millis(20);
 /// Whether a motor that has confirmed, and is stopped again before that is lifted, waits for the first stops of
 /// others. Not yet: whoever stops all in every cycle stops the lowest ids over and over (`every_cycle` among the
 /// tests of the master).
-const STOPPED_AGAIN_WAITS: bool = false;
+pub(super) const STOPPED_AGAIN_WAITS: bool = false;
 
 /// A motor that left so many commands in a row unanswered counts as dead.
 const IS_DEAD: u32 = 5;

@@ -5,6 +5,7 @@ use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
+use super::bounds::Quiet;
 use super::names::Name;
 use super::truth::Truth;
 
@@ -42,6 +43,7 @@ impl Truth {
     /// A caller has given this to the master, for all. These have a request to be held under way, as far as the caller
     /// knows.
     pub(crate) fn put_to_all(&mut self, data: &Data, known: MotorSet, holding: MotorSet) {
+        self.clocks.disturb(Quiet::Calm);
         let put = self.next_moment();
         let name = Name::of(&Packet { channel: Channel::Command(Target::All), data: *data });
         self.known = known;
@@ -153,7 +155,7 @@ impl Truth {
         if let Some(it) = self.to_all.as_mut().filter(|it| it.taken == 0 && is_all) {
             it.is_over = true;
         }
-        let asked = self.next_moment();
+        let (asked, steady) = (self.next_moment(), self.clocks.steady);
         for motor in motors.iter() {
             let is_off = kind == StopKind::Off || self.switched_off.contains(motor);
             if is_off {
@@ -165,9 +167,10 @@ impl Truth {
             page.stop_asked = asked;
             let is_again = std::mem::replace(&mut page.is_stopped, true);
             let goes_on = is_again && page.is_stopping && page.stop.byte == byte;
-            if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && page.may_be_stopping {
+            let is_unsure = page.may_be_stopping || !page.other_stops.is_empty();
+            if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && is_unsure {
                 // Unless it is over, and nobody was told yet.
-                (page.is_begun_anew, page.is_stopping) = (true, true);
+                (page.is_begun_anew, page.is_stopping, page.stopping_since) = (true, true, steady);
             } else if !goes_on {
                 self.begin_stop(motor, Name { byte, token: 0 }, is_again);
             }
@@ -177,11 +180,13 @@ impl Truth {
     /// What was to hold this motor is over, since all are let go: it is to be off, by a stop of its own.
     pub(crate) fn is_let_go(&mut self, motor: MotorId) {
         let (was_due, now, world) = (self.is_first_stop_due(), self.now, self.world);
+        let steady = self.clocks.steady;
         let page = self.page(motor);
         if page.may_be_stopping {
             (page.is_stopping, page.may_be_stopping, page.is_stopped_again) = (true, false, false);
             page.stop_called = page.may_be_stopping_since;
-            (page.stop_called_at, page.stopping_since) = (now, world);
+            page.stop_due_since = page.stop_called;
+            (page.stop_called_at, page.stopping_since) = (now, steady);
             if !was_due {
                 self.offers.since = world;
             }
@@ -193,15 +198,20 @@ impl Truth {
         if !self.is_first_stop_due() {
             self.offers.since = self.world;
         }
-        let (called, now, world) = (self.next_moment(), self.now, self.world);
+        let (called, now, steady) = (self.next_moment(), self.now, self.clocks.steady);
         let (answers, until) = (self.answers(motor), now + STOP_TAKES + self.late_window);
         let page = self.page(motor);
         page.turning.was_given_up(until);
+        if !is_again || page.stop != stop {
+            page.stop_due_since = called;
+        }
         (page.is_stopping, page.may_be_stopping, page.is_confirmed) = (true, false, false);
         (page.stop_called, page.stop_called_at, page.stops_taken) = (called, now, 0);
         (page.stop, page.is_begun_anew, page.is_stopped_again) = (stop, false, is_again);
-        page.stopping_since = world;
+        page.stopping_since = steady;
+        page.other_stops.clear();
         page.answers = answers;
         page.set_points.may_be_dropped();
+        self.clocks.disturb(Quiet::Steady);
     }
 }
