@@ -73,6 +73,7 @@ impl Clocks {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     config: Config,
+    step: Duration,
     /// Until it is a motor's turn: each other one has its request and its set-point before.
     turn: Duration,
     /// Until each stop under way has been sent once.
@@ -82,7 +83,9 @@ pub(crate) struct Bounds {
 impl Bounds {
     pub(crate) fn new(scenario: &Scenario, config: Config) -> Self {
         let motors = u32::from(scenario.motors);
-        let timeout = config.reply_timeout;
+        // A clock of coarse steps shows each time-out up to a step late.
+        let step = Duration::from_millis(u64::from(scenario.conditions.coarse_clock));
+        let timeout = config.reply_timeout + step;
         let (turn, round_of_stops) = match config.bus {
             // Two commands and two replies of each. Its own set-point may be lost, and one of another motor's that may
             // be waiting for its turn to answer is waited for.
@@ -103,7 +106,7 @@ impl Bounds {
                 (exchange.times(2 * motors), stop.times(motors))
             }
         };
-        Self { config, turn, round_of_stops }
+        Self { config, step, turn, round_of_stops }
     }
 
     /// For as long as this a reply to what was given up may come, and nothing that could be mistaken for it goes.
@@ -124,7 +127,7 @@ impl Bounds {
 
     /// A request with so many attempts, in free time.
     pub(crate) fn request(&self, data: &Data, timeout: Duration, attempts: u32) -> Duration {
-        let attempt = timeout + self.turn;
+        let attempt = timeout + self.step + self.turn;
         // What ends motion is answered, waits until nothing from before can move the motor any more, and goes again.
         let once_more =
             if is_ending(data) { self.late() + self.late() + attempt } else { Duration::ZERO };
@@ -148,7 +151,7 @@ impl Bounds {
     pub(crate) fn stop(&self) -> Duration {
         let timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
         let attempt = match self.config.bus {
-            Bus::Can => timeout + self.round_of_stops,
+            Bus::Can => timeout + self.step + self.round_of_stops,
             // On a line nobody waits beside another.
             Bus::Rs485 { .. } => self.round_of_stops,
         };
