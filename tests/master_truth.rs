@@ -9,7 +9,9 @@
 //! - `world`: the bus, and how the master's computer treats it. `drives`: the drives and another master.
 //! - `callers`: when the master is asked, stopped and left alone. `asks`: what it is asked.
 //! - `names`: how frames are told apart. `truth`: what really happened. `stops`: when first stops went.
+//!   `to_all`: what all are told at once, and what becomes of that.
 //!   `set_points`: what became of each. `turning`: where shafts are, and what shows of turns that are lost.
+//! - `bounds`: how long anything may take at the most, and what time counts for it. `watch`: that it does.
 //! - `oracle`: what must hold of each event by that. `excuses`: what no master can know, each with its name,
 //!   noted when it happens.
 //!
@@ -18,6 +20,7 @@
 
 mod master_truth {
     mod asks;
+    mod bounds;
     mod callers;
     mod drives;
     mod excuses;
@@ -28,7 +31,9 @@ mod master_truth {
     mod scenarios;
     mod set_points;
     mod stops;
+    mod to_all;
     mod truth;
     mod turning;
+    mod watch;
     mod world;
 }

@@ -21,8 +21,12 @@ use super::callers::Session;
 use super::drives::UNKNOWN;
 use super::names::REQUESTS;
 use super::oracle::{Asked, Open, is_move};
+use super::to_all::{SHUTDOWN, STOP};
 use super::truth::Page;
 use super::world::Rough;
+
+/// A request is sent so often at the most, where nothing else is said.
+const ATTEMPTS: u32 = 3;
 
 /// Marks a speed request, to be told from a stream's.
 const REQUEST_MARK: u8 = 7;
@@ -74,18 +78,56 @@ impl<W: Rough> Session<W> {
                 (master.broadcast(command, expected), command.encode())
             }
         };
+        let known = master.motors();
         let mut truth = self.stage.book.open();
         let any = |is_so: fn(&Page) -> bool| truth.pages.iter().any(is_so);
         match begun {
             Ok(()) if is_move(&data) && any(|page| page.is_stopped || page.has_restarted()) => {
                 truth.breaks("all are moved, and one is stopped or has restarted");
             }
-            Ok(()) => truth.put_to_all(&data),
+            Ok(()) => truth.put_to_all(&data, known, MotorSet::EMPTY),
             Err(RequestError::Stopped) if any(|page| page.is_stopped) => return,
             Err(RequestError::Restarted) => return,
             Err(error) => truth.breaks(format!("{error} to {data:X?} to all")),
         }
         drop(truth);
+        self.all_asked_since = self.stage.book.open().clocks.calm;
+        self.oracle.broadcast = Some(Asked { data, expected, answered: MotorSet::EMPTY });
+    }
+
+    /// All are told to end their motion.
+    pub(super) fn end_all(&mut self) {
+        let token = self.token();
+        let expected: MotorSet = self.motors().filter(|motor| motor.get() % 3 != 0).collect();
+        let master = self.stage.host.master();
+        let (begun, data) = match self.more.below(5) {
+            0..2 => {
+                let command = with_token(Shutdown, token);
+                (master.broadcast(command, expected), command.encode())
+            }
+            2..4 => {
+                let command = with_token(Stop, token);
+                (master.broadcast(command, expected), command.encode())
+            }
+            _ => {
+                let command = with_token(LockBrake, token);
+                (master.broadcast(command, expected), command.encode())
+            }
+        };
+        let known = master.motors();
+        let open = &self.oracle.open;
+        let holds = |motor: &MotorId| open[motor.index()].is_some_and(|open| open.data[0] == STOP);
+        let holding: MotorSet = self.motors().filter(holds).collect();
+        let now = self.now();
+        let mut truth = self.stage.book.open();
+        truth.tick(now);
+        match begun {
+            Ok(()) => truth.put_to_all(&data, known, holding),
+            Err(error) => truth.breaks(format!("{error} to {data:X?} to all")),
+        }
+        drop(truth);
+        self.oracle.totals.ended_all += 1;
+        self.all_asked_since = self.stage.book.open().clocks.calm;
         self.oracle.broadcast = Some(Asked { data, expected, answered: MotorSet::EMPTY });
     }
 
@@ -170,8 +212,20 @@ impl<W: Rough> Session<W> {
                 );
                 self.oracle.totals.requests += 1;
                 self.since[motor.index()] = self.now();
+                let timeout = patience.map_or(self.bounds.timeout(&data), |it| it.reply_timeout);
+                let attempts = patience.map_or(ATTEMPTS, |it| it.attempts.into());
+                let longest = self.bounds.request(&data, timeout, attempts);
+                let begun = self.stage.book.open().clocks.free;
+                self.limits[motor.index()] = (begun, longest);
                 self.oracle.open[motor.index()] = Some(Open { ticket: ticket.id(), kind, data });
-                self.stage.book.open().put(motor, Channel::Command(motor.into()), &data);
+                let (known, now) = (self.stage.host.master().motors(), self.now());
+                let mut truth = self.stage.book.open();
+                truth.put(motor, Channel::Command(motor.into()), &data);
+                truth.known = known;
+                if matches!(data[0], SHUTDOWN | STOP) {
+                    truth.tick(now);
+                    truth.ends_alone(motor, data[0]);
+                }
             }
             Err(RequestError::Stopped) if is_stopped => {}
             Err(RequestError::Restarted) if moves => {}
@@ -185,7 +239,9 @@ impl<W: Rough> Session<W> {
     }
 
     fn is_stopping(&self, motor: MotorId) -> bool {
-        self.stage.book.open().pages[motor.index()].is_stopping
+        let truth = self.stage.book.open();
+        let page = &truth.pages[motor.index()];
+        page.is_stopping || page.may_be_stopping
     }
 
     pub(super) fn stream(&mut self, index: usize) {

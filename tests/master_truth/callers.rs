@@ -7,15 +7,11 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_tests::dice::Dice;
 use myactuator_tests::values::id;
 
+use super::bounds::{Bounds, Quiet};
 use super::oracle::{Oracle, Totals};
 use super::scenarios::{Pace, Scenario, Trouble};
 use super::world::{Rough, RoughError, Stage};
 
-/// An outcome takes at the longest: a restart (2 s), and three attempts with their waiting; behind bursts, each as
-/// long as an exchange with each motor for its request and its set-point.
-fn longest_wait(motors: u8, burst_ms: u64) -> Duration {
-    Duration::from_millis(4_000 + 3 * 2 * u64::from(motors) * burst_ms)
-}
 /// An event waits for those before it, and for a caller who does not look.
 const RESTART_IS_TOLD: Duration = Duration::from_millis(50);
 const HOUR: Duration = Duration::from_secs(3_600);
@@ -29,6 +25,12 @@ pub(crate) struct Session<W: Rough> {
     pub(super) asked: u32,
     /// When each open request was put, in the world's time.
     pub(super) since: Vec<Instant>,
+    /// When it was put in free time, and how long it may take.
+    pub(super) limits: Vec<(Duration, Duration)>,
+    pub(super) bounds: Bounds,
+    /// When the newest command to all was put, in calm time.
+    pub(super) all_asked_since: Duration,
+    pub(super) watched_at: Instant,
     /// When each motor's newest set-point was put, in the world's time.
     pub(super) streamed: Vec<Instant>,
     /// The next set-point's number of each motor.
@@ -36,12 +38,18 @@ pub(crate) struct Session<W: Rough> {
     next_ask: Vec<Instant>,
     /// Motors whose set-point is answered for, so that the next can be put.
     pub(super) due: Vec<bool>,
+    /// Decides what has come to the callers since their seeds were drawn first.
+    pub(super) more: Dice,
+    /// Who is stopped next by itself, while something to all may wait.
+    overtakes_at: Option<Instant>,
+    /// All are stopped again as often, and when next.
+    pub(super) again: Option<(StopKind, Duration, Instant)>,
     /// Motors that are stopped; when that is lifted, once all have confirmed.
     pub(super) stopped: MotorSet,
     lifted_at: Option<Instant>,
     rests_until: Instant,
     next_mischief: Instant,
-    mischief: Option<usize>,
+    pub(super) mischief: Option<usize>,
 }
 
 impl<W: Rough> Session<W> {
@@ -74,10 +82,17 @@ impl<W: Rough> Session<W> {
             dice: Dice::new(scenario.seed),
             asked: 0,
             since: vec![Instant::ZERO; count],
+            limits: vec![(Duration::ZERO, Duration::ZERO); count],
+            bounds: Bounds::new(&scenario, scenario.config::<W>()),
+            all_asked_since: Duration::ZERO,
+            watched_at: Instant::ZERO,
             streamed: vec![Instant::ZERO; count],
             numbers: vec![1; count],
             next_ask: vec![Instant::ZERO; count],
             due: vec![true; count],
+            more: Dice::new(scenario.seed ^ 0x3A11),
+            overtakes_at: None,
+            again: None,
             stopped: MotorSet::EMPTY,
             lifted_at: None,
             rests_until: Instant::ZERO,
@@ -103,6 +118,7 @@ impl<W: Rough> Session<W> {
     pub(crate) fn run(mut self) -> Totals {
         let mut quiet = false;
         loop {
+            self.watch();
             let more = self.oracle.totals.requests < self.scenario.requests;
             if more {
                 self.make_mischief();
@@ -115,8 +131,12 @@ impl<W: Rough> Session<W> {
             if !more && self.is_over() {
                 break;
             }
+            let (now, failures) = (self.stage.host.now(), self.stage.book.open().failures);
             let heard = match self.stage.host.poll() {
-                Ok(None) => self.wait(),
+                Ok(None) => {
+                    self.check_wake(now, failures);
+                    self.wait()
+                }
                 heard => heard,
             };
             match heard {
@@ -136,6 +156,7 @@ impl<W: Rough> Session<W> {
         self.check_health();
         self.judge();
         self.oracle.totals.excused = self.stage.book.open().excused.clone();
+        self.oracle.totals.turned = self.stage.book.open().turned;
         self.oracle.totals
     }
 
@@ -150,7 +171,8 @@ impl<W: Rough> Session<W> {
     fn awaits_feedback(&self, motor: MotorId) -> bool {
         let truth = self.stage.book.open();
         let page = &truth.pages[motor.index()];
-        !self.due[motor.index()] && page.set_points.put_at > page.stop_called
+        !self.due[motor.index()]
+            && page.set_points.put_at > page.stop_called.max(page.may_be_stopping_since)
     }
 
     /// It waits until it is too old, then its feedback may be lost; and nobody looks for a while.
@@ -176,11 +198,7 @@ impl<W: Rough> Session<W> {
     /// anything, an outcome comes far too late.
     fn wait(&mut self) -> Result<Option<Event>, RoughError> {
         let now = self.now();
-        let longest = longest_wait(self.scenario.motors, self.scenario.conditions.burst_ms);
         for motor in self.motors() {
-            let waited = now - self.since[motor.index()];
-            let open = self.oracle.open[motor.index()];
-            assert!(open.is_none() || waited < longest, "{open:?} hangs. {}", self.told());
             let waited = now - self.streamed[motor.index()];
             let hangs = self.awaits_feedback(motor) && waited > self.longest_stream_wait();
             assert!(!hangs, "a set-point of motor {motor} hangs. {}", self.told());
@@ -218,6 +236,7 @@ impl<W: Rough> Session<W> {
         self.stage.world.run_for(Duration::from_micros(self.dice.below(30_000)));
         let now = self.now();
         let mut truth = self.stage.book.open();
+        truth.clocks.disturb(Quiet::None);
         truth.clock_ahead = truth.clock_ahead + HOUR;
         truth.tick(now);
         truth.nobody_could_offer();
@@ -289,6 +308,7 @@ impl<W: Rough> Session<W> {
             if self.oracle.broadcast.is_none() && self.dice.below(500) == 0 {
                 self.ask_all();
             }
+            self.end_and_stop_more(now);
         }
         for index in 0..usize::from(self.scenario.motors) {
             if now < self.next_ask[index] {
@@ -310,21 +330,61 @@ impl<W: Rough> Session<W> {
     fn stop(&mut self) {
         let kind = if self.dice.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
         let one = self.dice.below(3) == 0;
-        let all: MotorSet = self.motors().collect();
-        self.stopped = if one {
-            let motor = self.dice.below(self.scenario.motors.into()) as u8 + 1;
-            self.stage.host.master().stop(id(motor), kind).expect("there is a place");
-            id(motor).into()
-        } else {
-            self.stage.host.master().stop_all(kind, all).expect("there is a place for all");
-            all
-        };
+        let motor = if one { self.dice.below(self.scenario.motors.into()) as u8 + 1 } else { 0 };
+        self.stop_now(kind, one.then(|| id(motor)));
         self.oracle.totals.stops += 1;
-        let now = self.now();
+        if !one && self.scenario.conditions.stops_again {
+            let now = self.now();
+            let every = [100, 1_000, 5_000][self.more.below(3) as usize];
+            self.again = Some((kind, Duration::from_micros(every), now));
+            self.lifted_at = Some(now + Duration::from_micros(self.more.below(100_000)));
+        }
+    }
+
+    /// This one, or all.
+    fn stop_now(&mut self, kind: StopKind, one: Option<MotorId>) {
+        let all: MotorSet = self.motors().collect();
+        let master = self.stage.host.master();
+        self.stopped = match one {
+            Some(motor) => {
+                master.stop(motor, kind).expect("there is a place");
+                motor.into()
+            }
+            None => {
+                master.stop_all(kind, all).expect("there is a place for all");
+                all
+            }
+        };
+        let (known, now) = (master.motors(), self.now());
         let mut truth = self.stage.book.open();
         // Nobody has looked at the clock since a wait began.
         truth.tick(now);
-        truth.stop(self.stopped);
+        truth.stop(self.stopped, kind, one.is_none(), known);
+    }
+
+    /// Ends the motion of all, often with a stop of one behind it; and stops all once more.
+    fn end_and_stop_more(&mut self, now: Instant) {
+        if self.scenario.conditions.ends_all {
+            if self.oracle.broadcast.is_none() && self.more.below(400) == 0 {
+                self.end_all();
+                let soon = Duration::from_micros(self.more.below(3) * self.more.below(1_000));
+                self.overtakes_at = (self.more.below(2) == 0).then_some(now + soon);
+            }
+            if self.overtakes_at.take_if(|at| *at <= now).is_some() && self.stopped.is_empty() {
+                let kind = if self.more.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
+                let motor = self.more.below(self.scenario.motors.into()) as u8 + 1;
+                self.stop_now(kind, Some(id(motor)));
+                self.oracle.totals.stops += 1;
+            }
+        }
+        if let Some((kind, every, _)) = self.again.filter(|(.., next)| *next <= now) {
+            self.again = Some((kind, every, now + every));
+            // Seldom somebody changes their mind.
+            let other = if self.more.below(2) == 0 { StopKind::Hold } else { StopKind::Off };
+            let kind = if self.more.below(16) == 0 { other } else { kind };
+            self.stop_now(kind, None);
+            self.oracle.totals.stops_again += 1;
+        }
     }
 
     /// Some time after all have confirmed the stop it is lifted; seldom before.
@@ -344,7 +404,7 @@ impl<W: Rough> Session<W> {
             self.stage.host.master().lift_stop();
             self.stage.book.open().lift(self.stopped);
             self.stopped = MotorSet::EMPTY;
-            self.lifted_at = None;
+            (self.lifted_at, self.again) = (None, None);
             self.due.fill(true);
         }
     }

@@ -48,6 +48,8 @@ pub(crate) struct Drive<W> {
     pub(crate) boot: Duration,
     /// One reply in so many comes twice, 0 for none.
     pub(crate) repeats: u64,
+    /// It does not hear what is sent to all (function 2).
+    pub(crate) is_deaf_to_all: bool,
 }
 
 impl<W> Drive<W> {
@@ -70,6 +72,7 @@ impl<W> Drive<W> {
             shaft,
             boot: Duration::ZERO,
             repeats: 0,
+            is_deaf_to_all: false,
         }
     }
 
@@ -107,7 +110,7 @@ impl<W> Drive<W> {
     fn hear(&mut self, packet: &Packet, now: Instant) {
         let channel = match packet.channel {
             Channel::Command(Target::Motor(motor)) if motor == self.motor => Channel::Reply(motor),
-            Channel::Command(Target::All) => Channel::Reply(self.motor),
+            Channel::Command(Target::All) if !self.is_deaf_to_all => Channel::Reply(self.motor),
             Channel::Motion(motor) if motor == self.motor => Channel::MotionReply(motor),
             _ => return,
         };

@@ -43,7 +43,15 @@ impl<W: Rough> Host<W> {
         }
     }
 
-    fn now(&self) -> Instant {
+    /// When its loop has to look again. A task's may have been dropped anywhere.
+    pub(super) fn wakes_at(&mut self) -> Option<Instant> {
+        match self {
+            Self::Polled(bus) => bus.master().poll_at(),
+            Self::Async { .. } => None,
+        }
+    }
+
+    pub(super) fn now(&self) -> Instant {
         match self {
             Self::Polled(bus) => bus.now(),
             Self::Async { bus, .. } => bus.now(),

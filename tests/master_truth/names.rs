@@ -11,7 +11,7 @@ pub(crate) const REPORTS: u32 = 0x3D00_0000;
 pub(crate) const STRANGERS: u32 = 0x3E00_0000;
 
 /// What tells one command and its replies from all others of a motor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Name {
     /// The command byte, 0 for motion mode.
     pub(crate) byte: u8,

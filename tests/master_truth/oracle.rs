@@ -8,6 +8,7 @@ use myactuator_protocol_core::{Channel, Data, Kind, MotorId, Packet};
 
 use super::excuses::Excuse;
 use super::names::{Name, has_angle, has_values, question_of};
+use super::to_all::STOP;
 use super::truth::{DONE, MAY_HAVE_RESTARTED, Sending, Truth};
 
 /// A stop is given up after so many.
@@ -50,6 +51,11 @@ pub(crate) struct Totals {
     pub(crate) feedback: u64,
     pub(crate) unanswered: u64,
     pub(crate) stops: u64,
+    /// Stops of all that were called again before they were lifted.
+    pub(crate) stops_again: u64,
+    /// Commands to all that end motion, and how many got one by themselves since it was overtaken.
+    pub(crate) ended_all: u64,
+    pub(crate) turned: u64,
     pub(crate) confirmed: u64,
     pub(crate) unconfirmed: u64,
     pub(crate) broadcasts: u64,
@@ -58,6 +64,8 @@ pub(crate) struct Totals {
     pub(crate) lost_master: u64,
     pub(crate) bus_errors: u64,
     pub(crate) excused: HashMap<Excuse, u64>,
+    /// The longest that a request, a command to all and a stop took, in percent of what they may.
+    pub(crate) slowest: [u64; 3],
 }
 
 /// Why requests failed, to be counted.
@@ -156,7 +164,8 @@ impl Oracle {
             Event::BroadcastDone { silent, was_sent } => match self.broadcast.take() {
                 Some(asked)
                     if asked.expected.without(asked.answered) == silent
-                        && was_sent == (sending(MotorId::MIN, &asked.data, truth).taken > 0) => {}
+                        && truth.to_all.is_some_and(|it| was_sent == (it.taken > 0))
+                        && truth.to_all.is_some_and(|it| was_sent || it.may_be_unsent()) => {}
                 asked => truth.breaks(format!("{event:?} of {asked:?}")),
             },
             Event::StopConfirmed { motor } => {
@@ -166,7 +175,8 @@ impl Oracle {
             Event::StopUnconfirmed { motor } => {
                 self.totals.unconfirmed += 1;
                 let page = truth.page(motor);
-                let was_stopping = std::mem::take(&mut page.is_stopping);
+                let may_be = std::mem::take(&mut page.may_be_stopping);
+                let was_stopping = std::mem::take(&mut page.is_stopping) || may_be;
                 let taken = page.stops_taken;
                 if !was_stopping || taken < STOP_ATTEMPTS {
                     truth.breaks(format!("{event:?} after {taken} attempts"));
@@ -227,7 +237,16 @@ impl Oracle {
                 }
                 is_next
             }
-            Failure::Stopped => truth.pages[motor.index()].stop_called > of.put,
+            Failure::Stopped => {
+                let was_held = open.data[0] == STOP && truth.pages[motor.index()].let_go > of.put;
+                if was_held {
+                    truth.is_let_go(motor);
+                }
+                let page = &truth.pages[motor.index()];
+                page.stop_called.max(page.may_be_stopping_since) > of.put
+                    || is_move(&open.data) && page.ended_with_all > of.put
+                    || was_held
+            }
             // It says that the command was dropped. Where it may be asked again, the last attempt was.
             Failure::BusDown => {
                 of.taken == 0 || is_repeated(open.data[0]) || has_no_token(open.data[0])
@@ -259,6 +278,10 @@ impl Oracle {
         if let Some(data) = asked {
             let mut answer = reply.encode();
             answer[3] = DONE;
+            if !has_values(data[0]) {
+                // It is told without its token, so that only its drive knows whether it was asked.
+                return check_was_heard(motor, &data, truth);
+            }
             check_answer(motor, &data, &answer, truth);
         }
     }
@@ -331,6 +354,16 @@ fn check_answer(motor: MotorId, asked: &Data, answer: &Data, truth: &mut Truth) 
     });
 }
 
+/// The drive must have heard what it acknowledges: this, or a stop that went over it and is like it.
+fn check_was_heard(motor: MotorId, asked: &Data, truth: &mut Truth) {
+    let page = &truth.pages[motor.index()];
+    let heard = page.endings_heard.get(&asked[0]).copied();
+    if heard.is_none_or(|at| at < page.ended_with_all) && !truth.flips {
+        let packet = Packet { channel: Channel::Reply(motor), data: *asked };
+        excused_or(motor, &packet, truth, || format!("motor {motor} has not heard {asked:02X?}"));
+    }
+}
+
 /// Whether something holds that excuses what is wrong with an answer to this; else it is broken.
 fn excused_or(motor: MotorId, asked: &Packet, truth: &mut Truth, what: impl FnOnce() -> String) {
     let (now, window, question) = (truth.now, truth.late_window, question_of(asked));
@@ -375,10 +408,12 @@ fn note_angle(motor: MotorId, data: &Data, sending: &Sending, truth: &mut Truth)
 fn check_confirmed(motor: MotorId, truth: &mut Truth) {
     let now = truth.now;
     let page = &mut truth.pages[motor.index()];
-    if !std::mem::take(&mut page.is_stopping) {
+    let may_be = std::mem::take(&mut page.may_be_stopping);
+    page.other_stops.clear();
+    if !std::mem::take(&mut page.is_stopping) && !may_be {
         return truth.breaks(format!("motor {motor} confirms no stop"));
     }
-    if page.stop_heard > page.stop_called {
+    if page.stop_heard > page.stop_due_since {
         page.is_confirmed = page.is_stopped;
         return;
     }

@@ -105,6 +105,12 @@ pub(crate) struct Conditions {
     pub(crate) runs: Loop,
     /// Nobody stops anything, or asks all at once.
     pub(crate) is_plain: bool,
+    /// All are told at once to end their motion, and single motors are stopped just then.
+    pub(crate) ends_all: bool,
+    /// Who stops all does so again in every cycle.
+    pub(crate) stops_again: bool,
+    /// Drives do not hear what is sent to all (function 2), each by chance.
+    pub(crate) deaf_to_all: bool,
 }
 
 /// One run.
@@ -178,11 +184,22 @@ impl Scenario {
         }
         let loops = [Loop::Polled, Loop::Async, Loop::AsyncDropped];
         conditions.runs = loops[one_of(&[0, 0, 1, 2]) as usize];
+        // Whatever comes to this is drawn last, so that a seed means the rest of its world for good.
+        conditions.ends_all = one_of(&[0, 1]) == 1;
+        conditions.stops_again = one_of(&[0, 0, 0, 1]) == 1;
+        conditions.deaf_to_all = is_can && one_of(&[0, 0, 1]) == 1;
         let mut scenario = Self { trouble, percent, motors, requests, seed, conditions };
         if scenario.conditions.echo == Echo::Unknown {
             scenario.keep_the_echo_whole();
         }
         scenario
+    }
+
+    /// The world that this seed drew before there was more to draw.
+    pub(crate) fn as_first_drawn(mut self) -> Self {
+        let c = &mut self.conditions;
+        (c.ends_all, c.stops_again, c.deaf_to_all) = (false, false, false);
+        self
     }
 
     /// An echo that nobody configured is given up when one does not come back. Where anybody speaks

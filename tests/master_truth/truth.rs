@@ -4,20 +4,29 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use myactuator_protocol_core::master::Config;
+use myactuator_protocol_core::master::{Config, MotorSet};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
+use super::bounds::{Clocks, Quiet};
 use super::excuses::{Excuse, Excuses};
 use super::names::{Name, REPORTS, has_values, is_asking, question_of};
 use super::set_points::SetPoints;
 use super::stops::{Answers, Offers};
+use super::to_all::{STOP, ToAll};
 use super::turning::Turning;
 
 /// In byte 3 of a reply with values: the command was executed, and not only sent back.
 pub(crate) const DONE: u8 = 0xD0;
 /// A motor that was silent for so long may have restarted.
 pub(super) const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
+
+/// Whether a request that is handed back has its turn before its motor's next set-point. Not yet: where the highest id
+/// is pushed out of its mailbox in each round, its stream goes on without it (`turns` among the tests of the master).
+const HANDED_BACK_KEEPS_ITS_TURN: bool = false;
+
+/// A bus that takes nothing for so long carries nothing.
+const STUCK_AFTER: Duration = Duration::from_millis(5);
 
 /// What comes sooner after its command may be taken for a doubled frame.
 const TOO_SOON: Duration = Duration::from_micros(500);
@@ -60,13 +69,39 @@ pub(crate) struct Page {
     pub(super) answers: Answers,
     /// The stop is neither confirmed nor given up.
     pub(crate) is_stopping: bool,
+    /// It may be, as of then: where what was to end the motion of all may have been dropped meanwhile.
+    pub(crate) may_be_stopping: bool,
+    pub(crate) may_be_stopping_since: u64,
+    /// What it must have heard since to have stopped so: since the first call, where others follow before that is lifted.
+    pub(super) stop_due_since: u64,
+    /// What stops it; and what may do so all the same, where that may have been dropped.
+    pub(crate) stop: Name,
+    pub(super) other_stops: Vec<Name>,
+    /// It is told so again before a stop was lifted: each other's first goes before that.
+    pub(super) is_stopped_again: bool,
+    /// It may have been begun anew, so that nobody knows which of its sendings is the first.
+    pub(super) is_begun_anew: bool,
+    /// When it was called, in steady time.
+    pub(super) stopping_since: Duration,
+    /// When a request of it was last handed back, in free time.
+    pub(super) handed_back: Duration,
+    /// When it was last told to restart, in the world's time.
+    pub(super) reset_at: Option<Instant>,
+    /// When a caller stopped it last, whether that began anything or not.
+    pub(super) stop_asked: u64,
     pub(crate) is_confirmed: bool,
     pub(crate) stops_taken: u32,
     pub(crate) stop_heard: u64,
     /// When the newest of the commands that end motion was put, of those that the bus took.
     ended: u64,
-    /// As that, of those that a drive heard.
+    /// As that, of those that went to it alone or as a stop; and of those that a drive heard.
+    ended_alone: u64,
     ended_heard: u64,
+    /// When a caller told all last to end their motion, and when to do so by letting go.
+    pub(super) ended_with_all: u64,
+    pub(super) let_go: u64,
+    /// When it heard each of the commands that end motion last.
+    pub(super) endings_heard: HashMap<u8, u64>,
     /// When it last restarted, and when that was told.
     pub(crate) restarted: Option<u64>,
     /// The master has told it to restart, and not reported that.
@@ -104,8 +139,23 @@ pub(crate) struct Truth {
     longest_response: Duration,
     pub(crate) set_point_max_age: Duration,
     pub(super) offers: Offers,
+    /// How often the port has failed or refused.
+    pub(crate) failures: u64,
+    pub(super) clocks: Clocks,
+    /// When the bus last did not take what it was given though it had place, and when it took anything; in the world's
+    /// time.
+    bus_failed_at: Option<Instant>,
+    bus_took_at: Instant,
     /// When something was last sent to all.
     pub(super) last_to_all: Option<Instant>,
+    /// What a caller has told all last.
+    pub(crate) to_all: Option<ToAll>,
+    /// The motors that have a place.
+    pub(super) known: MotorSet,
+    /// Who is to be off until that is lifted.
+    pub(super) switched_off: MotorSet,
+    /// So many got by themselves what was to end the motion of all.
+    pub(crate) turned: u64,
     /// An adapter hands back each command.
     pub(crate) echoes: bool,
     /// Two motors have this id.
@@ -139,7 +189,15 @@ impl Book {
             longest_response: config.longest_response.min(config.reply_timeout),
             set_point_max_age: config.set_point_max_age,
             offers: Offers::new(config),
+            failures: 0,
+            clocks: Clocks::default(),
+            bus_failed_at: None,
+            bus_took_at: Instant::ZERO,
             last_to_all: None,
+            to_all: None,
+            known: MotorSet::EMPTY,
+            switched_off: MotorSet::EMPTY,
+            turned: 0,
             echoes: false,
             twin: None,
             first_stops_within: None,
@@ -163,7 +221,19 @@ impl Page {
     }
 
     pub(crate) fn waits_for_first_stop(&self) -> bool {
-        self.is_stopping && self.stops_taken == 0
+        self.is_stopping && self.stops_taken == 0 && !self.is_stopped_again
+    }
+
+    /// It is stopped by this, unless that was dropped.
+    pub(super) fn may_be_stopping(&mut self, stop: Name, since: u64) {
+        if self.is_stopping {
+            self.is_begun_anew = true;
+        } else {
+            (self.may_be_stopping, self.stops_taken) = (true, 0);
+        }
+        self.other_stops.push(self.stop);
+        (self.stop, self.may_be_stopping_since) = (stop, since);
+        self.set_points.may_be_dropped();
     }
 }
 
@@ -213,13 +283,14 @@ impl Truth {
         }
     }
 
-    /// A caller has given this to the master, for all.
-    pub(crate) fn put_to_all(&mut self, data: &Data) {
-        let put = self.next_moment();
-        let name = Name::of(&Packet { channel: Channel::Command(Target::All), data: *data });
-        for motor in MotorId::all().filter(|_| name.moves()) {
-            self.page(motor).sendings.entry(name).or_default().put = put;
-        }
+    /// Whether this is a stop of the master's own, or what ends the motion of all and goes to each by itself.
+    pub(super) fn is_stop(&self, packet: &Packet) -> bool {
+        let name = Name::of(packet);
+        let is_turned = |page: &Page| {
+            name.is_ending() && (page.stop == name || page.other_stops.contains(&name))
+        };
+        name.is_stop()
+            || matches!(packet.channel, Channel::Command(Target::Motor(motor)) if is_turned(&self.pages[motor.index()]))
     }
 
     /// The bus has taken a command of the master's.
@@ -231,6 +302,9 @@ impl Truth {
             _ => {
                 let name = Name::of(packet);
                 let is_stop = name.is_stop();
+                if !is_stop {
+                    self.caller_reaches_all(name);
+                }
                 self.last_to_all = Some(self.now);
                 for motor in MotorId::all() {
                     let page = self.page(motor);
@@ -254,8 +328,20 @@ impl Truth {
             (page.asked_at, page.answered_newest) = (now, false);
             page.unanswered += 1;
         }
-        if name.is_stop() {
+        if self.is_stop(packet) {
             self.check_stops(motor);
+            let page = self.page(motor);
+            let is_asked = page.is_stopping || page.may_be_stopping;
+            let wrong = if !is_asked {
+                Some("and is not to stop")
+            } else if name.byte == STOP && name.token == 0 && page.stop_asked < page.let_go {
+                Some("behind what has let all go")
+            } else {
+                None
+            };
+            if let Some(wrong) = wrong {
+                self.breaks(format!("motor {motor} is sent {name:X?}, {wrong}"));
+            }
             let page = self.page(motor);
             let called = page.stop_called;
             page.stops_taken += 1;
@@ -269,6 +355,10 @@ impl Truth {
         let is_dangerous = name.moves() || matches!(name.byte, 0x76 | 0x77);
         let wrong = if is_dangerous && page.is_stopped {
             "is sent to a stopped motor"
+        } else if name.moves() && sending.put < page.ended_with_all {
+            "is sent after all were told to end their motion"
+        } else if name.byte == STOP && sending.put < page.let_go {
+            "holds behind what has let all go"
         } else if name.moves() && sending.put < page.ended {
             "is sent after a newer command that ends motion"
         } else if name.is_set_point() && name.token <= page.newest_set_point {
@@ -293,7 +383,8 @@ impl Truth {
     }
 
     fn note_taken(&mut self, motor: MotorId, packet: &Packet, put: u64) {
-        let (name, now) = (Name::of(packet), self.now);
+        let (name, now, world) = (Name::of(packet), self.now, self.world);
+        self.bus_took_at = world;
         let page = self.page(motor);
         let sending = page.sendings.entry(name).or_default();
         sending.put = sending.put.max(put);
@@ -301,9 +392,12 @@ impl Truth {
         sending.last_taken = now;
         if name.is_ending() {
             page.ended = page.ended.max(put);
+            if name.is_stop() || packet.channel != Channel::Command(Target::All) {
+                page.ended_alone = page.ended_alone.max(put);
+            }
         }
         if name.byte == 0x76 {
-            (page.was_reset, page.awaits_resume) = (true, true);
+            (page.was_reset, page.awaits_resume, page.reset_at) = (true, true, Some(world));
         }
         sending.was_answered = false;
         page.asking += u64::from(is_asking(packet));
@@ -312,6 +406,10 @@ impl Truth {
     /// The controller has handed a command back.
     pub(crate) fn handed_back(&mut self, packet: &Packet) {
         let name = Name::of(packet);
+        let (is_stop, free) = (self.is_stop(packet), self.clocks.free);
+        if matches!(packet.channel, Channel::Command(Target::All)) && !is_stop {
+            self.what_all_were_told_is_back(name);
+        }
         let (motors, is_own): (Vec<MotorId>, bool) = match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => (vec![motor], true),
             _ => (MotorId::all().collect(), false),
@@ -322,7 +420,7 @@ impl Truth {
             if let Some(sending) = page.sendings.get_mut(&name) {
                 sending.taken -= 1;
             }
-            if name.is_stop() {
+            if is_stop {
                 // One to all is nobody's own.
                 page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_own));
             } else if name.is_set_point() && page.newest_set_point == name.token {
@@ -331,6 +429,8 @@ impl Truth {
             }
             if name.is_set_point() {
                 page.set_points.handed_back(name.token);
+            } else if !HANDED_BACK_KEEPS_ITS_TURN {
+                page.handed_back = free;
             }
         }
     }
@@ -346,8 +446,10 @@ impl Truth {
         let doubled = self.doubled(motor);
         let (has_twin, flips) = (self.twin == Some(motor), self.flips);
         let reorders = self.reorders;
+        let is_alone = name.is_stop() || packet.channel != Channel::Command(Target::All);
         let page = self.page(motor);
-        let ended = page.ended;
+        // An answer to what was told all at once says nothing of what was sent before.
+        let ended = page.ended_alone;
         let sending = page.sendings.entry(name).or_default();
         sending.heard += 1;
         sending.ignored += u32::from(ignores);
@@ -362,7 +464,10 @@ impl Truth {
         if name.is_ending() {
             // One that ignores it stands still as well: its output is cut.
             page.stop_heard = moment;
-            page.ended_heard = page.ended_heard.max(sending.put);
+            page.endings_heard.insert(name.byte, moment);
+            if is_alone {
+                page.ended_heard = page.ended_heard.max(sending.put);
+            }
         }
         let is_late = now - sending.last_taken > window;
         let most = if has_twin { 2 } else { 1 };
@@ -459,6 +564,26 @@ impl Truth {
     /// The port has failed or refused: what waits may be dropped.
     pub(crate) fn port_has_failed(&mut self) {
         self.pages.iter_mut().for_each(|page| page.set_points.may_be_dropped());
+        self.what_all_were_told_may_be_dropped();
+        self.failures += 1;
+    }
+
+    /// The port is full: that says something of the bus only if it goes on for long.
+    pub(crate) fn port_is_full(&mut self) {
+        if self.world - self.bus_took_at > STUCK_AFTER {
+            self.bus_has_failed();
+        }
+    }
+
+    /// The port has an error, or takes nothing though it has place.
+    pub(crate) fn bus_has_failed(&mut self) {
+        self.bus_failed_at = Some(self.world);
+        self.clocks.disturb(Quiet::None);
+    }
+
+    /// Whether the bus carries what it is given, and has done so for as long as anything from before may come.
+    pub(super) fn is_steady(&self) -> bool {
+        self.bus_failed_at.is_none_or(|at| self.world - at > self.late_window)
     }
 
     pub(crate) fn excuse(&mut self, excuse: Excuse) {

@@ -183,15 +183,21 @@ impl nb::Can for RoughCan {
     fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, RoughError> {
         let now = self.port.world().now();
         self.note_offered(frame);
-        let result = if with(&self.manner, |manner| manner.refuses(now)) {
+        let refuses = with(&self.manner, |manner| manner.refuses(now));
+        let result = if refuses {
             Err(::nb::Error::WouldBlock)
         } else if let Some(error) = with(&self.manner, Manner::fails) {
             Err(::nb::Error::Other(error))
         } else {
             nb::Can::transmit(&mut self.port, frame).map_err(|error| error.map(RoughError::Can))
         };
-        if result.is_err() {
-            self.book.open().port_has_failed();
+        if let Err(error) = &result {
+            let mut truth = self.book.open();
+            truth.port_has_failed();
+            match error {
+                ::nb::Error::WouldBlock if !refuses => truth.port_is_full(),
+                _ => truth.bus_has_failed(),
+            }
         }
         let back = result?;
         self.note_taken(frame, back.as_ref());
@@ -205,7 +211,9 @@ impl nb::Can for RoughCan {
             self.arrived.push_back((delivery, frame));
         }
         if let Some(error) = with(&self.manner, Manner::fails) {
-            self.book.open().port_has_failed();
+            let mut truth = self.book.open();
+            truth.port_has_failed();
+            truth.bus_has_failed();
             return Err(::nb::Error::Other(error));
         }
         let next = self.arrived.pop_front_if(|(at, _)| *at <= now);
@@ -250,7 +258,9 @@ fn frame_of(buf: &[u8]) -> Option<Packet> {
 impl RoughSerial {
     fn fails(&mut self) -> Result<(), RoughError> {
         let Some(error) = with(&self.manner, Manner::fails) else { return Ok(()) };
-        self.book.open().port_has_failed();
+        let mut truth = self.book.open();
+        truth.port_has_failed();
+        truth.bus_has_failed();
         Err(error)
     }
 
@@ -449,6 +459,7 @@ impl<W: Rough> Stage<W> {
             let mut drive = Drive::<W>::new(motor, seed, book.clone());
             drive.boot = if conditions.restarts { BOOT } else { Duration::ZERO };
             drive.repeats = if conditions.repeats { 50 } else { 0 };
+            drive.is_deaf_to_all = conditions.deaf_to_all && Dice::new(seed).below(2) == 0;
             let drive = Arc::new(Mutex::new(drive));
             stations.push(W::seat(&world, Arc::clone(&drive)));
             drives.push(drive);

@@ -16,6 +16,9 @@ use super::{Book, Manner, RoughCan, RoughClock, RoughError, RoughSerial, Shared,
 /// A serial port that has taken a part of a frame takes the rest within this.
 const LONGEST_GAP_US: u64 = 500;
 
+/// One that holds it for so long carries nothing.
+const STUCK: Duration = Duration::from_millis(5);
+
 /// A port that holds a frame for 20 ms takes nothing, as far as the loops know.
 const LONG: Duration = Duration::from_millis(15);
 
@@ -47,6 +50,9 @@ impl<M: Medium> Drop for Holds<M> {
         let (mut truth, now) = (self.book.open(), self.world.now());
         truth.tick(now);
         truth.nobody_could_offer();
+        if now - self.since > STUCK {
+            truth.bus_has_failed();
+        }
         // Whoever has waited for so long may give up before that has left.
         if !self.has_taken || now - self.since > LONG {
             truth.port_has_failed();
@@ -77,8 +83,10 @@ impl AsyncCan for RoughCan {
         self.note_offered(frame);
         let mut holds = Holds::new(self.port.world(), &self.book);
         wait_for_a_place(self.port.world(), &self.manner).await;
-        let error = with(&self.manner, Manner::fails);
-        error.map_or(Ok(()), Err)?;
+        if let Some(error) = with(&self.manner, Manner::fails) {
+            self.book.open().bus_has_failed();
+            return Err(error);
+        }
         let back = AsyncCan::transmit(&mut self.port, frame).await.map_err(RoughError::Can)?;
         holds.has_taken = true;
         drop(holds);

@@ -1,0 +1,217 @@
+//! What all are told at once, and what becomes of that where it ends motion: nothing older moves anybody behind it,
+//! and where one motor is stopped by itself before it goes, the others get it each by itself, as a stop.
+
+use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
+
+use super::bounds::Quiet;
+use super::names::Name;
+use super::truth::Truth;
+
+pub(super) const SHUTDOWN: u8 = 0x80;
+pub(super) const STOP: u8 = 0x81;
+
+/// How long a stop waits for what it goes over, at the longest.
+const STOP_TAKES: Duration = Duration::from_millis(100);
+/// A stop of which so many were sent may be over, and that not told yet.
+const STOP_ATTEMPTS: u32 = 15;
+
+/// The newest command to all of a caller.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ToAll {
+    name: Name,
+    /// How often the bus took it and did not hand it back.
+    pub(crate) taken: u32,
+    /// Who was stopped since, to be held and to be off.
+    held: MotorSet,
+    off: MotorSet,
+    /// The bus may have been down while it waited, so that it was dropped.
+    may_be_dropped: bool,
+    /// It is not to go to all any more: all were stopped, or each gets it by itself.
+    is_over: bool,
+}
+
+impl ToAll {
+    /// Whether a caller may be told that it was not sent.
+    pub(crate) fn may_be_unsent(&self) -> bool {
+        !self.name.is_ending() || self.is_over || self.may_be_dropped
+    }
+}
+
+impl Truth {
+    /// A caller has given this to the master, for all. These have a request to be held under way, as far as the caller
+    /// knows.
+    pub(crate) fn put_to_all(&mut self, data: &Data, known: MotorSet, holding: MotorSet) {
+        self.clocks.disturb(Quiet::Calm);
+        let put = self.next_moment();
+        let name = Name::of(&Packet { channel: Channel::Command(Target::All), data: *data });
+        self.known = known;
+        self.to_all = Some(ToAll {
+            name,
+            taken: 0,
+            held: MotorSet::EMPTY,
+            off: MotorSet::EMPTY,
+            may_be_dropped: false,
+            is_over: false,
+        });
+        if !name.moves() && !name.is_ending() {
+            return;
+        }
+        for motor in MotorId::all() {
+            let page = self.page(motor);
+            page.sendings.entry(name).or_default().put = put;
+            if !name.is_ending() {
+                continue;
+            }
+            page.ended_with_all = put;
+            page.set_points.may_be_dropped();
+            if name.byte != SHUTDOWN {
+                continue;
+            }
+            page.let_go = put;
+            if page.is_stopping && page.stop.byte == STOP {
+                // Then it is to be off.
+                (page.stop.byte, page.stop.token) = (SHUTDOWN, 0);
+                page.is_begun_anew = true;
+            } else if holding.contains(motor) && !page.is_stopping {
+                // Unless that is over, and nobody was told yet.
+                page.may_be_stopping(Name { byte: SHUTDOWN, token: 0 }, put);
+            }
+        }
+    }
+
+    /// The bus has taken a command to all that is none of the master's own stops.
+    pub(super) fn caller_reaches_all(&mut self, name: Name) {
+        let wrong = match &mut self.to_all {
+            Some(it) if it.name == name => {
+                it.taken += 1;
+                it.is_over.then_some("goes to all, though that was to be undone or is over")
+            }
+            _ => Some("goes to all, and is not the newest"),
+        };
+        if let Some(wrong) = wrong {
+            self.breaks(format!("{name:X?} {wrong}"));
+        }
+    }
+
+    /// The controller has handed it back: it goes once more, or each motor gets it by itself.
+    pub(super) fn what_all_were_told_is_back(&mut self, name: Name) {
+        let Some(it) = self.to_all.as_mut().filter(|it| it.name == name) else { return };
+        it.taken -= 1;
+        // Until now it waited for nothing that may drop it.
+        (it.may_be_dropped, it.is_over) = (false, false);
+        self.undo_nobody();
+    }
+
+    /// What waits may have been dropped.
+    pub(super) fn what_all_were_told_may_be_dropped(&mut self) {
+        if let Some(it) = &mut self.to_all {
+            it.may_be_dropped |= it.taken == 0;
+        }
+    }
+
+    /// A caller tells one motor to end its motion.
+    pub(crate) fn ends_alone(&mut self, motor: MotorId, byte: u8) {
+        let Some(it) = &mut self.to_all else { return };
+        let (set, other) =
+            if byte == STOP { (&mut it.held, &mut it.off) } else { (&mut it.off, &mut it.held) };
+        set.insert(motor);
+        other.remove(motor);
+        if it.taken == 0 && !it.is_over {
+            self.undo_nobody();
+        }
+    }
+
+    /// What is to end the motion of all, and was not sent, would undo a stop of one: the others get it by themselves.
+    fn undo_nobody(&mut self) {
+        let Some(it) = self.to_all else { return };
+        let undone = match it.name.byte {
+            SHUTDOWN => it.held,
+            STOP => it.off.with(self.switched_off),
+            _ => return,
+        };
+        if undone.is_empty() {
+            return;
+        }
+        if let Some(it) = &mut self.to_all {
+            it.is_over = true;
+        }
+        let others = self.known.without(it.held.with(it.off).with(undone));
+        for motor in others.iter() {
+            if it.may_be_dropped {
+                let moment = self.next_moment();
+                self.page(motor).may_be_stopping(it.name, moment);
+            } else {
+                self.turned += 1;
+                self.begin_stop(motor, it.name, false);
+            }
+        }
+    }
+
+    /// A caller has stopped these: one, or all.
+    pub(crate) fn stop(&mut self, motors: MotorSet, kind: StopKind, is_all: bool, known: MotorSet) {
+        self.known = known;
+        if let Some(it) = self.to_all.as_mut().filter(|it| it.taken == 0 && is_all) {
+            it.is_over = true;
+        }
+        let (asked, steady) = (self.next_moment(), self.clocks.steady);
+        for motor in motors.iter() {
+            let is_off = kind == StopKind::Off || self.switched_off.contains(motor);
+            if is_off {
+                self.switched_off.insert(motor);
+            }
+            let byte = if is_off { SHUTDOWN } else { STOP };
+            self.ends_alone(motor, byte);
+            let page = self.page(motor);
+            page.stop_asked = asked;
+            let is_again = std::mem::replace(&mut page.is_stopped, true);
+            let goes_on = is_again && page.is_stopping && page.stop.byte == byte;
+            let is_unsure = page.may_be_stopping || !page.other_stops.is_empty();
+            if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && is_unsure {
+                // Unless it is over, and nobody was told yet.
+                (page.is_begun_anew, page.is_stopping, page.stopping_since) = (true, true, steady);
+            } else if !goes_on {
+                self.begin_stop(motor, Name { byte, token: 0 }, is_again);
+            }
+        }
+    }
+
+    /// What was to hold this motor is over, since all are let go: it is to be off, by a stop of its own.
+    pub(crate) fn is_let_go(&mut self, motor: MotorId) {
+        let (was_due, now, world) = (self.is_first_stop_due(), self.now, self.world);
+        let steady = self.clocks.steady;
+        let page = self.page(motor);
+        if page.may_be_stopping {
+            (page.is_stopping, page.may_be_stopping, page.is_stopped_again) = (true, false, false);
+            page.stop_called = page.may_be_stopping_since;
+            page.stop_due_since = page.stop_called;
+            (page.stop_called_at, page.stopping_since) = (now, steady);
+            if !was_due {
+                self.offers.since = world;
+            }
+        }
+    }
+
+    /// A motor is told by this to stop, and has not been; or it has, and is told again before that was lifted.
+    fn begin_stop(&mut self, motor: MotorId, stop: Name, is_again: bool) {
+        if !self.is_first_stop_due() {
+            self.offers.since = self.world;
+        }
+        let (called, now, steady) = (self.next_moment(), self.now, self.clocks.steady);
+        let (answers, until) = (self.answers(motor), now + STOP_TAKES + self.late_window);
+        let page = self.page(motor);
+        page.turning.was_given_up(until);
+        if !is_again || page.stop != stop {
+            page.stop_due_since = called;
+        }
+        (page.is_stopping, page.may_be_stopping, page.is_confirmed) = (true, false, false);
+        (page.stop_called, page.stop_called_at, page.stops_taken) = (called, now, 0);
+        (page.stop, page.is_begun_anew, page.is_stopped_again) = (stop, false, is_again);
+        page.stopping_since = steady;
+        page.other_stops.clear();
+        page.answers = answers;
+        page.set_points.may_be_dropped();
+        self.clocks.disturb(Quiet::Steady);
+    }
+}

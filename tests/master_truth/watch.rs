@@ -1,0 +1,84 @@
+//! Whether everything ends in time, and whether the master says when somebody has to look.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::time::{Duration, Instant};
+
+use super::bounds::{Quiet, is_ending};
+use super::callers::Session;
+use super::oracle::{Open, is_move};
+use super::scenarios::Trouble;
+use super::stops::STOPPED_AGAIN_WAITS;
+use super::world::Rough;
+
+/// How often somebody looks.
+const WATCHED_EVERY: Duration = Duration::from_millis(1);
+
+impl<W: Rough> Session<W> {
+    /// What is under way must end in time.
+    pub(super) fn watch(&mut self) {
+        let now = self.now();
+        if now - self.watched_at < WATCHED_EVERY {
+            return;
+        }
+        self.watched_at = now;
+        let is_line_full = self.scenario.trouble == Trouble::Babble && self.mischief.is_some();
+        let is_held_up = !STOPPED_AGAIN_WAITS && self.again.is_some();
+        let is_free = self.oracle.broadcast.is_none();
+        let mut truth = self.stage.book.open();
+        truth.tick(now);
+        let pages = || truth.pages.iter().take(self.scenario.motors.into());
+        let ends = |open: &Option<Open>| open.is_some_and(|open| is_ending(&open.data));
+        let waits_to_move = self.oracle.broadcast.is_some_and(|asked| is_move(&asked.data));
+        let is_held_back = waits_to_move && self.oracle.open.iter().any(ends);
+        let is_calm =
+            !is_held_back && !pages().any(|page| page.is_stopping || page.may_be_stopping);
+        let calm = match () {
+            () if is_line_full || is_held_up || !truth.is_steady() => Quiet::None,
+            () if !is_calm => Quiet::Steady,
+            () if !is_free => Quiet::Calm,
+            () => Quiet::Free,
+        };
+        truth.clocks.pass(now, calm);
+        let clocks = truth.clocks;
+        let pages = || truth.pages.iter().take(self.scenario.motors.into());
+        let mut slowest = self.oracle.totals.slowest;
+        let mut check = |which: usize, took: Duration, longest: Duration| {
+            slowest[which] = slowest[which].max(took.as_micros() * 100 / longest.as_micros());
+            (took > longest).then(|| format!("takes {took} and not {longest}"))
+        };
+        let mut hangs = Vec::new();
+        for (page, motor) in pages().zip(MotorId::all()) {
+            if let Some(open) = self.oracle.open[motor.index()] {
+                let (begun, longest) = self.limits[motor.index()];
+                // One that was handed back loses its turn.
+                let begun = begun.max(page.handed_back);
+                let restart = self.bounds.restart();
+                let since = self.since[motor.index()];
+                let rests = page.reset_at.is_some_and(|at| at + restart > since);
+                let longest = if rests { longest + restart } else { longest };
+                let late = check(0, clocks.free - begun, longest);
+                hangs.extend(late.map(|late| format!("motor {motor}: {open:?} {late}")));
+            }
+            if page.is_stopping {
+                let late = check(2, clocks.steady - page.stopping_since, self.bounds.stop());
+                hangs.extend(late.map(|late| format!("motor {motor}: its stop {late}")));
+            }
+        }
+        if let Some(asked) = self.oracle.broadcast {
+            let late = check(1, clocks.calm - self.all_asked_since, self.bounds.broadcast());
+            hangs.extend(late.map(|late| format!("{asked:?} {late}")));
+        }
+        hangs.into_iter().for_each(|what| truth.breaks(what));
+        drop(truth);
+        self.oracle.totals.slowest = slowest;
+    }
+
+    /// After a round at this time nothing is due any more, unless the port has not taken it.
+    pub(super) fn check_wake(&mut self, now: Instant, failures: u64) {
+        let at = self.stage.host.wakes_at();
+        let mut truth = self.stage.book.open();
+        if at.is_some_and(|at| at <= now) && truth.failures == failures {
+            truth.breaks(format!("{at:?} was due after a round at {now:?}"));
+        }
+    }
+}
