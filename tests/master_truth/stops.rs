@@ -13,11 +13,6 @@ use super::truth::{Page, Truth};
 const NEXT_OFFER: Duration = Duration::from_micros(1_500);
 /// Longer than any other reply is waited for.
 const ROM_TIMEOUT: Duration = Duration::from_millis(20);
-/// Whether a motor that has confirmed, and is stopped again before that is lifted, waits for the first stops of
-/// others. Not yet: whoever stops all in every cycle stops the lowest ids over and over (`every_cycle` among the
-/// tests of the master).
-pub(super) const STOPPED_AGAIN_WAITS: bool = false;
-
 /// A motor that left so many commands in a row unanswered counts as dead.
 const IS_DEAD: u32 = 5;
 
@@ -113,9 +108,7 @@ impl Truth {
     pub(super) fn check_stops(&mut self, motor: MotorId) {
         let page = self.page(motor);
         let is_second = page.stops_taken > 0 || page.is_stopped_again;
-        let is_sure = !page.is_begun_anew
-            && !page.may_be_stopping
-            && (STOPPED_AGAIN_WAITS || !page.is_stopped_again);
+        let is_sure = !page.is_begun_anew && !page.may_be_stopping;
         if is_second && is_sure && self.is_first_stop_due() {
             self.breaks(format!("motor {motor} gets a second stop before another's first"));
         }
@@ -128,9 +121,7 @@ impl Truth {
                 "motor {motor} never answers, and is stopped before one that does"
             ));
         }
-        let is_held_up =
-            !STOPPED_AGAIN_WAITS && self.pages.iter().any(|page| page.is_stopped_again);
-        let (now, within) = (self.now, self.first_stops_within.filter(|_| !is_held_up));
+        let (now, within) = (self.now, self.first_stops_within);
         let took = now - self.page(motor).stop_called_at;
         if let Some(within) = within.filter(|within| !is_second && took > *within) {
             self.breaks(format!("motor {motor}: its first stop takes {took} and not {within}"));

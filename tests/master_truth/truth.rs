@@ -21,10 +21,6 @@ pub(crate) const DONE: u8 = 0xD0;
 /// A motor that was silent for so long may have restarted.
 pub(super) const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
 
-/// Whether a request that is handed back has its turn before its motor's next set-point. Not yet: where the highest id
-/// is pushed out of its mailbox in each round, its stream goes on without it (`turns` among the tests of the master).
-const HANDED_BACK_KEEPS_ITS_TURN: bool = false;
-
 /// A bus that takes nothing for so long carries nothing.
 const STUCK_AFTER: Duration = Duration::from_millis(5);
 
@@ -83,8 +79,6 @@ pub(crate) struct Page {
     pub(super) is_begun_anew: bool,
     /// When it was called, in steady time.
     pub(super) stopping_since: Duration,
-    /// When a request of it was last handed back, in free time.
-    pub(super) handed_back: Duration,
     /// When it was last told to restart, in the world's time.
     pub(super) reset_at: Option<Instant>,
     /// When a caller stopped it last, whether that began anything or not.
@@ -406,7 +400,7 @@ impl Truth {
     /// The controller has handed a command back.
     pub(crate) fn handed_back(&mut self, packet: &Packet) {
         let name = Name::of(packet);
-        let (is_stop, free) = (self.is_stop(packet), self.clocks.free);
+        let is_stop = self.is_stop(packet);
         if matches!(packet.channel, Channel::Command(Target::All)) && !is_stop {
             self.what_all_were_told_is_back(name);
         }
@@ -417,6 +411,7 @@ impl Truth {
         for motor in motors {
             let page = self.page(motor);
             page.asking -= u64::from(is_asking(packet));
+            page.unanswered = page.unanswered.saturating_sub(u32::from(is_own));
             if let Some(sending) = page.sendings.get_mut(&name) {
                 sending.taken -= 1;
             }
@@ -429,8 +424,6 @@ impl Truth {
             }
             if name.is_set_point() {
                 page.set_points.handed_back(name.token);
-            } else if !HANDED_BACK_KEEPS_ITS_TURN {
-                page.handed_back = free;
             }
         }
     }

@@ -7,7 +7,6 @@ use super::bounds::{Quiet, is_ending};
 use super::callers::Session;
 use super::oracle::{Open, is_move};
 use super::scenarios::Trouble;
-use super::stops::STOPPED_AGAIN_WAITS;
 use super::world::Rough;
 
 /// How often somebody looks.
@@ -22,7 +21,6 @@ impl<W: Rough> Session<W> {
         }
         self.watched_at = now;
         let is_line_full = self.scenario.trouble == Trouble::Babble && self.mischief.is_some();
-        let is_held_up = !STOPPED_AGAIN_WAITS && self.again.is_some();
         let is_free = self.oracle.broadcast.is_none();
         let mut truth = self.stage.book.open();
         truth.tick(now);
@@ -33,7 +31,7 @@ impl<W: Rough> Session<W> {
         let is_calm =
             !is_held_back && !pages().any(|page| page.is_stopping || page.may_be_stopping);
         let calm = match () {
-            () if is_line_full || is_held_up || !truth.is_steady() => Quiet::None,
+            () if is_line_full || !truth.is_steady() => Quiet::None,
             () if !is_calm => Quiet::Steady,
             () if !is_free => Quiet::Calm,
             () => Quiet::Free,
@@ -50,8 +48,6 @@ impl<W: Rough> Session<W> {
         for (page, motor) in pages().zip(MotorId::all()) {
             if let Some(open) = self.oracle.open[motor.index()] {
                 let (begun, longest) = self.limits[motor.index()];
-                // One that was handed back loses its turn.
-                let begun = begun.max(page.handed_back);
                 let restart = self.bounds.restart();
                 let since = self.since[motor.index()];
                 let rests = page.reset_at.is_some_and(|at| at + restart > since);
