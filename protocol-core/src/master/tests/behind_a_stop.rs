@@ -82,6 +82,30 @@ fn off_is_in_doubt_while_a_cut_bus_may_keep_a_hold_of_all() {
 }
 
 #[test]
+fn a_hold_of_all_that_was_answered_does_not_come_behind_a_shutdown() {
+    let mut master = Master::<2>::new(Config::CAN);
+    all_were_told(&mut master, Stop, ms(0));
+    reply(&mut master, 1, Stop.encode(), ms(1));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(2))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(3)), confirmed(1));
+}
+
+#[test]
+fn what_is_to_go_once_more_does_not_wait_where_the_bus_may_be_cut() {
+    let mut master = Master::<2>::new(Config::CAN);
+    all_were_told(&mut master, torque(1.0), ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(1))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None, "it may be moved yet");
+    // Nothing was heard since one to all was sent, and only an answer tells when that comes.
+    master.stop_all(StopKind::Off, id(2).into()).unwrap();
+    let channels = channels(&sent(&mut master, ms(3)));
+    assert_eq!(channels[0], TO_ALL);
+    assert!(channels.contains(&to(1)), "{channels:?}");
+}
+
+#[test]
 fn a_line_keeps_the_order_of_a_hold_of_all_and_a_shutdown_of_one() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     all_were_told(&mut master, Stop, ms(0));
@@ -205,6 +229,36 @@ fn a_stop_to_all_that_is_handed_back_is_awaited_no_more_than_it_was_sent() {
         let _ = master.request(id(1), Shutdown).unwrap();
         assert_eq!(channels(&sent(&mut master, ms(104))), [to(1)], "{is_confirmed}");
     }
+}
+
+#[test]
+fn what_the_caller_tells_all_and_is_handed_back_is_not_taken_for_the_stop_of_all_in_force() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1)]);
+    for now in [101, 102] {
+        reply(&mut master, 1, Stop.encode(), ms(now));
+    }
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(103));
+    assert_eq!(channels(&packets), [TO_ALL]);
+    master.handle_pushed_out(&packets[0]);
+    // It is over once it was sent.
+    assert_eq!(events(&mut master, ms(104)), []);
+    assert_eq!(channels(&sent(&mut master, ms(104))), [TO_ALL]);
+    let over = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true };
+    assert_eq!(events(&mut master, ms(104)), [over]);
+}
+
+#[test]
+fn a_hold_of_all_that_waits_is_given_up_where_it_would_switch_on_who_is_to_be_off() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    master.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(channels(&packets), [to(1), to(2)]);
+    assert_eq!([packets[0].data, packets[1].data], [Shutdown.encode(), Stop.encode()]);
 }
 
 #[test]
