@@ -1,6 +1,7 @@
 //! The rules of the master, one test a rule. Times are chosen by hand: the reply time-out of
 //! [`Config::CAN`] is 20.4 ms, its late window 40.8 ms.
 
+mod behind_a_stop;
 mod doubts;
 mod every_cycle;
 mod mailboxes;

@@ -2,10 +2,10 @@
 
 use super::*;
 
-const TO_ALL: Channel = Channel::Command(Target::All);
+pub(super) const TO_ALL: Channel = Channel::Command(Target::All);
 
 /// All were told to move; motor 1 has a place, and whoever else has heard it has none.
-fn all_move() -> Master<2> {
+pub(super) fn all_move() -> Master<2> {
     let mut master = Master::new(Config::CAN);
     master.broadcast(torque(1.0), id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -15,7 +15,7 @@ fn all_move() -> Master<2> {
 }
 
 /// The same a while later: what all were told has come, since the bus carries other answers.
-fn all_have_moved() -> Master<2> {
+pub(super) fn all_have_moved() -> Master<2> {
     let mut master = all_move();
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(49));
     reply(&mut master, 1, ANGLE_REPLY, ms(50)).unwrap();
@@ -24,15 +24,15 @@ fn all_have_moved() -> Master<2> {
     master
 }
 
-fn channels(packets: &[Packet]) -> Vec<Channel> {
+pub(super) fn channels(packets: &[Packet]) -> Vec<Channel> {
     packets.iter().map(|packet| packet.channel).collect()
 }
 
-fn to(motor: u8) -> Channel {
+pub(super) fn to(motor: u8) -> Channel {
     Channel::Command(Target::Motor(id(motor)))
 }
 
-fn confirmed(motor: u8) -> Option<Event> {
+pub(super) fn confirmed(motor: u8) -> Option<Event> {
     Some(Event::StopConfirmed { motor: id(motor) })
 }
 

@@ -1,0 +1,319 @@
+//! What may come behind a stop, for how long, and which answers count then.
+
+use super::unnamed::{TO_ALL, all_have_moved, all_move, channels, confirmed, to};
+use super::*;
+
+const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
+
+/// All were told this, and nobody who has a place is expected to answer.
+fn all_were_told<C: Command>(master: &mut Master<2>, command: C, now: Instant) {
+    master.broadcast(command, MotorSet::EMPTY).unwrap();
+    assert_eq!(channels(&sent(master, now)), [TO_ALL]);
+    events(master, now);
+}
+
+/// Motor 1 was switched off by a stop that was sent twice and answered once at 51 ms: the other may lie in a mailbox.
+fn one_shutdown_unanswered() -> Master<2> {
+    let mut master = Master::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    for now in [0, 50] {
+        assert_eq!(sent(&mut master, ms(now)).len(), 1);
+    }
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(51)), confirmed(1));
+    master.lift_stop();
+    events(&mut master, ms(52));
+    master
+}
+
+#[test]
+fn a_shutdown_of_before_may_come_behind_a_hold_for_the_time_out_and_the_late_window() {
+    for is_stop in [true, false] {
+        let mut master = one_shutdown_unanswered();
+        let mut ticket = None;
+        if is_stop {
+            master.stop(id(1), StopKind::Hold).unwrap();
+        } else {
+            ticket = Some(master.request(id(1), Stop).unwrap());
+        }
+        assert_eq!(channels(&sent(&mut master, ms(52))), [to(1)]);
+        assert_eq!(reply(&mut master, 1, Stop.encode(), ms(53)), None, "its load may fall yet");
+        // 20.4 ms and 40.8 ms after 52 ms.
+        assert_eq!(sent(&mut master, ms(113)), []);
+        assert_eq!(channels(&sent(&mut master, ms(114))), [to(1)]);
+        let told = reply(&mut master, 1, Stop.encode(), ms(115));
+        match ticket {
+            None => assert_eq!(told, confirmed(1)),
+            Some(ticket) => assert_eq!(ticket.outcome(&told.unwrap()), Some(Ok(Stop))),
+        }
+    }
+}
+
+#[test]
+fn a_stop_to_all_that_a_cut_bus_keeps_holds_whom_it_reaches_however_late() {
+    let mut master = Master::<2>::new(Config::CAN);
+    all_were_told(&mut master, torque(1.0), ms(0));
+    // The move has come; nobody has a place.
+    reply(&mut master, 2, ANGLE_REPLY, ms(70));
+    events(&mut master, ms(120));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(130))), [TO_ALL]);
+    // Here the bus is cut, and whole again at 501 ms.
+    events(&mut master, ms(400));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(500))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(501)), None, "it is switched on yet");
+    // A late window after that.
+    assert_eq!(sent(&mut master, ms(541)), []);
+    assert_eq!(channels(&sent(&mut master, ms(542))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(543)), confirmed(1));
+}
+
+#[test]
+fn off_is_in_doubt_while_a_cut_bus_may_keep_a_hold_of_all() {
+    let mut master = Master::<2>::new(Config::CAN);
+    all_were_told(&mut master, Stop, ms(0));
+    events(&mut master, ms(300));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(500))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(501)), None);
+    assert_eq!(sent(&mut master, ms(541)), []);
+    assert_eq!(channels(&sent(&mut master, ms(542))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(543)), confirmed(1));
+}
+
+#[test]
+fn a_hold_of_all_that_was_answered_does_not_come_behind_a_shutdown() {
+    let mut master = Master::<2>::new(Config::CAN);
+    all_were_told(&mut master, Stop, ms(0));
+    reply(&mut master, 1, Stop.encode(), ms(1));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(2))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(3)), confirmed(1));
+}
+
+#[test]
+fn what_is_to_go_once_more_does_not_wait_where_the_bus_may_be_cut() {
+    let mut master = Master::<2>::new(Config::CAN);
+    all_were_told(&mut master, torque(1.0), ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(1))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None, "it may be moved yet");
+    // Nothing was heard since one to all was sent, and only an answer tells when that comes.
+    master.stop_all(StopKind::Off, id(2).into()).unwrap();
+    let channels = channels(&sent(&mut master, ms(3)));
+    assert_eq!(channels[0], TO_ALL);
+    assert!(channels.contains(&to(1)), "{channels:?}");
+}
+
+#[test]
+fn a_line_keeps_the_order_of_a_hold_of_all_and_a_shutdown_of_one() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    all_were_told(&mut master, Stop, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    // Nothing meets the answers to the one to all, for 5 ms and the turnaround.
+    assert_eq!(sent(&mut master, ms(5)), []);
+    assert_eq!(channels(&sent(&mut master, ms(6))), [to(1)]);
+    let answer = Frame { address: Target::Motor(id(1)), data: Shutdown.encode() };
+    assert_eq!(master.handle_line(&answer, ms(7)), confirmed(1));
+}
+
+#[test]
+fn a_motor_that_a_move_of_all_before_the_last_command_to_all_may_reach_is_not_forgotten() {
+    let mut master = Master::<2>::new(Config::CAN);
+    all_were_told(&mut master, torque(1.0), ms(0));
+    all_were_told(&mut master, ReadMultiTurnAngle, ms(1));
+    let _ = ask(&mut master, 1, ReadRunTime, ms(2));
+    reply(&mut master, 1, [0xB1, 0, 0, 0, 1, 0, 0, 0], ms(3)).unwrap();
+    assert!(!master.forget(id(1)), "it may lie in a mailbox");
+    // The bus is whole at 30 ms, and what is to come does so within the late window.
+    reply(&mut master, 2, ANGLE_REPLY, ms(30));
+    events(&mut master, ms(70));
+    assert!(!master.forget(id(1)), "it may come yet");
+    events(&mut master, ms(71));
+    assert!(master.forget(id(1)), "it has come");
+}
+
+#[test]
+fn a_lock_is_answered_only_when_no_move_of_all_can_reach_the_motor_any_more() {
+    let mut master = Master::<2>::new(Config::CAN);
+    all_were_told(&mut master, torque(1.0), ms(0));
+    let locked = master.request(id(1), LockBrake).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(1))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, LockBrake.encode(), ms(2)), None);
+    // 20.4 ms and 40.8 ms after the move.
+    assert_eq!(sent(&mut master, ms(61)), []);
+    assert_eq!(channels(&sent(&mut master, ms(62))), [to(1)]);
+    let told = reply(&mut master, 1, LockBrake.encode(), ms(63)).unwrap();
+    assert!(locked.outcome(&told).is_some());
+}
+
+/// Motor 1 has not answered the move of all, is told twice to switch off, and answers the first: that goes once more.
+fn in_doubt_and_asked_twice() -> Master<2> {
+    let mut master = Master::new(Config::CAN);
+    all_were_told(&mut master, torque(1.0), ms(0));
+    master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(1))), [TO_ALL, to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None, "it may be moved yet");
+    master
+}
+
+#[test]
+fn an_answer_that_comes_just_behind_the_move_does_not_confirm_the_stop_that_was_before_it() {
+    let mut master = in_doubt_and_asked_twice();
+    // Which of the two came behind the move nobody knows.
+    reply(&mut master, 1, TORQUE_REPLY, ms(3));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(4)), None);
+    assert_eq!(channels(&sent(&mut master, ms(4))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(5)), confirmed(1));
+}
+
+#[test]
+fn an_answer_that_confirms_nothing_is_not_awaited_any_more() {
+    let mut master = in_doubt_and_asked_twice();
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(3)), None, "the other's");
+    reply(&mut master, 1, TORQUE_REPLY, ms(4));
+    assert_eq!(channels(&sent(&mut master, ms(4))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(5)), confirmed(1));
+    // All three were answered, so that another need not wait.
+    master.lift_stop();
+    let _ = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(6))), [to(1)]);
+}
+
+#[test]
+fn the_answer_to_the_other_of_two_stops_is_awaited_though_the_first_came_twice() {
+    let mut master = in_doubt_and_asked_twice();
+    let soon = ms(2) + Duration::from_micros(300);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), soon), None, "no drive is so quick");
+    reply(&mut master, 1, TORQUE_REPLY, ms(3));
+    assert_eq!(channels(&sent(&mut master, ms(4))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(5)), confirmed(1));
+    master.lift_stop();
+    let _ = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(6)), []);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(7)), None);
+    assert_eq!(channels(&sent(&mut master, ms(7))), [to(1)]);
+}
+
+#[test]
+fn what_comes_between_two_attempts_of_a_request_is_no_answer_to_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let angle = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    assert_eq!(events(&mut master, ms(21)), [], "it is to go once more");
+    let told = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(matches!(told, Event::Stray { .. }), "{told:?}");
+    assert_eq!(channels(&sent(&mut master, ms(23))), [to(1)]);
+    let told = reply(&mut master, 1, ANGLE_REPLY, ms(24)).unwrap();
+    assert!(angle.outcome(&told).is_some());
+}
+
+#[test]
+fn a_stop_to_all_that_is_handed_back_is_awaited_no_more_than_it_was_sent() {
+    // Before the motor has confirmed its own, and after.
+    for is_confirmed in [false, true] {
+        let mut master = all_move();
+        master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+        let packets = sent(&mut master, ms(100));
+        assert_eq!(channels(&packets), [TO_ALL, to(1)]);
+        if is_confirmed {
+            assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
+            master.handle_pushed_out(&packets[0]);
+        } else {
+            master.handle_pushed_out(&packets[0]);
+            assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
+        }
+        assert_eq!(channels(&sent(&mut master, ms(102))), [TO_ALL]);
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(103)), None);
+        // Each of the two that were on the bus was answered.
+        master.lift_stop();
+        let _ = master.request(id(1), Shutdown).unwrap();
+        assert_eq!(channels(&sent(&mut master, ms(104))), [to(1)], "{is_confirmed}");
+    }
+}
+
+#[test]
+fn what_the_caller_tells_all_and_is_handed_back_is_not_taken_for_the_stop_of_all_in_force() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1)]);
+    for now in [101, 102] {
+        reply(&mut master, 1, Stop.encode(), ms(now));
+    }
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(103));
+    assert_eq!(channels(&packets), [TO_ALL]);
+    master.handle_pushed_out(&packets[0]);
+    // It is over once it was sent.
+    assert_eq!(events(&mut master, ms(104)), []);
+    assert_eq!(channels(&sent(&mut master, ms(104))), [TO_ALL]);
+    let over = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true };
+    assert_eq!(events(&mut master, ms(104)), [over]);
+}
+
+#[test]
+fn a_hold_of_all_that_waits_is_given_up_where_it_would_switch_on_who_is_to_be_off() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    master.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(channels(&packets), [to(1), to(2)]);
+    assert_eq!([packets[0].data, packets[1].data], [Shutdown.encode(), Stop.encode()]);
+}
+
+#[test]
+fn what_comes_too_soon_after_the_only_stop_is_a_stray() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(0))), [to(1)]);
+    // No drive answers before 0.27 ms, and no other stop was sent.
+    let told = reply(&mut master, 1, Shutdown.encode(), Instant::from_micros(100)).unwrap();
+    assert!(matches!(told, Event::Stray { .. }), "{told:?}");
+    assert_eq!(master.health(id(1)).stray, 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
+}
+
+#[test]
+fn feedback_is_heard_while_a_stop_to_all_and_ones_own_are_awaited() {
+    let mut master = all_have_moved();
+    master.set_point(id(1), torque(1.0), ms(99)).unwrap();
+    assert_eq!(sent(&mut master, ms(99)).len(), 1);
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1)]);
+    let told = reply(&mut master, 1, TORQUE_REPLY, ms(101));
+    assert!(told.is_some_and(|it| it.feedback().is_some()));
+    // So it has come, and the stop behind it.
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), confirmed(1));
+}
+
+#[test]
+fn an_answer_to_a_stop_that_waits_measures_no_round_trip() {
+    let mut master = Master::<2>::new(Config::CAN.adapting_up_to(Duration::from_millis(100)));
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    all_were_told(&mut master, torque(1.0), ms(10));
+    // The move has come, since the bus carries other answers.
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(90));
+    reply(&mut master, 1, ANGLE_REPLY, ms(91)).unwrap();
+    events(&mut master, ms(300));
+    let (timeout, health) = (master.config().reply_timeout, master.health(id(1)));
+    assert_eq!(timeout, Config::CAN.reply_timeout, "two of 1 ms were measured");
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    master.poll_transmit(ms(300)).unwrap();
+    master.handle_transmitted(ms(300));
+    // To the one to all: its own is to be sent yet, and what it was sent last was at 90 ms.
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(301)), confirmed(1));
+    assert_eq!(master.config().reply_timeout, timeout);
+    assert_eq!(master.health(id(1)).round_trip, health.round_trip);
+}
+
+#[test]
+fn who_answers_a_stop_that_waits_to_be_sent_again_is_there() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(0))), [to(1)]);
+    master.handle_timeout(ms(21));
+    assert_eq!(master.health(id(1)).presence, Presence::Late);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(22)), confirmed(1));
+    assert_eq!(master.health(id(1)).presence, Presence::Present);
+}
