@@ -386,7 +386,6 @@ impl Motor {
     /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
     fn send_again(&mut self, mut asked: Asked, once_more: bool) {
         asked.once_more = once_more;
-        asked.attempts_left = asked.attempts_left.max(1);
         self.request = Request::Waiting(asked);
     }
 }

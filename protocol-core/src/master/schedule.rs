@@ -33,8 +33,7 @@ impl<const N: usize> Master<N> {
         self.choose_motor(now)
     }
 
-    /// Each motor's first stop before any second, and on a line those first that answered last time: a
-    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
+    /// The one to all, then the most urgent of those of one motor.
     pub(super) fn choose_stop(&self) -> Option<Offer> {
         if self.stop_to_all.is_some() {
             return Some(Offer::StopToAll);
@@ -42,14 +41,24 @@ impl<const N: usize> Master<N> {
         if self.places.stops.is_empty() {
             return None;
         }
+        self.most_urgent_stop()
+    }
+
+    /// Each motor's first stop before any second, and on a line those first that answered last time: a
+    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
+    #[inline(never)]
+    fn most_urgent_stop(&self) -> Option<Offer> {
         let stops = self.at(self.places.stops).filter_map(|(place, motor)| {
             let stop = motor.request.waiting()?;
             let waits = motor.waits_for_motion(stop, self.is_undone_with_all(motor));
             (!waits).then_some((place, motor, stop))
         });
         let urgency = |(_, motor, stop): &(_, &Motor, &Asked)| {
-            let is_first = stop.attempts_left == STOP_ATTEMPTS;
-            (!is_first, is_first && motor.was_missed(), motor.sent)
+            let turn = match stop.attempts_left {
+                STOP_ATTEMPTS => u8::from(motor.was_missed()),
+                _ => 2,
+            };
+            (turn, motor.sent)
         };
         stops.min_by_key(urgency).map(|(place, ..)| Offer::Request(place as u8))
     }

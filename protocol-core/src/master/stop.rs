@@ -141,6 +141,7 @@ impl<const N: usize> Master<N> {
 
     /// Gives whether it is a new one: where the motor was stopped already, so that nothing has moved it since,
     /// a stop that is under way goes on.
+    #[inline(never)]
     fn put_stop(&mut self, place: usize, motor: MotorId, kind: StopKind) -> bool {
         let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
@@ -154,15 +155,15 @@ impl<const N: usize> Master<N> {
         let mut stop = self.stop_of(command, data);
         let now = self.now;
         let is_new = self.change_at(place, |motor, config| {
-            let goes_on = was_stopped && motor.is_stopping_as(&stop);
+            if was_stopped && motor.is_stopping_as(&stop) {
+                return false;
+            }
             if was_stopped && motor.last_answered == Some(stop.question) {
                 // It has confirmed this: first come those who have not been told.
                 stop.attempts_left -= 1;
             }
-            if !goes_on {
-                motor.put_stop(stop, config, now);
-            }
-            !goes_on
+            motor.put_stop(stop, config, now);
+            true
         });
         is_new.unwrap_or(false)
     }
