@@ -150,7 +150,7 @@ fn runs(session: &mut Session, motor: MotorId) -> Outcome {
     match session.ask(motor, ReadRunningMode)?.mode.raw() {
         0 => Err(Unfinished::Failed(format!(
             "motor {motor} runs nothing (mode 0), though it is told what to run every {SEND_EVERY}: is its protection \
-             against loss of communication ('myactuator timeout') shorter than that?"
+             against loss of communication ('myactuator timeout') too short?"
         ))),
         _ => Ok(()),
     }
