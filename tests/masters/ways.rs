@@ -39,6 +39,7 @@ on_both_buses! {
     a_motor_that_falls_silent_has_not_confirmed_its_stop
     a_restart_on_the_way_ends_the_move_and_forbids_another
     a_gripper_goes_on_pressing_with_what_it_was_given
+    one_that_has_let_go_neither_presses_nor_is_held
 }
 
 fn each_question_has_its_own_answer<W: Wire>() {
@@ -359,5 +360,24 @@ fn a_gripper_goes_on_pressing_with_what_it_was_given<W: Wire>() {
         } else {
             assert_eq!(runner.set_point(id(1), push(0.1)), Err(RequestError::Stopped));
         }
+    }
+}
+
+/// Its protection is shorter than the time from one look to the next.
+fn one_that_has_let_go_neither_presses_nor_is_held<W: Wire>() {
+    for when_stalled in [WhenStalled::Press, WhenStalled::Stop] {
+        let bus = W::drives(&Fleet::new(1)).unwrap();
+        let runner = &mut master(&bus);
+        bring_up::protect(runner, id(1), Milliseconds::from_raw(10)).unwrap();
+        let grip = ForcePosition {
+            max_torque: MaxTorque::from_raw(10),
+            max_speed: up_to(90),
+            angle: degrees(90.0),
+        };
+        let limits = MoveLimits { when_stalled, ..MoveLimits::default() };
+        let go_on = |_: &_| ControlFlow::Continue(());
+        let met = bring_up::move_to(runner, id(1), grip, &limits, go_on);
+        let why = met.expect_err("it has no output").why;
+        assert!(matches!(why, MoveFailure::LetGo { .. }), "{why}");
     }
 }

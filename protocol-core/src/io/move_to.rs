@@ -5,7 +5,7 @@ use core::ops::ControlFlow;
 
 use crate::command::{
     AbsolutePosition, Command, ErrorFlags, Feedback, ForcePosition, IncrementalPosition,
-    ReadMultiTurnAngle, ReadStatus1, ReadStatus2,
+    ReadMultiTurnAngle, ReadRunningMode, ReadStatus1, ReadStatus2,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
@@ -156,6 +156,16 @@ pub enum MoveFailure<E> {
         /// Where it should be.
         target: Angle,
     },
+    /// Its drive runs nothing any more: something else has switched it off, or it heard nothing for longer than its
+    /// protection (0xB3) allows. Its shaft is free unless a brake holds it.
+    #[error(
+        "it is at {at} and runs nothing: it was switched off, or heard nothing for longer than its protection (0xB3) \
+         allows"
+    )]
+    LetGo {
+        /// Where it is.
+        at: Angle,
+    },
     /// The time is up.
     #[error("it is at {at} and not at {target} when its time is up")]
     TimedOut {
@@ -278,7 +288,11 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
         if on_look(&progress).is_break() {
             return Err(MoveFailure::GivenUp);
         }
-        if nearest.has_stalled(distance, tolerance, now, limits.stalled_after) {
+        let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
+        if (has_stalled || progress.time > time) && runs_nothing(runner, motor).await {
+            return Err(MoveFailure::LetGo { at: angle });
+        }
+        if has_stalled {
             return match limits.when_stalled {
                 WhenStalled::Press => Ok(progress),
                 WhenStalled::Stop => Err(MoveFailure::Stalled { at: angle, target }),
@@ -289,6 +303,11 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
         }
         looks += 1;
     }
+}
+
+/// Whether the drive says so; one that does not answer that may run.
+async fn runs_nothing<R: AsyncRunner<N>, const N: usize>(runner: &mut R, motor: MotorId) -> bool {
+    runner.ask(motor, ReadRunningMode).await.is_ok_and(|reply| reply.mode.raw() == 0)
 }
 
 /// A look at the motor.

@@ -4,7 +4,9 @@
 //! running and each reply tells how the motor does.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{BrakeCommand, Command, LockBrake, ReadStatus1};
+use myactuator_protocol_core::command::{
+    BrakeCommand, Command, LockBrake, ReadRunningMode, ReadStatus1,
+};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
@@ -133,9 +135,24 @@ fn repeat<C: Command + Copy>(
         }
         if turn % ERRORS_EVERY == 0 {
             healthy(motor, session.ask(motor, ReadStatus1)?.errors)?;
+            // The first commands after a silence are not obeyed (2.31.1), and motion mode has no mode of this list.
+            if turn > 0 && !command.kind().is_motion() {
+                runs(session, motor)?;
+            }
         }
     }
     Ok(())
+}
+
+/// That the drive does not say that it runs nothing.
+fn runs(session: &mut Session, motor: MotorId) -> Outcome {
+    match session.ask(motor, ReadRunningMode)?.mode.raw() {
+        0 => Err(Unfinished::Failed(format!(
+            "motor {motor} runs nothing (mode 0), though it is told what to run every {SEND_EVERY}: is its protection \
+             against loss of communication ('myactuator timeout') too short?"
+        ))),
+        _ => Ok(()),
+    }
 }
 
 pub(super) fn seconds(span: Duration) -> f64 {
@@ -152,8 +169,11 @@ mod tests {
     use myactuator_protocol_core::command::{
         AccelerationIndex, ErrorFlags, Speed, Torque, WriteAcceleration,
     };
+    use myactuator_protocol_core::io::bring_up;
     use myactuator_protocol_core::time::Instant;
-    use myactuator_protocol_core::units::{Acceleration, Current, MaxTorque, SpeedTarget};
+    use myactuator_protocol_core::units::{
+        Acceleration, Current, MaxTorque, Milliseconds, SpeedTarget,
+    };
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
     use super::super::simulated::{CtrlC, OtherMaster, Sends, sent, to_first, typed};
@@ -180,6 +200,20 @@ mod tests {
     /// The first bytes of what was sent.
     fn commands(log: &Log<SimpleFrame>) -> Vec<u8> {
         sent(log).iter().map(|packet| packet.data[0]).collect()
+    }
+
+    /// It once was said to have run, and held still by the time it was looked at.
+    #[test]
+    fn a_motor_that_lets_go_between_two_commands_has_not_run() {
+        let fleet = fleet();
+        let mut session = Session::on(&fleet);
+        let protection = Milliseconds::from_raw(5);
+        bring_up::protect(&mut session.master, MotorId::MIN, protection).unwrap();
+        let outcome = session.moving(MotorId::MIN, |session| {
+            repeat(session, &typed("--id 1"), TURN, |_| String::new())
+        });
+        let told = format!("{:?}", outcome.expect_err("it has not turned"));
+        assert!(told.contains("motor 1 runs nothing (mode 0)"), "{told}");
     }
 
     #[test]
