@@ -270,8 +270,11 @@ impl Motor {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
-            let late =
-                if asked.is_stop() { self.take_late(false, data, may_be_doubled) } else { None };
+            let late = if asked.kind().ends_motion() {
+                self.take_late(false, data, may_be_doubled)
+            } else {
+                None
+            };
             if late.is_none() {
                 return self.take_answer(asked, heard, config);
             }

@@ -1101,6 +1101,10 @@ fn no_set_point_goes_before_what_was_asked_for_earlier_to_end_motion() {
     put(&mut master, answered);
     assert_eq!(sent(&mut master, answered), []);
     assert_eq!(sent(&mut master, over)[0].data, Shutdown.encode());
+    // It may be that to one of before.
+    let over = over + Duration::from_millis(1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), over), None);
+    assert_eq!(sent(&mut master, over)[0].data, Shutdown.encode());
     let told = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
     assert_eq!(ticket.outcome(&told.unwrap()), Some(Ok(Shutdown)));
     assert!(matches!(sent(&mut master, over + Duration::from_millis(1))[..], [_]), "its turn");

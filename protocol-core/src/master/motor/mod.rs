@@ -306,6 +306,7 @@ impl Motor {
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
+        let was_just_sent = self.sent + asked.timeout + config.late_window > now;
         self.was_sent(LastSent::empty(), now);
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
@@ -323,6 +324,14 @@ impl Motor {
         }
         if let Some(set_point) = self.stream.take_in_flight() {
             self.expect_late(set_point.question, Of::StreamStopped, 1, late, config);
+        }
+        if asked.once_more {
+            // What moves it may have come behind what its last sending before, and one to all, are answered.
+            if was_just_sent {
+                let owed = asked.unanswered.min(2);
+                self.expect_late(asked.question, Of::StopAnswered, owed, late, config);
+            }
+            (asked.unanswered, asked.once_more) = (0, false);
         }
         asked.unanswered = asked.unanswered.saturating_add(1);
         self.request = Request::InFlight(asked);
