@@ -297,20 +297,22 @@ impl Broadcast {
         self.in_flight_since().map(|sent| sent + config.reply_timeout)
     }
 
-    /// A controller has handed it back: it was never on the bus, and moves nobody. Gives whether that changes what
-    /// becomes of it, so that it goes once more if it ends motion.
-    pub(super) fn was_pushed_out(&mut self) -> bool {
+    /// Whether it was not sent, or was handed back: what is handed back now only looks like it.
+    pub(super) fn is_unsent(&self) -> bool {
+        matches!(self.state, State::Waiting | State::Again | State::Dropped)
+    }
+
+    /// A controller has handed it back: it was never on the bus, and moves nobody.
+    pub(super) fn was_pushed_out(&mut self) {
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last = MayUndo::default();
-        let is_decided = matches!(self.state, State::Again | State::Dropped);
         self.state = match self.state {
             // Something else has ended it.
             State::Done if !self.kind.is_some_and(Kind::ends_motion) => State::Dropped,
             State::InFlight | State::Sent | State::Done => State::Waiting,
             state => state,
         };
-        !is_decided
     }
 
     pub(super) fn goes_again(&mut self) {
@@ -327,6 +329,10 @@ impl Broadcast {
             State::None | State::Waiting | State::Again | State::InFlight => return None,
         };
         self.state = State::None;
+        if !was_sent {
+            // What is handed back later only looks like it.
+            self.kind = None;
+        }
         Some(Event::BroadcastDone { silent: self.silent, was_sent })
     }
 }

@@ -270,13 +270,13 @@ impl Motor {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
-            let late = if asked.kind().ends_motion() {
-                self.take_late(false, data, may_be_doubled)
-            } else {
-                None
-            };
-            if late.is_none() {
+            let ends_motion = asked.kind().ends_motion();
+            if !ends_motion || self.take_late(false, data, may_be_doubled).is_none() {
                 return self.take_answer(asked, heard, config);
+            }
+            if !asked.is_stop() {
+                // In place of its own, which counts for the next.
+                self.answered(None);
             }
             self.send_again(asked, false);
             return Meaning::Nothing;

@@ -110,10 +110,12 @@ impl<const N: usize> Master<N> {
             }
             Channel::Command(Target::All) | Channel::BusId => {
                 // A command to all of long ago may have been the same.
-                let is_broadcast = self.broadcast.packet().as_ref() == Some(packet);
+                let is_broadcast =
+                    !self.broadcast.is_unsent() && self.broadcast.packet().as_ref() == Some(packet);
                 let is_newest = is_broadcast && self.broadcast.is_active();
                 let is_stop_to_all = !is_newest && self.stop_to_all_was_pushed_out(packet);
-                if !is_stop_to_all && is_broadcast && self.broadcast.was_pushed_out() {
+                if !is_stop_to_all && is_broadcast {
+                    self.broadcast.was_pushed_out();
                     self.end_motion_of_all();
                 }
                 self.cancel_move_after_restart();

@@ -391,3 +391,46 @@ fn one_that_is_handed_back_takes_nothing_from_a_request_of_the_caller() {
     let event = reply(&mut master, 1, Shutdown.encode(), ms(106)).unwrap();
     assert_eq!(ticket.outcome(&event), Some(Ok(Shutdown)));
 }
+
+#[test]
+fn a_stop_to_all_that_is_handed_back_is_not_taken_for_a_broadcast_that_never_went() {
+    let mut master = Master::<2>::new(Config::CAN);
+    // Lies in a mailbox.
+    master.broadcast(torque(1.0), id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    let packets = sent(&mut master, ms(1));
+    assert_eq!(packets[0], packet_to_all(Shutdown.encode()));
+    events(&mut master, ms(1));
+    // One that waits behind that, and is cancelled.
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(3)), None, "the torque may come yet");
+    assert!(sent(&mut master, ms(3)).contains(&packets[0]), "whom nobody knows is to hear it");
+}
+
+#[test]
+fn a_stop_of_all_that_is_handed_back_leaves_the_shutdown_of_all_behind_it_in_doubt() {
+    for is_told in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+        let hold_in_mailbox = sent(&mut master, ms(0))[0];
+        events(&mut master, ms(0));
+        // Lies in a mailbox, too, and goes last.
+        master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(1)).len(), 1);
+        events(&mut master, ms(1));
+        // Looks like the first, and was not sent.
+        master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+        if is_told {
+            master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+            assert_eq!(events(&mut master, ms(1)).len(), 1, "it never is");
+            master.lift_stop();
+        }
+        master.handle_pushed_out(&hold_in_mailbox);
+        master.stop(id(1), StopKind::Hold).unwrap();
+        assert!(!sent(&mut master, ms(2)).is_empty());
+        assert_eq!(reply(&mut master, 1, Stop.encode(), ms(3)), None, "its load may fall yet");
+    }
+}
