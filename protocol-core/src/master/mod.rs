@@ -370,6 +370,9 @@ impl<const N: usize> Master<N> {
     /// several motors are likely to collide. `expected` should name all who answer: the answers of others come as
     /// [`Event::Stray`].
     ///
+    /// To end motion at once use [`stop_all`](Self::stop_all): this one waits for what is in flight, and for a stop for
+    /// as long as a motor does not confirm that.
+    ///
     /// Name in it all whom a command that moves, or opens brakes, may reach: each takes a place, so that
     /// [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms.
     ///

@@ -306,7 +306,6 @@ impl Motor {
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
-        let was_just_sent = self.sent + asked.timeout + config.late_window > now;
         self.was_sent(LastSent::empty(), now);
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
@@ -327,10 +326,8 @@ impl Motor {
         }
         if asked.once_more {
             // What moves it may have come behind what its last sending before, and one to all, are answered.
-            if was_just_sent {
-                let owed = asked.unanswered.min(2);
-                self.expect_late(asked.question, Of::StopAnswered, owed, late, config);
-            }
+            let owed = asked.unanswered.min(2);
+            self.expect_late(asked.question, Of::StopAnswered, owed, late, config);
             (asked.unanswered, asked.once_more) = (0, false);
         }
         asked.unanswered = asked.unanswered.saturating_add(1);
