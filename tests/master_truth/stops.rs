@@ -55,8 +55,9 @@ impl Offers {
 }
 
 impl Truth {
+    /// Not where a flipped bit may make an answer to the one to all: then a motor's own may wait.
     pub(super) fn is_first_stop_due(&self) -> bool {
-        self.pages.iter().any(Page::waits_for_first_stop)
+        !self.flips && self.pages.iter().any(Page::waits_for_first_stop)
     }
 
     /// A caller has lifted the stop of these.
