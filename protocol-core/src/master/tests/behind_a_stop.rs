@@ -319,3 +319,30 @@ fn who_answers_a_stop_that_waits_to_be_sent_again_is_there() {
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(22)), confirmed(1));
     assert_eq!(master.health(id(1)).presence, Presence::Present);
 }
+
+#[test]
+fn who_is_stopped_already_is_not_stopped_anew_for_a_shutdown_of_all() {
+    let mut master = Master::<4>::new(Config::CAN);
+    // The one to all waits for this.
+    let _ = ask(&mut master, 3, ReadMultiTurnAngle, ms(0));
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    master.stop(id(2), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(1))), [to(2)]);
+    // It would undo that, so that the others get it each by itself.
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(2))), [to(3), to(1)]);
+}
+
+#[test]
+fn a_bus_that_goes_down_keeps_a_move_on_its_way_for_longer() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None);
+    // Without that it went at 62 ms.
+    master.handle_bus_down(ms(50));
+    assert_eq!(sent(&mut master, ms(80)), []);
+    assert_eq!(channels(&sent(&mut master, ms(100))), [to(1)]);
+}

@@ -434,3 +434,14 @@ fn a_stop_of_all_that_is_handed_back_leaves_the_shutdown_of_all_behind_it_in_dou
         assert_eq!(reply(&mut master, 1, Stop.encode(), ms(3)), None, "its load may fall yet");
     }
 }
+
+#[test]
+fn off_goes_again_after_a_hold_that_changed_nothing() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(channels(&packets), [TO_ALL, to(1)]);
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    master.handle_pushed_out(&packets[0]);
+    assert!(sent(&mut master, ms(101)).contains(&packets[0]));
+}
