@@ -389,6 +389,8 @@ impl Motor {
     /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
     fn send_again(&mut self, mut asked: Asked, once_more: bool) {
         asked.once_more = once_more;
+        // Who answers is there: that attempt was not in vain.
+        asked.attempts_left = asked.attempts_left.saturating_add(1);
         self.request = Request::Waiting(asked);
     }
 }

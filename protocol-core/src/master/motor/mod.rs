@@ -326,7 +326,7 @@ impl Motor {
         }
         if asked.once_more {
             // What moves it may have come behind what its last sending before, and one to all, are answered.
-            let owed = asked.unanswered.min(2);
+            let owed = asked.unanswered.min(1);
             self.expect_late(asked.question, Of::StopAnswered, owed, late, config);
             (asked.unanswered, asked.once_more) = (0, false);
         }
