@@ -143,7 +143,7 @@ impl<const N: usize> Master<N> {
     /// a stop that is under way goes on.
     #[inline(never)]
     fn put_stop(&mut self, place: usize, motor: MotorId, kind: StopKind) -> bool {
-        let (was_stopped, is_again) = (self.is_stopped(motor), self.stops_all.is_some());
+        let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         if kind == StopKind::Off {
             self.switched_off.insert(motor);
@@ -158,7 +158,7 @@ impl<const N: usize> Master<N> {
             if was_stopped && motor.is_stopping_as(&stop) {
                 return false;
             }
-            if is_again && motor.last_answered == Some(stop.question) {
+            if was_stopped && motor.last_answered == Some(stop.question) {
                 // It has confirmed this: first come those who have not been told.
                 stop.attempts_left -= 1;
             }

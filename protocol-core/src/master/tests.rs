@@ -1533,7 +1533,7 @@ fn what_was_switched_off_is_switched_on_by_no_other_stop() {
     assert_eq!(first_stops(&mut master, ms(0)), [(1, 0x80)]);
     // As whoever leaves a control loop does.
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
-    assert_eq!(first_stops(&mut master, ms(100)), [(1, 0x80), (2, 0x81)]);
+    assert_eq!(first_stops(&mut master, ms(100)), [(2, 0x81), (1, 0x80)]);
     master.lift_stop_of(id(1));
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(first_stops(&mut master, ms(200)), [(1, 0x80)], "all are stopped still");
