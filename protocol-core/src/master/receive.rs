@@ -9,6 +9,7 @@ use crate::master::late::{Of, Question};
 use crate::master::motor::restarts::{HALF_A_TURN_TAKES, angle_of};
 use crate::master::motor::{DOUBLED_WITHIN, Motor};
 use crate::master::request::{Asked, Request};
+use crate::master::stop::STOP_ATTEMPTS;
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, MotorSet, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
@@ -389,8 +390,8 @@ impl Motor {
     /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
     fn send_again(&mut self, mut asked: Asked, once_more: bool) {
         asked.once_more = once_more;
-        // Who answers is there: that attempt was not in vain.
-        asked.attempts_left = asked.attempts_left.saturating_add(1);
+        // Who answers is there: that attempt was not in vain. But it was no first.
+        asked.attempts_left = (asked.attempts_left + 1).min(STOP_ATTEMPTS - 1);
         self.request = Request::Waiting(asked);
     }
 }
