@@ -9,7 +9,6 @@ use crate::master::late::{Of, Question};
 use crate::master::motor::restarts::{HALF_A_TURN_TAKES, angle_of};
 use crate::master::motor::{DOUBLED_WITHIN, Motor};
 use crate::master::request::{Asked, Request};
-use crate::master::stop::STOP_ATTEMPTS;
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, MotorSet, TicketId, reported_bit};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
@@ -259,25 +258,19 @@ impl Motor {
         }
         if let Some(&asked) = self.request.answerable().filter(|asked| answers(asked.question)) {
             self.last_answered = Some(asked.question);
-            // Of what waits to be sent again: the last answer doubled, or something may have come behind what it answers.
-            if let Request::Waiting(stop) = &mut self.request {
-                if may_be_doubled || asked.once_more {
-                    stop.unanswered -= u8::from(!may_be_doubled);
-                    return Meaning::Nothing;
-                }
+            // Of what waits to be sent again: the last answer doubled.
+            if may_be_doubled && self.request.waiting().is_some() {
+                return Meaning::Nothing;
             }
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
             if asked.is_stop() && heard.to_all.may_be_mistaken(data[0], heard.from) {
                 self.send_again(asked, false);
                 return Meaning::OfBroadcast;
             }
-            let ends_motion = asked.kind().ends_motion();
-            if !ends_motion || self.take_late(false, data, may_be_doubled).is_none() {
+            let late =
+                if asked.is_stop() { self.take_late(false, data, may_be_doubled) } else { None };
+            if late.is_none() {
                 return self.take_answer(asked, heard, config);
-            }
-            if !asked.is_stop() {
-                // In place of its own, which counts for the next.
-                self.answered(None);
             }
             self.send_again(asked, false);
             return Meaning::Nothing;
@@ -369,6 +362,10 @@ impl Motor {
         }
         let kind = asked.kind();
         if kind.ends_motion() && (heard.to_all.may_undo(kind, motor) || self.may_yet_move()) {
+            let of = if asked.is_stop() { Of::StopAnswered } else { Of::RequestAnswered };
+            let until = self.sent + asked.timeout + config.late_window;
+            self.expect_late(asked.question, of, asked.unanswered, until, config);
+            asked.unanswered = 0;
             // Nothing that moves it goes between the attempts of what ends its motion.
             self.on_its_way.bus_is_alive(now, config);
             self.send_again(asked, true);
@@ -390,8 +387,6 @@ impl Motor {
     /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
     fn send_again(&mut self, mut asked: Asked, once_more: bool) {
         asked.once_more = once_more;
-        // Who answers is there: that attempt was not in vain. But it was no first.
-        asked.attempts_left = (asked.attempts_left + 1).min(STOP_ATTEMPTS - 1);
         self.request = Request::Waiting(asked);
     }
 }

@@ -91,7 +91,7 @@ impl<const N: usize> Master<N> {
         let mut is_any_new = self.places.taken.is_empty();
         for place in self.places.taken.iter() {
             if let Some(motor) = self.motors.get(place).and_then(|motor| motor.id) {
-                is_any_new |= self.put_stop(place, motor, kind);
+                is_any_new |= self.put_stop(place, motor, kind, was.is_some());
             }
         }
         if self.stops_all != Some(StopKind::Off) {
@@ -124,7 +124,7 @@ impl<const N: usize> Master<N> {
         let place = self.place_for(motor)?;
         self.let_line_answer();
         self.broadcast.cancel_what_moves();
-        self.put_stop(place, motor, kind);
+        self.put_stop(place, motor, kind, self.is_stopped(motor));
         self.stopped.insert(motor);
         Ok(())
     }
@@ -140,9 +140,10 @@ impl<const N: usize> Master<N> {
     }
 
     /// Gives whether it is a new one: where the motor was stopped already, so that nothing has moved it since,
-    /// a stop that is under way goes on.
+    /// a stop that is under way goes on. Where it is called `again`, who has confirmed it goes behind those who have not
+    /// been told yet.
     #[inline(never)]
-    fn put_stop(&mut self, place: usize, motor: MotorId, kind: StopKind) -> bool {
+    fn put_stop(&mut self, place: usize, motor: MotorId, kind: StopKind, again: bool) -> bool {
         let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         if kind == StopKind::Off {
@@ -158,8 +159,7 @@ impl<const N: usize> Master<N> {
             if was_stopped && motor.is_stopping_as(&stop) {
                 return false;
             }
-            if was_stopped && motor.last_answered == Some(stop.question) {
-                // It has confirmed this: first come those who have not been told.
+            if again && motor.last_answered == Some(stop.question) {
                 stop.attempts_left -= 1;
             }
             motor.put_stop(stop, config, now);

@@ -4,7 +4,7 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::Of;
 use crate::master::motor::{LastSent, Motor, News};
-use crate::master::request::{Purpose, Request};
+use crate::master::request::Request;
 use crate::master::schedule::Earliest;
 use crate::time::{Duration, Instant};
 
@@ -112,11 +112,12 @@ impl Motor {
             earliest.take(self.late.next_end());
         }
         if let Some(asked) = self.request.waiting() {
-            earliest.take(match asked.purpose {
-                _ if self.waits_for_motion(asked, false) => self.on_its_way.end(),
-                Purpose::Stop => None,
-                Purpose::Caller | Purpose::Once => self.late.next_end(),
-            });
+            if self.waits_for_motion(asked, false) {
+                earliest.take(self.on_its_way.end());
+                earliest.take(self.late.end_of(asked.question));
+            } else if !asked.is_stop() {
+                earliest.take(self.late.next_end());
+            }
         }
     }
 

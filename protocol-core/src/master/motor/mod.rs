@@ -185,10 +185,10 @@ impl Motor {
         }
     }
 
-    /// The stop that tells it this, if that is under way.
+    /// The stop that tells it this, if that is under way. One that goes once more is confirmed by its own answer alone.
     fn own_stop(&mut self, told: Question) -> Option<&mut Asked> {
         let stop = self.request.under_way_mut()?;
-        (stop.is_stop() && stop.question == told).then_some(stop)
+        (stop.is_stop() && stop.question == told && !stop.once_more).then_some(stop)
     }
 
     pub(super) fn put_set_point(&mut self, set_point: SetPoint, expiry: Instant) {
@@ -273,9 +273,10 @@ impl Motor {
     }
 
     /// Whether this is to end motion once more, which it does only when nothing that was sent before can move
-    /// the motor any more.
+    /// the motor any more, and no answer to its earlier attempts can be taken for that to the last.
     pub(super) fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
-        asked.once_more && (is_moved_with_all || self.may_yet_move())
+        let may_be_mistaken = || self.late.may_be_mistaken(asked.question);
+        asked.once_more && (is_moved_with_all || self.may_yet_move() || may_be_mistaken())
     }
 
     /// Whether the set-point that waits may go. What ends motion was asked for before it, and comes first however
@@ -324,13 +325,8 @@ impl Motor {
         if let Some(set_point) = self.stream.take_in_flight() {
             self.expect_late(set_point.question, Of::StreamStopped, 1, late, config);
         }
-        if asked.once_more {
-            // What moves it may have come behind what its last sending before, and one to all, are answered.
-            let owed = asked.unanswered.min(1);
-            self.expect_late(asked.question, Of::StopAnswered, owed, late, config);
-            (asked.unanswered, asked.once_more) = (0, false);
-        }
         asked.unanswered = asked.unanswered.saturating_add(1);
+        asked.once_more = false;
         self.request = Request::InFlight(asked);
         Some(false)
     }
