@@ -58,10 +58,14 @@ impl<W: Rough> Session<W> {
         REQUESTS | self.asked
     }
 
+    /// Who is expected to answer what all are asked: not everyone who does.
+    fn expected(&self) -> MotorSet {
+        self.motors().filter(|motor| motor.get() % 3 != 0).collect()
+    }
+
     pub(super) fn ask_all(&mut self) {
         let token = self.token();
-        // Not everyone who answers is expected to.
-        let expected: MotorSet = self.motors().filter(|motor| motor.get() % 3 != 0).collect();
+        let expected = self.expected();
         let master = self.stage.host.master();
         let (begun, data) = match self.dice.below(5) {
             0..2 => {
@@ -98,7 +102,7 @@ impl<W: Rough> Session<W> {
     /// All are told to end their motion.
     pub(super) fn end_all(&mut self) {
         let token = self.token();
-        let expected: MotorSet = self.motors().filter(|motor| motor.get() % 3 != 0).collect();
+        let expected = self.expected();
         let master = self.stage.host.master();
         let (begun, data) = match self.more.below(5) {
             0..2 => {

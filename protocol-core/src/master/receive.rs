@@ -362,10 +362,9 @@ impl Motor {
         }
         let kind = asked.kind();
         if kind.ends_motion() && (heard.to_all.may_undo(kind, motor) || self.may_yet_move()) {
-            let of = if asked.is_stop() { Of::StopAnswered } else { Of::RequestAnswered };
             let until = self.sent + asked.timeout + config.late_window;
-            self.expect_late(asked.question, of, asked.unanswered, until, config);
-            asked.unanswered = 0;
+            let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
+            self.expect_late(asked.question, of, replies, until, config);
             // Nothing that moves it goes between the attempts of what ends its motion.
             self.on_its_way.bus_is_alive(now, config);
             self.send_again(asked, true);

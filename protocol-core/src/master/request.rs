@@ -4,7 +4,7 @@ use crate::data::Data;
 use crate::kind::Kind;
 use crate::master::config::Patience;
 use crate::master::event::Failure;
-use crate::master::late::Question;
+use crate::master::late::{Of, Question};
 use crate::time::Duration;
 
 /// No reply comes sooner than that.
@@ -58,6 +58,11 @@ impl Asked {
 
     pub(super) fn is_stop(&self) -> bool {
         self.purpose == Purpose::Stop
+    }
+
+    /// What its other sendings are of, once one has an answer.
+    pub(super) fn of_others(&self) -> Of {
+        if self.is_stop() { Of::StopAnswered } else { Of::RequestAnswered }
     }
 
     /// It is not sent again.

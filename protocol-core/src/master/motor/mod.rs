@@ -409,10 +409,8 @@ impl Motor {
 
     /// The request is over.
     pub(super) fn finish_request(&mut self, outcome: Request, config: &Config, now: Instant) {
-        let is_stop = self.request.under_way().is_some_and(Asked::is_stop);
-        let of = match outcome {
-            Request::None if is_stop => Of::StopAnswered,
-            Request::None => Of::RequestAnswered,
+        let of = match (outcome, self.request.under_way()) {
+            (Request::None, Some(asked)) => asked.of_others(),
             _ => Of::Request,
         };
         self.give_request_up(of, config, now);
