@@ -7,8 +7,9 @@
 //! heard last: nothing here takes the second after which that matters.
 
 use std::fmt::{self, Write};
-use std::hash::{DefaultHasher, Hash, Hasher};
+use std::hash::{BuildHasher, Hash, Hasher};
 
+use foldhash::quality::{FixedState, FoldHasher};
 use myactuator_protocol_core::master::Master;
 use myactuator_protocol_core::time::{Duration, Instant};
 
@@ -58,7 +59,7 @@ enum Field {
 /// Takes the pieces in which `Debug` is written, a name, a sign or a number each. If they came in
 /// another way, fewer states would be found equal, and no wrong ones.
 struct Sink {
-    hasher: DefaultHasher,
+    hasher: FoldHasher<'static>,
     now: Instant,
     field: Field,
     is_instant: bool,
@@ -74,7 +75,7 @@ struct Sink {
 impl Sink {
     fn new(now: Instant) -> Self {
         Self {
-            hasher: DefaultHasher::new(),
+            hasher: FixedState::default().build_hasher(),
             now,
             field: Field::Plain,
             is_instant: false,
