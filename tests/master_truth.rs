@@ -24,6 +24,7 @@ mod master_truth {
     mod callers;
     mod drives;
     mod excuses;
+    mod frames;
     mod hosts;
     mod names;
     mod oracle;

@@ -10,10 +10,10 @@ use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
 use super::bounds::{Clocks, Quiet};
 use super::excuses::{Excuse, Excuses};
-use super::names::{Name, REPORTS, has_values, is_asking, question_of};
+use super::names::Name;
 use super::set_points::SetPoints;
 use super::stops::{Answers, Offers};
-use super::to_all::{STOP, ToAll};
+use super::to_all::ToAll;
 use super::turning::Turning;
 
 /// In byte 3 of a reply with values: the command was executed, and not only sent back.
@@ -23,9 +23,6 @@ pub(super) const MAY_HAVE_RESTARTED: Duration = Duration::from_secs(1);
 
 /// A bus that takes nothing for so long carries nothing.
 const STUCK_AFTER: Duration = Duration::from_millis(5);
-
-/// What comes sooner after its command may be taken for a doubled frame.
-const TOO_SOON: Duration = Duration::from_micros(500);
 
 /// What became of one command.
 #[derive(Clone, Copy, Debug, Default)]
@@ -55,7 +52,7 @@ pub(crate) struct Page {
     pub(super) unanswered: u32,
     /// The last one was answered in time.
     pub(super) answered_newest: bool,
-    newest_set_point: u32,
+    pub(super) newest_set_point: u32,
     pub(crate) set_points: SetPoints,
     /// The caller has stopped it and not lifted that; and when.
     pub(crate) is_stopped: bool,
@@ -87,10 +84,10 @@ pub(crate) struct Page {
     pub(crate) stops_taken: u32,
     pub(crate) stop_heard: u64,
     /// When the newest of the commands that end motion was put, of those that the bus took.
-    ended: u64,
+    pub(super) ended: u64,
     /// As that, of those that went to it alone or as a stop; and of those that a drive heard.
-    ended_alone: u64,
-    ended_heard: u64,
+    pub(super) ended_alone: u64,
+    pub(super) ended_heard: u64,
     /// When a caller told all last to end their motion, and when to do so by letting go.
     pub(super) ended_with_all: u64,
     pub(super) let_go: u64,
@@ -130,7 +127,7 @@ pub(crate) struct Truth {
     pub(crate) clock_step: Duration,
     pub(crate) late_window: Duration,
     /// No reply counts as lost that comes within this.
-    longest_response: Duration,
+    pub(super) longest_response: Duration,
     pub(crate) set_point_max_age: Duration,
     pub(super) offers: Offers,
     /// How often the port has failed or refused.
@@ -139,7 +136,7 @@ pub(crate) struct Truth {
     /// When the bus last did not take what it was given though it had place, and when it took anything; in the world's
     /// time.
     bus_failed_at: Option<Instant>,
-    bus_took_at: Instant,
+    pub(super) bus_took_at: Instant,
     /// When something was last sent to all.
     pub(super) last_to_all: Option<Instant>,
     /// What a caller has told all last.
@@ -287,208 +284,6 @@ impl Truth {
             || matches!(packet.channel, Channel::Command(Target::Motor(motor)) if is_turned(&self.pages[motor.index()]))
     }
 
-    /// The bus has taken a command of the master's.
-    pub(crate) fn taken(&mut self, packet: &Packet) {
-        match packet.channel {
-            Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {
-                self.taken_of(motor, packet);
-            }
-            _ => {
-                let name = Name::of(packet);
-                let is_stop = name.is_stop();
-                if !is_stop {
-                    self.caller_reaches_all(name);
-                }
-                self.last_to_all = Some(self.now);
-                for motor in MotorId::all() {
-                    let page = self.page(motor);
-                    let sending = page.sendings.get(&name).copied().unwrap_or_default();
-                    let put = if is_stop { page.stop_called } else { sending.put };
-                    if name.moves() && (page.is_stopped || put < page.ended || sending.taken > 0) {
-                        self.breaks(format!("{name:X?} moves all, and motor {motor} is stopped"));
-                    }
-                    // Who does not answer is counted as missing that.
-                    self.page(motor).answered_newest &= is_stop;
-                    self.note_taken(motor, packet, put);
-                }
-            }
-        }
-    }
-
-    fn taken_of(&mut self, motor: MotorId, packet: &Packet) {
-        let (name, now) = (Name::of(packet), self.now);
-        if is_asking(packet) {
-            let page = self.page(motor);
-            (page.asked_at, page.answered_newest) = (now, false);
-            page.unanswered += 1;
-        }
-        if self.is_stop(packet) {
-            self.check_stops(motor);
-            let page = self.page(motor);
-            let is_asked = page.is_stopping || page.may_be_stopping;
-            let wrong = if !is_asked {
-                Some("and is not to stop")
-            } else if name.byte == STOP && name.token == 0 && page.stop_asked < page.let_go {
-                Some("behind what has let all go")
-            } else {
-                None
-            };
-            if let Some(wrong) = wrong {
-                self.breaks(format!("motor {motor} is sent {name:X?}, {wrong}"));
-            }
-            let page = self.page(motor);
-            let called = page.stop_called;
-            page.stops_taken += 1;
-            self.note_taken(motor, packet, called);
-            return;
-        }
-        let page = self.page(motor);
-        let Some(sending) = page.sendings.get(&name).copied() else {
-            return self.breaks(format!("motor {motor}: {name:X?} was never put"));
-        };
-        let is_dangerous = name.moves() || matches!(name.byte, 0x76 | 0x77);
-        let wrong = if is_dangerous && page.is_stopped {
-            "is sent to a stopped motor"
-        } else if name.moves() && sending.put < page.ended_with_all {
-            "is sent after all were told to end their motion"
-        } else if name.byte == STOP && sending.put < page.let_go {
-            "holds behind what has let all go"
-        } else if name.moves() && sending.put < page.ended {
-            "is sent after a newer command that ends motion"
-        } else if name.is_set_point() && name.token <= page.newest_set_point {
-            "is sent after itself or a newer one"
-        } else if name.byte == 0xA8 && sending.taken > 0 {
-            "acts again, and is sent again"
-        } else if name.is_set_point() && page.has_restarted() {
-            "is sent to a motor that has restarted"
-        } else {
-            ""
-        };
-        if name.is_set_point() {
-            page.newest_set_point = page.newest_set_point.max(name.token);
-        }
-        let was_dropped =
-            if name.is_set_point() { page.set_points.taken(name.token) } else { None };
-        let wrong = was_dropped.unwrap_or(wrong);
-        if !wrong.is_empty() {
-            self.breaks(format!("motor {motor}: {name:X?} {wrong}"));
-        }
-        self.note_taken(motor, packet, sending.put);
-    }
-
-    fn note_taken(&mut self, motor: MotorId, packet: &Packet, put: u64) {
-        let (name, now, world) = (Name::of(packet), self.now, self.world);
-        self.bus_took_at = world;
-        let page = self.page(motor);
-        let sending = page.sendings.entry(name).or_default();
-        sending.put = sending.put.max(put);
-        sending.taken += 1;
-        sending.last_taken = now;
-        if name.is_ending() {
-            page.ended = page.ended.max(put);
-            if name.is_stop() || packet.channel != Channel::Command(Target::All) {
-                page.ended_alone = page.ended_alone.max(put);
-            }
-        }
-        if name.byte == 0x76 {
-            (page.was_reset, page.awaits_resume, page.reset_at) = (true, true, Some(world));
-        }
-        sending.was_answered = false;
-        page.asking += u64::from(is_asking(packet));
-    }
-
-    /// The controller has handed a command back.
-    pub(crate) fn handed_back(&mut self, packet: &Packet) {
-        let name = Name::of(packet);
-        let is_stop = self.is_stop(packet);
-        if matches!(packet.channel, Channel::Command(Target::All)) && !is_stop {
-            self.what_all_were_told_is_back(name);
-        }
-        let (motors, is_own): (Vec<MotorId>, bool) = match packet.channel {
-            Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => (vec![motor], true),
-            _ => (MotorId::all().collect(), false),
-        };
-        for motor in motors {
-            let page = self.page(motor);
-            page.asking -= u64::from(is_asking(packet));
-            page.unanswered = page.unanswered.saturating_sub(u32::from(is_own));
-            if let Some(sending) = page.sendings.get_mut(&name) {
-                sending.taken -= 1;
-            }
-            if is_stop {
-                // One to all is nobody's own.
-                page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_own));
-            } else if name.is_set_point() && page.newest_set_point == name.token {
-                // It may go again.
-                page.newest_set_point -= 1;
-            }
-            if name.is_set_point() {
-                page.set_points.handed_back(name.token);
-            }
-        }
-    }
-
-    /// A drive has heard a command, and may ignore it.
-    pub(crate) fn heard(&mut self, motor: MotorId, packet: &Packet, ignores: bool, at: Instant) {
-        self.tick(at);
-        let moment = self.next_moment();
-        let (name, now, window) = (Name::of(packet), self.now, self.late_window);
-        if name.is_strangers() {
-            return;
-        }
-        let doubled = self.doubled(motor);
-        let (has_twin, flips) = (self.twin == Some(motor), self.flips);
-        let reorders = self.reorders;
-        let is_alone = name.is_stop() || packet.channel != Channel::Command(Target::All);
-        let page = self.page(motor);
-        // An answer to what was told all at once says nothing of what was sent before.
-        let ended = page.ended_alone;
-        let sending = page.sendings.entry(name).or_default();
-        sending.heard += 1;
-        sending.ignored += u32::from(ignores);
-        let sending = *sending;
-        // On a line two of one id take each other's acknowledgements for commands, and may go on so for ever.
-        if sending.heard > sending.taken && (has_twin || !name.is_stop()) {
-            page.excuses.note(question_of(packet), doubled, now, window);
-        }
-        if ignores && page.lost_master_untold {
-            page.excuses.note(question_of(packet), Excuse::LostMasterUntold, now, window);
-        }
-        if name.is_ending() {
-            // One that ignores it stands still as well: its output is cut.
-            page.stop_heard = moment;
-            page.endings_heard.insert(name.byte, moment);
-            if is_alone {
-                page.ended_heard = page.ended_heard.max(sending.put);
-            }
-        }
-        let is_late = now - sending.last_taken > window;
-        let most = if has_twin { 2 } else { 1 };
-        let is_again = name.byte == 0xA8 && sending.heard > most && sending.heard > sending.taken;
-        let excuse = if is_late {
-            Some(Excuse::HeldBack)
-        } else {
-            page.excuses.doubling(now).or_else(|| page.excuses.of(question_of(packet), now))
-        };
-        if !name.moves() || ignores || flips {
-            return;
-        }
-        let wrong = if page.is_confirmed {
-            "reaches a motor whose stop is confirmed"
-        } else if sending.put < ended && page.ended_heard >= ended && !page.is_stopping && !reorders
-        {
-            "reaches the motor after a newer command that ends motion"
-        } else if is_again {
-            "acts again, and is heard again"
-        } else {
-            return;
-        };
-        match excuse {
-            Some(excuse) => self.excuse(excuse),
-            None => self.breaks(format!("motor {motor}: {name:X?} {wrong}")),
-        }
-    }
-
     /// What a doubled frame of this motor is called.
     pub(crate) fn doubled(&self, motor: MotorId) -> Excuse {
         if self.twin == Some(motor) { Excuse::TwoMotorsOfOneId } else { Excuse::Doubled }
@@ -503,55 +298,6 @@ impl Truth {
     pub(crate) fn has_restarted(&mut self, motor: MotorId) {
         let moment = self.next_moment();
         self.page(motor).restarted = Some(moment);
-    }
-
-    /// A frame has reached the master that looks like a reply.
-    pub(crate) fn delivered(&mut self, packet: &Packet) {
-        let (Channel::Reply(motor) | Channel::MotionReply(motor)) = packet.channel else { return };
-        let (name, question, now) = (Name::of(packet), question_of(packet), self.now);
-        let (window, doubled) = (self.late_window, self.doubled(motor));
-        let longest = self.longest_response;
-        let copies = 1 + u32::from(self.echoes);
-        let page = self.page(motor);
-        page.unanswered = 0;
-        let is_lost_master = packet.data[0] == 0xF1;
-        if is_lost_master {
-            page.lost_master_untold = false;
-            page.ignores_next = true;
-            page.lost_master_delivered += 1;
-        }
-        // What an adapter hands back is nothing that was heard.
-        if copies == 1 || packet.data[3] == DONE || is_lost_master {
-            // Nor does anybody know when that was before, if all that came then may have been such.
-            let unknown = MAY_HAVE_RESTARTED.times(copies - 1);
-            let silence = page.delivered_at.map_or(unknown, |before| now - before);
-            page.longest_silence = page.longest_silence.max(silence);
-            page.delivered_at = Some(now);
-        }
-        if name.is_strangers() {
-            page.excuses.note(question, Excuse::AnotherMaster, now, window);
-        } else if name.token & 0xFF00_0000 == REPORTS {
-            page.excuses.note(question, Excuse::ReportedByItself, now, window);
-        } else if !page.sendings.contains_key(&name) && !is_lost_master {
-            page.excuses.note(question, Excuse::MadeUp, now, window);
-        } else if let Some(sending) = page.sendings.get_mut(&name)
-            && !name.is_stop()
-        {
-            sending.delivered += 1;
-            let took = now - sending.last_taken;
-            let is_in_time = TOO_SOON <= took && took < longest;
-            let is_executed = packet.data[3] == DONE || copies == 1 && !has_values(name.byte);
-            if is_in_time && is_executed && sending.ignored == 0 && !sending.was_answered {
-                sending.was_answered = true;
-                page.set_points.answered_soon += u64::from(name.is_set_point());
-                page.answered_newest |= sending.last_taken == page.asked_at;
-            }
-            if sending.delivered > sending.taken * copies {
-                page.excuses.note(question, doubled, now, window);
-            } else if now - sending.last_taken > window {
-                page.excuses.note(question, Excuse::HeldBack, now, window);
-            }
-        }
     }
 
     /// The port has failed or refused: what waits may be dropped.
