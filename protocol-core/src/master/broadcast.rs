@@ -1,6 +1,8 @@
 //! A command to all motors, and who has answered it.
 
+use crate::command::Command;
 use crate::data::Data;
+use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
@@ -338,6 +340,64 @@ impl Broadcast {
 }
 
 impl<const N: usize> Master<N> {
+    /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all have come or
+    /// the time is up. It is sent when no request is in flight, and requests wait until it is over, but for those that
+    /// end motion while it waits. On CAN it reaches motors whose id filter (function 2) is off; on RS485 the answers of
+    /// several motors are likely to collide. `expected` should name all who answer: the answers of others come as
+    /// [`Event::Stray`].
+    ///
+    /// To end motion at once use [`stop_all`](Self::stop_all): this one waits for what is in flight, and for a stop for
+    /// as long as a motor does not confirm that.
+    ///
+    /// Name in it all whom a command that moves, or opens brakes, may reach: each takes a place, so that
+    /// [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms.
+    ///
+    /// The next broadcast waits until all motors that have a place have answered this one, or its
+    /// answers cannot come any more. One that [ends motion](Kind::ends_motion) drops the set-points and moves that
+    /// wait, and where one lets go (0x80, 0x76) a Stop (0x81) of one motor that is under way becomes a Shutdown of it,
+    /// which is confirmed as a stop. But an answer to it, other than to a [stop](Self::stop_all), does not say that
+    /// nothing sent before can move the motor any more. If a motor is [stopped](Self::stop) by itself while it waits,
+    /// or before a controller hands it back, and it would undo that, the others that have a place get it each by
+    /// itself, as a stop, and this one is over: nobody without a place gets it then, and a restart goes to nobody.
+    ///
+    /// # Errors
+    /// [`RequestError`]: the command has no form for all motors or none on this bus, another
+    /// broadcast is under way, the motors were stopped, or it moves them and one has
+    /// [restarted](Event::Restarted) or there is no place for all of `expected`: then nothing is sent.
+    pub fn broadcast<C: Command>(
+        &mut self,
+        command: C,
+        expected: MotorSet,
+    ) -> Result<(), RequestError> {
+        let data = command.encode();
+        let kind = command.kind().of_bytes(&data);
+        let now = self.now;
+        self.check(kind, Target::All)?;
+        if kind.moves() && self.has_any_restarted() {
+            return Err(RequestError::Restarted);
+        }
+        if self.broadcast.is_active() {
+            return Err(RequestError::Busy);
+        }
+        if kind.may_move() {
+            self.give_places(expected)?;
+        }
+        self.broadcast.put(kind, data, expected);
+        if kind.ends_motion() {
+            // What was offered may be a set-point that this ends.
+            self.offer = None;
+            self.due = now;
+            let off = self.stop_that_lets_go(kind);
+            if off.is_some() {
+                self.let_line_answer();
+            }
+            for place in self.places.taken.iter() {
+                self.change_at(place, |motor, config| motor.end_with_all(off, config, now));
+            }
+        }
+        Ok(())
+    }
+
     /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may
     /// still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {

@@ -76,21 +76,17 @@ pub use health::{Health, Presence};
 pub use motor_set::MotorSet;
 pub use stop::StopKind;
 
-use crate::command::{AnyReply, Command, SetPoint};
-use crate::data::Data;
+use crate::command::AnyReply;
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
-use crate::opcode::{Opcode, Usage};
 use crate::time::Instant;
 use broadcast::Broadcast;
-use late::Question;
 use motor::{Motor, News};
 use places::Places;
-use request::{Asked, Purpose, Request};
+use request::Request;
 use round_trips::RoundTrips;
 use schedule::Earliest;
-use stream::SetPoint as StreamSetPoint;
 use transmit::Offer;
 
 /// As late as can be.
@@ -204,224 +200,6 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Sends one motor a command and waits for its reply, where it has one, with the configuration's
-    /// patience. A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a
-    /// waiting command to all that may move it, and its reply counts only once nothing that was sent before it
-    /// can move the motor any more.
-    ///
-    /// # Errors
-    /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
-    /// earlier request is under way, the motor follows a stream of this kind, the motors were stopped, the
-    /// command moves a motor that has [restarted](Event::Restarted), or there is no place for one more.
-    pub fn request<C: Command>(
-        &mut self,
-        motor: MotorId,
-        command: C,
-    ) -> Result<Ticket<C>, RequestError> {
-        self.put_request(motor, &command, None)
-    }
-
-    /// As [`request`](Self::request), with a patience of its own.
-    ///
-    /// # Errors
-    /// As [`request`](Self::request).
-    pub fn request_with<C: Command>(
-        &mut self,
-        motor: MotorId,
-        command: C,
-        patience: Patience,
-    ) -> Result<Ticket<C>, RequestError> {
-        self.put_request(motor, &command, Some(patience))
-    }
-
-    /// As [`request`](Self::request), with a patience of its own or the configuration's.
-    pub(crate) fn put_request<C: Command>(
-        &mut self,
-        motor: MotorId,
-        command: &C,
-        patience: Option<Patience>,
-    ) -> Result<Ticket<C>, RequestError> {
-        let data = command.encode();
-        let ticket = self.put(motor, command.kind().of_bytes(&data), data, patience)?;
-        Ok(Ticket::new(ticket))
-    }
-
-    /// As [`put_request`](Self::put_request), in one piece of code for all types.
-    #[inline(never)]
-    fn put(
-        &mut self,
-        motor: MotorId,
-        kind: Kind,
-        data: Data,
-        patience: Option<Patience>,
-    ) -> Result<TicketId, RequestError> {
-        self.check(kind, motor.into())?;
-        let patience = patience.unwrap_or_else(|| self.config.patience(kind));
-        let question = Question::of(kind, &data);
-        // What was offered may be a set-point that this ends.
-        self.offer = None;
-        let (pace, now, number) = (self.pace, self.now, self.last_ticket.wrapping_add(1));
-        let place = self.place_for(motor)?;
-        self.change_at(place, |motor, config| {
-            if !motor.request.is_none() || motor.news.contains(News::STOPPED) {
-                return Err(RequestError::Busy);
-            }
-            if motor.has_restarted && kind.moves() {
-                return Err(RequestError::Restarted);
-            }
-            if let Some(opcode) = kind.opcode() {
-                if reported_bit(opcode).is_some_and(|bit| motor.reports(bit, now)) {
-                    return Err(RequestError::Reported(opcode));
-                }
-                if motor.stream.is_of(question) {
-                    return Err(RequestError::Streamed(opcode));
-                }
-            }
-            let asked = Asked::new(Purpose::Caller, question, data, patience);
-            if kind.ends_motion() {
-                motor.drop_waiting_set_point();
-                motor.let_other_stop_come_first(&asked, config, now);
-            }
-            motor.join(pace);
-            motor.request = Request::Waiting(asked);
-            motor.ticket = number;
-            Ok(())
-        })
-        .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
-        if kind.ends_motion() {
-            self.let_line_answer();
-            self.broadcast.cancel_what_moves();
-            if let Some(by) = StopKind::by(kind) {
-                self.overtakes_broadcast(motor, by);
-            }
-        }
-        self.last_ticket = number;
-        Ok(TicketId { motor, number })
-    }
-
-    /// Nobody waits for the outcome of this request any more, so what a stop would refuse, a move say, must not be
-    /// sent, or sent again, at any later time. One that waits fails ([`Failure::Dropped`]). One that is on the wire, or
-    /// lies in a controller's mailbox, is not called back: it is carried out, its answer still comes, and only a
-    /// [stop](Self::stop) ends what it does; if it is lost or handed back it is not sent once more. What reads, writes
-    /// or ends motion goes on. One that is over is left alone. The `ask` of the [loops](crate::io) does this when it is
-    /// left.
-    pub fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
-        let now = self.now;
-        self.due = now;
-        self.change(motor, |motor, config| match &mut motor.request {
-            _ if motor.ticket != number => {}
-            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)
-                if !asked.kind().is_refused_while_stopped() => {}
-            Request::InFlight(asked) | Request::Sent(asked) => asked.withdraw(),
-            Request::Waiting(_) => {
-                motor.finish_request(Request::Failed(Failure::Dropped), config, now);
-            }
-            Request::None | Request::Failed(_) => {}
-        });
-    }
-
-    /// Puts a set-point in a motor's stream. One that still waits is replaced and counted, never
-    /// queued up; one that waits for longer than [`Config::set_point_max_age`] is dropped.
-    ///
-    /// # Errors
-    /// [`RequestError`]: the command does not go over this bus, the motors were stopped, the motor has
-    /// [restarted](Event::Restarted), a request of the same kind is under way, or there is no place for one
-    /// more motor.
-    pub fn set_point<C: SetPoint>(
-        &mut self,
-        motor: MotorId,
-        command: C,
-        now: Instant,
-    ) -> Result<(), RequestError> {
-        let data = command.encode();
-        let kind = command.kind().of_bytes(&data);
-        self.check(kind, motor.into())?;
-        match kind {
-            Kind::Known(opcode) if opcode.usage() != Usage::SetPoint => {
-                return Err(RequestError::NotASetPoint(opcode));
-            }
-            _ => {}
-        }
-        let set_point = StreamSetPoint { question: Question::of(kind, &data), data };
-        let expiry = now + self.config.set_point_max_age;
-        // What was offered is older than this.
-        self.offer = None;
-        self.due = self.due.min(expiry);
-        let pace = self.pace;
-        let place = self.place_for(motor)?;
-        self.change_at(place, |motor, _| {
-            if motor.has_restarted {
-                return Err(RequestError::Restarted);
-            }
-            let is_same = |asked: &Asked| asked.question == set_point.question;
-            if motor.request.under_way().is_some_and(is_same) {
-                return Err(RequestError::Busy);
-            }
-            motor.join(pace);
-            motor.put_set_point(set_point, expiry);
-            Ok(())
-        })
-        .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))
-    }
-
-    /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all have come or
-    /// the time is up. It is sent when no request is in flight, and requests wait until it is over, but for those that
-    /// end motion while it waits. On CAN it reaches motors whose id filter (function 2) is off; on RS485 the answers of
-    /// several motors are likely to collide. `expected` should name all who answer: the answers of others come as
-    /// [`Event::Stray`].
-    ///
-    /// To end motion at once use [`stop_all`](Self::stop_all): this one waits for what is in flight, and for a stop for
-    /// as long as a motor does not confirm that.
-    ///
-    /// Name in it all whom a command that moves, or opens brakes, may reach: each takes a place, so that
-    /// [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms.
-    ///
-    /// The next broadcast waits until all motors that have a place have answered this one, or its
-    /// answers cannot come any more. One that [ends motion](Kind::ends_motion) drops the set-points and moves that
-    /// wait, and where one lets go (0x80, 0x76) a Stop (0x81) of one motor that is under way becomes a Shutdown of it,
-    /// which is confirmed as a stop. But an answer to it, other than to a [stop](Self::stop_all), does not say that
-    /// nothing sent before can move the motor any more. If a motor is [stopped](Self::stop) by itself while it waits,
-    /// or before a controller hands it back, and it would undo that, the others that have a place get it each by
-    /// itself, as a stop, and this one is over: nobody without a place gets it then, and a restart goes to nobody.
-    ///
-    /// # Errors
-    /// [`RequestError`]: the command has no form for all motors or none on this bus, another
-    /// broadcast is under way, the motors were stopped, or it moves them and one has
-    /// [restarted](Event::Restarted) or there is no place for all of `expected`: then nothing is sent.
-    pub fn broadcast<C: Command>(
-        &mut self,
-        command: C,
-        expected: MotorSet,
-    ) -> Result<(), RequestError> {
-        let data = command.encode();
-        let kind = command.kind().of_bytes(&data);
-        let now = self.now;
-        self.check(kind, Target::All)?;
-        if kind.moves() && self.has_any_restarted() {
-            return Err(RequestError::Restarted);
-        }
-        if self.broadcast.is_active() {
-            return Err(RequestError::Busy);
-        }
-        if kind.may_move() {
-            self.give_places(expected)?;
-        }
-        self.broadcast.put(kind, data, expected);
-        if kind.ends_motion() {
-            // What was offered may be a set-point that this ends.
-            self.offer = None;
-            self.due = now;
-            let off = self.stop_that_lets_go(kind);
-            if off.is_some() {
-                self.let_line_answer();
-            }
-            for place in self.places.taken.iter() {
-                self.change_at(place, |motor, config| motor.end_with_all(off, config, now));
-            }
-        }
-        Ok(())
-    }
-
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
@@ -492,17 +270,6 @@ impl<const N: usize> Master<N> {
         Patience { reply_timeout: self.config.reply_timeout, attempts }
     }
 
-    /// Whether a motor's newest set-point was dropped before it was sent.
-    pub(crate) fn is_newest_set_point_dropped(&self, motor: MotorId) -> bool {
-        self.motor(motor).is_some_and(|motor| motor.is_newest_dropped)
-    }
-
-    /// Whether a motor's newest set-point is still to be sent, or to be answered.
-    pub(crate) fn has_set_point_under_way(&self, motor: MotorId) -> bool {
-        let stream = self.motor(motor).map(|motor| &motor.stream);
-        stream.is_some_and(|stream| stream.waiting().or(stream.in_flight()).is_some())
-    }
-
     /// Whether any command waits for its reply.
     pub fn is_anything_in_flight(&self) -> bool {
         self.broadcast.is_in_flight() || !self.places.in_flight.is_empty()
@@ -550,9 +317,4 @@ fn take_news(motor: &mut Motor, _: &Config) -> Option<Event> {
     };
     motor.request = Request::None;
     Some(event)
-}
-
-/// The bit of a command that a drive can report by itself (2.34.2).
-fn reported_bit(opcode: Opcode) -> Option<u8> {
-    opcode.report_place().map(|place| 1 << place)
 }

@@ -1,10 +1,14 @@
 //! A motor's request: what was asked, and how far it is.
 
+use crate::command::Command;
 use crate::data::Data;
+use crate::error::RequestError;
+use crate::id::MotorId;
 use crate::kind::Kind;
-use crate::master::config::Patience;
-use crate::master::event::Failure;
 use crate::master::late::{Of, Question};
+use crate::master::motor::News;
+use crate::master::motor::reports::reported_bit;
+use crate::master::{Failure, Master, Patience, StopKind, Ticket, TicketId};
 use crate::time::Duration;
 
 /// No reply comes sooner than that.
@@ -137,5 +141,123 @@ impl Request {
             Self::Waiting(asked) | Self::InFlight(asked) => Some(asked),
             Self::None | Self::Sent(_) | Self::Failed(_) => None,
         }
+    }
+}
+
+impl<const N: usize> Master<N> {
+    /// Sends one motor a command and waits for its reply, where it has one, with the configuration's
+    /// patience. A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a
+    /// waiting command to all that may move it, and its reply counts only once nothing that was sent before it
+    /// can move the motor any more.
+    ///
+    /// # Errors
+    /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
+    /// earlier request is under way, the motor follows a stream of this kind, the motors were stopped, the
+    /// command moves a motor that has [restarted](Event::Restarted), or there is no place for one more.
+    pub fn request<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<Ticket<C>, RequestError> {
+        self.put_request(motor, &command, None)
+    }
+
+    /// As [`request`](Self::request), with a patience of its own.
+    ///
+    /// # Errors
+    /// As [`request`](Self::request).
+    pub fn request_with<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        patience: Patience,
+    ) -> Result<Ticket<C>, RequestError> {
+        self.put_request(motor, &command, Some(patience))
+    }
+
+    /// As [`request`](Self::request), with a patience of its own or the configuration's.
+    pub(crate) fn put_request<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: &C,
+        patience: Option<Patience>,
+    ) -> Result<Ticket<C>, RequestError> {
+        let data = command.encode();
+        let ticket = self.put(motor, command.kind().of_bytes(&data), data, patience)?;
+        Ok(Ticket::new(ticket))
+    }
+
+    /// As [`put_request`](Self::put_request), in one piece of code for all types.
+    #[inline(never)]
+    fn put(
+        &mut self,
+        motor: MotorId,
+        kind: Kind,
+        data: Data,
+        patience: Option<Patience>,
+    ) -> Result<TicketId, RequestError> {
+        self.check(kind, motor.into())?;
+        let patience = patience.unwrap_or_else(|| self.config.patience(kind));
+        let question = Question::of(kind, &data);
+        // What was offered may be a set-point that this ends.
+        self.offer = None;
+        let (pace, now, number) = (self.pace, self.now, self.last_ticket.wrapping_add(1));
+        let place = self.place_for(motor)?;
+        self.change_at(place, |motor, config| {
+            if !motor.request.is_none() || motor.news.contains(News::STOPPED) {
+                return Err(RequestError::Busy);
+            }
+            if motor.has_restarted && kind.moves() {
+                return Err(RequestError::Restarted);
+            }
+            if let Some(opcode) = kind.opcode() {
+                if reported_bit(opcode).is_some_and(|bit| motor.reports(bit, now)) {
+                    return Err(RequestError::Reported(opcode));
+                }
+                if motor.stream.is_of(question) {
+                    return Err(RequestError::Streamed(opcode));
+                }
+            }
+            let asked = Asked::new(Purpose::Caller, question, data, patience);
+            if kind.ends_motion() {
+                motor.drop_waiting_set_point();
+                motor.let_other_stop_come_first(&asked, config, now);
+            }
+            motor.join(pace);
+            motor.request = Request::Waiting(asked);
+            motor.ticket = number;
+            Ok(())
+        })
+        .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
+        if kind.ends_motion() {
+            self.let_line_answer();
+            self.broadcast.cancel_what_moves();
+            if let Some(by) = StopKind::by(kind) {
+                self.overtakes_broadcast(motor, by);
+            }
+        }
+        self.last_ticket = number;
+        Ok(TicketId { motor, number })
+    }
+
+    /// Nobody waits for the outcome of this request any more, so what a stop would refuse, a move say, must not be
+    /// sent, or sent again, at any later time. One that waits fails ([`Failure::Dropped`]). One that is on the wire, or
+    /// lies in a controller's mailbox, is not called back: it is carried out, its answer still comes, and only a
+    /// [stop](Self::stop) ends what it does; if it is lost or handed back it is not sent once more. What reads, writes
+    /// or ends motion goes on. One that is over is left alone. The `ask` of the [loops](crate::io) does this when it is
+    /// left.
+    pub fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
+        let now = self.now;
+        self.due = now;
+        self.change(motor, |motor, config| match &mut motor.request {
+            _ if motor.ticket != number => {}
+            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)
+                if !asked.kind().is_refused_while_stopped() => {}
+            Request::InFlight(asked) | Request::Sent(asked) => asked.withdraw(),
+            Request::Waiting(_) => {
+                motor.finish_request(Request::Failed(Failure::Dropped), config, now);
+            }
+            Request::None | Request::Failed(_) => {}
+        });
     }
 }

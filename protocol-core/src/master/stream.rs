@@ -1,7 +1,14 @@
 //! A motor's stream of set-points: the newest waits, the one before it may be in flight.
 
+use crate::command;
 use crate::data::Data;
+use crate::error::RequestError;
+use crate::id::MotorId;
+use crate::kind::Kind;
+use crate::master::Master;
 use crate::master::late::Question;
+use crate::master::request::Asked;
+use crate::opcode::Usage;
 use crate::time::Instant;
 
 /// One set-point.
@@ -73,5 +80,62 @@ impl Stream {
     pub(super) fn is_of(&self, question: Question) -> bool {
         let mut all = self.waiting.iter().chain(&self.in_flight);
         all.any(|set_point| set_point.question == question)
+    }
+}
+
+impl<const N: usize> Master<N> {
+    /// Puts a set-point in a motor's stream. One that still waits is replaced and counted, never
+    /// queued up; one that waits for longer than [`Config::set_point_max_age`] is dropped.
+    ///
+    /// # Errors
+    /// [`RequestError`]: the command does not go over this bus, the motors were stopped, the motor has
+    /// [restarted](Event::Restarted), a request of the same kind is under way, or there is no place for one
+    /// more motor.
+    pub fn set_point<C: command::SetPoint>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        now: Instant,
+    ) -> Result<(), RequestError> {
+        let data = command.encode();
+        let kind = command.kind().of_bytes(&data);
+        self.check(kind, motor.into())?;
+        match kind {
+            Kind::Known(opcode) if opcode.usage() != Usage::SetPoint => {
+                return Err(RequestError::NotASetPoint(opcode));
+            }
+            _ => {}
+        }
+        let set_point = SetPoint { question: Question::of(kind, &data), data };
+        let expiry = now + self.config.set_point_max_age;
+        // What was offered is older than this.
+        self.offer = None;
+        self.due = self.due.min(expiry);
+        let pace = self.pace;
+        let place = self.place_for(motor)?;
+        self.change_at(place, |motor, _| {
+            if motor.has_restarted {
+                return Err(RequestError::Restarted);
+            }
+            let is_same = |asked: &Asked| asked.question == set_point.question;
+            if motor.request.under_way().is_some_and(is_same) {
+                return Err(RequestError::Busy);
+            }
+            motor.join(pace);
+            motor.put_set_point(set_point, expiry);
+            Ok(())
+        })
+        .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))
+    }
+
+    /// Whether a motor's newest set-point was dropped before it was sent.
+    pub(crate) fn is_newest_set_point_dropped(&self, motor: MotorId) -> bool {
+        self.motor(motor).is_some_and(|motor| motor.is_newest_dropped)
+    }
+
+    /// Whether a motor's newest set-point is still to be sent, or to be answered.
+    pub(crate) fn has_set_point_under_way(&self, motor: MotorId) -> bool {
+        let stream = self.motor(motor).map(|motor| &motor.stream);
+        stream.is_some_and(|stream| stream.waiting().or(stream.in_flight()).is_some())
     }
 }

@@ -14,13 +14,13 @@ use std::vec::Vec;
 
 use super::*;
 use crate::command::{
-    AbsolutePosition, ActiveReply, AnyReply, BaudCode, BusId, FunctionControl, IncrementalPosition,
-    LockBrake, NoReply, PidIndex, RawCommand, RawMotion, RawReply, ReadModel, ReadMultiTurnAngle,
-    ReadPid, ReadRunTime, ReadStatus1, ReleaseBrake, ReportedCommand, Reset, SetBaudRate, Shutdown,
-    Stop, Switch, Torque,
+    AbsolutePosition, ActiveReply, AnyReply, BaudCode, BusId, Command, FunctionControl,
+    IncrementalPosition, LockBrake, NoReply, PidIndex, RawCommand, RawMotion, RawReply, ReadModel,
+    ReadMultiTurnAngle, ReadPid, ReadRunTime, ReadStatus1, ReleaseBrake, ReportedCommand, Reset,
+    SetBaudRate, SetPoint, Shutdown, Stop, Switch, Torque,
 };
 use crate::data::Data;
-use crate::opcode::{LOST_MASTER_BYTE, ReplyRule};
+use crate::opcode::{LOST_MASTER_BYTE, Opcode, ReplyRule};
 use crate::packet::{Channel, Packet};
 use crate::time::Duration;
 use crate::units::{Angle, Current, MaxSpeed, ReportInterval};

@@ -2,7 +2,7 @@
 
 mod deadlines;
 mod late_moves;
-mod reports;
+pub(super) mod reports;
 pub(super) mod restarts;
 
 use bitflags::bitflags;

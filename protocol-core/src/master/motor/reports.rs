@@ -3,7 +3,6 @@
 use crate::data::Data;
 use crate::master::motor::Motor;
 use crate::master::motor::restarts::RESTART_TAKES;
-use crate::master::reported_bit;
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
@@ -35,4 +34,9 @@ impl Motor {
         let since = self.health.last_seen().map_or(self.sent, |seen| seen.max(self.sent));
         now - since < longest_silence
     }
+}
+
+/// The bit of a command that a drive can report by itself (2.34.2).
+pub(in crate::master) fn reported_bit(opcode: Opcode) -> Option<u8> {
+    opcode.report_place().map(|place| 1 << place)
 }
