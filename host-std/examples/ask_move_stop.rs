@@ -36,7 +36,7 @@ where
         max_speed: MaxSpeed::from_dps(90.0)?,
         angle: Angle::from_degrees(45.0)?,
     };
-    let arrival = bring_up::move_to(&mut *bus, elbow, there, &MoveLimits::default(), |look| {
+    let arrival = bring_up::move_to(&mut bus, elbow, there, &MoveLimits::default(), |look| {
         if look.feedback.current.amperes() > 5.0 {
             return ControlFlow::Break(());
         }

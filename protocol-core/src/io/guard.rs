@@ -1,15 +1,13 @@
 //! Leaving a control loop leaves it through the stop.
 
-use core::ops::{Deref, DerefMut};
-
 use crate::io::async_runner::AsyncRunner;
 use crate::io::on_drop::OnDrop;
 use crate::io::runner::Runner;
-use crate::master::{MotorSet, StopKind};
+use crate::master::{Event, Master, MotorSet, StopKind};
+use crate::time::Instant;
 
 /// A loop that stops all motors when it is left: by `?`, `break`, `return`, a panic that unwinds, or at its
-/// end. It is used as the loop itself; what takes any [`Runner`], as [`bring_up`](crate::io::bring_up) does, gets
-/// `&mut *bus`.
+/// end. It is a [`Runner`] itself.
 ///
 /// ```no_run
 /// # use myactuator_protocol_core::command::{RawMotion, ReadMultiTurnAngle};
@@ -65,17 +63,23 @@ impl<R: Runner<N>, const N: usize> Drop for Guard<'_, R, N> {
     }
 }
 
-impl<R: Runner<N>, const N: usize> Deref for Guard<'_, R, N> {
-    type Target = R;
+impl<R: Runner<N>, const N: usize> Runner<N> for Guard<'_, R, N> {
+    type Error = R::Error;
 
-    fn deref(&self) -> &R {
-        self.bus
+    fn master(&mut self) -> &mut Master<N> {
+        self.bus.master()
     }
-}
 
-impl<R: Runner<N>, const N: usize> DerefMut for Guard<'_, R, N> {
-    fn deref_mut(&mut self) -> &mut R {
-        self.bus
+    fn now(&self) -> Instant {
+        self.bus.now()
+    }
+
+    fn poll(&mut self) -> Result<Option<Event>, R::Error> {
+        self.bus.poll()
+    }
+
+    fn idle(&mut self, until: Instant) {
+        self.bus.idle(until);
     }
 }
 
