@@ -395,6 +395,9 @@ fn two_motors_with_the_id_of_the_factory_are_not_given_another() {
     // Now and then two equal answers become one frame.
     let is_told = |_| run_at(bus, &["scan"]).1.contains("note: two motors seem to have id 1");
     assert!((0..3).any(is_told));
+    let change = ["timeout", "--id", "1", "--time-ms", "1000", "--yes"];
+    let both = "note: two motors seem to have id 1: connect only one of them. Both will do this";
+    assert!((0..3).any(|_| run_at(bus, &change).1.contains(both)));
     drop(simulation);
     let simulation = Simulation::start(1, &["--only", "slcan", "--count", "2"]);
     let told = done_at(simulation.bus("slcan"), &["scan"]);

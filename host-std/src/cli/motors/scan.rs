@@ -7,11 +7,11 @@ use myactuator_host_std::text::slcan::Rate;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadModel, ReadStatus1};
 use myactuator_protocol_core::io::{CallError, Runner, bring_up};
-use myactuator_protocol_core::master::{Event, Failure, MotorSet};
+use myactuator_protocol_core::master::{Failure, MotorSet};
 
 use super::group::Group;
 use super::on_bus::OnBus;
-use super::session::{Session, say};
+use super::session::{Session, say, shared};
 use crate::cli::{Outcome, Unfinished, report};
 
 /// The rates of RS485 that the manual names (1.2), bit/s.
@@ -110,24 +110,18 @@ fn told_of_rate(address: &BusAddress, found: &Found) -> String {
 /// The line about a motor that answers. That two motors have its id is reported beside the output, and is a part of
 /// the JSON.
 fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<String> {
-    let mut answers_again = false;
-    let hear = |event| {
-        answers_again |= matches!(event, Event::Stray { motor: who, .. } if who == motor);
-    };
     let model = match session.master.ask(motor, ReadModel) {
         Ok(model) => Ok(Group::default().and(&model)),
         // Firmware V4.4 does not answer this.
         Err(CallError::Failed(Failure::NoReply)) => Ok(Group::default()),
         Err(error) => Err(Unfinished::of_motor(motor)(error)),
     };
-    // Meanwhile another motor's answer to that comes.
-    let status = session.master.ask_with(motor, ReadStatus1, None, hear);
-    let status = status.map_err(Unfinished::of_motor(motor));
+    let status = session.ask(motor, ReadStatus1);
     let read = model.and_then(|model| Ok(model.and(&status?)));
     let mut note = None;
-    // A closer look takes half a second, so not without a reason.
-    if answers_again && bring_up::is_shared(&mut session.master, motor)? {
-        let shared = format!("two motors seem to have id {motor}: connect only one of them");
+    // Who does not answer always is told of below.
+    if session.is_shared(motor) == Ok(true) {
+        let shared = shared(motor);
         report("note", &shared);
         note = Some(shared);
     }

@@ -12,7 +12,7 @@ use myactuator_host_std::sim::CanFleet;
 use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Config, MotorSet};
+use myactuator_protocol_core::master::{Config, Event, MotorSet};
 use myactuator_protocol_core::units::CoarseSpeed;
 use myactuator_protocol_core::{MotorId, Target};
 
@@ -46,9 +46,14 @@ pub(super) struct OneMotor {
 }
 
 impl OneMotor {
-    /// Opens its bus to move it or write its memory.
+    /// Opens its bus to move it or write its memory, and tells whether that would happen to two.
     pub(super) fn open_to_change(&self) -> Outcome<Session> {
-        Session::open_to_change(&self.on, self.consent)
+        let mut session = Session::open_to_change(&self.on, self.consent)?;
+        // A motor that does not answer is told of by whoever asks next.
+        if session.is_shared(self.id) == Ok(true) {
+            report("note", format!("{}. Both will do this", shared(self.id)));
+        }
+        Ok(session)
     }
 }
 
@@ -220,6 +225,20 @@ impl Session {
         self.master.ask(motor, command).map_err(Unfinished::of_motor(motor))
     }
 
+    /// Whether two motors seem to have this id.
+    pub(super) fn is_shared(&mut self, motor: MotorId) -> Outcome<bool> {
+        self.ask(motor, ReadStatus2)?;
+        let mut answers_again = false;
+        let hear = |event| {
+            answers_again |= matches!(event, Event::Stray { motor: who, .. } if who == motor);
+        };
+        // Meanwhile another motor's answer to that comes.
+        let status = self.master.ask_with(motor, ReadStatus1, None, hear);
+        status.map_err(Unfinished::of_motor(motor))?;
+        // A closer look takes half a second, so not without a reason.
+        Ok(answers_again && bring_up::is_shared(&mut self.master, motor)?)
+    }
+
     /// The motors that are meant: one, or all that answer.
     pub(super) fn meant(&mut self, target: Target) -> Outcome<MotorSet> {
         match target {
@@ -277,6 +296,11 @@ impl Session {
 
 pub(super) fn turns(speed: CoarseSpeed) -> bool {
     speed.dps().abs() > STILL_DPS
+}
+
+/// That two motors seem to have this id.
+pub(super) fn shared(id: MotorId) -> String {
+    format!("two motors seem to have id {id}: connect only one of them")
 }
 
 /// Refuses errors, and tells what to do about them.
