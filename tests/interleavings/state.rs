@@ -265,6 +265,10 @@ impl<const N: usize> State<N> {
         let Some(truth) = motor_of(packet).and_then(|motor| self.world.truth_of(motor)) else {
             return;
         };
+        let is_callers = truth.open.is_some_and(|open| open.data == packet.data);
+        if let Some(kind) = world::kind_of_stop(packet).filter(|_| is_sent && !is_callers) {
+            truth.stop_taken = Some((call, kind));
+        }
         if !moves(packet) {
             return;
         }
@@ -387,11 +391,16 @@ impl<const N: usize> State<N> {
     fn check_confirmed(&mut self, motor: MotorId) -> Result<(), Broken> {
         let Some(truth) = self.world.truth_of(motor) else { return Ok(()) };
         let stop = truth.call_of_stop();
+        let taken = truth.stop_taken.take();
         if !std::mem::take(&mut truth.is_stopping) && std::mem::take(&mut truth.all_call) == 0 {
             return Err("a stop is confirmed that nobody waits for".into());
         }
         self.check_heard(motor, stop)?;
-        self.check_held(motor)
+        match taken {
+            // A hold of all that waits is not what is confirmed.
+            Some((_, StopKind::Off)) => Ok(()),
+            _ => self.check_held(motor),
+        }
     }
 
     /// The drive must have heard this stop after the last motion that is older.

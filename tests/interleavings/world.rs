@@ -159,6 +159,9 @@ pub(crate) struct Truth {
     /// The call that stopped it last; and the last one that was a request for a stop or a stop.
     pub(crate) stop_call: u8,
     pub(crate) last_stop: u8,
+    /// The stop of its own that the bus took and that is not confirmed: the call that it is of, which no later one
+    /// changes, and its kind.
+    pub(crate) stop_taken: Option<(u8, StopKind)>,
     /// A stop that is neither confirmed nor given up, and of which kind the last one was.
     pub(crate) is_stopping: bool,
     pub(crate) stop_kind: Option<StopKind>,
@@ -176,14 +179,19 @@ pub(crate) struct Truth {
 impl Truth {
     /// The call that a stop of the master is of.
     pub(crate) fn call_of_stop(&self) -> u8 {
-        if self.is_stopping { self.stop_call } else { self.stop_call.max(self.all_call) }
+        match self.stop_taken {
+            _ if self.is_stopping => self.stop_call,
+            Some((call, _)) => call,
+            None => self.stop_call.max(self.all_call),
+        }
     }
 
     fn hash_all<H: Hasher>(&self, hasher: &mut H) {
         self.open.map(|open| open.data).hash(hasher);
         (self.is_stopped, self.is_off, self.is_stopping, self.is_wanted_sent).hash(hasher);
         (self.stop_call, self.last_stop, self.all_call).hash(hasher);
-        [self.wants, self.heard, self.stop_kind]
+        self.stop_taken.map(|(call, _)| call).hash(hasher);
+        [self.wants, self.heard, self.stop_kind, self.stop_taken.map(|(_, kind)| kind)]
             .map(|kind| kind.map(|it| it == StopKind::Off))
             .hash(hasher);
         (self.set_points_sent, self.moves_sent, self.stop_heard, self.ignores).hash(hasher);
