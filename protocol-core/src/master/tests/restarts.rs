@@ -218,3 +218,81 @@ fn one_error_of_the_bus_is_neither_a_restart_nor_silence() {
         events(&mut master, ms(5_000 + errors));
     }
 }
+
+#[test]
+fn a_stream_does_not_go_on_by_itself_after_a_restart() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let mut now = 0;
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    motion_feedback(&mut master, ms(1)).unwrap();
+    // Silent for 1 s, as long as a restart takes: the first set-point that it heard then would move it.
+    let told = loop {
+        now += 5;
+        master.set_point(id(1), motion(), ms(now)).unwrap();
+        sent(&mut master, ms(now));
+        let told = events(&mut master, ms(now + 4));
+        if told.contains(&Event::Restarted { motor: id(1) }) {
+            break now;
+        }
+        assert!(now < 2_000, "{told:?}");
+    };
+    assert!((1_000..1_030).contains(&told), "{told}");
+    let refused = master.set_point(id(1), motion(), ms(now + 5));
+    assert_eq!(refused, Err(RequestError::Restarted));
+    assert_eq!(sent(&mut master, ms(now + 5)), []);
+    // Its answer says so once more: now it can be asked where it is.
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now + 100));
+    reply(&mut master, 1, ANGLE_REPLY, ms(now + 101)).unwrap();
+    assert!(events(&mut master, ms(now + 101)).contains(&Event::Restarted { motor: id(1) }));
+    let moved = master.request(
+        id(1),
+        IncrementalPosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(100) },
+    );
+    assert!(matches!(moved, Err(RequestError::Restarted)));
+    master.resume(id(1));
+    assert!(master.set_point(id(1), motion(), ms(now + 5)).is_ok());
+}
+
+#[test]
+fn a_run_time_that_goes_back_is_that_of_a_restart() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for (at, run_time) in [(0, 60_000_u32), (10, 60_010), (20, 300)] {
+        let _ = ask(&mut master, 1, ReadRunTime, ms(at));
+        let [a, b, c, d] = run_time.to_le_bytes();
+        reply(&mut master, 1, [0xB1, 0, 0, 0, a, b, c, d], ms(at + 1)).unwrap();
+        let told = events(&mut master, ms(at + 1));
+        assert_eq!(told.contains(&Event::Restarted { motor: id(1) }), at == 20, "{told:?}");
+    }
+}
+
+#[test]
+fn a_motor_that_nobody_asked_for_long_has_not_restarted() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for at in [0, 2_000] {
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(at));
+        reply(&mut master, 1, ANGLE_REPLY, ms(at + 1)).unwrap();
+        assert_eq!(events(&mut master, ms(at + 1)), []);
+    }
+}
+
+#[test]
+fn a_move_that_waited_before_a_restart_was_seen_is_not_sent() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(1)).unwrap();
+    for now in [10, 40, 70] {
+        master.set_point(id(1), torque(1.0), ms(now)).unwrap();
+        sent(&mut master, ms(now));
+        events(&mut master, ms(now + 25));
+    }
+    master.set_point(id(1), torque(1.0), ms(1_200)).unwrap();
+    sent(&mut master, ms(1_200));
+    let moving = master.request(id(1), step()).unwrap();
+    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(1_201)).unwrap();
+    assert_eq!(sent(&mut master, ms(1_201)), []);
+    let told = events(&mut master, ms(1_201));
+    assert!(told.contains(&Event::Restarted { motor: id(1) }), "{told:?}");
+    assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
+}

@@ -313,3 +313,113 @@ fn a_request_that_was_handed_back_has_its_turn_before_the_next_set_point() {
     master.handle_pushed_out(&request);
     assert_eq!(master.poll_transmit(ms(2)).unwrap().data, ReadModel.encode());
 }
+
+#[test]
+fn a_motor_whose_replies_lose_every_arbitration_gets_its_turn() {
+    let mut master = Master::<8>::new(Config::CAN);
+    stream_to(&mut master, 1..=6, ms(0));
+    assert_eq!(sent(&mut master, ms(0)).len(), 6);
+    feedback_of_all(&mut master, 1..=5, ms(1));
+    // The others may be one command ahead of motor 6, but not two.
+    stream_to(&mut master, 1..=5, ms(1));
+    assert_eq!(sent(&mut master, ms(1)).len(), 5);
+    feedback_of_all(&mut master, 1..=5, ms(2));
+    stream_to(&mut master, 1..=5, ms(2));
+    assert_eq!(sent(&mut master, ms(2)).len(), 0);
+    feedback_of_all(&mut master, 6..=6, ms(2));
+    assert_eq!(sent(&mut master, ms(2)).len(), 5);
+}
+
+#[test]
+fn a_bus_that_was_full_is_quiet_as_soon_as_its_frames_are_gone() {
+    let mut master = Master::<8>::new(Config::CAN);
+    let mut now = Instant::from_micros(100);
+    let pause = Duration::from_micros(240);
+    let mut answer = |master: &mut Master<8>, motor| {
+        now += pause;
+        feedback_of_all(master, motor..=motor, now);
+        stream_to(master, motor..=motor, now);
+        (sent(master, now).len(), now)
+    };
+    stream_to(&mut master, 1..=8, ms(0));
+    sent(&mut master, ms(0));
+    // For half a second there is always a frame on the bus: two in 240 µs, each for 136 µs at the most.
+    for _ in 0..250 {
+        for motor in 1..=8 {
+            assert_eq!(answer(&mut master, motor).0, 1);
+        }
+    }
+    // Then an answer of motor 8 is lost, and the others may be one command ahead of it.
+    assert!((1..=7).all(|motor| answer(&mut master, motor).0 == 1));
+    assert!((1..=7).all(|motor| answer(&mut master, motor).0 == 0));
+    let last = now;
+    assert_eq!(sent(&mut master, last + Duration::from_millis(1)).len(), 7);
+}
+
+#[test]
+fn nobody_waits_for_a_motor_that_had_its_chance() {
+    let mut master = Master::<8>::new(Config::CAN);
+    let _silent = master.request(id(1), ReadStatus1).unwrap();
+    let mut held_at = Vec::new();
+    for tick in 0..40 {
+        let now = ms(tick);
+        stream_to(&mut master, 2..=4, now);
+        let others = sent(&mut master, now).iter().filter(|packet| packet.data[0] == 0xA4).count();
+        match others {
+            3 => feedback_of_all(&mut master, 2..=4, now + Duration::from_micros(990)),
+            0 => held_at.push(tick),
+            _ => panic!("{others} of 3 at {tick} ms"),
+        }
+    }
+    // Once, because at 2 ms a reply could still have waited for the bus; then the silent motor is
+    // known, also after its time-out at 21 ms.
+    assert!(held_at.len() <= 1, "held at {held_at:?}");
+}
+
+#[test]
+fn a_motor_that_rested_for_long_does_not_starve() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let mut now = ms(0);
+    let _ = ask(&mut master, 2, ReadModel, now);
+    reply(&mut master, 2, *b"\xB5X8S2V10", ms(1)).unwrap();
+    for _ in 0..300 {
+        now += Duration::from_millis(1);
+        master.set_point(id(1), torque(1.0), now).unwrap();
+        sent(&mut master, now);
+        reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], now + Duration::from_micros(900));
+    }
+    now += Duration::from_millis(1);
+    master.set_point(id(1), torque(1.0), now).unwrap();
+    let _read = master.request(id(2), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, now).len(), 2);
+}
+
+#[test]
+fn a_motor_that_is_ahead_stays_so() {
+    let mut master = Master::<8>::new(Config::CAN);
+    // Motor 1 is a round ahead of motor 2, whose reply waits for the bus.
+    stream_to(&mut master, 1..=1, ms(0));
+    sent(&mut master, ms(0));
+    feedback_of_all(&mut master, 1..=1, ms(1));
+    stream_to(&mut master, 1..=2, ms(1));
+    assert_eq!(sent(&mut master, ms(1)).len(), 2);
+    feedback_of_all(&mut master, 1..=1, ms(2));
+    stream_to(&mut master, 1..=1, ms(2));
+    assert_eq!(sent(&mut master, ms(2)), [], "not two rounds");
+}
+
+#[test]
+fn a_frame_holds_up_those_that_are_queued() {
+    let mut master = Master::<32>::new(Config::CAN);
+    for motor in 1..=20 {
+        let _ticket = master.request(id(motor), ReadMultiTurnAngle).unwrap();
+    }
+    assert_eq!(sent(&mut master, ms(0)).len(), 20);
+    // A frame takes 136 us, and three more without any make a quiet bus.
+    assert_eq!(master.poll_at(), Some(Instant::from_micros(23 * 136)));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    assert_eq!(master.poll_at(), Some(Instant::from_micros(24 * 136)));
+    // None is queued any more.
+    reply(&mut master, 2, ANGLE_REPLY, ms(4)).unwrap();
+    assert_eq!(master.poll_at(), Some(Instant::from_micros(4_000 + 3 * 136)));
+}

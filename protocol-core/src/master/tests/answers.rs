@@ -1,0 +1,476 @@
+//! How answers find their questions, and what becomes of those that come late, twice or never.
+
+use super::*;
+
+#[test]
+fn an_answer_finds_its_question_by_motor_command_byte_and_index() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let angle = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    let gain = master.request(id(2), ReadPid { index: PidIndex::SPEED_KP }).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 2, "both at once");
+    // Another motor's angle, another index, another command byte.
+    for (motor, data) in
+        [(2, ANGLE_REPLY), (2, [0x30, 5, 0, 0, 0, 0, 0, 0]), (1, [0x60, 0, 0, 0, 1, 0, 0, 0])]
+    {
+        let event = reply(&mut master, motor, data, ms(1)).unwrap();
+        assert!(matches!(event, Event::Stray { .. }), "{event:?}");
+    }
+    let event = reply(&mut master, 2, [0x30, 4, 0, 0, 0, 0, 0x80, 0x3F], ms(1)).unwrap();
+    assert!(angle.outcome(&event).is_none());
+    assert_eq!(gain.outcome(&event).unwrap().unwrap().value.value(), 1.0);
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(2)).unwrap();
+    assert_eq!(angle.outcome(&event).unwrap().unwrap().angle.degrees(), 360.0);
+    assert_eq!(master.health(id(2)).stray, 2);
+    assert_eq!(master.health(id(1)).answered, 1);
+    assert_eq!(master.health(id(1)).presence, Presence::Present);
+}
+
+#[test]
+fn a_read_is_tried_three_times_and_then_given_up() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let ticket = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    for attempt in 0..3 {
+        assert_eq!(sent(&mut master, ms(attempt * 21)).len(), 1);
+        assert!(events(&mut master, ms(attempt * 21 + 20)).is_empty(), "not before 20 ms");
+        assert!(sent(&mut master, ms(attempt * 21 + 20)).is_empty());
+        master.handle_timeout(ms(attempt * 21 + 21));
+    }
+    let event = master.poll_event().unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Err(Failure::NoReply)));
+    assert!(sent(&mut master, ms(63)).is_empty());
+    assert_eq!(master.health(id(1)).lost, 3);
+    assert_eq!(master.health(id(1)).presence, Presence::Silent);
+}
+
+#[test]
+fn a_relative_move_is_never_sent_twice_unless_the_caller_says_so() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let ticket = master.request(id(1), step()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    let told = events(&mut master, ms(21));
+    assert_eq!(ticket.outcome(&told[0]), Some(Err(Failure::NoReply)));
+    assert!(sent(&mut master, ms(21)).is_empty());
+
+    let patience = Patience { reply_timeout: Duration::from_millis(5), attempts: 2 };
+    let _ticket = master.request_with(id(2), step(), patience).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 1);
+    assert_eq!(sent(&mut master, ms(106)).len(), 1);
+}
+
+#[test]
+fn a_patience_of_seconds_is_kept() {
+    let patience = Patience { reply_timeout: Duration::from_secs(10), attempts: 1 };
+    for config in [Config::CAN, Config::rs485(115_200, false)] {
+        let mut master = Master::<2>::new(config);
+        let tickets = [1, 1].map(|motor| {
+            let start = master.now;
+            let ticket = master.request_with(id(motor), ReadMultiTurnAngle, patience).unwrap();
+            assert_eq!(sent(&mut master, start).len(), 1);
+            for after in (100..9_999).step_by(100).chain([9_999]) {
+                assert_eq!(events(&mut master, start + Duration::from_millis(after)), []);
+            }
+            let told = events(&mut master, start + Duration::from_secs(10));
+            assert_eq!(ticket.outcome(&told[0]), Some(Err(Failure::NoReply)));
+            // What may come late, comes no more.
+            events(&mut master, start + Duration::from_secs(11));
+            ticket
+        });
+        assert_eq!(master.health(id(1)).lost as usize, tickets.len());
+        // One that takes as long as that is the answer.
+        let start = master.now;
+        let ticket = master.request_with(id(1), ReadMultiTurnAngle, patience).unwrap();
+        assert_eq!(sent(&mut master, start).len(), 1);
+        let event = reply(&mut master, 1, ANGLE_REPLY, start + Duration::from_millis(9_999));
+        assert!(ticket.outcome(&event.unwrap()).unwrap().is_ok());
+    }
+}
+
+#[test]
+fn a_late_answer_is_not_taken_for_the_next_ones() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let _ = ask(&mut master, 1, step(), ms(0));
+    events(&mut master, ms(21));
+    // The next request of the same kind waits ...
+    let second = master.request(id(1), step()).unwrap();
+    assert!(sent(&mut master, ms(22)).is_empty());
+    // ... until the late reply has come,
+    let late = reply(&mut master, 1, [0xA8, 30, 0, 0, 0, 0, 0, 0], ms(25)).unwrap();
+    assert!(matches!(late, Event::Stray { .. }) && second.outcome(&late).is_none());
+    assert_eq!(sent(&mut master, ms(25)).len(), 1);
+    // or until it cannot come any more.
+    events(&mut master, ms(46));
+    let third = master.request(id(1), step()).unwrap();
+    assert!(sent(&mut master, ms(80)).is_empty());
+    assert!(master.poll_at().unwrap() > ms(80));
+    assert_eq!(sent(&mut master, ms(89)).len(), 1);
+    let event = reply(&mut master, 1, [0xA8, 30, 0, 0, 0, 0, 0, 0], ms(90)).unwrap();
+    assert!(third.outcome(&event).unwrap().is_ok());
+}
+
+#[test]
+fn a_doubled_answer_is_not_taken_for_the_next_ones() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    let at = Instant::from_micros;
+    assert!(matches!(reply(&mut master, 1, ANGLE_REPLY, at(900)), Some(Event::Reply { .. })));
+    let second = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    sent(&mut master, at(900));
+    // 130 µs after the first: no drive is so quick.
+    let doubled = reply(&mut master, 1, ANGLE_REPLY, at(1_030)).unwrap();
+    assert!(second.outcome(&doubled).is_none());
+    let event = reply(&mut master, 1, ANGLE_REPLY, at(1_800)).unwrap();
+    assert!(second.outcome(&event).is_some());
+}
+
+/// A drive that answers everything twice, 0.3 ms apart.
+#[test]
+fn a_second_answer_is_not_taken_for_that_to_the_next_of_its_kind() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let at = Instant::from_micros;
+    for cycle in 0..5 {
+        let start = 10_000 * cycle;
+        let ticket = ask(&mut master, 1, ReadMultiTurnAngle, at(start));
+        // It is sent at once, or 0.1 ms later; the second answer comes 0.3 ms after the first.
+        let event = reply(&mut master, 1, ANGLE_REPLY, at(start + 800)).unwrap();
+        assert!(ticket.outcome(&event).is_some());
+        let next = ask(&mut master, 1, ReadMultiTurnAngle, at(start + 800 + 100 * (cycle % 2)));
+        let second = reply(&mut master, 1, ANGLE_REPLY, at(start + 1_100)).unwrap();
+        assert!(matches!(second, Event::Stray { .. }), "{second:?}");
+        let event = reply(&mut master, 1, ANGLE_REPLY, at(start + 1_700)).unwrap();
+        assert!(next.outcome(&event).is_some(), "{event:?}");
+        let last = reply(&mut master, 1, ANGLE_REPLY, at(start + 2_000)).unwrap();
+        assert!(matches!(last, Event::Stray { .. }), "{last:?}");
+    }
+    // The same of a stream.
+    let feedback = [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0];
+    master.set_point(id(1), torque(1.0), ms(60)).unwrap();
+    sent(&mut master, ms(60));
+    assert!(reply(&mut master, 1, feedback, at(60_800)).unwrap().feedback().is_some());
+    master.set_point(id(1), torque(1.0), at(60_800)).unwrap();
+    sent(&mut master, at(60_800));
+    assert!(matches!(reply(&mut master, 1, feedback, at(61_100)), Some(Event::Stray { .. })));
+    assert!(reply(&mut master, 1, feedback, at(61_600)).unwrap().feedback().is_some());
+}
+
+#[test]
+fn an_answer_so_soon_after_another_counts_where_the_clock_is_coarse() {
+    let mut master = Master::<4>::new(Config { shortest_response: Duration::ZERO, ..Config::CAN });
+    for _ in 0..2 {
+        let ticket = ask(&mut master, 1, ReadMultiTurnAngle, ms(1));
+        let event = reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+        assert!(ticket.outcome(&event).is_some());
+    }
+}
+
+#[test]
+fn both_answers_of_a_request_sent_twice_are_accounted_for() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let first = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    sent(&mut master, ms(21));
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(first.outcome(&event).is_some());
+    let second = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert!(sent(&mut master, ms(22)).is_empty(), "one reply may still come");
+    let doubled = reply(&mut master, 1, ANGLE_REPLY, ms(23)).unwrap();
+    assert!(second.outcome(&doubled).is_none());
+    assert_eq!(sent(&mut master, ms(23)).len(), 1);
+}
+
+#[test]
+fn one_request_a_motor_at_a_time_and_no_more_motors_than_places() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _one = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(master.request(id(1), ReadModel).unwrap_err(), RequestError::Busy);
+    let _two = master.request(id(32), ReadModel).unwrap();
+    let full = master.request(id(3), ReadModel).unwrap_err();
+    assert_eq!(full, RequestError::TooManyMotors { capacity: 2 });
+    assert_eq!(
+        master.request(id(1), BusId::Read).unwrap_err(),
+        RequestError::AllMotorsOnly(Opcode::BusId)
+    );
+}
+
+#[test]
+fn commands_without_reply_are_done_when_sent_and_give_the_drive_time() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let reset = ask(&mut master, 1, Reset, ms(0));
+    let told = events(&mut master, ms(0));
+    assert!(told.iter().any(|event| reset.outcome(event) == Some(Ok(NoReply))), "{told:?}");
+    // Nothing goes to that motor for two seconds; others are served.
+    let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    let _other = master.request(id(2), ReadMultiTurnAngle).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(packets.len(), 1);
+    assert_eq!(packets[0].channel, Channel::Command(Target::Motor(id(2))));
+    for now in (200..2_000).step_by(100) {
+        assert!(
+            sent(&mut master, ms(now))
+                .iter()
+                .all(|packet| packet.channel != Channel::Command(Target::Motor(id(1))))
+        );
+    }
+    assert_eq!(sent(&mut master, ms(2_003)).len(), 1);
+}
+
+#[test]
+fn an_id_change_is_done_when_sent_whether_it_is_echoed_or_not() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let change = FunctionControl::SetCanId(id(9));
+    let ticket = ask(&mut master, 1, change, ms(0));
+    let told = events(&mut master, ms(0));
+    assert_eq!(ticket.outcome(&told[0]), Some(Ok(change)));
+    let echo = reply(&mut master, 1, change.encode(), ms(1)).unwrap();
+    assert!(matches!(echo, Event::Stray { .. }));
+    // Other functions wait for theirs.
+    let filter = FunctionControl::CanIdFilter(Switch::On);
+    let ticket = ask(&mut master, 2, filter, ms(1));
+    let event = reply(&mut master, 2, filter.encode(), ms(2)).unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Ok(filter)));
+}
+
+/// A relative move that says it is something else.
+#[derive(Clone, Copy)]
+struct Lying(Kind);
+
+impl Command for Lying {
+    type Reply = RawReply;
+
+    fn kind(&self) -> Kind {
+        self.0
+    }
+
+    fn encode(&self) -> Data {
+        step().encode()
+    }
+
+    fn decode_reply(data: &Data) -> Result<RawReply, crate::DecodeError> {
+        Ok(RawReply(*data))
+    }
+}
+
+impl SetPoint for Lying {}
+
+#[test]
+fn the_bytes_hold_against_a_claim() {
+    let harmless = Kind::Raw { byte: 0xA8, reply: ReplyRule::Values, moves: false };
+    for claim in [harmless, Opcode::ReadStatus2.into()] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let refused = master.set_point(id(1), Lying(claim), ms(0)).unwrap_err();
+        assert_eq!(refused, RequestError::NotASetPoint(Opcode::IncrementalPosition));
+        let _ticket = master.request(id(1), Lying(claim)).unwrap();
+        assert_eq!(sent(&mut master, ms(0)).len(), 1);
+        // It is not sent again.
+        assert_eq!(sent(&mut master, ms(30)).len(), 0, "{claim:?}");
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        assert_eq!(
+            master.request(id(2), Lying(claim)).unwrap_err(),
+            RequestError::Stopped,
+            "{claim:?}"
+        );
+    }
+}
+
+#[test]
+fn a_raw_command_is_carried_and_matched_like_any_other() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let power = RawCommand::new([0x71, 0, 0, 0, 0, 0, 0, 0], ReplyRule::Values, false);
+    let ticket = master.request(id(1), power).unwrap();
+    assert_eq!(sent(&mut master, ms(0))[0], power.packet_to(id(1).into()).unwrap());
+    let other = reply(&mut master, 1, [0x72, 0, 0, 0, 0, 0, 1, 0], ms(1)).unwrap();
+    assert!(matches!(other, Event::Stray { .. }), "{other:?}");
+    let data = [0x71, 0, 0, 0, 0, 0, 0xE8, 3];
+    let event = reply(&mut master, 1, data, ms(1)).unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Ok(RawReply(data))));
+    // It is sent once only, and one that may move not at all while the motors are stopped.
+    let ticket = master.request(id(1), power).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    master.handle_timeout(ms(60));
+    let event = master.poll_event().unwrap();
+    assert_eq!(ticket.outcome(&event), Some(Err(Failure::NoReply)));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let moves = RawCommand::new([0x72, 0, 0, 0, 0, 0, 0, 0], ReplyRule::Values, true);
+    assert_eq!(master.request(id(2), moves).unwrap_err(), RequestError::Stopped);
+    assert!(master.request(id(2), power).is_ok());
+    // What the table knows is what the table says it is.
+    let torque = RawCommand::new([0xA1, 0, 0, 0, 1, 0, 0, 0], ReplyRule::Silent, false);
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(master.request(id(2), torque).unwrap_err(), RequestError::Stopped);
+}
+
+#[test]
+fn a_short_frame_completes_nothing() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    let short = |first| Received::WrongLength {
+        channel: Channel::Reply(id(1)),
+        length: 1,
+        first: Some(first),
+    };
+    assert_eq!(master.handle_frame(&short(0x92), ms(1)), None);
+    assert!(master.is_anything_in_flight());
+    assert_eq!(master.handle_frame(&short(0xF1), ms(1)), Some(Event::LostMaster { motor: id(1) }));
+}
+
+#[test]
+fn a_timeout_of_nothing_still_lets_a_reply_come() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { reply_timeout: Duration::ZERO, attempts: 1 };
+    let ticket = master.request_with(id(1), ReadModel, once).unwrap();
+    sent(&mut master, ms(1));
+    assert_eq!(events(&mut master, ms(1)), []);
+    let now = ms(1) + Duration::from_micros(700);
+    let event = reply(&mut master, 1, *b"\xB5X8S2V10", now).unwrap();
+    assert!(ticket.outcome(&event).is_some_and(|outcome| outcome.is_ok()));
+}
+
+#[test]
+fn a_gap_does_not_spoil_the_mean_round_trip() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for (asked, came) in [(0, 1), (10, 60_010)] {
+        let _ticket = ask(&mut master, 1, ReadModel, ms(asked));
+        reply(&mut master, 1, *b"\xB5X8S2V10", ms(came)).unwrap();
+    }
+    // 1 ms, then an eighth of 250 ms.
+    assert_eq!(master.health(id(1)).round_trip, Duration::from_micros(875 + 31_250));
+}
+
+#[test]
+fn a_request_and_a_stream_of_the_same_kind_exclude_each_other() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let refused = RequestError::Streamed(Opcode::Torque);
+    assert_eq!(master.request(id(1), torque(2.0)).unwrap_err(), refused);
+    sent(&mut master, ms(0));
+    assert_eq!(master.request(id(1), torque(2.0)).unwrap_err(), refused);
+    // Its feedback may come late, and is no answer.
+    events(&mut master, ms(21));
+    let ticket = master.request(id(1), torque(2.0)).unwrap();
+    assert_eq!(master.set_point(id(1), torque(3.0), ms(22)), Err(RequestError::Busy));
+    assert_eq!(sent(&mut master, ms(22)), []);
+    let feedback = [0xA1, 30, 0, 0, 0, 0, 7, 0];
+    let late = reply(&mut master, 1, feedback, ms(30)).unwrap();
+    assert!(matches!(late, Event::Feedback { .. }) && ticket.outcome(&late).is_none(), "{late:?}");
+    assert_eq!(sent(&mut master, ms(30)).len(), 1);
+    let event = reply(&mut master, 1, feedback, ms(31)).unwrap();
+    assert!(ticket.outcome(&event).is_some());
+    assert!(master.set_point(id(1), torque(3.0), ms(31)).is_ok());
+}
+
+#[test]
+fn only_what_is_surely_a_late_answer_ends_the_wait_for_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(21));
+    let _first = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+    sent(&mut master, ms(22));
+    events(&mut master, ms(28));
+    let second = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+    // Late feedback of the lost set-point, twice; an error report.
+    for (data, at) in [
+        ([0xA1, 30, 0, 0, 0, 0, 7, 0], 30),
+        ([0xA1, 30, 0, 0, 0, 0, 7, 0], 30),
+        ([0x9A, 50, 40, 0, 0xE0, 1, 2, 0], 35),
+    ] {
+        reply(&mut master, 1, data, ms(at)).unwrap();
+        assert!(sent(&mut master, ms(at)).is_empty(), "{data:02X?}");
+    }
+    let late = reply(&mut master, 1, ANGLE_REPLY, ms(40)).unwrap();
+    assert!(second.outcome(&late).is_none());
+    assert_eq!(sent(&mut master, ms(40)).len(), 1);
+}
+
+#[test]
+fn while_the_bus_is_down_late_answers_do_not_grow_old() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, step(), ms(0));
+    events(&mut master, ms(21));
+    master.handle_bus_down(ms(55));
+    let second = master.request(id(1), step()).unwrap();
+    assert!(sent(&mut master, ms(70)).is_empty(), "40 ms from when the bus was down");
+    assert_eq!(sent(&mut master, ms(98)).len(), 1);
+    let event = reply(&mut master, 1, [0xA8, 30, 0, 0, 0, 0, 0, 0], ms(99)).unwrap();
+    assert!(second.outcome(&event).is_some());
+}
+
+#[test]
+fn a_read_of_another_kind_does_not_wait_for_a_late_reply() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, step(), ms(0));
+    events(&mut master, ms(21));
+    let _read = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(22)).len(), 1);
+}
+
+#[test]
+fn another_master_s_reply_does_not_end_the_wait_for_a_late_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, step(), ms(0));
+    events(&mut master, ms(21));
+    let _second = master.request(id(1), step()).unwrap();
+    reply(&mut master, 1, ANGLE_REPLY, ms(25)).unwrap();
+    assert_eq!(sent(&mut master, ms(26)), []);
+}
+
+#[test]
+fn tickets_are_never_the_same() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let first = ask(&mut master, 1, ReadModel, ms(0));
+    reply(&mut master, 1, *b"\xB5X8S2V10", ms(1)).unwrap();
+    let mut now = 2;
+    for _ in 0..300 {
+        assert!(master.forget(id(1)));
+        let next = ask(&mut master, 1, ReadModel, ms(now));
+        let event = reply(&mut master, 1, *b"\xB5X8S2V10", ms(now + 1)).unwrap();
+        assert!(first.outcome(&event).is_none() && next.outcome(&event).is_some());
+        now += 2;
+    }
+}
+
+#[test]
+fn only_a_motor_that_has_a_place_and_nothing_under_way_is_forgotten() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert!(!master.forget(id(1)), "it was never known");
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    assert!(!master.forget(id(1)), "it is being asked");
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    assert!(master.forget(id(1)));
+    assert_eq!(master.motors(), MotorSet::EMPTY);
+}
+
+#[test]
+fn a_motor_with_nothing_to_do_by_itself_is_not_looked_at() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _reset = ask(&mut master, 1, Reset, ms(0));
+    events(&mut master, ms(0));
+    assert_eq!(master.due, ms(2_000), "when it has restarted, and no sooner");
+    master.handle_timeout(ms(2_000));
+    assert!(!master.motors[0].lingers());
+    assert!(master.places.waiting.is_empty() && !master.is_anything_in_flight());
+    let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(master.poll_at(), None, "it waits for the bus alone");
+    assert!(master.places.stops.is_empty());
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(master.places.stops.count(), 1);
+}
+
+#[test]
+fn the_fourth_question_waits_for_the_end_of_the_first_that_was_given_up() {
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let mut master = Master::<2>::new(Config::CAN);
+    for index in [1, 4, 5] {
+        let at = 10 * u64::from(index);
+        let index = PidIndex::from_raw(index);
+        let _ticket = master.request_with(id(1), ReadPid { index }, once).unwrap();
+        sent(&mut master, ms(at));
+        assert_eq!(events(&mut master, ms(at + 5)).len(), 1, "it is given up");
+    }
+    let _ticket = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(sent(&mut master, ms(55)), []);
+    // Late replies to the first may come for 40.8 ms.
+    let end = Instant::from_micros(15_000 + 40_816);
+    assert_eq!(master.poll_at(), Some(end));
+    assert_eq!(sent(&mut master, end).len(), 1);
+}

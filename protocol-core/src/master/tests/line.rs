@@ -1,0 +1,68 @@
+//! RS485: one exchange at a time.
+
+use super::*;
+
+#[test]
+fn rs485_carries_one_exchange_at_a_time() {
+    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+    let first = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    let _second = master.request(id(2), ReadMultiTurnAngle).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(sent(&mut master, ms(1)).len(), 0);
+    let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
+    let event = master.handle_line(&line(1, ANGLE_REPLY), ms(1)).unwrap();
+    assert!(first.outcome(&event).is_some());
+    assert_eq!(sent(&mut master, ms(1)).len(), 0, "the drives turn around for 100 µs");
+    assert!(master.poll_at().unwrap() <= Instant::from_micros(1_120));
+    assert_eq!(sent(&mut master, Instant::from_micros(1_120)).len(), 1);
+    let motion = RawMotion::decode(&[0; 8]);
+    assert_eq!(master.set_point(id(1), motion, ms(2)), Err(RequestError::CanOnly(Opcode::Motion)));
+}
+
+#[test]
+fn on_rs485_nobody_speaks_while_an_unwanted_answer_may_come() {
+    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+    let faster = SetBaudRate { baud_rate: BaudCode::CAN_1M_RS485_500K };
+    let _set = master.request(id(1), faster).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    let _other = master.request(id(2), ReadModel).unwrap();
+    assert!(sent(&mut master, ms(4)).is_empty(), "0xB4 is answered with garbage (2.32.3)");
+    assert_eq!(sent(&mut master, ms(6)).len(), 1);
+}
+
+#[test]
+fn on_a_line_feedback_that_is_lost_holds_the_others_up_for_three_usual_times_and_no_longer() {
+    let config = Config::rs485(1_000_000, false);
+    let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
+    let feedback = [0xA1, 0x32, 0x64, 0, 0, 0, 45, 0];
+    for (config, usual_us, lost_after_us) in [
+        // Three times 0.9 ms; no sooner than 2 ms; and no later than any reply.
+        (config, 900, 2_700),
+        (config, 500, 2_000),
+        (config, 3_000, config.reply_timeout.as_micros()),
+    ] {
+        let mut master = Master::<2>::new(config);
+        let mut now = ms(0);
+        master.set_point(id(1), torque(1.0), now).unwrap();
+        assert_eq!(sent(&mut master, now).len(), 1);
+        now += Duration::from_micros(usual_us);
+        master.handle_line(&line(1, feedback), now).unwrap();
+        let timeouts = [lost_after_us, lost_after_us, config.reply_timeout.as_micros()];
+        // Not where it stays away again and again.
+        for timeout in timeouts.map(Duration::from_micros) {
+            now += Duration::from_millis(1);
+            master.set_point(id(1), torque(1.0), now).unwrap();
+            assert_eq!(sent(&mut master, now).len(), 1);
+            master.set_point(id(2), torque(1.0), now).unwrap();
+            let before = now + (timeout - Duration::from_micros(1));
+            assert_eq!(events(&mut master, before), [], "{usual_us}");
+            assert!(sent(&mut master, before).is_empty());
+            assert_eq!(master.poll_at(), Some(now + timeout), "{usual_us}");
+            now += timeout;
+            assert_eq!(events(&mut master, now), [Event::SetPointUnanswered { motor: id(1) }]);
+            assert_eq!(sent(&mut master, now)[0].channel, Channel::Command(id(2).into()));
+            now += Duration::from_micros(usual_us);
+            master.handle_line(&line(2, feedback), now).unwrap();
+        }
+    }
+}

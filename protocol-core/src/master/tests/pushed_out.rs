@@ -1,0 +1,118 @@
+//! Frames that a controller hands back because another was more urgent.
+
+use super::*;
+
+#[test]
+fn a_frame_that_was_pushed_out_waits_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let ticket = master.request(id(1), step()).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(
+        sent(&mut master, ms(1)),
+        [pushed_out],
+        "it was never sent, so this is no second time"
+    );
+    let event = reply(&mut master, 1, [0xA8, 30, 0, 0, 0, 0, 0, 0], ms(2)).unwrap();
+    assert!(ticket.outcome(&event).unwrap().is_ok());
+    assert_eq!(master.health(id(1)).lost, 0);
+}
+
+#[test]
+fn a_frame_that_was_pushed_out_has_used_no_attempt() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let patience = Patience { attempts: 2, reply_timeout: Duration::from_millis(5) };
+    let ticket = master.request_with(id(1), ReadMultiTurnAngle, patience).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.handle_pushed_out(&pushed_out);
+    for at in [0, 5] {
+        assert_eq!(sent(&mut master, ms(at)), [pushed_out], "{at}");
+    }
+    assert_eq!(sent(&mut master, ms(10)), []);
+    let told = events(&mut master, ms(10));
+    assert_eq!(told.iter().find_map(|event| ticket.outcome(event)), Some(Err(Failure::NoReply)));
+}
+
+#[test]
+fn a_motor_whose_frame_was_pushed_out_has_had_no_turn() {
+    let mut master = Master::<8>::new(Config::CAN);
+    stream_to(&mut master, 3..=3, ms(0));
+    stream_to(&mut master, 1..=2, ms(0));
+    sent(&mut master, ms(0));
+    feedback_of_all(&mut master, 1..=3, ms(1));
+    stream_to(&mut master, 3..=3, ms(1));
+    let pushed_out = sent(&mut master, ms(1))[0];
+    master.handle_pushed_out(&pushed_out);
+    // All three have had one turn, and motor 3 is the first of equals.
+    stream_to(&mut master, 1..=2, ms(1));
+    assert_eq!(sent(&mut master, ms(1))[0], pushed_out);
+}
+
+#[test]
+fn a_set_point_that_was_pushed_out_gives_way_to_a_newer_one_and_to_a_stop() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.set_point(id(1), torque(2.0), ms(1)).unwrap();
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(1))[0].data, torque(2.0).encode());
+
+    let pushed_out = Packet { data: torque(2.0).encode(), ..pushed_out };
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(1))[0].data, Stop.encode());
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(2)), []);
+    // It never left, so it cannot move the motor any more.
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), confirmed);
+}
+
+#[test]
+fn a_set_point_that_was_pushed_out_does_not_go_before_a_stop_that_waits() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    let _stop = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [], "it waits for the feedback");
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(1))[0].data, Shutdown.encode());
+    assert!(events(&mut master, ms(1)).contains(&Event::SetPointDropped { motor: id(1) }));
+    assert!(reply(&mut master, 1, Shutdown.encode(), ms(2)).is_some());
+    assert_eq!(sent(&mut master, ms(3)), []);
+}
+
+#[test]
+fn a_broadcast_that_was_pushed_out_is_sent_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    let packets = sent(&mut master, ms(0));
+    assert_eq!(sent(&mut master, ms(0)), []);
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(sent(&mut master, ms(0)), packets);
+}
+
+#[test]
+fn a_broadcast_that_nobody_answers_and_was_pushed_out_is_sent_again_before_it_is_told() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(Reset, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(0));
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(events(&mut master, ms(0)), []);
+    assert_eq!(sent(&mut master, ms(0)), packets);
+    assert_eq!(
+        events(&mut master, ms(0)),
+        [Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true }]
+    );
+}
+
+#[test]
+fn a_set_point_that_was_pushed_out_when_it_is_too_old_is_not_sent_again() {
+    let mut master = Master::<2>::new(Config::can(250_000));
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.handle_timeout(ms(51));
+    // The loops hand it back between two sendings.
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(master.poll_transmit(ms(51)), None);
+    assert_eq!(events(&mut master, ms(51)), [Event::SetPointDropped { motor: id(1) }]);
+}

@@ -1,0 +1,111 @@
+//! What motors report by themselves.
+
+use super::*;
+
+#[test]
+fn what_a_motor_reports_by_itself_is_not_asked_for_and_answers_nothing() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, report_angle(Switch::On), ms(0));
+    events(&mut master, ms(7));
+    let refused = master.request(id(1), ReadMultiTurnAngle).unwrap_err();
+    assert_eq!(refused, RequestError::Reported(Opcode::ReadMultiTurnAngle));
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(10)).unwrap();
+    assert!(matches!(event, Event::Report { reply: AnyReply::ReadMultiTurnAngle(_), .. }));
+    let _off = ask(&mut master, 1, report_angle(Switch::Off), ms(20));
+    events(&mut master, ms(27));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
+}
+
+#[test]
+fn what_a_motor_reported_before_its_reset_may_be_asked_for_after_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, report_angle(Switch::On), ms(0));
+    events(&mut master, ms(7));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_err());
+    let _ = ask(&mut master, 1, Reset, ms(10));
+    events(&mut master, ms(20));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
+}
+
+#[test]
+fn what_all_are_told_to_report_is_known_of_each() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(report_angle(Switch::On), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 1);
+    events(&mut master, ms(150));
+    let refused = master.request(id(1), ReadMultiTurnAngle).unwrap_err();
+    assert_eq!(refused, RequestError::Reported(Opcode::ReadMultiTurnAngle));
+    master.broadcast(Reset, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(200)).len(), 1);
+    events(&mut master, ms(250));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
+}
+
+#[test]
+fn a_late_reply_with_the_status_is_no_error_report() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = ask(&mut master, 1, ReadStatus1, ms(0));
+    let at = (1..100).map(ms).find(|&at| {
+        let _repeats = sent(&mut master, at);
+        events(&mut master, at).iter().any(|event| read.outcome(event).is_some())
+    });
+    let at = at.expect("it is given up");
+    let status = [0x9A, 50, 40, 0, 0xE0, 1, 2, 0];
+    assert!(matches!(reply(&mut master, 1, status, at), Some(Event::Stray { .. })));
+}
+
+#[test]
+fn an_error_report_is_told_as_a_report() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    let event = reply(&mut master, 1, [0x9A, 50, 40, 0, 0xE0, 1, 2, 0], ms(1)).unwrap();
+    assert!(matches!(event, Event::Report { reply: AnyReply::ReadStatus1(_), .. }));
+}
+
+#[test]
+fn an_error_report_is_told_while_something_else_may_come_late() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, step(), ms(0));
+    events(&mut master, ms(21));
+    let event = reply(&mut master, 1, [0x9A, 50, 40, 0, 0xE0, 1, 2, 0], ms(25)).unwrap();
+    assert!(matches!(event, Event::Report { reply: AnyReply::ReadStatus1(_), .. }), "{event:?}");
+}
+
+#[test]
+fn a_motor_that_reports_no_more_may_be_asked_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, report_angle(Switch::On), ms(0));
+    events(&mut master, ms(7));
+    for now in (10..2_000).step_by(10) {
+        reply(&mut master, 1, ANGLE_REPLY, ms(now)).unwrap();
+        master.handle_timeout(ms(now));
+    }
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_err());
+    master.handle_timeout(ms(3_100));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
+}
+
+#[test]
+fn a_motor_that_reports_seldom_is_waited_for_longer() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let interval = ReportInterval::from_raw(100); // 1 s
+    let _ = ask(&mut master, 1, ActiveReply { interval, ..report_angle(Switch::On) }, ms(0));
+    events(&mut master, ms(7));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1_000)).unwrap();
+    // Three intervals, and the second that a restart takes.
+    master.handle_timeout(ms(4_999));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_err());
+    master.handle_timeout(ms(5_000));
+    assert!(master.request(id(1), ReadMultiTurnAngle).is_ok());
+}
+
+#[test]
+fn what_a_motor_without_a_place_says_is_a_report_if_it_can_be_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let angle = reply(&mut master, 1, ANGLE_REPLY, ms(0)).unwrap();
+    assert!(matches!(angle, Event::Report { .. }), "{angle:?}");
+    let gain = reply(&mut master, 1, [0x30, 4, 0, 0, 0, 0, 0x80, 0x3F], ms(1)).unwrap();
+    assert!(matches!(gain, Event::Stray { .. }), "{gain:?}");
+}

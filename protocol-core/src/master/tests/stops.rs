@@ -1,0 +1,424 @@
+//! Stops, and when they are confirmed.
+
+use super::*;
+
+#[test]
+fn a_stop_goes_before_everything_and_keeps_motion_away() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let in_flight = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let waiting = master.request(id(2), step()).unwrap();
+    master.stop_all(StopKind::Off, id(7).into()).unwrap();
+    let packets = sent(&mut master, ms(1));
+    assert_eq!(packets.len(), 3, "motors 1, 2 and 7, whatever is in flight");
+    assert!(packets.iter().all(|packet| packet.data == Shutdown.encode()));
+    let told = events(&mut master, ms(1));
+    assert!(told.iter().any(|event| in_flight.outcome(event) == Some(Err(Failure::Stopped))));
+    assert!(told.iter().any(|event| waiting.outcome(event) == Some(Err(Failure::Stopped))));
+    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }));
+
+    assert_eq!(master.set_point(id(1), torque(1.0), ms(2)), Err(RequestError::Stopped));
+    assert_eq!(master.request(id(3), step()).unwrap_err(), RequestError::Stopped);
+    for motor in [1, 2] {
+        let event = reply(&mut master, motor, Shutdown.encode(), ms(2));
+        assert_eq!(event, Some(Event::StopConfirmed { motor: id(motor) }));
+    }
+    // Motor 7 is not there: it is told 15 times, then the caller is.
+    let mut frames = 1;
+    let mut now = 2;
+    while master.is_anything_in_flight() {
+        now += 21;
+        frames += sent(&mut master, ms(now)).len();
+    }
+    assert_eq!(frames, 15);
+    assert_eq!(events(&mut master, ms(now)), [Event::StopUnconfirmed { motor: id(7) }]);
+    master.lift_stop();
+    assert!(master.set_point(id(1), torque(1.0), ms(now)).is_ok());
+}
+
+#[test]
+fn every_motor_gets_its_first_stop_before_any_gets_its_second() {
+    let slow = Config { reply_timeout: Duration::from_secs(2), ..Config::rs485(115_200, false) };
+    let mut master = Master::<4>::new(slow);
+    master.stop_all(StopKind::Hold, [id(1), id(2), id(3)].into_iter().collect()).unwrap();
+    // One to all, whose answers would meet the next; then nobody answers, and a stop waits for 50 ms at
+    // the most.
+    let told = |at| sent(&mut master, ms(at)).pop().map(|packet| packet.channel);
+    let to = |motor| Some(Channel::Command(Target::Motor(id(motor))));
+    let to_all = Some(Channel::Command(Target::All));
+    let expected = [to_all, None, to(1), to(2), to(3), to(1)];
+    assert_eq!([0, 5, 6, 56, 106, 156].map(told), expected);
+}
+
+#[test]
+fn no_older_set_point_follows_what_ends_motion() {
+    fn never<C: Command + Copy>(end: C) {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+        let _offered = master.poll_transmit(ms(0));
+        let ticket = master.request(id(1), end).unwrap();
+        // What was offered before does not count as sent.
+        master.handle_transmitted(ms(0));
+        assert_eq!(sent(&mut master, ms(1))[0].data, end.encode());
+        let answer = reply(&mut master, 1, end.encode(), ms(2));
+        let told: Vec<Event> = answer.into_iter().chain(events(&mut master, ms(2))).collect();
+        assert!(told.iter().any(|event| matches!(ticket.outcome(event), Some(Ok(_)))));
+        assert!(told.contains(&Event::SetPointDropped { motor: id(1) }));
+        assert_eq!(sent(&mut master, ms(3_000)), []);
+    }
+    never(Shutdown);
+    never(Stop);
+    never(LockBrake);
+    never(Reset);
+}
+
+#[test]
+fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, Stop, ms(0));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    // Whose answer this is nobody knows, so the motor is told once more.
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(2)), None);
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    let confirmed = Event::StopConfirmed { motor: id(1) };
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(3)), Some(confirmed));
+}
+
+#[test]
+fn a_stop_takes_no_request_its_outcome() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    for attempt in 0..3 {
+        sent(&mut master, ms(attempt * 21));
+        master.handle_timeout(ms(attempt * 21 + 21));
+    }
+    // Given up, but not told yet.
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let told = events(&mut master, ms(63));
+    assert!(told.iter().any(|event| read.outcome(event).is_some()), "{told:?}");
+}
+
+#[test]
+fn a_stop_is_confirmed_only_when_nothing_sent_before_can_move_the_motor_any_more() {
+    // On CAN a stop (0x141) overtakes a set-point (0x401) that waits in another mailbox.
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0))[0].data, Shutdown.encode());
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), None);
+    assert_eq!(sent(&mut master, ms(1)), []);
+    // The set-point has reached the drive, which turns again.
+    assert!(matches!(motion_feedback(&mut master, ms(3)), Some(Event::Feedback { .. })));
+    assert_eq!(sent(&mut master, ms(3))[0].data, Shutdown.encode());
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(4)), confirmed);
+}
+
+#[test]
+fn a_stop_is_confirmed_at_once_when_the_feedback_came_before() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    motion_feedback(&mut master, ms(1)).unwrap();
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed);
+}
+
+#[test]
+fn a_stop_goes_once_more_when_a_set_point_before_it_counts_as_lost() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), None);
+    let at = master.poll_at().unwrap();
+    assert!(at < ms(100), "{at:?}");
+    assert_eq!(sent(&mut master, at)[0].data, Shutdown.encode());
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), at + Duration::from_millis(1)), confirmed);
+}
+
+#[test]
+fn a_request_that_ends_motion_is_answered_when_no_lost_set_point_can_move_the_motor_any_more() {
+    for patience in [None, Some(Patience { attempts: 1, reply_timeout: Config::CAN.reply_timeout })]
+    {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.set_point(id(1), motion(), ms(0)).unwrap();
+        sent(&mut master, ms(0));
+        // 20 ms later it counts as lost, and may reach the drive for 41 ms from when anything is heard.
+        let lost = master.poll_at().unwrap().max(ms(21));
+        assert_eq!(events(&mut master, lost), [Event::SetPointUnanswered { motor: id(1) }]);
+        let ticket = match patience {
+            Some(patience) => master.request_with(id(1), Shutdown, patience),
+            None => master.request(id(1), Shutdown),
+        };
+        assert_eq!(sent(&mut master, lost)[0].data, Shutdown.encode());
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), lost + Duration::from_millis(1)), None);
+        // Until then nothing was heard: the bus may have been cut.
+        let over = lost + Duration::from_millis(1) + Config::CAN.late_window;
+        assert_eq!(master.poll_at(), Some(over));
+        assert_eq!(sent(&mut master, over)[0].data, Shutdown.encode());
+        let told = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
+        assert_eq!(ticket.unwrap().outcome(&told.unwrap()), Some(Ok(Shutdown)));
+    }
+}
+
+#[test]
+fn no_set_point_goes_before_what_was_asked_for_earlier_to_end_motion() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    let lost = master.poll_at().unwrap().max(ms(21));
+    assert_eq!(events(&mut master, lost), [Event::SetPointUnanswered { motor: id(1) }]);
+    let ticket = master.request(id(1), Shutdown).unwrap();
+    // A newer one, at every step: for the first attempt, for the second, and when it goes once more.
+    let put = |master: &mut Master<2>, at| master.set_point(id(1), motion(), at).unwrap();
+    put(&mut master, lost);
+    assert_eq!(sent(&mut master, lost)[0].data, Shutdown.encode());
+    assert_eq!(sent(&mut master, lost), []);
+    let again = lost + Config::CAN.reply_timeout;
+    put(&mut master, again);
+    assert_eq!(events(&mut master, again), []);
+    assert_eq!(sent(&mut master, again)[0].data, Shutdown.encode());
+    let answered = again + Duration::from_millis(1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), answered), None);
+    // Until then nothing was heard: the bus may have been cut. And the second may be answered yet.
+    let over = again + Config::CAN.reply_timeout + Config::CAN.late_window;
+    put(&mut master, answered);
+    assert_eq!(sent(&mut master, answered), []);
+    put(&mut master, over);
+    assert_eq!(sent(&mut master, over)[0].data, Shutdown.encode());
+    let told = reply(&mut master, 1, Shutdown.encode(), over + Duration::from_millis(1));
+    assert_eq!(ticket.outcome(&told.unwrap()), Some(Ok(Shutdown)));
+    assert!(matches!(sent(&mut master, over + Duration::from_millis(1))[..], [_]), "its turn");
+}
+
+#[test]
+fn who_stops_in_every_cycle_is_told_when_the_motor_stands() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    // It answers after 1.5 ms.
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(3)), []);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    let answered = ms(3) + Duration::from_micros(500);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), answered), confirmed);
+    // The next one is a stop of its own, and so is one of another kind.
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(4))[0].data, Stop.encode());
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(5))[0].data, Shutdown.encode());
+}
+
+#[test]
+fn who_stops_all_in_every_cycle_on_a_line_keeps_no_motors_own_stop_back() {
+    let of_motor_1 = |data| Frame { address: Target::Motor(id(1)), data };
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    master.handle_line(&of_motor_1(ANGLE_REPLY), ms(1)).unwrap();
+    let mut told = Vec::new();
+    for now in 2..20 {
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        for packet in sent(&mut master, ms(now)) {
+            if packet.channel != Channel::Command(Target::All) {
+                let answered = ms(now) + Duration::from_micros(900);
+                told.extend(master.handle_line(&of_motor_1(Stop.encode()), answered));
+            }
+        }
+    }
+    assert!(told.contains(&Event::StopConfirmed { motor: id(1) }), "{told:?}");
+}
+
+#[test]
+fn one_motor_is_stopped_by_itself() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for motor in 1..=2 {
+        master.set_point(id(motor), torque(1.0), ms(0)).unwrap();
+    }
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let packets = sent(&mut master, ms(0));
+    assert_eq!(packets[0].data, Stop.encode());
+    assert_eq!(packets[1].data, torque(1.0).encode());
+    assert_eq!(master.set_point(id(1), torque(1.0), ms(1)), Err(RequestError::Stopped));
+    assert_eq!(master.set_point(id(2), torque(1.0), ms(1)), Ok(()));
+    master.lift_stop_of(id(1));
+    assert_eq!(master.set_point(id(1), torque(1.0), ms(1)), Ok(()));
+}
+
+#[test]
+fn on_rs485_the_living_are_stopped_before_the_dead() {
+    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+    let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
+    let mut now = ms(0);
+    for motor in 1..=4 {
+        let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+        let _ticket = master.request_with(id(motor), ReadModel, once).unwrap();
+        assert_eq!(sent(&mut master, now).len(), 1);
+        now += Duration::from_millis(1);
+        if motor == 4 {
+            master.handle_line(&line(4, *b"\xB5X8S2V10"), now).unwrap();
+        }
+        now += Duration::from_millis(6);
+        events(&mut master, now);
+    }
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, now)[0].channel, Channel::Command(Target::All));
+    now += Duration::from_millis(6);
+    assert_eq!(sent(&mut master, now)[0].channel, Channel::Command(Target::Motor(id(4))));
+}
+
+#[test]
+fn a_stop_that_is_lifted_before_it_was_sent_is_sent_all_the_same() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = master.request(id(1), ReadModel).unwrap();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    master.lift_stop();
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let packets = sent(&mut master, ms(0));
+    assert_eq!(packets[0].data, Stop.encode(), "before anything newer");
+}
+
+#[test]
+fn what_was_switched_off_is_switched_on_by_no_other_stop() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let first_stops = |master: &mut Master<4>, now| -> Vec<(u8, u8)> {
+        let stops = sent(master, now);
+        let motors = stops.iter().filter_map(|packet| match packet.channel {
+            Channel::Command(Target::Motor(motor)) => Some((motor.get(), packet.data[0])),
+            _ => None,
+        });
+        let stops_of = motors.collect();
+        for packet in stops {
+            let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
+            reply(master, motor.get(), packet.data, now + Duration::from_millis(1));
+        }
+        stops_of
+    };
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(first_stops(&mut master, ms(0)), [(1, 0x80)]);
+    // As whoever leaves a control loop does.
+    master.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    assert_eq!(first_stops(&mut master, ms(100)), [(1, 0x80), (2, 0x81)]);
+    master.lift_stop_of(id(1));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(first_stops(&mut master, ms(200)), [(1, 0x80)], "all are stopped still");
+    master.lift_stop();
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(first_stops(&mut master, ms(300)), [(1, 0x81)]);
+
+    // Nor by one to all at once.
+    let mut line = Master::<4>::new(Config::rs485(115_200, false));
+    line.stop(id(1), StopKind::Off).unwrap();
+    line.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    let first = line.poll_transmit(ms(0)).unwrap();
+    assert_eq!((first.channel, first.data[0]), (Channel::Command(id(1).into()), 0x80));
+}
+
+#[test]
+fn a_stop_in_the_place_of_another_tells_of_no_request() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    sent(&mut master, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(events(&mut master, ms(0)), []);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(events(&mut master, ms(0)), []);
+}
+
+#[test]
+fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one_to_all() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(Stop, id(1).into()).unwrap();
+    sent(&mut master, ms(1));
+    // It moves again, and is stopped by itself.
+    master.set_point(id(1), torque(1.0), ms(1)).unwrap();
+    sent(&mut master, ms(1));
+    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(2)).unwrap();
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(3)).len(), 1);
+    let told = reply(&mut master, 1, Stop.encode(), ms(4));
+    assert_ne!(
+        told,
+        Some(Event::StopConfirmed { motor: id(1) }),
+        "that to all is not answered yet"
+    );
+    assert_eq!(sent(&mut master, ms(4)).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(5)), confirmed);
+}
+
+#[test]
+fn a_stop_is_confirmed_only_when_no_command_to_all_can_move_the_motor_any_more() {
+    // On CAN a stop (0x141) overtakes a command to all (0x280) that waits in another mailbox.
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(torque(1.0), id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    // Motor 2 gets its place only now.
+    let both = [1, 2].into_iter().map(id).collect();
+    master.stop_all(StopKind::Off, both).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 3, "to all, and to each");
+    for (motor, now) in [(1, 2), (2, 2), (1, 3), (2, 3)] {
+        assert_eq!(reply(&mut master, motor, Shutdown.encode(), ms(now)), None, "{motor}");
+    }
+    assert_eq!(sent(&mut master, ms(3)), []);
+    // Motor 1 answers what was sent to all, motor 2 does not.
+    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(4)).unwrap();
+    assert_eq!(sent(&mut master, ms(4)).len(), 1);
+    let confirmed = |motor| Some(Event::StopConfirmed { motor: id(motor) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(5)), confirmed(1));
+    let at = master.poll_at().unwrap();
+    assert!(at > ms(20) && at < ms(100), "{at:?}");
+    assert_eq!(sent(&mut master, at).len(), 1);
+    let soon = at + Duration::from_millis(1);
+    assert_eq!(reply(&mut master, 2, Shutdown.encode(), soon), confirmed(2));
+}
+
+#[test]
+fn what_may_still_move_the_motor_makes_way_for_no_other_late_reply() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(5) };
+    // A move and a read were given up, and a second read is in flight when the motor is stopped.
+    let _ = master.request_with(id(1), step(), once).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(5));
+    let _ = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+    sent(&mut master, ms(5));
+    events(&mut master, ms(10));
+    let _ = master.request_with(id(1), ReadModel, once).unwrap();
+    sent(&mut master, ms(10));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(11));
+    // Once more before an answer came.
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(12));
+    // The first is the answer to the earlier stop; after the second the move may yet come.
+    for now in [13, 14, 15] {
+        let told = reply(&mut master, 1, Shutdown.encode(), ms(now));
+        assert_ne!(told, Some(Event::StopConfirmed { motor: id(1) }), "after {now} ms");
+        sent(&mut master, ms(now));
+    }
+}
+
+#[test]
+fn while_the_bus_is_down_what_moves_does_not_grow_old() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+    master.handle_bus_down(ms(55));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(80));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(81)), None, "40 ms from then");
+}

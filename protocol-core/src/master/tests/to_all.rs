@@ -1,0 +1,243 @@
+//! Commands to all motors.
+
+use super::*;
+
+#[test]
+fn a_broadcast_collects_answers_and_names_the_silent() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let expected: MotorSet = [1, 2, 3].into_iter().map(id).collect();
+    let earlier = ask(&mut master, 1, ReadModel, ms(0));
+    master.broadcast(ReadMultiTurnAngle, expected).unwrap();
+    assert!(sent(&mut master, ms(0)).is_empty(), "a request is in flight");
+    let _ = reply(&mut master, 1, *b"\xB5X8S2V10", ms(1))
+        .filter(|event| earlier.outcome(event).is_some())
+        .unwrap();
+    assert_eq!(sent(&mut master, ms(1))[0].channel, Channel::Command(Target::All));
+    assert_eq!(master.broadcast(ReadModel, expected), Err(RequestError::Busy));
+    for motor in [1, 3] {
+        let event = reply(&mut master, motor, ANGLE_REPLY, ms(2)).unwrap();
+        assert!(matches!(event, Event::BroadcastReply { .. }));
+    }
+    let twice = reply(&mut master, 1, ANGLE_REPLY, ms(3)).unwrap();
+    assert!(matches!(twice, Event::Stray { .. }));
+    assert_eq!(
+        events(&mut master, ms(23)),
+        [Event::BroadcastDone { silent: id(2).into(), was_sent: true }]
+    );
+}
+
+#[test]
+fn late_answers_to_a_broadcast_are_not_taken_for_others() {
+    let mut master = Master::<4>::new(Config::CAN);
+    for motor in 1..=3 {
+        let _ticket = master.request(id(motor), ReadModel).unwrap();
+    }
+    sent(&mut master, ms(0));
+    for motor in 1..=3 {
+        reply(&mut master, motor, *b"\xB5X8S2V10", ms(1)).unwrap();
+    }
+    // Motors 1 and 2 are expected, 1 and 3 hear it; 1 answers in time.
+    master.broadcast(ReadMultiTurnAngle, [1, 2].into_iter().map(id).collect()).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    assert!(matches!(
+        reply(&mut master, 1, ANGLE_REPLY, ms(3)),
+        Some(Event::BroadcastReply { .. })
+    ));
+    assert_eq!(
+        events(&mut master, ms(24)),
+        [Event::BroadcastDone { silent: id(2).into(), was_sent: true }]
+    );
+    let tickets = [1, 2, 3].map(|motor| master.request(id(motor), ReadMultiTurnAngle).unwrap());
+    assert_eq!(sent(&mut master, ms(24)).len(), 1, "motor 1 has answered, the others may yet");
+    // Another kind is not mixed up; the late answer of the unexpected motor 3 frees its request.
+    let late = reply(&mut master, 3, ANGLE_REPLY, ms(25)).unwrap();
+    assert!(matches!(late, Event::Stray { .. }) && tickets[2].outcome(&late).is_none());
+    assert_eq!(sent(&mut master, ms(25)).len(), 1);
+    // Sent at 2 ms, with 21 ms to answer and a late window of 40 ms.
+    for motor in [1, 3] {
+        reply(&mut master, motor, ANGLE_REPLY, ms(27)).unwrap();
+    }
+    let at = master.poll_at().unwrap();
+    assert!((ms(62)..ms(66)).contains(&at), "{at:?}");
+    assert!(sent(&mut master, ms(61)).is_empty());
+    assert_eq!(sent(&mut master, at).len(), 1);
+}
+
+#[test]
+fn a_broadcast_waits_for_the_late_answers_to_the_one_before() {
+    let mut master = Master::<4>::new(Config::CAN);
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(
+        events(&mut master, ms(21)),
+        [Event::BroadcastDone { silent: id(1).into(), was_sent: true }]
+    );
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert!(sent(&mut master, ms(21)).is_empty());
+    let late = reply(&mut master, 1, ANGLE_REPLY, ms(22));
+    assert!(!matches!(late, Some(Event::BroadcastReply { .. })));
+    assert_eq!(sent(&mut master, ms(22)).len(), 1, "it has come, so nothing can be mistaken");
+    // And a reply from just before it is none to it.
+    let doubled = reply(&mut master, 1, ANGLE_REPLY, Instant::from_micros(22_100));
+    assert!(!matches!(doubled, Some(Event::BroadcastReply { .. })));
+    let answer = reply(&mut master, 1, ANGLE_REPLY, ms(23));
+    assert!(matches!(answer, Some(Event::BroadcastReply { .. })));
+}
+
+#[test]
+fn a_broadcast_lets_further_attempts_go_and_waits_for_no_restart() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let _reset = master.request(id(2), Reset).unwrap();
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    events(&mut master, ms(0));
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    // The first attempt is lost; the second must not wait for the broadcast, which waits for it.
+    assert_eq!(sent(&mut master, ms(21))[0].data[0], 0x92);
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(read.outcome(&event).is_some());
+    assert!(sent(&mut master, ms(22)).is_empty(), "the first attempt may still be answered");
+    let at = master.poll_at().unwrap();
+    assert!((ms(62)..ms(66)).contains(&at), "{at:?}");
+    assert_eq!(sent(&mut master, at)[0].channel, Channel::Command(Target::All));
+}
+
+#[test]
+fn a_broadcast_that_waits_is_dropped_by_a_stop_and_by_a_bus_that_is_down() {
+    let ends: [fn(&mut Master<2>); 3] = [
+        |master| master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(),
+        |master| master.stop(id(2), StopKind::Hold).unwrap(),
+        |master| master.handle_bus_down(ms(0)),
+    ];
+    for end in ends {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.broadcast(step(), id(1).into()).unwrap();
+        end(&mut master);
+        let is_step = |packet: &Packet| packet.data == step().encode();
+        assert!(!sent(&mut master, ms(0)).iter().any(is_step));
+        let silent = id(1).into();
+        assert!(
+            events(&mut master, ms(0)).contains(&Event::BroadcastDone { silent, was_sent: false })
+        );
+    }
+}
+
+#[test]
+fn whom_a_broadcast_may_move_is_stopped_with_all() {
+    let both: MotorSet = [1, 2].into_iter().map(id).collect();
+    type Put = fn(&mut Master<2>, MotorSet) -> Result<(), RequestError>;
+    let puts: [(Put, usize); 3] = [
+        // One to all, who may be more, and one each.
+        (|master, both| master.broadcast(torque(1.0), both), 3),
+        (|master, both| master.broadcast(ReleaseBrake, both), 3),
+        (|master, both| master.broadcast(ReadMultiTurnAngle, both), 0),
+    ];
+    for (put, stops) in puts {
+        let mut master = Master::<2>::new(Config::CAN);
+        put(&mut master, both).unwrap();
+        assert_eq!(sent(&mut master, ms(0)).len(), 1);
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        let data: Vec<Data> = sent(&mut master, ms(1)).iter().map(|packet| packet.data).collect();
+        assert_eq!(data, [Stop.encode(); 3][..stops]);
+    }
+}
+
+#[test]
+fn a_broadcast_that_may_move_more_motors_than_there_is_room_for_is_refused() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let too_many = Err(RequestError::TooManyMotors { capacity: 2 });
+    let three = [1, 2, 3].into_iter().map(id).collect();
+    assert_eq!(master.broadcast(torque(1.0), three), too_many);
+    let _ = ask(&mut master, 3, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 3, ANGLE_REPLY, ms(1)).unwrap();
+    let two = [1, 2].into_iter().map(id).collect();
+    assert_eq!(master.broadcast(torque(1.0), two), too_many, "motor 3 has a place");
+    assert_eq!(sent(&mut master, ms(1)), []);
+    assert_eq!(master.motors(), id(3).into(), "nobody was given one for it");
+    // What moves nobody is asked of all, and so is what moves as many as there are places.
+    master.broadcast(ReadMultiTurnAngle, three).unwrap();
+    assert_eq!(master.motors(), id(3).into());
+    master.handle_bus_down(ms(2));
+    events(&mut master, ms(2));
+    master.broadcast(torque(1.0), [1, 3].into_iter().map(id).collect()).unwrap();
+}
+
+#[test]
+fn no_older_set_point_or_move_follows_what_ends_the_motion_of_all() {
+    let mut master = Master::<4>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    let waiting = master.request(id(2), step()).unwrap();
+    let read = master.request(id(3), ReadMultiTurnAngle).unwrap();
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    let mut packets = sent(&mut master, ms(0));
+    assert_eq!(packets[0], packet_to_all(Shutdown.encode()));
+    let told = events(&mut master, ms(0));
+    assert!(told.contains(&Event::SetPointDropped { motor: id(1) }), "{told:?}");
+    assert!(told.iter().any(|event| waiting.outcome(event) == Some(Err(Failure::Stopped))));
+    assert!(!told.iter().any(|event| read.outcome(event).is_some()));
+    packets.extend(sent(&mut master, ms(100)));
+    let to_motor_3 = Channel::Command(id(3).into());
+    assert!(packets[1..].iter().all(|packet| packet.channel == to_motor_3), "{packets:?}");
+}
+
+#[test]
+fn a_set_point_that_was_pushed_out_by_what_ends_the_motion_of_all_is_not_sent_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to_all(Shutdown.encode())]);
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(1)), []);
+}
+
+#[test]
+fn while_the_bus_is_down_a_command_to_all_does_not_grow_old() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    let pushed_out = sent(&mut master, ms(1))[0];
+    assert_eq!(
+        events(&mut master, ms(1)),
+        [Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true }]
+    );
+    // It lies in a queue for as long as the bus is down.
+    master.handle_bus_down(ms(60));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(90)).len(), 2, "to all, and to motor 1");
+    for now in [91, 92] {
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now)), None);
+        assert_eq!(sent(&mut master, ms(now)), []);
+    }
+    // Handed back it was never sent, and nothing moves any more.
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(sent(&mut master, ms(93)).len(), 1);
+    let confirmed = Some(Event::StopConfirmed { motor: id(1) });
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(94)), confirmed);
+}
+
+#[test]
+fn who_asks_all_again_and_again_keeps_nobody_else_waiting() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    reply(&mut master, 1, *b"\xB5X8S2V10", ms(1)).unwrap();
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    sent(&mut master, ms(1));
+    let _waiting = master.request(id(1), ReadModel).unwrap();
+    for now in 2..10 {
+        let told = reply(&mut master, 1, ANGLE_REPLY, ms(now));
+        assert!(matches!(told, Some(Event::BroadcastReply { .. })));
+        // As the loops do: what can be sent is sent before the next event is told.
+        let packets = sent(&mut master, ms(now));
+        if packets.iter().any(|packet| packet.data[0] == 0xB5) {
+            return;
+        }
+        assert!(
+            events(&mut master, ms(now))
+                .contains(&Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true })
+        );
+        master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+        sent(&mut master, ms(now));
+    }
+    panic!("it never got its turn");
+}
