@@ -289,7 +289,8 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
             return Err(MoveFailure::GivenUp);
         }
         let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
-        if (has_stalled || progress.time > time) && runs_nothing(runner, motor).await {
+        let is_time_up = progress.time > time;
+        if (has_stalled || is_time_up) && runs_nothing(runner, motor).await {
             return Err(MoveFailure::LetGo { at: angle });
         }
         if has_stalled {
@@ -298,7 +299,7 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
                 WhenStalled::Stop => Err(MoveFailure::Stalled { at: angle, target }),
             };
         }
-        if progress.time > time {
+        if is_time_up {
             return Err(MoveFailure::TimedOut { at: angle, target });
         }
         looks += 1;

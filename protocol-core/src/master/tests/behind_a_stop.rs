@@ -230,6 +230,20 @@ fn a_stop_to_all_that_is_handed_back_is_awaited_no_more_than_it_was_sent() {
 }
 
 #[test]
+fn a_stop_to_all_that_is_handed_back_behind_the_next_stop_owes_that_no_answer() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(channels(&packets), [TO_ALL, to(1)]);
+    master.lift_stop();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(channels(&sent(&mut master, ms(101))), [TO_ALL, to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None, "that to the first");
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(103)), confirmed(1));
+}
+
+#[test]
 fn what_the_caller_tells_all_and_is_handed_back_is_not_taken_for_the_stop_of_all_in_force() {
     let mut master = all_move();
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
