@@ -92,12 +92,14 @@ fn stop_every_id<C: Command + Copy>(
         None => String::new(),
         Some(why) => format!("{why}; "),
     };
+    let echo = session.echo_told_of();
     Err(Unfinished::Failed(if confirmed.is_empty() {
         format!(
             "{why}no confirmation of the stop from any motor{}: if one is on {}, cut its power; then check the \
-             wiring and the bit rate ('scan --all-rates' tries the others)",
+             wiring and the bit rate ('scan --all-rates' tries the others){}",
             session.garbled(),
-            session.address
+            session.address,
+            echo
         )
     } else {
         format!(
@@ -344,6 +346,20 @@ mod tests {
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
         let Err(Unfinished::Failed(told)) = session.meant(Target::All) else { panic!() };
         assert!(!told.contains("bytes come"), "{told}");
+    }
+
+    #[test]
+    fn an_echo_that_was_told_of_and_does_not_come_is_named_where_no_stop_is_confirmed() {
+        for meant in [Target::Motor(MotorId::MIN), Target::All] {
+            let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
+            let (port, clock) = (fleet.world.port(), fleet.world.clock());
+            let master = SerialMaster::new(port, clock, Config::rs485(115_200, true));
+            let mut session = Session::by(AnyMaster::SimulatedRs485(master));
+            let Err(Unfinished::Failed(told)) = halt(&mut session, meant, StopKind::Hold) else {
+                panic!("its answer is the same bytes as the echo");
+            };
+            assert!(told.contains("leave ',echo' away"), "{told}");
+        }
     }
 
     #[test]

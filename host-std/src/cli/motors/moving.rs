@@ -86,7 +86,8 @@ impl Session {
             silent = self.silent_at_stop(kind, silent);
             if !silent.is_empty() && self.master.now() - begun >= LONGEST_OUTAGE {
                 return Err(Unfinished::Failed(format!(
-                    "no confirmation of the stop from motor {silent}: if it is on this bus, cut its power"
+                    "no confirmation of the stop from motor {silent}: if it is on this bus, cut its power{}",
+                    self.echo_told_of()
                 )));
             }
         }

@@ -12,7 +12,7 @@ use myactuator_host_std::sim::CanFleet;
 use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Config, Event, MotorSet};
+use myactuator_protocol_core::master::{Bus, Config, Event, MotorSet};
 use myactuator_protocol_core::units::CoarseSpeed;
 use myactuator_protocol_core::{MotorId, Target};
 
@@ -273,6 +273,17 @@ impl Session {
             _ => {
                 ", but bytes come that are no frame (do two motors have one id? connect only one of them)"
             }
+        }
+    }
+
+    /// What a stop that is not confirmed may be due to, where an echo was told of: an answer of the command's own
+    /// bytes counts as the echo, also where none comes.
+    pub(super) fn echo_told_of(&mut self) -> &'static str {
+        match self.master.master().config().bus {
+            Bus::Rs485 { echo: true, .. } => {
+                " (if the adapter does not hand back what it sends, leave ',echo' away)"
+            }
+            _ => "",
         }
     }
 
