@@ -235,7 +235,10 @@ pub fn protect<R: Runner<N>, const N: usize>(
 }
 
 /// Restarts a drive (0x76) and waits until it answers, under another id perhaps. It asks nothing before: the
-/// output goes off, so that a turning shaft runs on and a load that is held falls. Stop the motor first.
+/// output goes off, so that a turning shaft runs on and a load that is held falls. Stop the motor first, and lift
+/// that stop: it refuses this. Whole turns are lost unless multi-turn saving
+/// ([function 4](crate::command::FunctionControl::SaveMultiTurn)) is on, and it may be moved at once afterwards: read
+/// its angle first.
 ///
 /// # Errors
 /// [`BringUpError::NotThere`] if it does not answer within 5 s, [`BringUpError::Call`].

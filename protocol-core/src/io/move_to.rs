@@ -148,7 +148,7 @@ pub enum MoveFailure<E> {
     Fault(ErrorFlags),
     /// It came no nearer for a while.
     #[error(
-        "it is at {at} and comes no nearer to {target}: does a load or a limit of angle hold it?"
+        "it is at {at} and comes no nearer to {target} (a load, a brake or a limit of angle may hold it)"
     )]
     Stalled {
         /// Where it is.
