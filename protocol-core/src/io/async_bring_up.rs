@@ -31,7 +31,9 @@ const SPOKEN_TO_EVERY: Duration = Duration::from_millis(10);
 /// How far a new zero may be from 0 after a restart, 0.01 degrees: the shaft may settle meanwhile.
 const ZERO_TOLERANCE: i32 = 100;
 
-/// As [`bring_up::scan`](crate::io::bring_up::scan).
+/// As [`bring_up::scan`](crate::io::bring_up::scan). If this future is dropped on the way, ids that were asked keep
+/// their places in the master, also those without a motor: a stop of all waits for them, and the next scan may find no
+/// place free, until they are [forgotten](crate::master::Master::forget).
 ///
 /// # Errors
 /// As there.
@@ -44,6 +46,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     let known = runner.master().motors();
     let (mut waiting, mut asked, mut found) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
     let mut is_bus_down = false;
+    let mut failed = None;
     let mut turn_ends = runner.now() + LONGEST_TURN;
     while !(waiting.is_empty() && asked.is_empty()) {
         for motor in waiting.iter() {
@@ -68,7 +71,19 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
         if !asked.is_empty() {
             turn_ends = runner.now() + LONGEST_TURN;
         }
-        let Some(event) = runner.run(Some(soon)).await.map_err(CallError::Bus)? else { continue };
+        let event = match runner.run(Some(soon)).await {
+            Ok(event) => event,
+            // What was asked is waited for: nobody else takes back the places of ids without a motor.
+            Err(error) => {
+                waiting = MotorSet::EMPTY;
+                failed.get_or_insert((error, runner.now() + LONGEST_TURN));
+                runner.master().poll_event()
+            }
+        };
+        if failed.as_ref().is_some_and(|(_, end)| *end <= runner.now()) {
+            break;
+        }
+        let Some(event) = event else { continue };
         let (motor, there) = match event {
             Event::Reply { ticket, .. } => (ticket.motor(), true),
             Event::Failed { ticket, failure: Failure::BusDown } => {
@@ -87,7 +102,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
         }
         if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {
             asked.remove(motor);
-            if !is_bus_down {
+            if !is_bus_down && (there || failed.is_none()) {
                 on_answer(motor, found.contains(motor));
             }
             if !known.contains(motor) {
@@ -95,7 +110,11 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
             }
         }
     }
-    if is_bus_down { Err(CallError::Failed(Failure::BusDown)) } else { Ok(found) }
+    match failed {
+        Some((error, _)) => Err(CallError::Bus(error)),
+        None if is_bus_down => Err(CallError::Failed(Failure::BusDown)),
+        None => Ok(found),
+    }
 }
 
 /// As [`bring_up::identify`](crate::io::bring_up::identify).

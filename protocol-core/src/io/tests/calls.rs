@@ -89,6 +89,28 @@ fn a_scan_without_a_free_place_says_so() {
 }
 
 #[test]
+fn a_scan_that_the_bus_ends_leaves_no_place_to_ids_without_a_motor() {
+    let nobody: MotorSet = (9..=20).map(id).collect();
+    for fails_in_flight in [false, true] {
+        let (bus, mut arm) = arm();
+        if fails_in_flight {
+            // All places are taken by what a scan has sent when the driver fails.
+            let scan = bring_up::scan(&mut arm, nobody, |_, _| bus.state().receive_fails = true);
+            assert_eq!(scan, Err(CallError::Bus(Broken)));
+        } else {
+            bus.state().transmit_fails = true;
+            let scan = bring_up::scan(&mut arm, nobody, |_, _| {});
+            assert_eq!(scan, Err(CallError::Bus(Broken)));
+        }
+        bus.state().receive_fails = false;
+        bus.state().transmit_fails = false;
+        assert_eq!(arm.master().motors(), MotorSet::EMPTY);
+        let found = bring_up::scan(&mut arm, nobody.with(id(1).into()), |_, _| {});
+        assert_eq!(found, Ok(id(1).into()));
+    }
+}
+
+#[test]
 fn a_scan_finds_whoever_tells_that_it_has_lost_its_master() {
     let (bus, mut arm) = arm();
     let data = [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0];
