@@ -23,7 +23,10 @@
 //! machines own no I/O and read no clock.
 //!
 //! # Where to start
-//! - To run motors: [`io::CanMaster`] or [`io::SerialMaster`], which are [`io::Runner`]s.
+//! - To run motors: [`io::CanMaster`] or [`io::SerialMaster`], which are [`io::Runner`]s; in tasks
+//!   [`io::AsyncCanMaster`] or [`io::AsyncSerialMaster`].
+//! - To find them, change what they are set to, and move them to an angle: [`io::bring_up`].
+//! - To have them stopped however a loop is left: [`io::Guard`], in tasks [`io::guarded`].
 //! - To run them from your own loop, interrupt or executor: [`master::Master`].
 //! - To read a bus: [`wire::can::decode`] or [`wire::rs485::Receiver`], then [`AnyCommand`] and
 //!   [`AnyReply`].
