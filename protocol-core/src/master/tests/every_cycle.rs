@@ -42,3 +42,21 @@ fn who_has_confirmed_a_stop_of_every_cycle_keeps_no_other_motors_first_stop_back
     // Four a millisecond.
     assert_eq!(stopped_by(Master::new(Config::CAN), 16, 4).len(), 16);
 }
+
+#[test]
+fn a_stop_that_was_confirmed_once_is_tried_fourteen_times_when_it_is_called_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for _ in 0..2 {
+        master.stop_all(StopKind::Off, id(1).into()).unwrap();
+        assert_eq!(sent(&mut master, ms(0)).len(), 1);
+        reply(&mut master, 1, Shutdown.encode(), ms(1));
+        assert_eq!(events(&mut master, ms(1)), []);
+    }
+    master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    let (mut attempts, mut told) = (0, Vec::new());
+    for now in 1..1_000 {
+        attempts += sent(&mut master, ms(now)).len();
+        told.extend(events(&mut master, ms(now)));
+    }
+    assert_eq!((attempts, told), (14, [Event::StopUnconfirmed { motor: id(1) }].into()));
+}
