@@ -221,8 +221,13 @@ impl Truth {
         let (window, doubled) = (self.late_window, self.doubled(motor));
         let longest = self.longest_response;
         let copies = 1 + u32::from(self.echoes);
+        let moment = self.next_moment();
         let page = self.page(motor);
         page.unanswered = 0;
+        if page.was_given_up && page.is_stopped && !page.may_be_stopping {
+            (page.may_be_stopping, page.may_be_stopping_since) = (true, moment);
+            (page.is_stopped_again, page.stops_taken) = (true, 0);
+        }
         let is_lost_master = packet.data[0] == 0xF1;
         if is_lost_master {
             page.lost_master_untold = false;

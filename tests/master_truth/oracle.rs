@@ -178,6 +178,7 @@ impl Oracle {
                 let may_be = std::mem::take(&mut page.may_be_stopping);
                 let was_stopping = std::mem::take(&mut page.is_stopping) || may_be;
                 let taken = page.stops_taken;
+                page.was_given_up = true;
                 // The first counts as the second where it has confirmed that before.
                 let attempts = STOP_ATTEMPTS - u32::from(page.is_stopped_again);
                 if !was_stopping || taken < attempts {
@@ -418,6 +419,7 @@ fn check_confirmed(motor: MotorId, truth: &mut Truth) {
     let page = &mut truth.pages[motor.index()];
     let may_be = std::mem::take(&mut page.may_be_stopping);
     page.other_stops.clear();
+    page.was_given_up = false;
     if !std::mem::take(&mut page.is_stopping) && !may_be {
         return truth.breaks(format!("motor {motor} confirms no stop"));
     }

@@ -208,6 +208,7 @@ impl Truth {
         (page.is_stopping, page.may_be_stopping, page.is_confirmed) = (true, false, false);
         (page.stop_called, page.stop_called_at, page.stops_taken) = (called, now, 0);
         (page.stop, page.is_begun_anew, page.is_stopped_again) = (stop, false, is_again);
+        page.was_given_up = false;
         page.stopping_since = steady;
         page.other_stops.clear();
         page.answers = answers;

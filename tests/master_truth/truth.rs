@@ -64,6 +64,8 @@ pub(crate) struct Page {
     pub(crate) is_stopping: bool,
     /// It may be, as of then: where what was to end the motion of all may have been dropped meanwhile.
     pub(crate) may_be_stopping: bool,
+    /// It was told that the stop is not confirmed: whoever is heard is stopped once more while that is in force.
+    pub(crate) was_given_up: bool,
     pub(crate) may_be_stopping_since: u64,
     /// What it must have heard since to have stopped so: since the first call, where others follow before that is lifted.
     pub(super) stop_due_since: u64,

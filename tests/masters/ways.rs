@@ -37,6 +37,7 @@ on_both_buses! {
     a_fault_on_the_way_ends_the_move
     a_stop_of_all_reaches_whom_nobody_has_named
     a_motor_that_falls_silent_has_not_confirmed_its_stop
+    a_motor_that_comes_back_under_a_stop_is_stopped
     a_restart_on_the_way_ends_the_move_and_forbids_another
     a_gripper_goes_on_pressing_with_what_it_was_given
     one_that_has_let_go_neither_presses_nor_is_held
@@ -317,6 +318,20 @@ fn a_motor_that_falls_silent_has_not_confirmed_its_stop<W: Wire>() {
     assert!(matches!(not_arrived.why, MoveFailure::Call(_)), "{not_arrived}");
     assert!(!not_arrived.is_stopped);
     assert!(not_arrived.to_string().ends_with("cut its power"), "{not_arrived}");
+}
+
+fn a_motor_that_comes_back_under_a_stop_is_stopped<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    runner.ask(id(1), turn(180.0)).unwrap();
+    bus.world.cut(bus.drives[0].station());
+    assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), id(1).into());
+    bus.world.mend(bus.drives[0].station());
+    let speed_dps = || bus.drives[0].with(|drive| drive.plant().output_speed_dps());
+    assert!(speed_dps() > 170.0, "it has heard no stop");
+    runner.ask(id(1), ReadStatus2).unwrap();
+    listen(runner, millis(500));
+    assert!(speed_dps().abs() < 1.0, "{}", speed_dps());
 }
 
 /// Its turns are lost, so that it would go on to another.

@@ -187,8 +187,9 @@ pub enum Event {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has not confirmed the stop, after many attempts: cut its power. Not reported while a bus takes
-    /// nothing at all: then the stop waits, and the bus has an error of its own.
+    /// A motor has not confirmed the stop, after many attempts: cut its power. If something is heard of it while the
+    /// stop is in force, that goes again, and is confirmed or not. Not reported while a bus takes nothing at all: then
+    /// the stop waits, and the bus has an error of its own.
     StopUnconfirmed {
         /// The motor.
         motor: MotorId,

@@ -109,6 +109,14 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_packet(&mut self, packet: &Packet, now: Instant) -> Option<Event> {
+        let event = self.take(packet, now);
+        if !self.unconfirmed.is_empty() {
+            self.stop_who_is_back(packet.channel);
+        }
+        event
+    }
+
+    fn take(&mut self, packet: &Packet, now: Instant) -> Option<Event> {
         self.now = now;
         let data = &packet.data;
         match packet.channel {

@@ -153,7 +153,7 @@ impl<const N: usize> Master<N> {
     /// # Errors
     /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
     /// earlier request is under way, the motor follows a stream of this kind, the motors were stopped, the
-    /// command moves a motor that has [restarted](Event::Restarted), or there is no place for one more.
+    /// command moves a motor that has [restarted](crate::master::Event::Restarted), or there is no place for one more.
     pub fn request<C: Command>(
         &mut self,
         motor: MotorId,
@@ -230,6 +230,7 @@ impl<const N: usize> Master<N> {
         })
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
         if kind.ends_motion() {
+            self.unconfirmed.remove(motor);
             self.let_line_answer();
             self.broadcast.cancel_what_moves();
             if let Some(by) = StopKind::by(kind) {

@@ -69,7 +69,8 @@ impl<const N: usize> Master<N> {
     ///
     /// Each motor gets its first stop before any gets its second. Its confirmation, or its absence, comes as an event;
     /// a stop that is not confirmed within 50 ms is repeated, however long
-    /// [`Config::reply_timeout`](crate::master::Config::reply_timeout) is. What was sent before the stop may still be on
+    /// [`Config::reply_timeout`](crate::master::Config::reply_timeout) is, and whoever has confirmed none of many is
+    /// stopped once more when it is heard again. What was sent before the stop may still be on
     /// its way, in a controller's mailbox for example: a confirmation counts only once nothing of that can move the
     /// motor any more.
     ///
@@ -149,6 +150,7 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off.insert(motor);
         }
+        self.unconfirmed.remove(motor);
         self.overtakes_broadcast(motor, kind);
         self.offer = None;
         self.due = self.now;
@@ -166,6 +168,20 @@ impl<const N: usize> Master<N> {
             true
         });
         is_new.unwrap_or(false)
+    }
+
+    /// Something was heard of a motor. If it has not confirmed its stop, which is in force, that goes again: else who
+    /// comes back would turn on.
+    #[cold]
+    pub(super) fn stop_who_is_back(&mut self, from: Channel) {
+        let (Channel::Reply(motor) | Channel::MotionReply(motor)) = from else { return };
+        if self.unconfirmed.contains(motor) {
+            self.unconfirmed.remove(motor);
+            if let (true, Some(place)) = (self.is_stopped(motor), self.places.of(motor)) {
+                self.let_line_answer();
+                self.put_stop(place, motor, self.stops_all.unwrap_or(StopKind::Hold), true);
+            }
+        }
     }
 
     /// A motor is told by itself to end its motion: what was put before for all is not to undo that.

@@ -422,3 +422,62 @@ fn while_the_bus_is_down_what_moves_does_not_grow_old() {
     sent(&mut master, ms(80));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(81)), None, "40 ms from then");
 }
+
+/// Motor 1 was stopped so and has confirmed none of the attempts from then on. Gives when that was told.
+fn is_given_up(master: &mut Master<2>, from: u64) -> u64 {
+    let unconfirmed = [Event::StopUnconfirmed { motor: id(1) }];
+    let mut times = from..from + 1_000;
+    let told = times.find(|&now| {
+        sent(master, ms(now));
+        events(master, ms(now)) == unconfirmed
+    });
+    told.expect("after fifteen attempts")
+}
+
+#[test]
+fn a_motor_that_has_not_confirmed_its_stop_is_stopped_when_it_is_heard_again() {
+    for kind in [StopKind::Hold, StopKind::Off] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop(id(1), kind).unwrap();
+        let mut now = is_given_up(&mut master, 0);
+        // The motor that is there says nothing of the other.
+        let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(now));
+        reply(&mut master, 2, ANGLE_REPLY, ms(now + 1)).unwrap();
+        assert_eq!(sent(&mut master, ms(now + 1)), []);
+        // Whatever it says; and again if that is not confirmed, either.
+        for _ in 0..2 {
+            now += 100;
+            let angle = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
+            let told = reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
+            assert!(angle.outcome(&told).is_some());
+            let packets = sent(&mut master, ms(now + 1));
+            let (_, stop) = kind.command();
+            assert_eq!(packets.iter().map(|it| it.data).collect::<Vec<_>>(), [stop]);
+            now = is_given_up(&mut master, now + 2);
+        }
+        // Not once that is lifted.
+        master.lift_stop();
+        now += 100;
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
+        reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
+        assert_eq!(sent(&mut master, ms(now + 1)), []);
+    }
+}
+
+#[test]
+fn a_hold_that_was_not_confirmed_does_not_switch_on_what_is_switched_off_since() {
+    for is_to_all in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop(id(1), StopKind::Hold).unwrap();
+        let now = is_given_up(&mut master, 0) + 100;
+        events(&mut master, ms(now));
+        if is_to_all {
+            master.broadcast(Shutdown, id(1).into()).unwrap();
+        } else {
+            let _ = master.request(id(1), Shutdown).unwrap();
+        }
+        assert_eq!(sent(&mut master, ms(now)).len(), 1);
+        reply(&mut master, 1, Shutdown.encode(), ms(now + 1)).unwrap();
+        assert_eq!(sent(&mut master, ms(now + 1)), [], "{is_to_all}");
+    }
+}
