@@ -384,7 +384,6 @@ impl<const N: usize> Master<N> {
         }
         self.broadcast.put(kind, data, expected);
         if kind.ends_motion() {
-            self.unconfirmed = MotorSet::EMPTY;
             // What was offered may be a set-point that this ends.
             self.offer = None;
             self.due = now;

@@ -24,7 +24,8 @@
 //!
 //! # What can still go wrong
 //! A reply says which motor, which command and which index, and not which of two equal commands it
-//! answers. So an answer can be wrong if the bus holds a frame back for longer than the late window, if
+//! answers. So an answer can be wrong, or a move come behind the stop that is confirmed, if the bus or a controller
+//! holds a frame back for longer than the late window; an answer, too, if
 //! a drive answers twice or a command reaches it twice (the second reply may be taken for that to the
 //! next request of its kind), if two motors have one id, if another master asks the same at the same
 //! time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no

@@ -171,16 +171,20 @@ impl<const N: usize> Master<N> {
     }
 
     /// Something was heard of a motor. If it has not confirmed its stop, which is in force, that goes again: else who
-    /// comes back would turn on.
+    /// comes back would turn on. Not where all were told since to end their motion.
     #[cold]
     pub(super) fn stop_who_is_back(&mut self, from: Channel) {
         let (Channel::Reply(motor) | Channel::MotionReply(motor)) = from else { return };
-        if self.unconfirmed.contains(motor) {
-            self.unconfirmed.remove(motor);
-            if let (true, Some(place)) = (self.is_stopped(motor), self.places.of(motor)) {
-                self.let_line_answer();
-                self.put_stop(place, motor, self.stops_all.unwrap_or(StopKind::Hold), true);
-            }
+        if !self.unconfirmed.contains(motor) {
+            return;
+        }
+        self.unconfirmed.remove(motor);
+        let (held, off) = self.broadcast.stopped_since();
+        let place = self.places.of(motor).filter(|_| self.is_stopped(motor));
+        if let (Some(place), true) = (place, held.with(off).contains(motor)) {
+            let kind = if off.contains(motor) { StopKind::Off } else { StopKind::Hold };
+            self.let_line_answer();
+            self.put_stop(place, motor, kind, true);
         }
     }
 

@@ -85,12 +85,13 @@ impl Stream {
 
 impl<const N: usize> Master<N> {
     /// Puts a set-point in a motor's stream. One that still waits is replaced and counted, never
-    /// queued up; one that waits for longer than [`Config::set_point_max_age`](crate::master::Config::set_point_max_age) is dropped.
+    /// queued up; one that waits for longer than
+    /// [`Config::set_point_max_age`](crate::master::Config::set_point_max_age) is dropped.
     ///
     /// # Errors
     /// [`RequestError`]: the command does not go over this bus, the motors were stopped, the motor has
-    /// [restarted](crate::master::Event::Restarted), a request of the same kind is under way, or there is no place for one
-    /// more motor.
+    /// [restarted](crate::master::Event::Restarted), a request of the same kind is under way, or there is no place for
+    /// one more motor.
     pub fn set_point<C: command::SetPoint>(
         &mut self,
         motor: MotorId,

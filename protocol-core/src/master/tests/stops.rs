@@ -481,3 +481,21 @@ fn a_hold_that_was_not_confirmed_does_not_switch_on_what_is_switched_off_since()
         assert_eq!(sent(&mut master, ms(now + 1)), [], "{is_to_all}");
     }
 }
+
+#[test]
+fn a_hold_that_became_a_shutdown_with_all_is_no_hold_when_the_motor_is_heard_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.broadcast(Shutdown, id(1).into()).unwrap();
+    let over = (1..2_000).find(|&now| {
+        sent(&mut master, ms(now));
+        events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) })
+    });
+    let now = over.unwrap() + 200;
+    events(&mut master, ms(now));
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
+    reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
+    let packets = sent(&mut master, ms(now + 1));
+    assert!(packets.iter().all(|packet| packet.data != Stop.encode()), "{packets:?}");
+}
