@@ -178,9 +178,12 @@ impl Oracle {
                 let may_be = std::mem::take(&mut page.may_be_stopping);
                 let was_stopping = std::mem::take(&mut page.is_stopping) || may_be;
                 let taken = page.stops_taken;
-                page.was_given_up = true;
-                // The first counts as the second where it has confirmed that before.
-                let attempts = STOP_ATTEMPTS - u32::from(page.is_stopped_again);
+                // The first counts as the second where it has confirmed that before; and whoever is heard is stopped
+                // once more.
+                let attempts = match std::mem::replace(&mut page.was_given_up, true) {
+                    true => 1,
+                    false => STOP_ATTEMPTS - u32::from(page.is_stopped_again),
+                };
                 if !was_stopping || taken < attempts {
                     truth.breaks(format!("{event:?} after {taken} attempts"));
                 }

@@ -392,7 +392,10 @@ impl<const N: usize> Master<N> {
                 self.let_line_answer();
             }
             for place in self.places.taken.iter() {
-                self.change_at(place, |motor, config| motor.end_with_all(off, config, now));
+                self.change_at(place, |motor, config| {
+                    motor.is_told_since(kind);
+                    motor.end_with_all(off, config, now);
+                });
             }
         }
         Ok(())

@@ -103,7 +103,8 @@ pub enum Failure {
     /// A reply came, but its fields hold what is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop took its place, before it was sent or before it was answered: it may have been carried out.
+    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. That may be
+    /// a stop of before, which goes once more when a motor is heard [that has not confirmed it](Event::StopUnconfirmed).
     #[error("the motors were stopped first")]
     Stopped,
     /// The bus carried nothing while the command waited. With an [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is
@@ -187,9 +188,9 @@ pub enum Event {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has not confirmed the stop, after many attempts: cut its power. If something is heard of it while the
-    /// stop is in force, that goes again, and is confirmed or not. Not reported while a bus takes nothing at all: then
-    /// the stop waits, and the bus has an error of its own.
+    /// A motor has not confirmed the stop, after many attempts: cut its power. Whenever something is heard of it while
+    /// the stop is in force, that goes once more, and is confirmed or not, until the motor has answered what ends its
+    /// motion. Not reported while a bus takes nothing at all: then the stop waits, and the bus has an error of its own.
     StopUnconfirmed {
         /// The motor.
         motor: MotorId,

@@ -153,9 +153,6 @@ pub struct Master<const N: usize> {
     stopped: MotorSet,
     /// These were switched off by a stop that is in force: no other stop switches them on.
     switched_off: MotorSet,
-    /// These were told of as not having confirmed their stop, and nothing has ended their motion since: it goes again
-    /// when they are heard.
-    unconfirmed: MotorSet,
     /// These have lost their master and will ignore the next command.
     lost_master: MotorSet,
     /// A stop to all at once is to be sent before each motor's own.
@@ -193,7 +190,6 @@ impl<const N: usize> Master<N> {
             stops_all: None,
             stopped: MotorSet::EMPTY,
             switched_off: MotorSet::EMPTY,
-            unconfirmed: MotorSet::EMPTY,
             lost_master: MotorSet::EMPTY,
             stop_to_all: None,
             pace: 0,
@@ -250,11 +246,7 @@ impl<const N: usize> Master<N> {
     pub fn poll_event(&mut self) -> Option<Event> {
         self.broadcast.take_result().or_else(|| {
             let place = self.places.news.iter().next()?;
-            let event = self.change_at(place, take_news)?;
-            if let Some(Event::StopUnconfirmed { motor }) = event {
-                self.unconfirmed.insert(motor);
-            }
-            event
+            self.change_at(place, take_news)?
         })
     }
 

@@ -66,11 +66,14 @@ impl<const N: usize> Master<N> {
         match frame {
             can::Received::Packet(packet) => self.handle_packet(packet, now),
             &can::Received::WrongLength { channel: Channel::Reply(motor), first, .. } => {
-                if first == Some(LOST_MASTER_BYTE) {
-                    return self.lost_master(motor, now);
-                }
-                self.count_stray(motor);
-                None
+                let event = if first == Some(LOST_MASTER_BYTE) {
+                    Some(self.lost_master(motor, now))
+                } else {
+                    self.count_stray(motor);
+                    None
+                };
+                self.stop_who_is_back(motor);
+                event
             }
             _ => None,
         }
@@ -109,29 +112,25 @@ impl<const N: usize> Master<N> {
     }
 
     fn handle_packet(&mut self, packet: &Packet, now: Instant) -> Option<Event> {
-        let event = self.take(packet, now);
-        if !self.unconfirmed.is_empty() {
-            self.stop_who_is_back(packet.channel);
-        }
-        event
-    }
-
-    fn take(&mut self, packet: &Packet, now: Instant) -> Option<Event> {
         self.now = now;
         let data = &packet.data;
-        match packet.channel {
-            Channel::Reply(motor) if data[0] == LOST_MASTER_BYTE => self.lost_master(motor, now),
+        let (motor, event) = match packet.channel {
+            Channel::Reply(motor) if data[0] == LOST_MASTER_BYTE => {
+                (motor, Some(self.lost_master(motor, now)))
+            }
             Channel::Reply(motor) | Channel::MotionReply(motor) => {
-                self.handle_reply(motor, packet, now)
+                (motor, self.handle_reply(motor, packet, now))
             }
             Channel::BusId => {
                 let reply = BusId::decode_reply(data).ok()?;
                 let (motor, reply) = (reply.id(), AnyReply::BusId(reply));
                 let is_answer = self.answers_broadcast(motor, data, now);
-                is_answer.then_some(Event::BroadcastReply { motor, reply })
+                (motor, is_answer.then_some(Event::BroadcastReply { motor, reply }))
             }
-            Channel::Command(_) | Channel::Motion(_) => None,
-        }
+            Channel::Command(_) | Channel::Motion(_) => return None,
+        };
+        self.stop_who_is_back(motor);
+        event
     }
 
     fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
@@ -229,12 +228,12 @@ impl<const N: usize> Master<N> {
         if is_report { Event::Report { motor: id, reply } } else { self.stray(id, &packet.data) }
     }
 
-    fn lost_master(&mut self, motor: MotorId, now: Instant) -> Option<Event> {
+    fn lost_master(&mut self, motor: MotorId, now: Instant) -> Event {
         self.now = now;
         self.due = now;
         self.lost_master.insert(motor);
         self.change(motor, |motor, config| motor.was_heard(config, now));
-        Some(Event::LostMaster { motor })
+        Event::LostMaster { motor }
     }
 
     fn stray(&mut self, motor: MotorId, data: &Data) -> Event {
@@ -370,14 +369,17 @@ impl Motor {
             self.is_there();
         }
         let kind = asked.kind();
-        if kind.ends_motion() && (heard.to_all.may_undo(kind, motor) || self.may_yet_move()) {
-            let until = self.sent + asked.timeout + config.late_window;
-            let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
-            self.expect_late(asked.question, of, replies, until, config);
-            // Nothing that moves it goes between the attempts of what ends its motion.
-            self.on_its_way.bus_is_alive(now, config);
-            self.send_again(asked, true);
-            return Meaning::OnceMore;
+        if kind.ends_motion() {
+            if heard.to_all.may_undo(kind, motor) || self.may_yet_move() {
+                let until = self.sent + asked.timeout + config.late_window;
+                let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
+                self.expect_late(asked.question, of, replies, until, config);
+                // Nothing that moves it goes between the attempts of what ends its motion.
+                self.on_its_way.bus_is_alive(now, config);
+                self.send_again(asked, true);
+                return Meaning::OnceMore;
+            }
+            self.unconfirmed = None;
         }
         self.finish_request(Request::None, config, now);
         if asked.is_stop() {

@@ -222,6 +222,7 @@ impl<const N: usize> Master<N> {
             if kind.ends_motion() {
                 motor.drop_waiting_set_point();
                 motor.let_other_stop_come_first(&asked, config, now);
+                motor.is_told_since(kind);
             }
             motor.join(pace);
             motor.request = Request::Waiting(asked);
@@ -230,7 +231,6 @@ impl<const N: usize> Master<N> {
         })
         .unwrap_or(Err(RequestError::TooManyMotors { capacity: N }))?;
         if kind.ends_motion() {
-            self.unconfirmed.remove(motor);
             self.let_line_answer();
             self.broadcast.cancel_what_moves();
             if let Some(by) = StopKind::by(kind) {

@@ -6,6 +6,7 @@ use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
+use crate::master::motor::Motor;
 use crate::master::request::{Asked, Purpose};
 use crate::master::{Bus, Master, MotorSet, Patience};
 use crate::opcode::Opcode;
@@ -70,7 +71,7 @@ impl<const N: usize> Master<N> {
     /// Each motor gets its first stop before any gets its second. Its confirmation, or its absence, comes as an event;
     /// a stop that is not confirmed within 50 ms is repeated, however long
     /// [`Config::reply_timeout`](crate::master::Config::reply_timeout) is, and whoever has confirmed none of many is
-    /// stopped once more when it is heard again. What was sent before the stop may still be on
+    /// stopped once more whenever something is heard of it. What was sent before the stop may still be on
     /// its way, in a controller's mailbox for example: a confirmation counts only once nothing of that can move the
     /// motor any more.
     ///
@@ -150,7 +151,6 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off.insert(motor);
         }
-        self.unconfirmed.remove(motor);
         self.overtakes_broadcast(motor, kind);
         self.offer = None;
         self.due = self.now;
@@ -170,22 +170,23 @@ impl<const N: usize> Master<N> {
         is_new.unwrap_or(false)
     }
 
-    /// Something was heard of a motor. If it has not confirmed its stop, which is in force, that goes again: else who
-    /// comes back would turn on. Not where all were told since to end their motion.
-    #[cold]
-    pub(super) fn stop_who_is_back(&mut self, from: Channel) {
-        let (Channel::Reply(motor) | Channel::MotionReply(motor)) = from else { return };
-        if !self.unconfirmed.contains(motor) {
-            return;
+    /// Something was heard of a motor. If its stop is in force and it has confirmed none, that goes again: else who
+    /// comes back would turn on. Once for each time, so that who talks and confirms nothing takes no more of a line
+    /// than who is silent.
+    #[inline]
+    pub(super) fn stop_who_is_back(&mut self, motor: MotorId) {
+        if self.is_stopped(motor) {
+            self.stop_once_more(motor);
         }
-        self.unconfirmed.remove(motor);
-        let (held, off) = self.broadcast.stopped_since();
-        let place = self.places.of(motor).filter(|_| self.is_stopped(motor));
-        if let (Some(place), true) = (place, held.with(off).contains(motor)) {
-            let kind = if off.contains(motor) { StopKind::Off } else { StopKind::Hold };
-            self.let_line_answer();
-            self.put_stop(place, motor, kind, true);
-        }
+    }
+
+    #[inline(never)]
+    fn stop_once_more(&mut self, motor: MotorId) {
+        let Some(place) = self.places.of(motor) else { return };
+        let Some(kind) = self.motors.get(place).and_then(Motor::unconfirmed_stop) else { return };
+        self.let_line_answer();
+        self.put_stop(place, motor, kind, true);
+        self.change_at(place, |motor, _| motor.leave_one_attempt());
     }
 
     /// A motor is told by itself to end its motion: what was put before for all is not to undo that.

@@ -96,6 +96,8 @@ pub(super) struct Motor {
     pub(super) latest_at: Instant,
     /// Its angle was measured just before that came.
     pub(super) knows_angle: bool,
+    /// It was stopped so, or told so since, and has confirmed neither.
+    pub(super) unconfirmed: Option<StopKind>,
     pub(super) health: Record,
 }
 
@@ -163,6 +165,25 @@ impl Motor {
         let other = if end.question == off { StopKind::Hold.question() } else { off };
         if self.late.may_be_mistaken(other) {
             self.may_move_until(now + end.timeout + config.late_window, config);
+        }
+    }
+
+    /// It is told to end its motion. If it has confirmed no stop, it is stopped so when it is back: a hold would switch
+    /// on whom somebody has switched off since.
+    pub(super) fn is_told_since(&mut self, kind: Kind) {
+        self.unconfirmed = self.unconfirmed.map(|stop| StopKind::by(kind).unwrap_or(stop));
+    }
+
+    /// The stop that it has not confirmed and that nothing goes on with.
+    pub(super) fn unconfirmed_stop(&self) -> Option<StopKind> {
+        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
+        self.unconfirmed.filter(|_| !self.request.under_way().is_some_and(ends_motion))
+    }
+
+    /// Its stop goes but once.
+    pub(super) fn leave_one_attempt(&mut self) {
+        if let Some(stop) = self.request.under_way_mut() {
+            stop.attempts_left = 1;
         }
     }
 
@@ -419,10 +440,11 @@ impl Motor {
 
     /// The request has no answer. Of a stop nobody has a ticket.
     pub(super) fn request_has_failed(&mut self, why: Failure, config: &Config, now: Instant) {
-        let is_stop = self.request.under_way().is_some_and(Asked::is_stop);
+        let stop = self.request.under_way().copied().filter(Asked::is_stop);
         self.finish_request(Request::Failed(why), config, now);
-        if is_stop {
+        if let Some(stop) = stop {
             self.news.insert(News::UNCONFIRMED);
+            self.unconfirmed = StopKind::by(stop.kind());
             self.request = Request::None;
         }
     }
