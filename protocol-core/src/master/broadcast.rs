@@ -35,7 +35,7 @@ pub(super) struct Broadcast {
     data: Data,
     /// Who is expected to answer it and has not.
     silent: MotorSet,
-    /// The motors that were stopped since one was put that ends motion, to be held and to be off: it is not to undo
+    /// The motors that were stopped since it was put, to be held and to be off: one that ends motion is not to undo
     /// that, however late a controller hands it back.
     held: MotorSet,
     off: MotorSet,
@@ -114,9 +114,7 @@ fn all_if(is_so: bool) -> MotorSet {
 
 impl Broadcast {
     pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet) {
-        if kind.ends_motion() {
-            (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
-        }
+        (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
         self.kind = Some(kind);
         self.data = data;
         self.silent = expected;
@@ -410,7 +408,6 @@ impl<const N: usize> Master<N> {
             return;
         }
         self.broadcast.state = State::Done;
-        self.due = now;
         for motor in self.broadcast.silent.iter() {
             self.change(motor, |motor, config| motor.has_missed(config, now));
         }

@@ -66,7 +66,7 @@ impl<const N: usize> Master<N> {
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.
     pub(super) fn choose_interruption(&self) -> Option<(Instant, Offer)> {
         let last_sent = self.at(self.places.in_flight).map(|(_, motor)| motor.sent).max()?;
-        let stop = self.choose_stop().filter(|_| !self.broadcast.is_in_flight())?;
+        let stop = self.choose_stop()?;
         Some((last_sent + LONGEST_STOP_TIMEOUT, stop))
     }
 

@@ -65,7 +65,6 @@ impl Motor {
         }
         self.on_its_way.age(now, heard_at, config);
         self.is_beyond_late |= self.late.expire(now);
-        self.is_beyond_late &= self.may_yet_move();
         if self.settled_at <= now {
             self.settled_at = Instant::ZERO;
         }
