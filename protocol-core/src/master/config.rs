@@ -191,4 +191,16 @@ mod tests {
         assert_eq!(times(Config::rs485(1_000_000, false)), [5_262, 10_262, 0, 131]);
         assert_eq!(times(Config::rs485(0, true)), times(Config::rs485(115_200, false)));
     }
+
+    #[test]
+    fn a_write_to_rom_is_waited_for_longer_than_a_line_asks() {
+        let patience = |opcode| {
+            let it = Config::rs485(1_000_000, false).patience(Kind::Known(opcode));
+            (it.reply_timeout.as_micros(), it.attempts)
+        };
+        assert_eq!(patience(Opcode::WritePidRom), (20_000, 1));
+        assert_eq!(patience(Opcode::IncrementalPosition), (5_262, 1));
+        assert_eq!(patience(Opcode::AbsolutePosition), (5_262, 1));
+        assert_eq!(patience(Opcode::ReadModel), (5_262, 3));
+    }
 }

@@ -474,3 +474,42 @@ fn the_fourth_question_waits_for_the_end_of_the_first_that_was_given_up() {
     assert_eq!(master.poll_at(), Some(end));
     assert_eq!(sent(&mut master, end).len(), 1);
 }
+
+#[test]
+fn a_motor_that_is_asked_nothing_is_not_unreached_however_long_the_bus_is_down() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    for now in 2..10 {
+        master.handle_bus_down(ms(now));
+    }
+    assert_eq!(master.health(id(1)).presence, Presence::Present);
+    // Nor is one that waits for its stop, which goes when the bus is back.
+    master.stop(id(1), StopKind::Hold).unwrap();
+    for now in 10..20 {
+        master.handle_bus_down(ms(now));
+    }
+    assert_eq!(master.health(id(1)).presence, Presence::Present);
+}
+
+/// The shortest response is 272 us; within 500 us of another reply it may be that once more.
+#[test]
+fn what_comes_half_a_millisecond_after_another_reply_is_none_doubled() {
+    for (later, is_answer) in [(499, false), (500, true)] {
+        let at = |micros| Instant::from_micros(micros);
+        let mut master = Master::<2>::new(Config::CAN);
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, at(0));
+        reply(&mut master, 1, ANGLE_REPLY, at(1_000)).unwrap();
+        let second = ask(&mut master, 1, ReadMultiTurnAngle, at(1_100));
+        let told = reply(&mut master, 1, ANGLE_REPLY, at(1_000 + later));
+        let is_told = told.is_some_and(|event| second.outcome(&event).is_some());
+        assert_eq!(is_told, is_answer, "{later} us");
+    }
+}
+
+#[test]
+fn a_ticket_shows_whose_it_is() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let ticket = master.request(id(2), ReadMultiTurnAngle).unwrap();
+    assert_eq!(std::format!("{ticket:?}"), std::format!("Ticket({:?})", ticket.id()));
+}

@@ -296,3 +296,17 @@ fn a_move_that_waited_before_a_restart_was_seen_is_not_sent() {
     assert!(told.contains(&Event::Restarted { motor: id(1) }), "{told:?}");
     assert!(told.iter().any(|event| moving.outcome(event) == Some(Err(Failure::Dropped))));
 }
+
+#[test]
+fn a_restart_that_the_caller_has_found_out_is_as_one_that_was_seen() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.set_point(id(1), motion(), ms(2)).unwrap();
+    master.note_restart(id(1));
+    assert!(master.has_restarted(id(1)) && !master.has_restarted(id(2)));
+    assert_eq!(sent(&mut master, ms(2)), []);
+    let told = events(&mut master, ms(2));
+    assert_eq!(told, [Event::SetPointDropped { motor: id(1) }, Event::Restarted { motor: id(1) }]);
+    assert_eq!(master.set_point(id(1), motion(), ms(3)), Err(RequestError::Restarted));
+}

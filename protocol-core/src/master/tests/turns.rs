@@ -423,3 +423,40 @@ fn a_frame_holds_up_those_that_are_queued() {
     reply(&mut master, 2, ANGLE_REPLY, ms(4)).unwrap();
     assert_eq!(master.poll_at(), Some(Instant::from_micros(4_000 + 3 * 136)));
 }
+
+#[test]
+fn a_set_point_and_a_request_of_one_motor_go_in_turn() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let mut order = Vec::new();
+    for now in 0..6 {
+        master.set_point(id(1), torque(1.0), ms(2 * now)).unwrap();
+        let _ = master.request(id(1), ReadMultiTurnAngle);
+        let packets = sent(&mut master, ms(2 * now));
+        let [Packet { data, .. }] = packets[..] else { panic!("{packets:?}") };
+        order.push(data[0]);
+        let answer = if data[0] == 0x92 { ANGLE_REPLY } else { [0xA1, 30, 0, 0, 0, 0, 7, 0] };
+        reply(&mut master, 1, answer, ms(2 * now + 1)).unwrap();
+    }
+    assert_eq!(order, [0xA1, 0x92, 0xA1, 0x92, 0xA1, 0x92]);
+}
+
+#[test]
+fn a_motor_whose_request_has_to_wait_keeps_no_turn() {
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let mut master = Master::<2>::new(Config::CAN);
+    // Motor 1 has the first place and was served more often.
+    for now in [0, 2, 4] {
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
+        reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
+    }
+    let _given_up = master.request_with(id(2), ReadMultiTurnAngle, once).unwrap();
+    sent(&mut master, ms(6));
+    assert_eq!(events(&mut master, ms(11)).len(), 1, "it is given up");
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(12));
+    reply(&mut master, 1, ANGLE_REPLY, ms(13)).unwrap();
+    let _waits = master.request(id(2), ReadMultiTurnAngle).unwrap();
+    let _goes = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    let packets = sent(&mut master, ms(14));
+    let to_first = Channel::Command(Target::Motor(id(1)));
+    assert!(matches!(packets[..], [Packet { channel, .. }] if channel == to_first), "{packets:?}");
+}
