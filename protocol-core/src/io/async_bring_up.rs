@@ -45,8 +45,9 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     let patience = runner.master().patience(ATTEMPTS);
     let known = runner.master().motors();
     let (mut waiting, mut asked, mut found) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
-    let mut is_bus_down = false;
-    let mut failed = None;
+    // Why no more are asked, and until when the answers of who was asked are waited for: nobody else takes back the
+    // places of ids without a motor.
+    let mut given_up = None;
     let mut turn_ends = runner.now() + LONGEST_TURN;
     while !(waiting.is_empty() && asked.is_empty()) {
         for motor in waiting.iter() {
@@ -73,24 +74,24 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
         }
         let event = match runner.run(Some(soon)).await {
             Ok(event) => event,
-            // What was asked is waited for: nobody else takes back the places of ids without a motor.
             Err(error) => {
-                waiting = MotorSet::EMPTY;
-                failed.get_or_insert((error, runner.now() + LONGEST_TURN));
+                given_up.get_or_insert((CallError::Bus(error), runner.now() + LONGEST_TURN));
                 runner.master().poll_event()
             }
         };
-        if failed.as_ref().is_some_and(|(_, end)| *end <= runner.now()) {
-            break;
+        if let Some(Event::Failed { failure: Failure::BusDown, .. }) = event {
+            let why = CallError::Failed(Failure::BusDown);
+            given_up.get_or_insert((why, runner.now() + LONGEST_TURN));
+        }
+        if let Some((_, end)) = &given_up {
+            waiting = MotorSet::EMPTY;
+            if *end <= runner.now() {
+                break;
+            }
         }
         let Some(event) = event else { continue };
         let (motor, there) = match event {
             Event::Reply { ticket, .. } => (ticket.motor(), true),
-            Event::Failed { ticket, failure: Failure::BusDown } => {
-                is_bus_down = true;
-                waiting = MotorSet::EMPTY;
-                (ticket.motor(), false)
-            }
             Event::Failed { ticket, failure } => {
                 (ticket.motor(), matches!(failure, Failure::Unreadable(_) | Failure::NotExecuted))
             }
@@ -102,7 +103,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
         }
         if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {
             asked.remove(motor);
-            if !is_bus_down && (there || failed.is_none()) {
+            if there || given_up.is_none() {
                 on_answer(motor, found.contains(motor));
             }
             if !known.contains(motor) {
@@ -110,9 +111,8 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
             }
         }
     }
-    match failed {
-        Some((error, _)) => Err(CallError::Bus(error)),
-        None if is_bus_down => Err(CallError::Failed(Failure::BusDown)),
+    match given_up {
+        Some((why, _)) => Err(why),
         None => Ok(found),
     }
 }

@@ -202,11 +202,12 @@ pub enum Event {
         /// Its reply.
         reply: AnyReply,
     },
-    /// A motor has restarted: the bus has taken 0x76 for it, which a controller may hand back. Or it has, as far as the protocol shows: it was silent for a second,
-    /// which is reported when it does not answer and once more when it does again, has run for less long than it said before (0xB1), or the
-    /// angle of its stream's feedback is more than half a turn beyond what 10,000 degrees/s could have turned.
-    /// Its turns may be lost. Whatever moves it is refused until
-    /// [`Master::resume`](crate::master::Master::resume).
+    /// A motor has restarted: the bus has taken 0x76 for it, which a controller may hand back. Or it has, as far as
+    /// the protocol shows: it was silent for a second, which is reported when it does not answer and once more when it
+    /// does again, has run for less long than it said before (0xB1), or the angle of its stream's feedback is more than
+    /// half a turn beyond what 10,000 degrees/s could have turned. Its turns may be lost. Whatever moves it is refused
+    /// until [`Master::resume`](crate::master::Master::resume); what it was told last it goes on with, if it has heard
+    /// that since: [stop](crate::master::Master::stop) it.
     Restarted {
         /// The motor.
         motor: MotorId,

@@ -96,10 +96,9 @@ fn stop_every_id<C: Command + Copy>(
     Err(Unfinished::Failed(if confirmed.is_empty() {
         format!(
             "{why}no confirmation of the stop from any motor{}: if one is on {}, cut its power; then check the \
-             wiring and the bit rate ('scan --all-rates' tries the others){}",
+             wiring and the bit rate ('scan --all-rates' tries the others){echo}",
             session.garbled(),
-            session.address,
-            echo
+            session.address
         )
     } else {
         format!(
