@@ -161,7 +161,8 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 
 /// Makes the current position the zero and sees that it is kept: stores it (0x64), restarts the
 /// drive (0x76), and reads offset and angle back. The motor's output is switched off first, so the
-/// shaft must be held by other means if a load pulls at it. Gives the new offset.
+/// shaft must be held by other means if a load pulls at it. Gives the new offset. Where several motors have this id
+/// all of them do this: see first whether it [is shared](is_shared).
 ///
 /// # Errors
 /// [`BringUpError::ZeroNotKept`], [`BringUpError::NotThere`], [`BringUpError::Call`].

@@ -157,7 +157,7 @@ impl<B: Medium> World<B> {
         result
     }
 
-    /// Has the world follow the wall clock from now on.
+    /// Has the world follow the wall clock from now on, for all who hold it.
     pub fn in_real_time(self) -> Self {
         self.lock().follow_wall_clock();
         self
