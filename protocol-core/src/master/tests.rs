@@ -16,6 +16,7 @@ mod stops;
 mod streams;
 mod to_all;
 mod turns;
+mod unconfirmed;
 mod unnamed;
 
 use std::vec::Vec;
