@@ -90,7 +90,7 @@ impl<const N: usize> Master<N> {
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
         }
-        let mut is_any_new = self.places.taken.is_empty();
+        let mut is_any_new = was != Some(kind) || self.places.taken.is_empty();
         for place in self.places.taken.iter() {
             if let Some(motor) = self.motors.get(place).and_then(|motor| motor.id) {
                 is_any_new |= self.put_stop(place, motor, kind, was.is_some());

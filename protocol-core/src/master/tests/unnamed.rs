@@ -444,3 +444,22 @@ fn off_goes_again_after_a_hold_that_changed_nothing() {
     master.handle_pushed_out(&packets[0]);
     assert!(sent(&mut master, ms(101)).contains(&packets[0]));
 }
+
+#[test]
+fn a_stop_of_all_behind_that_of_one_reaches_whom_nobody_has_named() {
+    let to_all = |packets: &[Packet]| packets.contains(&packet_to_all(Shutdown.encode()));
+    let mut line = Master::<2>::new(Config::rs485(1_000_000, false));
+    line.stop(id(1), StopKind::Off).unwrap();
+    line.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert!(to_all(&sent(&mut line, ms(0))));
+    line.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert!(!to_all(&sent(&mut line, ms(1))), "it goes on");
+
+    let mut can = Master::<2>::new(Config::CAN);
+    can.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    sent(&mut can, ms(0));
+    events(&mut can, ms(100));
+    can.stop(id(1), StopKind::Off).unwrap();
+    can.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert!(to_all(&sent(&mut can, ms(100))));
+}
