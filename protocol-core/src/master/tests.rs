@@ -5,6 +5,7 @@ mod answers;
 mod behind_a_stop;
 mod doubts;
 mod every_cycle;
+mod last_word;
 mod line;
 mod lost_master;
 mod mailboxes;
