@@ -82,9 +82,9 @@ impl Run {
             2 => {
                 master.stop_all(kind, MotorSet::EMPTY).unwrap();
                 let is_off_for_all = master.config().is_rs485() && kind == StopKind::Off;
-                for of in 0..MOTORS {
+                for (of, told) in told.iter_mut().enumerate() {
                     if is_off_for_all || master.motors().contains(motor(of)) {
-                        told[of].stop(kind);
+                        told.stop(kind);
                     }
                 }
                 self.all_stopped = true;
@@ -104,10 +104,8 @@ impl Run {
                     told[of].lift();
                 }
             }
-            5 => {
-                if master.forget(motor(of)) {
-                    (told[of].given_up, told[of].due) = (false, None);
-                }
+            5 if master.forget(motor(of)) => {
+                (told[of].given_up, told[of].due) = (false, None);
             }
             6 if master.request(motor(of), Shutdown).is_ok() => {
                 (told[of].off, told[of].due) = (true, None);
