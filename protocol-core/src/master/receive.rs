@@ -66,6 +66,7 @@ impl<const N: usize> Master<N> {
         match frame {
             can::Received::Packet(packet) => self.handle_packet(packet, now),
             &can::Received::WrongLength { channel: Channel::Reply(motor), first, .. } => {
+                self.now = now;
                 let event = if first == Some(LOST_MASTER_BYTE) {
                     Some(self.lost_master(motor, now))
                 } else {
@@ -229,7 +230,6 @@ impl<const N: usize> Master<N> {
     }
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Event {
-        self.now = now;
         self.due = now;
         self.lost_master.insert(motor);
         self.change(motor, |motor, config| motor.was_heard(config, now));

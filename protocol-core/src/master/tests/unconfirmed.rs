@@ -138,8 +138,8 @@ fn whatever_is_heard_of_a_motor_that_has_confirmed_no_stop_stops_it() {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Off).unwrap();
         let now = is_given_up(&mut master, 0) + 100;
-        events(&mut master, ms(now));
         master.handle_frame(&heard, ms(now));
+        assert_eq!(master.now, ms(now), "as old as that frame: {heard:?}");
         assert_eq!(sent(&mut master, ms(now)).len(), 1, "{heard:?}");
     }
     // Also before anybody has looked what became of the stop.
