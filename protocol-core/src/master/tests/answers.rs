@@ -513,3 +513,20 @@ fn a_ticket_shows_whose_it_is() {
     let ticket = master.request(id(2), ReadMultiTurnAngle).unwrap();
     assert_eq!(std::format!("{ticket:?}"), std::format!("Ticket({:?})", ticket.id()));
 }
+
+#[test]
+fn what_is_given_up_once_more_is_late_for_as_long_as_the_last() {
+    use crate::master::late::{LateReplies, Of, Question};
+    let question = Question::of(Kind::Known(Opcode::ReadModel), &ReadModel.encode());
+    let mut late = LateReplies::default();
+    assert!(!late.expect(question, Of::Request, 1, ms(20)));
+    assert!(!late.expect(question, Of::RequestStopped, 1, ms(30)));
+    assert_eq!(late.end_of(question), Some(ms(30)));
+    late.expect(question, Of::RequestStopped, 1, ms(10));
+    assert_eq!(late.end_of(question), Some(ms(30)), "the longest counts");
+    // Three of them, told as the last was given up.
+    for _ in 0..3 {
+        assert_eq!(late.take(false, &ReadModel.encode(), false), Some(Of::RequestStopped));
+    }
+    assert_eq!(late.take(false, &ReadModel.encode(), false), None);
+}

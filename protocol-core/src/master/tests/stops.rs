@@ -422,3 +422,19 @@ fn while_the_bus_is_down_what_moves_does_not_grow_old() {
     sent(&mut master, ms(80));
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(81)), None, "40 ms from then");
 }
+
+#[test]
+fn who_was_switched_off_by_itself_may_be_held_once_that_is_lifted() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let told = |master: &mut Master<2>, kind, now| {
+        master.stop(id(1), kind).unwrap();
+        let data = sent(master, ms(now))[0].data;
+        let confirmed = reply(master, 1, data, ms(now + 1));
+        assert_eq!(confirmed, Some(Event::StopConfirmed { motor: id(1) }));
+        data
+    };
+    assert_eq!(told(&mut master, StopKind::Off, 0), Shutdown.encode());
+    assert_eq!(told(&mut master, StopKind::Hold, 100), Shutdown.encode(), "it stays off");
+    master.lift_stop_of(id(1));
+    assert_eq!(told(&mut master, StopKind::Hold, 200), Stop.encode());
+}
