@@ -66,3 +66,27 @@ fn on_a_line_feedback_that_is_lost_holds_the_others_up_for_three_usual_times_and
         }
     }
 }
+
+#[test]
+fn a_stop_waits_for_another_motors_patient_exchange_for_50_ms_and_no_less() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let patient = Patience { reply_timeout: Duration::from_millis(200), attempts: 1 };
+    let _ = master.request_with(id(1), ReadModel, patient).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.stop(id(2), StopKind::Off).unwrap();
+    for now in [6, 30, 49] {
+        assert_eq!(sent(&mut master, ms(now)), [], "after {now} ms");
+    }
+    assert_eq!(sent(&mut master, ms(50)).len(), 1);
+}
+
+/// Whom nobody has named is stopped by that alone, and the line keeps the order: motor 1 is off in the end.
+#[test]
+fn a_hold_of_all_that_waits_goes_before_the_shutdown_of_one_that_was_asked_for_later() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    let packets: Vec<Packet> = (0..10).flat_map(|now| sent(&mut master, ms(now))).collect();
+    let off = Packet { channel: Channel::Command(id(1).into()), data: Shutdown.encode() };
+    assert_eq!(packets, [packet_to_all(Stop.encode()), off]);
+}
