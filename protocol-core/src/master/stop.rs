@@ -114,8 +114,8 @@ impl<const N: usize> Master<N> {
     }
 
     /// Stops one motor, as [`stop_all`](Self::stop_all) stops all. Until [`lift_stop`](Self::lift_stop)
-    /// or [`lift_stop_of`](Self::lift_stop_of) the same is refused to it. A stop of all that was not sent yet still goes
-    /// to all before it, since it may be the only one that reaches who has no place.
+    /// or [`lift_stop_of`](Self::lift_stop_of) the same is refused to it. A stop to all at once
+    /// that was not sent yet still goes before it: nothing else reaches who has no place.
     ///
     /// No [broadcast](Self::broadcast) that was put before undoes it: where one that ends motion would, because it
     /// switches off who is to be held or on who is to be off, and still waits or is handed back later, the others get

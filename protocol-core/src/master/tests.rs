@@ -135,3 +135,11 @@ fn motion_feedback(master: &mut Master<2>, now: Instant) -> Option<Event> {
 fn packet_to_all(data: [u8; 8]) -> Packet {
     Packet { channel: Channel::Command(Target::All), data }
 }
+
+fn packet_to(motor: u8, data: [u8; 8]) -> Packet {
+    Packet { channel: Channel::Command(id(motor).into()), data }
+}
+
+fn confirmed(motor: u8) -> Option<Event> {
+    Some(Event::StopConfirmed { motor: id(motor) })
+}

@@ -1,6 +1,6 @@
 //! What may come behind a stop, for how long, and which answers count then.
 
-use super::unnamed::{TO_ALL, all_have_moved, all_move, channels, confirmed, to};
+use super::unnamed::{TO_ALL, all_have_moved, all_move, channels, to};
 use super::*;
 
 const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];

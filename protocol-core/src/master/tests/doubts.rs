@@ -3,10 +3,6 @@
 
 use super::*;
 
-fn confirmed(motor: u8) -> Option<Event> {
-    Some(Event::StopConfirmed { motor: id(motor) })
-}
-
 /// Motor 1 is told to hold when `before` was done: whether its first confirmation counts, and when the next frame is
 /// due otherwise.
 fn held_after(before: impl Fn(&mut Master<2>), at: u64) -> Result<(), Instant> {
@@ -197,7 +193,6 @@ fn feedback_counts_as_lost_when_its_time_is_up_also_where_that_is_shorter_than_t
 #[test]
 fn a_shutdown_of_all_that_a_hold_overtakes_while_all_are_stopped_does_not_reach_who_is_held() {
     let [off, hold] = [Shutdown.encode(), Stop.encode()];
-    let one = |motor, data| Packet { channel: Channel::Command(id(motor).into()), data };
     for is_confirmed in [true, false] {
         for is_handed_back in [true, false] {
             let mut master = Master::<2>::new(Config::CAN);
@@ -228,8 +223,8 @@ fn a_shutdown_of_all_that_a_hold_overtakes_while_all_are_stopped_does_not_reach_
                     packets.push(packet);
                 }
             }
-            assert!(packets.contains(&one(2, off)), "{packets:?}");
-            assert!(!packets.contains(&one(1, off)), "{packets:?}");
+            assert!(packets.contains(&packet_to(2, off)), "{packets:?}");
+            assert!(!packets.contains(&packet_to(1, off)), "{packets:?}");
         }
     }
 }
@@ -326,7 +321,7 @@ fn no_older_shutdown_of_one_motor_follows_what_holds_all() {
     let mut master = Master::<2>::new(Config::CAN);
     let off = master.request(id(1), Shutdown).unwrap();
     master.broadcast(Stop, MotorSet::EMPTY).unwrap();
-    let of_one = Packet { channel: Channel::Command(id(1).into()), data: Shutdown.encode() };
+    let of_one = packet_to(1, Shutdown.encode());
     assert_eq!(sent(&mut master, ms(0)), [of_one]);
     let told = reply(&mut master, 1, Shutdown.encode(), ms(1)).unwrap();
     assert!(off.outcome(&told).is_some());

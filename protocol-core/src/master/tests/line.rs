@@ -87,6 +87,6 @@ fn a_hold_of_all_that_waits_goes_before_the_shutdown_of_one_that_was_asked_for_l
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
     let packets: Vec<Packet> = (0..10).flat_map(|now| sent(&mut master, ms(now))).collect();
-    let off = Packet { channel: Channel::Command(id(1).into()), data: Shutdown.encode() };
+    let off = packet_to(1, Shutdown.encode());
     assert_eq!(packets, [packet_to_all(Stop.encode()), off]);
 }

@@ -4,10 +4,6 @@ use super::*;
 
 const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
 
-fn confirmed(motor: u8) -> Option<Event> {
-    Some(Event::StopConfirmed { motor: id(motor) })
-}
-
 /// The stop that is sent at this time and answered a millisecond later.
 fn is_stop_confirmed(master: &mut Master<2>, at: Instant) -> bool {
     assert_eq!(sent(master, at).len(), 1, "{at:?}");
@@ -155,13 +151,12 @@ fn what_ends_the_motion_of_all_and_is_handed_back_is_sent_again_whatever_was_tol
 #[test]
 fn what_ends_the_motion_of_all_reaches_all_but_a_motor_whose_later_stop_it_would_undo() {
     let [off, hold] = [Shutdown.encode(), Stop.encode()];
-    let one = |motor, data| Packet { channel: Channel::Command(id(motor).into()), data };
     let (to_all, lock) = (packet_to_all, LockBrake.encode());
     for (end, stop, goes) in [
         (off, StopKind::Off, Some(to_all(off))),
-        (off, StopKind::Hold, Some(one(2, off))),
+        (off, StopKind::Hold, Some(packet_to(2, off))),
         (hold, StopKind::Hold, Some(to_all(hold))),
-        (hold, StopKind::Off, Some(one(2, hold))),
+        (hold, StopKind::Off, Some(packet_to(2, hold))),
         (lock, StopKind::Hold, Some(to_all(lock))),
         (lock, StopKind::Off, Some(to_all(lock))),
         // It begins anew, which a stopped motor must not.
@@ -184,7 +179,7 @@ fn what_ends_the_motion_of_all_reaches_all_but_a_motor_whose_later_stop_it_would
             } else {
                 master.stop(id(1), stop).unwrap();
             }
-            let stop = one(1, stop.command().1);
+            let stop = packet_to(1, stop.command().1);
             let mut packets = sent(&mut master, ms(2));
             assert_eq!(packets.remove(0), stop);
             assert_eq!(reply(&mut master, 1, stop.data, ms(3)), confirmed(1));
@@ -424,7 +419,6 @@ fn nor_does_it_where_the_window_has_grown_since() {
 
 #[test]
 fn what_ends_the_motion_of_all_and_is_handed_back_before_its_end_was_told_undoes_no_later_stop() {
-    let one = |motor, data| Packet { channel: Channel::Command(id(motor).into()), data };
     let [off, hold] = [Shutdown.encode(), Stop.encode()];
     // In flight, sent with nobody to answer, and over.
     for (expected, over) in [(id(1).into(), 0), (MotorSet::EMPTY, 0), (id(1).into(), 21)] {
@@ -436,7 +430,7 @@ fn what_ends_the_motion_of_all_and_is_handed_back_before_its_end_was_told_undoes
             }
             let stop = |master: &mut Master<2>| {
                 master.stop(id(1), StopKind::Hold).unwrap();
-                assert_eq!(sent(master, ms(2)), [one(1, hold)]);
+                assert_eq!(sent(master, ms(2)), [packet_to(1, hold)]);
             };
             if is_stopped_before {
                 stop(&mut master);
@@ -451,9 +445,9 @@ fn what_ends_the_motion_of_all_and_is_handed_back_before_its_end_was_told_undoes
             master.handle_timeout(ms(now));
             master.handle_pushed_out(&in_mailbox);
             // What was asked for after the stop goes to all.
-            let goes = if is_stopped_before { packet_to_all(off) } else { one(2, off) };
+            let goes = if is_stopped_before { packet_to_all(off) } else { packet_to(2, off) };
             let mut packets = sent(&mut master, ms(now));
-            packets.retain(|packet| *packet != one(1, hold));
+            packets.retain(|packet| *packet != packet_to(1, hold));
             assert_eq!(packets, [goes], "{expected:?}, {over}, {is_stopped_before}");
         }
     }
@@ -466,7 +460,7 @@ fn what_ends_the_motion_of_all_and_is_handed_back_before_its_end_was_told_undoes
     master.broadcast(Stop, MotorSet::EMPTY).unwrap();
     let in_mailbox = sent(&mut master, ms(3))[0];
     master.handle_pushed_out(&in_mailbox);
-    assert_eq!(sent(&mut master, ms(3)), [one(2, hold)]);
+    assert_eq!(sent(&mut master, ms(3)), [packet_to(2, hold)]);
 }
 
 #[test]
@@ -642,7 +636,7 @@ fn a_motor_that_was_stopped_before_gets_what_ends_the_motion_of_all_though_anoth
             master.stop(id(2), StopKind::Hold).unwrap();
         }
         let (packets, _) = obeyed(&mut master, 5..20);
-        let off = Packet { channel: Channel::Command(id(1).into()), data: Shutdown.encode() };
+        let off = packet_to(1, Shutdown.encode());
         assert!(packets.contains(&off), "{packets:?}");
         assert!(!packets.contains(&packet_to_all(Shutdown.encode())), "{packets:?}");
     }

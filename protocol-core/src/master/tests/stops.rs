@@ -429,8 +429,7 @@ fn who_was_switched_off_by_itself_may_be_held_once_that_is_lifted() {
     let told = |master: &mut Master<2>, kind, now| {
         master.stop(id(1), kind).unwrap();
         let data = sent(master, ms(now))[0].data;
-        let confirmed = reply(master, 1, data, ms(now + 1));
-        assert_eq!(confirmed, Some(Event::StopConfirmed { motor: id(1) }));
+        assert_eq!(reply(master, 1, data, ms(now + 1)), confirmed(1));
         data
     };
     assert_eq!(told(&mut master, StopKind::Off, 0), Shutdown.encode());

@@ -246,10 +246,7 @@ fn who_asks_all_again_and_again_keeps_nobody_else_waiting() {
 /// stopped so, one stop after the other.
 fn overtaken_by<C: Command>(command: C, kinds: &[StopKind]) -> (Master<2>, Packet) {
     let mut master = Master::<2>::new(Config::CAN);
-    for motor in [1, 2] {
-        let _ = ask(&mut master, motor, ReadModel, ms(0));
-        reply(&mut master, motor, *b"\xB5X8S2V10", ms(1)).unwrap();
-    }
+    master.give_places([1, 2].into_iter().map(id).collect()).unwrap();
     master.broadcast(command, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
     for &kind in kinds {
@@ -260,13 +257,9 @@ fn overtaken_by<C: Command>(command: C, kinds: &[StopKind]) -> (Master<2>, Packe
     (master, packets[0])
 }
 
-fn to_motor(motor: u8, data: [u8; 8]) -> Packet {
-    Packet { channel: Channel::Command(id(motor).into()), data }
-}
-
 #[test]
-fn a_command_to_all_that_is_handed_back_undoes_the_last_stop_of_one_motor_and_no_earlier_one() {
-    // What goes beside motor 1's stop, or once that is given up: the same to all, or to the other alone.
+fn what_is_handed_back_goes_to_all_again_unless_it_would_undo_the_last_stop_of_one_motor() {
+    // What goes beside motor 1's stop, or once that is given up.
     fn goes<C: Command>(command: C, kinds: &[StopKind]) -> Option<Packet> {
         let (mut master, packet) = overtaken_by(command, kinds);
         master.handle_pushed_out(&packet);
@@ -277,20 +270,19 @@ fn a_command_to_all_that_is_handed_back_undoes_the_last_stop_of_one_motor_and_no
     let (hold, off) = (StopKind::Hold, StopKind::Off);
     let (let_go, held) = (Shutdown.encode(), Stop.encode());
     for kinds in [&[hold][..], &[off, hold]] {
-        assert_eq!(goes(Shutdown, kinds), Some(to_motor(2, let_go)), "{kinds:?}");
+        assert_eq!(goes(Shutdown, kinds), Some(packet_to(2, let_go)), "{kinds:?}");
         assert_eq!(goes(Stop, kinds), Some(packet_to_all(held)), "{kinds:?}");
     }
     for kinds in [&[off][..], &[hold, off]] {
         assert_eq!(goes(Shutdown, kinds), Some(packet_to_all(let_go)), "{kinds:?}");
-        assert_eq!(goes(Stop, kinds), Some(to_motor(2, held)), "{kinds:?}");
+        assert_eq!(goes(Stop, kinds), Some(packet_to(2, held)), "{kinds:?}");
     }
 }
 
 #[test]
 fn a_hold_of_all_that_is_handed_back_holds_nobody_who_was_off_before() {
     let mut master = Master::<2>::new(Config::CAN);
-    let _ = ask(&mut master, 2, ReadModel, ms(0));
-    reply(&mut master, 2, *b"\xB5X8S2V10", ms(1)).unwrap();
+    master.give_places(id(2).into()).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(2));
     reply(&mut master, 1, Shutdown.encode(), ms(3)).unwrap();
@@ -298,7 +290,7 @@ fn a_hold_of_all_that_is_handed_back_holds_nobody_who_was_off_before() {
     let packets = sent(&mut master, ms(100));
     assert_eq!(packets, [packet_to_all(Stop.encode())], "the caller's own");
     master.handle_pushed_out(&packets[0]);
-    assert_eq!(sent(&mut master, ms(101)), [to_motor(2, Stop.encode())]);
+    assert_eq!(sent(&mut master, ms(101)), [packet_to(2, Stop.encode())]);
 }
 
 #[test]

@@ -32,10 +32,6 @@ pub(super) fn to(motor: u8) -> Channel {
     Channel::Command(Target::Motor(id(motor)))
 }
 
-pub(super) fn confirmed(motor: u8) -> Option<Event> {
-    Some(Event::StopConfirmed { motor: id(motor) })
-}
-
 #[test]
 fn a_stop_of_all_reaches_whom_a_command_to_all_has_moved() {
     let mut master = all_move();
