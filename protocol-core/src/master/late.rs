@@ -176,6 +176,18 @@ impl LateReplies {
         self.0.iter().flatten().map(|late| late.until).min()
     }
 
+    /// So many of these are no longer late: what they answer goes on.
+    pub(super) fn withdraw(&mut self, question: Question, replies: u8) {
+        for place in &mut self.0 {
+            if let Some(late) = place.as_mut().filter(|late| late.question == question) {
+                late.replies = late.replies.saturating_sub(replies);
+                if late.replies == 0 {
+                    *place = None;
+                }
+            }
+        }
+    }
+
     /// When replies to this question cannot come any more.
     pub(super) fn end_of(&self, question: Question) -> Option<Instant> {
         let mut all = self.0.iter().flatten();

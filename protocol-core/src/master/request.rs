@@ -23,6 +23,8 @@ pub(super) enum Purpose {
     Once,
     /// A stop: before everything else, whatever is in flight.
     Stop,
+    /// A stop that was given up and goes but once more.
+    StopAgain,
 }
 
 /// What is asked.
@@ -61,7 +63,7 @@ impl Asked {
     }
 
     pub(super) fn is_stop(&self) -> bool {
-        self.purpose == Purpose::Stop
+        matches!(self.purpose, Purpose::Stop | Purpose::StopAgain)
     }
 
     /// What its other sendings are of, once one has an answer.

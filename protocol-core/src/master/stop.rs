@@ -38,6 +38,15 @@ impl StopKind {
         Question::without_key(self.command().0)
     }
 
+    /// How this stops whom it goes to, if it is a stop frame.
+    pub(super) fn of_packet(packet: &Packet) -> Option<Self> {
+        let is_it = |kind: &Self| kind.command().1 == packet.data;
+        match packet.channel {
+            Channel::Command(_) => [Self::Hold, Self::Off].into_iter().find(is_it),
+            _ => None,
+        }
+    }
+
     /// How this command stops a motor, if it does: 0x81 or 0x80.
     pub fn by(command: Kind) -> Option<Self> {
         match command.opcode()? {
@@ -159,21 +168,23 @@ impl<const N: usize> Master<N> {
         let mut stop = self.stop_of(command, data);
         let now = self.now;
         let is_new = self.change_at(place, |motor, config| {
-            if was_stopped && motor.is_stopping_as(&stop) {
+            if !was_stopped {
+                motor.unconfirmed = None;
+            } else if motor.is_stopping_already(&stop) {
                 return false;
             }
             if again && motor.last_answered == Some(stop.question) {
                 stop.attempts_left -= 1;
             }
-            motor.put_stop(stop, config, now);
+            motor.go_on_stopping(stop, config, now);
             true
         });
         is_new.unwrap_or(false)
     }
 
-    /// Something was heard of a motor. If its stop is in force and it has confirmed none, that goes again: else who
-    /// comes back would turn on. Once for each time, so that who talks and confirms nothing takes no more of a line
-    /// than who is silent.
+    /// Something was heard of a motor, or a stop of it was handed back. If its stop is in force and it has confirmed
+    /// none, that goes again: else who comes back would turn on. Once for each time, so that who talks and confirms
+    /// nothing takes no more of a line than who is silent.
     #[inline]
     pub(super) fn stop_who_is_back(&mut self, motor: MotorId) {
         if self.is_stopped(motor) {
@@ -289,8 +300,8 @@ impl<const N: usize> Master<N> {
 
     /// The stop to all was handed back, if this is it: it goes once more. Gives whether it is, and in force.
     pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) -> bool {
-        let is_it = |kind: &StopKind| kind.command().1 == packet.data;
-        let Some(kind) = self.stops_all.filter(is_it) else { return false };
+        let stop = StopKind::of_packet(packet);
+        let Some(kind) = self.stops_all.filter(|&kind| stop == Some(kind)) else { return false };
         let told = kind.question();
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, _| motor.stop_to_all_was_pushed_out(told, &packet.data));

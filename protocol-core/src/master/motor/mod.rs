@@ -16,7 +16,7 @@ use crate::master::event::Failure;
 use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
-use crate::master::request::{Asked, Request};
+use crate::master::request::{Asked, Purpose, Request};
 use crate::master::stop::StopKind;
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
@@ -51,6 +51,15 @@ bitflags! {
         /// All were told to end their motion since.
         const ENDED_WITH_ALL = 1 << 2;
     }
+}
+
+/// A stop that a motor has not confirmed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unconfirmed {
+    /// It was stopped so, or told so since.
+    pub(super) kind: StopKind,
+    /// So many stop frames were sent, of which each may still be answered.
+    sendings: u8,
 }
 
 /// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
@@ -96,8 +105,8 @@ pub(super) struct Motor {
     pub(super) latest_at: Instant,
     /// Its angle was measured just before that came.
     pub(super) knows_angle: bool,
-    /// It was stopped so, or told so since, and has confirmed neither.
-    pub(super) unconfirmed: Option<StopKind>,
+    /// The stop that it has not confirmed, once that is given up.
+    pub(super) unconfirmed: Option<Unconfirmed>,
     pub(super) health: Record,
 }
 
@@ -125,10 +134,33 @@ impl Motor {
         is_over || !self.news.is_empty()
     }
 
-    /// Whether a stop like this is under way.
-    pub(super) fn is_stopping_as(&self, stop: &Asked) -> bool {
-        let is_same = |asked: &Asked| asked.is_stop() && asked.question == stop.question;
-        self.request.under_way().is_some_and(is_same)
+    /// Whether a stop like this is under way already, so that it stays. One that goes but once has all its attempts
+    /// from here.
+    pub(super) fn is_stopping_already(&mut self, stop: &Asked) -> bool {
+        let is_same = |asked: &&mut Asked| asked.is_stop() && asked.question == stop.question;
+        let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
+        if asked.purpose == Purpose::StopAgain {
+            (asked.purpose, asked.attempts_left) = (stop.purpose, stop.attempts_left);
+        }
+        true
+    }
+
+    /// It is stopped like this. A stop like it that was given up, and that nothing has undone since, goes on: an answer
+    /// to any frame of that confirms it.
+    pub(super) fn go_on_stopping(&mut self, mut stop: Asked, config: &Config, now: Instant) {
+        let is_same = |it: &Unconfirmed| it.kind.question() == stop.question;
+        if let Some(unconfirmed) = self.unconfirmed.take().filter(is_same) {
+            stop.unanswered = unconfirmed.sendings;
+        }
+        self.put_stop(stop, config, now);
+        self.late.withdraw(stop.question, stop.unanswered);
+    }
+
+    /// Its stop goes but once.
+    pub(super) fn leave_one_attempt(&mut self) {
+        if let Some(stop) = self.request.under_way_mut() {
+            (stop.purpose, stop.attempts_left) = (Purpose::StopAgain, 1);
+        }
     }
 
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
@@ -152,7 +184,12 @@ impl Motor {
         }
         let is_waiting = self.request.waiting().is_some();
         let of = if is_waiting { Of::Request } else { Of::RequestStopped };
-        self.give_request_up(of, config, now);
+        // What is in flight has its time yet.
+        let last_chance = match self.request.in_flight() {
+            Some(asked) => now.max(self.sent + asked.timeout),
+            None => now,
+        };
+        self.give_request_up(of, config, last_chance);
         self.let_other_stop_come_first(&stop, config, now);
         self.request = Request::Waiting(stop);
     }
@@ -171,20 +208,17 @@ impl Motor {
     /// It is told to end its motion. If it has confirmed no stop, it is stopped so when it is back: a hold would switch
     /// on whom somebody has switched off since.
     pub(super) fn is_told_since(&mut self, kind: Kind) {
-        self.unconfirmed = self.unconfirmed.map(|stop| StopKind::by(kind).unwrap_or(stop));
+        let Some(told) = StopKind::by(kind) else { return };
+        if let Some(stop) = self.unconfirmed.as_mut().filter(|stop| stop.kind != told) {
+            *stop = Unconfirmed { kind: told, sendings: 0 };
+        }
     }
 
     /// The stop that it has not confirmed and that nothing goes on with.
     pub(super) fn unconfirmed_stop(&self) -> Option<StopKind> {
         let ends_motion = |asked: &Asked| asked.kind().ends_motion();
-        self.unconfirmed.filter(|_| !self.request.under_way().is_some_and(ends_motion))
-    }
-
-    /// Its stop goes but once.
-    pub(super) fn leave_one_attempt(&mut self) {
-        if let Some(stop) = self.request.under_way_mut() {
-            stop.attempts_left = 1;
-        }
+        let stop = self.unconfirmed.filter(|_| !self.request.under_way().is_some_and(ends_motion));
+        stop.map(|stop| stop.kind)
     }
 
     /// A stop to all was sent, which tells it this. On CAN it is answered beside the motor's own: where that is the
@@ -419,12 +453,11 @@ impl Motor {
         }
     }
 
-    /// Replies to the request that is under way may come too late from now on.
-    fn give_request_up(&mut self, of: Of, config: &Config, now: Instant) {
+    /// Replies to the request that is under way come too late from then on.
+    fn give_request_up(&mut self, of: Of, config: &Config, at: Instant) {
         if let Some(asked) = self.request.under_way() {
             let (question, replies) = (asked.question, asked.unanswered);
-            let until = now + config.late_window;
-            self.expect_late(question, of, replies, until, config);
+            self.expect_late(question, of, replies, at + config.late_window, config);
         }
     }
 
@@ -444,7 +477,8 @@ impl Motor {
         self.finish_request(Request::Failed(why), config, now);
         if let Some(stop) = stop {
             self.news.insert(News::UNCONFIRMED);
-            self.unconfirmed = StopKind::by(stop.kind());
+            let sendings = stop.unanswered;
+            self.unconfirmed = StopKind::by(stop.kind()).map(|kind| Unconfirmed { kind, sendings });
             self.request = Request::None;
         }
     }

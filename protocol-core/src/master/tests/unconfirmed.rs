@@ -187,3 +187,125 @@ fn who_talks_and_confirms_no_stop_leaves_the_line_to_the_others() {
     assert!(stops > 30 && answers[1] > 30, "{stops} stops, {answers:?} answers");
     assert!(stops <= 15 + answers[0] + 1, "{stops} stops, {answers:?} answers");
 }
+
+/// A controller that gives a frame back only after the stop was given up: it was never on the bus.
+#[test]
+fn a_stop_that_is_handed_back_after_it_was_given_up_goes_again() {
+    for attempts in [0, 1] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop(id(1), StopKind::Off).unwrap();
+        let mut now = is_given_up(&mut master, 0) + 100;
+        for _ in 0..attempts {
+            assert_eq!(heard(&mut master, now), [Shutdown.encode()]);
+            now = is_given_up(&mut master, now + 2) + 100;
+        }
+        let off = packet_to(1, Shutdown.encode());
+        master.handle_pushed_out(&off);
+        assert_eq!(sent(&mut master, ms(now)), [off], "{attempts}");
+        // The other kind, or a read, tells nothing of it; nor does it go once it is lifted.
+        now = is_given_up(&mut master, now + 1) + 100;
+        master.handle_pushed_out(&packet_to(1, ReadMultiTurnAngle.encode()));
+        master.handle_pushed_out(&Packet { channel: Channel::Motion(id(1)), data: off.data });
+        assert_eq!(sent(&mut master, ms(now)), [], "{attempts}");
+        master.lift_stop();
+        master.handle_pushed_out(&off);
+        assert_eq!(sent(&mut master, ms(now)), [], "{attempts}");
+    }
+}
+
+#[test]
+fn a_stop_that_is_called_for_has_all_its_attempts_also_while_one_goes_to_who_was_heard() {
+    for (is_waiting, is_to_all) in [(false, false), (true, false), (false, true)] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop_all(StopKind::Off, id(1).into()).unwrap();
+        let mut now = is_given_up(&mut master, 0) + 100;
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
+        reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
+        let mut frames = if is_waiting { 0 } else { sent(&mut master, ms(now + 1)).len() };
+        for _ in 0..2 {
+            match is_to_all {
+                true => master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap(),
+                false => master.stop(id(1), StopKind::Off).unwrap(),
+            }
+        }
+        now += 2;
+        for at in now..now + 1_000 {
+            frames += sent(&mut master, ms(at)).len();
+            // Who stops in every cycle is told all the same, and has no more of them.
+            if events(&mut master, ms(at)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
+                break;
+            }
+            master.stop(id(1), StopKind::Off).unwrap();
+        }
+        assert_eq!(frames, 15 + usize::from(!is_waiting), "{is_waiting} {is_to_all}");
+    }
+}
+
+/// A reply of motor 1, on either bus.
+fn answer(master: &mut Master<2>, data: [u8; 8], now: u64) -> Option<Event> {
+    if master.config.is_rs485() {
+        return master.handle_line(&Frame { address: id(1).into(), data }, ms(now));
+    }
+    reply(master, 1, data, ms(now))
+}
+
+/// A motor that answers reads and no stops for long, and then everything.
+#[test]
+fn who_has_confirmed_no_stop_for_long_confirms_it_with_its_first_answer() {
+    for config in [Config::CAN, Config::rs485(1_000_000, false)] {
+        let mut master = Master::<2>::new(config);
+        master.stop(id(1), StopKind::Off).unwrap();
+        let mut now = is_given_up(&mut master, 0);
+        for times in 0..30 {
+            now += 5;
+            let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
+            answer(&mut master, ANGLE_REPLY, now + 1).unwrap();
+            assert_eq!(sent(&mut master, ms(now + 2)), [packet_to(1, Shutdown.encode())]);
+            if times < 29 {
+                now = is_given_up(&mut master, now + 3);
+            }
+        }
+        assert_eq!(answer(&mut master, Shutdown.encode(), now + 4), confirmed(1), "{config:?}");
+        assert_eq!(sent(&mut master, ms(now + 5)), []);
+    }
+}
+
+/// The answer to the first of two stops, of which a lifting is in between, comes as late as answers do.
+#[test]
+fn a_stop_is_not_confirmed_by_the_answer_to_the_one_it_replaced() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(100)), [packet_to(1, Shutdown.encode())]);
+    master.lift_stop();
+    master.stop(id(2), StopKind::Off).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    // 5.26 ms for the first, 10.26 ms late.
+    let mut now = ms(100);
+    while now < Instant::from_micros(115_400) {
+        now += Duration::from_micros(100);
+        master.handle_timeout(now);
+        if master.poll_transmit(now).is_some() {
+            master.handle_transmitted(now);
+        }
+    }
+    let frame = Frame { address: id(1).into(), data: Shutdown.encode() };
+    assert_eq!(master.handle_line(&frame, now), None);
+}
+
+#[test]
+fn a_stop_that_was_lifted_does_not_go_on() {
+    for is_held_first in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop(id(1), StopKind::Off).unwrap();
+        let now = is_given_up(&mut master, 0);
+        master.lift_stop();
+        // It may be moved here.
+        if is_held_first {
+            master.stop(id(1), StopKind::Hold).unwrap();
+        }
+        master.stop(id(1), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
+        // Of one of the first fifteen.
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 1)), None, "{is_held_first}");
+    }
+}
