@@ -183,12 +183,13 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
 #[test]
 fn a_safe_stop_under_50_percent_loss_reaches_all_or_says_who_was_not_reached() {
     let mut missed = 0;
-    for seed in 0..40 {
+    for seed in 0..800 {
         for kind in [StopKind::Hold, StopKind::Off] {
             missed += stop_under_loss::<CanBus>(kind, seed);
             missed += stop_under_loss::<Rs485Line>(kind, seed);
         }
     }
-    // Each attempt works with 0.25, so 15 of them fail with 0.75^15 = 1.3 %: of 1280 some 17.
-    assert!((1..=40).contains(&missed), "{missed} of 1280 not reached");
+    // Each attempt works with 0.25, so 15 of them fail with 0.75^15 = 1.3 %: of 25,600 some 340. Whom something sent
+    // before may move yet needs two that work.
+    assert!((1..=700).contains(&missed), "{missed} of 25,600 not reached");
 }
