@@ -4,6 +4,7 @@ mod deadlines;
 mod late_moves;
 pub(super) mod reports;
 pub(super) mod restarts;
+mod stopping;
 
 use bitflags::bitflags;
 
@@ -16,12 +17,12 @@ use crate::master::event::Failure;
 use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
-use crate::master::request::{Asked, Purpose, Request};
-use crate::master::stop::StopKind;
+use crate::master::request::{Asked, Request};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
+use stopping::Unconfirmed;
 
 bitflags! {
     /// What is to be reported of a motor, beside the outcome of its request.
@@ -51,15 +52,6 @@ bitflags! {
         /// All were told to end their motion since.
         const ENDED_WITH_ALL = 1 << 2;
     }
-}
-
-/// A stop that a motor has not confirmed.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Unconfirmed {
-    /// It was stopped so, or told so since.
-    pub(super) kind: StopKind,
-    /// So many stop frames were sent, of which each may still be answered.
-    sendings: u8,
 }
 
 /// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
@@ -134,118 +126,6 @@ impl Motor {
         is_over || !self.news.is_empty()
     }
 
-    /// Whether a stop like this is under way already, so that it stays. One that goes but once has all its attempts
-    /// from here.
-    pub(super) fn is_stopping_already(&mut self, stop: &Asked) -> bool {
-        let is_same = |asked: &&mut Asked| asked.is_stop() && asked.question == stop.question;
-        let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
-        if asked.purpose == Purpose::StopAgain {
-            (asked.purpose, asked.attempts_left) = (stop.purpose, stop.attempts_left);
-        }
-        true
-    }
-
-    /// It is stopped like this. A stop like it that was given up, and that nothing has undone since, goes on: an answer
-    /// to any frame of that confirms it.
-    pub(super) fn go_on_stopping(&mut self, mut stop: Asked, config: &Config, now: Instant) {
-        let is_same = |it: &Unconfirmed| it.kind.question() == stop.question;
-        if let Some(unconfirmed) = self.unconfirmed.take().filter(is_same) {
-            stop.unanswered = unconfirmed.sendings;
-        }
-        self.put_stop(stop, config, now);
-        self.late.withdraw(stop.question, stop.unanswered);
-    }
-
-    /// Its stop goes but once.
-    pub(super) fn leave_one_attempt(&mut self) {
-        if let Some(stop) = self.request.under_way_mut() {
-            (stop.purpose, stop.attempts_left) = (Purpose::StopAgain, 1);
-        }
-    }
-
-    /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
-    pub(super) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
-        self.drop_waiting_set_point();
-        // What became of an earlier stop says nothing of this one.
-        self.news.remove(News::UNCONFIRMED);
-        let is_callers = match self.request {
-            Request::None => false,
-            // Also one whose outcome is not told yet: each request has one.
-            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked) => {
-                !asked.is_stop()
-            }
-            Request::Failed(_) => true,
-        };
-        if is_callers {
-            self.news.insert(News::STOPPED);
-        }
-        if self.settled_at > now {
-            self.may_move_until(now + stop.timeout + config.late_window, config);
-        }
-        let is_waiting = self.request.waiting().is_some();
-        let of = if is_waiting { Of::Request } else { Of::RequestStopped };
-        // What is in flight has its time yet.
-        let last_chance = match self.request.in_flight() {
-            Some(asked) => now.max(self.sent + asked.timeout),
-            None => now,
-        };
-        self.give_request_up(of, config, last_chance);
-        self.let_other_stop_come_first(&stop, config, now);
-        self.request = Request::Waiting(stop);
-    }
-
-    /// What ends motion is to count once no stop of the other kind from before can come any more. A controller that
-    /// keeps no order sends that behind this: a load that is held falls, or a motor that is off is switched on.
-    #[inline(never)]
-    pub(super) fn let_other_stop_come_first(&mut self, end: &Asked, config: &Config, now: Instant) {
-        let off = StopKind::Off.question();
-        let other = if end.question == off { StopKind::Hold.question() } else { off };
-        if self.late.may_be_mistaken(other) {
-            self.may_move_until(now + end.timeout + config.late_window, config);
-        }
-    }
-
-    /// It is told to end its motion. If it has confirmed no stop, it is stopped so when it is back: a hold would switch
-    /// on whom somebody has switched off since.
-    pub(super) fn is_told_since(&mut self, kind: Kind) {
-        let Some(told) = StopKind::by(kind) else { return };
-        if let Some(stop) = self.unconfirmed.as_mut().filter(|stop| stop.kind != told) {
-            *stop = Unconfirmed { kind: told, sendings: 0 };
-        }
-    }
-
-    /// The stop that it has not confirmed and that nothing goes on with.
-    pub(super) fn unconfirmed_stop(&self) -> Option<StopKind> {
-        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
-        let stop = self.unconfirmed.filter(|_| !self.request.under_way().is_some_and(ends_motion));
-        stop.map(|stop| stop.kind)
-    }
-
-    /// A stop to all was sent, which tells it this. On CAN it is answered beside the motor's own: where that is the
-    /// same, as one more sending of it.
-    pub(super) fn stop_to_all_was_sent(&mut self, told: Question, until: Instant, config: &Config) {
-        match self.own_stop(told) {
-            Some(stop) => stop.unanswered = stop.unanswered.saturating_add(1),
-            None => self.expect_late(told, Of::StopAnswered, 1, until, config),
-        }
-    }
-
-    /// The stop to all was handed back: nobody answers it.
-    pub(super) fn stop_to_all_was_pushed_out(&mut self, told: Question, data: &Data) {
-        match self.own_stop(told) {
-            Some(stop) if stop.unanswered > 0 => stop.unanswered -= 1,
-            _ => {
-                self.take_late(false, data, false);
-            }
-        }
-    }
-
-    /// The stop that tells it this, if that is under way. One that goes once more is confirmed by its own answer alone.
-    fn own_stop(&mut self, told: Question) -> Option<&mut Asked> {
-        let stop = self.request.under_way_mut()?;
-        (stop.is_stop() && stop.question == told && !stop.once_more).then_some(stop)
-    }
-
     pub(super) fn put_set_point(&mut self, set_point: SetPoint, expiry: Instant) {
         self.is_newest_dropped = false;
         if self.stream.put(set_point, expiry).is_some() {
@@ -267,23 +147,6 @@ impl Motor {
         self.drop_waiting_set_point();
         if self.request.waiting().is_some_and(|asked| asked.kind().may_move()) {
             self.finish_request(Request::Failed(why), config, now);
-        }
-    }
-
-    /// All are told to end their motion: nothing older of this motor's follows that.
-    /// With `off` they are let go by it: to hold this one still, or once more, would switch it on again.
-    pub(super) fn end_with_all(&mut self, off: Option<Asked>, config: &Config, now: Instant) {
-        let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
-        if let Some(off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
-            self.put_stop(off, config, now);
-        }
-        self.drop_what_moves(Failure::Stopped, config, now);
-        self.last_sent.insert(LastSent::ENDED_WITH_ALL);
-        match &mut self.request {
-            Request::InFlight(asked) | Request::Sent(asked) if asked.kind().may_move() => {
-                asked.withdraw();
-            }
-            _ => {}
         }
     }
 
@@ -471,15 +334,12 @@ impl Motor {
         self.request = outcome;
     }
 
-    /// The request has no answer. Of a stop nobody has a ticket.
+    /// The request has no answer.
     pub(super) fn request_has_failed(&mut self, why: Failure, config: &Config, now: Instant) {
         let stop = self.request.under_way().copied().filter(Asked::is_stop);
         self.finish_request(Request::Failed(why), config, now);
         if let Some(stop) = stop {
-            self.news.insert(News::UNCONFIRMED);
-            let sendings = stop.unanswered;
-            self.unconfirmed = StopKind::by(stop.kind()).map(|kind| Unconfirmed { kind, sendings });
-            self.request = Request::None;
+            self.stop_was_given_up(&stop);
         }
     }
 

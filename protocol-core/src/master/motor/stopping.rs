@@ -1,0 +1,180 @@
+//! What stops a motor: its own stop, whatever all are told, and what becomes of a stop that is not confirmed.
+
+use crate::data::Data;
+use crate::kind::Kind;
+use crate::master::config::Config;
+use crate::master::event::Failure;
+use crate::master::late::{Of, Question};
+use crate::master::motor::{LastSent, Motor, News};
+use crate::master::request::{Asked, Purpose, Request};
+use crate::master::stop::StopKind;
+use crate::opcode::Opcode;
+use crate::time::Instant;
+
+/// A stop that a motor has not confirmed.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::master) struct Unconfirmed {
+    /// It was stopped so, or told so since.
+    kind: StopKind,
+    /// So many stop frames were sent, of which each may still be answered.
+    sendings: u8,
+}
+
+impl Motor {
+    /// Whether a stop like this is under way already, so that it stays. One that goes but once has all its attempts
+    /// from here.
+    pub(in crate::master) fn is_stopping_already(&mut self, stop: &Asked) -> bool {
+        let is_same = |asked: &&mut Asked| asked.is_stop() && asked.question == stop.question;
+        let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
+        if asked.purpose == Purpose::StopAgain {
+            (asked.purpose, asked.attempts_left) = (stop.purpose, stop.attempts_left);
+        }
+        true
+    }
+
+    /// It is stopped like this. A stop like it that was given up, and that nothing has undone since, goes on: an answer
+    /// to any frame of that confirms it.
+    pub(in crate::master) fn go_on_stopping(
+        &mut self,
+        mut stop: Asked,
+        config: &Config,
+        now: Instant,
+    ) {
+        let is_same = |it: &Unconfirmed| it.kind.question() == stop.question;
+        if let Some(unconfirmed) = self.unconfirmed.take().filter(is_same) {
+            stop.unanswered = unconfirmed.sendings;
+        }
+        self.put_stop(stop, config, now);
+        self.late.withdraw(stop.question, stop.unanswered);
+    }
+
+    /// Its stop goes but once.
+    pub(in crate::master) fn leave_one_attempt(&mut self) {
+        if let Some(stop) = self.request.under_way_mut() {
+            (stop.purpose, stop.attempts_left) = (Purpose::StopAgain, 1);
+        }
+    }
+
+    /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
+    pub(in crate::master) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
+        self.drop_waiting_set_point();
+        // What became of an earlier stop says nothing of this one.
+        self.news.remove(News::UNCONFIRMED);
+        let is_callers = match self.request {
+            Request::None => false,
+            // Also one whose outcome is not told yet: each request has one.
+            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked) => {
+                !asked.is_stop()
+            }
+            Request::Failed(_) => true,
+        };
+        if is_callers {
+            self.news.insert(News::STOPPED);
+        }
+        if self.settled_at > now {
+            self.may_move_until(now + stop.timeout + config.late_window, config);
+        }
+        let is_waiting = self.request.waiting().is_some();
+        let of = if is_waiting { Of::Request } else { Of::RequestStopped };
+        // What is in flight has its time yet.
+        let last_chance = match self.request.in_flight() {
+            Some(asked) => now.max(self.sent + asked.timeout),
+            None => now,
+        };
+        self.give_request_up(of, config, last_chance);
+        self.let_other_stop_come_first(&stop, config, now);
+        self.request = Request::Waiting(stop);
+    }
+
+    /// What ends motion is to count once no stop of the other kind from before can come any more. A controller that
+    /// keeps no order sends that behind this: a load that is held falls, or a motor that is off is switched on.
+    #[inline(never)]
+    pub(in crate::master) fn let_other_stop_come_first(
+        &mut self,
+        end: &Asked,
+        config: &Config,
+        now: Instant,
+    ) {
+        let off = StopKind::Off.question();
+        let other = if end.question == off { StopKind::Hold.question() } else { off };
+        if self.late.may_be_mistaken(other) {
+            self.may_move_until(now + end.timeout + config.late_window, config);
+        }
+    }
+
+    /// It is told to end its motion. If it has confirmed no stop, it is stopped so when it is back: a hold would switch
+    /// on whom somebody has switched off since.
+    pub(in crate::master) fn is_told_since(&mut self, kind: Kind) {
+        let Some(told) = StopKind::by(kind) else { return };
+        if let Some(stop) = self.unconfirmed.as_mut().filter(|stop| stop.kind != told) {
+            *stop = Unconfirmed { kind: told, sendings: 0 };
+        }
+    }
+
+    /// Its stop was not confirmed. Nobody has a ticket of it.
+    pub(super) fn stop_was_given_up(&mut self, stop: &Asked) {
+        self.news.insert(News::UNCONFIRMED);
+        let sendings = stop.unanswered;
+        self.unconfirmed = StopKind::by(stop.kind()).map(|kind| Unconfirmed { kind, sendings });
+        self.request = Request::None;
+    }
+
+    /// The stop that it has not confirmed and that nothing goes on with.
+    pub(in crate::master) fn unconfirmed_stop(&self) -> Option<StopKind> {
+        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
+        let stop = self.unconfirmed.filter(|_| !self.request.under_way().is_some_and(ends_motion));
+        stop.map(|stop| stop.kind)
+    }
+
+    /// A stop to all was sent, which tells it this. On CAN it is answered beside the motor's own: where that is the
+    /// same, as one more sending of it.
+    pub(in crate::master) fn stop_to_all_was_sent(
+        &mut self,
+        told: Question,
+        until: Instant,
+        config: &Config,
+    ) {
+        match self.own_stop(told) {
+            Some(stop) => stop.unanswered = stop.unanswered.saturating_add(1),
+            None => self.expect_late(told, Of::StopAnswered, 1, until, config),
+        }
+    }
+
+    /// The stop to all was handed back: nobody answers it.
+    pub(in crate::master) fn stop_to_all_was_pushed_out(&mut self, told: Question, data: &Data) {
+        match self.own_stop(told) {
+            Some(stop) if stop.unanswered > 0 => stop.unanswered -= 1,
+            _ => {
+                self.take_late(false, data, false);
+            }
+        }
+    }
+
+    /// The stop that tells it this, if that is under way. One that goes once more is confirmed by its own answer alone.
+    fn own_stop(&mut self, told: Question) -> Option<&mut Asked> {
+        let stop = self.request.under_way_mut()?;
+        (stop.is_stop() && stop.question == told && !stop.once_more).then_some(stop)
+    }
+
+    /// All are told to end their motion: nothing older of this motor's follows that.
+    /// With `off` they are let go by it: to hold this one still, or once more, would switch it on again.
+    pub(in crate::master) fn end_with_all(
+        &mut self,
+        off: Option<Asked>,
+        config: &Config,
+        now: Instant,
+    ) {
+        let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
+        if let Some(off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
+            self.put_stop(off, config, now);
+        }
+        self.drop_what_moves(Failure::Stopped, config, now);
+        self.last_sent.insert(LastSent::ENDED_WITH_ALL);
+        match &mut self.request {
+            Request::InFlight(asked) | Request::Sent(asked) if asked.kind().may_move() => {
+                asked.withdraw();
+            }
+            _ => {}
+        }
+    }
+}
