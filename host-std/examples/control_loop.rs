@@ -5,6 +5,9 @@
 
 use std::error::Error;
 use std::f32::consts::TAU;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use myactuator_host_std::sim::Fleet;
 use myactuator_protocol_core::command::{
@@ -14,6 +17,7 @@ use myactuator_protocol_core::io::{CallError, Guard, Runner};
 use myactuator_protocol_core::master::{Failure, MotorSet, Presence, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Firmware, MotorId};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 /// Moves eight motors at 500 Hz until `plan` has nothing more to say. `scale` is that of their firmware:
 /// never guess it. However this is left, by an error or by its end, the motors are stopped; gives those that
@@ -46,17 +50,22 @@ fn run<R: Runner<8>>(
     }
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let fleet = Fleet::new(8).on_can(1_000_000)?;
-    let mut bus = fleet.master::<8>();
+/// Set by Ctrl-C, a hang-up or a request to end, which would end the program without a stop otherwise.
+fn interruption() -> io::Result<Arc<AtomicBool>> {
+    let is_interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGHUP, SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&is_interrupted))?;
+    }
+    Ok(is_interrupted)
+}
 
-    let date = bus.ask(MotorId::MIN, ReadVersionDate)?.version_date;
-    let firmware = Firmware::of_version_date(date).ok_or("which firmware is this?")?;
-    let scale = firmware.motion_ranges().ok_or("its scales depend on the motor")?;
-
-    // All swing for two seconds; motor 1 says where it is.
+/// All swing for two seconds, or until somebody ends that; motor 1 says where it is.
+fn swing(
+    scale: &MotionRanges,
+    is_interrupted: &AtomicBool,
+) -> impl FnMut(MotorId, Option<MotionFeedback>) -> Option<RawMotion> {
     let mut tick = 0;
-    let plan = |motor, measured: Option<MotionFeedback>| {
+    move |motor, measured| {
         if motor == MotorId::MIN {
             tick += 1;
             if let (0, Some(measured)) = (tick % 100, measured) {
@@ -72,9 +81,21 @@ fn main() -> Result<(), Box<dyn Error>> {
             torque_nm: 0.0,
         };
         // Nothing that the scale cannot say is ever sent: it ends the plan.
-        scale.quantise(&wanted).ok().filter(|_| tick <= 1_000)
-    };
-    let running = run(&mut bus, &scale, plan)?;
+        let goes_on = tick <= 1_000 && !is_interrupted.load(Ordering::Relaxed);
+        scale.quantise(&wanted).ok().filter(|_| goes_on)
+    }
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let is_interrupted = interruption()?;
+    let fleet = Fleet::new(8).on_can(1_000_000)?;
+    let mut bus = fleet.master::<8>();
+
+    let date = bus.ask(MotorId::MIN, ReadVersionDate)?.version_date;
+    let firmware = Firmware::of_version_date(date).ok_or("which firmware is this?")?;
+    let scale = firmware.motion_ranges().ok_or("its scales depend on the motor")?;
+
+    let running = run(&mut bus, &scale, swing(&scale, &is_interrupted))?;
     if running.is_empty() { Ok(()) } else { Err(format!("cut the power of {running}").into()) }
 }
 
@@ -124,5 +145,27 @@ mod tests {
         let (left, begun) = held_for(60);
         assert_eq!(left, Err(Failure::Dropped.to_string()));
         assert_eq!(begun.len(), 10);
+    }
+    #[test]
+    fn whoever_ends_the_program_ends_it_through_the_stop() {
+        for signal in [SIGINT, SIGHUP, SIGTERM] {
+            let is_interrupted = interruption().unwrap();
+            let fleet = Fleet::new(8).on_can(1_000_000).unwrap();
+            let mut bus = fleet.master::<8>();
+            let scale = Firmware::V4_3.motion_ranges().unwrap();
+            let mut plan = swing(&scale, &is_interrupted);
+            let ended = run(&mut bus, &scale, |motor, measured| {
+                if motor == MotorId::MIN && fleet.world.now().as_micros() == 100_000 {
+                    signal_hook::low_level::raise(signal).unwrap();
+                }
+                plan(motor, measured)
+            });
+            assert_eq!(ended, Ok(MotorSet::EMPTY), "{signal}");
+            let ended_us = fleet.world.now().as_micros();
+            assert!(ended_us < 110_000, "{signal}: {ended_us}");
+            let moved =
+                bus.set_point(MotorId::MIN, scale.quantise(&MotionSetPoint::default()).unwrap());
+            assert!(moved.is_err(), "{signal}: stopped");
+        }
     }
 }
