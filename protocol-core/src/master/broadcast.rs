@@ -340,23 +340,26 @@ impl Broadcast {
 impl<const N: usize> Master<N> {
     /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all have come or
     /// the time is up. It is sent when no request is in flight, and requests wait until it is over, but for those that
-    /// end motion while it waits. On CAN it reaches motors whose id filter (function 2) is off; on RS485 the answers of
-    /// several motors are likely to collide. `expected` should name all who answer: the answers of others come as
-    /// [`Event::Stray`].
+    /// end motion while it waits. The next broadcast waits until all motors that have a place have answered this one,
+    /// or its answers cannot come any more.
     ///
-    /// To end motion at once use [`stop_all`](Self::stop_all): this one waits for what is in flight, and for a stop for
-    /// as long as a motor does not confirm that.
+    /// On CAN it reaches motors whose id filter (function 2) is off. On RS485 the answers of several motors are likely
+    /// to collide. `expected` should name all motors that answer: the answers of others come as [`Event::Stray`].
     ///
-    /// Name in it all whom a command that moves, or opens brakes, may reach: each takes a place, so that
-    /// [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms.
+    /// # One that moves
+    /// Name in `expected` all motors that a command which moves, or opens brakes, may reach: each takes a place, so
+    /// that [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms.
     ///
-    /// The next broadcast waits until all motors that have a place have answered this one, or its
-    /// answers cannot come any more. One that [ends motion](Kind::ends_motion) drops the set-points and moves that
-    /// wait, and where one lets go (0x80, 0x76) a Stop (0x81) of one motor that is under way becomes a Shutdown of it,
-    /// which is confirmed as a stop. But an answer to it, other than to a [stop](Self::stop_all), does not say that
-    /// nothing sent before can move the motor any more. If a motor is [stopped](Self::stop) by itself while it waits,
-    /// or before a controller hands it back, and it would undo that, the others that have a place get it each by
-    /// itself, as a stop, and this one is over: nobody without a place gets it then, and a restart goes to nobody.
+    /// # One that ends motion
+    /// To end motion at once use [`stop_all`](Self::stop_all). A broadcast waits for what is in flight, and for a stop
+    /// for as long as a motor does not confirm that; and an answer to it does not say that nothing sent before can
+    /// move the motor any more.
+    ///
+    /// It drops the set-points and moves that wait. Where it lets go (0x80, 0x76), a Stop (0x81) of one motor that is
+    /// under way becomes a Shutdown of that motor, which is confirmed as a stop. If one motor is
+    /// [stopped](Self::stop) by itself while the broadcast waits, or before a controller hands it back, and it would
+    /// undo that stop, the broadcast is over: each other motor that has a place gets the command by itself, as a stop,
+    /// but a restart goes to nobody. Motors without a place get nothing then.
     ///
     /// # Errors
     /// [`RequestError`]: the command has no form for all motors or none on this bus, another

@@ -16,11 +16,15 @@ pub enum Bus {
     Rs485 {
         /// Pause between the end of a reply and the next command, for the drives to turn around.
         turnaround: Duration,
-        /// Whether the adapter hands back what is sent: then the first frame with the same bytes is
-        /// dropped. Where this says no, the loops ask before the first command whose echo may pass for its
-        /// answer, by two frames that no drive answers: see [`EchoFilter`](crate::io::EchoFilter). If noise takes both echoes, that of a stop of one
-        /// motor may pass for its confirmation until the first stop of all or two reads have shown it. Where this says yes and
-        /// there is none, an answer of the command's own bytes counts as the echo: no stop is confirmed.
+        /// Whether the adapter hands back what is sent. If so, the first frame with the same bytes is dropped.
+        ///
+        /// If this says no, the loops find out by two frames that no drive answers, before the first command whose
+        /// echo may pass for its answer: see [`EchoFilter`](crate::io::EchoFilter). If noise takes both echoes, the
+        /// echo of a stop of one motor may pass for its confirmation, until the first stop of all or two reads have
+        /// shown that the adapter echoes.
+        ///
+        /// If this says yes and the adapter does not echo, an answer of the command's own bytes counts as the echo:
+        /// no stop is confirmed.
         echo: bool,
     },
 }
@@ -55,11 +59,13 @@ pub struct Config {
     pub attempts: u8,
     /// How long a frame is on the wire at the most.
     pub frame_time: Duration,
-    /// Replies that come sooner after their command than this cannot be its answer: a drive needs
-    /// some 0.8 ms. This keeps a doubled frame apart from the answer to the next request of its kind: one that looks
-    /// like the last answer and comes within 0.5 ms of what was last heard of the motor, and of the command, is none
-    /// either. A drive that answers again later than that after the command is believed. With a clock of steps
-    /// longer than this it must be 0, and nothing of this holds: an answer within the step of its command is in time.
+    /// A reply that comes sooner after a command than this cannot be its answer: a drive needs some 0.8 ms. This
+    /// keeps a doubled frame apart from the answer to the next request of its kind. A frame that looks like the last
+    /// answer and comes within 0.5 ms both of what was last heard of the motor and of the command is no answer either.
+    /// A drive that answers twice, and the second time later than that after the next command, is believed.
+    ///
+    /// If the clock's steps are longer than this it must be 0. Then nothing of this holds: an answer within the step
+    /// of its command is in time.
     pub shortest_response: Duration,
     /// How long a reply takes at the most when it need not wait for the bus, adapters included: no longer than
     /// `reply_timeout`, which counts where that is shorter.
@@ -68,9 +74,9 @@ pub struct Config {
     /// while another's older one may still be waiting to be answered: until this time is over and the
     /// bus was quiet, or the motor was silent before. On either bus feedback of a stream counts as lost no sooner.
     pub longest_response: Duration,
-    /// For how long a reply may still come after its command was given up; or, where a stop went over that, after
+    /// For how long a reply may still come after its command was given up or, where a stop took its place, after
     /// the stop's own time-out. Until then no request that asks the same goes to that motor, so that the late reply
-    /// cannot be taken for its answer. Others go.
+    /// cannot be taken for its answer. Other requests go.
     pub late_window: Duration,
     /// A set-point that has waited longer than this is dropped.
     pub set_point_max_age: Duration,

@@ -103,8 +103,8 @@ pub enum Failure {
     /// A reply came, but its fields hold what is not allowed.
     #[error("the reply cannot be read: {0}")]
     Unreadable(DecodeError),
-    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. That may be
-    /// a stop of before, which goes once more when a motor is heard [that has not confirmed it](Event::StopUnconfirmed).
+    /// A stop took its place, before it was sent or before it was answered: it may have been carried out. The stop may
+    /// be an earlier one that the motor [has not confirmed](Event::StopUnconfirmed) and that goes once more now.
     #[error("the motors were stopped first")]
     Stopped,
     /// The bus carried nothing while the command waited. With an [`AsyncCan`](crate::io::AsyncCan) whose `transmit` is
@@ -112,8 +112,8 @@ pub enum Failure {
     #[error("the bus carried nothing, so the command was dropped")]
     BusDown,
     /// A set-point was dropped before it was sent: it waited for too long, the bus carried nothing, or the
-    /// motor was stopped or restarted. Or a move was, since the motor has restarted, or the future of its call was
-    /// dropped.
+    /// motor was stopped or has restarted. Or a move was dropped: its motor has restarted, or nobody waits for its
+    /// outcome any more.
     #[error("it could not be sent in time, so it was dropped")]
     Dropped,
 }
@@ -182,15 +182,16 @@ pub enum Event {
         /// Whether it was sent: not if a stop or a bus that was down dropped it before, or a restart that was seen.
         was_sent: bool,
     },
-    /// A motor has confirmed the stop; also one that gets what was to end the motion of all by itself, because a stop
-    /// of another motor has come since.
+    /// A motor has confirmed the stop. Also where a [broadcast](crate::master::Master::broadcast) that ends motion
+    /// went to each motor by itself, because another motor was stopped meanwhile.
     StopConfirmed {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has not confirmed the stop, after many attempts: cut its power. Whenever something is heard of it while
-    /// the stop is in force, that goes once more, and is confirmed or not, until the motor has answered what ends its
-    /// motion. Not reported while a bus takes nothing at all: then the stop waits, and the bus has an error of its own.
+    /// A motor has not confirmed the stop, after many attempts: cut its power. While the stop is in force it is sent
+    /// once more whenever something is heard of the motor, and this is reported again if it is not confirmed then,
+    /// until the motor has answered a command that ends its motion. Not reported while a bus takes nothing at all: then
+    /// the stop waits, and the bus has an error of its own.
     StopUnconfirmed {
         /// The motor.
         motor: MotorId,
@@ -202,12 +203,16 @@ pub enum Event {
         /// Its reply.
         reply: AnyReply,
     },
-    /// A motor has restarted: the bus has taken 0x76 for it, which a controller may hand back. Or it has, as far as
-    /// the protocol shows: it was silent for a second, which is reported when it does not answer and once more when it
-    /// does again, has run for less long than it said before (0xB1), or the angle of its stream's feedback is more than
-    /// half a turn beyond what 10,000 degrees/s could have turned. Its turns may be lost. Whatever moves it is refused
-    /// until [`Master::resume`](crate::master::Master::resume); what it was told last it goes on with, if it has heard
-    /// that since: [stop](crate::master::Master::stop) it.
+    /// A motor has restarted, or may have. One of these says so:
+    ///
+    /// - The bus has taken 0x76 for it (which a controller may still hand back).
+    /// - It was silent for a second. This is reported when it does not answer, and once more when it does again.
+    /// - It has run for less long than it said before (0xB1).
+    /// - The angle in its stream's feedback is more than half a turn beyond what 10,000 degrees/s could have turned.
+    ///
+    /// Its turns may be lost. Whatever moves it is refused until
+    /// [`Master::resume`](crate::master::Master::resume). A command that it has heard since its restart it carries
+    /// out all the same: [stop](crate::master::Master::stop) it.
     Restarted {
         /// The motor.
         motor: MotorId,

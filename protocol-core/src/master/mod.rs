@@ -16,32 +16,32 @@
 //!
 //! # What stops, and what a confirmation means
 //! A stop goes before everything, whatever is in flight, and nothing older follows it: what waited is
-//! dropped, and what a controller hands back is, too. A confirmation counts if it answers this stop and
+//! dropped, and so is what a controller hands back. A confirmation counts if it answers this stop and
 //! not an earlier one, and if nothing that was sent before can move the motor any more: a set-point may
 //! wait in a mailbox that the stop overtook, and there for as long as the bus is cut. Otherwise the stop goes once
-//! more. So do requests that end motion, which wait for their turn otherwise, but not for moves of all that were
-//! asked for later.
+//! more. The same holds for requests that end motion, which wait for their turn, though not for moves of all that
+//! were asked for later.
 //!
 //! # What can still go wrong
-//! A reply says which motor, which command and which index, and not which of two equal commands it
-//! answers. So an answer can be wrong, or a move come behind the stop that is confirmed, if the bus or a controller
-//! holds a frame back for longer than the late window; an answer, too, if
-//! a drive answers twice or a command reaches it twice (the second reply may be taken for that to the
-//! next request of its kind), if two motors have one id, if another master asks the same at the same
-//! time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no
-//! more and has not heard). A drive that has lost its master sends back the first command and ignores it:
-//! if its message of that is lost, this may be taken for the answer. A restart shows by a second in which what the
-//! motor is asked stays without an answer, by a run time that has gone back when it is read (0xB1), or by an angle
-//! that jumps under a stream, of motion mode excepted: one that shows by none of these is not noticed. Nor is a jump
-//! for as long as the feedback may be that to a set-point given up before: until the stream rests. An echo on
-//! RS485 that nobody told of confirms a stop if noise has taken all echoes that would have shown it. A frame
-//! from before a cut that an adapter holds back for longer than the reply time-out says that the bus is whole,
-//! so that a stop may be confirmed before a move that lies in a mailbox. A stop of one motor, or to all, that has
-//! lain in one until nobody expected its answer any more may come after a later stop of the other kind is confirmed.
-//! And a stop cannot be confirmed by a motor whose replies do not come through: then cut its power. Where a bus swaps a
-//! move and the stop behind it, and their answers as well, the stop is confirmed before it moves. And a command that was
-//! given up for want of an answer may lie in the mailbox of a controller that nobody acknowledges: it is obeyed when the
-//! bus is whole again, whenever that is, unless the controller can be reset. Nothing here can tell more.
+//! A reply says which motor, which command and which index, but not which of two equal commands it answers; and
+//! nothing on this side of the wire takes back a frame that a controller, an adapter or the bus still holds. What
+//! follows from these two no master can prevent. If a frame is held back for longer than the late window, an answer
+//! can be wrong, or a move can come behind the stop that was confirmed; so, too, where a bus swaps a move and the stop
+//! behind it, and their answers as well. A frame from before a cut that an adapter holds back for longer than the
+//! reply time-out says that the bus is whole, so that a stop may be confirmed before a move that lies in a mailbox. A
+//! stop that has lain in a mailbox until nobody expected its answer any more may come after a later stop of the other
+//! kind was confirmed. A command that was given up for want of an answer may lie in the mailbox of a controller that
+//! nobody acknowledges: it is obeyed when the bus is whole again, whenever that is, unless the controller can be
+//! reset. An answer can also be wrong if a drive answers twice or a command reaches it twice (the second reply may be
+//! taken for that to the next request of its kind), if two motors have one id, if another master asks the same at the
+//! same time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no more
+//! and has not heard). A drive that has lost its master sends back the first command and ignores it: if its message
+//! of that is lost, this may be taken for the answer. On RS485 an echo that nobody configured confirms a stop if noise
+//! has taken all echoes that would have shown it. A restart shows by a second in which the motor does not answer what
+//! it is asked, by a run time that has gone back when it is read (0xB1), or by an angle that jumps under a stream,
+//! motion mode excepted; one that shows by none of these is not noticed, nor is a jump for as long as the feedback may
+//! be that to a set-point given up before, until the stream rests. And a stop cannot be confirmed by a motor whose
+//! replies do not come through: then cut its power.
 //!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every

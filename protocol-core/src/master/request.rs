@@ -148,9 +148,11 @@ impl Request {
 
 impl<const N: usize> Master<N> {
     /// Sends one motor a command and waits for its reply, where it has one, with the configuration's
-    /// patience. A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a
-    /// waiting command to all that may move it, and its reply counts only once nothing that was sent before it
-    /// can move the motor any more.
+    /// patience.
+    ///
+    /// A command that [ends motion](Kind::ends_motion) drops the motor's waiting set-point and a waiting command to
+    /// all that may move it, and its reply counts only once nothing that was sent before it can move the motor any
+    /// more.
     ///
     /// # Errors
     /// [`RequestError`]: the command does not go to one motor or not over this bus, the motor's
@@ -243,12 +245,16 @@ impl<const N: usize> Master<N> {
         Ok(TicketId { motor, number })
     }
 
-    /// Nobody waits for the outcome of this request any more, so what a stop would refuse, a move say, must not be
-    /// sent, or sent again, at any later time. One that waits fails ([`Failure::Dropped`]). One that is on the wire, or
-    /// lies in a controller's mailbox, is not called back: it is carried out, its answer still comes, and only a
-    /// [stop](Self::stop) ends what it does; if it is lost or handed back it is not sent once more. What reads, writes
-    /// or ends motion goes on. One that is over is left alone. The `ask` of the [loops](crate::io) does this when it is
-    /// left.
+    /// Nobody waits for the outcome of this request any more. If a stop would refuse it, as it would a move, it must
+    /// not be sent, or sent again, at any later time:
+    ///
+    /// - One that waits fails with [`Failure::Dropped`].
+    /// - One that is on the wire, or lies in a controller's mailbox, is not called back: it is carried out, its answer
+    ///   still comes, and only a [stop](Self::stop) ends what it does. If it is lost or handed back it is not sent
+    ///   once more.
+    ///
+    /// What reads, writes or ends motion goes on. A request that is over is left alone. The `ask` of the
+    /// [loops](crate::io) withdraws what it asked when it is left.
     pub fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
         let now = self.now;
         self.due = now;

@@ -65,28 +65,29 @@ pub(super) const STOP_ATTEMPTS: u8 = 15;
 
 impl<const N: usize> Master<N> {
     /// Stops every motor [that has a place](Self::motors) and those of `also`, before anything else is sent
-    /// and, on CAN, whatever is in flight. Waiting requests and set-points are dropped. Until
-    /// [`lift_stop`](Self::lift_stop) much [is refused](Kind::is_refused_while_stopped): set-points, a
-    /// restart and writes to ROM, for example, but not reads.
+    /// and, on CAN, whatever is in flight.
     ///
-    /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved whom nobody has named, one to all at
-    /// once goes before each motor's own. Whoever has no place confirms nothing, and gets it but once: name all whom a
-    /// broadcast may reach, there or in `also`. It does not go where it would switch on whom an earlier stop has
-    /// switched off; one that waits to switch off goes all the same.
+    /// - Requests and set-points that wait are dropped. Until [`lift_stop`](Self::lift_stop) whatever may move a
+    ///   motor [is refused](Kind::is_refused_while_stopped), as are restarts and writes to ROM. Reads are not.
+    /// - Each motor gets its first stop before any gets its second. A stop that is not confirmed within
+    ///   [`Config::reply_timeout`](crate::master::Config::reply_timeout), or 50 ms where that is longer, is repeated,
+    ///   up to 15 times in all.
+    /// - Then its confirmation, or its absence, comes as an event. A confirmation counts only once nothing that was
+    ///   sent before the stop, and may lie in a controller's mailbox for example, can move the motor any more.
+    /// - A motor that has not confirmed is sent one more stop whenever something is heard of it, for as long as the
+    ///   stop is in force.
+    /// - Called again before it was lifted it goes on with what is under way: a program may call it in every cycle.
     ///
-    /// Called again before it was lifted it goes on with what is under way, so that it may be called in every
-    /// cycle.
+    /// # Motors without a place
+    /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, one stop
+    /// to all goes before each motor's own. A motor without a place gets that single frame and confirms nothing. So
+    /// name all motors that a broadcast may reach, there or in `also`.
     ///
-    /// Each motor gets its first stop before any gets its second. Its confirmation, or its absence, comes as an event;
-    /// a stop that is not confirmed within 50 ms is repeated, however long
-    /// [`Config::reply_timeout`](crate::master::Config::reply_timeout) is, and whoever has confirmed none of many is
-    /// stopped once more whenever something is heard of it. What was sent before the stop may still be on
-    /// its way, in a controller's mailbox for example: a confirmation counts only once nothing of that can move the
-    /// motor any more.
-    ///
-    /// A motor that has a place and that a stop has switched off, by itself or with all at once, stays off until that
-    /// stop is lifted: it is not sent [`StopKind::Hold`], which would switch it on, but [`StopKind::Off`] once more.
-    /// With all at once everybody is, also who is named only later.
+    /// # A motor that is off stays off
+    /// A motor that a stop has switched off is not switched on by another stop: until the first is lifted it gets
+    /// [`StopKind::Off`] where [`StopKind::Hold`] is called for, and the stop to all is left out where it would hold
+    /// such a motor. After a stop of all with `Off` that holds for every motor, also for one that gets its place
+    /// later. A stop to all that still waits to switch off goes all the same.
     ///
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
@@ -123,12 +124,12 @@ impl<const N: usize> Master<N> {
     }
 
     /// Stops one motor, as [`stop_all`](Self::stop_all) stops all. Until [`lift_stop`](Self::lift_stop)
-    /// or [`lift_stop_of`](Self::lift_stop_of) the same is refused to it. A stop to all at once
-    /// that was not sent yet still goes before it: nothing else reaches who has no place.
+    /// or [`lift_stop_of`](Self::lift_stop_of) the same is refused to it. A stop to all that was not sent yet
+    /// still goes before it: it may be the only one that motors without a place get.
     ///
-    /// No [broadcast](Self::broadcast) that was put before undoes it: where one that ends motion would, because it
-    /// switches off who is to be held or on who is to be off, and still waits or is handed back later, the others get
-    /// it each by itself and confirm it as a stop.
+    /// No [broadcast](Self::broadcast) that was put before undoes it. One that ends motion would where it switches
+    /// off a motor that is to be held, or switches on one that is to be off. If such a one still waits, or is handed
+    /// back later, each of the other motors gets it by itself instead, and confirms it as a stop.
     ///
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for it.
