@@ -7,7 +7,7 @@ use crate::master::event::Failure;
 use crate::master::late::{Of, Question};
 use crate::master::motor::{LastSent, Motor, News};
 use crate::master::request::{Asked, Purpose, Request};
-use crate::master::stop::StopKind;
+use crate::master::stop::{LONGEST_STOP_TIMEOUT, StopKind};
 use crate::opcode::Opcode;
 use crate::time::Instant;
 
@@ -76,9 +76,9 @@ impl Motor {
         }
         let is_waiting = self.request.waiting().is_some();
         let of = if is_waiting { Of::Request } else { Of::RequestStopped };
-        // What is in flight has its time yet.
+        // What is in flight has its time yet, but no caller's patience holds the stop's confirmation back.
         let last_chance = match self.request.in_flight() {
-            Some(asked) => now.max(self.sent + asked.timeout),
+            Some(asked) => now.max(self.sent + asked.timeout.min(LONGEST_STOP_TIMEOUT)),
             None => now,
         };
         self.give_request_up(of, config, last_chance);

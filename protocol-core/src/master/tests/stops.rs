@@ -437,3 +437,32 @@ fn who_was_switched_off_by_itself_may_be_held_once_that_is_lifted() {
     master.lift_stop_of(id(1));
     assert_eq!(told(&mut master, StopKind::Hold, 200), Stop.encode());
 }
+
+/// How long a caller would wait for a move says nothing of when that comes.
+#[test]
+fn a_stop_is_confirmed_soon_also_behind_a_move_that_is_waited_for_patiently() {
+    for config in [Config::CAN, Config::rs485(1_000_000, false)] {
+        let mut master = Master::<2>::new(config);
+        let for_ever = Patience { reply_timeout: Duration::from_secs(3_600), attempts: 1 };
+        let _ = master.request_with(id(1), step(), for_ever).unwrap();
+        assert_eq!(sent(&mut master, ms(100)).len(), 1);
+        master.stop(id(1), StopKind::Off).unwrap();
+        let mut confirmed_at = None;
+        for now in 101..1_000 {
+            for stop in sent(&mut master, ms(now)) {
+                assert_eq!(stop, packet_to(1, Shutdown.encode()));
+                let answer = match config.is_rs485() {
+                    true => master
+                        .handle_line(&Frame { address: id(1).into(), data: stop.data }, ms(now)),
+                    false => reply(&mut master, 1, stop.data, ms(now) + Duration::from_micros(700)),
+                };
+                if answer == confirmed(1) {
+                    confirmed_at = Some(now);
+                }
+            }
+        }
+        // 50 ms for the move, and a late window of 40.8 ms or 10.3 ms.
+        let at = confirmed_at.expect("it is confirmed");
+        assert!(at <= 200, "{at} ms");
+    }
+}
