@@ -9,8 +9,10 @@ use myactuator_protocol_core::command::{
     AbsolutePosition, IncrementalPosition, ReadMultiTurnAngle, ReadStatus1, Shutdown, Speed, Stop,
 };
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{CanMaster, Runner};
-use myactuator_protocol_core::master::{Event, Failure, Master, MotorSet, Patience, StopKind};
+use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
+use myactuator_protocol_core::master::{
+    Bus, Config, Event, Failure, Master, MotorSet, Patience, StopKind,
+};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
@@ -184,6 +186,29 @@ fn a_thread_that_is_left_stops_the_motors_though_another_has_a_handle() {
     assert_eq!(run(drop), (false, moved_and_stopped.clone()));
     let finish = |bus: Guard<_>| assert_eq!(bus.finish().unwrap(), MotorSet::EMPTY);
     assert_eq!(run(finish), (false, moved_and_stopped));
+}
+
+#[test]
+fn a_stop_of_motors_that_nobody_has_named_is_over_when_it_was_sent() {
+    let fleet = Fleet::new(2).on_rs485(1_000_000).unwrap();
+    // The line is not free at once.
+    let turnaround = Duration::from_millis(50);
+    let config =
+        Config { bus: Bus::Rs485 { turnaround, echo: false }, ..Config::rs485(1_000_000, false) };
+    let mut master = SerialMaster::<_, _, 8>::new(fleet.world.port(), fleet.world.clock(), config);
+    master.ask(id(1), ReadStatus1).unwrap();
+    assert!(master.master().forget(id(1)));
+    let world = fleet.world.clone().in_real_time();
+    let bus = SharedBus::with_wake(master, move || world.wake(), StopKind::Hold);
+    let log = fleet.world.log();
+    assert_eq!(bus.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+    let mut sent = log.take().into_iter().filter_map(|record| match record.event {
+        trace::Event::Carried { frame, .. } => Some(frame),
+        _ => None,
+    });
+    // 3.2: all motors are at 0xCD; 2.17: 0x80.
+    let stops_all = |frame: Vec<u8>| frame[1] == 0xCD && frame[3] == 0x80;
+    assert!(sent.any(stops_all), "a stop that is over has left");
 }
 
 #[test]

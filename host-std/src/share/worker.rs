@@ -133,8 +133,10 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
     /// Tells those who wait for a stop that is over.
     fn end_stops(&mut self) {
         let now = self.runner.now();
+        // One to all at once may be what stops those whom nobody has named.
+        let is_all_sent = !self.runner.master().is_stop_to_all_waiting();
         self.stopping.retain(|stop| {
-            let is_over = stop.running.is_empty() || now >= stop.end;
+            let is_over = stop.running.is_empty() && is_all_sent || now >= stop.end;
             if is_over {
                 let unconfirmed = stop.running.iter().chain(stop.unconfirmed.iter()).collect();
                 let _ = stop.answer.send(Ok(unconfirmed));

@@ -194,8 +194,7 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     while runner.now() < end {
         let until = match unconfirmed.without(given_up).is_empty() {
             false => end,
-            // On a line it stops also those who are not known.
-            true if runner.master().stop_to_all_packet().is_some() => runner.now() + RETRY_AFTER,
+            true if runner.master().is_stop_to_all_waiting() => runner.now() + RETRY_AFTER,
             true => break,
         };
         match runner.run(Some(until)).await {

@@ -313,8 +313,14 @@ impl<const N: usize> Master<N> {
         true
     }
 
+    /// Whether a [stop of all](Self::stop_all) waits to be sent to all at once, which stops also motors that have no
+    /// place. Nobody confirms it, so whoever waits for a stop waits for this, too.
+    pub const fn is_stop_to_all_waiting(&self) -> bool {
+        self.stop_to_all.is_some()
+    }
+
     /// The stop to all motors at once, if it is to be sent.
-    pub(crate) fn stop_to_all_packet(&self) -> Option<Packet> {
+    pub(super) fn stop_to_all_packet(&self) -> Option<Packet> {
         let (_, data) = self.stop_to_all?.command();
         Some(Packet { channel: Channel::Command(Target::All), data })
     }
