@@ -188,10 +188,10 @@ pub enum Event {
         /// The motor.
         motor: MotorId,
     },
-    /// A motor has not confirmed the stop, after many attempts: cut its power. While the stop is in force it is sent
-    /// once more whenever something is heard of the motor, and this is reported again if it is not confirmed then,
-    /// until the motor has answered a command that ends its motion. Not reported while a bus takes nothing at all: then
-    /// the stop waits, and the bus has an error of its own.
+    /// A motor has not confirmed the stop, after many attempts: cut its power. While the stop is in force it goes on
+    /// being sent, every 100 ms or so, until the motor has answered it, or another command that ends its motion: then
+    /// [`StopConfirmed`](Self::StopConfirmed), or that command's reply, follows. Not reported while a bus takes nothing
+    /// at all: then the stop waits, and the bus has an error of its own.
     StopUnconfirmed {
         /// The motor.
         motor: MotorId,

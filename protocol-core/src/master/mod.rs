@@ -205,6 +205,9 @@ impl<const N: usize> Master<N> {
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
         if now >= self.due {
+            if self.is_any_stopped() {
+                self.stop_again(now);
+            }
             let heard_at = self.heard_at_least();
             let in_flight = self.places.in_flight;
             let is_quiet = !in_flight.is_empty() && self.quiet_at() <= now;
@@ -219,6 +222,7 @@ impl<const N: usize> Master<N> {
                     });
                 }
             }
+            next.take(self.stops_again_at());
             self.due = next.0.unwrap_or(NEVER);
         }
         self.age_broadcast(now);

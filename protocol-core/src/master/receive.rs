@@ -66,15 +66,11 @@ impl<const N: usize> Master<N> {
         match frame {
             can::Received::Packet(packet) => self.handle_packet(packet, now),
             &can::Received::WrongLength { channel: Channel::Reply(motor), first, .. } => {
-                self.now = now;
-                let event = if first == Some(LOST_MASTER_BYTE) {
-                    Some(self.lost_master(motor, now))
-                } else {
-                    self.count_stray(motor);
-                    None
-                };
-                self.stop_who_is_back(motor);
-                event
+                if first == Some(LOST_MASTER_BYTE) {
+                    return Some(self.lost_master(motor, now));
+                }
+                self.count_stray(motor);
+                None
             }
             _ => None,
         }
@@ -115,23 +111,21 @@ impl<const N: usize> Master<N> {
     fn handle_packet(&mut self, packet: &Packet, now: Instant) -> Option<Event> {
         self.now = now;
         let data = &packet.data;
-        let (motor, event) = match packet.channel {
+        match packet.channel {
             Channel::Reply(motor) if data[0] == LOST_MASTER_BYTE => {
-                (motor, Some(self.lost_master(motor, now)))
+                Some(self.lost_master(motor, now))
             }
             Channel::Reply(motor) | Channel::MotionReply(motor) => {
-                (motor, self.handle_reply(motor, packet, now))
+                self.handle_reply(motor, packet, now)
             }
             Channel::BusId => {
                 let reply = BusId::decode_reply(data).ok()?;
                 let (motor, reply) = (reply.id(), AnyReply::BusId(reply));
                 let is_answer = self.answers_broadcast(motor, data, now);
-                (motor, is_answer.then_some(Event::BroadcastReply { motor, reply }))
+                is_answer.then_some(Event::BroadcastReply { motor, reply })
             }
-            Channel::Command(_) | Channel::Motion(_) => return None,
-        };
-        self.stop_who_is_back(motor);
-        event
+            Channel::Command(_) | Channel::Motion(_) => None,
+        }
     }
 
     fn handle_reply(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Option<Event> {
@@ -379,7 +373,7 @@ impl Motor {
                 self.send_again(asked, true);
                 return Meaning::OnceMore;
             }
-            self.unconfirmed = None;
+            self.has_ended_motion();
         }
         self.finish_request(Request::None, config, now);
         if asked.is_stop() {

@@ -23,7 +23,7 @@ pub(super) enum Purpose {
     Once,
     /// A stop: before everything else, whatever is in flight.
     Stop,
-    /// A stop that was given up and goes but once more.
+    /// A stop that was given up and goes once more.
     StopAgain,
 }
 

@@ -224,6 +224,7 @@ impl<const N: usize> Master<N> {
             earliest.take(offered_at);
         }
         earliest.take(self.broadcast.deadline(&self.config));
+        earliest.take(self.stops_again_at());
         self.broadcast_wait(&mut earliest);
         earliest.0
     }

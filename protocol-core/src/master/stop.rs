@@ -38,15 +38,6 @@ impl StopKind {
         Question::without_key(self.command().0)
     }
 
-    /// How this stops whom it goes to, if it is a stop frame.
-    pub(super) fn of_packet(packet: &Packet) -> Option<Self> {
-        let is_it = |kind: &Self| kind.command().1 == packet.data;
-        match packet.channel {
-            Channel::Command(_) => [Self::Hold, Self::Off].into_iter().find(is_it),
-            _ => None,
-        }
-    }
-
     /// How this command stops a motor, if it does: 0x81 or 0x80.
     pub fn by(command: Kind) -> Option<Self> {
         match command.opcode()? {
@@ -62,6 +53,10 @@ impl StopKind {
 pub(super) const LONGEST_STOP_TIMEOUT: Duration = Duration::from_millis(50);
 /// How many stop frames a motor gets before it counts as not stopped.
 pub(super) const STOP_ATTEMPTS: u8 = 15;
+/// How long such a motor has no other, at least; then it gets one more.
+const STOP_AGAIN_AFTER: Duration = Duration::from_millis(100);
+/// On a line the stops of motors that do not answer leave so many times their own time to everybody else.
+const LINE_FOR_OTHERS: u32 = 4;
 
 impl<const N: usize> Master<N> {
     /// Stops every motor [that has a place](Self::motors) and those of `also`, before anything else is sent
@@ -74,8 +69,8 @@ impl<const N: usize> Master<N> {
     ///   up to 15 times in all.
     /// - Then its confirmation, or its absence, comes as an event. A confirmation counts only once nothing that was
     ///   sent before the stop, and may lie in a controller's mailbox for example, can move the motor any more.
-    /// - A motor that has not confirmed is sent one more stop whenever something is heard of it, for as long as the
-    ///   stop is in force.
+    /// - A motor that has not confirmed gets one more stop every 100 ms, or as often as a line has time for it, for as
+    ///   long as the stop is in force: it may be back on the bus at any time.
     /// - Called again before it was lifted it goes on with what is under way: a program may call it in every cycle.
     ///
     /// # Motors without a place
@@ -103,7 +98,7 @@ impl<const N: usize> Master<N> {
         let mut is_any_new = was != Some(kind) || self.places.taken.is_empty();
         for place in self.places.taken.iter() {
             if let Some(motor) = self.motors.get(place).and_then(|motor| motor.id) {
-                is_any_new |= self.put_stop(place, motor, kind, was.is_some());
+                is_any_new |= self.put_stop(place, motor, kind, Purpose::Stop, was.is_some());
             }
         }
         if self.stops_all != Some(StopKind::Off) {
@@ -137,7 +132,7 @@ impl<const N: usize> Master<N> {
         let place = self.place_for(motor)?;
         self.let_line_answer();
         self.broadcast.cancel_what_moves();
-        self.put_stop(place, motor, kind, self.is_stopped(motor));
+        self.put_stop(place, motor, kind, Purpose::Stop, self.is_stopped(motor));
         self.stopped.insert(motor);
         Ok(())
     }
@@ -156,7 +151,14 @@ impl<const N: usize> Master<N> {
     /// a stop that is under way goes on. Where it is called `again`, who has confirmed it goes behind those who have not
     /// been told yet.
     #[inline(never)]
-    fn put_stop(&mut self, place: usize, motor: MotorId, kind: StopKind, again: bool) -> bool {
+    fn put_stop(
+        &mut self,
+        place: usize,
+        motor: MotorId,
+        kind: StopKind,
+        purpose: Purpose,
+        again: bool,
+    ) -> bool {
         let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         if kind == StopKind::Off {
@@ -166,7 +168,7 @@ impl<const N: usize> Master<N> {
         self.offer = None;
         self.due = self.now;
         let (command, data) = kind.command();
-        let mut stop = self.stop_of(command, data);
+        let mut stop = self.stop_of(command, data, purpose);
         let now = self.now;
         let is_new = self.change_at(place, |motor, config| {
             if !was_stopped {
@@ -183,23 +185,42 @@ impl<const N: usize> Master<N> {
         is_new.unwrap_or(false)
     }
 
-    /// Something was heard of a motor, or a stop of it was handed back. If its stop is in force and it has confirmed
-    /// none, that goes again: else who comes back would turn on. Once for each time, so that who talks and confirms
-    /// nothing takes no more of a line than who is silent.
-    #[inline]
-    pub(super) fn stop_who_is_back(&mut self, motor: MotorId) {
-        if self.is_stopped(motor) {
-            self.stop_once_more(motor);
+    /// Whoever has not confirmed a stop that is in force gets it once more when it is time: on a cable that is mended
+    /// it would turn on.
+    pub(super) fn stop_again(&mut self, now: Instant) {
+        let rest = self.rest_before_next_stop();
+        for place in self.places.taken.iter() {
+            let stop = self.motors.get(place).and_then(|motor| self.unconfirmed_stop(motor));
+            if let Some((motor, kind, _)) = stop.filter(|(.., since)| *since + rest <= now) {
+                self.let_line_answer();
+                self.put_stop(place, motor, kind, Purpose::StopAgain, true);
+            }
         }
     }
 
-    #[inline(never)]
-    fn stop_once_more(&mut self, motor: MotorId) {
-        let Some(place) = self.places.of(motor) else { return };
-        let Some(kind) = self.motors.get(place).and_then(Motor::unconfirmed_stop) else { return };
-        self.let_line_answer();
-        self.put_stop(place, motor, kind, true);
-        self.change_at(place, |motor, _| motor.leave_one_attempt());
+    /// When somebody gets a stop once more.
+    pub(super) fn stops_again_at(&self) -> Option<Instant> {
+        if !self.is_any_stopped() {
+            return None;
+        }
+        let all = self.at(self.places.taken);
+        let first = all.filter_map(|(_, motor)| Some(self.unconfirmed_stop(motor)?.2)).min()?;
+        Some(first + self.rest_before_next_stop())
+    }
+
+    /// The stop in force that this motor has not confirmed, and since when nothing goes on with that.
+    fn unconfirmed_stop(&self, motor: &Motor) -> Option<(MotorId, StopKind, Instant)> {
+        let (id, (kind, since)) = (motor.id?, motor.unconfirmed_stop()?);
+        self.is_stopped(id).then_some((id, kind, since))
+    }
+
+    fn rest_before_next_stop(&self) -> Duration {
+        if !self.config.is_rs485() {
+            return STOP_AGAIN_AFTER;
+        }
+        let all = self.at(self.places.taken);
+        let silent = all.filter(|(_, motor)| self.unconfirmed_stop(motor).is_some()).count() as u32;
+        STOP_AGAIN_AFTER.max(self.stop_timeout().times(LINE_FOR_OTHERS * silent))
     }
 
     /// A motor is told by itself to end its motion: what was put before for all is not to undo that.
@@ -214,13 +235,17 @@ impl<const N: usize> Master<N> {
     pub(super) fn stop_that_lets_go(&self, all: Kind) -> Option<Asked> {
         let lets_go = matches!(all.opcode(), Some(Opcode::Shutdown | Opcode::Reset));
         let (off, data) = StopKind::Off.command();
-        lets_go.then(|| self.stop_of(off, data))
+        lets_go.then(|| self.stop_of(off, data, Purpose::Stop))
     }
 
-    fn stop_of(&self, command: Kind, data: Data) -> Asked {
-        let reply_timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
-        let patience = Patience { reply_timeout, attempts: STOP_ATTEMPTS };
-        Asked::new(Purpose::Stop, Question::of(command, &data), data, patience)
+    fn stop_of(&self, command: Kind, data: Data, purpose: Purpose) -> Asked {
+        let attempts = if purpose == Purpose::StopAgain { 1 } else { STOP_ATTEMPTS };
+        let patience = Patience { reply_timeout: self.stop_timeout(), attempts };
+        Asked::new(purpose, Question::of(command, &data), data, patience)
+    }
+
+    fn stop_timeout(&self) -> Duration {
+        self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT)
     }
 
     /// What ends the motion of all was handed back, or waits: it goes. Where it would undo a later stop of one motor,
@@ -246,7 +271,7 @@ impl<const N: usize> Master<N> {
         if kind.is_refused_while_stopped() {
             return;
         }
-        let (stop, now) = (self.stop_of(kind, data), self.now);
+        let (stop, now) = (self.stop_of(kind, data, Purpose::Stop), self.now);
         self.let_line_answer();
         for motor in self.motors().without(held.with(off).with(undone)).iter() {
             self.change(motor, |motor, config| motor.put_stop(stop, config, now));
@@ -264,6 +289,7 @@ impl<const N: usize> Master<N> {
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse.
     pub fn lift_stop(&mut self) {
+        self.due = self.now;
         self.stops_all = None;
         self.stopped = MotorSet::EMPTY;
         self.switched_off = MotorSet::EMPTY;
@@ -271,6 +297,7 @@ impl<const N: usize> Master<N> {
 
     /// Accepts again what [`stop`](Self::stop) made it refuse to this motor.
     pub fn lift_stop_of(&mut self, motor: MotorId) {
+        self.due = self.now;
         self.stopped.remove(motor);
         if self.stops_all.is_none() {
             self.switched_off.remove(motor);
@@ -301,8 +328,8 @@ impl<const N: usize> Master<N> {
 
     /// The stop to all was handed back, if this is it: it goes once more. Gives whether it is, and in force.
     pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) -> bool {
-        let stop = StopKind::of_packet(packet);
-        let Some(kind) = self.stops_all.filter(|&kind| stop == Some(kind)) else { return false };
+        let is_it = |kind: &StopKind| kind.command().1 == packet.data;
+        let Some(kind) = self.stops_all.filter(is_it) else { return false };
         let told = kind.question();
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, _| motor.stop_to_all_was_pushed_out(told, &packet.data));

@@ -1,7 +1,7 @@
 //! What leaves the master, and what becomes of it.
 
 use crate::id::Target;
-use crate::master::{Master, StopKind};
+use crate::master::Master;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
@@ -107,10 +107,6 @@ impl<const N: usize> Master<N> {
                     // It is offered again before anybody looks at the time.
                     motor.drop_what_is_too_old(now);
                 });
-                if StopKind::of_packet(packet).is_some() {
-                    // If it was given up meanwhile, it has told the motor nothing.
-                    self.stop_who_is_back(motor);
-                }
             }
             Channel::Command(Target::All) | Channel::BusId => {
                 // A command to all of long ago may have been the same.

@@ -17,7 +17,7 @@ use crate::master::event::Failure;
 use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
-use crate::master::request::{Asked, Request};
+use crate::master::request::{Asked, Purpose, Request};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
@@ -115,10 +115,13 @@ impl Motor {
         self.request.waiting().is_some_and(Asked::is_stop)
     }
 
-    /// Whether it has nothing under way and nothing to tell, and nothing that was sent may move it yet.
+    /// Whether it has nothing under way and nothing to tell, and nothing that was sent may move it yet. A stop that
+    /// nobody has confirmed, and that goes again and again, is nothing.
     pub(super) fn is_idle(&self, now: Instant) -> bool {
         let has_nothing = self.request.is_none() && !self.is_waiting() && !self.is_in_flight();
-        has_nothing && self.news.is_empty() && self.is_settled(now) && !self.may_yet_move()
+        let goes_again = |asked: &Asked| asked.purpose == Purpose::StopAgain;
+        let is_free = has_nothing || self.request.under_way().is_some_and(goes_again);
+        is_free && self.news.is_empty() && self.is_settled(now) && !self.may_yet_move()
     }
 
     pub(super) fn has_news(&self) -> bool {
@@ -339,7 +342,7 @@ impl Motor {
         let stop = self.request.under_way().copied().filter(Asked::is_stop);
         self.finish_request(Request::Failed(why), config, now);
         if let Some(stop) = stop {
-            self.stop_was_given_up(&stop);
+            self.stop_was_given_up(&stop, now);
         }
     }
 

@@ -18,6 +18,8 @@ pub(in crate::master) struct Unconfirmed {
     kind: StopKind,
     /// So many stop frames were sent, of which each may still be answered.
     sendings: u8,
+    /// When it was given up last.
+    since: Instant,
 }
 
 impl Motor {
@@ -48,18 +50,13 @@ impl Motor {
         self.late.withdraw(stop.question, stop.unanswered);
     }
 
-    /// Its stop goes but once.
-    pub(in crate::master) fn leave_one_attempt(&mut self) {
-        if let Some(stop) = self.request.under_way_mut() {
-            (stop.purpose, stop.attempts_left) = (Purpose::StopAgain, 1);
-        }
-    }
-
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
     pub(in crate::master) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
-        // What became of an earlier stop says nothing of this one.
-        self.news.remove(News::UNCONFIRMED);
+        if stop.purpose == Purpose::Stop {
+            // What became of an earlier stop says nothing of this one.
+            self.news.remove(News::UNCONFIRMED);
+        }
         let is_callers = match self.request {
             Request::None => false,
             // Also one whose outcome is not told yet: each request has one.
@@ -107,23 +104,32 @@ impl Motor {
     pub(in crate::master) fn is_told_since(&mut self, kind: Kind) {
         let Some(told) = StopKind::by(kind) else { return };
         if let Some(stop) = self.unconfirmed.as_mut().filter(|stop| stop.kind != told) {
-            *stop = Unconfirmed { kind: told, sendings: 0 };
+            *stop = Unconfirmed { kind: told, sendings: 0, since: stop.since };
         }
     }
 
-    /// Its stop was not confirmed. Nobody has a ticket of it.
-    pub(super) fn stop_was_given_up(&mut self, stop: &Asked) {
-        self.news.insert(News::UNCONFIRMED);
-        let sendings = stop.unanswered;
-        self.unconfirmed = StopKind::by(stop.kind()).map(|kind| Unconfirmed { kind, sendings });
+    /// Its stop was not confirmed, which is told once. Nobody has a ticket of it.
+    pub(super) fn stop_was_given_up(&mut self, stop: &Asked, now: Instant) {
+        if stop.purpose == Purpose::Stop {
+            self.news.insert(News::UNCONFIRMED);
+        }
+        let kind = StopKind::by(stop.kind());
+        let (sendings, since) = (stop.unanswered, now);
+        self.unconfirmed = kind.map(|kind| Unconfirmed { kind, sendings, since });
         self.request = Request::None;
     }
 
-    /// The stop that it has not confirmed and that nothing goes on with.
-    pub(in crate::master) fn unconfirmed_stop(&self) -> Option<StopKind> {
+    /// It has answered what ends its motion.
+    pub(in crate::master) fn has_ended_motion(&mut self) {
+        self.unconfirmed = None;
+        self.news.remove(News::UNCONFIRMED);
+    }
+
+    /// The stop that it has not confirmed, and since when nothing goes on with that.
+    pub(in crate::master) fn unconfirmed_stop(&self) -> Option<(StopKind, Instant)> {
         let ends_motion = |asked: &Asked| asked.kind().ends_motion();
         let stop = self.unconfirmed.filter(|_| !self.request.under_way().is_some_and(ends_motion));
-        stop.map(|stop| stop.kind)
+        stop.map(|stop| (stop.kind, stop.since))
     }
 
     /// A stop to all was sent, which tells it this. On CAN it is answered beside the motor's own: where that is the

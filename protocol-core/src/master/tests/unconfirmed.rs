@@ -1,4 +1,4 @@
-//! Stops that were not confirmed: they go again when the motor is heard.
+//! Stops that were not confirmed: they go again and again for as long as they are in force.
 
 use super::*;
 
@@ -13,43 +13,99 @@ fn is_given_up(master: &mut Master<2>, from: u64) -> u64 {
     told.expect("after fifteen attempts")
 }
 
+/// What goes from then on for as long as a stop rests that was given up, 100 ms, and is waited for, 20.4 ms.
+fn goes_again<const N: usize>(master: &mut Master<N>, from: u64) -> Vec<Packet> {
+    (from..from + 120).flat_map(|now| sent(master, ms(now))).collect()
+}
+
 #[test]
-fn a_motor_that_has_not_confirmed_its_stop_is_stopped_when_it_is_heard_again() {
+fn a_motor_that_has_not_confirmed_its_stop_gets_it_every_100_ms_until_it_does() {
     for kind in [StopKind::Hold, StopKind::Off] {
         let mut master = Master::<2>::new(Config::CAN);
-        master.stop(id(1), kind).unwrap();
+        master.stop_all(kind, id(1).into()).unwrap();
         let mut now = is_given_up(&mut master, 0);
-        // The motor that is there says nothing of the other.
-        let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(now));
-        reply(&mut master, 2, ANGLE_REPLY, ms(now + 1)).unwrap();
-        assert_eq!(sent(&mut master, ms(now + 1)), []);
-        // Whatever it says; and again if that is not confirmed, either.
-        for _ in 0..2 {
-            now += 100;
-            let angle = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
-            let told = reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
-            assert!(angle.outcome(&told).is_some());
-            let packets = sent(&mut master, ms(now + 1));
-            let (_, stop) = kind.command();
-            assert_eq!(packets.iter().map(|it| it.data).collect::<Vec<_>>(), [stop]);
-            now = is_given_up(&mut master, now + 2);
+        let (_, stop) = kind.command();
+        for _ in 0..40 {
+            assert!(master.poll_at() > Some(ms(now + 98)), "{:?}", master.poll_at());
+            assert!(master.poll_at() <= Some(ms(now + 100)), "{:?}", master.poll_at());
+            assert_eq!(sent(&mut master, ms(now + 98)), []);
+            assert_eq!(sent(&mut master, ms(now + 100)), [packet_to(1, stop)]);
+            now += 121;
+            assert_eq!(sent(&mut master, ms(now)), []);
+            assert_eq!(events(&mut master, ms(now)), [], "it was told once");
         }
-        // Not once that is lifted.
-        master.lift_stop();
         now += 100;
-        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
-        reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
-        assert_eq!(sent(&mut master, ms(now + 1)), []);
+        assert_eq!(sent(&mut master, ms(now)), [packet_to(1, stop)]);
+        assert_eq!(reply(&mut master, 1, stop, ms(now + 1)), confirmed(1));
+        assert_eq!(goes_again(&mut master, now + 2), []);
+        assert_eq!(master.poll_at(), None);
     }
 }
 
-/// Asks motor 1 for its angle and gives what goes out when that is answered.
-fn heard(master: &mut Master<2>, now: u64) -> Vec<[u8; 8]> {
-    events(master, ms(now));
-    let angle = ask(master, 1, ReadMultiTurnAngle, ms(now));
-    let told = reply(master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
-    assert!(angle.outcome(&told).is_some());
-    sent(master, ms(now + 1)).iter().map(|packet| packet.data).collect()
+#[test]
+fn a_stop_that_was_lifted_goes_no_more() {
+    for is_one in [true, false] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop(id(1), StopKind::Off).unwrap();
+        let now = is_given_up(&mut master, 0);
+        if is_one {
+            master.lift_stop_of(id(1));
+        } else {
+            master.lift_stop();
+        }
+        assert_eq!(goes_again(&mut master, now), []);
+        assert_eq!(master.poll_at(), None);
+    }
+}
+
+/// Nobody has asked yet what became of the stop when the motor is back.
+#[test]
+fn a_motor_that_has_confirmed_its_stop_after_all_is_not_told_to_have_not() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let mut frames = 0;
+    let sixteenth = (0..1_000).find(|&now| {
+        frames += sent(&mut master, ms(now)).len();
+        frames == 16
+    });
+    let now = sixteenth.unwrap();
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 1)), confirmed(1));
+    assert_eq!(events(&mut master, ms(now + 1)), []);
+}
+
+#[test]
+fn who_confirms_no_stop_is_forgotten_all_the_same() {
+    for is_in_flight in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop_all(StopKind::Off, id(1).into()).unwrap();
+        let now = is_given_up(&mut master, 0);
+        let stops = sent(&mut master, ms(now + if is_in_flight { 100 } else { 50 }));
+        assert_eq!(stops.len(), usize::from(is_in_flight));
+        assert!(master.forget(id(1)));
+        assert_eq!(goes_again(&mut master, now + 101), []);
+    }
+}
+
+/// Each of their stops keeps the line for 5.262 ms.
+#[test]
+fn who_confirms_no_stop_leaves_three_quarters_of_a_line_to_the_others() {
+    for silent in [1, 2, 7, 30] {
+        let mut master = Master::<32>::new(Config::rs485(1_000_000, false));
+        for motor in 1..=silent {
+            master.stop(id(motor), StopKind::Off).unwrap();
+        }
+        let mut told = 0;
+        let given_up = (0..20_000).find(|&now| {
+            sent(&mut master, ms(now));
+            told += events(&mut master, ms(now)).len();
+            told == usize::from(silent)
+        });
+        let from = given_up.unwrap();
+        let stops: usize = (from..from + 10_000).map(|now| sent(&mut master, ms(now)).len()).sum();
+        assert!(stops * 5_262 <= 10_000_000 / 4, "{silent}: {stops} stops");
+        let each = stops / usize::from(silent);
+        assert!(each >= 10_000 / (110 + 30 * usize::from(silent)), "{silent}: {each} stops each");
+    }
 }
 
 #[test]
@@ -57,19 +113,20 @@ fn a_hold_that_was_not_confirmed_does_not_switch_on_what_is_switched_off_since()
     for is_to_all in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Hold).unwrap();
-        let now = is_given_up(&mut master, 0) + 100;
-        events(&mut master, ms(now));
+        let now = is_given_up(&mut master, 0);
         if is_to_all {
             master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
         } else {
             let _ = master.request(id(1), Shutdown).unwrap();
         }
         // Nobody hears that, either.
+        let (off, all) = (packet_to(1, Shutdown.encode()), packet_to_all(Shutdown.encode()));
         for now in now..now + 1_000 {
-            sent(&mut master, ms(now));
+            let packets = sent(&mut master, ms(now));
+            assert!(packets.iter().all(|packet| *packet == off || *packet == all), "{packets:?}");
             events(&mut master, ms(now));
         }
-        assert_eq!(heard(&mut master, now + 1_000), [Shutdown.encode()], "{is_to_all}");
+        assert_eq!(goes_again(&mut master, now + 1_000), [off], "{is_to_all}");
     }
 }
 
@@ -77,21 +134,20 @@ fn a_hold_that_was_not_confirmed_does_not_switch_on_what_is_switched_off_since()
 fn what_ends_its_motion_takes_an_unconfirmed_stop_back_when_it_is_answered() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let now = is_given_up(&mut master, 0) + 100;
-    events(&mut master, ms(now));
-    let off = ask(&mut master, 1, Shutdown, ms(now));
-    // What is heard before says nothing of it, and nothing goes over it.
-    let motor = Packet { channel: Channel::Reply(id(1)), data: ANGLE_REPLY };
-    master.handle_frame(&Received::Packet(motor), ms(now + 1));
-    assert_eq!(sent(&mut master, ms(now + 1)), []);
-    let told = reply(&mut master, 1, Shutdown.encode(), ms(now + 2)).unwrap();
+    // Its answer could not come any more.
+    let now = is_given_up(&mut master, 0) + 50;
+    master.handle_timeout(ms(now));
+    let patience = Patience { reply_timeout: Duration::from_millis(500), attempts: 1 };
+    let off = master.request_with(id(1), Shutdown, patience).unwrap();
+    // Nothing goes over it.
+    assert_eq!(goes_again(&mut master, now), [packet_to(1, Shutdown.encode())]);
+    let told = reply(&mut master, 1, Shutdown.encode(), ms(now + 120)).unwrap();
     assert!(off.outcome(&told).is_some());
-    assert_eq!(sent(&mut master, ms(now + 2)), []);
-    assert_eq!(heard(&mut master, now + 100), [[0; 8]; 0]);
+    assert_eq!(goes_again(&mut master, now + 120), []);
 }
 
 #[test]
-fn a_hold_that_became_a_shutdown_with_all_is_a_shutdown_when_the_motor_is_heard_again() {
+fn a_hold_that_became_a_shutdown_with_all_goes_again_as_a_shutdown() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
@@ -106,7 +162,7 @@ fn a_hold_that_became_a_shutdown_with_all_is_a_shutdown_when_the_motor_is_heard_
         sent(&mut master, ms(now));
         events(&mut master, ms(now));
     }
-    assert_eq!(heard(&mut master, now + 200), [Shutdown.encode()]);
+    assert_eq!(goes_again(&mut master, now + 200), [packet_to(1, Shutdown.encode())]);
 }
 
 #[test]
@@ -118,39 +174,9 @@ fn a_hold_of_long_ago_does_not_switch_on_who_has_no_place_under_a_stop_of_all() 
     master.lift_stop();
     assert!(master.forget(id(1)));
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
-    assert_eq!(heard(&mut master, now), [[0; 8]; 0]);
-}
-
-#[test]
-fn whatever_is_heard_of_a_motor_that_has_confirmed_no_stop_stops_it() {
-    let lost = [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0];
-    let address = [0x79, 0, 1, 0, 0, 0, 0x41, 0x02];
-    let reply = Channel::Reply(id(1));
-    let packets = [
-        Received::Packet(Packet { channel: reply, data: ANGLE_REPLY }),
-        Received::Packet(Packet { channel: Channel::MotionReply(id(1)), data: [1; 8] }),
-        Received::Packet(Packet { channel: reply, data: lost }),
-        Received::Packet(Packet { channel: Channel::BusId, data: address }),
-        Received::WrongLength { channel: reply, length: 1, first: Some(LOST_MASTER_BYTE) },
-        Received::WrongLength { channel: reply, length: 7, first: Some(0x92) },
-    ];
-    for heard in packets {
-        let mut master = Master::<2>::new(Config::CAN);
-        master.stop(id(1), StopKind::Off).unwrap();
-        let now = is_given_up(&mut master, 0) + 100;
-        master.handle_frame(&heard, ms(now));
-        assert_eq!(master.now, ms(now), "as old as that frame: {heard:?}");
-        assert_eq!(sent(&mut master, ms(now)).len(), 1, "{heard:?}");
-    }
-    // Also before anybody has looked what became of the stop.
-    let mut master = Master::<2>::new(Config::CAN);
-    master.stop(id(1), StopKind::Off).unwrap();
-    for now in 0..1_000 {
-        sent(&mut master, ms(now));
-        master.handle_timeout(ms(now));
-    }
-    master.handle_frame(&packets[0], ms(1_000));
-    assert_eq!(sent(&mut master, ms(1_000)).len(), 1);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
+    reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
+    assert_eq!(goes_again(&mut master, now + 1), []);
 }
 
 /// It answers reads and no stop, so that it is stopped again each time; the other has its share of the line.
@@ -188,40 +214,14 @@ fn who_talks_and_confirms_no_stop_leaves_the_line_to_the_others() {
     assert!(stops <= 15 + answers[0] + 1, "{stops} stops, {answers:?} answers");
 }
 
-/// A controller that gives a frame back only after the stop was given up: it was never on the bus.
 #[test]
-fn a_stop_that_is_handed_back_after_it_was_given_up_goes_again() {
-    for attempts in [0, 1] {
-        let mut master = Master::<2>::new(Config::CAN);
-        master.stop(id(1), StopKind::Off).unwrap();
-        let mut now = is_given_up(&mut master, 0) + 100;
-        for _ in 0..attempts {
-            assert_eq!(heard(&mut master, now), [Shutdown.encode()]);
-            now = is_given_up(&mut master, now + 2) + 100;
-        }
-        let off = packet_to(1, Shutdown.encode());
-        master.handle_pushed_out(&off);
-        assert_eq!(sent(&mut master, ms(now)), [off], "{attempts}");
-        // The other kind, or a read, tells nothing of it; nor does it go once it is lifted.
-        now = is_given_up(&mut master, now + 1) + 100;
-        master.handle_pushed_out(&packet_to(1, ReadMultiTurnAngle.encode()));
-        master.handle_pushed_out(&Packet { channel: Channel::Motion(id(1)), data: off.data });
-        assert_eq!(sent(&mut master, ms(now)), [], "{attempts}");
-        master.lift_stop();
-        master.handle_pushed_out(&off);
-        assert_eq!(sent(&mut master, ms(now)), [], "{attempts}");
-    }
-}
-
-#[test]
-fn a_stop_that_is_called_for_has_all_its_attempts_also_while_one_goes_to_who_was_heard() {
+fn a_stop_that_is_called_for_has_all_its_attempts_also_while_one_goes_again() {
     for (is_waiting, is_to_all) in [(false, false), (true, false), (false, true)] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop_all(StopKind::Off, id(1).into()).unwrap();
         let mut now = is_given_up(&mut master, 0) + 100;
-        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
-        reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
-        let mut frames = if is_waiting { 0 } else { sent(&mut master, ms(now + 1)).len() };
+        master.handle_timeout(ms(now));
+        let mut frames = if is_waiting { 0 } else { sent(&mut master, ms(now)).len() };
         for _ in 0..2 {
             match is_to_all {
                 true => master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap(),
@@ -256,17 +256,21 @@ fn who_has_confirmed_no_stop_for_long_confirms_it_with_its_first_answer() {
         let mut master = Master::<2>::new(config);
         master.stop(id(1), StopKind::Off).unwrap();
         let mut now = is_given_up(&mut master, 0);
-        for times in 0..30 {
-            now += 5;
-            let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
-            answer(&mut master, ANGLE_REPLY, now + 1).unwrap();
-            assert_eq!(sent(&mut master, ms(now + 2)), [packet_to(1, Shutdown.encode())]);
-            if times < 29 {
-                now = is_given_up(&mut master, now + 3);
+        let mut stops = 0;
+        while stops < 30 {
+            now += 1;
+            let packets = sent(&mut master, ms(now));
+            stops += packets.iter().filter(|packet| packet.data == Shutdown.encode()).count();
+            if packets.iter().any(|packet| packet.data == ReadMultiTurnAngle.encode()) {
+                now += 1;
+                answer(&mut master, ANGLE_REPLY, now).unwrap();
             }
+            events(&mut master, ms(now));
+            let _ = master.request(id(1), ReadMultiTurnAngle);
         }
-        assert_eq!(answer(&mut master, Shutdown.encode(), now + 4), confirmed(1), "{config:?}");
-        assert_eq!(sent(&mut master, ms(now + 5)), []);
+        assert_eq!(answer(&mut master, Shutdown.encode(), now + 1), confirmed(1), "{config:?}");
+        let packets = goes_again(&mut master, now + 2);
+        assert!(packets.iter().all(|packet| packet.data != Shutdown.encode()), "{packets:?}");
     }
 }
 
