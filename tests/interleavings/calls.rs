@@ -436,8 +436,9 @@ impl Model {
         Ok(())
     }
 
-    /// Nobody answers any more: everything ends.
+    /// Nobody answers any more: everything ends, but a stop that is in force.
     fn end(&mut self) -> Result<(), TestCaseError> {
+        self.master.lift_stop();
         let end = self.now + LONGEST_END;
         for _ in 0..3_000 {
             self.poll_events()?;

@@ -139,6 +139,10 @@ impl Broadcast {
         self.is_waiting() && self.kind.is_some_and(Kind::moves)
     }
 
+    pub(super) fn waits_to_end_motion(&self) -> bool {
+        self.is_waiting() && self.kind.is_some_and(Kind::ends_motion)
+    }
+
     /// Whether a command to all may have moved anybody, since ever.
     pub(super) fn has_moved(&self) -> bool {
         self.has_moved
@@ -177,6 +181,11 @@ impl Broadcast {
             StopKind::Hold => self.held.insert(motor),
             StopKind::Off => self.off.insert(motor),
         }
+    }
+
+    /// All are stopped, also those who have no place.
+    pub(super) fn all_were_stopped(&mut self, by: StopKind) {
+        (self.held, self.off) = (all_if(by == StopKind::Hold), all_if(by == StopKind::Off));
     }
 
     /// The motors that were stopped since all were told last to end their motion: to be held, and to be off.
@@ -359,7 +368,8 @@ impl<const N: usize> Master<N> {
     /// under way becomes a Shutdown of that motor, which is confirmed as a stop. If one motor is
     /// [stopped](Self::stop) by itself while the broadcast waits, or before a controller hands it back, and it would
     /// undo that stop, the broadcast is over: each other motor that has a place gets the command by itself, as a stop,
-    /// but a restart goes to nobody. Motors without a place get nothing then.
+    /// but a restart goes to nobody. Motors without a place get nothing then. So it is, too, with one that holds (0x81)
+    /// while a stop in force keeps a motor off.
     ///
     /// # Errors
     /// [`RequestError`]: the command has no form for all motors or none on this bus, another
@@ -388,16 +398,16 @@ impl<const N: usize> Master<N> {
             // What was offered may be a set-point that this ends.
             self.offer = None;
             self.due = now;
+            self.is_any_off_since |= kind == Kind::Known(Opcode::Shutdown);
             let off = self.stop_that_lets_go(kind);
             if off.is_some() {
                 self.let_line_answer();
             }
             for place in self.places.taken.iter() {
-                self.change_at(place, |motor, config| {
-                    motor.is_told_since(kind);
-                    motor.end_with_all(off, config, now);
-                });
+                self.change_at(place, |motor, config| motor.end_with_all(off, config, now));
             }
+            // It may have to go to each by itself.
+            self.end_motion_of_all();
         }
         Ok(())
     }

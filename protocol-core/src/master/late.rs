@@ -133,24 +133,24 @@ impl LateReplies {
         known.is_some()
     }
 
-    /// Takes a reply that is one of these, and gives what it is of. One that may be the last one once more
-    /// is none of these for sure: they are still expected then.
+    /// Takes a reply that is one of these, and gives what it is of and what it answers. One that may be the last one
+    /// once more is none of these for sure: they are still expected then.
     pub(super) fn take(
         &mut self,
         is_motion: bool,
         reply: &Data,
         may_be_doubled: bool,
-    ) -> Option<Of> {
+    ) -> Option<(Of, Question)> {
         let place = self.0.iter_mut().find(|place| {
             place.is_some_and(|late| late.question.is_answered_by(is_motion, reply))
         })?;
         let late = place.as_mut()?;
-        let of = late.of;
+        let taken = (late.of, late.question);
         late.replies = late.replies.saturating_sub(u8::from(!may_be_doubled));
         if late.replies == 0 {
             *place = None;
         }
-        Some(of)
+        Some(taken)
     }
 
     /// Forgets what cannot come any more. Whether a command that may move the motor was among it.

@@ -157,6 +157,8 @@ pub struct Master<const N: usize> {
     lost_master: MotorSet,
     /// A stop to all at once is to be sent before each motor's own.
     stop_to_all: Option<StopKind>,
+    /// The caller has switched somebody off since the last one was sent.
+    is_any_off_since: bool,
     /// The round that the motors are in: that of the last one served.
     pace: u32,
     last_ticket: u32,
@@ -192,6 +194,7 @@ impl<const N: usize> Master<N> {
             switched_off: MotorSet::EMPTY,
             lost_master: MotorSet::EMPTY,
             stop_to_all: None,
+            is_any_off_since: false,
             pace: 0,
             last_ticket: 0,
             now: Instant::ZERO,
@@ -204,10 +207,10 @@ impl<const N: usize> Master<N> {
     /// Takes note of the time: what is overdue is sent again or given up, what is too old is dropped.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.now = now;
+        if self.stops_again_at().is_some_and(|at| at <= now) {
+            self.stop_again(now);
+        }
         if now >= self.due {
-            if self.is_any_stopped() {
-                self.stop_again(now);
-            }
             let heard_at = self.heard_at_least();
             let in_flight = self.places.in_flight;
             let is_quiet = !in_flight.is_empty() && self.quiet_at() <= now;
@@ -222,7 +225,6 @@ impl<const N: usize> Master<N> {
                     });
                 }
             }
-            next.take(self.stops_again_at());
             self.due = next.0.unwrap_or(NEVER);
         }
         self.age_broadcast(now);

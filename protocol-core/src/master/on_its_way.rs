@@ -13,6 +13,8 @@ pub(super) enum OnItsWay {
     /// Not after this on a whole bus. But nothing was heard since, apart from what was on its way to us: the bus may
     /// be cut, and this in a mailbox for as long as that lasts.
     WhileCut(Instant),
+    /// It is over by time alone. If the bus was cut meanwhile, it lies in a mailbox yet.
+    OverByTime,
 }
 
 impl OnItsWay {
@@ -24,21 +26,21 @@ impl OnItsWay {
     }
 
     pub(super) fn is_any(self) -> bool {
-        !matches!(self, Self::No)
+        self.end_on_whole_bus().is_some()
     }
 
     /// When it is over, if time alone ends it.
     pub(super) fn end(self) -> Option<Instant> {
         match self {
             Self::Until(at) => Some(at),
-            Self::No | Self::WhileCut(_) => None,
+            Self::No | Self::WhileCut(_) | Self::OverByTime => None,
         }
     }
 
     /// When it is over unless the bus is cut.
     pub(super) fn end_on_whole_bus(self) -> Option<Instant> {
         match self {
-            Self::No => None,
+            Self::No | Self::OverByTime => None,
             Self::Until(at) | Self::WhileCut(at) => Some(at),
         }
     }
@@ -65,7 +67,12 @@ impl OnItsWay {
             self.bus_is_alive(heard_at, config);
         }
         if self.end().is_some_and(|end| end <= now) {
-            *self = Self::No;
+            *self = Self::OverByTime;
         }
+    }
+
+    /// The drive has answered what ends its motion: nothing from before comes any more.
+    pub(super) fn has_ended(&mut self) {
+        *self = Self::No;
     }
 }

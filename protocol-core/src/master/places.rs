@@ -152,8 +152,6 @@ impl<const N: usize> Master<N> {
                 *of = Motor::default();
             }
             self.places.clear(place, motor);
-            // Whose stop goes again waits for fewer.
-            self.due = now;
         }
         is_idle
     }

@@ -36,6 +36,8 @@ enum Meaning {
     OfBroadcast,
     /// It is the late answer to something that was given up.
     Late,
+    /// It is what was answered last, once more.
+    Doubled,
     /// It is none of these.
     Unasked,
 }
@@ -50,6 +52,12 @@ struct Heard<'a> {
 }
 
 impl Heard<'_> {
+    /// Whether it may be the answer to what all were told.
+    fn may_answer_broadcast(&self) -> bool {
+        let is_motion = matches!(self.packet.channel, Channel::MotionReply(_));
+        !is_motion && self.to_all.may_be_mistaken(self.packet.data[0], self.from)
+    }
+
     /// Whether it may be the echo of a drive that has lost its master and ignored the command. It does so once.
     fn is_ignored_one(&mut self) -> bool {
         let has_lost_master = self.lost_master.contains(self.from);
@@ -82,7 +90,11 @@ impl<const N: usize> Master<N> {
         let before = self.busy_until;
         self.line_is_free_after_turnaround(now);
         // Whoever fills the line holds no stop up.
-        if !self.is_anything_in_flight() && self.choose_stop().is_some() {
+        let is_stop_due = match self.choose_interruption() {
+            Some((at, _)) => at <= now,
+            None => !self.is_anything_in_flight() && self.choose_stop().is_some(),
+        };
+        if is_stop_due {
             self.busy_until = before.min(self.busy_until);
         }
         self.handle_packet(&frame.as_reply()?, now)
@@ -174,6 +186,7 @@ impl<const N: usize> Master<N> {
                 }
                 Some(self.stray(id, &packet.data))
             }
+            Meaning::Doubled => Some(self.stray(id, &packet.data)),
             Meaning::Unasked => Some(self.handle_unasked(id, packet, now)),
         }
     }
@@ -283,7 +296,11 @@ impl Motor {
         if self.request.in_flight().is_some_and(is_of_stop) {
             return Meaning::Nothing;
         }
+        if heard.may_answer_broadcast() {
+            self.late_replies_say_nothing();
+        }
         match self.take_late(is_motion, data, may_be_doubled) {
+            None if may_be_doubled => Meaning::Doubled,
             Some(Of::StopAnswered) => Meaning::Nothing,
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             Some(_) if heard.is_ignored_one() => Meaning::Late,
@@ -322,7 +339,13 @@ impl Motor {
         let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
         self.on_its_way.bus_is_alive(now, config);
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
-        let is_one_late = self.prolong_late(set_point.question, config, now);
+        let mut is_one_late = self.prolong_late(set_point.question, config, now);
+        if heard.may_answer_broadcast() {
+            // If it is that of all, this one's is still to come.
+            let until = now + config.late_window;
+            self.expect_late(set_point.question, Of::StreamAnswered, 1, until, config);
+            is_one_late = true;
+        }
         let is_echo = || set_point.data == packet.data;
         self.stream.take_in_flight();
         if heard.is_ignored_one() && (is_one_late || is_echo()) {

@@ -226,7 +226,6 @@ impl<const N: usize> Master<N> {
             if kind.ends_motion() {
                 motor.drop_waiting_set_point();
                 motor.let_other_stop_come_first(&asked, config, now);
-                motor.is_told_since(kind);
             }
             motor.join(pace);
             motor.request = Request::Waiting(asked);
@@ -238,6 +237,7 @@ impl<const N: usize> Master<N> {
             self.let_line_answer();
             self.broadcast.cancel_what_moves();
             if let Some(by) = StopKind::by(kind) {
+                self.is_any_off_since |= by == StopKind::Off;
                 self.overtakes_broadcast(motor, by);
             }
         }

@@ -65,9 +65,9 @@ impl<const N: usize> Master<N> {
 
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.
     pub(super) fn choose_interruption(&self) -> Option<(Instant, Offer)> {
-        let last_sent = self.at(self.places.in_flight).map(|(_, motor)| motor.sent).max()?;
+        let in_flight_since = self.in_flight_since()?;
         let stop = self.choose_stop()?;
-        Some((last_sent + LONGEST_STOP_TIMEOUT, stop))
+        Some((in_flight_since + LONGEST_STOP_TIMEOUT, stop))
     }
 
     /// Of the motor that was served least of those that have something to be sent now.

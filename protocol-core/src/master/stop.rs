@@ -91,6 +91,7 @@ impl<const N: usize> Master<N> {
         self.let_line_answer();
         let (was, was_same_for_all) = (self.stops_all, self.is_same_for_all(kind));
         self.broadcast.cancel();
+        self.broadcast.all_were_stopped(kind);
         let mut result = Ok(());
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
@@ -129,9 +130,9 @@ impl<const N: usize> Master<N> {
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for it.
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
-        let place = self.place_for(motor)?;
         self.let_line_answer();
         self.broadcast.cancel_what_moves();
+        let place = self.place_for(motor)?;
         self.put_stop(place, motor, kind, Purpose::Stop, self.is_stopped(motor));
         self.stopped.insert(motor);
         Ok(())
@@ -140,11 +141,15 @@ impl<const N: usize> Master<N> {
     /// On a line the answer to what is in flight would meet what ends motion and goes over it: nobody would hear
     /// either.
     pub(super) fn let_line_answer(&mut self) {
-        let of_motors = self.at(self.places.in_flight).map(|(_, motor)| motor.sent);
-        let last_sent = of_motors.chain(self.broadcast.in_flight_since()).max();
-        if let (Bus::Rs485 { .. }, Some(sent)) = (self.config.bus, last_sent) {
+        if let (Bus::Rs485 { .. }, Some(sent)) = (self.config.bus, self.in_flight_since()) {
             self.busy_until = self.busy_until.max(sent + self.config.settle_time);
         }
+    }
+
+    /// When the last of what is in flight was sent.
+    pub(super) fn in_flight_since(&self) -> Option<Instant> {
+        let of_motors = self.at(self.places.in_flight).map(|(_, motor)| motor.sent);
+        of_motors.chain(self.broadcast.in_flight_since()).max()
     }
 
     /// Gives whether it is a new one: where the motor was stopped already, so that nothing has moved it since,
@@ -211,7 +216,8 @@ impl<const N: usize> Master<N> {
     /// The stop in force that this motor has not confirmed, and since when nothing goes on with that.
     fn unconfirmed_stop(&self, motor: &Motor) -> Option<(MotorId, StopKind, Instant)> {
         let (id, (kind, since)) = (motor.id?, motor.unconfirmed_stop()?);
-        self.is_stopped(id).then_some((id, kind, since))
+        // What all are about to be told may be another.
+        (self.is_stopped(id) && !self.broadcast.waits_to_end_motion()).then_some((id, kind, since))
     }
 
     fn rest_before_next_stop(&self) -> Duration {
@@ -289,7 +295,6 @@ impl<const N: usize> Master<N> {
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse.
     pub fn lift_stop(&mut self) {
-        self.due = self.now;
         self.stops_all = None;
         self.stopped = MotorSet::EMPTY;
         self.switched_off = MotorSet::EMPTY;
@@ -297,7 +302,6 @@ impl<const N: usize> Master<N> {
 
     /// Accepts again what [`stop`](Self::stop) made it refuse to this motor.
     pub fn lift_stop_of(&mut self, motor: MotorId) {
-        self.due = self.now;
         self.stopped.remove(motor);
         if self.stops_all.is_none() {
             self.switched_off.remove(motor);
@@ -314,6 +318,7 @@ impl<const N: usize> Master<N> {
     #[inline(never)]
     pub(super) fn stop_to_all_was_sent(&mut self, now: Instant) {
         let Some(kind) = self.stop_to_all.take() else { return };
+        self.is_any_off_since = false;
         self.due = now;
         if self.config.is_rs485() {
             return;
@@ -330,11 +335,12 @@ impl<const N: usize> Master<N> {
     pub(super) fn stop_to_all_was_pushed_out(&mut self, packet: &Packet) -> bool {
         let is_it = |kind: &StopKind| kind.command().1 == packet.data;
         let Some(kind) = self.stops_all.filter(is_it) else { return false };
+        let is_undone = kind == StopKind::Hold && self.is_any_off_since;
         let told = kind.question();
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, _| motor.stop_to_all_was_pushed_out(told, &packet.data));
         }
-        if self.is_same_for_all(kind) {
+        if self.is_same_for_all(kind) && !is_undone {
             self.stop_to_all = Some(kind);
         }
         true

@@ -80,6 +80,9 @@ impl Motor {
             return;
         }
         let Request::InFlight(asked) = self.request else { return };
+        if asked.kind().ends_motion() {
+            self.bus_may_be_cut(now, config);
+        }
         if asked.attempts_left > 0
             && !asked.is_withdrawn()
             && !(self.has_restarted && asked.kind().moves())

@@ -26,6 +26,18 @@ impl Motor {
         self.on_its_way.put(until, !config.is_rs485());
     }
 
+    /// What ends its motion was not answered: the bus may be cut, and have been all the time.
+    pub(super) fn bus_may_be_cut(&mut self, now: Instant, config: &Config) {
+        if matches!(self.on_its_way, OnItsWay::OverByTime) && !config.is_rs485() {
+            self.may_move_until(now + config.late_window, config);
+        }
+    }
+
+    /// What looks like one of the late replies may be another: it does not say that what moves has come.
+    pub(in crate::master) fn late_replies_say_nothing(&mut self) {
+        self.is_beyond_late |= self.may_yet_move();
+    }
+
     /// The reply to this question, which was sent so often, may come late.
     pub(in crate::master) fn expect_late(
         &mut self,
@@ -52,9 +64,10 @@ impl Motor {
         may_be_doubled: bool,
     ) -> Option<Of> {
         let could_move = self.late.may_move();
-        let of = self.late.take(is_motion, reply, may_be_doubled)?;
+        let (of, question) = self.late.take(is_motion, reply, may_be_doubled)?;
+        self.last_answered = Some(question);
         if could_move && !self.late.may_move() && !self.is_beyond_late {
-            self.on_its_way = OnItsWay::No;
+            self.on_its_way.has_ended();
         }
         Some(of)
     }

@@ -49,8 +49,8 @@ bitflags! {
         const REQUESTS_TURN = 1 << 0;
         /// The bus was quiet when its reply was due: that does not wait for the bus, and nobody waits for it.
         const HAD_ITS_CHANCE = 1 << 1;
-        /// All were told to end their motion since.
-        const ENDED_WITH_ALL = 1 << 2;
+        /// All were told to end their motion since, or it has restarted: nothing that moves and is older goes again.
+        const IS_OLD = 1 << 2;
     }
 }
 
@@ -176,9 +176,14 @@ impl Motor {
         self.last_sent.contains(LastSent::HAD_ITS_CHANCE)
     }
 
-    /// Whether all were told to end their motion since it was sent anything.
-    fn ended_with_all(&self) -> bool {
-        self.last_sent.contains(LastSent::ENDED_WITH_ALL)
+    /// What was sent to it goes no more if it moves, whatever becomes of it.
+    pub(super) fn is_sent_no_more(&mut self) {
+        self.last_sent.insert(LastSent::IS_OLD);
+        if let Request::InFlight(asked) | Request::Sent(asked) = &mut self.request {
+            if asked.kind().may_move() {
+                asked.withdraw();
+            }
+        }
     }
 
     /// Whether it did not answer last time.
@@ -229,6 +234,9 @@ impl Motor {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
         self.was_sent(LastSent::empty(), now);
+        if !asked.is_stop() {
+            self.is_told(asked.kind());
+        }
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
             self.settled_at = self.settled_at.max(now + config.hold_after(asked.kind()));
@@ -283,10 +291,11 @@ impl Motor {
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
                 self.last_sent.insert(LastSent::REQUESTS_TURN);
+                let is_old = self.last_sent.contains(LastSent::IS_OLD);
                 self.request = match asked.kind().may_move() {
-                    true if self.ended_with_all() => Request::Failed(Failure::Stopped),
-                    _ if asked.is_withdrawn() => Request::Failed(Failure::Dropped),
                     true if self.has_restarted => Request::Failed(Failure::Dropped),
+                    true if is_old => Request::Failed(Failure::Stopped),
+                    _ if asked.is_withdrawn() => Request::Failed(Failure::Dropped),
                     _ => Request::Waiting(asked),
                 };
                 return;
@@ -297,8 +306,7 @@ impl Motor {
             let ends_motion = |asked: &Asked| asked.kind().ends_motion();
             if !self.stream.was_pushed_out() {
                 self.health.superseded = self.health.superseded.saturating_add(1);
-            } else if self.has_restarted
-                || self.ended_with_all()
+            } else if self.last_sent.contains(LastSent::IS_OLD)
                 || self.request.under_way().is_some_and(ends_motion)
             {
                 // What waits to end motion was asked for after it, and a restart is news since.
@@ -396,7 +404,7 @@ impl Motor {
         match kind.opcode() {
             Some(Opcode::Reset) => self.has_begun_anew(config, now),
             Some(Opcode::ActiveReply) => self.note_reports(data),
-            _ => {}
+            _ => self.is_told(kind),
         }
     }
 }

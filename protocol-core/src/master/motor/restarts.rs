@@ -75,5 +75,6 @@ impl Motor {
         self.knows_angle = false;
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
+        self.is_sent_no_more();
     }
 }

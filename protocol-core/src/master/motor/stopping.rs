@@ -5,7 +5,7 @@ use crate::kind::Kind;
 use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::{Of, Question};
-use crate::master::motor::{LastSent, Motor, News};
+use crate::master::motor::{Motor, News};
 use crate::master::request::{Asked, Purpose, Request};
 use crate::master::stop::{LONGEST_STOP_TIMEOUT, StopKind};
 use crate::opcode::Opcode;
@@ -99,9 +99,9 @@ impl Motor {
         }
     }
 
-    /// It is told to end its motion. If it has confirmed no stop, it is stopped so when it is back: a hold would switch
-    /// on whom somebody has switched off since.
-    pub(in crate::master) fn is_told_since(&mut self, kind: Kind) {
+    /// It was told this, by itself or with all. If that stops it, a stop that it has not confirmed goes on like that: a
+    /// hold would switch on whom somebody has switched off since.
+    pub(in crate::master) fn is_told(&mut self, kind: Kind) {
         let Some(told) = StopKind::by(kind) else { return };
         if let Some(stop) = self.unconfirmed.as_mut().filter(|stop| stop.kind != told) {
             *stop = Unconfirmed { kind: told, sendings: 0, since: stop.since };
@@ -122,6 +122,7 @@ impl Motor {
     /// It has answered what ends its motion.
     pub(in crate::master) fn has_ended_motion(&mut self) {
         self.unconfirmed = None;
+        self.on_its_way.has_ended();
         self.news.remove(News::UNCONFIRMED);
     }
 
@@ -175,12 +176,6 @@ impl Motor {
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);
-        self.last_sent.insert(LastSent::ENDED_WITH_ALL);
-        match &mut self.request {
-            Request::InFlight(asked) | Request::Sent(asked) if asked.kind().may_move() => {
-                asked.withdraw();
-            }
-            _ => {}
-        }
+        self.is_sent_no_more();
     }
 }

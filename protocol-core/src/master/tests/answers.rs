@@ -526,7 +526,8 @@ fn what_is_given_up_once_more_is_late_for_as_long_as_the_last() {
     assert_eq!(late.end_of(question), Some(ms(30)), "the longest counts");
     // Three of them, told as the last was given up.
     for _ in 0..3 {
-        assert_eq!(late.take(false, &ReadModel.encode(), false), Some(Of::RequestStopped));
+        let taken = late.take(false, &ReadModel.encode(), false);
+        assert_eq!(taken.map(|(of, _)| of), Some(Of::RequestStopped));
     }
     assert_eq!(late.take(false, &ReadModel.encode(), false), None);
 }

@@ -356,3 +356,77 @@ fn a_bus_that_goes_down_keeps_a_move_on_its_way_for_longer() {
     assert_eq!(sent(&mut master, ms(80)), []);
     assert_eq!(channels(&sent(&mut master, ms(100))), [to(1)]);
 }
+
+#[test]
+fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_all() {
+    let mut master = all_have_moved();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(channels(&packets), [TO_ALL, to(1)]);
+    for now in [101, 102] {
+        reply(&mut master, 1, Stop.encode(), ms(now));
+    }
+    events(&mut master, ms(102));
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(103)), [packet_to_all(Shutdown.encode())]);
+    events(&mut master, ms(103));
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(sent(&mut master, ms(103)), [], "all were switched off since");
+}
+
+#[test]
+fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_one() {
+    let mut master = all_have_moved();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(channels(&packets), [TO_ALL, to(1)]);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(101)), confirmed(1));
+    events(&mut master, ms(101));
+    // Later than anybody expects an answer: the answer to this is told.
+    events(&mut master, ms(250));
+    let off = master.request(id(1), Shutdown).unwrap();
+    let mut told = None;
+    for now in 250..400 {
+        for packet in sent(&mut master, ms(now)) {
+            let event = reply(&mut master, 1, packet.data, ms(now) + Duration::from_micros(900));
+            told = told.or(event.and_then(|event| off.outcome(&event)));
+        }
+        events(&mut master, ms(now));
+    }
+    assert!(told.is_some());
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(sent(&mut master, ms(400)), [], "motor 1 was switched off since");
+}
+
+#[test]
+fn a_shutdown_of_all_that_is_handed_back_does_not_follow_a_hold_of_all_without_places() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(90));
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(packets, [packet_to_all(Shutdown.encode())]);
+    events(&mut master, ms(100));
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(101)), [packet_to_all(Stop.encode())]);
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(sent(&mut master, ms(101)), [], "a hold of all is in force");
+}
+
+#[test]
+fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_all_without_places() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(90));
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(packets, [packet_to_all(Stop.encode())]);
+    events(&mut master, ms(100));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(101)), [packet_to_all(Shutdown.encode())]);
+    master.lift_stop();
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(sent(&mut master, ms(101)), [], "all were switched off since");
+}

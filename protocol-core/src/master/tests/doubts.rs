@@ -1,7 +1,11 @@
 //! What was sent to all and lies in a mailbox while something else was sent to all since; what is handed back after a
 //! restart or a failure.
 
+use super::unnamed::{channels, to};
 use super::*;
+
+/// Feedback of a torque of 0.1 A (2.19).
+const TORQUE_FEEDBACK: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
 
 /// Motor 1 is told to hold when `before` was done: whether its first confirmation counts, and when the next frame is
 /// due otherwise.
@@ -359,4 +363,139 @@ fn on_rs485_no_shutdown_meets_the_answer_to_a_hold_that_it_takes_the_place_of() 
     let hold = |master: &mut Master<2>| master.stop(id(1), StopKind::Hold).unwrap();
     let off_all = |master: &mut Master<2>| master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     assert_eq!(sent_on_line(hold, off_all), ms(5));
+}
+
+/// The move of all has lain in the controller for 59 ms, and the set-point may lie there yet.
+#[test]
+fn the_answer_to_a_move_of_all_is_no_feedback_of_a_set_point_like_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(0));
+    // The bus is whole: motor 2 answers.
+    let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(20));
+    reply(&mut master, 2, ANGLE_REPLY, ms(21)).unwrap();
+    events(&mut master, ms(21));
+    master.set_point(id(1), torque(1.0), ms(59)).unwrap();
+    assert_eq!(sent(&mut master, ms(59)).len(), 1);
+    // That to all has lain in the controller for 59 ms; now its answer comes.
+    reply(&mut master, 1, TORQUE_FEEDBACK, ms(60));
+    events(&mut master, ms(60));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(62))), [to(1)]);
+    assert_eq!(
+        reply(&mut master, 1, Shutdown.encode(), ms(63)),
+        None,
+        "the set-point of 59 ms may come"
+    );
+}
+
+/// The same where a stop went over the set-point.
+#[test]
+fn the_answer_to_a_move_of_all_is_no_late_feedback_of_a_set_point_like_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(0));
+    // The bus is whole: motor 2 answers.
+    let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(20));
+    reply(&mut master, 2, ANGLE_REPLY, ms(21)).unwrap();
+    events(&mut master, ms(21));
+    master.set_point(id(1), torque(1.0), ms(45)).unwrap();
+    assert_eq!(sent(&mut master, ms(45)).len(), 1);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(46))), [to(1)]);
+    reply(&mut master, 1, TORQUE_FEEDBACK, ms(47));
+    events(&mut master, ms(64));
+    assert_eq!(
+        reply(&mut master, 1, Shutdown.encode(), ms(64)),
+        None,
+        "the set-point of 45 ms may come"
+    );
+}
+
+#[test]
+fn doubled_feedback_is_no_answer_to_a_move_of_all() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(0));
+    master.set_point(id(1), torque(1.0), ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    reply(&mut master, 1, TORQUE_FEEDBACK, ms(2));
+    reply(&mut master, 1, TORQUE_FEEDBACK, ms(2) + Duration::from_micros(140));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(3))), [to(1)]);
+    assert_eq!(
+        reply(&mut master, 1, Shutdown.encode(), ms(4)),
+        None,
+        "what all were told may come"
+    );
+}
+
+#[test]
+fn late_feedback_that_is_doubled_says_nothing_of_a_second_set_point() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(21));
+    master.set_point(id(1), torque(2.0), ms(21)).unwrap();
+    assert_eq!(sent(&mut master, ms(21)).len(), 1);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(22))), [to(1)]);
+    // The answer to the first set-point, twice. The second lies in a mailbox.
+    assert!(reply(&mut master, 1, TORQUE_FEEDBACK, ms(23)).is_some());
+    reply(&mut master, 1, TORQUE_FEEDBACK, ms(23) + Duration::from_micros(140));
+    assert_eq!(
+        reply(&mut master, 1, Shutdown.encode(), ms(24)),
+        None,
+        "the second set-point may come"
+    );
+}
+
+/// A set-point of motion mode has the least urgent id: it lies in a mailbox, which the stop overtakes.
+#[test]
+fn behind_a_cut_that_follows_its_first_answer_a_stop_is_confirmed_by_no_other() {
+    let mut master = Master::<2>::new(Config::CAN);
+    // Motion mode has the least urgent ids: it lies in a mailbox, which the stop overtakes.
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(1))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None);
+    // The bus is cut from here to 190 ms: nothing is heard, and nothing leaves the mailboxes.
+    let mut stops = 0;
+    for now in 3..190 {
+        stops += sent(&mut master, ms(now)).len();
+        assert_eq!(events(&mut master, ms(now)), []);
+    }
+    assert!(stops > 1);
+    // Now a stop goes, before the set-point, and is answered.
+    assert_eq!(
+        reply(&mut master, 1, Shutdown.encode(), ms(191)),
+        None,
+        "the set-point comes behind it"
+    );
+}
+
+#[test]
+fn that_another_motor_was_heard_before_a_cut_says_nothing_of_what_lies_in_a_mailbox() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(20));
+    reply(&mut master, 2, ANGLE_REPLY, ms(21)).unwrap();
+    for now in 21..100 {
+        events(&mut master, ms(now));
+    }
+    master.stop(id(1), StopKind::Off).unwrap();
+    for now in 100..190 {
+        sent(&mut master, ms(now));
+        assert_eq!(events(&mut master, ms(now)), []);
+    }
+    assert_eq!(
+        reply(&mut master, 1, Shutdown.encode(), ms(191)),
+        None,
+        "the set-point comes behind it"
+    );
 }

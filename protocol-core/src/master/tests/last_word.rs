@@ -1,11 +1,10 @@
 //! Calls in any order, to motors that hear or do not: nobody is switched on who was told last to be off, and who has
-//! confirmed no stop gets it when something is heard of it.
+//! confirmed no stop gets it again.
 
 use super::*;
-use crate::master::request::Asked;
 
 const MOTORS: usize = 3;
-/// By when a motor that is heard has its stop: a line that is full of others' takes so long.
+/// By when a motor that has confirmed no stop has the next: a line that is full of others' takes so long.
 const SOON: u64 = 1_000;
 
 struct Random(u64);
@@ -26,9 +25,7 @@ struct Told {
     off_in_force: bool,
     stopped: bool,
     hears: bool,
-    /// It has not confirmed its stop.
-    given_up: bool,
-    /// It was heard since, and is to be stopped by then.
+    /// It has not confirmed its stop, and is to get it again by then.
     due: Option<u64>,
 }
 
@@ -36,7 +33,7 @@ impl Told {
     fn stop(&mut self, kind: StopKind) {
         self.off_in_force |= kind == StopKind::Off;
         self.off = self.off_in_force;
-        (self.given_up, self.due) = (false, None);
+        self.due = None;
     }
 
     fn lift(&mut self) {
@@ -104,9 +101,7 @@ impl Run {
                     told[of].lift();
                 }
             }
-            5 if master.forget(motor(of)) => {
-                (told[of].given_up, told[of].due) = (false, None);
-            }
+            5 if master.forget(motor(of)) => told[of].due = None,
             6 if master.request(motor(of), Shutdown).is_ok() => {
                 (told[of].off, told[of].due) = (true, None);
             }
@@ -133,7 +128,23 @@ impl Run {
         for (_, from, data) in heard {
             self.hear(from, data);
         }
-        self.master.handle_timeout(now);
+        for event in events(&mut self.master, now) {
+            match event {
+                Event::StopUnconfirmed { motor } => {
+                    let told = &mut self.told[index(motor)];
+                    told.due = (told.stopped || self.all_stopped).then_some(self.now + SOON);
+                }
+                // That was no word.
+                Event::BroadcastDone { was_sent: false, .. } => {
+                    self.told.iter_mut().for_each(|told| told.off &= told.off_in_force);
+                }
+                Event::Failed { ticket, failure: Failure::BusDown | Failure::Stopped } => {
+                    let told = &mut self.told[index(ticket.motor())];
+                    told.off &= told.off_in_force;
+                }
+                _ => {}
+            }
+        }
         while let Some(packet) = self.master.poll_transmit(now) {
             let is_handed_back = !self.is_line() && self.random.below(40) == 0;
             self.master.handle_transmitted(now);
@@ -145,7 +156,7 @@ impl Run {
             let is_hold = packet.data == Stop.encode();
             assert!(!(is_hold && told.off), "motor {to} is to be off: {:#?}", self.calls);
             if is_hold || packet.data == Shutdown.encode() {
-                told.due = None;
+                told.due = told.due.map(|_| self.now + SOON);
             }
             if told.hears && !is_handed_back {
                 let answer = match packet.data[0] {
@@ -156,47 +167,31 @@ impl Run {
                 self.answers.push((self.now + 1, to, answer));
             }
         }
-        for event in events(&mut self.master, now) {
-            if let Event::StopUnconfirmed { motor } = event {
-                // What was heard while the stop was under way was before that.
-                let told = &mut self.told[index(motor)];
-                (told.given_up, told.due) = (true, None);
-            }
-        }
         let late = self.told.iter().position(|told| told.due.is_some_and(|due| due < self.now));
-        assert_eq!(late.map(motor), None, "heard at least {SOON} ms ago: {:#?}", self.calls);
+        assert_eq!(late.map(motor), None, "no stop for {SOON} ms: {:#?}", self.calls);
         self.now += 1;
     }
 
     fn hear(&mut self, from: MotorId, data: Data) {
         let now = ms(self.now);
-        let of_caller = |asked: &&Asked| asked.kind().ends_motion() && !asked.is_stop();
-        let motor = self.master.motor(from);
-        let is_told = motor.is_some_and(|it| it.request.under_way().filter(of_caller).is_some());
         let event = if self.is_line() {
             self.master.handle_line(&Frame { address: Target::Motor(from), data }, now)
         } else {
             reply(&mut self.master, from.get(), data, now)
         };
-        let told = &mut self.told[index(from)];
         let ends = |event| match event {
             Event::StopConfirmed { .. } => true,
             Event::Reply { kind, .. } => kind.ends_motion(),
             _ => false,
         };
         if event.is_some_and(ends) {
-            (told.given_up, told.due) = (false, None);
-        }
-        // What the caller tells it goes on, and says how that ends.
-        if told.given_up && (told.stopped || self.all_stopped) && !is_told {
-            told.due.get_or_insert(self.now + SOON);
+            self.told[index(from)].due = None;
         }
     }
 }
 
 #[test]
-fn nobody_is_switched_on_who_was_told_last_to_be_off_and_who_confirmed_no_stop_gets_it_when_heard()
-{
+fn nobody_is_switched_on_who_was_told_last_to_be_off_and_who_confirms_no_stop_gets_it_again() {
     for config in [Config::CAN, Config::rs485(1_000_000, false)] {
         for seed in 0..2_000 {
             let mut run = Run {

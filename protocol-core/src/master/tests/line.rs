@@ -90,3 +90,36 @@ fn a_hold_of_all_that_waits_goes_before_the_shutdown_of_one_that_was_asked_for_l
     let off = packet_to(1, Shutdown.encode());
     assert_eq!(packets, [packet_to_all(Stop.encode()), off]);
 }
+
+#[test]
+fn a_stop_waits_for_a_patient_question_to_all_for_50_ms() {
+    let config =
+        Config { reply_timeout: Duration::from_millis(1_000), ..Config::rs485(1_000_000, false) };
+    let mut master = Master::<2>::new(config);
+    master.broadcast(ReadMultiTurnAngle, id(2).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let at = (1..2_000).find(|&now| !sent(&mut master, ms(now)).is_empty());
+    assert!(at.is_some_and(|at| at <= 60), "{at:?}");
+}
+
+#[test]
+fn who_fills_the_line_holds_no_stop_up_behind_a_patient_question_either() {
+    let config = Config {
+        reply_timeout: Duration::from_millis(1_000),
+        bus: Bus::Rs485 { turnaround: Duration::from_millis(1), echo: false },
+        ..Config::rs485(1_000_000, false)
+    };
+    let mut master = Master::<2>::new(config);
+    let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    let at = (1..3_000).find(|&now| {
+        let frame = Frame { address: Target::Motor(id(9)), data: ANGLE_REPLY };
+        master.handle_line(&frame, ms(now));
+        master.handle_timeout(ms(now));
+        while master.poll_event().is_some() {}
+        let offered = master.poll_transmit(ms(now) + Duration::from_micros(500));
+        offered.is_some()
+    });
+    assert!(at.is_some_and(|at| at <= 60), "{at:?}");
+}

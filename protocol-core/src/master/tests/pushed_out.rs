@@ -116,3 +116,13 @@ fn a_set_point_that_was_pushed_out_when_it_is_too_old_is_not_sent_again() {
     assert_eq!(master.poll_transmit(ms(51)), None);
     assert_eq!(events(&mut master, ms(51)), [Event::SetPointDropped { motor: id(1) }]);
 }
+
+#[test]
+fn what_nobody_waits_for_any_more_is_not_sent_once_it_is_handed_back() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let ticket = master.request(id(1), step()).unwrap();
+    let packets = sent(&mut master, ms(0));
+    master.withdraw(ticket.id());
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(sent(&mut master, ms(1)), []);
+}

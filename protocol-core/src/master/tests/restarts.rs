@@ -310,3 +310,21 @@ fn a_restart_that_the_caller_has_found_out_is_as_one_that_was_seen() {
     assert_eq!(told, [Event::SetPointDropped { motor: id(1) }, Event::Restarted { motor: id(1) }]);
     assert_eq!(master.set_point(id(1), motion(), ms(3)), Err(RequestError::Restarted));
 }
+
+#[test]
+fn what_was_sent_before_a_restart_and_is_handed_back_does_not_go_once_that_is_known() {
+    for is_stream in [true, false] {
+        let mut master = Master::<2>::new(Config::CAN);
+        if is_stream {
+            master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+        } else {
+            let _ = master.request(id(1), step()).unwrap();
+        }
+        let packets = sent(&mut master, ms(0));
+        master.note_restart(id(1));
+        events(&mut master, ms(1));
+        master.resume(id(1));
+        master.handle_pushed_out(&packets[0]);
+        assert_eq!(sent(&mut master, ms(2)), [], "{is_stream}");
+    }
+}

@@ -286,11 +286,15 @@ fn a_hold_of_all_that_is_handed_back_holds_nobody_who_was_off_before() {
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(2));
     reply(&mut master, 1, Shutdown.encode(), ms(3)).unwrap();
+    let (hold, off) = (Stop.encode(), Shutdown.encode());
+    master.lift_stop();
     master.broadcast(Stop, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
-    assert_eq!(packets, [packet_to_all(Stop.encode())], "the caller's own");
+    assert_eq!(packets, [packet_to_all(hold)]);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(101)), [packet_to(1, off)]);
     master.handle_pushed_out(&packets[0]);
-    assert_eq!(sent(&mut master, ms(101)), [packet_to(2, Stop.encode())]);
+    assert_eq!(sent(&mut master, ms(101)), [packet_to(2, hold)]);
 }
 
 #[test]
@@ -310,4 +314,15 @@ fn a_restart_of_all_that_is_handed_back_goes_to_nobody_once_one_was_stopped() {
             assert_eq!(later, [], "{kind:?} {is_lifted}");
         }
     }
+}
+
+#[test]
+fn what_holds_all_does_not_switch_on_who_was_stopped_off() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
+    let _ = master.broadcast(Stop, MotorSet::EMPTY);
+    let packets = sent(&mut master, ms(2));
+    assert!(!packets.contains(&packet_to_all(Stop.encode())), "{packets:?}");
 }

@@ -313,3 +313,19 @@ fn a_stop_that_was_lifted_does_not_go_on() {
         assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 1)), None, "{is_held_first}");
     }
 }
+
+#[test]
+fn a_shutdown_that_was_never_sent_does_not_change_a_hold_that_goes_again() {
+    for is_to_all in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop(id(1), StopKind::Hold).unwrap();
+        let now = is_given_up(&mut master, 0) + 50;
+        if is_to_all {
+            master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+        } else {
+            let _ = master.request(id(1), Shutdown).unwrap();
+        }
+        master.handle_bus_down(ms(now));
+        assert_eq!(goes_again(&mut master, now), [packet_to(1, Stop.encode())], "{is_to_all}");
+    }
+}
