@@ -134,10 +134,7 @@ struct Sending<'a, K: Clock, const N: usize> {
 impl<K: Clock, const N: usize> Drop for Sending<'_, K, N> {
     fn drop(&mut self) {
         if !self.is_refused {
-            self.master.handle_transmitted(self.clock.now());
-        }
-        if self.rest.is_empty() {
-            self.line.was_sent(self.bytes);
+            self.line.was_taken(self.master, self.bytes, self.rest, self.clock.now());
         }
     }
 }

@@ -92,13 +92,22 @@ impl Line {
             pump.master.let_another_go_first(now);
             return Some(Probe::FRAME);
         }
-        self.echoes.sent(frame, now);
         Some(frame.encode())
     }
 
-    /// The port has taken all of what was to be sent.
-    pub(super) fn was_sent(&mut self, bytes: &[u8; FRAME_LENGTH]) {
-        if *bytes == Probe::FRAME {
+    /// The port has taken what was to be sent, but for this rest of it: it may be heard, and come back.
+    pub(super) fn was_taken<const N: usize>(
+        &mut self,
+        master: &mut Master<N>,
+        bytes: &[u8; FRAME_LENGTH],
+        rest: &[u8],
+        now: Instant,
+    ) {
+        master.handle_transmitted(now);
+        // What shows an echo is addressed to nobody, and so decodes to nothing.
+        if let Ok(frame) = Frame::decode(bytes) {
+            self.echoes.sent(frame, now);
+        } else if rest.is_empty() {
             self.probe.was_sent();
         }
     }

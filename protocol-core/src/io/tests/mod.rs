@@ -3,6 +3,7 @@
 mod blocking;
 mod calls;
 mod concurrent;
+mod echoes;
 mod failing;
 mod floods;
 mod guard;

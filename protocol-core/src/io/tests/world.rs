@@ -238,9 +238,22 @@ pub(super) struct SerialState {
     pub(super) read_fails: bool,
     /// Whether the adapter hands back what is written.
     pub(super) echoes: bool,
+    /// It hands over what it received at multiples of so many microseconds; 0 for at once.
+    pub(super) hands_over_every: u64,
     pub(super) closed: bool,
     /// Whether `write` waits for ever.
     pub(super) stalls: bool,
+}
+
+impl SerialState {
+    /// The adapter has received this then.
+    fn hand_over(&mut self, micros: u64, bytes: &[u8]) {
+        let at = match self.hands_over_every {
+            0 => micros,
+            every => (micros / every + 1) * every,
+        };
+        self.to_read.extend(bytes.iter().map(|&byte| (at, byte)));
+    }
 }
 
 /// A serial port; its clones are the same port.
@@ -347,15 +360,13 @@ impl embedded_io::Write for TestSerial {
         for &byte in &buf[..length] {
             state.written.push(byte);
             if state.echoes {
-                let at = self.clock.micros();
-                state.to_read.push_back((at, byte));
+                state.hand_over(self.clock.micros(), &[byte]);
             }
             if let Fed::Frame(frame) = state.receiver.feed(byte)
                 && let Some(reply) = answer(&frame.as_command())
             {
-                let at = self.clock.micros() + RESPONSE;
                 let line = Frame::from_packet(&reply).unwrap().encode();
-                state.to_read.extend(line.map(|byte| (at, byte)));
+                state.hand_over(self.clock.micros() + RESPONSE, &line);
             }
         }
         Ok(length)
