@@ -26,7 +26,7 @@ const SENDINGS: usize = 8;
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
-    /// What was sent and has not come back, with the time of that.
+    /// What was sent and has not come back, with the time of that, the newest first.
     sent: [Option<(Frame, Instant)>; SENDINGS],
     /// When the port was found empty last.
     empty_at: Instant,
@@ -63,18 +63,20 @@ impl EchoFilter {
 
     /// Takes note of a frame that was sent.
     pub fn sent(&mut self, frame: Frame, now: Instant) {
-        // Without a free place the oldest makes way.
-        let oldest = self.sent.iter_mut().min_by_key(|place| place.map(|(_, at)| at));
-        if let Some(place) = oldest {
-            *place = Some((frame, now));
+        // Each makes way for the next one, up to a free place. Without one the oldest is forgotten.
+        let mut newer = Some((frame, now));
+        for place in &mut self.sent {
+            newer = core::mem::replace(place, newer);
+            if newer.is_none() {
+                break;
+            }
         }
     }
 
     /// Whether a frame that came is the echo of one that was sent.
     pub fn is_echo(&mut self, frame: &Frame) -> bool {
         let is_equal = |place: &&mut Option<_>| place.is_some_and(|(sent, _)| sent == *frame);
-        let equal = self.sent.iter_mut().filter(is_equal);
-        let Some(first) = equal.min_by_key(|place| place.map(|(_, at)| at)) else { return false };
+        let Some(first) = self.sent.iter_mut().rfind(is_equal) else { return false };
         match self.adapter {
             Adapter::Echoes => {}
             Adapter::FoundEchoing { .. } if can_be_a_reply(frame) => {}
@@ -184,7 +186,7 @@ pub(super) fn can_be_a_reply(command: &Frame) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::command::{Command, ReadStatus1, Stop};
+    use crate::command::{Command, ReadStatus1, Shutdown, Stop};
     use crate::id::MotorId;
     use crate::packet::{Channel, Packet};
 
@@ -230,6 +232,19 @@ mod tests {
         assert_eq!(backs(&[0x00, 0x3E]) + backs(&Probe::FRAME), 1);
         assert_eq!(backs(start) + backs(&[0x55]) + backs(rest), 0);
         assert_eq!(backs(start) + backs(&Probe::FRAME) + backs(&Probe::FRAME), 2);
+    }
+
+    #[test]
+    fn the_oldest_makes_way_also_where_all_are_of_one_time() {
+        let mut filter = EchoFilter::new(true);
+        let shutdown = frame(Shutdown);
+        filter.found_empty(ms(0));
+        (1..=8).for_each(|at| filter.sent(frame(ReadStatus1), ms(at)));
+        filter.sent(shutdown, ms(9));
+        // The program was halted.
+        filter.found_empty(ms(200));
+        (0..7).for_each(|_| filter.sent(frame(ReadStatus1), ms(201)));
+        assert!(filter.is_echo(&shutdown), "those before are older");
     }
 
     #[test]
