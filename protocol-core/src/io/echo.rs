@@ -22,7 +22,7 @@ const SENDINGS: usize = 8;
 /// An echo that nobody configured is found by what comes back and no drive sends: a frame that nobody answers, by
 /// which the loops ask, or one to all, with which a stop of all motors begins. Or by two sendings to one motor that
 /// come back although no reply to them can be the same bytes: one may have lost its master and ignored the first.
-/// And is none if four of them in a row then do not come back.
+/// And is none if four of them in a row then do not come back although other frames do.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
@@ -30,6 +30,9 @@ pub struct EchoFilter {
     sent: [Option<(Frame, Instant)>; SENDINGS],
     /// When the port was found empty last.
     empty_at: Instant,
+    /// Something else was heard since an echo was missed last. A line that is dead takes echoes, too, and shows
+    /// nothing by that.
+    is_alive: bool,
 }
 
 /// What is known of the adapter.
@@ -48,7 +51,7 @@ impl EchoFilter {
     pub const fn new(is_echoing: bool) -> Self {
         let adapter =
             if is_echoing { Adapter::Echoes } else { Adapter::IsQuiet { suspected: None } };
-        Self { adapter, sent: [None; SENDINGS], empty_at: Instant::ZERO }
+        Self { adapter, sent: [None; SENDINGS], empty_at: Instant::ZERO, is_alive: false }
     }
 
     /// Whether the adapter echoes, as was said or found.
@@ -76,7 +79,10 @@ impl EchoFilter {
     /// Whether a frame that came is the echo of one that was sent.
     pub fn is_echo(&mut self, frame: &Frame) -> bool {
         let is_equal = |place: &&mut Option<_>| place.is_some_and(|(sent, _)| sent == *frame);
-        let Some(first) = self.sent.iter_mut().rfind(is_equal) else { return false };
+        let Some(first) = self.sent.iter_mut().rfind(is_equal) else {
+            self.is_alive = true;
+            return false;
+        };
         match self.adapter {
             Adapter::Echoes => {}
             Adapter::FoundEchoing { .. } if can_be_a_reply(frame) => {}
@@ -108,7 +114,7 @@ impl EchoFilter {
                 continue;
             }
             *place = None;
-            if !can_be_a_reply(&frame) {
+            if !can_be_a_reply(&frame) && core::mem::take(&mut self.is_alive) {
                 self.adapter = self.adapter.has_missed_one();
             }
         }
@@ -303,9 +309,10 @@ mod tests {
             assert!(both.is_echo(&Frame { address, ..frame(ReadStatus1) }));
             assert_eq!(both.is_echoing(), is_found, "{motor}");
         }
-        // Noise may take one; but it is none if it then stays away.
+        // Noise may take one; but it is none if it then stays away while the drive is heard.
         let miss = |filter: &mut EchoFilter, at| {
             filter.sent(frame(ReadStatus1), ms(at));
+            assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..frame(ReadStatus1) }));
             [1, 60, 102].into_iter().for_each(|later| filter.found_empty(ms(at + later)));
             assert!(!filter.is_echo(&frame(Stop)));
         };

@@ -2,6 +2,7 @@
 
 use super::id;
 use super::world::{TestClock, TestSerial};
+use crate::command::{ReadMultiTurnAngle, ReadStatus1};
 use crate::io::{Runner, SerialMaster};
 use crate::master::{Config, Event, StopKind};
 use crate::time::Duration;
@@ -52,4 +53,18 @@ fn what_the_port_refuses_makes_no_confirmation_pass_for_its_echo() {
     confirmations(&mut arm, 8_000);
     port.state().takes_nothing = false;
     assert_eq!(confirmations(&mut arm, 5_000), 1, "by the first that it takes");
+}
+
+#[test]
+fn echoes_that_a_cut_takes_do_not_show_that_there_are_none() {
+    let (port, mut arm) = echoing(false);
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    port.state().is_cut = true;
+    for _ in 0..5 {
+        assert!(arm.ask(id(1), ReadStatus1).is_err());
+        confirmations(&mut arm, 150_000);
+    }
+    assert!(arm.ask(id(1), ReadMultiTurnAngle).is_err());
+    port.state().is_cut = false;
+    assert!(!arm.stop(id(9), StopKind::Hold), "nobody is there");
 }

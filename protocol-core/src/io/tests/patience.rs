@@ -93,10 +93,11 @@ fn confirmations_do_not_show_that_an_adapter_still_echoes() {
         .map(|packet| Frame::from_packet(&packet).unwrap());
     let mut now = Instant::from_millis(1);
     for _ in 0..4 {
-        // The stop is confirmed, which passes for its echo; that of the read does not come.
+        // The stop is confirmed, which passes for its echo; that of the read does not come, but its answer does.
         echoes.sent(stop, now);
         echoes.sent(read, now);
         assert!(echoes.is_echo(&stop) && echoes.is_echoing());
+        assert!(!echoes.is_echo(&Frame { data: [0x9A; 8], ..read }));
         for _ in 0..2 {
             now += Duration::from_millis(60);
             echoes.found_empty(now);

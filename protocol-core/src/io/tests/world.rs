@@ -240,6 +240,8 @@ pub(super) struct SerialState {
     pub(super) echoes: bool,
     /// It hands over what it received at multiples of so many microseconds; 0 for at once.
     pub(super) hands_over_every: u64,
+    /// Nothing that is written reaches anybody, not even the adapter.
+    pub(super) is_cut: bool,
     pub(super) closed: bool,
     /// Whether `write` waits for ever.
     pub(super) stalls: bool,
@@ -286,6 +288,11 @@ impl TestSerial {
         let mut state = self.state.borrow_mut();
         state.written.clear();
         state.flushed = 0;
+    }
+
+    /// What has come and was not read is lost.
+    pub(super) fn lose(&self) {
+        self.state().to_read.clear();
     }
 
     pub(super) fn is_flushed(&self) -> bool {
@@ -359,6 +366,9 @@ impl embedded_io::Write for TestSerial {
         let length = if state.at_most == 0 { buf.len() } else { buf.len().min(state.at_most) };
         for &byte in &buf[..length] {
             state.written.push(byte);
+            if state.is_cut {
+                continue;
+            }
             if state.echoes {
                 state.hand_over(self.clock.micros(), &[byte]);
             }
