@@ -22,6 +22,9 @@ const SENDINGS: usize = 8;
 /// An echo that nobody configured is found by what comes back and no drive sends: a frame that nobody answers, by
 /// which the loops ask, or one to all, with which a stop of all motors begins. Or by two sendings to one motor that
 /// come back although no reply to them can be the same bytes: one may have lost its master and ignored the first.
+/// The loops ask until they hear something else, and again when reading has failed: twice at first, then with one
+/// frame before each that can be a reply. What equals a sending is no reply meanwhile: a confirmation then comes with
+/// the next stop.
 /// And is none if four of them in a row then do not come back although other frames do.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
@@ -33,6 +36,15 @@ pub struct EchoFilter {
     /// Something else was heard since an echo was missed last. A line that is dead takes echoes, too, and shows
     /// nothing by that.
     is_alive: bool,
+}
+
+/// What a frame is that came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Came {
+    Echo,
+    /// A reply that equals its command, if the adapter does not echo, of which nothing is known.
+    Either,
+    Other,
 }
 
 /// What is known of the adapter.
@@ -78,15 +90,20 @@ impl EchoFilter {
 
     /// Whether a frame that came is the echo of one that was sent.
     pub fn is_echo(&mut self, frame: &Frame) -> bool {
+        self.take(frame) == Came::Echo
+    }
+
+    /// What a frame is that came.
+    pub(super) fn take(&mut self, frame: &Frame) -> Came {
         let is_equal = |place: &&mut Option<_>| place.is_some_and(|(sent, _)| sent == *frame);
         let Some(first) = self.sent.iter_mut().rfind(is_equal) else {
             self.is_alive = true;
-            return false;
+            return Came::Other;
         };
         match self.adapter {
             Adapter::Echoes => {}
             Adapter::FoundEchoing { .. } if can_be_a_reply(frame) => {}
-            Adapter::IsQuiet { .. } if can_be_a_reply(frame) => return false,
+            Adapter::IsQuiet { .. } if can_be_a_reply(frame) => return Came::Either,
             Adapter::IsQuiet { suspected }
                 if frame.as_reply().is_some() && suspected != Some(frame.address) =>
             {
@@ -97,7 +114,7 @@ impl EchoFilter {
             }
         }
         *first = None;
-        true
+        Came::Echo
     }
 
     /// Takes note that the port holds nothing now: what was sent long ago does not come back any more. Time
@@ -137,12 +154,29 @@ impl Adapter {
 
 /// A frame that comes back only as an echo. An adapter that echoes hands it back before the echo of what is sent
 /// after it, so that a stop's echo is known for one however late both are.
+///
+/// While nothing comes back, it may be the line that takes it: so it goes before each frame that can be a reply
+/// until something else is heard.
 #[derive(Clone, Debug)]
 pub(super) struct Probe {
-    /// How often it is still to be sent.
-    left: u8,
+    stage: Stage,
     /// So many of its bytes have come back in a row.
     matched: usize,
+}
+
+/// What the probe has shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Nothing yet: it is to be sent so often.
+    Due(u8),
+    /// It has gone: if there is an echo, it comes before all that is sent now.
+    Gone,
+    /// That was sent, too, and nothing has been heard since.
+    Unheard,
+    /// It may have been lost, and what was sent behind it not.
+    Doubtful { is_due: bool },
+    /// There is no echo: something else was heard after it.
+    Spent,
 }
 
 impl Probe {
@@ -155,17 +189,54 @@ impl Probe {
     const TIMES: u8 = 2;
 
     pub(super) const fn new() -> Self {
-        Self { left: Self::TIMES, matched: 0 }
+        Self { stage: Stage::Due(Self::TIMES), matched: 0 }
     }
 
     /// Whether it is to be sent now.
     pub(super) fn is_due(&self) -> bool {
-        self.left > 0
+        matches!(self.stage, Stage::Due(_) | Stage::Unheard | Stage::Doubtful { is_due: true })
     }
 
     /// The port has taken all of it: of less no echo would be known.
     pub(super) fn was_sent(&mut self) {
-        self.left = self.left.saturating_sub(1);
+        self.stage = match self.stage {
+            Stage::Due(left) if left > 1 => Stage::Due(left - 1),
+            Stage::Due(_) => Stage::Gone,
+            // What took those before it may have taken this one, and end before what follows.
+            Stage::Unheard | Stage::Doubtful { .. } => Stage::Doubtful { is_due: false },
+            known @ (Stage::Gone | Stage::Spent) => known,
+        };
+    }
+
+    /// The port has taken a frame that can be a reply.
+    pub(super) fn was_followed(&mut self) {
+        self.stage = match self.stage {
+            Stage::Gone => Stage::Unheard,
+            Stage::Doubtful { .. } => Stage::Doubtful { is_due: true },
+            known @ (Stage::Due(_) | Stage::Unheard | Stage::Spent) => known,
+        };
+    }
+
+    /// Reading has failed: what came back may be lost.
+    pub(super) fn may_be_lost(&mut self) {
+        self.stage = match self.stage {
+            Stage::Spent => Stage::Due(1),
+            Stage::Gone => Stage::Doubtful { is_due: false },
+            Stage::Unheard => Stage::Doubtful { is_due: true },
+            known @ (Stage::Due(_) | Stage::Doubtful { .. }) => known,
+        };
+    }
+
+    /// A good frame has come. Gives whether it is to be taken for an echo if it can be one.
+    pub(super) fn something_came(&mut self) -> bool {
+        let (stage, is_in_doubt) = match self.stage {
+            Stage::Gone | Stage::Unheard | Stage::Spent => (Stage::Spent, false),
+            // The line is not dead, or not any more: now an echo would come.
+            Stage::Doubtful { .. } => (Stage::Due(1), true),
+            Stage::Due(_) => (self.stage, true),
+        };
+        self.stage = stage;
+        is_in_doubt
     }
 
     /// Whether with this byte it has come back. Before it was sent that is another master's.
@@ -174,7 +245,7 @@ impl Probe {
         let matched = if byte == HEADER { 0 } else { self.matched };
         let is_next = Self::FRAME.get(matched) == Some(&byte);
         self.matched = if is_next { matched + 1 } else { 0 };
-        self.matched == FRAME_LENGTH && self.left < Self::TIMES
+        self.matched == FRAME_LENGTH && self.stage != Stage::Due(Self::TIMES)
     }
 }
 

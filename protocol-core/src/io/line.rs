@@ -1,6 +1,6 @@
 //! From the bytes of a serial port to the master: what the blocking and the async loop share.
 
-use crate::io::echo::{EchoFilter, Probe, can_be_a_reply};
+use crate::io::echo::{Came, EchoFilter, Probe, can_be_a_reply};
 use crate::io::pump::Pump;
 use crate::master::{Bus, Config, Event, Master};
 use crate::time::Instant;
@@ -43,7 +43,7 @@ impl Line {
                 return Ok(event);
             }
             (self.next, self.end) = (0, 0);
-            match read(&mut self.chunk)? {
+            match read(&mut self.chunk).inspect_err(|_| self.probe.may_be_lost())? {
                 0 => {
                     self.found_empty(now);
                     return Ok(None);
@@ -68,7 +68,7 @@ impl Line {
                     continue;
                 }
             };
-            if self.echoes.is_echo(&frame) {
+            if self.is_echo(&frame) {
                 continue;
             }
             let event = master.handle_line(&frame, now);
@@ -77,6 +77,13 @@ impl Line {
             }
         }
         None
+    }
+
+    /// Whether this is an echo. What nobody can know for one is, too, where it may be: if it confirms a stop, that is
+    /// repeated, and then known.
+    fn is_echo(&mut self, frame: &Frame) -> bool {
+        let came = self.echoes.take(frame);
+        came == Came::Echo || self.probe.something_came() && came == Came::Either
     }
 
     /// What is to be sent: what the master offers, which offers nothing that RS485 has no frame for. But where
@@ -107,6 +114,9 @@ impl Line {
         // What shows an echo is addressed to nobody, and so decodes to nothing.
         if let Ok(frame) = Frame::decode(bytes) {
             self.echoes.sent(frame, now);
+            if can_be_a_reply(&frame) {
+                self.probe.was_followed();
+            }
         } else if rest.is_empty() {
             self.probe.was_sent();
         }

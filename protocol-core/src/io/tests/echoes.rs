@@ -1,5 +1,7 @@
 //! No echo passes for the confirmation of a stop, whatever the port, the adapter and the line do meanwhile.
 
+use std::vec::Vec;
+
 use super::id;
 use super::world::{TestClock, TestSerial};
 use crate::command::{ReadMultiTurnAngle, ReadStatus1};
@@ -67,4 +69,84 @@ fn echoes_that_a_cut_takes_do_not_show_that_there_are_none() {
     assert!(arm.ask(id(1), ReadMultiTurnAngle).is_err());
     port.state().is_cut = false;
     assert!(!arm.stop(id(9), StopKind::Hold), "nobody is there");
+}
+
+#[test]
+fn a_line_that_was_dead_when_it_was_opened_is_asked_again() {
+    for cut_for in (0..60_000).step_by(700) {
+        let (port, mut arm) = echoing(false);
+        port.state().is_cut = true;
+        assert!(arm.ask(id(9), ReadMultiTurnAngle).is_err());
+        arm.master().stop(id(9), StopKind::Hold).unwrap();
+        confirmations(&mut arm, cut_for);
+        port.state().is_cut = false;
+        assert_eq!(confirmations(&mut arm, 500_000), 0, "cut for {cut_for} us");
+    }
+}
+
+#[test]
+fn what_is_lost_while_reading_fails_shows_nothing() {
+    for fails_at in [0, 1, 25, 30] {
+        for fails_for in 1..100 {
+            let (port, mut arm) = echoing(false);
+            arm.master().stop(id(9), StopKind::Hold).unwrap();
+            let mut confirmed = 0;
+            for tenth in 0..300 {
+                port.state().read_fails = (fails_at..fails_at + fails_for).contains(&tenth);
+                if port.state().read_fails {
+                    port.lose();
+                }
+                confirmed += confirmations(&mut arm, 100);
+            }
+            assert_eq!(confirmed, 0, "{fails_for} from {fails_at} on: nobody is there");
+        }
+    }
+}
+
+#[test]
+fn a_stop_leaves_while_reading_fails_behind_one_frame_each() {
+    let (port, mut arm) = echoing(false);
+    port.state().read_fails = true;
+    arm.master().stop(id(9), StopKind::Hold).unwrap();
+    confirmations(&mut arm, 100_000);
+    let sent: Vec<_> = port.written().chunks(13).map(|frame| frame[1]).collect();
+    assert!(sent.len() > 4);
+    assert_eq!(sent[..3], [33, 33, 9]);
+    assert!(sent[3..].chunks_exact(2).all(|pair| pair == [33, 9]), "{sent:?}");
+}
+
+/// How many frames have been sent that show an echo.
+fn probes(port: &TestSerial) -> usize {
+    port.written().chunks(13).filter(|frame| frame[1] == 33).count()
+}
+
+#[test]
+fn a_line_on_which_motors_answer_is_asked_no_more_until_a_look_at_it_fails() {
+    let (port, mut arm) = echoing(false);
+    port.state().echoes = false;
+    for _ in 0..5 {
+        arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+        assert!(arm.stop(id(1), StopKind::Hold));
+        arm.master().lift_stop();
+    }
+    assert_eq!(probes(&port), 2);
+    port.state().read_fails = true;
+    confirmations(&mut arm, 1_000);
+    port.state().read_fails = false;
+    for _ in 0..5 {
+        arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    }
+    assert_eq!(probes(&port), 3);
+}
+
+#[test]
+fn stops_are_confirmed_on_a_line_on_which_nothing_else_was_heard() {
+    let (port, mut arm) = echoing(false);
+    port.state().echoes = false;
+    // Motors 1 to 3 get their power late.
+    port.state().is_cut = true;
+    (1..=3).for_each(|motor| arm.master().stop(id(motor), StopKind::Hold).unwrap());
+    assert_eq!(confirmations(&mut arm, 60_000), 0);
+    port.state().is_cut = false;
+    assert_eq!(confirmations(&mut arm, 60_000), 3);
 }
