@@ -1,7 +1,7 @@
 //! What an RS485 adapter hands back of one's own bytes.
 
 use crate::id::Target;
-use crate::opcode::Opcode;
+use crate::opcode::{Opcode, ReplyRule};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::{FRAME_LENGTH, Frame, HEADER};
 
@@ -17,7 +17,8 @@ const SENDINGS: usize = 8;
 ///
 /// Of the frames that equal one that was sent, the first is its echo, whatever comes before it. So of a
 /// reply that equals its command, an acknowledgement of 0x81 for example, only what is more than was
-/// sent counts: without a drive that answers, nothing is left.
+/// sent counts: without a drive that answers, nothing is left. Where more were sent than are remembered before
+/// their echoes came, because reading failed, no acknowledgement counts until those must have come.
 ///
 /// An echo that nobody configured is found by what comes back and no drive sends: a frame that nobody answers, by
 /// which the loops ask, or one to all, with which a stop of all motors begins. Or by two sendings to one motor that
@@ -31,6 +32,8 @@ pub struct EchoFilter {
     adapter: Adapter,
     /// What was sent and has not come back, with the time of that, the newest first.
     sent: [Option<(Frame, Instant)>; SENDINGS],
+    /// When the last was sent that found no place there any more and may come back yet.
+    forgotten: Option<Instant>,
     /// When the port was found empty last.
     empty_at: Instant,
     /// Something else was heard since an echo was missed last. A line that is dead takes echoes, too, and shows
@@ -63,7 +66,8 @@ impl EchoFilter {
     pub const fn new(is_echoing: bool) -> Self {
         let adapter =
             if is_echoing { Adapter::Echoes } else { Adapter::IsQuiet { suspected: None } };
-        Self { adapter, sent: [None; SENDINGS], empty_at: Instant::ZERO, is_alive: false }
+        let (sent, empty_at) = ([None; SENDINGS], Instant::ZERO);
+        Self { adapter, sent, forgotten: None, empty_at, is_alive: false }
     }
 
     /// Whether the adapter echoes, as was said or found.
@@ -83,9 +87,10 @@ impl EchoFilter {
         for place in &mut self.sent {
             newer = core::mem::replace(place, newer);
             if newer.is_none() {
-                break;
+                return;
             }
         }
+        self.forgotten = newer.map(|(_, at)| at);
     }
 
     /// Whether a frame that came is the echo of one that was sent.
@@ -97,6 +102,9 @@ impl EchoFilter {
     pub(super) fn take(&mut self, frame: &Frame) -> Came {
         let is_equal = |place: &&mut Option<_>| place.is_some_and(|(sent, _)| sent == *frame);
         let Some(first) = self.sent.iter_mut().rfind(is_equal) else {
+            if self.forgotten.is_some() && self.is_echoing() && may_be_a_command(frame) {
+                return Came::Echo;
+            }
             self.is_alive = true;
             return Came::Other;
         };
@@ -123,8 +131,10 @@ impl EchoFilter {
         let pause = now - core::mem::replace(&mut self.empty_at, now);
         if pause > LONGEST_WAIT {
             // The adapter may hold them yet.
-            self.sent.iter_mut().flatten().for_each(|(_, at)| *at = now);
+            let sent = self.sent.iter_mut().flatten().map(|(_, at)| at);
+            sent.chain(&mut self.forgotten).for_each(|at| *at = now);
         }
+        self.forgotten = self.forgotten.filter(|&at| now - at <= LONGEST_WAIT);
         for place in &mut self.sent {
             let Some((frame, at)) = *place else { continue };
             if now - at <= LONGEST_WAIT {
@@ -260,6 +270,13 @@ pub(super) fn can_be_a_reply(command: &Frame) -> bool {
     values != [0; 7] || !Opcode::from_byte(byte).is_some_and(|opcode| NEVER.contains(&opcode))
 }
 
+/// Whether a frame says no more than a command: an acknowledgement, or without values.
+fn may_be_a_command(frame: &Frame) -> bool {
+    let [byte, values @ ..] = frame.data;
+    let rule = Opcode::from_byte(byte).map(Opcode::reply_rule);
+    values == [0; 7] || rule.is_some_and(|rule| rule != ReplyRule::Values)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -322,6 +339,24 @@ mod tests {
         filter.found_empty(ms(200));
         (0..7).for_each(|_| filter.sent(frame(ReadStatus1), ms(201)));
         assert!(filter.is_echo(&shutdown), "those before are older");
+    }
+
+    #[test]
+    fn of_more_than_are_remembered_no_acknowledgement_counts_until_their_echoes_must_have_come() {
+        let mut filter = EchoFilter::new(true);
+        filter.found_empty(ms(0));
+        (0..9).for_each(|_| filter.sent(frame(Stop), ms(1)));
+        assert!((0..8).all(|_| filter.is_echo(&frame(Stop))));
+        assert!(filter.is_echo(&frame(Stop)), "the one that was forgotten");
+        let write = Frame { data: [0x31, 1, 0, 0, 0, 0, 0x80, 0x3F], ..frame(Stop) };
+        assert!(filter.is_echo(&write), "so it may have been");
+        let angle = Frame { data: [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0], ..frame(Stop) };
+        assert!(!filter.is_echo(&angle), "that is no command");
+        // The program was halted: the adapter may hold it yet.
+        [500, 560, 600].into_iter().for_each(|at| filter.found_empty(ms(at)));
+        assert!(filter.is_echo(&frame(Stop)));
+        filter.found_empty(ms(601));
+        assert!(!filter.is_echo(&frame(Stop)));
     }
 
     #[test]

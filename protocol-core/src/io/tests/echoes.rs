@@ -150,3 +150,21 @@ fn stops_are_confirmed_on_a_line_on_which_nothing_else_was_heard() {
     port.state().is_cut = false;
     assert_eq!(confirmations(&mut arm, 60_000), 3);
 }
+
+#[test]
+fn echoes_that_pile_up_while_reading_fails_confirm_nothing() {
+    for is_told in [false, true] {
+        for motors in 1..=4 {
+            for fails_for in [20, 50, 100, 150, 200, 300, 400] {
+                let (port, mut arm) = echoing(is_told);
+                // Nobody is there.
+                (6..6 + motors).for_each(|it| arm.master().stop(id(it), StopKind::Hold).unwrap());
+                port.state().read_fails = true;
+                let mut confirmed = confirmations(&mut arm, fails_for * 1_000);
+                port.state().read_fails = false;
+                confirmed += confirmations(&mut arm, 500_000);
+                assert_eq!(confirmed, 0, "{is_told}, {motors} motors, {fails_for} ms");
+            }
+        }
+    }
+}
