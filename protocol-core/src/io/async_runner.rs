@@ -8,6 +8,7 @@ use crate::command::{Command, SetPoint};
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::{Asking, Askings, CallError, outcome_of_set_point};
+use crate::io::elapsed::Elapsed;
 use crate::io::on_drop::OnDrop;
 use crate::io::pump::RETRY_AFTER;
 use crate::io::runner::LONGEST_STOP;
@@ -188,15 +189,16 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
     runner: &mut R,
     motors: MotorSet,
 ) -> MotorSet {
-    let end = runner.now() + LONGEST_STOP;
+    let mut elapsed = Elapsed::default();
     let mut unconfirmed = motors;
     let mut given_up = motors.without(runner.master().motors());
-    while runner.now() < end {
-        let until = match unconfirmed.without(given_up).is_empty() {
-            false => end,
-            true if runner.master().is_stop_to_all_waiting() => runner.now() + RETRY_AFTER,
+    while elapsed.at(runner.now()) < LONGEST_STOP {
+        let look_again = match unconfirmed.without(given_up).is_empty() {
+            false => Elapsed::LOOK_AGAIN,
+            true if runner.master().is_stop_to_all_waiting() => RETRY_AFTER,
             true => break,
         };
+        let until = runner.now() + look_again;
         match runner.run(Some(until)).await {
             Ok(Some(Event::StopConfirmed { motor })) => unconfirmed.remove(motor),
             Ok(Some(Event::StopUnconfirmed { motor })) => given_up.insert(motor),

@@ -1,6 +1,7 @@
 //! The round that every loop goes, on CAN and on RS485, polled or as a task. None of it waits.
 
 use crate::io::clock::Clock;
+use crate::io::elapsed::Elapsed;
 use crate::master::{Config, Event, Master};
 use crate::time::{Duration, Instant};
 
@@ -111,22 +112,12 @@ pub(super) fn earlier(a: Option<Instant>, b: Option<Instant>) -> Option<Instant>
 
 /// For how long a bus has taken nothing of what it was offered.
 #[derive(Debug, Default)]
-pub(super) struct Refusals {
-    /// When it refused what waits now.
-    last: Option<Instant>,
-    total: Duration,
-}
+pub(super) struct Refusals(Elapsed);
 
 impl Refusals {
     /// The bus takes nothing. Gives whether it counts as down.
     pub(super) fn note(&mut self, now: Instant) -> bool {
-        // Whoever was held up for long between two offers has not found the bus stuck.
-        const LONGEST_PAUSE: Duration = Duration::from_millis(10);
-        if let Some(last) = self.last {
-            self.total = self.total + (now - last).min(LONGEST_PAUSE);
-        }
-        self.last = Some(now);
-        self.total >= STUCK_AFTER
+        self.0.at(now) >= STUCK_AFTER
     }
 
     /// It has taken something.
@@ -136,15 +127,15 @@ impl Refusals {
 
     /// Nothing is offered to it any more.
     pub(super) fn pause(&mut self) {
-        self.last = None;
+        self.0.last = None;
     }
 
     pub(super) const fn has_refused(&self) -> bool {
-        self.last.is_some()
+        self.0.last.is_some()
     }
 
     /// When it is offered that again: hardly anything else tells when a bus takes something again.
     fn retry_at(&self) -> Option<Instant> {
-        self.last.map(|last| last + RETRY_AFTER)
+        self.0.last.map(|last| last + RETRY_AFTER)
     }
 }

@@ -11,7 +11,8 @@ use crate::io::polled::{Polled, at_once};
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 
-/// How long a stop of all motors is tried at the most.
+/// How long a stop of all motors is tried at the most: so much of [`Elapsed`](crate::io::Elapsed), so that a program
+/// that is suspended meanwhile goes on with it.
 pub const LONGEST_STOP: Duration = Duration::from_secs(1);
 
 /// How long a question waits for its turn at the most: an earlier one ends sooner, but for a stop that waits for

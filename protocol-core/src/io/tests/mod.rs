@@ -8,6 +8,7 @@ mod failing;
 mod floods;
 mod guard;
 mod half_duplex;
+mod halted;
 mod left_halfway;
 mod patience;
 mod world;

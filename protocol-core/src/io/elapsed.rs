@@ -1,0 +1,29 @@
+//! The time that a loop has seen go by.
+
+use crate::time::{Duration, Instant};
+
+/// A pause between two looks counts for no more.
+const LONGEST_PAUSE: Duration = Duration::from_millis(10);
+
+/// How long something has gone on, for a loop that looks at the time again and again. Whoever was held up for long
+/// between two looks, since the program was suspended for example, has had no more than 10 ms of it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Elapsed {
+    /// When the time was looked at last.
+    pub(super) last: Option<Instant>,
+    total: Duration,
+}
+
+impl Elapsed {
+    /// Who looks again so soon misses none of it.
+    pub const LOOK_AGAIN: Duration = Duration::from_millis(5);
+
+    /// Looks at the time. Gives how much has gone by since the first look.
+    pub fn at(&mut self, now: Instant) -> Duration {
+        if let Some(last) = self.last {
+            self.total = self.total + (now - last).min(LONGEST_PAUSE);
+        }
+        self.last = Some(now);
+        self.total
+    }
+}
