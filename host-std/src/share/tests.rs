@@ -259,6 +259,8 @@ const BLOCK: u32 = 5;
 const BLOCKED: u32 = 6;
 /// Blocks when something waits to be sent, and sends nothing of it in that look at the bus.
 const BLOCK_AT_WORK: u32 = 7;
+/// Is suspended for longer than a stop is tried when something waits to be sent.
+const SUSPEND_AT_WORK: u32 = 8;
 
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
@@ -294,11 +296,19 @@ impl Runner<8> for Fragile {
                 return Ok(None);
             }
         }
-        if ![FAIL, REFUSE, BLOCK_AT_WORK].contains(&order) {
+        if order == SUSPEND_AT_WORK && has_work {
+            self.1.store(WORK, Ordering::SeqCst);
+            let end = now + Duration::from_millis(1_500);
+            while self.now() < end {
+                self.0.idle(end);
+            }
+            return Ok(None);
+        }
+        if ![FAIL, REFUSE, BLOCK_AT_WORK, SUSPEND_AT_WORK].contains(&order) {
             self.1.store(WORK, Ordering::SeqCst);
         }
         match order {
-            WORK | BLOCK_AT_WORK => self.0.poll(),
+            WORK | BLOCK_AT_WORK | SUSPEND_AT_WORK => self.0.poll(),
             REFUSE => {
                 let now = self.0.now();
                 self.0.master().handle_bus_down(now);
@@ -328,6 +338,14 @@ fn hold_up(order: &AtomicU32) {
     while order.load(Ordering::SeqCst) != BLOCKED {
         thread::yield_now();
     }
+}
+
+#[test]
+fn a_stop_in_which_the_program_is_suspended_is_answered_by_the_motors() {
+    let (_fleet, order, bus) = fragile();
+    bus.ask(id(1), turn(90.0)).unwrap();
+    order.store(SUSPEND_AT_WORK, Ordering::SeqCst);
+    assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
 }
 
 #[test]

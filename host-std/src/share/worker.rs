@@ -6,7 +6,7 @@ use std::sync::{Arc, Weak};
 use std::time;
 
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{LONGEST_STOP, LONGEST_TURN, Runner};
+use myactuator_protocol_core::io::{Elapsed, LONGEST_STOP, LONGEST_TURN, Runner};
 use myactuator_protocol_core::master::{Event, MotorSet, StopKind, Ticket};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
@@ -73,7 +73,7 @@ struct Asked<E> {
 struct Stopping<E> {
     running: MotorSet,
     unconfirmed: MotorSet,
-    end: Instant,
+    elapsed: Elapsed,
     answer: Answer<MotorSet, E>,
 }
 
@@ -135,8 +135,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         let now = self.runner.now();
         // One to all at once may be what stops those whom nobody has named.
         let is_all_sent = !self.runner.master().is_stop_to_all_waiting();
-        self.stopping.retain(|stop| {
-            let is_over = stop.running.is_empty() && is_all_sent || now >= stop.end;
+        self.stopping.retain_mut(|stop| {
+            let is_late = stop.elapsed.at(now) >= LONGEST_STOP;
+            let is_over = stop.running.is_empty() && is_all_sent || is_late;
             if is_over {
                 let unconfirmed = stop.running.iter().chain(stop.unconfirmed.iter()).collect();
                 let _ = stop.answer.send(Ok(unconfirmed));
@@ -152,9 +153,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         let is_awaited =
             !self.asked.is_empty() || !self.stopping.is_empty() || self.turn_ends.is_some();
         if desk.wakes() {
-            let ends = self.stopping.iter().map(|stop| stop.end);
-            let until = ends.chain(self.turn_ends).min();
-            self.runner.idle(until.unwrap_or(NEVER));
+            let look_again = self.runner.now() + Elapsed::LOOK_AGAIN;
+            let until = if self.stopping.is_empty() { NEVER } else { look_again };
+            self.runner.idle(self.turn_ends.map_or(until, |ends| ends.min(until)));
         } else if is_awaited || self.runner.master().poll_at().is_some() {
             let until = self.runner.now() + LONGEST_IDLE;
             self.runner.idle(until);
@@ -186,8 +187,8 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         also: MotorSet,
         answer: Answer<MotorSet, R::Error>,
     ) {
-        let (unconfirmed, end) = (also.without(running), self.runner.now() + LONGEST_STOP);
-        self.stopping.push(Stopping { running, unconfirmed, end, answer });
+        let unconfirmed = also.without(running);
+        self.stopping.push(Stopping { running, unconfirmed, elapsed: Elapsed::default(), answer });
     }
 }
 
