@@ -318,16 +318,18 @@ impl<E> Desk<E> {
         }
     }
 
-    /// The thread ends: by a panic with these words, or because nobody has a handle.
-    pub(super) fn end(&self, panicked: Option<Arc<str>>) {
+    /// The thread has panicked, with these words, and has a last stop to send.
+    pub(super) fn has_panicked(&self, words: Arc<str>) {
         let mut state = self.lock();
-        if let Some(words) = panicked {
-            state.life = Life::Panicked(words);
-        }
+        state.life = Life::Panicked(words);
         // Whoever waits is told by that.
         state.orders.clear();
         state.questions.clear();
-        state.subscribers.clear();
+    }
+
+    /// The thread ends: nobody is told anything any more.
+    pub(super) fn end(&self) {
+        self.lock().subscribers.clear();
     }
 }
 

@@ -261,6 +261,7 @@ const BLOCKED: u32 = 6;
 const BLOCK_AT_WORK: u32 = 7;
 /// Is suspended for longer than a stop is tried when something waits to be sent.
 const SUSPEND_AT_WORK: u32 = 8;
+const PANIC: u32 = 9;
 
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
@@ -304,7 +305,7 @@ impl Runner<8> for Fragile {
             }
             return Ok(None);
         }
-        if ![FAIL, REFUSE, BLOCK_AT_WORK, SUSPEND_AT_WORK].contains(&order) {
+        if ![FAIL, REFUSE, BLOCK_AT_WORK, SUSPEND_AT_WORK, PANIC].contains(&order) {
             self.1.store(WORK, Ordering::SeqCst);
         }
         match order {
@@ -314,7 +315,7 @@ impl Runner<8> for Fragile {
                 self.0.master().handle_bus_down(now);
                 Ok(self.0.master().poll_event())
             }
-            PANIC_ONCE => panic!("the adapter is on fire"),
+            PANIC_ONCE | PANIC => panic!("the adapter is on fire"),
             _ => Err(CanError::BusOff),
         }
     }
@@ -346,6 +347,28 @@ fn a_stop_in_which_the_program_is_suspended_is_answered_by_the_motors() {
     bus.ask(id(1), turn(90.0)).unwrap();
     order.store(SUSPEND_AT_WORK, Ordering::SeqCst);
     assert_eq!(bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
+}
+
+#[test]
+fn after_a_panic_subscribers_are_told_who_has_not_confirmed_the_stop() {
+    let (fleet, order, bus) = fragile();
+    bus.ask(id(1), turn(90.0)).unwrap();
+    let events = bus.subscribe(100);
+    fleet.world.cut(fleet.drives[0].station());
+    order.store(PANIC_ONCE, Ordering::SeqCst);
+    let told: Vec<_> = events.collect();
+    assert_eq!(told, [Event::StopUnconfirmed { motor: id(1) }]);
+}
+
+#[test]
+fn a_panic_in_the_last_stop_is_no_confirmation() {
+    let (_fleet, order, bus) = fragile();
+    bus.ask(id(1), turn(90.0)).unwrap();
+    let events = bus.subscribe(100);
+    // Once in a round, and again in the stop that follows.
+    order.store(PANIC, Ordering::SeqCst);
+    let told: Vec<_> = events.collect();
+    assert_eq!(told, [Event::StopUnconfirmed { motor: id(1) }]);
 }
 
 #[test]
@@ -633,7 +656,7 @@ fn nothing_older_than_a_stop_outlives_it() {
     let reading = desk.ask(id(2), Untyped::of(&ReadStatus1), None);
 
     // Whoever still waits is told by the end.
-    desk.end(Some(Arc::from("the test is over")));
+    desk.has_panicked(Arc::from("the test is over"));
     let is_over =
         |told| matches!(told, SharedBusError::Panicked(words) if &*words == "the test is over");
     assert!(is_over(desk.wait(reading).unwrap_err()));

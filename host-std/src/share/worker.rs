@@ -30,18 +30,19 @@ pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>
     let mut worker = Worker { runner, asked, stopping, turn_ends: None, looked_at };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
     if let Err(payload) = outcome {
-        desk.end(Some(words(&*payload)));
+        desk.has_panicked(words(&*payload));
     }
     // Those who wait find out now, and need not wait for the stop.
     let Worker { mut runner, asked, stopping, .. } = worker;
     drop((asked, stopping));
-    // A driver that has panicked may do it again.
+    let all = runner.master().motors();
+    // A driver that has panicked may do it again: then nobody has confirmed.
     let stopped = catch_unwind(AssertUnwindSafe(|| runner.stop_all(kind, MotorSet::EMPTY)));
     // Who is left has a subscription.
-    for motor in stopped.unwrap_or(MotorSet::EMPTY).iter() {
+    for motor in stopped.unwrap_or(all).iter() {
         desk.publish(&Event::StopUnconfirmed { motor });
     }
-    desk.end(None);
+    desk.end();
 }
 
 /// What a panic said.
