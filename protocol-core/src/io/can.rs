@@ -63,6 +63,10 @@ impl<C: nb::Can, K: Clock, const N: usize> Runner<N> for CanMaster<C, K, N> {
     }
 }
 
+/// So many frames are given to a controller in a row, which is more than a master has to send at once: one that hands
+/// a frame back for each that it takes comes to no end.
+const FRAMES_IN_A_ROW: u8 = 64;
+
 /// A controller, as the pump sees it.
 pub(super) struct CanPort<'a, C>(pub(super) &'a mut C);
 
@@ -87,7 +91,8 @@ impl<C: nb::Can, const N: usize> Port<N> for CanPort<'_, C> {
 
     fn transmit(&mut self, pump: &mut Pump<N>, now: Instant) -> Result<(), C::Error> {
         let Pump { master, refusals, .. } = pump;
-        while let Some(packet) = master.poll_transmit(now) {
+        for _ in 0..FRAMES_IN_A_ROW {
+            let Some(packet) = master.poll_transmit(now) else { break };
             // A HAL that refuses eight bytes is no CAN HAL; nothing can be sent on it.
             let Some(frame) = can::encode::<C::Frame>(&packet) else { break };
             match self.0.transmit(&frame) {

@@ -308,3 +308,49 @@ fn noise_on_the_line_of_a_task_is_counted() {
         assert_eq!(arm.garbled(), count);
     }
 }
+
+/// A controller with one place, for the newest frame: it hands the one before back, whichever is more urgent.
+#[derive(Default)]
+struct Swapping {
+    held: Option<SimpleFrame>,
+    taken: usize,
+}
+
+impl nb::Can for Swapping {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        self.taken += 1;
+        assert!(self.taken < 10_000, "one look at it never ends");
+        Ok(self.held.replace(*frame))
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        Err(::nb::Error::WouldBlock)
+    }
+}
+
+impl AsyncCan for Swapping {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    async fn transmit(&mut self, frame: &SimpleFrame) -> Result<Option<SimpleFrame>, Broken> {
+        Ok(nb::Can::transmit(self, frame).unwrap_or_default())
+    }
+
+    async fn receive(&mut self) -> Result<SimpleFrame, Broken> {
+        core::future::pending().await
+    }
+}
+
+#[test]
+fn a_controller_that_hands_back_a_frame_for_each_that_it_takes_is_left_all_the_same() {
+    let clock = TestClock::default();
+    let mut arm = CanMaster::<_, _, 4>::new(Swapping::default(), clock.clone(), Config::CAN);
+    [1, 2].into_iter().for_each(|motor| arm.master().stop(id(motor), StopKind::Hold).unwrap());
+    assert_eq!(arm.poll(), Ok(None));
+    let mut arm = AsyncCanMaster::<_, _, 4>::new(Swapping::default(), clock, Config::CAN);
+    [1, 2].into_iter().for_each(|motor| arm.master().stop(id(motor), StopKind::Hold).unwrap());
+    assert_eq!(block_on(arm.run(Some(Instant::ZERO))), Ok(None));
+}
