@@ -12,7 +12,7 @@ use crate::io::async_clock::AsyncClock;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::can::CanPort;
 use crate::io::pump::{Pump, earlier};
-use crate::io::rest::{rest, wait};
+use crate::io::rest::rest;
 use crate::master::{Config, Event, Master};
 use crate::time::Instant;
 
@@ -168,9 +168,7 @@ impl<C: AsyncCan, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncCanMast
 
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, C::Error> {
         let Self { can, clock, pump, received } = self;
-        if pump.rests_until.is_some() {
-            wait(clock, pump.rests_until).await;
-        }
+        clock.wait_until(pump.rests_until).await;
         loop {
             let now = clock.now();
             let event = poll_fn(|context| {

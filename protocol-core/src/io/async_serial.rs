@@ -151,9 +151,7 @@ impl<S: Read + Write, K: AsyncClock, const N: usize> AsyncRunner<N> for AsyncSer
     }
 
     async fn run(&mut self, until: Option<Instant>) -> Result<Option<Event>, S::Error> {
-        if self.pump.rests_until.is_some() {
-            wait(&mut self.clock, self.pump.rests_until).await;
-        }
+        self.clock.wait_until(self.pump.rests_until).await;
         loop {
             self.settle().await?;
             let event = self.round().await?.or_else(|| self.pump.master.poll_event());

@@ -37,14 +37,14 @@ pub(super) struct Pump<const N: usize> {
     /// How often the bus is looked at yet before it is sent to.
     looks: u8,
     pub(super) refusals: Refusals,
-    /// The last round has failed: a task begins the next one not before this, so that others have their turns.
-    pub(super) rests_until: Option<Instant>,
+    /// A task begins no round before this, a while after one has failed, so that others have their turns.
+    pub(super) rests_until: Instant,
 }
 
 impl<const N: usize> Pump<N> {
     pub(super) fn new(config: Config) -> Self {
         let (master, refusals) = (Master::new(config), Refusals::default());
-        Self { master, looks: LOOKS_IN_A_ROW, refusals, rests_until: None }
+        Self { master, looks: LOOKS_IN_A_ROW, refusals, rests_until: Instant::ZERO }
     }
 
     /// One round. Gives the first event of what has come; those of the master itself are not among them.
@@ -61,7 +61,6 @@ impl<const N: usize> Pump<N> {
             Err(error) => Some(error),
         };
         self.looks = LOOKS_IN_A_ROW;
-        self.rests_until = None;
         self.master.handle_timeout(now);
         if failed.is_some() {
             self.round_has_failed(now);
@@ -76,7 +75,7 @@ impl<const N: usize> Pump<N> {
 
     /// The port reports an error: the bus may be down.
     pub(super) fn round_has_failed(&mut self, now: Instant) {
-        self.rests_until = Some(now + RETRY_AFTER);
+        self.rests_until = now + RETRY_AFTER;
         self.bus_is_down(now);
     }
 

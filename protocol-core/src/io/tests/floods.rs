@@ -235,7 +235,7 @@ impl AsyncCan for Full {
     }
 }
 
-/// A clock whose timers never end.
+/// A clock that stands still.
 struct Still;
 
 impl crate::io::Clock for Still {
@@ -245,8 +245,10 @@ impl crate::io::Clock for Still {
 }
 
 impl crate::io::AsyncClock for Still {
-    async fn wait_until(&mut self, _: Instant) {
-        core::future::pending().await
+    async fn wait_until(&mut self, until: Instant) {
+        if until > Instant::ZERO {
+            core::future::pending().await
+        }
     }
 }
 
