@@ -112,10 +112,7 @@ impl<C: nb::Can, const N: usize> Port<N> for CanPort<'_, C> {
                     }
                     return Ok(());
                 }
-                Err(::nb::Error::Other(error)) => {
-                    refusals.end();
-                    return Err(error);
-                }
+                Err(::nb::Error::Other(error)) => return Err(error),
             }
         }
         refusals.pause();
