@@ -259,15 +259,15 @@ impl Probe {
     }
 }
 
-/// Whether a drive can answer a command with the command's own bytes. Not to all motors, and not where the
-/// reply has values that are never all zero: a voltage, a date, a name.
+/// Whether a drive can answer a command with the command's own bytes. Not to all motors, and not where the command
+/// has no values and the reply some that are never all zero: a voltage, a date, a name.
 pub(super) fn can_be_a_reply(command: &Frame) -> bool {
     if command.as_reply().is_none() {
         return false;
     }
     const NEVER: [Opcode; 3] = [Opcode::ReadStatus1, Opcode::ReadVersionDate, Opcode::ReadModel];
-    let [byte, values @ ..] = command.data;
-    values != [0; 7] || !Opcode::from_byte(byte).is_some_and(|opcode| NEVER.contains(&opcode))
+    let [byte, ..] = command.data;
+    !Opcode::from_byte(byte).is_some_and(|opcode| NEVER.contains(&opcode))
 }
 
 /// Whether a frame says no more than a command: an acknowledgement, or without values.
@@ -280,7 +280,7 @@ fn may_be_a_command(frame: &Frame) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::command::{Command, ReadStatus1, Shutdown, Stop};
+    use crate::command::{Command, ReadModel, ReadStatus1, ReadVersionDate, Shutdown, Stop};
     use crate::id::MotorId;
     use crate::packet::{Channel, Packet};
 
@@ -357,6 +357,55 @@ mod tests {
         assert!(filter.is_echo(&frame(Stop)));
         filter.found_empty(ms(601));
         assert!(!filter.is_echo(&frame(Stop)));
+    }
+
+    #[test]
+    fn of_equal_sendings_the_first_has_come_back() {
+        let mut filter = EchoFilter::new(true);
+        filter.found_empty(ms(0));
+        [0, 60].into_iter().for_each(|at| filter.sent(frame(Stop), ms(at)));
+        assert!(filter.is_echo(&frame(Stop)));
+        [60, 110, 155].into_iter().for_each(|at| filter.found_empty(ms(at)));
+        assert!(filter.is_echo(&frame(Stop)), "that of the second is not late");
+    }
+
+    #[test]
+    fn an_acknowledgement_that_does_not_come_is_no_echo_that_does_not() {
+        let mut filter = EchoFilter::new(false);
+        filter.is_found();
+        for at in [0, 1_000, 2_000, 3_000, 4_000] {
+            filter.sent(frame(Stop), ms(at));
+            assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..frame(Stop) }), "others are heard");
+            [1, 60, 102].into_iter().for_each(|later| filter.found_empty(ms(at + later)));
+            assert!(filter.is_echoing());
+        }
+    }
+
+    #[test]
+    fn what_comes_back_and_then_does_not_is_no_echo() {
+        let mut filter = EchoFilter::new(false);
+        filter.sent(frame(ReadStatus1), ms(0));
+        assert!(filter.is_echo(&frame(ReadStatus1)));
+        filter.sent(frame(ReadStatus1), ms(10));
+        assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..frame(Stop) }), "that is its answer");
+        [11, 60, 111].into_iter().for_each(|at| filter.found_empty(ms(at)));
+        for (at, is_found) in [(200, false), (210, true)] {
+            filter.sent(frame(ReadStatus1), ms(at));
+            assert!(filter.is_echo(&frame(ReadStatus1)));
+            assert_eq!(filter.is_echoing(), is_found);
+        }
+    }
+
+    #[test]
+    fn a_voltage_a_date_and_a_name_are_never_all_zero() {
+        for command in [frame(ReadStatus1), frame(ReadVersionDate), frame(ReadModel)] {
+            let mut filter = EchoFilter::new(false);
+            for is_found in [false, true] {
+                filter.sent(command, ms(0));
+                assert!(filter.is_echo(&command));
+                assert_eq!(filter.is_echoing(), is_found, "{command:?}");
+            }
+        }
     }
 
     #[test]

@@ -445,9 +445,10 @@ fn a_set_point_that_was_dropped_is_not_answered_by_the_feedback_of_the_one_befor
 
 #[test]
 fn whom_a_stop_has_no_place_for_has_not_confirmed_it() {
-    let (_, _, mut arm) = on_can(CanMaster::<_, _, 1>::new);
+    let (_, clock, mut arm) = on_can(CanMaster::<_, _, 1>::new);
     let both = [1, 2].map(id).into_iter().collect();
     assert_eq!(arm.stop_all(StopKind::Hold, both), id(2).into());
+    assert!(clock.micros() < 10_000, "nor is it waited for: {}", clock.micros());
 }
 
 /// A bus that fails once, with the third look.

@@ -142,6 +142,28 @@ fn a_serial_frame_whose_sending_is_dropped_counts_as_sent() {
 }
 
 #[test]
+fn a_serial_frame_counts_as_sent_also_if_the_port_has_not_said_that_it_took_any_of_it() {
+    let (port, _, mut arm) = used_serial();
+    port.state().stalls = true;
+    let ticket = arm.master().request(id(1), step()).unwrap();
+    assert_eq!(polls(arm.next_event(), 10), None);
+    port.state().stalls = false;
+    let event = block_on(arm.run(Some(Instant::from_millis(50)))).unwrap();
+    assert_eq!(event.and_then(|event| ticket.outcome(&event)), Some(Err(Failure::NoReply)));
+    assert!(port.written().is_empty(), "it may have left");
+}
+
+#[test]
+fn a_port_that_is_not_flushed_within_20_ms_is_read_all_the_same() {
+    let (port, clock, mut arm) = used_serial();
+    let start = clock.micros();
+    port.state().flush_stalls = true;
+    assert!(block_on(arm.ask(id(1), step())).is_ok(), "the drive has heard it");
+    // While it is sent, and once more.
+    assert!((40_000..42_000).contains(&(clock.micros() - start)), "{}", clock.micros() - start);
+}
+
+#[test]
 fn a_serial_port_that_stalls_counts_as_a_bus_that_is_down() {
     let (port, clock, mut arm) = used_serial();
     port.state().stalls = true;

@@ -245,6 +245,8 @@ pub(super) struct SerialState {
     pub(super) closed: bool,
     /// Whether `write` waits for ever.
     pub(super) stalls: bool,
+    /// Whether `flush` does.
+    pub(super) flush_stalls: bool,
 }
 
 impl SerialState {
@@ -414,6 +416,8 @@ impl embedded_io_async::Write for TestSerial {
 
     async fn flush(&mut self) -> Result<(), Broken> {
         a_moment().await;
+        let stalls = || self.state.borrow().flush_stalls;
+        poll_fn(|_| if stalls() { Poll::Pending } else { Poll::Ready(()) }).await;
         embedded_io::Write::flush(self)
     }
 }
