@@ -14,7 +14,7 @@ use myactuator_protocol_core::io::{AsyncClock, AsyncRunner, CallError, Clock};
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::units::Milliseconds;
 use myactuator_tests::fleet::{state, turn_to};
-use myactuator_tests::values::{go_to, id, millis, push};
+use myactuator_tests::values::{go_to, grip_at, id, millis, push};
 
 /// Makes a test for each bus of each async function.
 macro_rules! on_both_buses {
@@ -111,17 +111,14 @@ where
     assert!((state(&fleet.drives[0]).angle_deg - 60.0).abs() < 0.3);
 }
 
-async fn one_that_is_held_is_stopped<B: Medium, R: AsyncRunner<8>>(fleet: &BusFleet<B>, bus: &mut R)
+async fn one_that_is_held_is_stopped<B: Medium, R: AsyncRunner<8>>(_: &BusFleet<B>, bus: &mut R)
 where
     R::Error: Debug + PartialEq,
 {
     async_bring_up::release_brake(bus, id(1)).await.unwrap();
-    let hold = |_: &_| {
-        turn_to(&fleet.drives[0], 1.0);
-        ControlFlow::Continue(())
-    };
+    // Friction holds its shaft.
     let limits = MoveLimits::default();
-    let not_arrived = move_to(bus, id(1), go_to(60.0, 180), &limits, hold).await.unwrap_err();
+    let not_arrived = move_to(bus, id(1), grip_at(60.0, 1), &limits, go_on).await.unwrap_err();
     assert!(matches!(not_arrived.why, MoveFailure::Stalled { .. }), "{not_arrived}");
     assert!(not_arrived.is_stopped);
 }

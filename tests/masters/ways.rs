@@ -7,18 +7,18 @@ use myactuator_host_std::sim::Fleet;
 use myactuator_host_std::sim::plant::{EndStop, Load};
 use myactuator_protocol_core::RequestError;
 use myactuator_protocol_core::command::{
-    AnyReply, ForcePosition, IncrementalPosition, ReadModel, ReadMultiTurnAngle, ReadStatus2, Stop,
+    AnyReply, IncrementalPosition, ReadModel, ReadMultiTurnAngle, ReadStatus2, Stop,
 };
 use myactuator_protocol_core::io::bring_up::{
     self, MoveFailure, MoveLimits, Protection, WhenStalled,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
-use myactuator_protocol_core::units::{MaxTorque, Milliseconds};
+use myactuator_protocol_core::units::Milliseconds;
 use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
 use myactuator_tests::on_both_buses;
-use myactuator_tests::values::{degrees, go_to, id, millis, push, turn, up_to};
+use myactuator_tests::values::{degrees, go_to, grip_at, id, millis, push, turn, up_to};
 use myactuator_tests::wire::Wire;
 
 on_both_buses! {
@@ -40,6 +40,8 @@ on_both_buses! {
     a_motor_that_comes_back_under_a_stop_is_stopped
     a_restart_on_the_way_ends_the_move_and_forbids_another
     a_gripper_goes_on_pressing_with_what_it_was_given
+    what_drives_a_gripper_away_is_no_grip
+    a_gripper_that_never_moved_has_gripped_nothing
     one_that_has_let_go_neither_presses_nor_is_held
 }
 
@@ -212,16 +214,13 @@ fn a_relative_move_is_one_from_where_the_shaft_is<W: Wire>() {
     assert!((arrival.angle.degrees() - 10.0).abs() <= 0.3);
 }
 
-/// Moves it with its shaft held where it is, so that it does not turn, and gives what is told.
+/// Moves it with so little torque that friction holds its shaft, and gives what is told.
 fn held<W: Wire>(limits: &MoveLimits) -> (MoveFailure<()>, bool) {
     let bus = W::drives(&Fleet::new(1)).unwrap();
     let runner = &mut master(&bus);
-    let drive = &bus.drives[0];
-    let not_arrived = bring_up::move_to(runner, id(1), TO_90_DEG(), limits, |_| {
-        turn_to(drive, 1.0);
-        ControlFlow::Continue(())
-    })
-    .expect_err("it is held");
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let not_arrived =
+        bring_up::move_to(runner, id(1), grip_at(90.0, 1), limits, go_on).expect_err("it is held");
     let why = match not_arrived.why {
         MoveFailure::Stalled { at, target } => MoveFailure::Stalled { at, target },
         MoveFailure::TimedOut { at, target } => MoveFailure::TimedOut { at, target },
@@ -360,8 +359,7 @@ fn a_gripper_goes_on_pressing_with_what_it_was_given<W: Wire>() {
     for when_stalled in [WhenStalled::Press, WhenStalled::Stop] {
         let bus = W::drives(&fleet).unwrap();
         let runner = &mut master(&bus);
-        let max_torque = MaxTorque::from_raw(10);
-        let grip = ForcePosition { max_torque, max_speed: up_to(90), angle: degrees(90.0) };
+        let grip = grip_at(90.0, 10);
         let limits = MoveLimits { when_stalled, ..MoveLimits::default() };
         let go_on = |_: &_| ControlFlow::Continue(());
         let met = bring_up::move_to(runner, id(1), grip, &limits, go_on);
@@ -384,15 +382,43 @@ fn one_that_has_let_go_neither_presses_nor_is_held<W: Wire>() {
         let bus = W::drives(&Fleet::new(1)).unwrap();
         let runner = &mut master(&bus);
         bring_up::protect(runner, id(1), Milliseconds::from_raw(10)).unwrap();
-        let grip = ForcePosition {
-            max_torque: MaxTorque::from_raw(10),
-            max_speed: up_to(90),
-            angle: degrees(90.0),
-        };
+        let grip = grip_at(90.0, 10);
         let limits = MoveLimits { when_stalled, ..MoveLimits::default() };
         let go_on = |_: &_| ControlFlow::Continue(());
         let met = bring_up::move_to(runner, id(1), grip, &limits, go_on);
         let why = met.expect_err("it has no output").why;
         assert!(matches!(why, MoveFailure::LetGo { .. }), "{why}");
     }
+}
+
+/// Why a move to 40 degrees is no grip, with this torque and this load.
+fn gripped<W: Wire>(percent_of_rated: u8, torque_nm: f64) -> MoveFailure<()> {
+    let bus = W::drives(&Fleet::new(1).load(Load { torque_nm, ..Load::NONE })).unwrap();
+    let runner = &mut master(&bus);
+    let grip = grip_at(40.0, percent_of_rated);
+    let limits = MoveLimits { when_stalled: WhenStalled::Press, ..MoveLimits::default() };
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let gripped = bring_up::move_to(runner, id(1), grip, &limits, go_on);
+    let not_arrived = gripped.expect_err("it has gripped nothing");
+    assert!(not_arrived.is_stopped, "{not_arrived}");
+    let why = match not_arrived.why {
+        MoveFailure::Stalled { at, target } => MoveFailure::Stalled { at, target },
+        MoveFailure::Turning { at, target, speed } => MoveFailure::Turning { at, target, speed },
+        other => panic!("{other}"),
+    };
+    assert_eq!(runner.set_point(id(1), push(0.1)), Err(RequestError::Stopped));
+    why
+}
+
+fn what_drives_a_gripper_away_is_no_grip<W: Wire>() {
+    let why = gripped::<W>(5, -20.0);
+    let MoveFailure::Turning { at, target, speed } = why else { panic!("{why}") };
+    assert_eq!(target, degrees(40.0));
+    assert!(at.degrees() < -100.0 && speed.dps() < -100.0, "{why}");
+    assert!(why.to_string().contains(&format!("turns at {speed}")), "{why}");
+}
+
+fn a_gripper_that_never_moved_has_gripped_nothing<W: Wire>() {
+    let why = gripped::<W>(1, 0.0);
+    assert!(matches!(why, MoveFailure::Stalled { at, .. } if at.degrees().abs() < 0.2), "{why}");
 }

@@ -1,7 +1,7 @@
 //! Short ways to make values of which the test knows that they are in range.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{AbsolutePosition, Speed, Torque};
+use myactuator_protocol_core::command::{AbsolutePosition, ForcePosition, Speed, Torque};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, Current, Gain, MaxSpeed, MaxTorque, SpeedTarget};
 
@@ -53,4 +53,13 @@ pub fn turn(speed_dps: f32) -> Speed {
 /// 0xA4: to this angle, at this speed at the most.
 pub fn go_to(angle_deg: f32, max_dps: u16) -> AbsolutePosition {
     AbsolutePosition { max_speed: up_to(max_dps), angle: degrees(angle_deg) }
+}
+
+/// 0xA9: to this angle, with this part of the rated torque at the most.
+pub fn grip_at(angle_deg: f32, percent_of_rated: u8) -> ForcePosition {
+    ForcePosition {
+        max_torque: percent(percent_of_rated),
+        max_speed: up_to(90),
+        angle: degrees(angle_deg),
+    }
 }

@@ -89,6 +89,27 @@ fn each_bus_of_a_file_is_served_with_its_motors_under_its_name() {
 }
 
 #[test]
+fn a_gripper_presses_against_what_is_in_its_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let gripper = r#"
+        [[bus]]
+        name = "gripper"
+        kind = "can"
+        bit_rate = 1_000_000
+
+        [[bus.motor]]
+        id = 1
+        load = { upper_stop = { at_deg = 20, stiffness_nm_per_rad = 500, restitution = 0 } }
+    "#;
+    let simulation = Simulation::start(1, &[&written(folder.path(), gripper)]);
+    let bus = simulation.named("gripper")["bus"].as_str().unwrap();
+    let grip = "move --id 1 --angle-deg 90 --max-torque-pct 10 --press --yes";
+    let told = done_at(bus, &grip.split(' ').collect::<Vec<_>>());
+    assert!(told.contains("motor 1 has met something at 2"), "{told}");
+    assert_eq!(simulation.end(Signal::INT), ended_well());
+}
+
+#[test]
 fn what_a_file_says_is_not_said_beside_it_and_what_is_wrong_in_it_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let file = written(folder.path(), ROBOT);

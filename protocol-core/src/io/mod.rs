@@ -38,6 +38,7 @@ mod pump;
 mod rest;
 mod runner;
 mod serial;
+mod standing;
 #[cfg(test)]
 mod tests;
 

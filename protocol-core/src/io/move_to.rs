@@ -12,10 +12,11 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::on_drop::OnDrop;
+use crate::io::standing::turns;
 use crate::master::StopKind;
 use crate::opcode::Repeat;
 use crate::time::{Duration, Instant};
-use crate::units::{Angle, MaxSpeed};
+use crate::units::{Angle, CoarseSpeed, MaxSpeed};
 
 /// How often the motor is looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -23,6 +24,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 const ERRORS_EVERY: u32 = 5;
 /// How often a command that names a place is sent if no reply comes.
 const ATTEMPTS: u8 = 3;
+/// A motor stands that has not turned for so long: one that swings stands for a moment, too.
+const STANDS_AFTER: Duration = Duration::from_millis(100);
 /// What every way is given, and how many times as long as it should take besides.
 const START: Duration = Duration::from_secs(5);
 const TIMES: u64 = 3;
@@ -78,7 +81,7 @@ pub struct MoveLimits {
     /// How long the move may take; `None` for 5 s and three times what the way takes at full speed, or at
     /// 90 dps where there is no limit of speed.
     pub time: Option<Duration>,
-    /// A motor that comes no nearer for so long has stalled.
+    /// A motor that comes no nearer for so long has stalled. What is less than the tolerance does not count.
     pub stalled_after: Duration,
     /// What becomes of it then.
     pub when_stalled: WhenStalled,
@@ -96,6 +99,10 @@ pub enum WhenStalled {
     /// It goes on pressing with the torque that the move allows, as a gripper does
     /// ([`ForcePosition`](crate::command::ForcePosition)), and the move ends well: its
     /// [`angle`](MoveProgress::angle) is where it has met something.
+    ///
+    /// It has met something only if it stands, and stands nearer to its target than where the move began. Else the
+    /// move has failed, and it is stopped: one that turns is driven away ([`MoveFailure::Turning`]), and one that
+    /// has never moved was held from the start ([`MoveFailure::Stalled`]), as it is when it grips already.
     Press,
 }
 
@@ -146,7 +153,7 @@ pub enum MoveFailure<E> {
     /// The drive reports errors.
     #[error("the drive reports an error ({0})")]
     Fault(ErrorFlags),
-    /// It came no nearer for a while.
+    /// It came no nearer for a while, and stands.
     #[error(
         "it is at {at} and comes no nearer to {target} (a load, a brake or a limit of angle may hold it)"
     )]
@@ -155,6 +162,18 @@ pub enum MoveFailure<E> {
         at: Angle,
         /// Where it should be.
         target: Angle,
+    },
+    /// It came no nearer for a while, and does not stand either: a load drives it away, or it swings.
+    #[error(
+        "it is at {at}, turns at {speed} and comes no nearer to {target}: a load drives it away, or it swings"
+    )]
+    Turning {
+        /// Where it is.
+        at: Angle,
+        /// Where it should be.
+        target: Angle,
+        /// How fast it turned last.
+        speed: CoarseSpeed,
     },
     /// Its drive runs nothing any more: something else has switched it off, or it heard nothing for longer than its
     /// protection (0xB3) allows. Its shaft is free unless a brake holds it.
@@ -257,6 +276,7 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
     let start = runner.now();
     let time = limits.time.unwrap_or_else(|| usual_time(from, target, command.max_speed()));
     let mut nearest = Nearest { distance: u32::MAX, since: start };
+    let mut last_turn = LastTurn { at: start, speed: CoarseSpeed::from_raw(0) };
     let mut looks = 0;
     loop {
         runner.run_until(start + LOOK_EVERY.times(looks), |_| {}).await?;
@@ -279,6 +299,7 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
         if distance <= tolerance && feedback.speed.raw() == 0 {
             return Ok(progress);
         }
+        last_turn.note(feedback.speed, now);
         if looks % ERRORS_EVERY == 0 {
             let errors = runner.ask(motor, ReadStatus1).await?.errors;
             if !errors.is_empty() {
@@ -294,15 +315,33 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
             return Err(MoveFailure::LetGo { at: angle });
         }
         if has_stalled {
-            return match limits.when_stalled {
-                WhenStalled::Press => Ok(progress),
-                WhenStalled::Stop => Err(MoveFailure::Stalled { at: angle, target }),
-            };
+            return end_of_stall(progress, limits, &last_turn, now);
         }
         if is_time_up {
             return Err(MoveFailure::TimedOut { at: angle, target });
         }
         looks += 1;
+    }
+}
+
+/// What has become of a motor that comes no nearer.
+fn end_of_stall<E>(
+    progress: MoveProgress,
+    limits: &MoveLimits,
+    last_turn: &LastTurn,
+    now: Instant,
+) -> Result<MoveProgress, MoveFailure<E>> {
+    let MoveProgress { from, target, angle: at, .. } = progress;
+    if last_turn.is_recent(now, limits.stalled_after) {
+        return Err(MoveFailure::Turning { at, target, speed: last_turn.speed });
+    }
+    let distance = |angle: Angle| angle.raw().abs_diff(target.raw());
+    let tolerance = limits.tolerance.raw().unsigned_abs();
+    match limits.when_stalled {
+        WhenStalled::Press if distance(at).saturating_add(tolerance) < distance(from) => {
+            Ok(progress)
+        }
+        WhenStalled::Press | WhenStalled::Stop => Err(MoveFailure::Stalled { at, target }),
     }
 }
 
@@ -351,6 +390,26 @@ impl Nearest {
     }
 }
 
+/// When the motor turned last, and how fast.
+struct LastTurn {
+    at: Instant,
+    speed: CoarseSpeed,
+}
+
+impl LastTurn {
+    fn note(&mut self, speed: CoarseSpeed, now: Instant) {
+        if turns(speed) {
+            *self = Self { at: now, speed };
+        }
+    }
+
+    /// Whether it may be turning yet. What turned when it came nearer last has had all the time to come to rest that
+    /// the caller gives it.
+    fn is_recent(&self, now: Instant, stalled_after: Duration) -> bool {
+        now - self.at <= STANDS_AFTER.min(stalled_after)
+    }
+}
+
 /// How long a motor usually takes at the most.
 fn usual_time(from: Angle, to: Angle, max_speed: MaxSpeed) -> Duration {
     let dps = match max_speed.raw() {
@@ -364,6 +423,7 @@ fn usual_time(from: Angle, to: Angle, max_speed: MaxSpeed) -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::{CoarseAngle, Current, Temperature};
 
     #[test]
     fn a_way_is_given_three_times_what_it_takes_and_five_seconds() {
@@ -403,6 +463,49 @@ mod tests {
         assert!(!nearest.has_stalled(970, 20, at(90), after), "it came nearer");
         assert!(!nearest.has_stalled(960, 20, at(190), after));
         assert!(nearest.has_stalled(955, 20, at(191), after), "by a creep");
+    }
+
+    /// What becomes of one that began at 0, is to be at 40 degrees, turned for the last time so long ago, and stands
+    /// at `degrees`.
+    fn pressing(degrees: i32, turned_ms_ago: u64, stalled_after_ms: u64) -> bool {
+        let angle = |degrees: i32| Angle::from_raw(100 * degrees);
+        let at = angle(degrees);
+        let feedback = Feedback {
+            temperature: Temperature::from_raw(25),
+            current: Current::from_raw(0),
+            speed: CoarseSpeed::from_raw(0),
+            angle: CoarseAngle::from_raw(0),
+        };
+        let time = Duration::from_secs(2);
+        let progress =
+            MoveProgress { from: angle(0), target: angle(40), time, angle: at, feedback };
+        let limits = MoveLimits {
+            when_stalled: WhenStalled::Press,
+            stalled_after: Duration::from_millis(stalled_after_ms),
+            ..MoveLimits::default()
+        };
+        let now = Instant::from_millis(2_000);
+        let last_turn = LastTurn {
+            at: Instant::from_millis(2_000 - turned_ms_ago),
+            speed: CoarseSpeed::from_raw(9),
+        };
+        end_of_stall::<()>(progress, &limits, &last_turn, now).is_ok()
+    }
+
+    #[test]
+    fn who_presses_stands_nearer_than_it_began() {
+        assert!(pressing(20, 1_000, 1_000));
+        assert!(!pressing(0, 1_000, 1_000), "it has not moved");
+        assert!(!pressing(-20, 1_000, 1_000), "it was driven away, and stands");
+        assert!(!pressing(81, 1_000, 1_000), "it was driven past");
+    }
+
+    #[test]
+    fn who_stands_for_a_moment_does_not_press() {
+        assert!(!pressing(20, 100, 1_000), "it swings, or slips");
+        assert!(pressing(20, 101, 1_000));
+        assert!(!pressing(20, 0, 0), "it turns");
+        assert!(pressing(20, 21, 20), "it has had the time that it was given");
     }
 
     #[test]
