@@ -31,6 +31,7 @@ on_both_buses! {
     one_of_several_gets_another_id_by_function_5
     an_id_is_not_changed_if_it_is_taken_or_not_acknowledged
     a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to
+    a_motor_that_turns_gets_neither_a_zero_nor_another_id
     an_id_that_two_motors_have_is_not_changed
     a_motor_that_answers_late_is_one_motor
     the_only_motor_gets_its_new_id_for_good
@@ -210,6 +211,31 @@ fn a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to<W: Wire>() {
     assert_eq!(bring_up::change_id(runner, id(1), id(1)), Ok(()));
     runner.master().lift_stop();
     assert!(bring_up::zero_here(runner, id(1)).is_ok());
+}
+
+fn a_motor_that_turns_gets_neither_a_zero_nor_another_id<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
+    runner.ask(id(1), turn(100.0)).expect("it is there");
+    listen(runner, millis(500));
+    let settings = || drive.with(|drive| *drive.stored_settings());
+    let before = settings();
+    let zero = bring_up::zero_here(runner, id(1)).map(|_| ());
+    let changed = bring_up::change_id(runner, id(1), id(9));
+    for refused in [zero, changed] {
+        let told = refused.expect_err("it turns");
+        let BringUpError::Turns { motor, speed } = told else { panic!("{told}") };
+        assert!(motor == id(1) && (speed.dps() - 100.0).abs() < 5.0, "{told}");
+        assert_eq!(told.to_string(), format!("motor 1 turns at {speed}: stop it first"));
+        assert!(state(drive).output_on, "its shaft would run on");
+    }
+    assert_eq!(settings(), before, "nothing was written");
+    // What changes nothing needs no motor that stands.
+    assert_eq!(bring_up::change_id(runner, id(1), id(1)), Ok(()));
+    assert!(runner.stop(id(1), StopKind::Hold));
+    listen(runner, millis(500));
+    runner.master().lift_stop_of(id(1));
+    assert_eq!(bring_up::change_id(runner, id(1), id(9)), Ok(()));
 }
 
 fn an_id_that_two_motors_have_is_not_changed<W: Wire>() {

@@ -17,6 +17,7 @@ use crate::io::bring_up::{BringUpError, Identity, Protection};
 pub use crate::io::change_id::{change_id, is_shared};
 pub use crate::io::move_to::move_to;
 use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
+use crate::io::standing::check_stands;
 use crate::master::{Event, Failure, MotorSet};
 use crate::opcode::Opcode;
 use crate::time::Duration;
@@ -193,6 +194,7 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
 ) -> Result<EncoderPulses, BringUpError<R::Error>> {
     // What a stop refuses is refused before a motor that it holds is switched off.
     runner.master().check(Opcode::SetCurrentPositionZero.into(), motor.into())?;
+    check_stands(runner, motor).await?;
     runner.ask(motor, Shutdown).await?;
     let stored = runner.ask(motor, SetCurrentPositionZero).await?.offset;
     restart(runner, motor, motor).await?;

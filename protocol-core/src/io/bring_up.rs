@@ -17,14 +17,16 @@ pub use crate::io::move_to::{
 use crate::io::on_drop::OnDrop;
 use crate::io::polled::{Polled, at_once};
 use crate::io::runner::Runner;
+pub use crate::io::standing::turns;
 use crate::master::{MotorSet, StopKind};
 use crate::time::Duration;
-use crate::units::{Angle, EncoderPulses, Milliseconds};
+use crate::units::{Angle, CoarseSpeed, EncoderPulses, Milliseconds};
 
 /// Why a motor could not be brought up as asked.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub enum BringUpError<E> {
     /// A call on the way has no answer.
     #[error(transparent)]
@@ -55,6 +57,15 @@ pub enum BringUpError<E> {
         "two motors seem to have id {0}: it answers some questions twice or not at all; connect only one of them"
     )]
     IdShared(MotorId),
+    /// The motor turns, and would run on when it is switched off. Stop it, wait until it stands and lift that stop.
+    /// Nothing was written, and it was not switched off.
+    #[error("motor {motor} turns at {speed}: stop it first")]
+    Turns {
+        /// The motor.
+        motor: MotorId,
+        /// How fast it turns.
+        speed: CoarseSpeed,
+    },
     /// After the restart the zero is not where it was put.
     #[error(
         "the zero was not kept: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
@@ -161,11 +172,12 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 
 /// Makes the current position the zero and sees that it is kept: stores it (0x64), restarts the
 /// drive (0x76), and reads offset and angle back. The motor's output is switched off first, so the
-/// shaft must be held by other means if a load pulls at it. Gives the new offset. Where several motors have this id
-/// all of them do this: see first whether it [is shared](is_shared).
+/// shaft must be held by other means if a load pulls at it, and a motor that turns is refused. Gives the
+/// new offset. Where several motors have this id all of them do this: see first whether it
+/// [is shared](is_shared).
 ///
 /// # Errors
-/// [`BringUpError::ZeroNotKept`], [`BringUpError::NotThere`], [`BringUpError::Call`].
+/// [`BringUpError::Turns`], [`BringUpError::ZeroNotKept`], [`BringUpError::NotThere`], [`BringUpError::Call`].
 pub fn zero_here<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -175,15 +187,15 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 
 /// Gives a motor another id: switches it off, writes the id to its ROM and restarts it. Function 5 (0x20)
 /// names the motor; if it does not acknowledge that and is the only one on the bus, 0x79 is tried, which all
-/// connected motors obey. Hold the shaft if a load pulls at it.
+/// connected motors obey. Hold the shaft if a load pulls at it; a motor that turns is refused.
 ///
 /// It [scans](scan) first, so the master needs a free place besides those of the motors that it knows:
 /// `CanMaster<_, _, 8>` for six motors, say.
 ///
 /// # Errors
 /// [`BringUpError::NotThere`] if nobody answers under the old id, or the new one after the restart;
-/// [`BringUpError::IdTaken`], [`BringUpError::IdShared`] and [`BringUpError::IdNotTaken`];
-/// [`BringUpError::Call`].
+/// [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`] and
+/// [`BringUpError::IdNotTaken`]; [`BringUpError::Call`].
 pub fn change_id<R: Runner<N>, const N: usize>(
     runner: &mut R,
     from: MotorId,

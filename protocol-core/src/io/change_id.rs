@@ -14,6 +14,7 @@ use crate::io::asking::CallError;
 use crate::io::async_bring_up::{is_there, restart, scan};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::BringUpError;
+use crate::io::standing::check_stands;
 use crate::master::{Event, Failure, MotorSet, Patience};
 use crate::opcode::Opcode;
 use crate::time::Duration;
@@ -53,6 +54,7 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     }
     // What a stop refuses is refused before a motor that it holds is switched off.
     runner.master().check(Opcode::FunctionControl.into(), from.into())?;
+    check_stands(runner, from).await?;
     // Some drives keep nothing unless they are shut down.
     runner.ask(from, Shutdown).await?;
     let is_alone = there.len() == 1;

@@ -1,12 +1,25 @@
 //! Whether a motor turns.
 
+use crate::command::ReadStatus2;
+use crate::id::MotorId;
+use crate::io::async_runner::AsyncRunner;
+use crate::io::bring_up::BringUpError;
 use crate::units::CoarseSpeed;
 
-/// Up to this speed a shaft stands, degrees per second: feedback may flicker by a step.
+/// Up to this speed a shaft stands, degrees per second.
 const STANDS_DPS: u16 = 2;
 
-/// Whether a motor that says this speed turns: up to 2 dps it stands, since feedback may flicker by a step.
-pub(super) fn turns(speed: CoarseSpeed) -> bool {
+/// Refuses a motor that turns: switched off, it would run on.
+pub(super) async fn check_stands<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+) -> Result<(), BringUpError<R::Error>> {
+    let speed = runner.ask(motor, ReadStatus2).await?.speed;
+    if turns(speed) { Err(BringUpError::Turns { motor, speed }) } else { Ok(()) }
+}
+
+/// Whether a motor that reports this speed turns: up to 2 dps it stands, since feedback may flicker by a step.
+pub fn turns(speed: CoarseSpeed) -> bool {
     speed.raw().unsigned_abs() > STANDS_DPS
 }
 

@@ -217,12 +217,12 @@ fn an_id_is_acknowledged_under_the_old_one_or_the_new_one() {
 
 #[test]
 fn a_motor_that_turns_has_not_arrived() {
-    // It is at 360 degrees, turns at 500 dps and runs nothing, says every answer.
+    // Motor 3 is at 360 degrees, turns at 500 dps and runs nothing, says every answer.
     let (bus, mut arm) = arm();
     let (max_speed, angle) = (MaxSpeed::from_raw(100), Angle::from_raw(36_000));
     let go_on = |_: &_| ControlFlow::Continue(());
     let target = AbsolutePosition { max_speed, angle };
-    let moved = bring_up::move_to(&mut arm, id(1), target, &MoveLimits::default(), go_on);
+    let moved = bring_up::move_to(&mut arm, id(3), target, &MoveLimits::default(), go_on);
     let why = moved.expect_err("it turns").why;
     assert_eq!(why, MoveFailure::LetGo { at: angle });
     // It was looked at for a second, every 20 ms, and at its errors with every fifth look.

@@ -99,7 +99,7 @@ pub(super) fn polls<F: Future>(future: F, most: usize) -> Option<F::Output> {
     None
 }
 
-/// What motors 1 to 3 answer; motor 9 is not there.
+/// What motors 1 to 3 answer; motor 3 turns, and motor 9 is not there.
 pub(super) fn answer(command: &Packet) -> Option<Packet> {
     let d = command.data;
     let motor = match command.channel {
@@ -112,6 +112,7 @@ pub(super) fn answer(command: &Packet) -> Option<Packet> {
         0x76 => return None,                       // reset
         0x80 | 0x81 => d,                          // echoes
         0x9A => [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0], // 48.5 V, no errors
+        0x9C if motor.get() < 3 => [0x9C, 0x32, 0x64, 0, 0, 0, 0x2D, 0x00], // it stands
         byte => [byte, 0x32, 0x64, 0, 0xF4, 0x01, 0x2D, 0x00], // 50 °C, 1 A, 500 dps, 45 degrees
     };
     Some(Packet { channel: Channel::Reply(motor), data })
