@@ -16,7 +16,7 @@ use crate::io::standing::turns;
 use crate::master::StopKind;
 use crate::opcode::Repeat;
 use crate::time::{Duration, Instant};
-use crate::units::{Angle, CoarseSpeed, MaxSpeed};
+use crate::units::{Angle, CoarseSpeed, MaxSpeed, MaxTorque};
 
 /// How often the motor is looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -39,6 +39,11 @@ pub trait MoveCommand: Command + Copy {
 
     /// The fastest turning on the way.
     fn max_speed(&self) -> MaxSpeed;
+
+    /// The largest torque on the way, if it limits that.
+    fn max_torque(&self) -> Option<MaxTorque> {
+        None
+    }
 }
 
 impl MoveCommand for AbsolutePosition {
@@ -58,6 +63,10 @@ impl MoveCommand for ForcePosition {
 
     fn max_speed(&self) -> MaxSpeed {
         self.max_speed
+    }
+
+    fn max_torque(&self) -> Option<MaxTorque> {
+        Some(self.max_torque)
     }
 }
 
@@ -150,6 +159,10 @@ pub enum MoveFailure<E> {
         /// Where the motor is.
         here: Angle,
     },
+    /// At most 0 % of the torque (0xA9): the manual does not say what that does, and 0xA2 takes 0 for no limit at
+    /// all. No move was sent.
+    #[error("a move with at most 0 % of the torque may be one without a limit: give 1 to 255 %")]
+    NoTorque,
     /// The drive reports errors.
     #[error("the drive reports an error ({0})")]
     Fault(ErrorFlags),
@@ -259,6 +272,9 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
     limits: &MoveLimits,
     mut on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
 ) -> Result<MoveProgress, MoveFailure<R::Error>> {
+    if command.max_torque() == Some(MaxTorque::from_raw(0)) {
+        return Err(MoveFailure::NoTorque);
+    }
     // Two questions, since a drive that has lost its master obeys only when it hears it steadily (2.31.1).
     let errors = runner.ask(motor, ReadStatus1).await?.errors;
     if !errors.is_empty() {

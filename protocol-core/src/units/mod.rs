@@ -76,8 +76,8 @@ quantity! {
 quantity! {
     /// The largest torque that a command may use, 1 % of the rated current a step (2.20.1, 2.24.1).
     ///
-    /// In a speed command 0 sets no limit; in both, a value above the stall current sets none. No other
-    /// amount ever becomes 0.
+    /// In a speed command 0 sets no limit, and with a force-limited position (0xA9) the manual does not say
+    /// what 0 does; in both, a value above the stall current sets no limit. No other amount ever becomes 0.
     MaxTorque(u8 put_u8 get_u8) "maximum torque" PercentOfRatedCurrent, step 1/1, zero "no limit in a speed command"
     ; floats from_percent saturating_from_percent percent
 }

@@ -241,6 +241,18 @@ fn a_move_with_limited_force_ends_at_its_angle() {
 }
 
 #[test]
+fn a_move_that_may_be_without_a_limit_of_force_is_not_sent() {
+    let (bus, mut arm) = arm();
+    let (max_torque, max_speed) = (MaxTorque::from_raw(0), MaxSpeed::from_raw(100));
+    let grip = ForcePosition { max_torque, max_speed, angle: Angle::from_raw(0) };
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let refused = bring_up::move_to(&mut arm, id(1), grip, &MoveLimits::default(), go_on);
+    assert_eq!(refused.map_err(|it| it.why), Err(MoveFailure::NoTorque));
+    // It is stopped as after any failure, and hears nothing else.
+    assert!(bus.sent().iter().all(|data| data[0] == 0x81), "{:x?}", bus.sent());
+}
+
+#[test]
 fn a_guard_ends_with_those_who_have_not_confirmed() {
     let (_, mut arm) = arm();
     let mut bus = Guard::new(&mut arm, StopKind::Off);
