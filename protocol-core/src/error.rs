@@ -83,9 +83,13 @@ pub enum RequestError {
         /// How many it is made for.
         capacity: usize,
     },
-    /// The motor has restarted, so that its turns may be lost: see
-    /// [`Master::resume`](crate::master::Master::resume).
-    #[error("the motor has restarted: see where it is, then resume")]
+    /// The motor has restarted or [may have](crate::master::Event::Restarted), so that its turns may be lost. If it has
+    /// not, it may be turning yet: stop it, see where it is, and then
+    /// [resume](crate::master::Master::resume).
+    #[error(
+        "the motor may have restarted (it was silent for a second, for example): stop it first, see where it is, \
+         then resume"
+    )]
     Restarted,
     /// The motors were stopped, and the command
     /// [is refused](crate::Kind::is_refused_while_stopped) until the stop is lifted.

@@ -39,6 +39,7 @@ on_both_buses! {
     a_motor_that_falls_silent_has_not_confirmed_its_stop
     a_motor_that_comes_back_under_a_stop_is_stopped
     a_restart_on_the_way_ends_the_move_and_forbids_another
+    one_whose_cable_was_cut_may_have_restarted
     a_gripper_goes_on_pressing_with_what_it_was_given
     what_drives_a_gripper_away_is_no_grip
     a_gripper_that_never_moved_has_gripped_nothing
@@ -351,6 +352,25 @@ fn a_restart_on_the_way_ends_the_move_and_forbids_another<W: Wire>() {
     assert!(at < 250.0, "two turns were 720 degrees, and it was stopped: {at}");
     runner.master().resume(id(1));
     assert!(runner.ask(id(1), go_to(0.0, 360)).is_ok());
+}
+
+fn one_whose_cable_was_cut_may_have_restarted<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    let runner = &mut master(&bus);
+    runner.ask(id(1), turn(90.0)).unwrap();
+    bus.world.cut(bus.drives[0].station());
+    listen(runner, millis(1_100));
+    assert!(runner.ask(id(1), ReadMultiTurnAngle).is_err());
+    bus.world.mend(bus.drives[0].station());
+    assert!(runner.ask(id(1), ReadMultiTurnAngle).is_ok());
+    let told = runner.ask(id(1), turn(90.0)).unwrap_err();
+    assert_eq!(told, CallError::Request(RequestError::Restarted));
+    // It has not restarted, and turns yet.
+    assert!(state(&bus.drives[0]).measurement.speed_dps > 80.0);
+    let told = told.to_string();
+    for words in ["may have restarted", "silent for a second", "stop it first"] {
+        assert!(told.contains(words), "{told}");
+    }
 }
 
 fn a_gripper_goes_on_pressing_with_what_it_was_given<W: Wire>() {
