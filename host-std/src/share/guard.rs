@@ -14,6 +14,9 @@ use crate::open::BusError;
 ///
 /// A handle alone does not: while any other thread has one, the motors go on.
 ///
+/// It cannot stop them where nobody leaves it: when `main` returns while it lives in another thread, for example. [What
+/// ends a shared bus](super#what-ends-it) names the others.
+///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
 /// use myactuator_host_std::protocol::MotorId;

@@ -43,13 +43,39 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! # Before it is shared
+//! A handle is no [`Runner`](myactuator_protocol_core::io::Runner), and
+//! [`bring_up`](myactuator_protocol_core::io::bring_up) needs one: first contact, zeroing, another id, protection, and
+//! moves that are watched to their end. Do these on the master, and share it then. [`SharedBus::new`] takes any master;
+//! its calls wait for up to 1 ms more than those of [`SharedBus::open`]. Whoever opens the port, and so has its clock,
+//! is spared that by [`with_wake`](SharedBus::with_wake).
+//!
+//! ```
+//! use myactuator_host_std::open::AnyMaster;
+//! use myactuator_host_std::protocol::io::bring_up;
+//! use myactuator_host_std::protocol::master::{MotorSet, StopKind};
+//! use myactuator_host_std::share::SharedBus;
+//!
+//! let mut master = AnyMaster::<32>::open(&"sim:4".parse()?)?;
+//! let found = bring_up::scan(&mut master, MotorSet::ALL, |_, _| {})?;
+//! for motor in found.iter() {
+//!     bring_up::release_brake(&mut master, motor)?;
+//! }
+//! let bus = SharedBus::new(master, StopKind::Hold);
+//! # drop(bus);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! # What ends it
 //! A thread that leaves its control loop while others have handles leaves the motors as they are: [`Guard`] stops them.
 //! When the last handle is dropped, all motors are stopped and the thread ends; the drop waits for that. Who
 //! has not confirmed this stop is told to [subscriptions](Subscription) alone, as the last that they hear
 //! ([`StopUnconfirmed`](myactuator_protocol_core::master::Event::StopUnconfirmed)): call
 //! [`stop_all`](SharedBus::stop_all) first to be told yourself.
-//! A program that is killed stops nothing: set the motors' communication-loss protection (0xB3).
+//!
+//! Nobody stops the motors of a program that is killed, aborts, calls `exit`, is ended by a signal (Ctrl-C) that it does
+//! not handle, or **returns from `main` while another thread has a handle or a [`Guard`]**: that ends all threads where
+//! they are. Join them first. For the rest set the motors' communication-loss protection (0xB3).
 //!
 //! An error of the bus is told to all who wait for an answer; if nobody does, to whoever asks or moves a motor next;
 //! a command that ends motion is taken all the same. The thread goes on and tries again. A panic in the bus's
