@@ -210,12 +210,18 @@ fn a_command_to_all_is_answered_by_each() {
 
 #[test]
 fn stop_and_shutdown_reach_one_or_all() {
-    assert_eq!(done("stop"), ["motors 1 2 3 4 are stopped and hold still (0x81)"]);
+    let others = "; no other id has confirmed: a motor that is not named here may go on";
+    let all = "motors 1 2 3 4 are stopped and hold still (0x81)";
+    assert_eq!(done("stop"), [format!("{all}{others}")]);
     assert_eq!(done("stop --id 2"), ["motor 2 is stopped and holds still (0x81)"]);
     let off = "are off (0x80): their shafts are free unless brakes hold them";
-    assert_eq!(done("shutdown --id all --bus sim:3,rs485"), [format!("motors 1 2 3 {off}")]);
+    assert_eq!(
+        done("shutdown --id all --bus sim:3,rs485"),
+        [format!("motors 1 2 3 {off}{others}")]
+    );
     let off = "motor 1 is off (0x80): its shaft is free unless a brake holds it";
     assert_eq!(done("shutdown --id 1"), [off]);
+    assert!(!done("stop --bus sim:32")[0].contains("no other id"));
     let (status, told) = refused("stop --id 9");
     assert_eq!(status, 1);
     assert!(told.contains("no confirmation of the stop from motor 9"), "{told}");
@@ -341,7 +347,8 @@ fn the_environment_names_a_bus_and_the_command_line_another() {
     let with = |bus: &str, arguments: &[&str]| {
         myactuator().env("MYACTUATOR_BUS", bus).args(arguments).output().unwrap()
     };
-    let stopped = "motors 1 2 are stopped and hold still (0x81)\n";
+    let stopped = "motors 1 2 are stopped and hold still (0x81); no other id has confirmed: a motor that is not named \
+                   here may go on\n";
     assert_eq!(text(&with("sim:2", &["stop"]).stdout), stopped);
     assert_eq!(text(&with("sim:3", &["stop", "--bus", "sim:2"]).stdout), stopped);
     assert_eq!(with("", &["stop"]).status.code(), Some(2));

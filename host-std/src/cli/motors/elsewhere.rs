@@ -25,12 +25,16 @@ pub(super) struct Watched {
     pub(super) moved_on: MotorSet,
     /// Those that were switched off elsewhere since then.
     let_go: MotorSet,
+    /// The motors that have confirmed a stop of this program.
+    pub(super) confirmed: MotorSet,
+    /// Those that have not, however often they were sent one.
+    pub(super) silent: MotorSet,
 }
 
 impl Watched {
     pub(super) fn new(bus: AnyMaster<{ MotorId::COUNT }>) -> Self {
-        let [moved, off, moved_on, let_go] = [MotorSet::EMPTY; 4];
-        Self { bus, moved, stopped: Rc::default(), off, moved_on, let_go }
+        let [moved, off, moved_on, let_go, confirmed, silent] = [MotorSet::EMPTY; 6];
+        Self { bus, moved, stopped: Rc::default(), off, moved_on, let_go, confirmed, silent }
     }
 
     /// Whether a motor was switched off, here or elsewhere, after all that was seen.
@@ -47,12 +51,14 @@ impl Watched {
         match (*event, deed(event)) {
             (Event::StopConfirmed { motor }, _) => {
                 self.has_confirmed(motor);
+                self.confirmed.insert(motor);
                 // A second confirmation of a stop of one's own is nobody else's.
                 self.moved.remove(motor);
             }
             (Event::Reply { ticket, kind, .. }, _) if StopKind::by(kind).is_some() => {
                 self.has_confirmed(ticket.motor());
             }
+            (Event::StopUnconfirmed { motor }, _) => self.silent.insert(motor),
             (_, Some((motor, Deed::Moved))) => self.moved_on.insert(motor),
             (_, Some((motor, Deed::Stopped(kind)))) if self.moved.contains(motor) => {
                 self.give_way(motor, kind);

@@ -1,27 +1,30 @@
 //! `myactuator stop` and `myactuator shutdown`: what must work without thinking.
 //!
 //! Nothing is asked, and nobody is looked for first: the command itself goes to every id, on RS485 to all at
-//! once before that, and those that confirm are reported. Exit status: 0 if the motor, or any motor if all are
-//! meant, has confirmed, the bus has carried the command to all that were meant, none of them moves on, and none that
-//! was to hold still is known, or may be feared, to hold nothing, else 1.
+//! once and then to those that answer, and those that confirm are reported. Exit status: 0 if the motor, or any motor
+//! if all are meant, has confirmed, the bus has carried the command to all that were meant, none of them moves on, and
+//! none that was to hold still is known, or may be feared, to hold nothing, else 1.
 
 use myactuator_protocol_core::Target;
-use myactuator_protocol_core::command::{Command, Shutdown, Stop};
+use myactuator_protocol_core::command::ReadStatus2;
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
+use myactuator_protocol_core::master::{Bus, MotorSet, StopKind};
 
 use super::moving::{LONGEST_OUTAGE, LONGEST_WAIT, named};
 use super::session::{Motors, Session, say};
 use super::together::Together;
 use crate::cli::{Outcome, Unfinished};
 
-/// How often ids are tried that do not confirm.
+/// How often the stop to all goes on a line: as often as a motor by itself is sent one that it does not confirm.
+const STOPS_OF_LINE: usize = 15;
+/// How often ids are asked on a line that do not answer.
 const ROUNDS: usize = 3;
 
 pub(super) fn stop(arguments: &Motors) -> Outcome {
     let mut session = Session::open_to_stop(&arguments.on)?;
     let motors = halt(&mut session, arguments.id, StopKind::Hold)?;
-    say(&session.stopped(motors)?)
+    let told = session.stopped(motors)?;
+    say(&format!("{told}{}", of_others(arguments.id, motors)))
 }
 
 pub(super) fn shut_down(arguments: &Motors) -> Outcome {
@@ -31,115 +34,159 @@ pub(super) fn shut_down(arguments: &Motors) -> Outcome {
         1 => "is off (0x80): its shaft is free unless a brake holds it",
         _ => "are off (0x80): their shafts are free unless brakes hold them",
     };
-    say(&format!("{} {are}", named(motors)))
+    say(&format!("{} {are}{}", named(motors), of_others(arguments.id, motors)))
+}
+
+/// What a stop of all cannot know: a motor that never confirms is like none.
+fn of_others(meant: Target, confirmed: MotorSet) -> &'static str {
+    if meant == Target::All && confirmed != MotorSet::ALL {
+        "; no other id has confirmed: a motor that is not named here may go on"
+    } else {
+        ""
+    }
 }
 
 /// Gives the motors that have confirmed.
 fn halt(session: &mut Session, meant: Target, kind: StopKind) -> Outcome<MotorSet> {
-    let stopped = match (meant, kind) {
-        (Target::Motor(motor), _) => {
-            session.stop(kind, motor.into())?;
-            return Ok(motor.into());
-        }
-        (Target::All, StopKind::Hold) => stop_every_id(session, kind, Stop)?,
-        (Target::All, StopKind::Off) => stop_every_id(session, kind, Shutdown)?,
-    };
-    // Nobody waits for the others any more.
-    for motor in MotorSet::ALL.without(stopped).iter() {
-        session.master.master().forget(motor);
+    if let Target::Motor(motor) = meant {
+        session.stop(kind, motor.into())?;
+        return Ok(motor.into());
     }
+    let stopped = stop_every_id(session, kind)?;
+    // Nobody waits for the others any more.
+    forget(session, MotorSet::ALL.without(stopped));
     session.see_stopped(kind, stopped)?;
     Ok(stopped)
 }
 
-/// Sends the command of this stop to every id, first once to each and then again to those that were silent. A bus
-/// that carries nothing is waited for: no round counts in which it did not carry all.
-fn stop_every_id<C: Command + Copy>(
-    session: &mut Session,
-    kind: StopKind,
-    command: C,
-) -> Outcome<MotorSet> {
+/// Stops every id. On CAN each is sent its own stop, all at the same time. On RS485 ids that no motor has would keep the
+/// line for as long as they are waited for: so the stop to all goes first, and then that of those that are there.
+fn stop_every_id(session: &mut Session, kind: StopKind) -> Outcome<MotorSet> {
     if kind == StopKind::Off {
         session.master.off = MotorSet::ALL;
     }
-    // On RS485 one to all goes first: nobody waits behind those that are silent. There is a place for
-    // all.
-    let _ = session.master.master().stop_all(kind, MotorSet::EMPTY);
-    let mut confirmed = MotorSet::EMPTY;
-    let mut rounds = 0;
-    let mut down_since = None;
-    let begun = session.master.now();
-    let outage = loop {
-        let start = session.master.now();
-        let Round { answered, outage } = once(session, MotorSet::ALL.without(confirmed), command);
-        confirmed = confirmed.with(answered);
-        let now = session.master.now();
-        if outage.is_none() {
-            (rounds, down_since) = (rounds + 1, None);
-            // A line that fails tells it by nothing but silence.
-            let may_be_down = confirmed.is_empty() && now - begun <= LONGEST_OUTAGE;
-            if rounds >= ROUNDS && (!may_be_down || session.is_not_to_wait()) {
-                break outage;
-            }
-        } else if now - *down_since.get_or_insert(start) > LONGEST_OUTAGE {
-            break outage;
-        } else {
-            session.master.idle(now + LONGEST_WAIT);
-        }
+    let on_line = matches!(session.master.master().config().bus, Bus::Rs485 { .. });
+    let mut outage = None;
+    let mut meant = MotorSet::ALL;
+    if on_line {
+        stop_line(session, kind);
+        (meant, outage) = find_on_line(session);
+    }
+    if outage.is_none() {
+        outage = stop_each(session, kind, meant);
+    }
+    let confirmed = session.master.confirmed;
+    let silent = meant.without(confirmed);
+    let all_have = silent.is_empty() || !on_line;
+    if all_have && outage.is_none() && !confirmed.is_empty() {
+        return Ok(confirmed);
+    }
+    let others = match outage {
+        None if !silent.is_empty() => named(silent),
+        _ => "the others".to_owned(),
     };
-    let why = match &outage {
-        None if !confirmed.is_empty() => return Ok(confirmed),
-        None => String::new(),
-        Some(why) => format!("{why}; "),
-    };
-    let echo = session.echo_told_of();
+    let why = outage.map(|why| format!("{why}; ")).unwrap_or_default();
+    let (echo, address) = (session.echo_told_of(), &session.address);
     Err(Unfinished::Failed(if confirmed.is_empty() {
         format!(
-            "{why}no confirmation of the stop from any motor{}: if one is on {}, cut its power; then check the \
+            "{why}no confirmation of the stop from any motor{}: if one is on {address}, cut its power; then check the \
              wiring and the bit rate ('scan --all-rates' tries the others){echo}",
             session.garbled(),
-            session.address
         )
     } else {
         format!(
-            "{why}confirmation of the stop from {} only: cut the power of the others on {}",
+            "{why}confirmation of the stop from {} only: cut the power of {others} on {address}",
             named(confirmed),
-            session.address
         )
     }))
 }
 
-/// What came of sending a command once to many.
-struct Round {
-    answered: MotorSet,
-    /// Why the bus has not carried it to all, if it has not.
-    outage: Option<String>,
+fn forget(session: &mut Session, motors: MotorSet) {
+    for motor in motors.iter() {
+        session.master.master().forget(motor);
+    }
 }
 
-/// Sends a command once to each of these ids.
-fn once<C: Command + Copy>(session: &mut Session, motors: MotorSet, command: C) -> Round {
-    let patience = session.master.master().patience(1);
-    let Together { outcomes, failure } = session.ask_each(motors, command, Some(patience));
-    let was_down = outcomes
-        .iter()
-        .any(|(_, outcome)| matches!(outcome, Err(CallError::Failed(Failure::BusDown))));
-    let answered = outcomes.into_iter().filter(|(_, outcome)| outcome.is_ok());
-    let why =
-        || failure.map_or_else(|| "the bus carries nothing".to_owned(), |error| error.to_string());
-    Round { answered: answered.map(|(motor, _)| motor).collect(), outage: was_down.then(why) }
+/// Sends the stop to all on a line, which nobody confirms and which takes hardly any time: so often that frames may be
+/// lost.
+fn stop_line(session: &mut Session, kind: StopKind) {
+    for _ in 0..STOPS_OF_LINE {
+        // Lifted, for else it would go once. There is a place for all.
+        session.master.master().lift_stop();
+        let _ = session.master.master().stop_all(kind, MotorSet::EMPTY);
+        while session.master.master().is_stop_to_all_waiting() {
+            if session.master.poll().is_err() {
+                return;
+            }
+            let soon = session.master.now() + LONGEST_WAIT;
+            session.master.idle(soon);
+        }
+    }
+}
+
+/// Those that answer on a line, and why it carries nothing, if that is so. All are asked again and again, so that a
+/// short communication-loss protection does not let a load go.
+fn find_on_line(session: &mut Session) -> (MotorSet, Option<String>) {
+    let begun = session.master.now();
+    let mut found = MotorSet::EMPTY;
+    let mut rounds = 0;
+    loop {
+        let patience = session.master.master().patience(1);
+        let Together { outcomes, failure } =
+            session.ask_each(MotorSet::ALL, ReadStatus2, Some(patience));
+        let answered = outcomes.into_iter().filter(|(_, outcome)| outcome.is_ok());
+        found = found.with(answered.map(|(motor, _)| motor).collect());
+        rounds += 1;
+        // A line that fails tells it by nothing but silence.
+        let is_over = session.master.now() - begun > LONGEST_OUTAGE || session.is_not_to_wait();
+        if rounds >= ROUNDS && (!found.is_empty() || is_over) {
+            forget(session, MotorSet::ALL.without(found));
+            let outage = failure.filter(|_| found.is_empty());
+            return (found, outage.map(|error| error.to_string()));
+        }
+    }
+}
+
+/// Stops each of these motors, as often as the library does. A bus that carries nothing is waited for. Gives why it has
+/// not carried the stop to all, if it has not.
+fn stop_each(session: &mut Session, kind: StopKind, motors: MotorSet) -> Option<String> {
+    // There is a place for all.
+    let _ = session.master.master().stop_all(kind, motors);
+    let mut waits = motors;
+    // When a stop was last confirmed, or given up.
+    let mut last_end = session.master.now();
+    while !waits.is_empty() {
+        // A short communication-loss protection does not let a load go meanwhile.
+        session.ask_each(session.master.confirmed, ReadStatus2, None);
+        let soon = session.master.now() + LONGEST_WAIT;
+        let outcome = session.master.run_until(soon, |_| {});
+        session.master.idle(soon);
+        let left = motors.without(session.master.confirmed).without(session.master.silent);
+        let now = session.master.now();
+        if left != waits {
+            (waits, last_end) = (left, now);
+        } else if now - last_end > LONGEST_OUTAGE {
+            return Some(match outcome {
+                Err(CallError::Bus(error)) => error.to_string(),
+                _ => "the bus carries nothing".to_owned(),
+            });
+        }
+    }
+    None
 }
 
 #[cfg(test)]
 mod tests {
+    use myactuator_host_std::BusKind;
     use myactuator_host_std::open::AnyMaster;
-    use myactuator_host_std::sim::Fleet;
     use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
     use myactuator_host_std::sim::bus::trace::{Event, Log};
-    use myactuator_protocol_core::command::Speed;
-    use myactuator_protocol_core::io::SerialMaster;
+    use myactuator_host_std::sim::{DriveHandle, Fleet};
+    use myactuator_protocol_core::command::{Shutdown, Speed, Stop};
+    use myactuator_protocol_core::io::{SerialMaster, bring_up};
     use myactuator_protocol_core::master::Config;
-    use myactuator_protocol_core::time::Duration;
-    use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
+    use myactuator_protocol_core::time::{Duration, Instant};
+    use myactuator_protocol_core::units::{MaxTorque, Milliseconds, SpeedTarget};
     use myactuator_protocol_core::{Channel, MotorId, Packet};
 
     use super::super::simulated::{OtherMaster, Sends, to_first, typed};
@@ -168,7 +215,7 @@ mod tests {
     #[test]
     fn on_a_line_all_hear_the_stop_before_anybody_is_waited_for() {
         let (mut session, log) = on_a_line(false);
-        assert_eq!(stop_every_id(&mut session, StopKind::Hold, Stop).unwrap().len(), 3);
+        assert_eq!(stop_every_id(&mut session, StopKind::Hold).unwrap().len(), 3);
         let first = log.take().into_iter().find_map(|record| match record.event {
             Event::Carried { frame, .. } => Some(frame),
             _ => None,
@@ -181,7 +228,7 @@ mod tests {
         // The motors have power, and hear nothing of this.
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         fleet.drives.iter().for_each(|drive| fleet.world.cut(drive.station()));
-        let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Hold, Stop);
+        let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Hold);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(told.contains("cut its power"), "{told}");
     }
@@ -192,7 +239,7 @@ mod tests {
         for (faults, recovers) in [("cut", "mend+300ms"), ("corrupt=1", "corrupt=0+300ms")] {
             let faults = [faults, recovers].map(|fault| fault.parse().unwrap());
             let fleet = Fleet::new(4).faults(faults).on_can(1_000_000).unwrap();
-            let stopped = stop_every_id(&mut Session::on(&fleet), StopKind::Hold, Stop);
+            let stopped = stop_every_id(&mut Session::on(&fleet), StopKind::Hold);
             assert_eq!(stopped.map(MotorSet::len), Ok(4), "{recovers}");
         }
     }
@@ -202,7 +249,7 @@ mod tests {
         for fault in ["cut", "corrupt=1"] {
             let fleet = Fleet::new(2).faults([fault.parse().unwrap()]).on_can(1_000_000).unwrap();
             let mut session = Session::on(&fleet);
-            let outcome = stop_every_id(&mut session, StopKind::Hold, Stop);
+            let outcome = stop_every_id(&mut session, StopKind::Hold);
             let Err(Unfinished::Failed(told)) = outcome else { panic!("{fault}: {outcome:?}") };
             assert!(told.contains("cut its power"), "{fault}: {told}");
             let tried = session.master.now().as_micros();
@@ -215,7 +262,7 @@ mod tests {
         // The first has confirmed by then.
         let faults = ["cut+6ms"].map(|fault| fault.parse().unwrap());
         let fleet = Fleet::new(32).faults(faults).on_can(1_000_000).unwrap();
-        let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Off, Shutdown);
+        let outcome = stop_every_id(&mut Session::on(&fleet), StopKind::Off);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         let some = "the bus carries nothing; confirmation of the stop from motors 1 ";
         assert!(told.starts_with(some), "{told}");
@@ -317,6 +364,76 @@ mod tests {
         }
     }
 
+    /// Six motors that turn at 100 dps, on a bus that loses frames from then on; stops them. Gives whether that was
+    /// said to be done, and those that turn on.
+    fn stopped_with_loss(bus: BusKind, seed: u64, kind: StopKind) -> (Outcome<MotorSet>, MotorSet) {
+        let faults = ["lose=0.3+100ms".parse().unwrap()];
+        let fleet = Fleet::new(6).seed(seed).faults(faults);
+        match bus {
+            BusKind::Can => {
+                let fleet = fleet.on_can(1_000_000).unwrap();
+                stopped_on(&fleet.drives, || AnyMaster::SimulatedCan(fleet.master()), kind)
+            }
+            BusKind::Rs485 => {
+                let fleet = fleet.on_rs485(115_200).unwrap();
+                stopped_on(&fleet.drives, || AnyMaster::SimulatedRs485(fleet.master()), kind)
+            }
+        }
+    }
+
+    /// The same, on this bus: another program has turned them.
+    fn stopped_on(
+        drives: &[DriveHandle],
+        program: impl Fn() -> AnyMaster<{ MotorId::COUNT }>,
+        kind: StopKind,
+    ) -> (Outcome<MotorSet>, MotorSet) {
+        let motors: MotorSet = MotorId::all().take(drives.len()).collect();
+        let mut other = Session::by(program());
+        assert!(other.ask_each(motors, TURN, None).outcomes.iter().all(|(_, told)| told.is_ok()));
+        other.wait_until(Instant::ZERO + Duration::from_millis(200)).unwrap();
+        drop(other);
+        let mut session = Session::by(program());
+        let turns = |motor: &MotorId| {
+            drives[motor.index()].with(|drive| drive.plant().output_speed_dps().abs() > 2.0)
+        };
+        assert!(motors.iter().all(|motor| turns(&motor)));
+        let stopped = halt(&mut session, Target::All, kind);
+        let later = session.master.now() + Duration::from_secs(3);
+        session.wait_until(later).unwrap();
+        (stopped, motors.iter().filter(turns).collect())
+    }
+
+    /// It once tried each id three times, and left out who had confirmed none of these.
+    #[test]
+    fn where_frames_are_lost_nobody_turns_on_behind_a_stop_of_all() {
+        for bus in [BusKind::Can, BusKind::Rs485] {
+            for kind in [StopKind::Hold, StopKind::Off] {
+                for seed in 0..25 {
+                    let (told, turning) = stopped_with_loss(bus, seed, kind);
+                    assert_eq!(turning, MotorSet::EMPTY, "{bus:?} {kind:?} {seed}: {told:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn while_silent_ids_are_waited_for_no_short_protection_lets_a_load_go() {
+        let lets_go = |mut session: Session, drive: &DriveHandle, millis| {
+            let silence = Milliseconds::from_raw(millis);
+            bring_up::protect(&mut session.master, MotorId::MIN, silence).unwrap();
+            for _ in 0..3 {
+                session.ask(MotorId::MIN, ReadStatus2).unwrap();
+            }
+            stop_every_id(&mut session, StopKind::Hold).unwrap();
+            !drive.with(|drive| drive.state().output_on)
+        };
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        assert!(!lets_go(Session::on(&fleet), &fleet.drives[0], 60));
+        let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
+        let session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        assert!(!lets_go(session, &fleet.drives[0], 400));
+    }
+
     #[test]
     fn a_line_that_fails_for_a_moment_is_waited_for() {
         for meant in [Target::Motor(MotorId::MIN), Target::All] {
@@ -334,7 +451,7 @@ mod tests {
         let motor = MotorId::MIN;
         let fleet = Fleet::new(2).all_with_id(motor).on_rs485(115_200).unwrap();
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
-        let stopped = stop_every_id(&mut session, StopKind::Hold, Stop).map(|_| ());
+        let stopped = stop_every_id(&mut session, StopKind::Hold).map(|_| ());
         let found = session.meant(Target::All).map(|_| ());
         for told in [stopped, found] {
             let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
@@ -364,8 +481,8 @@ mod tests {
     #[test]
     fn an_echo_that_nobody_told_of_is_no_confirmation_of_a_motor_that_is_not_there() {
         let (mut session, _) = on_a_line(true);
-        assert_eq!(stop_every_id(&mut session, StopKind::Hold, Stop).unwrap().len(), 3);
+        assert_eq!(stop_every_id(&mut session, StopKind::Hold).unwrap().len(), 3);
         let (mut session, _) = on_a_line(true);
-        assert_eq!(stop_every_id(&mut session, StopKind::Off, Shutdown).unwrap().len(), 3);
+        assert_eq!(stop_every_id(&mut session, StopKind::Off).unwrap().len(), 3);
     }
 }
