@@ -3,13 +3,16 @@
 //! The command is repeated all the time, so that a drive with communication-loss protection keeps
 //! running and each reply tells how the motor does.
 
+use std::mem::replace;
+
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
-    BrakeCommand, Command, LockBrake, ReadRunningMode, ReadStatus1,
+    BrakeCommand, Command, LockBrake, ReadRunTime, ReadRunningMode, ReadStatus1,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
+use myactuator_protocol_core::units::Milliseconds;
 
 use super::progress::Progress;
 use super::session::{OneMotor, Session, healthy, say};
@@ -90,7 +93,7 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     Ok(format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)"))
 }
 
-/// Sends the command over and over until the time is up.
+/// Sends the command over and over until the time is up. A motor that restarts meanwhile has not run.
 fn repeat<C: Command + Copy>(
     session: &mut Session,
     span: &Span,
@@ -98,6 +101,7 @@ fn repeat<C: Command + Copy>(
     reading: impl Fn(&C::Reply) -> String,
 ) -> Outcome {
     let (motor, length) = (span.motor.id, span.for_s);
+    let mut ran = session.ask(motor, ReadRunTime)?.run_time;
     let start = session.master.now();
     let mut progress = Progress::new(start);
     let mut missed = 0;
@@ -107,7 +111,7 @@ fn repeat<C: Command + Copy>(
         session.wait_until(start + at.min(length))?;
         let now = session.master.now();
         if now - start >= length {
-            return Ok(());
+            return runs_on(session, motor, &mut ran);
         }
         let gap = now - last;
         if gap > LONGEST_GAP {
@@ -135,6 +139,7 @@ fn repeat<C: Command + Copy>(
         }
         if turn % ERRORS_EVERY == 0 {
             healthy(motor, session.ask(motor, ReadStatus1)?.errors)?;
+            runs_on(session, motor, &mut ran)?;
             // The first commands after a silence are not obeyed (2.31.1), and motion mode has no mode of this list.
             if turn > 0 && !command.kind().is_motion() {
                 runs(session, motor)?;
@@ -142,6 +147,19 @@ fn repeat<C: Command + Copy>(
         }
     }
     Ok(())
+}
+
+/// That the motor has not restarted since it had run for so long. One that takes no time for it is never silent.
+fn runs_on(session: &mut Session, motor: MotorId, ran: &mut Milliseconds) -> Outcome {
+    let runs = session.ask(motor, ReadRunTime)?.run_time;
+    let ran = replace(ran, runs);
+    if runs.raw() >= ran.raw() {
+        return Ok(());
+    }
+    Err(Unfinished::Failed(format!(
+        "motor {motor} has restarted on the way: it had run for {ran}, and has for {runs} now (0xB1); see its supply, and \
+         where it believes to be"
+    )))
 }
 
 /// That the drive does not say that it runs nothing.
@@ -167,13 +185,12 @@ mod tests {
     use myactuator_host_std::sim::bus::trace::Log;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{
-        AccelerationIndex, ErrorFlags, Speed, Torque, WriteAcceleration,
+        AccelerationIndex, ErrorFlags, MotionRanges, MotionSetPoint, Speed, Torque,
+        WriteAcceleration,
     };
     use myactuator_protocol_core::io::bring_up;
     use myactuator_protocol_core::time::Instant;
-    use myactuator_protocol_core::units::{
-        Acceleration, Current, MaxTorque, Milliseconds, SpeedTarget,
-    };
+    use myactuator_protocol_core::units::{Acceleration, Current, MaxTorque, SpeedTarget};
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
     use super::super::simulated::{CtrlC, OtherMaster, Sends, sent, to_first, typed};
@@ -330,6 +347,31 @@ mod tests {
                 assert_eq!(outcome, Err(Unfinished::Interrupted(told)), "{end:?} {after_ms}");
                 session.standing(MotorId::MIN).unwrap();
             }
+        }
+    }
+
+    /// That a run of a second fails with this restart, however short it is.
+    fn restart_is_told<C: Command + Copy>(command: C, at: &str) {
+        let restart = format!("reset@1+{at}").parse().unwrap();
+        let fleet = Fleet::new(1).faults([restart]).on_can(1_000_000).unwrap();
+        fleet.world.run_for(Duration::from_secs(1));
+        let outcome =
+            run_to_end(&mut Session::on(&fleet), command, (1.0, false, StopKind::Hold), || {});
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{at}: {outcome:?}") };
+        let why = "motor 1 has restarted on the way: ";
+        assert!(told.starts_with(why), "{at}: {told}");
+        assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{at}: {told}");
+    }
+
+    /// It once was said to have run: the simulated restart takes 44 ms, which is no silence.
+    #[test]
+    fn a_restart_that_takes_no_time_is_told() {
+        let still = MotionSetPoint { kp: 10.0, kd: 1.0, ..MotionSetPoint::default() };
+        let motion = MotionRanges::V4_3.quantise(&still).unwrap();
+        // In the middle, and right before the end.
+        for at in ["1500ms", "1930ms"] {
+            restart_is_told(TURN, at);
+            restart_is_told(motion, at);
         }
     }
 
