@@ -1,20 +1,21 @@
 //! `myactuator motion`: one set-point of motion (MIT) mode, for a while.
 
-use myactuator_protocol_core::Opcode;
-use myactuator_protocol_core::command::MotionSetPoint;
+use myactuator_protocol_core::command::{MotionRanges, MotionSetPoint, ReadMultiTurnAngle};
 use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::quantity::MotionScale;
+use myactuator_protocol_core::{MotorId, Opcode};
 
 use super::moving::ENDS;
 use super::revision::MotorRevision;
 use super::run_for::{self, Run, Span};
 use super::session::Session;
-use crate::cli::{Outcome, arguments as parse};
+use crate::cli::{Outcome, Unfinished, arguments as parse};
 
 /// Run a motor in motion (MIT) mode at one set-point for a while, then stop it (0x81); CAN only
 ///
-/// A locked brake is released first and stays open, for the motor holds still at the end. Ctrl-C and
-/// errors stop the motor (0x81) at once. Exit status: 0 if it has run, 1 if not, 2 for wrong usage,
-/// 130 if interrupted.
+/// A shaft beyond the scale of positions is not moved. A locked brake is released first and stays open, for the motor
+/// holds still at the end. Ctrl-C and errors stop the motor (0x81) at once. Exit status: 0 if it has run, 1 if not, 2
+/// for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
 #[command(after_help = ENDS)]
 pub(in crate::cli) struct Arguments {
@@ -50,6 +51,7 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     let set_point = MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm };
     let ranges = arguments.revision.scales(session, arguments.span.motor.id)?;
     let command = ranges.quantise(&set_point).map_err(|error| error.to_string())?;
+    is_on_scale(session, arguments.span.motor.id, &ranges)?;
     let run = Run {
         command,
         does: format!(
@@ -68,15 +70,31 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     })
 }
 
+/// Refuses a shaft beyond the scale: the feedback of motion mode is the scale's end there, and the motor would turn back
+/// to what it is told, however many turns that are.
+fn is_on_scale(session: &mut Session, motor: MotorId, ranges: &MotionRanges) -> Outcome {
+    let here = session.ask(motor, ReadMultiTurnAngle)?.angle;
+    let (min, max) = ranges.ends(MotionScale::Position);
+    let here_rad = here.degrees_f64().to_radians();
+    if (f64::from(min)..=f64::from(max)).contains(&here_rad) {
+        return Ok(());
+    }
+    Err(Unfinished::Failed(format!(
+        "motor {motor} is at {here} ({here_rad:.2} rad), and motion mode knows {min} to {max} rad: move it back first \
+         ('myactuator move'), or make where it is its zero ('myactuator zero')"
+    )))
+}
+
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::VersionDate;
-    use myactuator_protocol_core::{Channel, Firmware, MotorId};
+    use myactuator_protocol_core::command::{AbsolutePosition, VersionDate};
+    use myactuator_protocol_core::time::Duration;
+    use myactuator_protocol_core::units::{Angle, MaxSpeed};
+    use myactuator_protocol_core::{Channel, Firmware};
 
     use super::super::simulated::{sent, typed};
     use super::*;
-    use crate::cli::Unfinished;
 
     /// Half a radian on, with these options. Gives how it ended, how far the shaft is then, and whether
     /// motion frames were sent.
@@ -126,5 +144,30 @@ mod tests {
         assert!(told.contains("version date 2025070202, and which firmware that is"), "{told}");
         runs(&fleet, "--firmware v4.3");
         runs(&fleet, "--ranges 12.5,45,500,5,24");
+    }
+
+    /// It once swung by many turns: such a motor reports the end of the scale.
+    #[test]
+    fn a_shaft_beyond_the_scale_is_not_moved() {
+        // 12.5 rad are 716.2 degrees.
+        for (degrees, is_beyond) in [(710, false), (-710, false), (721, true), (-3_266, true)] {
+            let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+            let mut session = Session::on(&fleet);
+            let angle = Angle::from_raw(degrees * 100);
+            let max_speed = MaxSpeed::from_raw(2_000);
+            session.ask(MotorId::MIN, AbsolutePosition { max_speed, angle }).unwrap();
+            fleet.world.run_for(Duration::from_secs(30));
+            let log = fleet.world.log();
+            let arguments = typed("--id 1 --position-rad 0 --kp 0 --kd 0 --for-s 0.1");
+            let outcome = run_on(&mut session, &arguments);
+            let moved = sent(&log).iter().any(|p| p.channel == Channel::Motion(MotorId::MIN));
+            assert_eq!(moved, !is_beyond, "{outcome:?}");
+            if is_beyond {
+                let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+                let found = format!("motor 1 is at {degrees}");
+                assert!(told.starts_with(&found), "{told}");
+                assert!(told.contains("-12.5 to 12.5 rad"), "{told}");
+            }
+        }
     }
 }
