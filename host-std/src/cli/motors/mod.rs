@@ -49,11 +49,13 @@ pub(super) enum Subcommand {
     /// For 250 ms after that it is seen whether another program goes on commanding them: one that does so less often
     /// than that passes unnoticed. Exit status: 1 if one of them has not confirmed, goes on turning, or does not hold:
     /// it reports an error, runs nothing, or does not tell.
+    #[command(after_help = format!("{}\n\n{}", halt::OF_ALL, moving::HOLDS))]
     Stop(session::Motors),
     /// Switch motors off at once (0x80): their shafts are free unless brakes hold them
     ///
     /// For 250 ms after that it is seen whether another program commands them, which switches them on again: one that
     /// does so less often than that passes unnoticed.
+    #[command(after_help = halt::OF_ALL)]
     Shutdown(session::Motors),
     Brake(brake::Arguments),
     Zero(zero::Arguments),

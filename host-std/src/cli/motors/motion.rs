@@ -5,7 +5,7 @@ use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::quantity::MotionScale;
 use myactuator_protocol_core::{MotorId, Opcode};
 
-use super::moving::ENDS;
+use super::moving::{ENDS, HOLDS};
 use super::revision::MotorRevision;
 use super::run_for::{self, Run, Span};
 use super::session::Session;
@@ -17,7 +17,7 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 /// holds still at the end. Ctrl-C and errors stop the motor (0x81) at once. Exit status: 0 if it has run, 1 if not, 2
 /// for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
-#[command(after_help = ENDS)]
+#[command(after_help = format!("{ENDS}\n\n{HOLDS}"))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     span: Span,

@@ -14,7 +14,7 @@ use myactuator_protocol_core::io::bring_up::{
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque};
 
-use super::moving::ENDS;
+use super::moving::{ENDS, HOLDS};
 use super::progress::Progress;
 use super::run_for::seconds;
 use super::session::Session;
@@ -28,7 +28,7 @@ use crate::cli::{Outcome, Unfinished, arguments as parse};
 /// stopped (0x81) and holds with all its torque, but with --press where it has met something. Exit status: 0
 /// if it has arrived or presses, 1 if not, 2 for wrong usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
-#[command(after_help = ENDS)]
+#[command(after_help = format!("{ENDS}\n\n{HOLDS}"))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     motor: OneMotor,

@@ -31,6 +31,11 @@ Nothing of that works if the program is killed or frozen outright (kill -9, kill
 power), or the bus is cut: the motor goes on then. Against that set the motor's own communication-loss \
 protection: myactuator timeout.";
 
+/// What ends holding still, or a position, for the help of those after which a motor does that.
+pub(super) const HOLDS: &str = "\
+Holding ends where the motor's communication-loss protection (0xB3) is set, by 'myactuator timeout' or another: nobody \
+speaks to the motor any more, and when that time is up its output is off and its shaft free unless it has a brake.";
+
 /// What is true of a motor that was switched off.
 const OFF: &str = "is off (0x80): its shaft is free unless a brake holds it";
 
@@ -385,6 +390,30 @@ mod tests {
         for name in ["stop", "shutdown"] {
             let help = all.find_subcommand(name).unwrap().get_long_about().unwrap().to_string();
             assert!(help.contains(&format!("For {} ms after", LISTENING.as_millis())), "{help}");
+        }
+    }
+
+    /// The long help of a subcommand.
+    fn help_of(name: &str) -> String {
+        let all = clap::Command::new("typed");
+        let mut all = <super::super::Subcommand as clap::Subcommand>::augment_subcommands(all);
+        all.find_subcommand_mut(name).unwrap().render_long_help().to_string()
+    }
+
+    #[test]
+    fn the_help_says_when_a_motor_that_holds_lets_go() {
+        for name in ["stop", "move", "speed"] {
+            let help = help_of(name);
+            assert!(help.contains("when that time is up its output is off"), "{name}: {help}");
+        }
+    }
+
+    #[test]
+    fn the_help_of_a_stop_says_who_may_keep_the_bus_and_how_long_it_takes() {
+        for name in ["stop", "shutdown"] {
+            let help = help_of(name);
+            let [one, takes] = ["can be opened by one program at a time", "A stop of all takes"];
+            assert!(help.contains(one) && help.contains(takes), "{name}: {help}");
         }
     }
 

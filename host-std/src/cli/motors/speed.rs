@@ -4,7 +4,7 @@ use myactuator_protocol_core::command::{self as c, Feedback};
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::units::{MaxTorque, SpeedTarget};
 
-use super::moving::ENDS;
+use super::moving::{ENDS, HOLDS};
 use super::run_for::{self, Run, Span};
 use crate::cli::{Outcome, arguments as parse};
 
@@ -13,7 +13,7 @@ use crate::cli::{Outcome, arguments as parse};
 /// Ctrl-C and errors stop it (0x81) at once. Exit status: 0 if it has run, 1 if not, 2 for wrong
 /// usage, 130 if interrupted.
 #[derive(Debug, clap::Args)]
-#[command(after_help = ENDS)]
+#[command(after_help = format!("{ENDS}\n\n{HOLDS}"))]
 pub(in crate::cli) struct Arguments {
     #[command(flatten)]
     span: Span,
