@@ -227,6 +227,24 @@ fn stop_and_shutdown_reach_one_or_all() {
     assert!(told.contains("no confirmation of the stop from motor 9"), "{told}");
 }
 
+/// What is told beside the output when this is sent.
+fn told_beside(command: &str) -> String {
+    let output = run_simulated(&format!("send --yes --json {command}"));
+    assert_eq!(output.status.code(), Some(0), "{command}");
+    text(&output.stderr).to_owned()
+}
+
+#[test]
+fn what_goes_on_after_send_is_told() {
+    let turn = "speed --speed-dps 90 --max-torque-pct 0";
+    let told = told_beside(&format!("--id 1 {turn}"));
+    assert!(told.contains("note: motor 1 goes on: 'myactuator stop' ends it\n"), "{told}");
+    let told = told_beside(&format!("--id all {turn}"));
+    assert!(told.contains("note: motors 1 2 3 4 go on: 'myactuator stop' ends it\n"), "{told}");
+    assert!(!told_beside("--id 1 read-status2").contains("note"));
+    assert!(!told_beside("--id 1 stop").contains("note"));
+}
+
 #[test]
 fn the_brake_is_released_and_locked() {
     assert_eq!(done("brake release --id 1"), ["motor 1: brake released"]);

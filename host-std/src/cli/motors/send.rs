@@ -13,7 +13,7 @@ use super::on_bus::OnBus;
 use super::revision::MotorRevision;
 use super::session::{Consent, Session, say};
 use crate::cli::wanted::Wanted;
-use crate::cli::{Outcome, Unfinished, arguments as parse};
+use crate::cli::{Outcome, Unfinished, arguments as parse, report};
 
 /// Send one command to a motor or to all, and explain what is answered
 ///
@@ -110,7 +110,12 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     session.moving(motors, |session| {
         send(session)?;
         session.wait_for_reader()
-    })
+    })?;
+    if arguments.command.opcode().is_some() {
+        let go = if motors.len() == 1 { "goes" } else { "go" };
+        report("note", format!("{} {go} on: 'myactuator stop' ends it", named(motors)));
+    }
+    Ok(())
 }
 
 /// A command, and how its replies are reported.
