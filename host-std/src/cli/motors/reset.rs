@@ -3,6 +3,7 @@
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadRunTime};
 use myactuator_protocol_core::io::bring_up;
+use myactuator_protocol_core::units::Angle;
 
 use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, Unfinished};
@@ -34,8 +35,20 @@ fn run_on(session: &mut Session, motor: MotorId) -> Outcome {
     ))?;
     restart(session, motor)?;
     let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
-    say(&format!("motor {motor} has restarted: it read {before} and reads {after}"))?;
+    say(&restarted(motor, before, after))?;
     session.ready(motor).map(|_| ())
+}
+
+fn restarted(motor: MotorId, before: Angle, after: Angle) -> String {
+    let degrees = after.degrees_f64() - before.degrees_f64();
+    let lost = match (degrees / 360.0).round().abs() {
+        0.0 => String::new(),
+        1.0 => ": a whole turn was lost, and angles count from what it reads now".to_owned(),
+        turns => {
+            format!(": {turns} whole turns were lost, and angles count from what it reads now")
+        }
+    };
+    format!("motor {motor} has restarted: it read {before} and reads {after}{lost}")
 }
 
 fn restart(session: &mut Session, motor: MotorId) -> Outcome {
@@ -88,6 +101,19 @@ mod tests {
         let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
         assert!(told.starts_with("motor 1 does not answer: check its power, "), "{told}");
         assert!(told.contains("'scan --all-rates'"), "{told}");
+    }
+
+    #[test]
+    fn whole_turns_that_a_restart_has_lost_are_told() {
+        let told = |before, after| {
+            restarted(MotorId::MIN, Angle::from_raw(before), Angle::from_raw(after))
+        };
+        let same = "motor 1 has restarted: it read 92.32 deg and reads 92.31 deg";
+        assert_eq!(told(9_232, 9_231), same);
+        let lost = "motor 1 has restarted: it read 192.32 deg and reads -167.68 deg: a whole turn was lost, and angles \
+                    count from what it reads now";
+        assert_eq!(told(19_232, -16_768), lost);
+        assert!(told(-200_000, -19_998).contains(": 5 whole turns were lost"));
     }
 
     #[test]
