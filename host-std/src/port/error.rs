@@ -69,7 +69,7 @@ pub enum PortError {
     NotASerialPort(String),
     /// Another program has the serial port open.
     #[error(
-        "another program uses \"{0}\": find it with 'fuser {0}' and end it, by Ctrl-C or SIGTERM so that it can stop its motors"
+        "another program uses \"{0}\": find it with 'fuser {0}' and end it, by Ctrl-C or SIGTERM so that it can stop its motors; one that is frozen ends by SIGKILL only, and its motors go on then until they are stopped"
     )]
     InUse(String),
     /// The user may not open this.

@@ -12,7 +12,7 @@ use myactuator_host_std::sim::CanFleet;
 use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
-use myactuator_protocol_core::master::{Bus, Config, Event, MotorSet};
+use myactuator_protocol_core::master::{Bus, Config, Event, Failure, MotorSet};
 use myactuator_protocol_core::units::CoarseSpeed;
 use myactuator_protocol_core::{MotorId, Target};
 
@@ -24,6 +24,10 @@ use crate::cli::{Outcome, Unfinished, interrupt, printable, report, unwritten};
 
 /// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
 const STILL_DPS: f32 = 2.0;
+
+/// What came that cannot be understood, on RS485.
+const NO_FRAME: &str =
+    "bytes come that are no frame (do two motors have one id? connect only one of them)";
 
 /// Whether the user has said yes already.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -222,7 +226,12 @@ impl Session {
     }
 
     pub(super) fn ask<C: Command>(&mut self, motor: MotorId, command: C) -> Outcome<C::Reply> {
-        self.master.ask(motor, command).map_err(Unfinished::of_motor(motor))
+        self.master.ask(motor, command).map_err(|error| match error {
+            CallError::Failed(Failure::NoReply) if self.has_garbled() => {
+                Unfinished::Failed(format!("motor {motor}: {error}; {NO_FRAME}"))
+            }
+            error => Unfinished::of_motor(motor)(error),
+        })
     }
 
     /// Whether two motors seem to have this id.
@@ -267,13 +276,12 @@ impl Session {
     }
 
     /// That something came which cannot be understood, if it did.
-    pub(super) const fn garbled(&self) -> &'static str {
-        match self.master.bus.garbled() {
-            0 => "",
-            _ => {
-                ", but bytes come that are no frame (do two motors have one id? connect only one of them)"
-            }
-        }
+    pub(super) fn garbled(&self) -> String {
+        if self.has_garbled() { format!(", but {NO_FRAME}") } else { String::new() }
+    }
+
+    const fn has_garbled(&self) -> bool {
+        self.master.bus.garbled() != 0
     }
 
     /// What a stop that is not confirmed may be due to, where an echo was told of: an answer of the command's own
@@ -329,6 +337,9 @@ pub(super) fn healthy(motor: MotorId, errors: ErrorFlags) -> Outcome {
 
 #[cfg(test)]
 mod tests {
+    use myactuator_host_std::port::PortError;
+    use myactuator_host_std::sim::Fleet;
+
     use super::*;
 
     #[test]
@@ -343,5 +354,32 @@ mod tests {
         assert!(stall.contains("restart"), "{stall}");
         let low = told(ErrorFlags::UNDER_VOLTAGE);
         assert!(low.contains("by itself") && !low.contains("restart"), "{low}");
+    }
+
+    /// What is told of this motor, of which nobody gets an answer.
+    fn told_of(fleet: &Fleet, id: u8) -> String {
+        let fleet = fleet.on_rs485(115_200).unwrap();
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        let outcome = session.standing(MotorId::new(id).unwrap());
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        told
+    }
+
+    #[test]
+    fn of_two_motors_that_answer_at_once_on_a_line_it_is_told_that_something_comes() {
+        let hint =
+            "bytes come that are no frame (do two motors have one id? connect only one of them)";
+        let both = told_of(&Fleet::new(2).all_with_id(MotorId::MIN), 1);
+        assert!(both.ends_with(hint), "{both}");
+        let nobody = told_of(&Fleet::new(1), 2);
+        assert!(nobody.ends_with("is this its id?"), "{nobody}");
+    }
+
+    #[test]
+    fn who_keeps_a_port_is_ended_so_that_its_motors_stop_and_if_it_is_frozen_all_the_same() {
+        let told = PortError::InUse("/dev/ttyUSB0".to_owned()).to_string();
+        assert!(told.contains("by Ctrl-C or SIGTERM so that it can stop its motors"), "{told}");
+        assert!(told.contains("SIGKILL"), "{told}");
+        assert!(told.contains("its motors go on then until they are stopped"), "{told}");
     }
 }
