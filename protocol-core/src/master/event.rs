@@ -208,7 +208,8 @@ pub enum Event {
     /// - The bus has taken 0x76 for it (which a controller may still hand back).
     /// - It was silent for a second. This is reported when it does not answer, and once more when it does again.
     /// - It has run for less long than it said before (0xB1).
-    /// - The angle in its stream's feedback is more than half a turn beyond what 10,000 degrees/s could have turned.
+    /// - Its stream's feedback tells a place that is more than half a turn beyond what 10,000 degrees/s could have
+    ///   turned; in motion mode an eighth of the scale beyond what another eighth in 20 ms could have.
     ///
     /// Its turns may be lost. Whatever moves it is refused until
     /// [`Master::resume`](crate::master::Master::resume). A command that it has heard since its restart it carries

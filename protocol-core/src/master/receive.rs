@@ -7,7 +7,7 @@ use crate::kind::Kind;
 use crate::master::broadcast::Broadcast;
 use crate::master::late::{Of, Question};
 use crate::master::motor::reports::reported_bit;
-use crate::master::motor::restarts::{HALF_A_TURN_TAKES, angle_of};
+use crate::master::motor::restarts::{HALF_A_TURN_TAKES, Place};
 use crate::master::motor::{DOUBLED_WITHIN, Motor};
 use crate::master::request::{Asked, Request};
 use crate::master::stream::SetPoint;
@@ -305,7 +305,7 @@ impl Motor {
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             Some(_) if heard.is_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
-                Ok(reply) => self.feedback(reply, angle_of(&reply), None, config, now),
+                Ok(reply) => self.feedback(reply, Place::of(&reply), None, config, now),
                 Err(_) => Meaning::Late,
             },
             None => Meaning::Unasked,
@@ -316,13 +316,13 @@ impl Motor {
     fn feedback(
         &mut self,
         reply: AnyReply,
-        angle: Option<i16>,
+        place: Option<Place>,
         round_trip: Option<Duration>,
         config: &Config,
         now: Instant,
     ) -> Meaning {
-        if let Some(angle) = angle {
-            self.note_angle(angle, config, now);
+        if let Some(place) = place {
+            self.note_place(place, config, now);
         }
         (self.latest, self.latest_at) = (Some(reply), now);
         Meaning::Feedback(reply, round_trip)
@@ -353,10 +353,10 @@ impl Motor {
         }
         let round_trip = now - self.sent;
         self.answered(Some(round_trip));
-        // Also where nobody has heard why, an echo has no angle.
-        let angle = angle_of(&reply).filter(|_| !is_echo());
-        let meaning = self.feedback(reply, angle, Some(round_trip), config, now);
-        self.knows_angle = angle.is_some() && !is_one_late && round_trip <= HALF_A_TURN_TAKES;
+        // Also where nobody has heard why, an echo says nothing of that.
+        let place = Place::of(&reply).filter(|_| !is_echo());
+        let meaning = self.feedback(reply, place, Some(round_trip), config, now);
+        self.knows_place = place.is_some() && !is_one_late && round_trip <= HALF_A_TURN_TAKES;
         meaning
     }
 

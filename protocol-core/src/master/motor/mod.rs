@@ -95,8 +95,8 @@ pub(super) struct Motor {
     /// The newest feedback of its stream, and when it came.
     pub(super) latest: Option<AnyReply>,
     pub(super) latest_at: Instant,
-    /// Its angle was measured just before that came.
-    pub(super) knows_angle: bool,
+    /// Where it is was measured just before that came.
+    pub(super) knows_place: bool,
     /// The stop that it has not confirmed, once that is given up.
     pub(super) unconfirmed: Option<Unconfirmed>,
     pub(super) health: Record,

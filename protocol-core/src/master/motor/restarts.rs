@@ -16,9 +16,43 @@ const DEGREE_TAKES: Duration = Duration::from_micros(100);
 const HALF_A_TURN: u16 = 180;
 pub(in crate::master) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(HALF_A_TURN as u32);
 
-/// Where the motor is, in degrees, if this feedback says so.
-pub(in crate::master) fn angle_of(reply: &AnyReply) -> Option<i16> {
-    feedback_of(reply).map(|feedback| feedback.angle.raw())
+/// Motion mode tells the position on a scale of the firmware's, which need not be known here. On the narrowest, of
+/// 25 rad (V4.3), a turn is a quarter of it; no motor turns an eighth in less than 20 ms.
+const EIGHTH_OF_SCALE: u16 = 1 << 13;
+const EIGHTH_OF_SCALE_TAKES: Duration = Duration::from_millis(20);
+
+/// Where the motor is, as feedback says.
+#[derive(Clone, Copy)]
+pub(in crate::master) enum Place {
+    Degrees(i16),
+    /// In steps of the scale of motion mode.
+    OfScale(u16),
+}
+
+impl Place {
+    pub(in crate::master) fn of(reply: &AnyReply) -> Option<Self> {
+        match reply {
+            AnyReply::Motion(raw) => Some(Self::OfScale(raw.position)),
+            _ => feedback_of(reply).map(|feedback| Self::Degrees(feedback.angle.raw())),
+        }
+    }
+
+    /// How long the way from here takes at least, but for a first half of a turn, or eighth of the scale. After another
+    /// kind of stream nobody knows how far it is.
+    fn shortest_way_to(self, other: Self) -> Duration {
+        match (self, other) {
+            (Self::Degrees(from), Self::Degrees(to)) => {
+                let turned = to.wrapping_sub(from).unsigned_abs();
+                DEGREE_TAKES.times(turned.saturating_sub(HALF_A_TURN).into())
+            }
+            (Self::OfScale(from), Self::OfScale(to)) => {
+                let beyond = to.abs_diff(from).saturating_sub(EIGHTH_OF_SCALE);
+                let all = EIGHTH_OF_SCALE_TAKES.times(beyond.into());
+                Duration::from_micros(all.as_micros() / u64::from(EIGHTH_OF_SCALE))
+            }
+            _ => Duration::ZERO,
+        }
+    }
 }
 
 impl Motor {
@@ -52,16 +86,12 @@ impl Motor {
         }
     }
 
-    /// Feedback of its stream says where it is, in degrees: further from where it was than it can have turned since.
+    /// Feedback of its stream says where it is: further from where it was than it can have turned since.
     #[inline(never)]
-    pub(in crate::master) fn note_angle(&mut self, angle: i16, config: &Config, now: Instant) {
-        let knows_angle = core::mem::take(&mut self.knows_angle);
-        let Some(before) = self.latest.filter(|_| knows_angle).and_then(|it| angle_of(&it)) else {
-            return;
-        };
-        let turned = angle.wrapping_sub(before).unsigned_abs();
-        let beyond = u32::from(turned.saturating_sub(HALF_A_TURN));
-        if DEGREE_TAKES.times(beyond) > now - self.latest_at {
+    pub(in crate::master) fn note_place(&mut self, place: Place, config: &Config, now: Instant) {
+        let knows_place = core::mem::take(&mut self.knows_place);
+        let before = self.latest.filter(|_| knows_place).and_then(|it| Place::of(&it));
+        if before.is_some_and(|it| it.shortest_way_to(place) > now - self.latest_at) {
             self.has_begun_anew(config, now);
         }
     }
@@ -72,7 +102,7 @@ impl Motor {
         self.has_restarted = true;
         self.reports = 0;
         self.run_time_ms = 0;
-        self.knows_angle = false;
+        self.knows_place = false;
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
         self.is_sent_no_more();

@@ -328,3 +328,35 @@ fn what_was_sent_before_a_restart_and_is_handed_back_does_not_go_once_that_is_kn
         assert_eq!(sent(&mut master, ms(2)), [], "{is_stream}");
     }
 }
+
+/// On the scale of V4.3 a turn of 2 pi rad is 65,535 / 25 rad * 6.2832 rad = 16,471 steps.
+#[test]
+fn a_turn_that_is_lost_in_motion_mode_is_a_jump() {
+    let is_jump = |first: u16, second: u16, between_us: u64| {
+        let mut master = Master::<2>::new(Config::CAN);
+        let mut now = ms(1);
+        for position in [first, second] {
+            master.set_point(id(1), motion(), now).unwrap();
+            sent(&mut master, now);
+            let [high, low] = position.to_be_bytes();
+            let data = [1, high, low, 0x80, 0x08, 0, 0, 0];
+            let packet = Packet { channel: Channel::MotionReply(id(1)), data };
+            let answered = now + Duration::from_micros(800);
+            master.handle_frame(&Received::Packet(packet), answered).unwrap();
+            now += Duration::from_micros(between_us);
+        }
+        events(&mut master, now).contains(&Event::Restarted { motor: id(1) })
+    };
+    for between_us in [1_000, 2_000, 10_000, 19_000] {
+        assert!(is_jump(40_000, 40_000 - 16_471, between_us), "{between_us}");
+        assert!(is_jump(20_000, 20_000 + 16_471, between_us), "{between_us}");
+    }
+    // 45 rad/s, the most that V4.3 can tell: 118 steps in a millisecond.
+    for between_us in [1_000, 2_000, 10_000, 19_000] {
+        let turned = (118 * between_us / 1_000) as u16;
+        assert!(!is_jump(40_000, 40_000 - turned, between_us), "{between_us}");
+    }
+    // An eighth, and in 2 ms a tenth of another: 8,192 and 819.2 steps.
+    assert!(!is_jump(30_000, 39_011, 2_000));
+    assert!(is_jump(30_000, 39_013, 2_000));
+}
