@@ -200,7 +200,8 @@ fn a_stop_does_not_say_that_a_motor_holds_whose_output_is_cut() {
     assert_eq!(
         text(&output.stderr),
         "error: motor 1 is stopped and holds still (0x81); motor 2 has confirmed the stop (0x81) but reports an error \
-         (motor stalled), and its drive cuts its output for that: nothing but a locked brake holds its shaft\n"
+         (motor stalled), and its drive cuts its output for that: nothing but a locked brake holds its shaft; no other id has \
+         confirmed: a motor that is not named here may go on\n"
     );
     assert_eq!(output.status.code(), Some(1));
 }

@@ -29,8 +29,12 @@ const ROUNDS: usize = 3;
 pub(super) fn stop(arguments: &Motors) -> Outcome {
     let mut session = Session::open_to_stop(&arguments.on)?;
     let motors = halt(&mut session, arguments.id, StopKind::Hold)?;
-    let told = session.stopped(motors)?;
-    say(&format!("{told}{}", of_others(arguments.id, motors)))
+    let others = of_others(arguments.id, motors);
+    match session.stopped(motors) {
+        Ok(told) => say(&format!("{told}{others}")),
+        Err(Unfinished::Failed(told)) => Err(Unfinished::Failed(format!("{told}{others}"))),
+        Err(other) => Err(other),
+    }
 }
 
 pub(super) fn shut_down(arguments: &Motors) -> Outcome {
