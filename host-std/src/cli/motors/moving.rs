@@ -393,11 +393,13 @@ mod tests {
         }
     }
 
-    /// The long help of a subcommand.
+    /// The long help of a subcommand, as one line.
     fn help_of(name: &str) -> String {
         let all = clap::Command::new("typed");
         let mut all = <super::super::Subcommand as clap::Subcommand>::augment_subcommands(all);
-        all.find_subcommand_mut(name).unwrap().render_long_help().to_string()
+        let help = all.find_subcommand_mut(name).unwrap().render_long_help().to_string();
+        // A narrow terminal's is broken into lines elsewhere.
+        help.split_whitespace().collect::<Vec<_>>().join(" ")
     }
 
     #[test]
