@@ -20,13 +20,13 @@ use myactuator_protocol_core::{Firmware, MotorId};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 /// Moves eight motors at 500 Hz until `plan` has nothing more to say. `scale` is that of their firmware:
-/// never guess it. However this is left, by an error or by its end, the motors are stopped; gives those that
-/// have not confirmed the stop: cut their power. Lost cycles are not made up for; 50 ms of them end it.
+/// never guess it. However this is left, by an error or by its end, the motors are stopped; `stop_all` behind it
+/// says which of them have not confirmed that. Lost cycles are not made up for; 50 ms of them end it.
 fn run<R: Runner<8>>(
     bus: &mut R,
     scale: &MotionRanges,
     mut plan: impl FnMut(MotorId, Option<MotionFeedback>) -> Option<RawMotion>,
-) -> Result<MotorSet, CallError<R::Error>> {
+) -> Result<(), CallError<R::Error>> {
     let mut bus = Guard::new(bus, StopKind::Hold);
     let mut next = bus.now();
     loop {
@@ -39,7 +39,7 @@ fn run<R: Runner<8>>(
                 Some((AnyReply::Motion(raw), _time)) => Some(scale.feedback(&raw)),
                 _ => None,
             };
-            let Some(wanted) = plan(motor, measured) else { return Ok(bus.finish()) };
+            let Some(wanted) = plan(motor, measured) else { return Ok(()) };
             bus.set_point(motor, wanted)?;
         }
         next += match bus.now() - next {
@@ -95,8 +95,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let firmware = Firmware::of_version_date(date).ok_or("which firmware is this?")?;
     let scale = firmware.motion_ranges().ok_or("its scales depend on the motor")?;
 
-    let running = run(&mut bus, &scale, swing(&scale, &is_interrupted))?;
-    if running.is_empty() { Ok(()) } else { Err(format!("cut the power of {running}").into()) }
+    let left = run(&mut bus, &scale, swing(&scale, &is_interrupted));
+    let running = bus.stop_all(StopKind::Hold, MotorSet::EMPTY);
+    if !running.is_empty() {
+        eprintln!("motors {running} have not confirmed the stop: cut their power");
+    }
+    left.map_err(|error| error.to_string().into())
 }
 
 #[cfg(test)]
@@ -105,7 +109,7 @@ mod tests {
 
     /// Has the program held in its tenth cycle for so long. Gives how it ends, and when each cycle began, in
     /// milliseconds.
-    fn held_for(millis: u64) -> (Result<MotorSet, String>, Vec<u64>) {
+    fn held_for(millis: u64) -> (Result<(), String>, Vec<u64>) {
         let fleet = Fleet::new(8).on_can(1_000_000).unwrap();
         let mut bus = fleet.master::<8>();
         let scale = Firmware::V4_3.motion_ranges().unwrap();
@@ -133,7 +137,7 @@ mod tests {
     #[test]
     fn cycles_that_were_missed_are_not_made_up_for() {
         let (left, begun) = held_for(20);
-        assert_eq!(left, Ok(MotorSet::EMPTY));
+        assert_eq!(left, Ok(()));
         // Every 2 ms from 0 and, after the hold of 20 ms at 18 ms, from 38 ms.
         let expected: Vec<u64> =
             (0..10).map(|n| 2 * n).chain((0..11).map(|n| 38 + 2 * n)).collect();
@@ -160,7 +164,7 @@ mod tests {
                 }
                 plan(motor, measured)
             });
-            assert_eq!(ended, Ok(MotorSet::EMPTY), "{signal}");
+            assert_eq!(ended, Ok(()), "{signal}");
             let ended_us = fleet.world.now().as_micros();
             assert!(ended_us < 110_000, "{signal}: {ended_us}");
             let moved =

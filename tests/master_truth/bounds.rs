@@ -147,15 +147,15 @@ impl Bounds {
     }
 
     /// A stop, in steady time: all its attempts, behind what is in flight, and until nothing from before can move
-    /// the motor any more.
+    /// the motor any more. On CAN an attempt that is not answered may say that it can, once more: at every second.
     pub(crate) fn stop(&self) -> Duration {
         let timeout = self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT);
-        let attempt = match self.config.bus {
-            Bus::Can => timeout + self.step + self.round_of_stops,
+        let (attempt, waits) = match self.config.bus {
+            Bus::Can => (timeout + self.step + self.round_of_stops, STOP_ATTEMPTS / 2 + 1),
             // On a line nobody waits beside another.
-            Bus::Rs485 { .. } => self.round_of_stops,
+            Bus::Rs485 { .. } => (self.round_of_stops, 1),
         };
-        attempt.times(STOP_ATTEMPTS) + self.late() + self.late() + NOBODY_LOOKS
+        attempt.times(STOP_ATTEMPTS) + self.late() + self.late().times(waits) + NOBODY_LOOKS
     }
 }
 

@@ -10,6 +10,8 @@ use super::truth::{DONE, MAY_HAVE_RESTARTED, Truth};
 
 /// What comes sooner after its command may be taken for a doubled frame.
 const TOO_SOON: Duration = Duration::from_micros(500);
+/// No reply to these is the same bytes, so that no question whether there is an echo goes before.
+const NEVER_LIKE_THEIR_REPLY: [u8; 3] = [0x9A, 0xB2, 0xB5];
 
 impl Truth {
     /// The bus has taken a command of the master's.
@@ -42,6 +44,9 @@ impl Truth {
 
     fn taken_of(&mut self, motor: MotorId, packet: &Packet) {
         let (name, now) = (Name::of(packet), self.now);
+        if !NEVER_LIKE_THEIR_REPLY.contains(&name.byte) {
+            self.doubt.asked();
+        }
         if is_asking(packet) {
             let page = self.page(motor);
             (page.asked_at, page.answered_newest) = (now, false);
@@ -221,13 +226,9 @@ impl Truth {
         let (window, doubled) = (self.late_window, self.doubled(motor));
         let longest = self.longest_response;
         let copies = 1 + u32::from(self.echoes);
-        let moment = self.next_moment();
+        let may_pass_for_echo = self.doubt.heard() && !has_values(name.byte);
         let page = self.page(motor);
         page.unanswered = 0;
-        if page.was_given_up && page.is_stopped && !page.may_be_stopping {
-            (page.may_be_stopping, page.may_be_stopping_since) = (true, moment);
-            (page.is_stopped_again, page.stops_taken) = (true, 0);
-        }
         let is_lost_master = packet.data[0] == 0xF1;
         if is_lost_master {
             page.lost_master_untold = false;
@@ -255,7 +256,12 @@ impl Truth {
             let took = now - sending.last_taken;
             let is_in_time = TOO_SOON <= took && took < longest;
             let is_executed = packet.data[3] == DONE || copies == 1 && !has_values(name.byte);
-            if is_in_time && is_executed && sending.ignored == 0 && !sending.was_answered {
+            if is_in_time
+                && is_executed
+                && !may_pass_for_echo
+                && sending.ignored == 0
+                && !sending.was_answered
+            {
                 sending.was_answered = true;
                 page.set_points.answered_soon += u64::from(name.is_set_point());
                 page.answered_newest |= sending.last_taken == page.asked_at;

@@ -174,16 +174,21 @@ impl Oracle {
             }
             Event::StopUnconfirmed { motor } => {
                 self.totals.unconfirmed += 1;
+                let moment = truth.next_moment();
                 let page = truth.page(motor);
                 let may_be = std::mem::take(&mut page.may_be_stopping);
                 let was_stopping = std::mem::take(&mut page.is_stopping) || may_be;
                 let taken = page.stops_taken;
-                // The first counts as the second where it has confirmed that before; and whoever is heard is stopped
-                // once more.
+                // The first counts as the second where it has confirmed that before.
                 let attempts = match std::mem::replace(&mut page.was_given_up, true) {
                     true => 1,
                     false => STOP_ATTEMPTS - u32::from(page.is_stopped_again),
                 };
+                if page.is_stopped {
+                    // It goes on, and nothing more is told of that but its confirmation.
+                    (page.may_be_stopping, page.may_be_stopping_since) = (true, moment);
+                    (page.is_stopped_again, page.stops_taken) = (true, 0);
+                }
                 if !was_stopping || taken < attempts {
                     truth.breaks(format!("{event:?} after {taken} attempts"));
                 }
@@ -249,7 +254,9 @@ impl Oracle {
                     truth.is_let_go(motor);
                 }
                 let page = &truth.pages[motor.index()];
+                // A stop that was given up goes again whatever was asked meanwhile.
                 page.stop_called.max(page.may_be_stopping_since) > of.put
+                    || page.was_given_up && page.may_be_stopping
                     || is_move(&open.data) && page.ended_with_all > of.put
                     || was_held
             }

@@ -79,6 +79,10 @@ impl Truth {
                 page.may_be_stopping(Name { byte: SHUTDOWN, token: 0 }, put);
             }
         }
+        if name.is_ending() {
+            // One that holds goes to nobody whom a stop keeps off.
+            self.undo_nobody();
+        }
     }
 
     /// The bus has taken a command to all that is none of the master's own stops.

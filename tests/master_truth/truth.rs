@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use myactuator_protocol_core::master::{Config, MotorSet};
+use myactuator_protocol_core::master::{Bus, Config, MotorSet};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
@@ -64,7 +64,7 @@ pub(crate) struct Page {
     pub(crate) is_stopping: bool,
     /// It may be, as of then: where what was to end the motion of all may have been dropped meanwhile.
     pub(crate) may_be_stopping: bool,
-    /// It was told that the stop is not confirmed: whoever is heard is stopped once more while that is in force.
+    /// It was told that the stop is not confirmed, which goes on while that is in force.
     pub(crate) was_given_up: bool,
     pub(crate) may_be_stopping_since: u64,
     /// What it must have heard since to have stopped so: since the first call, where others follow before that is lifted.
@@ -151,6 +151,8 @@ pub(crate) struct Truth {
     pub(crate) turned: u64,
     /// An adapter hands back each command.
     pub(crate) echoes: bool,
+    /// Whether an acknowledgement may pass for an echo.
+    pub(super) doubt: Doubt,
     /// Two motors have this id.
     pub(crate) twin: Option<MotorId>,
     /// Each motor's first stop comes within this, if anything can be said of it.
@@ -163,6 +165,49 @@ pub(crate) struct Truth {
     /// What must not be, and is.
     pub(crate) broken: Vec<String>,
     pub(crate) excused: HashMap<Excuse, u64>,
+}
+
+/// Where nobody has said that the adapter echoes, the loop asks; until something is heard, also after an error, it
+/// takes what may be an echo for one, and asks again then.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Doubt {
+    /// There is none.
+    Never,
+    Settled,
+    Unheard,
+    Heard,
+    /// It has asked: what is heard before it asks again settles it.
+    Asked,
+}
+
+impl Doubt {
+    fn of(config: &Config) -> Self {
+        if matches!(config.bus, Bus::Rs485 { echo: false, .. }) {
+            Self::Unheard
+        } else {
+            Self::Never
+        }
+    }
+
+    /// The bus has taken what may be like its reply, before which the loop asks.
+    pub(super) fn asked(&mut self) {
+        *self = match *self {
+            Self::Heard => Self::Asked,
+            Self::Asked => Self::Unheard,
+            other => other,
+        };
+    }
+
+    /// Something was heard. Gives whether it may pass for an echo.
+    pub(super) fn heard(&mut self) -> bool {
+        let is_in_doubt = matches!(self, Self::Unheard | Self::Heard);
+        *self = match *self {
+            Self::Unheard => Self::Heard,
+            Self::Asked => Self::Settled,
+            other => other,
+        };
+        is_in_doubt
+    }
 }
 
 /// A hand on the truth.
@@ -192,6 +237,7 @@ impl Book {
             switched_off: MotorSet::EMPTY,
             turned: 0,
             echoes: false,
+            doubt: Doubt::of(config),
             twin: None,
             first_stops_within: None,
             flips: false,
@@ -307,6 +353,9 @@ impl Truth {
         self.pages.iter_mut().for_each(|page| page.set_points.may_be_dropped());
         self.what_all_were_told_may_be_dropped();
         self.failures += 1;
+        if matches!(self.doubt, Doubt::Settled | Doubt::Asked) {
+            self.doubt = Doubt::Unheard;
+        }
     }
 
     /// The port is full: that says something of the bus only if it goes on for long.

@@ -50,7 +50,6 @@ fn run_on(session: &mut Session, id: Option<MotorId>, to: MotorId) -> Outcome {
 
 fn change(session: &mut Session, from: MotorId, to: MotorId) -> Outcome {
     session.is_not_left_halfway()?;
-    session.standing(from)?;
     bring_up::change_id(&mut session.master, from, to)?;
     Ok(())
 }

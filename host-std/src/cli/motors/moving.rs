@@ -5,11 +5,11 @@ use std::sync::atomic::Ordering;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{BrakeCommand, ReadRunningMode, ReadStatus1, ReadStatus2};
-use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::io::{Runner, bring_up};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
 
-use super::session::{Session, turns};
+use super::session::Session;
 use crate::cli::{Outcome, Unfinished, printer, report, unwritten};
 
 /// How long a motor may take to come to rest.
@@ -245,7 +245,7 @@ impl Session {
                 let (slowest, latest) = &mut slowing[motor.index()];
                 let now = self.master.now();
                 let told = match reply.map(|reply| reply.speed) {
-                    Ok(speed) if !turns(speed) => None,
+                    Ok(speed) if !bring_up::turns(speed) => None,
                     Ok(speed) if self.is_not_to_wait() => Some(format!(
                         "has confirmed the stop (0x81) and turns yet at {speed}: its rest was not waited for"
                     )),

@@ -13,7 +13,6 @@ use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadSt
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Bus, Config, Event, Failure, MotorSet};
-use myactuator_protocol_core::units::CoarseSpeed;
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::elsewhere::Watched;
@@ -21,9 +20,6 @@ use super::on_bus::OnBus;
 use crate::cli::arguments as parse;
 pub(super) use crate::cli::say;
 use crate::cli::{Outcome, Unfinished, interrupt, printable, report, unwritten};
-
-/// Faster than this a shaft counts as turning, dps: feedback may flicker by a step.
-const STILL_DPS: f32 = 2.0;
 
 /// What came that cannot be understood, on RS485.
 const NO_FRAME: &str =
@@ -301,20 +297,16 @@ impl Session {
             .map_err(|error| Unfinished::Failed(format!("cannot watch for Ctrl-C: {error}")))
     }
 
-    /// Refuses a motor that turns: before the user is asked, and once more then, for an answer may take minutes.
+    /// Refuses a motor that turns.
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
         let speed = self.ask(motor, ReadStatus2)?.speed;
-        if turns(speed) {
+        if bring_up::turns(speed) {
             return Err(Unfinished::Failed(format!(
                 "motor {motor} turns at {speed}: stop it first"
             )));
         }
         Ok(())
     }
-}
-
-pub(super) fn turns(speed: CoarseSpeed) -> bool {
-    speed.dps().abs() > STILL_DPS
 }
 
 /// That two motors seem to have this id.

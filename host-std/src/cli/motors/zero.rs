@@ -32,7 +32,6 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 /// Makes it, and tells the zero.
 fn make(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.is_not_left_halfway()?;
-    session.standing(motor)?;
     let before = session.ask(motor, ReadMultiTurnAngle)?.angle;
     let offset = bring_up::zero_here(&mut session.master, motor)?;
     let after = session.ask(motor, ReadMultiTurnAngle)?.angle;
