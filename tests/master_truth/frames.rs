@@ -228,15 +228,17 @@ impl Truth {
         let copies = 1 + u32::from(self.echoes);
         let may_pass_for_echo = self.doubt.heard() && !has_values(name.byte);
         let page = self.page(motor);
-        page.unanswered = 0;
         let is_lost_master = packet.data[0] == 0xF1;
+        if !may_pass_for_echo {
+            page.unanswered = 0;
+        }
         if is_lost_master {
             page.lost_master_untold = false;
             page.ignores_next = true;
             page.lost_master_delivered += 1;
         }
         // What an adapter hands back is nothing that was heard.
-        if copies == 1 || packet.data[3] == DONE || is_lost_master {
+        if copies == 1 && !may_pass_for_echo || packet.data[3] == DONE || is_lost_master {
             // Nor does anybody know when that was before, if all that came then may have been such.
             let unknown = MAY_HAVE_RESTARTED.times(copies - 1);
             let silence = page.delivered_at.map_or(unknown, |before| now - before);

@@ -176,8 +176,6 @@ pub(super) enum Doubt {
     Settled,
     Unheard,
     Heard,
-    /// It has asked: what is heard before it asks again settles it.
-    Asked,
 }
 
 impl Doubt {
@@ -192,8 +190,7 @@ impl Doubt {
     /// The bus has taken what may be like its reply, before which the loop asks.
     pub(super) fn asked(&mut self) {
         *self = match *self {
-            Self::Heard => Self::Asked,
-            Self::Asked => Self::Unheard,
+            Self::Heard => Self::Settled,
             other => other,
         };
     }
@@ -203,7 +200,6 @@ impl Doubt {
         let is_in_doubt = matches!(self, Self::Unheard | Self::Heard);
         *self = match *self {
             Self::Unheard => Self::Heard,
-            Self::Asked => Self::Settled,
             other => other,
         };
         is_in_doubt
@@ -353,7 +349,7 @@ impl Truth {
         self.pages.iter_mut().for_each(|page| page.set_points.may_be_dropped());
         self.what_all_were_told_may_be_dropped();
         self.failures += 1;
-        if matches!(self.doubt, Doubt::Settled | Doubt::Asked) {
+        if matches!(self.doubt, Doubt::Settled) {
             self.doubt = Doubt::Unheard;
         }
     }

@@ -185,6 +185,8 @@ enum Stage {
     Unheard,
     /// It may have been lost, and what was sent behind it not.
     Doubtful { is_due: bool },
+    /// Something was heard in doubt, so that the line is whole: it is to be sent once more, and an echo would come.
+    Last,
     /// There is no echo: something else was heard after it.
     Spent,
 }
@@ -204,7 +206,8 @@ impl Probe {
 
     /// Whether it is to be sent now.
     pub(super) fn is_due(&self) -> bool {
-        matches!(self.stage, Stage::Due(_) | Stage::Unheard | Stage::Doubtful { is_due: true })
+        use Stage::{Doubtful, Due, Last, Unheard};
+        matches!(self.stage, Due(_) | Unheard | Doubtful { is_due: true } | Last)
     }
 
     /// The port has taken all of it: of less no echo would be known.
@@ -214,6 +217,7 @@ impl Probe {
             Stage::Due(_) => Stage::Gone,
             // What took those before it may have taken this one, and end before what follows.
             Stage::Unheard | Stage::Doubtful { .. } => Stage::Doubtful { is_due: false },
+            Stage::Last => Stage::Spent,
             known @ (Stage::Gone | Stage::Spent) => known,
         };
     }
@@ -223,16 +227,15 @@ impl Probe {
         self.stage = match self.stage {
             Stage::Gone => Stage::Unheard,
             Stage::Doubtful { .. } => Stage::Doubtful { is_due: true },
-            known @ (Stage::Due(_) | Stage::Unheard | Stage::Spent) => known,
+            known @ (Stage::Due(_) | Stage::Unheard | Stage::Last | Stage::Spent) => known,
         };
     }
 
     /// Reading has failed: what came back may be lost.
     pub(super) fn may_be_lost(&mut self) {
         self.stage = match self.stage {
-            Stage::Spent => Stage::Due(1),
             Stage::Gone => Stage::Doubtful { is_due: false },
-            Stage::Unheard => Stage::Doubtful { is_due: true },
+            Stage::Unheard | Stage::Last | Stage::Spent => Stage::Doubtful { is_due: true },
             known @ (Stage::Due(_) | Stage::Doubtful { .. }) => known,
         };
     }
@@ -241,8 +244,7 @@ impl Probe {
     pub(super) fn something_came(&mut self) -> bool {
         let (stage, is_in_doubt) = match self.stage {
             Stage::Gone | Stage::Unheard | Stage::Spent => (Stage::Spent, false),
-            // The line is not dead, or not any more: now an echo would come.
-            Stage::Doubtful { .. } => (Stage::Due(1), true),
+            Stage::Doubtful { .. } | Stage::Last => (Stage::Last, true),
             Stage::Due(_) => (self.stage, true),
         };
         self.stage = stage;
