@@ -23,10 +23,12 @@ const SENDINGS: usize = 8;
 /// An echo that nobody configured is found by what comes back and no drive sends: a frame that nobody answers, by
 /// which the loops ask, or one to all, with which a stop of all motors begins. Or by two sendings to one motor that
 /// come back although no reply to them can be the same bytes: one may have lost its master and ignored the first.
-/// The loops ask until they hear something else, and again when reading has failed: twice at first, then with one
-/// frame before each that can be a reply. What equals a sending is no reply meanwhile: a confirmation then comes with
-/// the next stop.
-/// And is none if four of them in a row then do not come back although other frames do.
+/// The adapter counts as quiet again if four of its echoes in a row do not come back although other frames do.
+///
+/// The loops ask twice at first, and go on with one such frame before each that can be a reply until they hear
+/// something else; they ask again when reading has failed. Where two and more have not come back and nothing else was
+/// heard, the line may be dead, or have been: what comes first then and equals a sending is no reply. A stop is
+/// confirmed by its next attempt then.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
