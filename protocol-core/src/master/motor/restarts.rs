@@ -17,9 +17,9 @@ const HALF_A_TURN: u16 = 180;
 pub(in crate::master) const HALF_A_TURN_TAKES: Duration = DEGREE_TAKES.times(HALF_A_TURN as u32);
 
 /// Motion mode tells the position on a scale of the firmware's, which need not be known here. On the narrowest, of
-/// 25 rad (V4.3), a turn is a quarter of it; no motor turns an eighth in less than 20 ms.
+/// 25 rad (V4.3), a turn is a quarter of it, and 10,000 dps are 458 steps in a millisecond.
 const EIGHTH_OF_SCALE: u16 = 1 << 13;
-const EIGHTH_OF_SCALE_TAKES: Duration = Duration::from_millis(20);
+const STEP_TAKES: Duration = Duration::from_micros(2);
 
 /// Where the motor is, as feedback says.
 #[derive(Clone, Copy)]
@@ -37,21 +37,20 @@ impl Place {
         }
     }
 
-    /// How long the way from here takes at least, but for a first half of a turn, or eighth of the scale. After another
-    /// kind of stream nobody knows how far it is.
-    fn shortest_way_to(self, other: Self) -> Duration {
-        match (self, other) {
+    /// How long the way from here takes at least, if it is longer than a first half of a turn, or eighth of the scale.
+    /// After another kind of stream nobody knows how far it is.
+    fn shortest_way_to(self, other: Self) -> Option<Duration> {
+        let (beyond, takes) = match (self, other) {
             (Self::Degrees(from), Self::Degrees(to)) => {
                 let turned = to.wrapping_sub(from).unsigned_abs();
-                DEGREE_TAKES.times(turned.saturating_sub(HALF_A_TURN).into())
+                (turned.checked_sub(HALF_A_TURN)?, DEGREE_TAKES)
             }
             (Self::OfScale(from), Self::OfScale(to)) => {
-                let beyond = to.abs_diff(from).saturating_sub(EIGHTH_OF_SCALE);
-                let all = EIGHTH_OF_SCALE_TAKES.times(beyond.into());
-                Duration::from_micros(all.as_micros() / u64::from(EIGHTH_OF_SCALE))
+                (to.abs_diff(from).checked_sub(EIGHTH_OF_SCALE)?, STEP_TAKES)
             }
-            _ => Duration::ZERO,
-        }
+            _ => return None,
+        };
+        Some(takes.times(beyond.into()))
     }
 }
 
@@ -91,7 +90,8 @@ impl Motor {
     pub(in crate::master) fn note_place(&mut self, place: Place, config: &Config, now: Instant) {
         let knows_place = core::mem::take(&mut self.knows_place);
         let before = self.latest.filter(|_| knows_place).and_then(|it| Place::of(&it));
-        if before.is_some_and(|it| it.shortest_way_to(place) > now - self.latest_at) {
+        let shortest = before.and_then(|it| it.shortest_way_to(place));
+        if shortest.is_some_and(|shortest| shortest > now - self.latest_at) {
             self.has_begun_anew(config, now);
         }
     }
