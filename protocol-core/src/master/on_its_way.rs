@@ -71,6 +71,13 @@ impl OnItsWay {
         }
     }
 
+    /// All were told: nobody says when that has come.
+    pub(super) fn may_lie_in_a_mailbox(&mut self) {
+        if matches!(self, Self::No) {
+            *self = Self::OverByTime;
+        }
+    }
+
     /// The drive has answered what ends its motion: nothing from before comes any more.
     pub(super) fn has_ended(&mut self) {
         *self = Self::No;

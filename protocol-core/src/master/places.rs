@@ -148,6 +148,7 @@ impl<const N: usize> Master<N> {
         let is_idle = self.motors.get(place).is_some_and(|motor| motor.is_idle(now))
             && !self.broadcast.may_yet_move(motor);
         if is_idle {
+            self.let_line_answer();
             if let Some(of) = self.motors.get_mut(place) {
                 *of = Motor::default();
             }

@@ -186,8 +186,8 @@ impl<const N: usize> Master<N> {
                 }
                 Some(self.stray(id, &packet.data))
             }
-            Meaning::Doubled => Some(self.stray(id, &packet.data)),
-            Meaning::Unasked => Some(self.handle_unasked(id, packet, now)),
+            Meaning::Doubled => Some(self.handle_unasked(id, packet, now, true)),
+            Meaning::Unasked => Some(self.handle_unasked(id, packet, now, false)),
         }
     }
 
@@ -213,7 +213,13 @@ impl<const N: usize> Master<N> {
     }
 
     /// An answer to the broadcast, a report, or anything else that nobody waits for.
-    fn handle_unasked(&mut self, id: MotorId, packet: &Packet, now: Instant) -> Event {
+    fn handle_unasked(
+        &mut self,
+        id: MotorId,
+        packet: &Packet,
+        now: Instant,
+        is_doubled: bool,
+    ) -> Event {
         // Motion mode has no command byte: its first byte is the drive's id and says nothing.
         if let Channel::MotionReply(_) = packet.channel {
             return self.stray(id, &packet.data);
@@ -221,7 +227,7 @@ impl<const N: usize> Master<N> {
         let Ok(reply) = AnyReply::decode(packet, self.config.firmware) else {
             return self.stray(id, &packet.data);
         };
-        if self.answers_broadcast(id, &packet.data, now) {
+        if !is_doubled && self.answers_broadcast(id, &packet.data, now) {
             return Event::BroadcastReply { motor: id, reply };
         }
         let bit = Opcode::from_byte(packet.data[0]).and_then(reported_bit).unwrap_or(0);
@@ -300,7 +306,7 @@ impl Motor {
             self.late_replies_say_nothing();
         }
         match self.take_late(is_motion, data, may_be_doubled) {
-            None if may_be_doubled => Meaning::Doubled,
+            None if may_be_doubled && config.shortest_response > Duration::ZERO => Meaning::Doubled,
             Some(Of::StopAnswered) => Meaning::Nothing,
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             Some(_) if heard.is_ignored_one() => Meaning::Late,

@@ -8,7 +8,7 @@ impl<const N: usize> Master<N> {
     /// [`Event::Restarted`](crate::master::Event::Restarted), which follows.
     pub fn note_restart(&mut self, motor: MotorId) {
         let now = self.now;
-        self.offer = None;
+        (self.offer, self.due) = (None, now);
         self.change(motor, |motor, config| motor.has_begun_anew(config, now));
     }
 

@@ -105,6 +105,9 @@ impl<const N: usize> Master<N> {
         if self.stops_all != Some(StopKind::Off) {
             self.stops_all = Some(kind);
         }
+        if kind == StopKind::Off {
+            self.switched_off = MotorSet::ALL;
+        }
         // On CAN once for a stop: each motor answers it, and not all may hear it.
         let is_for_unnamed = self.broadcast.has_moved() && was != Some(kind);
         if is_any_new {
@@ -112,9 +115,6 @@ impl<const N: usize> Master<N> {
             // One that waits has reached nobody yet.
             let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
             self.stop_to_all = goes.then_some(kind).or(waits);
-            if self.stop_to_all == Some(StopKind::Off) {
-                self.switched_off = MotorSet::ALL;
-            }
         }
         result
     }

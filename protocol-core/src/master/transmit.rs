@@ -73,7 +73,10 @@ impl<const N: usize> Master<N> {
                 if let (Some(kind), data) = self.broadcast.command() {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
-                            motor.note_sent(kind, &data, config, now)
+                            motor.note_sent(kind, &data, config, now);
+                            if kind.may_move() {
+                                motor.on_its_way.may_lie_in_a_mailbox();
+                            }
                         });
                     }
                 }

@@ -531,3 +531,29 @@ fn what_is_given_up_once_more_is_late_for_as_long_as_the_last() {
     }
     assert_eq!(late.take(false, &ReadModel.encode(), false), None);
 }
+
+#[test]
+fn where_answers_may_come_at_once_an_answer_to_all_is_none_doubled() {
+    let config = Config { shortest_response: Duration::ZERO, ..Config::CAN };
+    let mut master = Master::<2>::new(config);
+    let t = ask(&mut master, 1, ReadMultiTurnAngle, ms(10));
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(10)).unwrap();
+    assert!(t.outcome(&event).is_some());
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(10)).len(), 1);
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(10));
+    assert!(matches!(event, Some(Event::BroadcastReply { .. })), "{event:?}");
+}
+
+#[test]
+fn two_reports_that_are_looked_at_at_once_are_reports() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1));
+    let _ = ask(&mut master, 1, report_angle(Switch::On), ms(2));
+    while master.poll_event().is_some() {}
+    for t in [20, 20] {
+        let event = reply(&mut master, 1, ANGLE_REPLY, ms(t));
+        assert!(matches!(event, Some(Event::Report { .. })), "{event:?}");
+    }
+}

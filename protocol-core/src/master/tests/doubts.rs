@@ -499,3 +499,29 @@ fn that_another_motor_was_heard_before_a_cut_says_nothing_of_what_lies_in_a_mail
         "the set-point comes behind it"
     );
 }
+
+#[test]
+fn that_another_motor_was_heard_before_a_cut_says_nothing_of_a_move_of_all() {
+    for named in [MotorSet::EMPTY, id(1).into()] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let go = AbsolutePosition { max_speed: MaxSpeed::from_raw(1), angle: Angle::from_raw(0) };
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+        reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+        master.broadcast(go, named).unwrap();
+        assert_eq!(sent(&mut master, ms(2)).len(), 1);
+        for now in 2..24 {
+            events(&mut master, ms(now));
+        }
+        let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(24));
+        reply(&mut master, 2, ANGLE_REPLY, ms(25)).unwrap();
+        for now in 25..100 {
+            events(&mut master, ms(now));
+        }
+        master.stop(id(1), StopKind::Off).unwrap();
+        for now in 100..190 {
+            sent(&mut master, ms(now));
+            assert_eq!(events(&mut master, ms(now)), []);
+        }
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(191)), None, "{named:?}");
+    }
+}

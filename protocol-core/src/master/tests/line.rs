@@ -123,3 +123,25 @@ fn who_fills_the_line_holds_no_stop_up_behind_a_patient_question_either() {
     });
     assert!(at.is_some_and(|at| at <= 60), "{at:?}");
 }
+
+#[test]
+fn who_is_forgotten_while_its_stop_is_on_the_line_may_answer_yet() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let _ = master.stop(id(1), StopKind::Hold);
+    let mut t = 0;
+    while events(&mut master, ms(t)).is_empty() {
+        sent(&mut master, ms(t));
+        t += 1;
+    }
+    let at = loop {
+        t += 1;
+        if !sent(&mut master, ms(t)).is_empty() {
+            break t;
+        }
+    };
+    assert!(master.is_anything_in_flight());
+    let _ = master.request(id(2), ReadMultiTurnAngle);
+    assert!(master.forget(id(1)));
+    let now = ms(at) + Duration::from_micros(600);
+    assert_eq!(sent(&mut master, now), [], "the answer to the stop is due");
+}

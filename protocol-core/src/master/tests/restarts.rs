@@ -360,3 +360,18 @@ fn a_turn_that_is_lost_in_motion_mode_is_a_jump() {
     assert!(!is_jump(30_000, 39_192, 2_000));
     assert!(is_jump(30_000, 39_193, 2_000));
 }
+
+#[test]
+fn what_waits_behind_a_restart_that_the_caller_has_found_goes_in_time() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let patient = Patience { reply_timeout: Duration::from_millis(20), attempts: 2 };
+    let _ = master.request_with(id(1), step(), patient).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.handle_timeout(ms(20));
+    master.note_restart(id(1));
+    while master.poll_event().is_some() {}
+    master.resume(id(1));
+    let _ = master.request_with(id(1), step(), patient).unwrap();
+    let at = master.poll_at().unwrap();
+    assert!(!sent(&mut master, at).is_empty() || master.poll_at() > Some(at));
+}

@@ -326,3 +326,34 @@ fn what_holds_all_does_not_switch_on_who_was_stopped_off() {
     let packets = sent(&mut master, ms(2));
     assert!(!packets.contains(&packet_to_all(Stop.encode())), "{packets:?}");
 }
+
+#[test]
+fn who_gets_a_place_under_a_stop_of_all_that_switches_off_is_not_held_by_a_stop() {
+    let mut master = Master::<4>::new(Config::CAN);
+    master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    sent(&mut master, ms(0));
+    master.stop(id(2), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to(2, Shutdown.encode())]);
+}
+
+#[test]
+fn who_gets_a_place_by_a_later_hold_of_all_is_off_like_all() {
+    let mut master = Master::<4>::new(Config::CAN);
+    master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    sent(&mut master, ms(0));
+    master.stop_all(StopKind::Hold, id(2).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to(2, Shutdown.encode())]);
+}
+
+#[test]
+fn who_gets_a_place_under_a_stop_of_all_that_switches_off_is_not_held_with_all() {
+    let mut master = Master::<4>::new(Config::CAN);
+    master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    sent(&mut master, ms(0));
+    reply(&mut master, 1, Shutdown.encode(), ms(1));
+    let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(2));
+    reply(&mut master, 2, ANGLE_REPLY, ms(3));
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    let all: Vec<_> = (4..200).flat_map(|t| sent(&mut master, ms(t))).collect();
+    assert_eq!(all, []);
+}

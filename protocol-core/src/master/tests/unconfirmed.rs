@@ -329,3 +329,61 @@ fn a_shutdown_that_was_never_sent_does_not_change_a_hold_that_goes_again() {
         assert_eq!(goes_again(&mut master, now), [packet_to(1, Stop.encode())], "{is_to_all}");
     }
 }
+
+#[test]
+fn what_all_are_about_to_be_told_is_not_undone_by_a_hold_that_goes_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let now = is_given_up(&mut master, 0);
+    let patient = Patience { reply_timeout: Duration::from_millis(300), attempts: 1 };
+    let _ = master.request_with(id(2), ReadModel, patient).unwrap();
+    assert_eq!(sent(&mut master, ms(now)).len(), 1);
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    let goes: Vec<Packet> =
+        (now + 1..now + 400).flat_map(|now| sent(&mut master, ms(now))).collect();
+    assert!(goes.iter().all(|packet| packet.data == Shutdown.encode()), "{goes:?}");
+    assert!(goes.contains(&packet_to_all(Shutdown.encode())));
+}
+
+#[test]
+fn a_stop_that_was_lifted_does_not_go_again_because_another_is_in_force() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let now = is_given_up(&mut master, 0);
+    master.stop(id(2), StopKind::Hold).unwrap();
+    sent(&mut master, ms(now));
+    assert!(reply(&mut master, 2, Stop.encode(), ms(now + 1)).is_some());
+    master.lift_stop_of(id(1));
+    let goes: Vec<Packet> =
+        (now + 2..now + 400).flat_map(|now| sent(&mut master, ms(now))).collect();
+    assert_eq!(goes, []);
+    assert_eq!(master.poll_at(), None);
+}
+
+#[test]
+fn each_unconfirmed_stop_goes_when_it_is_time_for_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let mut told = [0; 3];
+    let mut last = [0; 3];
+    master.stop(id(1), StopKind::Hold).unwrap();
+    for now in 0..3_000 {
+        if now == 50 {
+            master.stop(id(2), StopKind::Hold).unwrap();
+        }
+        for packet in sent(&mut master, ms(now)) {
+            let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
+            let motor = usize::from(motor.get());
+            let since = now - last[motor];
+            last[motor] = now;
+            assert!(
+                told[motor] == 0 || now == told[motor] + 100 || (118..125).contains(&since),
+                "{motor} {since}"
+            );
+        }
+        for event in events(&mut master, ms(now)) {
+            if let Event::StopUnconfirmed { motor } = event {
+                told[usize::from(motor.get())] = now;
+            }
+        }
+    }
+}
