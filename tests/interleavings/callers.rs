@@ -79,6 +79,10 @@ impl<const N: usize> State<N> {
                 let known = self.master.motors();
                 let is_put = self.master.stop_all(kind, known).is_ok();
                 known.iter().for_each(|motor: MotorId| self.stops(motor.index(), kind));
+                if kind == StopKind::Off {
+                    // Also who has no place yet.
+                    self.world.truth.iter_mut().for_each(|truth| truth.is_off = true);
+                }
                 (self.world.stops_all, self.world.stop_all_call) = (true, number);
                 is_put && !known.is_empty()
             }

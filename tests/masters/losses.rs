@@ -105,13 +105,18 @@ fn run<W: Wire>(case: Case) -> Vec<Told> {
         let lost_on_the_way = (page.sent.asking - page.heard.asking) + page.replies_lost;
         // Where several frames in a row are lost the bus looks quiet, and feedback that waits for it late.
         let late = got_through - u64::from(health.answered);
-        assert!(late <= got_through / 100 && (late == 0 || case.percent > 0), "{what}");
+        // On a line that is not known to be whole one answer may pass for an echo.
+        let passed = u64::from(W::NAME != "CAN" && (case.percent > 0 || case.cuts));
+        let most_late = if case.percent > 0 { got_through / 100 } else { 0 };
+        assert!(late <= most_late + passed, "{what}");
         assert_eq!(u64::from(health.lost), page.sent.asking - got_through + late, "{what}");
         if !case.cuts {
-            assert_eq!(u64::from(health.lost), lost_on_the_way + late, "{what}");
+            let counted = lost_on_the_way + late;
+            assert!((counted..=counted + passed).contains(&u64::from(health.lost)), "{what}");
         }
         let told_answered = told.replies + told.feedback + told.broadcast_replies;
-        assert_eq!(u64::from(health.answered) + late, told_answered, "{what}");
+        let answered = u64::from(health.answered) + late;
+        assert!((answered - passed.min(late)..=answered).contains(&told_answered), "{what}");
         assert_eq!(health.stray, 0, "{what}");
         let told_lost = told.no_reply + told.unanswered + told.silent;
         if case.attempts == 1 {

@@ -158,8 +158,9 @@ fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
     rig.ledger.pages().iter_mut().for_each(|page| page.sent.first_stop = None);
     let unconfirmed = rig.runner.stop_all(kind, MotorSet::EMPTY);
     let took = rig.runner.now() - begun;
-    // 15 attempts of 21 ms, and what a set-point may still be on its way; on RS485 one motor after another.
-    let longest = if W::NAME == "CAN" { 330 + 62 } else { 8 * 15 * 7 + 10 };
+    // 15 attempts of 21 ms, and what a set-point may still be on its way, once more behind each attempt that was not
+    // answered then: every second at the most. On RS485 one motor after another.
+    let longest = if W::NAME == "CAN" { 330 + 8 * 62 } else { 8 * 15 * 7 + 10 };
     assert!(took <= millis(longest), "{}: {took} for all to stop", W::NAME);
     for motor in rig.motors() {
         let page = rig.ledger.page(motor);
@@ -190,6 +191,6 @@ fn a_safe_stop_under_50_percent_loss_reaches_all_or_says_who_was_not_reached() {
         }
     }
     // Each attempt works with 0.25, so 15 of them fail with 0.75^15 = 1.3 %: of 25,600 some 340. Whom something sent
-    // before may move yet needs two that work.
-    assert!((1..=700).contains(&missed), "{missed} of 25,600 not reached");
+    // before may move yet needs two that work, and another two where the bus may have been cut between them.
+    assert!((1..=1_050).contains(&missed), "{missed} of 25,600 not reached");
 }

@@ -13,8 +13,8 @@ pub(super) enum OnItsWay {
     /// Not after this on a whole bus. But nothing was heard since, apart from what was on its way to us: the bus may
     /// be cut, and this in a mailbox for as long as that lasts.
     WhileCut(Instant),
-    /// It is over by time alone. If the bus was cut meanwhile, it lies in a mailbox yet.
-    OverByTime,
+    /// It was over then by time alone. If the bus was cut meanwhile, it lies in a mailbox yet: until something is heard.
+    OverByTime(Instant),
 }
 
 impl OnItsWay {
@@ -33,14 +33,14 @@ impl OnItsWay {
     pub(super) fn end(self) -> Option<Instant> {
         match self {
             Self::Until(at) => Some(at),
-            Self::No | Self::WhileCut(_) | Self::OverByTime => None,
+            Self::No | Self::WhileCut(_) | Self::OverByTime(_) => None,
         }
     }
 
     /// When it is over unless the bus is cut.
     pub(super) fn end_on_whole_bus(self) -> Option<Instant> {
         match self {
-            Self::No | Self::OverByTime => None,
+            Self::No | Self::OverByTime(_) => None,
             Self::Until(at) | Self::WhileCut(at) => Some(at),
         }
     }
@@ -66,15 +66,18 @@ impl OnItsWay {
         if self.end_on_whole_bus().is_some_and(|end| heard_at + config.late_window >= end) {
             self.bus_is_alive(heard_at, config);
         }
-        if self.end().is_some_and(|end| end <= now) {
-            *self = Self::OverByTime;
+        if let Some(end) = self.end().filter(|&end| end <= now) {
+            *self = Self::OverByTime(end);
+        }
+        if matches!(self, Self::OverByTime(at) if *at <= heard_at) {
+            *self = Self::No;
         }
     }
 
-    /// All were told: nobody says when that has come.
-    pub(super) fn may_lie_in_a_mailbox(&mut self) {
-        if matches!(self, Self::No) {
-            *self = Self::OverByTime;
+    /// All were told what the broadcast keeps account of until then, and no longer.
+    pub(super) fn is_over_with_all(&mut self, at: Instant) {
+        if !self.is_any() {
+            *self = Self::OverByTime(at);
         }
     }
 

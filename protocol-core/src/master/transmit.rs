@@ -75,7 +75,8 @@ impl<const N: usize> Master<N> {
                         self.change_at(place, |motor, config| {
                             motor.note_sent(kind, &data, config, now);
                             if kind.may_move() {
-                                motor.on_its_way.may_lie_in_a_mailbox();
+                                let over = now + config.reply_timeout + config.late_window;
+                                motor.on_its_way.is_over_with_all(over);
                             }
                         });
                     }

@@ -28,7 +28,7 @@ impl Motor {
 
     /// What ends its motion was not answered: the bus may be cut, and have been all the time.
     pub(super) fn bus_may_be_cut(&mut self, now: Instant, config: &Config) {
-        if matches!(self.on_its_way, OnItsWay::OverByTime) && !config.is_rs485() {
+        if matches!(self.on_its_way, OnItsWay::OverByTime(_)) && !config.is_rs485() {
             self.may_move_until(now + config.late_window, config);
         }
     }
