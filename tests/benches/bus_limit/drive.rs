@@ -40,7 +40,8 @@ impl Node<SimpleFrame> for Answering {
                 Channel::Reply(motor)
             }
             Channel::Motion(motor) if motor == self.motor => {
-                data[0] = motor.get();
+                // Positions that jump would be those of restarts.
+                (data[0], data[1]) = (motor.get(), 0x80);
                 Channel::MotionReply(motor)
             }
             _ => return,
