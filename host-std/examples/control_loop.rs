@@ -98,7 +98,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let left = run(&mut bus, &scale, swing(&scale, &is_interrupted));
     let running = bus.stop_all(StopKind::Hold, MotorSet::EMPTY);
     if !running.is_empty() {
-        eprintln!("motors {running} have not confirmed the stop: cut their power");
+        eprintln!("the loop has ended: {left:?}");
+        return Err(format!("motors {running} have not confirmed the stop: cut their power").into());
     }
     left.map_err(|error| error.to_string().into())
 }
