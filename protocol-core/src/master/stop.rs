@@ -310,8 +310,7 @@ impl<const N: usize> Master<N> {
 
     /// Whether a stop like this may go to all at once: it switches nobody on who is to stay off.
     fn is_same_for_all(&self, kind: StopKind) -> bool {
-        let is_any_off = !self.switched_off.is_empty() || self.stops_all == Some(StopKind::Off);
-        kind == StopKind::Off || !is_any_off
+        kind == StopKind::Off || self.switched_off.is_empty()
     }
 
     /// The stop to all was sent.
