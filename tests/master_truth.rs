@@ -7,6 +7,7 @@
 //! - `hosts`: what runs the master, a loop that polls or an async one; of the drawn runs a quarter is on
 //!   async loops in the world's executor, and another on those whose futures are dropped now and then.
 //! - `world`: the bus, and how the master's computer treats it. `drives`: the drives and another master.
+//! - `doubt`: whether an acknowledgement may pass for an echo.
 //! - `callers`: when the master is asked, stopped and left alone. `asks`: what it is asked.
 //! - `names`: how frames are told apart. `truth`: what really happened. `stops`: when first stops went.
 //!   `to_all`: what all are told at once, and what becomes of that.
@@ -22,6 +23,7 @@ mod master_truth {
     mod asks;
     mod bounds;
     mod callers;
+    mod doubt;
     mod drives;
     mod excuses;
     mod frames;

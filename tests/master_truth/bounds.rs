@@ -95,7 +95,7 @@ impl Bounds {
             }
             // One exchange at a time, each with a motor that may be silent; and whoever else speaks on the line has as
             // much of it.
-            Bus::Rs485 { turnaround, .. } => {
+            Bus::Rs485 { turnaround, echo } => {
                 let conditions = &scenario.conditions;
                 let motors =
                     motors * (1 + u32::from(conditions.twins) + u32::from(conditions.stranger));
@@ -103,7 +103,9 @@ impl Bounds {
                 let longest = if scenario.conditions.repeats { ROM_TIMEOUT } else { timeout };
                 let exchange = timeout.max(longest) + frames;
                 let stop = timeout.min(LONGEST_STOP_TIMEOUT) + frames;
-                (exchange.times(2 * motors), stop.times(motors))
+                // Where nobody has said whether the adapter echoes, each goes behind a read that shows it.
+                let reads = if echo { 1 } else { 2 };
+                (exchange.times(2 * reads * motors), stop.times(reads * motors))
             }
         };
         Self { config, step, turn, round_of_stops }

@@ -3,6 +3,7 @@
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
 
+use super::doubt::{SHOWS_ECHO, shows_echo};
 use super::excuses::Excuse;
 use super::names::{Name, REPORTS, has_values, is_asking, question_of};
 use super::to_all::STOP;
@@ -10,8 +11,6 @@ use super::truth::{DONE, MAY_HAVE_RESTARTED, Truth};
 
 /// What comes sooner after its command may be taken for a doubled frame.
 const TOO_SOON: Duration = Duration::from_micros(500);
-/// No reply to these is the same bytes, so that no question whether there is an echo goes before.
-const NEVER_LIKE_THEIR_REPLY: [u8; 3] = [0x9A, 0xB2, 0xB5];
 
 impl Truth {
     /// The bus has taken a command of the master's.
@@ -44,9 +43,13 @@ impl Truth {
 
     fn taken_of(&mut self, motor: MotorId, packet: &Packet) {
         let (name, now) = (Name::of(packet), self.now);
-        if !NEVER_LIKE_THEIR_REPLY.contains(&name.byte) {
-            self.doubt.asked();
+        if shows_echo(packet) {
+            if !self.doubt.is_open() {
+                self.breaks(format!("motor {motor} is asked for an echo of which all is known"));
+            }
+            return self.doubt.taken(motor, name);
         }
+        self.doubt.taken(motor, name);
         if is_asking(packet) {
             let page = self.page(motor);
             (page.asked_at, page.answered_newest) = (now, false);
@@ -163,7 +166,7 @@ impl Truth {
         self.tick(at);
         let moment = self.next_moment();
         let (name, now, window) = (Name::of(packet), self.now, self.late_window);
-        if name.is_strangers() {
+        if name.is_strangers() || shows_echo(packet) {
             return;
         }
         let doubled = self.doubled(motor);
@@ -226,7 +229,8 @@ impl Truth {
         let (window, doubled) = (self.late_window, self.doubled(motor));
         let longest = self.longest_response;
         let copies = 1 + u32::from(self.echoes);
-        let may_pass_for_echo = self.doubt.heard() && !has_values(name.byte);
+        let may_pass_for_echo = self.doubt.is_open() && !has_values(name.byte);
+        self.doubt.delivered(motor, packet);
         let page = self.page(motor);
         let is_lost_master = packet.data[0] == 0xF1;
         if !may_pass_for_echo {
@@ -245,7 +249,9 @@ impl Truth {
             page.longest_silence = page.longest_silence.max(silence);
             page.delivered_at = Some(now);
         }
-        if name.is_strangers() {
+        if name == SHOWS_ECHO {
+            // Nobody has asked that is told the answer.
+        } else if name.is_strangers() {
             page.excuses.note(question, Excuse::AnotherMaster, now, window);
         } else if name.token & 0xFF00_0000 == REPORTS {
             page.excuses.note(question, Excuse::ReportedByItself, now, window);

@@ -4,11 +4,12 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use myactuator_protocol_core::master::{Bus, Config, MotorSet};
+use myactuator_protocol_core::master::{Config, MotorSet};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
 use super::bounds::{Clocks, Quiet};
+use super::doubt::Doubt;
 use super::excuses::{Excuse, Excuses};
 use super::names::Name;
 use super::set_points::SetPoints;
@@ -167,45 +168,6 @@ pub(crate) struct Truth {
     pub(crate) excused: HashMap<Excuse, u64>,
 }
 
-/// Where nobody has said that the adapter echoes, the loop asks; until something is heard, also after an error, it
-/// takes what may be an echo for one, and asks again then.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Doubt {
-    /// There is none.
-    Never,
-    Settled,
-    Unheard,
-    Heard,
-}
-
-impl Doubt {
-    fn of(config: &Config) -> Self {
-        if matches!(config.bus, Bus::Rs485 { echo: false, .. }) {
-            Self::Unheard
-        } else {
-            Self::Never
-        }
-    }
-
-    /// The bus has taken what may be like its reply, before which the loop asks.
-    pub(super) fn asked(&mut self) {
-        *self = match *self {
-            Self::Heard => Self::Settled,
-            other => other,
-        };
-    }
-
-    /// Something was heard. Gives whether it may pass for an echo.
-    pub(super) fn heard(&mut self) -> bool {
-        let is_in_doubt = matches!(self, Self::Unheard | Self::Heard);
-        *self = match *self {
-            Self::Unheard => Self::Heard,
-            other => other,
-        };
-        is_in_doubt
-    }
-}
-
 /// A hand on the truth.
 #[derive(Clone, Debug)]
 pub(crate) struct Book(Arc<Mutex<Truth>>);
@@ -349,9 +311,7 @@ impl Truth {
         self.pages.iter_mut().for_each(|page| page.set_points.may_be_dropped());
         self.what_all_were_told_may_be_dropped();
         self.failures += 1;
-        if matches!(self.doubt, Doubt::Settled) {
-            self.doubt = Doubt::Unheard;
-        }
+        self.doubt.port_has_failed();
     }
 
     /// The port is full: that says something of the bus only if it goes on for long.

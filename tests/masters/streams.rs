@@ -143,6 +143,7 @@ fn a_silent_motor_among_eight_costs_the_other_seven_nothing() {
 /// How many of eight motors do not confirm a stop on a bus that loses every other frame.
 fn stop_under_loss<W: Wire>(kind: StopKind, seed: u64) -> usize {
     let mut rig = Rig::<W>::new(8, seed);
+    rig.shows_no_echo();
     let lossy = FaultPlan { lose: 0.5, ..FaultPlan::NONE };
     rig.strike(lossy);
     // Everything is in flight: streams, moves and reads.

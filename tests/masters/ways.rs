@@ -139,7 +139,7 @@ fn a_set_point_is_waited_for_with_its_own_feedback<W: Wire>() {
     let runner = &mut master(&bus);
     // One of the same kind is under way: its feedback is not taken for that of the next.
     runner.set_point(id(1), push(0.1)).unwrap();
-    // On RS485 behind what shows an echo.
+    // On RS485 behind the reads that show whether there is an echo.
     while !runner.master().is_anything_in_flight() {
         assert_eq!(runner.poll().unwrap(), None);
         let soon = runner.now() + myactuator_protocol_core::time::Duration::from_micros(50);

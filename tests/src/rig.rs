@@ -11,7 +11,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use myactuator_host_std::sim::bus::faults::{Direction, FaultPlan};
 use myactuator_host_std::sim::bus::trace::{Event, Fault};
 use myactuator_host_std::sim::bus::{Node, StationId, World};
-use myactuator_protocol_core::command::{IncrementalPosition, ReadMultiTurnAngle, Speed};
+use myactuator_protocol_core::command::{
+    IncrementalPosition, ReadMultiTurnAngle, ReadStatus1, Speed,
+};
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{self, Config};
@@ -95,7 +97,7 @@ pub struct Seen {
 
 impl Seen {
     fn note(&mut self, packet: &Packet, at: Instant) {
-        self.asking += u64::from(has_reply(packet));
+        self.asking += u64::from(has_reply(packet) && !shows_echo(packet));
         if let Some(number) = set_point_number(packet) {
             self.set_points += 1;
             self.last_motion = Some(at);
@@ -168,6 +170,12 @@ fn has_reply(packet: &Packet) -> bool {
         || Opcode::from_byte(packet.data[0]).is_some_and(Opcode::has_reply)
 }
 
+/// A read of the status, or its answer: nobody asks for it here but the loop, which wants to know whether the adapter
+/// echoes.
+fn shows_echo(packet: &Packet) -> bool {
+    !matches!(packet.channel, Channel::MotionReply(_)) && packet.data[0] == 0x9A
+}
+
 /// The number of a set-point of the tests' streams: absolute positions and marked speeds carry it as
 /// token, motion mode commands its low 16 bits as position.
 fn set_point_number(packet: &Packet) -> Option<u32> {
@@ -203,6 +211,8 @@ impl<W> Teller<W> {
         let mut data = packet.data;
         if let Channel::MotionReply(_) = channel {
             data[0] = self.motor.get();
+        } else if shows_echo(packet) {
+            data[1] = 25; // degrees
         }
         let due = now + Duration::from_micros(700 + self.dice.below(201));
         let due = self.replies.back().map_or(due, |(before, _)| due.max(*before));
@@ -272,12 +282,15 @@ impl<W: Wire> Rig<W> {
             })
             .collect();
         let (first, book, count) = (nodes[0].index(), ledger.clone(), nodes.len());
+        let mut shows = false;
         world.observe(move |record| match &record.event {
             Event::Carried { frame, .. } => {
                 let of_master = record.station == port;
                 let packet = W::packet(&mut Receiver::new(), frame, of_master);
                 let Some(packet) = packet else { return };
+                shows = shows_echo(&packet);
                 match packet.channel {
+                    Channel::Reply(_) if shows => {}
                     Channel::Reply(motor) | Channel::MotionReply(motor) => {
                         book.pages()[motor.index()].replied += 1;
                     }
@@ -285,7 +298,7 @@ impl<W: Wire> Rig<W> {
                     _ => {}
                 }
             }
-            Event::Faulted { from, fault: Fault::Lost } if record.station == port => {
+            Event::Faulted { from, fault: Fault::Lost } if record.station == port && !shows => {
                 let motor = from.index().checked_sub(first).filter(|motor| *motor < count);
                 if let Some(motor) = motor {
                     book.pages()[motor].replies_lost += 1;
@@ -294,6 +307,16 @@ impl<W: Wire> Rig<W> {
             _ => {}
         });
         Self { world, runner, port, nodes, ledger }
+    }
+
+    /// So many answers of the first motor show that the adapter does not echo.
+    pub const SHOWN: u32 = 2;
+
+    /// They come, so that each acknowledgement counts from now on.
+    pub fn shows_no_echo(&mut self) {
+        for _ in 0..Self::SHOWN {
+            self.runner.ask(MotorId::MIN, ReadStatus1).expect("the bus is whole");
+        }
     }
 
     /// What goes wrong on the bus from now on, both ways.

@@ -35,8 +35,8 @@ const LINE_RATES: std::ops::RangeInclusive<u32> = 1_200..=12_000_000;
 /// | `rs485:/dev/ttyUSB0@115200` | RS485 adapter on a serial port, bit rate of the line in bit/s |
 /// | `rs485:/dev/ttyUSB0@115200,echo` | one that hands back what it sends |
 ///
-/// Without `echo` it is found out: before the first command whose echo may pass for its answer the status of motor
-/// 33 is read, which no motor can be. If that comes back it is an echo.
+/// Without `echo` it is found out: before the first commands whose echo may pass for the answer the motor's status is
+/// read, whose echo cannot.
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;

@@ -1,15 +1,18 @@
 //! What an RS485 adapter hands back of one's own bytes.
 
 use crate::id::Target;
+use crate::master::MotorSet;
 use crate::opcode::{Opcode, ReplyRule};
 use crate::time::{Duration, Instant};
-use crate::wire::rs485::{FRAME_LENGTH, Frame, HEADER};
+use crate::wire::rs485::Frame;
 
 /// An echo does not come later after its sending, if somebody looks: adapters hand over what they received every
 /// 16 ms.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
-/// So many echoes in a row may be missing of an adapter that was found to echo.
-const MISSING: u8 = 3;
+/// So many answers in a row without an echo show that there is none. Noise may take one.
+const ARE_ENOUGH: u8 = 2;
+/// As that, where an echo was found before.
+const SHOW_OTHERWISE: u8 = 4;
 /// So many sendings may wait for their echo.
 const SENDINGS: usize = 8;
 
@@ -20,36 +23,34 @@ const SENDINGS: usize = 8;
 /// sent counts: without a drive that answers, nothing is left. Where more were sent than are remembered before
 /// their echoes came, because reading failed, no acknowledgement counts until those must have come.
 ///
-/// An echo that nobody configured is found by what comes back and no drive sends: a frame that nobody answers, by
-/// which the loops ask, or one to all, with which a stop of all motors begins. Or by two sendings to one motor that
-/// come back although no reply to them can be the same bytes: one may have lost its master and ignored the first.
-/// The adapter counts as quiet again if four of its echoes in a row do not come back although other frames do.
+/// This holds, too, for an adapter of which nobody has said that it echoes, until it is shown that it does not: by
+/// two answers in a row that came without the echo of what they answer. A drive has heard that command, and an echo
+/// comes before the answer. Only a command counts whose answer never is the same bytes: a read of the status, the date
+/// or the model. So before the loops send one whose answer may be, they read that motor's status; only the first
+/// attempt of a stop waits for nothing, and is confirmed by the next one then.
 ///
-/// The loops ask twice at first, and go on with one such frame before each that can be a reply until they hear
-/// something else; they ask again when reading has failed. Where two and more have not come back and nothing else was
-/// heard, the line may be dead, or have been: what comes first then and equals a sending is no reply. A stop is
-/// confirmed by its next attempt then.
+/// An adapter is found to echo by what comes back and no drive sends: a frame to all, or two such reads of one motor.
+/// One may be handed back by a drive that has lost its master and ignored it. After four answers in a row without an
+/// echo it counts as quiet.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
-    /// What was sent and has not come back, with the time of that, the newest first.
-    sent: [Option<(Frame, Instant)>; SENDINGS],
+    /// What was sent and has not come back, the newest first.
+    sent: [Option<Sent>; SENDINGS],
+    /// What was sent to these last shows whether there is an echo, and nothing has come yet that does.
+    asked: MotorSet,
     /// When the last was sent that found no place there any more and may come back yet.
     forgotten: Option<Instant>,
     /// When the port was found empty last.
     empty_at: Instant,
-    /// Something else was heard since an echo was missed last. A line that is dead takes echoes, too, and shows
-    /// nothing by that.
-    is_alive: bool,
 }
 
-/// What a frame is that came.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Came {
-    Echo,
-    /// A reply that equals its command, if the adapter does not echo, of which nothing is known.
-    Either,
-    Other,
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    frame: Frame,
+    at: Instant,
+    /// An answer without its echo shows that there is none.
+    shows: bool,
 }
 
 /// What is known of the adapter.
@@ -57,74 +58,111 @@ pub(super) enum Came {
 enum Adapter {
     /// It echoes, as was said.
     Echoes,
-    /// It does not, as was said, and nothing speaks against it but that of a frame to this one.
-    IsQuiet { suspected: Option<Target> },
-    /// It echoes, as was found; but so many in a row have not come back since.
-    FoundEchoing { missing: u8 },
+    /// It echoes, as was found; but so many answers in a row came without an echo since.
+    FoundEchoing { answers: u8 },
+    /// No echo was found, and so many answers in a row came without one; but something to this one has come back.
+    NoneFound { answers: u8, suspected: Option<Target> },
 }
 
 impl EchoFilter {
     /// For an adapter that is said to echo, or not to.
     pub const fn new(is_echoing: bool) -> Self {
-        let adapter =
-            if is_echoing { Adapter::Echoes } else { Adapter::IsQuiet { suspected: None } };
-        let (sent, empty_at) = ([None; SENDINGS], Instant::ZERO);
-        Self { adapter, sent, forgotten: None, empty_at, is_alive: false }
+        let none_found = Adapter::NoneFound { answers: 0, suspected: None };
+        let adapter = if is_echoing { Adapter::Echoes } else { none_found };
+        let (sent, asked) = ([None; SENDINGS], MotorSet::EMPTY);
+        Self { adapter, sent, asked, forgotten: None, empty_at: Instant::ZERO }
     }
 
     /// Whether the adapter echoes, as was said or found.
     pub const fn is_echoing(&self) -> bool {
-        !matches!(self.adapter, Adapter::IsQuiet { .. })
+        !matches!(self.adapter, Adapter::NoneFound { .. })
     }
 
-    /// Takes note that the adapter echoes.
-    pub(super) fn is_found(&mut self) {
-        self.adapter = Adapter::FoundEchoing { missing: 0 };
+    /// Whether answers have shown that it does not.
+    const fn is_quiet(&self) -> bool {
+        matches!(self.adapter, Adapter::NoneFound { answers: ARE_ENOUGH.., .. })
+    }
+
+    /// Whether what shows an echo is to be sent before this frame: its own may seem to be its answer. Once, whether
+    /// that is answered or not.
+    pub(super) fn asks_before(&self, frame: &Frame) -> bool {
+        let is_unknown = !self.is_echoing() && !self.is_quiet();
+        let was_asked = matches!(frame.address, Target::Motor(it) if self.asked.contains(it));
+        is_unknown && can_be_a_reply(frame) && !was_asked
     }
 
     /// Takes note of a frame that was sent.
     pub fn sent(&mut self, frame: Frame, now: Instant) {
+        let shows = !can_be_a_reply(&frame);
+        match frame.address {
+            Target::Motor(motor) if shows => self.asked.insert(motor),
+            Target::Motor(motor) => self.asked.remove(motor),
+            Target::All => {}
+        }
         // Each makes way for the next one, up to a free place. Without one the oldest is forgotten.
-        let mut newer = Some((frame, now));
+        let mut newer = Some(Sent { frame, at: now, shows });
         for place in &mut self.sent {
             newer = core::mem::replace(place, newer);
             if newer.is_none() {
                 return;
             }
         }
-        self.forgotten = newer.map(|(_, at)| at);
+        self.forgotten = newer.map(|sent| sent.at);
     }
 
     /// Whether a frame that came is the echo of one that was sent.
     pub fn is_echo(&mut self, frame: &Frame) -> bool {
-        self.take(frame) == Came::Echo
+        let is_equal = |place: &Option<Sent>| place.is_some_and(|sent| sent.frame == *frame);
+        // The echo of one that was answered has not come.
+        let may_come = |place: &Option<Sent>| is_equal(place) && place.is_some_and(|it| it.shows);
+        let first = self.sent.iter().rposition(may_come);
+        let first = first.or_else(|| self.sent.iter().rposition(is_equal));
+        let Some(first) = first else {
+            let is_forgotten =
+                self.forgotten.is_some() && !self.is_quiet() && may_be_a_command(frame);
+            if !is_forgotten {
+                self.has_answered(frame);
+            }
+            return is_forgotten;
+        };
+        if can_be_a_reply(frame) {
+            if self.is_quiet() {
+                return false;
+            }
+        } else {
+            self.has_shown(frame.address, self.adapter.has_echoed(frame.address));
+        }
+        if let Some(first) = self.sent.get_mut(first) {
+            *first = None;
+        }
+        true
     }
 
-    /// What a frame is that came.
-    pub(super) fn take(&mut self, frame: &Frame) -> Came {
-        let is_equal = |place: &&mut Option<_>| place.is_some_and(|(sent, _)| sent == *frame);
-        let Some(first) = self.sent.iter_mut().rfind(is_equal) else {
-            if self.forgotten.is_some() && self.is_echoing() && may_be_a_command(frame) {
-                return Came::Echo;
-            }
-            self.is_alive = true;
-            return Came::Other;
-        };
-        match self.adapter {
-            Adapter::Echoes => {}
-            Adapter::FoundEchoing { .. } if can_be_a_reply(frame) => {}
-            Adapter::IsQuiet { .. } if can_be_a_reply(frame) => return Came::Either,
-            Adapter::IsQuiet { suspected }
-                if frame.as_reply().is_some() && suspected != Some(frame.address) =>
-            {
-                self.adapter = Adapter::IsQuiet { suspected: suspected.or(Some(frame.address)) };
-            }
-            Adapter::IsQuiet { .. } | Adapter::FoundEchoing { .. } => {
-                self.adapter = Adapter::FoundEchoing { missing: 0 };
+    /// What is no echo may be an answer; if that of what it answers has not come, it will not.
+    fn has_answered(&mut self, frame: &Frame) {
+        let mut shows = false;
+        for sent in self.sent.iter_mut().flatten() {
+            let asked = &sent.frame;
+            if (asked.address, asked.data[0]) == (frame.address, frame.data[0]) {
+                shows |= core::mem::take(&mut sent.shows);
             }
         }
-        *first = None;
-        Came::Echo
+        if shows {
+            self.has_shown(frame.address, self.adapter.has_not_echoed());
+        }
+    }
+
+    /// This has come of what was sent to this one.
+    fn has_shown(&mut self, address: Target, adapter: Adapter) {
+        self.adapter = adapter;
+        if let Target::Motor(motor) = address {
+            self.asked.remove(motor);
+        }
+    }
+
+    /// Reading has failed: an echo may be lost, so that an answer without it shows nothing.
+    pub(super) fn reading_has_failed(&mut self) {
+        self.sent.iter_mut().flatten().for_each(|sent| sent.shows = false);
     }
 
     /// Takes note that the port holds nothing now: what was sent long ago does not come back any more. Time
@@ -133,145 +171,53 @@ impl EchoFilter {
         let pause = now - core::mem::replace(&mut self.empty_at, now);
         if pause > LONGEST_WAIT {
             // The adapter may hold them yet.
-            let sent = self.sent.iter_mut().flatten().map(|(_, at)| at);
+            let sent = self.sent.iter_mut().flatten().map(|sent| &mut sent.at);
             sent.chain(&mut self.forgotten).for_each(|at| *at = now);
         }
         self.forgotten = self.forgotten.filter(|&at| now - at <= LONGEST_WAIT);
         for place in &mut self.sent {
-            let Some((frame, at)) = *place else { continue };
-            if now - at <= LONGEST_WAIT {
-                continue;
-            }
-            *place = None;
-            if !can_be_a_reply(&frame) && core::mem::take(&mut self.is_alive) {
-                self.adapter = self.adapter.has_missed_one();
-            }
+            *place = place.filter(|sent| now - sent.at <= LONGEST_WAIT);
         }
     }
 }
 
 impl Adapter {
-    /// One echo has not come. Of those that noise may have taken, some are excused: an echo that passes for
-    /// a confirmation is worse than a confirmation that passes for an echo.
-    fn has_missed_one(self) -> Self {
+    /// What was sent to this one has come back, and is no answer.
+    fn has_echoed(self, address: Target) -> Self {
         match self {
             Self::Echoes => self,
-            Self::FoundEchoing { missing } if missing < MISSING => {
-                Self::FoundEchoing { missing: missing + 1 }
+            Self::NoneFound { suspected, .. }
+                if address != Target::All && suspected != Some(address) =>
+            {
+                Self::NoneFound { answers: 0, suspected: suspected.or(Some(address)) }
             }
-            Self::FoundEchoing { .. } | Self::IsQuiet { .. } => Self::IsQuiet { suspected: None },
+            Self::FoundEchoing { .. } | Self::NoneFound { .. } => Self::FoundEchoing { answers: 0 },
+        }
+    }
+
+    /// An answer has come without the echo of what it answers.
+    fn has_not_echoed(self) -> Self {
+        match self {
+            Self::Echoes => self,
+            Self::FoundEchoing { answers } if answers + 1 < SHOW_OTHERWISE => {
+                Self::FoundEchoing { answers: answers + 1 }
+            }
+            Self::FoundEchoing { .. } => Self::NoneFound { answers: ARE_ENOUGH, suspected: None },
+            Self::NoneFound { answers, .. } => Self::NoneFound {
+                answers: answers.saturating_add(1).min(ARE_ENOUGH),
+                suspected: None,
+            },
         }
     }
 }
 
-/// A frame that comes back only as an echo. An adapter that echoes hands it back before the echo of what is sent
-/// after it, so that a stop's echo is known for one however late both are.
-///
-/// While nothing comes back, it may be the line that takes it: so it goes before each frame that can be a reply
-/// until something else is heard.
-#[derive(Clone, Debug)]
-pub(super) struct Probe {
-    stage: Stage,
-    /// So many of its bytes have come back in a row.
-    matched: usize,
-}
-
-/// What the probe has shown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
-    /// Nothing yet: it is to be sent so often.
-    Due(u8),
-    /// It has gone: if there is an echo, it comes before all that is sent now.
-    Gone,
-    /// That was sent, too, and nothing has been heard since.
-    Unheard,
-    /// It may have been lost, and what was sent behind it not.
-    Doubtful { is_due: bool },
-    /// Something was heard in doubt, so that the line is whole: it is to be sent once more, and an echo would come.
-    Last,
-    /// There is no echo: something else was heard after it.
-    Spent,
-}
-
-impl Probe {
-    /// A read of the status (0x9A) from motor 33, which no motor can be (1 to 32): nobody answers it, not even a
-    /// drive that lost its master and hands its first command back.
-    pub(super) const FRAME: [u8; FRAME_LENGTH] =
-        [0x3E, 33, 0x08, 0x9A, 0, 0, 0, 0, 0, 0, 0, 0x73, 0x70];
-
-    /// Noise may spoil one.
-    const TIMES: u8 = 2;
-
-    pub(super) const fn new() -> Self {
-        Self { stage: Stage::Due(Self::TIMES), matched: 0 }
-    }
-
-    /// Whether it is to be sent now.
-    pub(super) fn is_due(&self) -> bool {
-        use Stage::{Doubtful, Due, Last, Unheard};
-        matches!(self.stage, Due(_) | Unheard | Doubtful { is_due: true } | Last)
-    }
-
-    /// The port has taken all of it: of less no echo would be known.
-    pub(super) fn was_sent(&mut self) {
-        self.stage = match self.stage {
-            Stage::Due(left) if left > 1 => Stage::Due(left - 1),
-            Stage::Due(_) => Stage::Gone,
-            // What took those before it may have taken this one, and end before what follows.
-            Stage::Unheard | Stage::Doubtful { .. } => Stage::Doubtful { is_due: false },
-            Stage::Last => Stage::Spent,
-            known @ (Stage::Gone | Stage::Spent) => known,
-        };
-    }
-
-    /// The port has taken a frame that can be a reply.
-    pub(super) fn was_followed(&mut self) {
-        self.stage = match self.stage {
-            Stage::Gone => Stage::Unheard,
-            Stage::Doubtful { .. } => Stage::Doubtful { is_due: true },
-            known @ (Stage::Due(_) | Stage::Unheard | Stage::Last | Stage::Spent) => known,
-        };
-    }
-
-    /// Reading has failed: what came back may be lost.
-    pub(super) fn may_be_lost(&mut self) {
-        self.stage = match self.stage {
-            Stage::Gone => Stage::Doubtful { is_due: false },
-            Stage::Unheard | Stage::Last | Stage::Spent => Stage::Doubtful { is_due: true },
-            known @ (Stage::Due(_) | Stage::Doubtful { .. }) => known,
-        };
-    }
-
-    /// A good frame has come. Gives whether it is to be taken for an echo if it can be one.
-    pub(super) fn something_came(&mut self) -> bool {
-        let (stage, is_in_doubt) = match self.stage {
-            Stage::Gone | Stage::Unheard | Stage::Spent => (Stage::Spent, false),
-            Stage::Doubtful { .. } | Stage::Last => (Stage::Last, true),
-            Stage::Due(_) => (self.stage, true),
-        };
-        self.stage = stage;
-        is_in_doubt
-    }
-
-    /// Whether with this byte it has come back. Before it was sent that is another master's.
-    pub(super) fn has_come_back(&mut self, byte: u8) -> bool {
-        // None of its bytes is like the first.
-        let matched = if byte == HEADER { 0 } else { self.matched };
-        let is_next = Self::FRAME.get(matched) == Some(&byte);
-        self.matched = if is_next { matched + 1 } else { 0 };
-        self.matched == FRAME_LENGTH && self.stage != Stage::Due(Self::TIMES)
-    }
-}
-
-/// Whether a drive can answer a command with the command's own bytes. Not to all motors, and not where the command
-/// has no values and the reply some that are never all zero: a voltage, a date, a name.
+/// Whether a drive can answer a command with the command's own bytes. Not to all motors, and not where it answers
+/// nothing that means anything, or with values that are never all zero: a voltage, a date, a name.
 pub(super) fn can_be_a_reply(command: &Frame) -> bool {
-    if command.as_reply().is_none() {
-        return false;
-    }
     const NEVER: [Opcode; 3] = [Opcode::ReadStatus1, Opcode::ReadVersionDate, Opcode::ReadModel];
     let [byte, ..] = command.data;
-    !Opcode::from_byte(byte).is_some_and(|opcode| NEVER.contains(&opcode))
+    let never = |opcode: Opcode| NEVER.contains(&opcode) || !opcode.reply_rule().has_reply();
+    command.as_reply().is_some() && !Opcode::from_byte(byte).is_some_and(never)
 }
 
 /// Whether a frame says no more than a command: an acknowledgement, or without values.
@@ -284,7 +230,9 @@ fn may_be_a_command(frame: &Frame) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::command::{Command, ReadModel, ReadStatus1, ReadVersionDate, Shutdown, Stop};
+    use crate::command::{
+        Command, ReadModel, ReadMultiTurnAngle, ReadStatus1, ReadVersionDate, Shutdown, Stop,
+    };
     use crate::id::MotorId;
     use crate::packet::{Channel, Packet};
 
@@ -308,28 +256,6 @@ mod tests {
         assert!(filter.is_echo(&stop));
         assert!(filter.is_echo(&stop));
         assert!(!filter.is_echo(&stop));
-    }
-
-    #[test]
-    fn the_probe_is_a_good_frame_to_nobody() {
-        use crate::wire::rs485::Fault;
-        assert_eq!(Frame::decode(&Probe::FRAME), Err(Fault::Address));
-        // The CRC over a whole frame comes to 0.
-        let crc = crc::Crc::<u16>::new(&crc::CRC_16_MODBUS).checksum(&Probe::FRAME);
-        assert_eq!(crc, 0);
-        assert_eq!(Probe::FRAME[2..11], frame(ReadStatus1).encode()[2..11]);
-    }
-
-    #[test]
-    fn the_probe_is_known_by_all_of_its_bytes_in_a_row() {
-        let mut probe = Probe::new();
-        assert!(probe.is_due());
-        probe.was_sent();
-        let mut backs = |bytes: &[u8]| bytes.iter().filter(|&&it| probe.has_come_back(it)).count();
-        let (start, rest) = Probe::FRAME.split_at(5);
-        assert_eq!(backs(&[0x00, 0x3E]) + backs(&Probe::FRAME), 1);
-        assert_eq!(backs(start) + backs(&[0x55]) + backs(rest), 0);
-        assert_eq!(backs(start) + backs(&Probe::FRAME) + backs(&Probe::FRAME), 2);
     }
 
     #[test]
@@ -371,33 +297,6 @@ mod tests {
         assert!(filter.is_echo(&frame(Stop)));
         [60, 110, 155].into_iter().for_each(|at| filter.found_empty(ms(at)));
         assert!(filter.is_echo(&frame(Stop)), "that of the second is not late");
-    }
-
-    #[test]
-    fn an_acknowledgement_that_does_not_come_is_no_echo_that_does_not() {
-        let mut filter = EchoFilter::new(false);
-        filter.is_found();
-        for at in [0, 1_000, 2_000, 3_000, 4_000] {
-            filter.sent(frame(Stop), ms(at));
-            assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..frame(Stop) }), "others are heard");
-            [1, 60, 102].into_iter().for_each(|later| filter.found_empty(ms(at + later)));
-            assert!(filter.is_echoing());
-        }
-    }
-
-    #[test]
-    fn what_comes_back_and_then_does_not_is_no_echo() {
-        let mut filter = EchoFilter::new(false);
-        filter.sent(frame(ReadStatus1), ms(0));
-        assert!(filter.is_echo(&frame(ReadStatus1)));
-        filter.sent(frame(ReadStatus1), ms(10));
-        assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..frame(Stop) }), "that is its answer");
-        [11, 60, 111].into_iter().for_each(|at| filter.found_empty(ms(at)));
-        for (at, is_found) in [(200, false), (210, true)] {
-            filter.sent(frame(ReadStatus1), ms(at));
-            assert!(filter.is_echo(&frame(ReadStatus1)));
-            assert_eq!(filter.is_echoing(), is_found);
-        }
     }
 
     #[test]
@@ -444,22 +343,92 @@ mod tests {
         let mut filter = EchoFilter::new(false);
         let bus_id = Frame { address: Target::All, data: [0x79, 0, 0, 0, 0, 0, 0, 2] };
         filter.sent(bus_id, ms(0));
-        assert!(!filter.is_echo(&bus_id));
+        assert!(filter.is_echo(&bus_id) && !filter.is_echoing());
+    }
+
+    /// What shows an echo is sent to this motor, and answered; before that it comes back, or does not.
+    fn exchange(filter: &mut EchoFilter, motor: u8, echoes: bool) {
+        let address = MotorId::new(motor).unwrap().into();
+        let command = Frame { address, ..frame(ReadStatus1) };
+        filter.sent(command, ms(1));
+        assert!(!echoes || filter.is_echo(&command), "no values are all zero");
+        assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..command }), "that is its answer");
+    }
+
+    /// Whether what shows an echo goes before a stop.
+    fn asks(filter: &EchoFilter) -> bool {
+        filter.asks_before(&frame(Stop))
+    }
+
+    /// Whether the answer to a stop counts.
+    fn believes(filter: &mut EchoFilter) -> bool {
+        filter.sent(frame(Stop), ms(1));
+        !filter.is_echo(&frame(Stop))
+    }
+
+    #[test]
+    fn what_may_be_an_echo_is_one_until_two_answers_came_without_theirs() {
+        let mut filter = EchoFilter::new(false);
+        assert!(asks(&filter));
+        // Once, if nobody answers.
+        filter.sent(frame(ReadStatus1), ms(1));
+        assert!(!asks(&filter) && !believes(&mut filter) && asks(&filter));
+        exchange(&mut filter, 1, false);
+        assert!(!believes(&mut filter) && asks(&filter), "noise may have taken that echo");
+        exchange(&mut filter, 2, false);
+        assert!(believes(&mut filter) && !asks(&filter));
+    }
+
+    #[test]
+    fn only_answers_in_a_row_show_that_there_is_no_echo() {
+        let mut filter = EchoFilter::new(false);
+        for motor in 1..8 {
+            exchange(&mut filter, motor, false);
+            exchange(&mut filter, motor, true);
+            assert!(!believes(&mut filter), "{motor}");
+        }
+    }
+
+    #[test]
+    fn one_answer_shows_once_and_nobody_elses_shows_anything() {
+        let mut filter = EchoFilter::new(false);
+        filter.sent(frame(ReadStatus1), ms(1));
+        let other = Frame { address: MotorId::new(2).unwrap().into(), ..frame(ReadStatus1) };
+        for data in [[0x9A; 8], [0xB2; 8]] {
+            assert!(!filter.is_echo(&Frame { data, ..other }));
+            assert!(!filter.is_echo(&Frame { data, ..frame(ReadStatus1) }));
+            assert!(!filter.is_echo(&Frame { data, ..frame(ReadStatus1) }), "doubled");
+        }
+        assert!(!believes(&mut filter));
+        // What may answer with the command's own bytes shows nothing, either.
+        for _ in 0..3 {
+            filter.sent(frame(ReadMultiTurnAngle), ms(1));
+            assert!(!filter.is_echo(&Frame { data: [0x92; 8], ..frame(Stop) }));
+        }
+        assert!(!believes(&mut filter));
+    }
+
+    #[test]
+    fn an_echo_that_may_be_lost_is_not_missed() {
+        let mut filter = EchoFilter::new(false);
+        for _ in 0..3 {
+            filter.sent(frame(ReadStatus1), ms(1));
+            filter.reading_has_failed();
+            assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..frame(ReadStatus1) }));
+        }
+        assert!(!believes(&mut filter));
     }
 
     #[test]
     fn an_echo_that_nobody_configured_is_found() {
         let mut filter = EchoFilter::new(false);
-        filter.sent(frame(Stop), ms(0));
-        assert!(!filter.is_echo(&frame(Stop)), "it may well be the answer");
         // Once may be a drive that lost its master and has ignored the command.
-        for (at, is_found) in [(2, false), (4, true)] {
-            filter.sent(frame(ReadStatus1), ms(at));
-            assert!(filter.is_echo(&frame(ReadStatus1)), "no values are all zero");
+        for is_found in [false, true] {
+            filter.sent(frame(ReadStatus1), ms(2));
+            assert!(filter.is_echo(&frame(ReadStatus1)));
             assert_eq!(filter.is_echoing(), is_found);
         }
-        filter.sent(frame(Stop), ms(6));
-        assert!(filter.is_echo(&frame(Stop)));
+        assert!(!believes(&mut filter));
         // Two drives may have lost their master, and each has ignored one.
         let mut both = EchoFilter::new(false);
         for (motor, is_found) in [(1, false), (2, false), (3, false), (1, true)] {
@@ -468,20 +437,31 @@ mod tests {
             assert!(both.is_echo(&Frame { address, ..frame(ReadStatus1) }));
             assert_eq!(both.is_echoing(), is_found, "{motor}");
         }
-        // Noise may take one; but it is none if it then stays away while the drive is heard.
-        let miss = |filter: &mut EchoFilter, at| {
-            filter.sent(frame(ReadStatus1), ms(at));
-            assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..frame(ReadStatus1) }));
-            [1, 60, 102].into_iter().for_each(|later| filter.found_empty(ms(at + later)));
-            assert!(!filter.is_echo(&frame(Stop)));
-        };
-        miss(&mut filter, 1_000);
-        assert!(filter.is_echoing());
-        filter.sent(frame(ReadStatus1), ms(1_500));
-        assert!(filter.is_echo(&frame(ReadStatus1)));
-        for (at, is_echoing) in [(2_000, true), (3_000, true), (4_000, true), (5_000, false)] {
-            miss(&mut filter, at);
-            assert_eq!(filter.is_echoing(), is_echoing);
+        // Also where answers have shown that there is none; one alone is in doubt until others do again.
+        let mut quiet = EchoFilter::new(false);
+        (1..=2).for_each(|motor| exchange(&mut quiet, motor, false));
+        exchange(&mut quiet, 1, true);
+        assert!(!quiet.is_echoing() && !believes(&mut quiet));
+        (1..=2).for_each(|motor| exchange(&mut quiet, motor, false));
+        exchange(&mut quiet, 1, true);
+        assert!(!quiet.is_echoing(), "it has answered in between");
+        exchange(&mut quiet, 1, true);
+        assert!(quiet.is_echoing());
+    }
+
+    #[test]
+    fn an_echo_that_was_found_is_none_after_four_answers_in_a_row_without_it() {
+        let mut filter = EchoFilter::new(false);
+        (1..=2).for_each(|_| exchange(&mut filter, 1, true));
+        for echoes in [false, false, false, true, false, false, false] {
+            exchange(&mut filter, 1, echoes);
+            assert!(!believes(&mut filter));
         }
+        exchange(&mut filter, 2, false);
+        assert!(believes(&mut filter));
+        // Of one that was configured nothing is believed but that.
+        let mut told = EchoFilter::new(true);
+        (0..9).for_each(|_| exchange(&mut told, 1, false));
+        assert!(!believes(&mut told));
     }
 }

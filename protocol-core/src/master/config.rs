@@ -18,12 +18,10 @@ pub enum Bus {
         turnaround: Duration,
         /// Whether the adapter hands back what is sent. If so, the first frame with the same bytes is dropped.
         ///
-        /// If this says no, the loops find out by frames that no drive answers: two before the first command whose
-        /// echo may pass for its answer, and one before each such command until something else is heard, and again
-        /// after an error of reading. See [`EchoFilter`](crate::io::EchoFilter). Where nothing was heard yet, what
-        /// equals a command may count as its echo once: a stop is confirmed by the next attempt then. If noise takes
-        /// all echoes of those frames, the echo of a stop of one motor may pass for its confirmation, until the first
-        /// stop of all or two reads have shown that the adapter echoes.
+        /// If this says no, the loops find out: until two answers in a row have come without an echo, they read a
+        /// motor's status (0x9A) before each command to it whose echo may pass for the answer, and take what equals
+        /// that command for its echo. Only the first attempt of a stop waits for nothing, and is confirmed by the next
+        /// one then. See [`EchoFilter`](crate::io::EchoFilter).
         ///
         /// If this says yes and the adapter does not echo, an answer of the command's own bytes counts as the echo:
         /// no stop is confirmed.

@@ -40,9 +40,9 @@ pub(super) enum Of {
     Request,
     /// A stop went over it: it counted as nothing.
     RequestStopped,
-    /// A stop that is confirmed by the answer to another of its sendings, or one to all that tells the motor nothing
-    /// new. It counts as nothing.
-    StopAnswered,
+    /// A stop that is confirmed by the answer to another of its sendings, one to all that tells the motor nothing
+    /// new, or a read of the status for the transport. It counts as nothing.
+    Nobody,
     /// An attempt of a request that has its answer by another: it counted as lost.
     RequestAnswered,
     /// Its time was up, and it counted as lost.

@@ -307,7 +307,7 @@ impl Motor {
         }
         match self.take_late(is_motion, data, may_be_doubled) {
             None if may_be_doubled && config.shortest_response > Duration::ZERO => Meaning::Doubled,
-            Some(Of::StopAnswered) => Meaning::Nothing,
+            Some(Of::Nobody) => Meaning::Nothing,
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             Some(_) if heard.is_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {

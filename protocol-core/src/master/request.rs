@@ -68,7 +68,7 @@ impl Asked {
 
     /// What its other sendings are of, once one has an answer.
     pub(super) fn of_others(&self) -> Of {
-        if self.is_stop() { Of::StopAnswered } else { Of::RequestAnswered }
+        if self.is_stop() { Of::Nobody } else { Of::RequestAnswered }
     }
 
     /// It is not sent again.

@@ -181,12 +181,6 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// RS485: something else of one frame is sent first. What was offered is offered again behind it.
-    pub(crate) fn let_another_go_first(&mut self, now: Instant) {
-        self.offer = None;
-        self.line_is_free_after_turnaround(now + self.config.frame_time);
-    }
-
     /// When the bus has been quiet for so long that a reply which only waited for it must have come. Frames
     /// that were lost look quiet, too, but seldom three in a row.
     pub(super) fn quiet_at(&self) -> Instant {

@@ -250,7 +250,7 @@ impl<const N: usize> Master<N> {
         Asked::new(purpose, Question::of(command, &data), data, patience)
     }
 
-    fn stop_timeout(&self) -> Duration {
+    pub(super) fn stop_timeout(&self) -> Duration {
         self.config.reply_timeout.min(LONGEST_STOP_TIMEOUT)
     }
 

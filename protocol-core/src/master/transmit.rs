@@ -1,7 +1,13 @@
 //! What leaves the master, and what becomes of it.
 
+use crate::command::ReadStatus1;
 use crate::id::Target;
+use crate::kind::Kind;
 use crate::master::Master;
+use crate::master::late::{Of, Question};
+use crate::master::request::Asked;
+use crate::master::stop::STOP_ATTEMPTS;
+use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 
@@ -14,6 +20,8 @@ pub(super) enum Offer {
     SetPoint(u8),
     Broadcast,
     StopToAll,
+    /// A read of the status, for the transport, of the motor with this place.
+    Status(u8),
 }
 
 impl<const N: usize> Master<N> {
@@ -36,7 +44,21 @@ impl<const N: usize> Master<N> {
             Offer::SetPoint(place) => self.motors.get(usize::from(place))?.set_point_packet(),
             Offer::Broadcast => self.broadcast.packet(),
             Offer::StopToAll => self.stop_to_all_packet(),
+            Offer::Status(_) => None,
         }
+    }
+
+    /// RS485: the motor whose frame was offered is asked for its status first, and nothing else goes until that is
+    /// answered or its time is up. `None` where that must not be: the first attempt of a stop waits for nothing.
+    pub(crate) fn let_status_go_first(&mut self) -> Option<Packet> {
+        let (Offer::Request(place) | Offer::SetPoint(place)) = self.offer? else { return None };
+        let motor = self.motors.get(usize::from(place))?;
+        let is_first = |asked: &Asked| asked.is_stop() && asked.attempts_left == STOP_ATTEMPTS;
+        if motor.request.waiting().is_some_and(is_first) || !motor.late.has_room() {
+            return None;
+        }
+        self.offer = Some(Offer::Status(place));
+        Some(ReadStatus1.packet(motor.id?))
     }
 
     /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its
@@ -89,6 +111,15 @@ impl<const N: usize> Master<N> {
             Offer::StopToAll => {
                 self.stop_to_all_was_sent(now);
                 silence = self.config.settle_time;
+            }
+            Offer::Status(place) => {
+                silence = self.stop_timeout();
+                self.due = now;
+                self.change_at(usize::from(place), |motor, config| {
+                    let question = Question::without_key(Kind::Known(Opcode::ReadStatus1));
+                    let until = now + silence + config.late_window;
+                    motor.expect_late(question, Of::Nobody, 1, until, config);
+                });
             }
         }
         if self.config.is_rs485() {

@@ -4,7 +4,7 @@ use std::vec::Vec;
 
 use super::id;
 use super::world::{TestClock, TestSerial};
-use crate::command::{ReadMultiTurnAngle, ReadStatus1};
+use crate::command::{ReadMultiTurnAngle, ReadStatus1, Stop};
 use crate::io::{Runner, SerialMaster};
 use crate::master::{Config, Event, StopKind};
 use crate::time::Duration;
@@ -103,25 +103,30 @@ fn what_is_lost_while_reading_fails_shows_nothing() {
     }
 }
 
+/// What was sent: the motors, and the command bytes.
+fn sent(port: &TestSerial) -> Vec<(u8, u8)> {
+    port.written().chunks(13).map(|frame| (frame[1], frame[3])).collect()
+}
+
 #[test]
-fn a_stop_leaves_while_reading_fails_behind_one_frame_each() {
+fn the_first_attempt_of_a_stop_waits_for_nothing_and_the_others_for_one_read_each() {
     let (port, mut arm) = echoing(false);
     port.state().read_fails = true;
-    arm.master().stop(id(9), StopKind::Hold).unwrap();
-    confirmations(&mut arm, 100_000);
-    let sent: Vec<_> = port.written().chunks(13).map(|frame| frame[1]).collect();
-    assert!(sent.len() > 4);
-    assert_eq!(sent[..3], [33, 33, 9]);
-    assert!(sent[3..].chunks_exact(2).all(|pair| pair == [33, 9]), "{sent:?}");
-}
-
-/// How many frames have been sent that show an echo.
-fn probes(port: &TestSerial) -> usize {
-    port.written().chunks(13).filter(|frame| frame[1] == 33).count()
+    arm.master().stop(id(8), StopKind::Hold).unwrap();
+    arm.master().stop(id(9), StopKind::Off).unwrap();
+    confirmations(&mut arm, 200_000);
+    let sent = sent(&port);
+    assert!(sent.len() > 10);
+    assert_eq!(sent[..2], [(8, 0x81), (9, 0x80)]);
+    let (mut stops, mut reads): (Vec<_>, Vec<_>) = (Vec::new(), Vec::new());
+    sent[2..].chunks_exact(2).for_each(|pair| (reads.push(pair[0]), stops.push(pair[1])).1);
+    assert!(reads.iter().all(|&(_, byte)| byte == 0x9A), "{sent:?}");
+    assert!(stops.iter().all(|&(_, byte)| byte != 0x9A), "{sent:?}");
+    assert!(reads.iter().zip(&stops).all(|(read, stop)| read.0 == stop.0), "{sent:?}");
 }
 
 #[test]
-fn a_line_on_which_motors_answer_is_asked_no_more_until_a_look_at_it_fails() {
+fn a_line_on_which_motors_answer_is_asked_twice_and_no_more() {
     let (port, mut arm) = echoing(false);
     port.state().echoes = false;
     for _ in 0..5 {
@@ -129,15 +134,46 @@ fn a_line_on_which_motors_answer_is_asked_no_more_until_a_look_at_it_fails() {
         assert!(arm.stop(id(1), StopKind::Hold));
         arm.master().lift_stop();
     }
-    assert_eq!(probes(&port), 2);
     port.state().read_fails = true;
     confirmations(&mut arm, 1_000);
     port.state().read_fails = false;
-    for _ in 0..5 {
-        arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    arm.ask(id(1), ReadMultiTurnAngle).unwrap();
+    let reads = sent(&port).iter().take_while(|&&(_, byte)| byte == 0x9A).count();
+    assert_eq!(reads, 2);
+    assert_eq!(sent(&port).iter().filter(|&&(_, byte)| byte == 0x9A).count(), 2);
+}
+
+#[test]
+fn what_is_sent_once_is_acknowledged_also_where_nothing_was_heard_before() {
+    let clock = TestClock::default();
+    let port = TestSerial::new(&clock);
+    let config = Config { attempts: 1, ..Config::rs485(115_200, false) };
+    let mut arm = SerialMaster::<_, _, 8>::new(port, clock, config);
+    let ticket = arm.master().request(id(1), Stop).unwrap();
+    let (end, mut events) = (arm.now() + Duration::from_millis(100), Vec::new());
+    arm.run_until(end, |event| events.push(event)).unwrap();
+    assert_eq!(events.len(), 1, "what shows an echo is answered to nobody: {events:?}");
+    assert_eq!(ticket.outcome(&events[0]), Some(Ok(Stop)));
+}
+
+#[test]
+fn what_an_adapter_gave_back_before_a_cut_or_within_it_confirms_nothing() {
+    // Nobody is there. The line is dead until so many bytes were sent, and whole for so many more, again and again.
+    for dead in [13, 26, 39, 52, 65] {
+        for whole in [13, 26, 39, 52] {
+            let (port, mut arm) = echoing(false);
+            arm.master().stop(id(9), StopKind::Hold).unwrap();
+            let mut confirmed = 0;
+            for _ in 0..4_000 {
+                let sent = port.written().len() % (dead + whole);
+                port.state().is_cut = sent < dead;
+                confirmed += confirmations(&mut arm, 100);
+            }
+            arm.master().lift_stop();
+            assert_eq!(confirmed, 0, "dead for {dead} bytes, whole for {whole}");
+            assert!(!arm.stop(id(8), StopKind::Hold), "dead for {dead} bytes, whole for {whole}");
+        }
     }
-    // Once more when something was heard behind the first.
-    assert_eq!(probes(&port), 4);
 }
 
 #[test]

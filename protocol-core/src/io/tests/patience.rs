@@ -5,7 +5,6 @@ use embedded_io::ReadReady as _;
 use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_rs485};
 use super::{id, step};
 use crate::command::{ReadMultiTurnAngle, ReadStatus1, Stop};
-use crate::io::echo::EchoFilter;
 use crate::io::{AsyncCanMaster, AsyncRunner, Clock, DelayClock, HalfDuplex, Runner, SerialMaster};
 use crate::master::StopKind;
 use crate::time::{Duration, Instant};
@@ -83,27 +82,6 @@ fn an_adapter_that_echoes_no_more_confirms_stops_again() {
     let stop = Frame::from_packet(&Stop.packet(id(1))).unwrap().encode();
     let stops = port.written().windows(stop.len()).filter(|bytes| *bytes == stop).count();
     assert_eq!(stops, 1, "its confirmation is no echo");
-}
-
-#[test]
-fn confirmations_do_not_show_that_an_adapter_still_echoes() {
-    let mut echoes = EchoFilter::new(false);
-    echoes.is_found();
-    let [stop, read] = [Stop.packet(id(1)), ReadStatus1.packet(id(1))]
-        .map(|packet| Frame::from_packet(&packet).unwrap());
-    let mut now = Instant::from_millis(1);
-    for _ in 0..4 {
-        // The stop is confirmed, which passes for its echo; that of the read does not come, but its answer does.
-        echoes.sent(stop, now);
-        echoes.sent(read, now);
-        assert!(echoes.is_echo(&stop) && echoes.is_echoing());
-        assert!(!echoes.is_echo(&Frame { data: [0x9A; 8], ..read }));
-        for _ in 0..2 {
-            now += Duration::from_millis(60);
-            echoes.found_empty(now);
-        }
-    }
-    assert!(!echoes.is_echoing());
 }
 
 /// A pin that is not looked at.

@@ -322,7 +322,7 @@ impl Motor {
                     // What was taken for its answer came late, to one that counted as lost.
                     self.health.answered = self.health.answered.saturating_sub(1);
                 }
-                Some(Of::RequestStopped | Of::StreamStopped | Of::StopAnswered) | None => {}
+                Some(Of::RequestStopped | Of::StreamStopped | Of::Nobody) | None => {}
             }
         }
     }

@@ -143,7 +143,7 @@ impl Motor {
     ) {
         match self.own_stop(told) {
             Some(stop) => stop.unanswered = stop.unanswered.saturating_add(1),
-            None => self.expect_late(told, Of::StopAnswered, 1, until, config),
+            None => self.expect_late(told, Of::Nobody, 1, until, config),
         }
     }
 

@@ -145,3 +145,73 @@ fn who_is_forgotten_while_its_stop_is_on_the_line_may_answer_yet() {
     let now = ms(at) + Duration::from_micros(600);
     assert_eq!(sent(&mut master, now), [], "the answer to the stop is due");
 }
+
+const STATUS_REPLY: [u8; 8] = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
+
+/// What the transport wants goes first, at this time.
+fn status_goes_first(master: &mut Master<4>, at: Instant) {
+    assert!(master.poll_transmit(at).is_some());
+    assert_eq!(master.let_status_go_first(), Some(ReadStatus1.packet(id(1))));
+    master.handle_transmitted(at);
+}
+
+#[test]
+fn a_status_that_the_transport_wants_is_nobodys_and_nothing_goes_until_it_is_answered() {
+    let config = Config::rs485(1_000_000, false);
+    let line = |data| Frame { address: Target::Motor(id(1)), data };
+    let mut master = Master::<4>::new(config);
+    let read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    status_goes_first(&mut master, ms(0));
+    assert!(sent(&mut master, ms(1)).is_empty());
+    assert_eq!(master.handle_line(&line(STATUS_REPLY), ms(1)), None);
+    assert!(sent(&mut master, ms(1)).is_empty(), "the drives turn around for 100 us");
+    assert_eq!(sent(&mut master, ms(2))[0].data[0], 0x92);
+    let event = master.handle_line(&line(ANGLE_REPLY), ms(3)).unwrap();
+    assert!(read.outcome(&event).is_some_and(|it| it.is_ok()));
+    assert_eq!(master.health(id(1)).stray, 0);
+    // One that is not answered keeps the line for as long as a stop would.
+    let (_read, sent_at) = (master.request(id(1), ReadMultiTurnAngle).unwrap(), ms(10));
+    status_goes_first(&mut master, sent_at);
+    let free = sent_at + config.reply_timeout + Duration::from_micros(100);
+    assert_eq!(master.poll_at(), Some(free));
+    assert_eq!(sent(&mut master, free).len(), 1);
+    master.handle_line(&line(ANGLE_REPLY), free + Duration::from_millis(1)).unwrap();
+    // It may come late, and no other read of the status meanwhile.
+    let _status = master.request(id(1), ReadStatus1).unwrap();
+    let wait = config.reply_timeout + config.late_window;
+    let (before, over) = (sent_at + (wait - Duration::from_micros(1)), sent_at + wait);
+    assert_eq!(events(&mut master, before), []);
+    assert!(sent(&mut master, before).is_empty());
+    assert_eq!(master.poll_at(), Some(over));
+    assert_eq!(events(&mut master, over), []);
+    assert_eq!(sent(&mut master, over).len(), 1);
+}
+
+#[test]
+fn only_the_first_attempt_of_a_stop_waits_for_no_status() {
+    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(master.poll_transmit(ms(0)).unwrap().data[0], 0x81);
+    assert_eq!(master.let_status_go_first(), None);
+    assert_eq!(sent(&mut master, ms(0))[0].data[0], 0x81);
+    assert_eq!(events(&mut master, ms(10)), []);
+    status_goes_first(&mut master, ms(10));
+    // A stop of all goes to all at once.
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert!(master.poll_transmit(ms(20)).is_some());
+    assert_eq!(master.let_status_go_first(), None);
+}
+
+#[test]
+fn what_comes_late_to_the_transport_is_over_in_time() {
+    let config = Config { late_window: ms(9) - ms(0), ..Config::rs485(1_000_000, false) };
+    let mut master = Master::<4>::new(config);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+    assert_eq!(events(&mut master, ms(0)), []);
+    status_goes_first(&mut master, ms(0));
+    let over = ms(9) + config.reply_timeout;
+    assert_eq!(events(&mut master, over), []);
+    assert_eq!(sent(&mut master, over).len(), 1);
+    assert!(master.poll_at().unwrap() > over);
+}

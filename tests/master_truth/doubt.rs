@@ -1,0 +1,74 @@
+//! Whether an acknowledgement may pass for an echo: until answers have shown that the adapter does not echo.
+
+use myactuator_protocol_core::MotorId;
+use myactuator_protocol_core::Packet;
+use myactuator_protocol_core::command::ReadStatus1;
+use myactuator_protocol_core::master::{Bus, Config};
+
+use super::names::Name;
+use super::truth::DONE;
+
+/// No reply to these is the same bytes.
+const NEVER_LIKE_THEIR_REPLY: [u8; 3] = [0x9A, 0xB2, 0xB5];
+/// So many answers without an echo show that there is none; after something that looked like one, as many as it takes
+/// where that was believed.
+const ANSWERS: u8 = 2;
+const ANSWERS_THEN: u8 = 4;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Doubt {
+    /// It was said to echo, or this is no line.
+    Never,
+    /// So many answers are to come yet; this was sent last of what may bring one.
+    Open { left: u8, asked: Option<(MotorId, u8)> },
+}
+
+impl Doubt {
+    pub(super) fn of(config: &Config) -> Self {
+        if matches!(config.bus, Bus::Rs485 { echo: false, .. }) {
+            Self::Open { left: ANSWERS, asked: None }
+        } else {
+            Self::Never
+        }
+    }
+
+    pub(super) fn is_open(self) -> bool {
+        matches!(self, Self::Open { left: 1.., .. })
+    }
+
+    /// The bus has taken this.
+    pub(super) fn taken(&mut self, motor: MotorId, name: Name) {
+        if let Self::Open { asked, .. } = self
+            && NEVER_LIKE_THEIR_REPLY.contains(&name.byte)
+        {
+            *asked = Some((motor, name.byte));
+        }
+    }
+
+    /// This has come, from a drive or from the adapter.
+    pub(super) fn delivered(&mut self, motor: MotorId, packet: &Packet) {
+        let byte = packet.data[0];
+        let Self::Open { left, asked } = self else { return };
+        if !NEVER_LIKE_THEIR_REPLY.contains(&byte) {
+        } else if packet.data[3] != DONE {
+            *left = ANSWERS_THEN;
+        } else if asked.take_if(|asked| *asked == (motor, byte)).is_some() {
+            *left = left.saturating_sub(1);
+        }
+    }
+
+    /// What came back may be lost.
+    pub(super) fn port_has_failed(&mut self) {
+        if let Self::Open { asked, .. } = self {
+            *asked = None;
+        }
+    }
+}
+
+/// What the loop finds out by, and the answer.
+pub(super) const SHOWS_ECHO: Name = Name { byte: 0x9A, token: 0 };
+
+/// Whether this is that of the loop, or its echo.
+pub(super) fn shows_echo(packet: &Packet) -> bool {
+    packet.data == ReadStatus1.encode()
+}
