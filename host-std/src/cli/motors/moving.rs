@@ -334,7 +334,7 @@ fn hold_still(motors: MotorSet) -> String {
 }
 
 /// Why the work ended, and that the motors have stopped, or not.
-fn told_with_stop(why: Unfinished, stopped: Outcome<String>) -> Unfinished {
+pub(super) fn told_with_stop(why: Unfinished, stopped: Outcome<String>) -> Unfinished {
     let sentence = match &why {
         Unfinished::Usage(sentence)
         | Unfinished::Failed(sentence)

@@ -14,6 +14,7 @@ use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
 
+use super::moving::told_with_stop;
 use super::progress::Progress;
 use super::session::{OneMotor, Session, healthy, say};
 use crate::cli::{Outcome, Unfinished, arguments as parse};
@@ -70,15 +71,19 @@ pub(super) fn run<C: Command + Copy>(
         if opens {
             session.release_brake(motor)?;
         }
-        repeat(session, span, run.command, reading)?;
+        let mut ran = repeat(session, span, run.command, reading)?;
         let end = match run.end {
             StopKind::Off if opens => put_down(session, motor),
             kind => session.stop(kind, motor.into()).and_then(|()| session.stopped(motor.into())),
         };
         // Whoever interrupts that gets a stop that is waited for, like anybody who interrupts.
         session.check_interrupted()?;
-        // A last stop that fails tells what is true: it is no reason for one more.
-        Ok(end)
+        // A last stop that fails tells what is true: it is no reason for one more. Nor is a restart meanwhile, which
+        // may be why it fails.
+        Ok(match runs_on(session, motor, &mut ran) {
+            Ok(()) => end,
+            Err(why) => Err(told_with_stop(why, end)),
+        })
     })??;
     say(&format!("motor {motor} has run for {seconds} s; {end}"))
 }
@@ -93,13 +98,14 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     Ok(format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)"))
 }
 
-/// Sends the command over and over until the time is up. A motor that restarts meanwhile has not run.
+/// Sends the command over and over until the time is up. A motor that restarts meanwhile has not run. Gives for how
+/// long it has run since its start.
 fn repeat<C: Command + Copy>(
     session: &mut Session,
     span: &Span,
     command: C,
     reading: impl Fn(&C::Reply) -> String,
-) -> Outcome {
+) -> Outcome<Milliseconds> {
     let (motor, length) = (span.motor.id, span.for_s);
     let mut ran = session.ask(motor, ReadRunTime)?.run_time;
     let start = session.master.now();
@@ -111,7 +117,8 @@ fn repeat<C: Command + Copy>(
         session.wait_until(start + at.min(length))?;
         let now = session.master.now();
         if now - start >= length {
-            return runs_on(session, motor, &mut ran);
+            runs_on(session, motor, &mut ran)?;
+            break;
         }
         let gap = now - last;
         if gap > LONGEST_GAP {
@@ -146,7 +153,7 @@ fn repeat<C: Command + Copy>(
             }
         }
     }
-    Ok(())
+    Ok(ran)
 }
 
 /// That the motor has not restarted since it had run for so long. One that takes no time for it is never silent.
@@ -350,17 +357,15 @@ mod tests {
         }
     }
 
-    /// That a run of a second fails with this restart, however short it is.
-    fn restart_is_told<C: Command + Copy>(command: C, at: &str) {
+    /// What a run of a second with this restart fails with, however short it is.
+    fn told_of_restart<C: Command + Copy>(command: C, end: StopKind, at: &str) -> String {
         let restart = format!("reset@1+{at}").parse().unwrap();
         let fleet = Fleet::new(1).faults([restart]).on_can(1_000_000).unwrap();
         fleet.world.run_for(Duration::from_secs(1));
-        let outcome =
-            run_to_end(&mut Session::on(&fleet), command, (1.0, false, StopKind::Hold), || {});
+        let outcome = run_to_end(&mut Session::on(&fleet), command, (1.0, false, end), || {});
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{at}: {outcome:?}") };
-        let why = "motor 1 has restarted on the way: ";
-        assert!(told.starts_with(why), "{at}: {told}");
-        assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{at}: {told}");
+        assert!(told.starts_with("motor 1 has restarted on the way: "), "{at}: {told}");
+        told
     }
 
     /// It once was said to have run: the simulated restart takes 44 ms, which is no silence.
@@ -370,8 +375,30 @@ mod tests {
         let motion = MotionRanges::V4_3.quantise(&still).unwrap();
         // In the middle, and right before the end.
         for at in ["1500ms", "1930ms"] {
-            restart_is_told(TURN, at);
-            restart_is_told(motion, at);
+            let hold = StopKind::Hold;
+            for told in [told_of_restart(TURN, hold, at), told_of_restart(motion, hold, at)] {
+                assert!(
+                    told.ends_with("motor 1 is stopped and holds still (0x81)"),
+                    "{at}: {told}"
+                );
+            }
+        }
+    }
+
+    /// It once was said to have run, or to have heard nothing for too long.
+    #[test]
+    fn a_restart_while_the_motor_is_stopped_at_the_end_is_told() {
+        // Before the stop is confirmed, and while it is listened whether something else moves the motor.
+        for ms in (2_000..2_010).chain([2_200]) {
+            let at = format!("{ms}ms");
+            let told = told_of_restart(TURN, StopKind::Hold, &at);
+            let (holds, off) = ("motor 1 is stopped and holds still (0x81)", "its shaft is free");
+            assert!(told.ends_with(holds) || told.ends_with(off), "{at}: {told}");
+            let told = told_of_restart(TURN, StopKind::Off, &at);
+            assert!(
+                told.contains("; motor 1 is off (0x80)") || told.ends_with(holds),
+                "{at}: {told}"
+            );
         }
     }
 
@@ -410,7 +437,7 @@ mod tests {
         let mut session = Session::on(&fleet);
         let log = fleet.world.log();
         let frozen = AtomicBool::new(false);
-        let outcome: Outcome = session.moving(MotorId::MIN, |session| {
+        let outcome = session.moving(MotorId::MIN, |session| {
             repeat(session, &typed("--id 1 --for-s 60"), TURN, |_| {
                 if !frozen.swap(true, Ordering::Relaxed) {
                     log.take();
