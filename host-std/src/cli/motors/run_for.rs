@@ -26,6 +26,8 @@ const ERRORS_EVERY: u32 = 10;
 /// Between two commands goes less time than this, however badly the motor answers: else the program, or the machine,
 /// was frozen. The motor may have stopped by itself, and nobody expects it to go on.
 const LONGEST_GAP: Duration = Duration::from_secs(1);
+/// A run time that counts on from 0 does not go on by so much between two looks, ms.
+const AN_HOUR_MS: u32 = 3_600_000;
 /// So many commands in a row without a reply are a motor that does not answer.
 const MOST_MISSED: u32 = 5;
 
@@ -160,7 +162,8 @@ fn repeat<C: Command + Copy>(
 fn runs_on(session: &mut Session, motor: MotorId, ran: &mut Milliseconds) -> Outcome {
     let runs = session.ask(motor, ReadRunTime)?.run_time;
     let ran = replace(ran, runs);
-    if runs.raw() >= ran.raw() {
+    // It counts on from 0 after 49.7 days.
+    if runs.raw() >= ran.raw() || runs.raw().wrapping_sub(ran.raw()) < AN_HOUR_MS {
         return Ok(());
     }
     Err(Unfinished::Failed(format!(
@@ -200,6 +203,7 @@ mod tests {
     use myactuator_protocol_core::units::{Acceleration, Current, MaxTorque, SpeedTarget};
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
+    use super::super::odd_drive;
     use super::super::simulated::{CtrlC, OtherMaster, Sends, sent, to_first, typed};
     use super::*;
 
@@ -399,6 +403,24 @@ mod tests {
                 told.contains("; motor 1 is off (0x80)") || told.ends_with(holds),
                 "{at}: {told}"
             );
+        }
+    }
+
+    #[test]
+    fn a_run_time_that_begins_again_after_49_days_is_no_restart() {
+        let (fleet, drive) = odd_drive::alone();
+        let mut session = Session::on(&fleet);
+        let mut looks = |ran, runs| {
+            drive.lock().unwrap().run_time_ms = runs;
+            runs_on(&mut session, MotorId::MIN, &mut Milliseconds::from_raw(ran))
+        };
+        assert_eq!(looks(u32::MAX - 5, 94), Ok(()));
+        // Nor is it one where this program slept for longer than an hour.
+        assert_eq!(looks(94, 10_000_000), Ok(()));
+        // The last after 24.9 and after 49.5 days.
+        for ran in [194, 1 << 31, 4_280_000_000] {
+            let told = format!("{:?}", looks(ran, 50));
+            assert!(told.contains("motor 1 has restarted on the way"), "{ran}: {told}");
         }
     }
 
