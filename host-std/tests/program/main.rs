@@ -4,6 +4,7 @@ mod cli;
 mod demo;
 mod held_up;
 mod motors;
+mod question;
 mod readme;
 mod run;
 mod sim_control;

@@ -9,7 +9,7 @@ use crate::run::{myactuator, run, text};
 use crate::sim_serve::Simulation;
 
 /// What `sim-control` prints; it must have done what was asked.
-fn control(socket: &str, arguments: &[&str]) -> String {
+pub(crate) fn control(socket: &str, arguments: &[&str]) -> String {
     let output = run(&[&["sim-control", socket], arguments].concat());
     assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
     text(&output.stdout).to_owned()

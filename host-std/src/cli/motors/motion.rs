@@ -51,7 +51,6 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
     let set_point = MotionSetPoint { position_rad, velocity_rad_s, kp, kd, torque_nm };
     let ranges = arguments.revision.scales(session, arguments.span.motor.id)?;
     let command = ranges.quantise(&set_point).map_err(|error| error.to_string())?;
-    is_on_scale(session, arguments.span.motor.id, &ranges)?;
     let run = Run {
         command,
         does: format!(
@@ -61,7 +60,8 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
         needs_open_brake: true,
         end: StopKind::Hold,
     };
-    run_for::run(session, &arguments.span, &run, |raw| {
+    let may_run = |session: &mut Session| is_on_scale(session, arguments.span.motor.id, &ranges);
+    run_for::run(session, &arguments.span, &run, may_run, |raw| {
         let feedback = ranges.feedback(raw);
         format!(
             "{:8.3} rad {:8.3} rad/s {:8.3} N·m",

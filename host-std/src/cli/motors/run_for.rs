@@ -52,15 +52,17 @@ pub(super) struct Run<C> {
     pub(super) end: StopKind,
 }
 
-/// Asks, runs and ends. `reading` tells a reply in a few words.
+/// Asks, runs and ends. `may_run` refuses a motor that must not run, `reading` tells a reply in a few words.
 pub(super) fn run<C: Command + Copy>(
     session: &mut Session,
     span: &Span,
     run: &Run<C>,
+    may_run: impl Fn(&mut Session) -> Outcome,
     reading: impl Fn(&C::Reply) -> String,
 ) -> Outcome {
     let motor = span.motor.id;
     let seconds = seconds(span.for_s);
+    may_run(session)?;
     let locked = session.ready(motor)?.brake == BrakeCommand::LOCK;
     let opens = run.needs_open_brake && locked;
     let first = if opens { "have its brake released and " } else { "" };
@@ -69,6 +71,8 @@ pub(super) fn run<C: Command + Copy>(
         StopKind::Off => "then be switched off",
     };
     session.confirm(&format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does))?;
+    // Until the answer a shaft may have been turned.
+    may_run(session)?;
     let end = session.moving(motor, |session| {
         if opens {
             session.release_brake(motor)?;
@@ -287,10 +291,11 @@ mod tests {
     ) -> Outcome {
         let run_it = Run { command, does: "turn".to_owned(), needs_open_brake: opens, end };
         let typed = typed(&format!("--id 1 --for-s {for_s} --yes"));
-        run(session, &typed, &run_it, |_| {
+        let reading = |_: &C::Reply| {
             then();
             String::new()
-        })
+        };
+        run(session, &typed, &run_it, |_| Ok(()), reading)
     }
 
     #[test]

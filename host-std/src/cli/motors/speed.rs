@@ -37,7 +37,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         needs_open_brake: false,
         end: StopKind::Hold,
     };
-    run_for::run(&mut arguments.span.motor.open_to_change()?, &arguments.span, &run, told)
+    let session = &mut arguments.span.motor.open_to_change()?;
+    run_for::run(session, &arguments.span, &run, |_| Ok(()), told)
 }
 
 /// Angle, speed and current in columns.

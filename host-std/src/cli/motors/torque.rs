@@ -33,5 +33,6 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         needs_open_brake: true,
         end: StopKind::Off,
     };
-    run_for::run(&mut arguments.span.motor.open_to_change()?, &arguments.span, &run, told)
+    let session = &mut arguments.span.motor.open_to_change()?;
+    run_for::run(session, &arguments.span, &run, |_| Ok(()), told)
 }

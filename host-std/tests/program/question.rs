@@ -1,0 +1,72 @@
+//! The question before a motor moves, answered on a terminal.
+
+use std::fs::File;
+use std::io::{Read as _, Write as _};
+use std::os::fd::OwnedFd;
+use std::process::{Child, Stdio};
+
+use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt};
+
+use crate::run::{myactuator, text};
+use crate::sim_control::control;
+use crate::sim_serve::Simulation;
+
+/// A terminal: where somebody types, and where that is read.
+fn terminal() -> (File, OwnedFd) {
+    let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
+    let keys = openpt(flags).unwrap();
+    grantpt(&keys).unwrap();
+    unlockpt(&keys).unwrap();
+    let program = ioctl_tiocgptpeer(&keys, flags).unwrap();
+    (keys.into(), program)
+}
+
+/// The program once it asks, with where the answer is typed and what it asks.
+fn asked(arguments: &str) -> (Child, File, String) {
+    let (keys, stdin) = terminal();
+    let mut program = myactuator();
+    program.args(arguments.split_whitespace());
+    program.stdin(stdin).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut process = program.spawn().unwrap();
+    let (mut told, mut byte) = (Vec::new(), [0]);
+    let errors = process.stderr.as_mut().unwrap();
+    while !told.ends_with(b"[y/N] ") && errors.read(&mut byte).unwrap() > 0 {
+        told.push(byte[0]);
+    }
+    (process, keys, text(&told).to_owned())
+}
+
+#[test]
+fn a_shaft_that_is_turned_beyond_the_scale_before_the_answer_is_not_moved() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("control");
+    let socket = path.to_str().unwrap();
+    let options = ["--only", "slcan", "--count", "1", "--control", socket];
+    let simulation = Simulation::start(2, &options);
+    let bus = simulation.bus("slcan");
+    let motion = "motion --id 1 --position-rad 0 --kp 40 --kd 2 --firmware v4.3 --for-s 0.2";
+    let beyond =
+        "error: motor 1 is at 1800 deg (31.42 rad), and motion mode knows -12.5 to 12.5 rad";
+    // Nobody is asked in vain.
+    control(socket, &["angle", "--id", "1", "1800"]);
+    let (process, _keys, told) = asked(&format!("{motion} --bus {bus}"));
+    assert!(told.starts_with(beyond), "{told}");
+    assert_eq!(process.wait_with_output().unwrap().status.code(), Some(1));
+    for (answer, degrees, told, status) in [
+        ("n", "1800", "error: not confirmed, so nothing was done\n", 1),
+        ("y", "1800", beyond, 1),
+        ("y", "300", "", 0),
+    ] {
+        control(socket, &["angle", "--id", "1", "0"]);
+        let (process, mut keys, question) = asked(&format!("{motion} --bus {bus}"));
+        assert!(question.starts_with("Motor 1 will run in motion mode to 0 rad"), "{question}");
+        control(socket, &["angle", "--id", "1", degrees]);
+        writeln!(keys, "{answer}").unwrap();
+        let ended = process.wait_with_output().unwrap();
+        let errors = text(&ended.stderr);
+        assert_eq!(ended.status.code(), Some(status), "{degrees}: {errors}");
+        assert!(errors.starts_with(told), "{degrees}: {errors}");
+        let stays = control(socket, &["state"]).contains(&format!("motor 1: {degrees}.00 deg"));
+        assert_eq!(stays, status == 1, "{answer} {degrees}");
+    }
+}
