@@ -10,6 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use crate::run::{myactuator, run, text};
+use crate::sim_control::control;
 use crate::sim_serve::Simulation;
 
 /// How long the program may take to end after a signal: the stop, and its last words.
@@ -36,8 +37,8 @@ pub(crate) fn full_pipe() -> (io::PipeReader, io::PipeWriter) {
     (reader, writer)
 }
 
-/// Once it does something about that, which takes it longer on a busy machine.
-fn signal(process: &Child, signal: Signal) {
+/// It takes longer on a busy machine until it does something about that.
+fn wait_until_it_catches(process: &Child, signal: Signal) {
     let caught = || {
         let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
         let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
@@ -47,6 +48,10 @@ fn signal(process: &Child, signal: Signal) {
     while caught() >> (signal.as_raw() - 1) & 1 == 0 && start.elapsed() < SOON {
         sleep(Duration::from_millis(10));
     }
+}
+
+fn signal(process: &Child, signal: Signal) {
+    wait_until_it_catches(process, signal);
     kill_process(Pid::from_child(process), signal).unwrap();
 }
 
@@ -200,4 +205,31 @@ fn what_is_written_is_not_left_halfway_although_ctrl_c_is_pressed() {
     let ended = interrupted(&mut zero);
     let told = text(&ended.stdout);
     assert!(told.contains("is the zero"), "{}: {told}", ended.status);
+}
+
+/// It once gave up then, for the bus had carried nothing for so long.
+#[test]
+fn a_stop_that_was_suspended_goes_on_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("control");
+    let socket = path.to_str().unwrap();
+    let options = ["--only", "slcan", "--count", "1", "--control", socket];
+    let simulation = Simulation::start(2, &options);
+    let bus = simulation.bus("slcan");
+    for what in ["stop", "shutdown"] {
+        control(socket, &["fault", "cut"]);
+        let mut stop = myactuator();
+        stop.args([what, "--bus", bus]).stdin(Stdio::null());
+        let process = stop.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        wait_until_it_catches(&process, Signal::INT);
+        // It has found that nobody answers, and waits for that.
+        sleep(Duration::from_millis(300));
+        kill_process(Pid::from_child(&process), Signal::STOP).unwrap();
+        sleep(Duration::from_secs(2));
+        control(socket, &["fault", "mend"]);
+        kill_process(Pid::from_child(&process), Signal::CONT).unwrap();
+        let ended = process.wait_with_output().unwrap();
+        let (told, errors) = (text(&ended.stdout), text(&ended.stderr));
+        assert!(told.starts_with("motor 1 is "), "{what}: {told}{errors}");
+    }
 }

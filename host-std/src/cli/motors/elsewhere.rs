@@ -4,9 +4,9 @@ use std::cell::Cell;
 use std::rc::Rc;
 
 use myactuator_host_std::open::{AnyMaster, BusError};
-use myactuator_protocol_core::io::Runner;
+use myactuator_protocol_core::io::{Elapsed, Runner};
 use myactuator_protocol_core::master::{Event, Master, MotorSet, StopKind};
-use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Kind, MotorId, Opcode};
 
 /// A bus in use. What stops a motor elsewhere while it is moved here stops it here, too: nothing more that may
@@ -29,12 +29,20 @@ pub(super) struct Watched {
     pub(super) confirmed: MotorSet,
     /// Those that have not, however often they were sent one.
     pub(super) silent: MotorSet,
+    awake: Elapsed,
 }
 
 impl Watched {
     pub(super) fn new(bus: AnyMaster<{ MotorId::COUNT }>) -> Self {
         let [moved, off, moved_on, let_go, confirmed, silent] = [MotorSet::EMPTY; 6];
-        Self { bus, moved, stopped: Rc::default(), off, moved_on, let_go, confirmed, silent }
+        let (stopped, awake) = (Rc::default(), Elapsed::default());
+        Self { bus, moved, stopped, off, moved_on, let_go, confirmed, silent, awake }
+    }
+
+    /// For how long the bus was looked at. Whoever waits for something has had no time for it while this program was
+    /// suspended.
+    pub(super) fn awake(&mut self) -> Duration {
+        self.awake.at(self.bus.now())
     }
 
     /// Whether a motor was switched off, here or elsewhere, after all that was seen.
@@ -97,6 +105,7 @@ impl Runner<{ MotorId::COUNT }> for Watched {
     }
 
     fn poll(&mut self) -> Result<Option<Event>, BusError> {
+        self.awake();
         let event = self.bus.poll()?;
         event.iter().for_each(|event| self.note(event));
         Ok(event)
@@ -134,7 +143,6 @@ fn deed(event: &Event) -> Option<(MotorId, Deed)> {
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::time::Duration;
 
     use super::super::session::Session;
     use super::super::simulated::{OtherMaster, Sends, sent, to_first};

@@ -137,7 +137,7 @@ fn stop_line(session: &mut Session, kind: StopKind) {
 /// Those that answer on a line, and why it carries nothing, if that is so. All are asked again and again, so that a
 /// short communication-loss protection does not let a load go.
 fn find_on_line(session: &mut Session) -> (MotorSet, Option<String>) {
-    let begun = session.master.now();
+    let begun = session.master.awake();
     let mut found = MotorSet::EMPTY;
     let mut rounds = 0;
     loop {
@@ -148,7 +148,7 @@ fn find_on_line(session: &mut Session) -> (MotorSet, Option<String>) {
         found = found.with(answered.map(|(motor, _)| motor).collect());
         rounds += 1;
         // A line that fails tells it by nothing but silence.
-        let is_over = session.master.now() - begun > LONGEST_OUTAGE || session.is_not_to_wait();
+        let is_over = session.master.awake() - begun > LONGEST_OUTAGE || session.is_not_to_wait();
         if rounds >= ROUNDS && (!found.is_empty() || is_over) {
             forget(session, MotorSet::ALL.without(found));
             let outage = failure.filter(|_| found.is_empty());
@@ -164,7 +164,7 @@ fn stop_each(session: &mut Session, kind: StopKind, motors: MotorSet) -> Option<
     let _ = session.master.master().stop_all(kind, motors);
     let mut waits = motors;
     // When a stop was last confirmed, or given up.
-    let mut last_end = session.master.now();
+    let mut last_end = session.master.awake();
     while !waits.is_empty() {
         // A short communication-loss protection does not let a load go meanwhile.
         session.ask_each(session.master.confirmed, ReadStatus2, None);
@@ -172,7 +172,7 @@ fn stop_each(session: &mut Session, kind: StopKind, motors: MotorSet) -> Option<
         let outcome = session.master.run_until(soon, |_| {});
         session.master.idle(soon);
         let left = motors.without(session.master.confirmed).without(session.master.silent);
-        let now = session.master.now();
+        let now = session.master.awake();
         if left != waits {
             (waits, last_end) = (left, now);
         } else if now - last_end > LONGEST_OUTAGE {

@@ -85,11 +85,11 @@ impl Session {
         if kind == StopKind::Off {
             self.master.off = self.master.off.with(motors);
         }
-        let begun = self.master.now();
+        let begun = self.master.awake();
         let mut silent = motors;
         while !silent.is_empty() {
             silent = self.silent_at_stop(kind, silent);
-            if !silent.is_empty() && self.master.now() - begun >= LONGEST_OUTAGE {
+            if !silent.is_empty() && self.master.awake() - begun >= LONGEST_OUTAGE {
                 return Err(Unfinished::Failed(format!(
                     "no confirmation of the stop from motor {silent}: if it is on this bus, cut its power{}",
                     self.echo_told_of()
@@ -140,8 +140,8 @@ impl Session {
     /// Those of these motors that something else moves: the replies to it tell. They are asked all the while, so
     /// that a short communication-loss protection does not let a load go.
     fn moved_elsewhere(&mut self, motors: MotorSet) -> MotorSet {
-        let end = self.master.now() + LISTENING;
-        while self.master.now() < end {
+        let begun = self.master.awake();
+        while self.master.awake() - begun < LISTENING {
             // They have confirmed just now; what a failure would mean is found out by whoever asks next.
             self.ask_each(motors, ReadStatus2, None);
             let _ = self.master.run_until(self.master.now() + LONGEST_WAIT, |_| {});

@@ -33,12 +33,12 @@ impl Session {
         command: C,
         patience: Option<Patience>,
     ) -> Together<C::Reply> {
-        let begun = self.master.now();
+        let begun = self.master.awake();
         let asked = motors.iter().map(|motor| Asked { motor, ticket: None, outcome: None });
         let mut asked: Vec<Asked<C>> = asked.collect();
         let mut failure = None;
         while asked.iter().any(|asked| asked.outcome.is_none()) {
-            let waited = self.master.now() - begun;
+            let waited = self.master.awake() - begun;
             let is_open = |asked: &&mut Asked<C>| asked.outcome.is_none();
             for asked in asked.iter_mut().filter(is_open).filter(|asked| asked.ticket.is_none()) {
                 match self.put(asked.motor, command, patience) {
