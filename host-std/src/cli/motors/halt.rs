@@ -75,6 +75,8 @@ fn stop_every_id(session: &mut Session, kind: StopKind) -> Outcome<MotorSet> {
     if kind == StopKind::Off {
         session.master.off = MotorSet::ALL;
     }
+    // What came of an earlier stop says nothing of this one.
+    (session.master.confirmed, session.master.silent) = (MotorSet::EMPTY, MotorSet::EMPTY);
     let on_line = matches!(session.master.master().config().bus, Bus::Rs485 { .. });
     let mut outage = None;
     let mut meant = MotorSet::ALL;
@@ -251,6 +253,22 @@ mod tests {
             let fleet = Fleet::new(4).faults(faults).on_can(1_000_000).unwrap();
             let stopped = stop_every_id(&mut Session::on(&fleet), StopKind::Hold);
             assert_eq!(stopped.map(MotorSet::len), Ok(4), "{recovers}");
+        }
+    }
+
+    #[test]
+    fn what_came_of_an_earlier_stop_says_nothing_of_this_one() {
+        let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let stations = [0, 1].map(|at| fleet.drives[at].station());
+        for (cut, answers) in [(0, 1), (1, 0), (0, 1)] {
+            fleet.world.cut(stations[cut]);
+            fleet.world.mend(stations[answers]);
+            let confirmed = stop_every_id(&mut session, StopKind::Hold);
+            assert_eq!(
+                confirmed.map(|motors| motors.iter().map(MotorId::index).collect()),
+                Ok(vec![answers])
+            );
         }
     }
 
