@@ -48,6 +48,9 @@ pub(super) struct Broadcast {
     others: MayUndo,
     /// Something that may move was sent, so that a stop of all has to reach whom nobody has named.
     has_moved: bool,
+    /// It was sent on CAN since these have ended their motion, and they have not answered it: it may lie in a mailbox,
+    /// through cuts that nobody has noticed.
+    moved_since: MotorSet,
     /// Until when what was sent may still reach a drive, and be answered.
     pub(super) on_its_way: OnItsWay,
 }
@@ -148,6 +151,17 @@ impl Broadcast {
         self.has_moved
     }
 
+    /// Whether what this motor answers when it ends its motion is to be answered twice: the first answer shows that the
+    /// bus is whole, and what lies in a mailbox comes then.
+    pub(super) fn has_moved_since(&self, motor: MotorId) -> bool {
+        self.moved_since.contains(motor)
+    }
+
+    /// It has answered what ends its motion.
+    pub(super) fn has_ended_motion_of(&mut self, motor: MotorId) {
+        self.moved_since.remove(motor);
+    }
+
     /// Whether it waits to move this motor, or what was sent may still do so.
     pub(super) fn may_yet_move(&self, motor: MotorId) -> bool {
         self.others.with(self.last).moves.contains(motor)
@@ -219,6 +233,9 @@ impl Broadcast {
         (self.sent, self.sent_byte) = (now, self.data[0]);
         self.may_answer = all_if(kind.has_reply());
         self.has_moved |= kind.may_move();
+        if kind.may_move() && !config.is_rs485() {
+            self.moved_since = MotorSet::ALL;
+        }
         self.others = self.others.with(self.last);
         self.last = MayUndo::by(kind, config);
         let may_be_cut = !config.is_rs485() && !self.others.with(self.last).is_none();
@@ -284,6 +301,9 @@ impl Broadcast {
         if self.may_be_mistaken(data[0], motor) {
             self.may_answer.remove(motor);
             self.last = self.last.without(motor);
+            if !self.others.moves.contains(motor) {
+                self.moved_since.remove(motor);
+            }
         }
         let answers = self.is_in_flight()
             && self.silent.contains(motor)

@@ -74,13 +74,6 @@ impl OnItsWay {
         }
     }
 
-    /// All were told what the broadcast keeps account of until then, and no longer.
-    pub(super) fn is_over_with_all(&mut self, at: Instant) {
-        if !self.is_any() {
-            *self = Self::OverByTime(at);
-        }
-    }
-
     /// The drive has answered what ends its motion: nothing from before comes any more.
     pub(super) fn has_ended(&mut self) {
         *self = Self::No;

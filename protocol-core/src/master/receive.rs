@@ -9,7 +9,7 @@ use crate::master::late::{Of, Question};
 use crate::master::motor::reports::reported_bit;
 use crate::master::motor::restarts::{HALF_A_TURN_TAKES, Place};
 use crate::master::motor::{DOUBLED_WITHIN, Motor};
-use crate::master::request::{Asked, Request};
+use crate::master::request::{Asked, Request, Round};
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, MotorSet, TicketId};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
@@ -173,6 +173,7 @@ impl<const N: usize> Master<N> {
             Meaning::OnceMore => {
                 // No move to all goes between the attempts of that, either.
                 self.broadcast.on_its_way.bus_is_alive(now, &self.config);
+                self.broadcast.has_ended_motion_of(id);
                 None
             }
             Meaning::OfBroadcast => {
@@ -285,7 +286,7 @@ impl Motor {
             }
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
             if asked.is_stop() && heard.to_all.may_be_mistaken(data[0], heard.from) {
-                self.send_again(asked, false);
+                self.send_again(asked, Round::First);
                 return Meaning::OfBroadcast;
             }
             let late =
@@ -293,7 +294,7 @@ impl Motor {
             if late.is_none() {
                 return self.take_answer(asked, heard, config);
             }
-            self.send_again(asked, false);
+            self.send_again(asked, Round::First);
             return Meaning::Nothing;
         }
         // Too soon after that: to one sent before, or to all.
@@ -375,7 +376,7 @@ impl Motor {
         if heard.is_ignored_one() && asked.data == data {
             if asked.is_stop() {
                 // It ignores one, and no more.
-                self.send_again(asked, false);
+                self.send_again(asked, Round::First);
             } else if asked.attempts_left > 0 && asked.kind().repeat() == Repeat::Harmless {
                 self.request = Request::Waiting(asked);
             } else {
@@ -393,13 +394,19 @@ impl Motor {
         }
         let kind = asked.kind();
         if kind.ends_motion() {
-            if heard.to_all.may_undo(kind, motor) || self.may_yet_move() {
+            let may_move = heard.to_all.may_undo(kind, motor) || self.may_yet_move();
+            let is_first = asked.round == Round::First;
+            let may_lie = heard.to_all.has_moved_since(motor) || self.may_lie_in_mailbox(config);
+            if !may_move && is_first && may_lie {
+                self.may_move_until(now + config.late_window, config);
+            }
+            if self.may_yet_move() || may_move {
                 let until = self.sent + asked.timeout + config.late_window;
                 let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
                 self.expect_late(asked.question, of, replies, until, config);
                 // Nothing that moves it goes between the attempts of what ends its motion.
                 self.on_its_way.bus_is_alive(now, config);
-                self.send_again(asked, true);
+                self.send_again(asked, Round::Waits);
                 return Meaning::OnceMore;
             }
             self.has_ended_motion();
@@ -418,8 +425,8 @@ impl Motor {
     }
 
     /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
-    fn send_again(&mut self, mut asked: Asked, once_more: bool) {
-        asked.once_more = once_more;
+    fn send_again(&mut self, mut asked: Asked, round: Round) {
+        asked.round = round;
         self.request = Request::Waiting(asked);
     }
 }

@@ -39,9 +39,18 @@ pub(super) struct Asked {
     pub(super) attempts_left: u8,
     /// How often it was sent without a reply that came.
     pub(super) unanswered: u8,
-    /// It ends motion and was answered, but something that was sent before it may still move the motor: it is
-    /// sent once more when that is over.
-    pub(super) once_more: bool,
+    pub(super) round: Round,
+}
+
+/// What ends motion may have to be answered twice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Round {
+    /// It was not answered.
+    First,
+    /// It was, but something that was sent before it may still move the motor: it waits until that is over.
+    Waits,
+    /// It was, and has been sent once more.
+    Second,
 }
 
 impl Asked {
@@ -58,7 +67,7 @@ impl Asked {
             timeout: patience.reply_timeout.max(SHORTEST_TIMEOUT),
             attempts_left: patience.attempts.clamp(1, 15),
             unanswered: 0,
-            once_more: false,
+            round: Round::First,
         }
     }
 

@@ -96,10 +96,6 @@ impl<const N: usize> Master<N> {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
                             motor.note_sent(kind, &data, config, now);
-                            if kind.may_move() {
-                                let over = now + config.reply_timeout + config.late_window;
-                                motor.on_its_way.is_over_with_all(over);
-                            }
                         });
                     }
                 }

@@ -28,9 +28,14 @@ impl Motor {
 
     /// What ends its motion was not answered: the bus may be cut, and have been all the time.
     pub(super) fn bus_may_be_cut(&mut self, now: Instant, config: &Config) {
-        if matches!(self.on_its_way, OnItsWay::OverByTime(_)) && !config.is_rs485() {
+        if self.may_lie_in_mailbox(config) {
             self.may_move_until(now + config.late_window, config);
         }
+    }
+
+    /// Whether what was given up is over by time alone, of which a mailbox knows nothing.
+    pub(in crate::master) fn may_lie_in_mailbox(&self, config: &Config) -> bool {
+        matches!(self.on_its_way, OnItsWay::OverByTime(_)) && !config.is_rs485()
     }
 
     /// What looks like one of the late replies may be another: it does not say that what moves has come.

@@ -17,7 +17,7 @@ use crate::master::event::Failure;
 use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
-use crate::master::request::{Asked, Purpose, Request};
+use crate::master::request::{Asked, Purpose, Request, Round};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
@@ -202,7 +202,8 @@ impl Motor {
     /// the motor any more, and no answer to its earlier attempts can be taken for that to the last.
     pub(super) fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
         let may_be_mistaken = || self.late.may_be_mistaken(asked.question);
-        asked.once_more && (is_moved_with_all || self.may_yet_move() || may_be_mistaken())
+        asked.round == Round::Waits
+            && (is_moved_with_all || self.may_yet_move() || may_be_mistaken())
     }
 
     /// Whether the set-point that waits may go. What ends motion was asked for before it, and comes first however
@@ -255,7 +256,9 @@ impl Motor {
             self.expect_late(set_point.question, Of::StreamStopped, 1, late, config);
         }
         asked.unanswered = asked.unanswered.saturating_add(1);
-        asked.once_more = false;
+        if asked.round == Round::Waits {
+            asked.round = Round::Second;
+        }
         self.request = Request::InFlight(asked);
         Some(false)
     }

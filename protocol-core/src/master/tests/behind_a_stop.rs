@@ -304,7 +304,7 @@ fn an_answer_to_a_stop_that_waits_measures_no_round_trip() {
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
     all_were_told(&mut master, torque(1.0), ms(10));
-    // The move has come, since the bus carries other answers.
+    reply(&mut master, 1, TORQUE_REPLY, ms(11));
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(90));
     reply(&mut master, 1, ANGLE_REPLY, ms(91)).unwrap();
     events(&mut master, ms(300));

@@ -555,15 +555,91 @@ fn a_move_of_all_that_waited_in_a_mailbox_while_the_bus_was_cut_follows_no_confi
     assert_eq!(sent(&mut master, at).len(), 1);
     let confirmed = Some(Event::StopConfirmed { motor: id(1) });
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), at + Duration::from_millis(1)), confirmed);
-    // Where anything was heard that was not on its way before it, it has gone or was lost.
+}
+
+/// When a stop of motor 1, which begins at 500 ms, is confirmed: by so many answers.
+fn answers_that_confirm(before: impl FnOnce(&mut Master<2>)) -> u32 {
     let mut master = Master::<2>::new(Config::CAN);
-    master.broadcast(step(), MotorSet::EMPTY).unwrap();
-    sent(&mut master, ms(10));
-    reply(&mut master, 9, ANGLE_REPLY, ms(72));
-    events(&mut master, ms(200));
+    before(&mut master);
+    events(&mut master, ms(500));
     master.stop(id(1), StopKind::Off).unwrap();
-    sent(&mut master, ms(200));
-    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(201)), confirmed);
+    let mut answers = 0;
+    for now in 500..600 {
+        if !sent(&mut master, ms(now)).is_empty() {
+            answers += 1;
+            if reply(&mut master, 1, Shutdown.encode(), ms(now + 1)) == confirmed(1) {
+                return answers;
+            }
+        }
+    }
+    panic!("{answers} answers do not confirm it")
+}
+
+#[test]
+fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
+    let moves = |master: &mut Master<2>| {
+        master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+        sent(master, ms(10));
+        events(master, ms(200));
+    };
+    // Nothing was heard since; or one frame, on a cable that makes contact for a moment; or many.
+    assert_eq!(answers_that_confirm(moves), 2);
+    for heard in [1, 20] {
+        let count = answers_that_confirm(|master| {
+            moves(master);
+            (0..heard).for_each(|time| {
+                reply(master, 2, ANGLE_REPLY, ms(210 + 10 * time));
+            });
+        });
+        assert_eq!(count, 2, "{heard} frames");
+    }
+    // A motor that gets its place only since may be moved, too: here it has none before its stop.
+    let count = answers_that_confirm(|master| {
+        let _ = ask(master, 2, ReadMultiTurnAngle, ms(1));
+        reply(master, 2, ANGLE_REPLY, ms(2)).unwrap();
+        moves(master);
+    });
+    assert_eq!(count, 2);
+    // Not whoever has answered that, or has been stopped since.
+    let answered = |master: &mut Master<2>| {
+        master.broadcast(torque(1.0), id(1).into()).unwrap();
+        sent(master, ms(10));
+        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(11)).unwrap();
+        events(master, ms(200));
+    };
+    assert_eq!(answers_that_confirm(answered), 1);
+    let ended = |master: &mut Master<2>| {
+        moves(master);
+        for at in [210, 300] {
+            let _ = master.request(id(1), Shutdown);
+            sent(master, ms(at));
+            reply(master, 1, Shutdown.encode(), ms(at + 1));
+        }
+    };
+    assert_eq!(answers_that_confirm(ended), 1);
+    // Nor whom nothing has moved.
+    assert_eq!(answers_that_confirm(|_| {}), 1);
+}
+
+#[test]
+fn a_set_point_that_was_given_up_in_a_cut_is_over_by_two_answers_where_nothing_was_heard_since() {
+    let given_up = |master: &mut Master<2>| {
+        master.set_point(id(1), motion(), ms(0)).unwrap();
+        sent(master, ms(0));
+        (1..200).for_each(|now| drop(events(master, ms(now))));
+    };
+    assert_eq!(answers_that_confirm(given_up), 2);
+    // One frame says that the bus was whole for a moment; another, when all must have come, that it still is.
+    for (heard, answers) in [(&[210][..], 2), (&[210, 300], 1)] {
+        let count = answers_that_confirm(|master| {
+            given_up(master);
+            for &at in heard {
+                reply(master, 2, ANGLE_REPLY, ms(at));
+                events(master, ms(at + 50));
+            }
+        });
+        assert_eq!(count, answers, "{heard:?}");
+    }
 }
 
 #[test]
