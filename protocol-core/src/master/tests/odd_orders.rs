@@ -608,6 +608,20 @@ fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
         events(master, ms(200));
     };
     assert_eq!(answers_that_confirm(answered), 1);
+    // Who has answered one of two may have the other to come.
+    let answered_one = |master: &mut Master<2>| {
+        for at in [10, 11] {
+            master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+            assert_eq!(sent(master, ms(at)).len(), 1);
+            events(master, ms(at));
+        }
+        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(12));
+        for at in [100, 200] {
+            reply(master, 2, ANGLE_REPLY, ms(at));
+            events(master, ms(at + 90));
+        }
+    };
+    assert_eq!(answers_that_confirm(answered_one), 2);
     let ended = |master: &mut Master<2>| {
         moves(master);
         for at in [210, 300] {
