@@ -33,7 +33,7 @@ fn run<R: Runner<8>>(
         for motor in MotorId::all().take(8) {
             let master = bus.master();
             if master.health(motor).presence == Presence::Silent {
-                return Err(CallError::Failed(Failure::NoReply));
+                return Err(CallError::Failed { motor, failure: Failure::NoReply });
             }
             let measured = match master.latest_feedback(motor) {
                 Some((AnyReply::Motion(raw), _time)) => Some(scale.feedback(&raw)),
@@ -44,7 +44,8 @@ fn run<R: Runner<8>>(
         }
         next += match bus.now() - next {
             late if late <= Duration::from_millis(50) => late.max(Duration::from_millis(2)),
-            _ => return Err(CallError::Failed(Failure::Dropped)),
+            // Those of all motors are late: the first is named.
+            _ => return Err(CallError::Failed { motor: MotorId::MIN, failure: Failure::Dropped }),
         };
         bus.run_until(next, |_event| {})?;
     }
@@ -148,7 +149,7 @@ mod tests {
     #[test]
     fn what_was_held_for_longer_than_a_set_point_lives_ends() {
         let (left, begun) = held_for(60);
-        assert_eq!(left, Err(Failure::Dropped.to_string()));
+        assert_eq!(left, Err(format!("motor 1: {}", Failure::Dropped)));
         assert_eq!(begun.len(), 10);
     }
     #[test]

@@ -82,7 +82,10 @@ fn after_a_lost_master_the_first_command_does_nothing<W: Wire>() {
     for _ in 0..2 {
         listen(&mut master, millis(1_150));
         happened(drive);
-        assert_eq!(master.ask(MOTOR, push(2.0)), Err(CallError::Failed(Failure::NotExecuted)));
+        assert_eq!(
+            master.ask(MOTOR, push(2.0)),
+            Err(CallError::Failed { motor: MOTOR, failure: Failure::NotExecuted })
+        );
         assert_eq!(happened(drive), [not_run(Opcode::Torque)]);
         assert!(!state(drive).output_on);
     }

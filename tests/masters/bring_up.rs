@@ -86,7 +86,7 @@ fn nobody_is_found_on_a_can_bus_that_carries_nothing() {
         }
     };
     let found = bring_up::scan(runner, MotorSet::ALL, hear);
-    assert_eq!(found, Err(CallError::Failed(Failure::BusDown)));
+    assert!(matches!(found, Err(CallError::Failed { failure: Failure::BusDown, .. })), "{found:?}");
     assert_eq!(there, MotorSet::EMPTY);
     // It can be tried again.
     assert_eq!(runner.master().motors(), MotorSet::EMPTY);
@@ -104,7 +104,7 @@ fn a_motor_tells_what_it_is<W: Wire>() {
     assert_eq!(identity.status.errors, ErrorFlags::empty());
     assert!((290..=400).contains(&identity.run_time.raw()), "{}", identity.run_time);
     let nobody = bring_up::identify(runner, id(7)).expect_err("nobody is there");
-    assert_eq!(nobody, CallError::Failed(Failure::NoReply));
+    assert_eq!(nobody, CallError::Failed { motor: id(7), failure: Failure::NoReply });
 }
 
 fn a_newer_motor_has_no_model_to_tell<W: Wire>() {

@@ -85,7 +85,10 @@ where
     let asked = [3, 9, 1].map(|motor| (id(motor), ReadMultiTurnAngle));
     let told = bus.ask_together(asked).await;
     let told = told.map(|answer| answer.map(|reply| reply.angle.degrees().round()));
-    assert_eq!(told, [Ok(30.0), Err(CallError::Failed(Failure::NoReply)), Ok(0.0)]);
+    assert_eq!(
+        told,
+        [Ok(30.0), Err(CallError::Failed { motor: id(9), failure: Failure::NoReply }), Ok(0.0)]
+    );
 }
 
 async fn a_set_point_is_waited_for<B: Medium, R: AsyncRunner<8>>(_: &BusFleet<B>, bus: &mut R)

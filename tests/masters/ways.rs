@@ -57,7 +57,7 @@ fn each_question_has_its_own_answer<W: Wire>() {
     let asked = [1, 2, 9, 4, 3, 4].map(|motor| (id(motor), ReadMultiTurnAngle));
     let answers = runner.ask_together(asked);
     let told = answers.map(|answer| answer.map(|reply| reply.angle.degrees().round()));
-    let silent = Err(CallError::Failed(Failure::NoReply));
+    let silent = Err(CallError::Failed { motor: id(9), failure: Failure::NoReply });
     assert_eq!(told, [Ok(10.0), Ok(20.0), silent, Ok(40.0), Ok(30.0), Ok(40.0)]);
 
     runner.master().stop(id(2), StopKind::Hold).unwrap();
@@ -78,7 +78,10 @@ fn behind_a_stop_on_a_dead_bus_nobody_waits_for_ever() {
     let busy = RequestError::Busy.into();
     assert_eq!(bus.ask(id(1), ReadMultiTurnAngle), Err(busy));
     let told = bus.ask_together([1, 2].map(|motor| (id(motor), ReadMultiTurnAngle)));
-    assert_eq!(told, [Err(busy), Err(CallError::Failed(Failure::BusDown))]);
+    assert_eq!(
+        told,
+        [Err(busy), Err(CallError::Failed { motor: id(2), failure: Failure::BusDown })]
+    );
 }
 
 #[test]
@@ -159,7 +162,10 @@ fn a_set_point_that_cannot_be_sent_or_is_not_answered_is_told<W: Wire>() {
     let silent = runner.set_point_and_wait(id(1), push(0.1));
     // On CAN nobody acknowledges the frame, so that the bus takes no other.
     assert!(
-        matches!(silent, Err(CallError::Failed(Failure::NoReply | Failure::Dropped))),
+        matches!(
+            silent,
+            Err(CallError::Failed { failure: Failure::NoReply | Failure::Dropped, .. })
+        ),
         "{silent:?}"
     );
     bus.world.mend(bus.drives[0].station());

@@ -23,6 +23,9 @@ fn they_answer_in_virtual_time_with_the_configuration_of_their_kind() {
         let expected_us = if bus == "sim:2" { 700..1_500 } else { 2_900..4_000 };
         assert!(expected_us.contains(&took_us), "{bus}: {took_us} µs");
         let silent = arm.ask(motor(3), ReadStatus1).unwrap_err();
-        assert!(matches!(silent, CallError::Failed(Failure::NoReply)), "{bus}: {silent}");
+        assert!(
+            matches!(silent, CallError::Failed { failure: Failure::NoReply, .. }),
+            "{bus}: {silent}"
+        );
     }
 }

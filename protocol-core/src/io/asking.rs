@@ -19,8 +19,13 @@ pub enum CallError<E> {
     #[error(transparent)]
     Request(#[from] RequestError),
     /// It was sent, and has no answer.
-    #[error("{0}")]
-    Failed(Failure),
+    #[error("motor {motor}: {failure}")]
+    Failed {
+        /// Who was asked.
+        motor: MotorId,
+        /// Why there is no answer.
+        failure: Failure,
+    },
 }
 
 /// A question that is put as soon as the motor is free for it.
@@ -73,8 +78,9 @@ impl<C: Command> Asking<C> {
         self.ticket.is_none().then_some(self.latest_turn)
     }
 
-    pub(super) fn outcome(&self, event: &Event) -> Option<Result<C::Reply, Failure>> {
-        self.ticket?.outcome(event)
+    pub(super) fn outcome<E>(&self, event: &Event) -> Option<Outcome<C, E>> {
+        let failed = |failure| CallError::Failed { motor: self.motor, failure };
+        Some(self.ticket?.outcome(event)?.map_err(failed))
     }
 }
 
@@ -110,7 +116,7 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
 
     pub(super) fn note(&mut self, event: &Event) {
         for (asking, outcome) in self.open() {
-            *outcome = asking.outcome(event).map(|outcome| outcome.map_err(CallError::Failed));
+            *outcome = asking.outcome(event);
         }
     }
 
@@ -123,8 +129,10 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
 
     /// What came of each, once none is open.
     pub(super) fn outcomes(&mut self) -> [Outcome<C, E>; M] {
-        let bus_is_down = || Err(CallError::Failed(Failure::BusDown));
-        self.0.each_mut().map(|(_, outcome)| outcome.take().unwrap_or_else(bus_is_down))
+        self.0.each_mut().map(|(asking, outcome)| {
+            let bus_is_down = CallError::Failed { motor: asking.motor, failure: Failure::BusDown };
+            outcome.take().unwrap_or(Err(bus_is_down))
+        })
     }
 
     fn open(&mut self) -> impl Iterator<Item = &mut Asked<C, E>> {

@@ -80,8 +80,8 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
                 runner.master().poll_event()
             }
         };
-        if let Some(Event::Failed { failure: Failure::BusDown, .. }) = event {
-            let why = CallError::Failed(Failure::BusDown);
+        if let Some(Event::Failed { ticket, failure: failure @ Failure::BusDown }) = event {
+            let why = CallError::Failed { motor: ticket.motor(), failure };
             given_up.get_or_insert((why, runner.now() + LONGEST_TURN));
         }
         if let Some((_, end)) = &given_up {
@@ -128,7 +128,7 @@ pub async fn identify<R: AsyncRunner<N>, const N: usize>(
 ) -> Result<Identity, CallError<R::Error>> {
     let model = match runner.ask(motor, ReadModel).await {
         Ok(reply) => Some(reply.model),
-        Err(CallError::Failed(Failure::NoReply)) => None,
+        Err(CallError::Failed { failure: Failure::NoReply, .. }) => None,
         Err(error) => return Err(error),
     };
     Ok(Identity {
@@ -151,8 +151,8 @@ pub async fn is_there<R: AsyncRunner<N>, const N: usize>(
     let patience = runner.master().patience(ATTEMPTS);
     let is_known = runner.master().motors().contains(motor);
     match runner.ask_with(motor, ReadStatus1, Some(patience), |_| {}).await {
-        Ok(_) | Err(CallError::Failed(Failure::Unreadable(_))) => Ok(true),
-        Err(CallError::Failed(_)) => {
+        Ok(_) | Err(CallError::Failed { failure: Failure::Unreadable(_), .. }) => Ok(true),
+        Err(CallError::Failed { .. }) => {
             if !is_known {
                 // Else every stop of all would wait for an id at which there is nobody.
                 runner.master().forget(motor);

@@ -95,7 +95,7 @@ pub trait AsyncRunner<const N: usize> {
             let event = runner.run(asking.latest_turn()).await.map_err(CallError::Bus)?;
             let Some(event) = event else { continue };
             match asking.outcome(&event) {
-                Some(outcome) => return outcome.map_err(CallError::Failed),
+                Some(outcome) => return outcome,
                 None => on_event(event),
             }
         }
@@ -158,7 +158,7 @@ pub trait AsyncRunner<const N: usize> {
         loop {
             let event = self.next_event().await.map_err(CallError::Bus)?;
             if let Some(outcome) = outcome_of_set_point::<C, N>(self.master(), motor, &event) {
-                return outcome.map_err(CallError::Failed);
+                return outcome.map_err(|failure| CallError::Failed { motor, failure });
             }
         }
     }

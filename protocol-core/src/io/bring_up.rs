@@ -124,9 +124,9 @@ pub enum Protection {
 /// answers collide, and nobody may be found: connect one at a time.
 ///
 /// # Errors
-/// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown) if the bus carries nothing, as CAN
-/// does when nobody is there to acknowledge; [`RequestError::TooManyMotors`] if the master has no place free
-/// at all.
+/// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown), of any of the candidates, if the bus
+/// carries nothing, as CAN does when nobody is there to acknowledge; [`RequestError::TooManyMotors`] if the
+/// master has no place free at all.
 pub fn scan<R: Runner<N>, const N: usize>(
     runner: &mut R,
     candidates: MotorSet,

@@ -152,7 +152,9 @@ async fn answers_once<R: AsyncRunner<N>, C: Command + Copy, const N: usize>(
         };
         match runner.ask_with(id, command, Some(patience), &mut hear).await {
             Ok(_) => {}
-            Err(CallError::Failed(Failure::NoReply | Failure::Unreadable(_))) => continue,
+            Err(CallError::Failed {
+                failure: Failure::NoReply | Failure::Unreadable(_), ..
+            }) => continue,
             Err(error) => return Err(error),
         }
         let both_have_answered = runner.now() + SECOND_ANSWER;

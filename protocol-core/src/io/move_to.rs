@@ -226,11 +226,16 @@ pub struct NotArrived<E> {
 
 impl<E: fmt::Debug> fmt::Display for NotArrived<E> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "motor {} has not arrived: {}; ", self.motor, self.why)?;
+        write!(f, "motor {} has not arrived: ", self.motor)?;
+        match &self.why {
+            // The motor is named already.
+            MoveFailure::Call(CallError::Failed { failure, .. }) => failure.fmt(f)?,
+            why => why.fmt(f)?,
+        }
         f.write_str(if self.is_stopped {
-            "it has confirmed the stop"
+            "; it has confirmed the stop"
         } else {
-            "it has not confirmed the stop: cut its power"
+            "; it has not confirmed the stop: cut its power"
         })
     }
 }

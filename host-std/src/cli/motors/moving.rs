@@ -563,6 +563,10 @@ mod tests {
         let outcome = session.stopped(MotorId::MIN.into());
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(told.ends_with("whether it holds is not known: it does not tell its errors"));
+        let told = "motor 1 has confirmed the stop (0x81), but whether it stands is not known: no reply: is the motor \
+                    powered, and is this its id?";
+        let outcome = session.come_to_rest(MotorId::MIN);
+        assert_eq!(outcome, Err(Unfinished::Failed(told.to_owned())));
     }
 
     #[test]

@@ -143,7 +143,7 @@ fn repeat<C: Command + Copy>(
                 })?;
             }
             // The next one is due soon; a set-point is not sent again.
-            Err(CallError::Failed(Failure::NoReply | Failure::NotExecuted))
+            Err(CallError::Failed { failure: Failure::NoReply | Failure::NotExecuted, .. })
                 if missed < MOST_MISSED =>
             {
                 missed += 1;

@@ -92,7 +92,7 @@ fn look(session: &mut Session) -> Outcome<Found> {
     match found {
         Ok(motors) => Ok(Ok(motors)),
         Err(CallError::Bus(error)) if error.is_outage() => Ok(Err(error)),
-        Err(error) => Err(error.into()),
+        Err(error) => Err(Unfinished::of_scan(error)),
     }
 }
 
@@ -113,7 +113,7 @@ fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<Str
     let model = match session.master.ask(motor, ReadModel) {
         Ok(model) => Ok(Group::default().and(&model)),
         // Firmware V4.4 does not answer this.
-        Err(CallError::Failed(Failure::NoReply)) => Ok(Group::default()),
+        Err(CallError::Failed { failure: Failure::NoReply, .. }) => Ok(Group::default()),
         Err(error) => Err(Unfinished::of_motor(motor)(error)),
     };
     let status = session.ask(motor, ReadStatus1);

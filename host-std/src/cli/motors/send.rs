@@ -181,7 +181,7 @@ impl Sending {
 
     fn failure(&self, motor: MotorId, error: CallError<BusError>) -> Unfinished {
         match (self.kind(), error) {
-            (Kind::Raw { byte, .. }, CallError::Failed(Failure::NoReply)) => {
+            (Kind::Raw { byte, .. }, CallError::Failed { failure: Failure::NoReply, .. }) => {
                 Unfinished::Failed(format!(
                     "motor {motor}: no reply to command byte 0x{byte:02X}: its firmware may not know \
                      it, or not answer it (--reply none); or is the motor not powered, or this not \
@@ -209,7 +209,7 @@ impl Sending {
                 }
                 Some(Event::BroadcastDone { silent, was_sent: true }) => break silent,
                 Some(Event::BroadcastDone { .. }) => {
-                    return Err(CallError::Failed(Failure::BusDown).into());
+                    return Err(Unfinished::Failed(Failure::BusDown.to_string()));
                 }
                 Some(_) => {}
                 None => {

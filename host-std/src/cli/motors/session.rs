@@ -81,11 +81,19 @@ impl Consent {
 }
 
 impl Unfinished {
-    /// A failure that is this motor's.
+    /// A call of this motor has failed: a refusal does not name it.
     pub(super) fn of_motor(motor: MotorId) -> impl Fn(CallError<BusError>) -> Self {
         move |error| match error {
-            CallError::Bus(error) => error.into(),
-            error => Self::Failed(format!("motor {motor}: {error}")),
+            CallError::Request(refusal) => Self::Failed(format!("motor {motor}: {refusal}")),
+            error => error.into(),
+        }
+    }
+
+    /// A scan has failed: whom it has asked then need not be there.
+    pub(super) fn of_scan(error: CallError<BusError>) -> Self {
+        match error {
+            CallError::Failed { failure, .. } => Self::Failed(failure.to_string()),
+            error => error.into(),
         }
     }
 }
@@ -223,8 +231,8 @@ impl Session {
 
     pub(super) fn ask<C: Command>(&mut self, motor: MotorId, command: C) -> Outcome<C::Reply> {
         self.master.ask(motor, command).map_err(|error| match error {
-            CallError::Failed(Failure::NoReply) if self.has_garbled() => {
-                Unfinished::Failed(format!("motor {motor}: {error}; {NO_FRAME}"))
+            CallError::Failed { failure: Failure::NoReply, .. } if self.has_garbled() => {
+                Unfinished::Failed(format!("{error}; {NO_FRAME}"))
             }
             error => Unfinished::of_motor(motor)(error),
         })
@@ -249,7 +257,8 @@ impl Session {
         match target {
             Target::Motor(motor) => Ok(motor.into()),
             Target::All => {
-                let found = bring_up::scan(&mut self.master, MotorSet::ALL, |_, _| {})?;
+                let found = bring_up::scan(&mut self.master, MotorSet::ALL, |_, _| {})
+                    .map_err(Unfinished::of_scan)?;
                 if found.is_empty() { Err(self.nobody()) } else { Ok(found) }
             }
         }
@@ -365,6 +374,15 @@ mod tests {
         assert!(both.ends_with(hint), "{both}");
         let nobody = told_of(&Fleet::new(1), 2);
         assert!(nobody.ends_with("is this its id?"), "{nobody}");
+    }
+
+    #[test]
+    fn where_the_bus_carries_nothing_no_motor_is_named_that_may_not_be_there() {
+        let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
+        fleet.world.cut(fleet.drives[0].station());
+        let outcome = Session::on(&fleet).meant(Target::All);
+        let told = "the bus carried nothing, so the command was dropped";
+        assert_eq!(outcome, Err(Unfinished::Failed(told.to_owned())));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::Command;
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{CallError, LONGEST_TURN, Runner};
+use myactuator_protocol_core::io::{LONGEST_TURN, Runner};
 use myactuator_protocol_core::master::{Failure, MotorSet, Patience, Ticket};
 
 use super::moving::{LONGEST_OUTAGE, LONGEST_WAIT};
@@ -12,8 +12,8 @@ use super::session::Session;
 
 /// What came of it.
 pub(super) struct Together<R> {
-    /// Of each motor, in their order.
-    pub(super) outcomes: Vec<(MotorId, Result<R, CallError<BusError>>)>,
+    /// Of each motor, in their order: its reply, or why there is none.
+    pub(super) outcomes: Vec<(MotorId, Result<R, String>)>,
     /// The last error of the bus, which keeps nobody else from being asked.
     pub(super) failure: Option<BusError>,
 }
@@ -22,7 +22,7 @@ struct Asked<C: Command> {
     motor: MotorId,
     /// Once it could be put.
     ticket: Option<Ticket<C>>,
-    outcome: Option<Result<C::Reply, CallError<BusError>>>,
+    outcome: Option<Result<C::Reply, String>>,
 }
 
 impl Session {
@@ -45,19 +45,19 @@ impl Session {
                     Ok(ticket) => asked.ticket = Some(ticket),
                     // An earlier question to it is under way.
                     Err(RequestError::Busy) if waited < LONGEST_TURN => {}
-                    Err(error) => asked.outcome = Some(Err(error.into())),
+                    Err(error) => asked.outcome = Some(Err(error.to_string())),
                 }
             }
             let open = asked.iter_mut().filter(is_open);
             match self.master.poll() {
                 Ok(Some(event)) => open.for_each(|asked| {
                     let outcome = asked.ticket.and_then(|ticket| ticket.outcome(&event));
-                    asked.outcome = outcome.map(|outcome| outcome.map_err(CallError::Failed));
+                    asked.outcome = outcome.map(|it| it.map_err(|failure| failure.to_string()));
                 }),
                 Err(error) if waited > LONGEST_OUTAGE => {
                     failure = Some(error);
                     open.for_each(|asked| {
-                        asked.outcome = Some(Err(CallError::Failed(Failure::BusDown)));
+                        asked.outcome = Some(Err(Failure::BusDown.to_string()));
                     });
                 }
                 // One refused frame must not keep the others from hearing theirs.

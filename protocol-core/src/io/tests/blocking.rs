@@ -178,7 +178,10 @@ fn a_serial_port_that_fails_or_takes_nothing_drops_motion() {
         [Event::Failed { failure: Failure::BusDown, .. }]
     ));
     port.state().takes_nothing = true;
-    assert_eq!(arm.ask(id(1), step()), Err(CallError::Failed(Failure::BusDown)));
+    assert_eq!(
+        arm.ask(id(1), step()),
+        Err(CallError::Failed { motor: id(1), failure: Failure::BusDown })
+    );
     port.state().takes_nothing = false;
     run(&mut arm, &clock, 20_000);
     assert!(port.written().is_empty());
@@ -198,7 +201,10 @@ fn what_a_serial_port_has_taken_counts_as_sent_whatever_fails_then() {
 fn a_closed_port_is_a_silent_one() {
     let (port, _, mut arm) = serial();
     port.state().closed = true;
-    assert_eq!(arm.ask(id(9), ReadMultiTurnAngle), Err(CallError::Failed(Failure::NoReply)));
+    assert_eq!(
+        arm.ask(id(9), ReadMultiTurnAngle),
+        Err(CallError::Failed { motor: id(9), failure: Failure::NoReply })
+    );
 }
 
 #[test]
@@ -439,7 +445,7 @@ fn a_set_point_that_was_dropped_is_not_answered_by_the_feedback_of_the_one_befor
     let data = [0xA1, 50, 100, 0, 0, 0, 0, 0];
     bus.hear_at(60_000, &Packet { channel: Channel::Reply(id(9)), data });
     let answer = arm.set_point_and_wait(id(9), torque());
-    assert_eq!(answer, Err(CallError::Failed(Failure::Dropped)));
+    assert_eq!(answer, Err(CallError::Failed { motor: id(9), failure: Failure::Dropped }));
     assert_eq!(bus.sent().len(), 1);
 }
 

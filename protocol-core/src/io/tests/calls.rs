@@ -1,6 +1,7 @@
 //! What the calls that wait make of answers, and what they do on buses that are not kind.
 
 use core::ops::ControlFlow;
+use std::string::ToString;
 use std::vec::Vec;
 
 use embedded_can::nb;
@@ -16,7 +17,7 @@ use crate::error::RequestError;
 use crate::firmware::Firmware;
 use crate::id::MotorId;
 use crate::io::asking::outcome_of_set_point;
-use crate::io::bring_up::{self, BringUpError, MoveCommand, MoveFailure, MoveLimits};
+use crate::io::bring_up::{self, BringUpError, MoveCommand, MoveFailure, MoveLimits, NotArrived};
 use crate::io::{AsyncCanMaster, AsyncRunner, CallError, CanMaster, Guard, Runner};
 use crate::master::{Config, Event, Failure, Master, MotorSet, StopKind};
 use crate::opcode::LOST_MASTER_BYTE;
@@ -78,6 +79,32 @@ fn what_becomes_of_anothers_set_point_says_nothing_of_this_one() {
         let told = outcome(Event::Feedback { motor, reply });
         assert_eq!(told.is_some_and(|told| told.is_ok()), is_mine);
     }
+}
+
+#[test]
+fn who_has_no_answer_is_named_once() {
+    let error = CallError::<Broken>::Failed { motor: id(3), failure: Failure::Stopped };
+    assert_eq!(error.to_string(), "motor 3: the motors were stopped first");
+    assert_eq!(BringUpError::Call(error).to_string(), error.to_string());
+    let why = MoveFailure::Call(error);
+    assert_eq!(why.to_string(), error.to_string());
+    let told = NotArrived { motor: id(3), why, is_stopped: true }.to_string();
+    let expected =
+        "motor 3 has not arrived: the motors were stopped first; it has confirmed the stop";
+    assert_eq!(told, expected);
+}
+
+#[test]
+fn of_four_that_are_asked_together_those_without_an_answer_are_named() {
+    let (bus, mut arm) = arm();
+    let mut ask = || {
+        let asked = [2, 9, 3, 1].map(|motor| (id(motor), ReadMultiTurnAngle));
+        arm.ask_together(asked).map(Result::err)
+    };
+    let failed = |motor, failure| Some(CallError::Failed { motor: id(motor), failure });
+    assert_eq!(ask(), [None, failed(9, Failure::NoReply), None, None]);
+    bus.state().full_until = u64::MAX;
+    assert_eq!(ask(), [2, 9, 3, 1].map(|motor| failed(motor, Failure::BusDown)));
 }
 
 #[test]

@@ -59,8 +59,8 @@ fn check(log: &[String]) {
     assert_eq!(log[0], "Ok(MultiTurnAngle { angle: Angle(360 deg) })");
     assert!(log[1].contains("speed-kp"), "{}", log[1]);
     assert_eq!(log[2], "Ok(NoReply)");
-    assert_eq!(log[3], "Err(Failed(NoReply))");
-    assert_eq!(log[4], "Err(Failed(NoReply))");
+    assert_eq!(log[3], "Err(Failed { motor: MotorId(9), failure: NoReply })");
+    assert_eq!(log[4], "Err(Failed { motor: MotorId(9), failure: NoReply })");
     assert!(log[5].contains("Feedback"), "{}", log[5]);
     assert_eq!(log[6], "MotorSet(9)", "motor 9 has not confirmed");
     assert_eq!(log[7], "Err(Request(Stopped))");
@@ -169,7 +169,7 @@ fn a_serial_port_that_stalls_counts_as_a_bus_that_is_down() {
     let start = clock.micros();
     port.state().stalls = true;
     let failed = block_on(arm.ask(id(1), step()));
-    assert_eq!(failed, Err(CallError::Failed(Failure::BusDown)));
+    assert_eq!(failed, Err(CallError::Failed { motor: id(1), failure: Failure::BusDown }));
     assert!((20_000..21_000).contains(&(clock.micros() - start)), "{}", clock.micros() - start);
     port.state().stalls = false;
     assert!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).is_ok());
@@ -277,9 +277,13 @@ fn a_bus_that_was_down_is_offered_what_is_asked_next() {
     let (bus, clock, mut arm) = can();
     bus.state().full_until = 30_000;
     let asked = block_on(arm.ask(id(1), ReadMultiTurnAngle));
-    assert_eq!(asked, Err(CallError::Failed(Failure::BusDown)));
+    assert_eq!(asked, Err(CallError::Failed { motor: id(1), failure: Failure::BusDown }));
     let asked = block_on(arm.ask(id(1), ReadMultiTurnAngle));
-    assert_eq!(asked, Err(CallError::Failed(Failure::BusDown)), "it is down yet");
+    assert_eq!(
+        asked,
+        Err(CallError::Failed { motor: id(1), failure: Failure::BusDown }),
+        "it is down yet"
+    );
     clock.advance(10_000);
     assert!(block_on(arm.ask(id(1), ReadMultiTurnAngle)).is_ok());
 }

@@ -174,7 +174,7 @@ fn by_an_error_of_a_task_on_a_line() {
         bus.ask(id(9), ReadMultiTurnAngle).await?;
         Ok::<(), CallError<Broken>>(())
     }));
-    assert_eq!(result, Err(CallError::Failed(Failure::NoReply)));
+    assert_eq!(result, Err(CallError::Failed { motor: id(9), failure: Failure::NoReply }));
     assert_eq!(unconfirmed, id(9).into());
     assert!(on_the_line(&port).ends_with(&[Stop.encode(); 2]));
     assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
