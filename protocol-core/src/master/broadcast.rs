@@ -377,7 +377,9 @@ impl<const N: usize> Master<N> {
     ///
     /// # One that moves
     /// Name in `expected` all motors that a command which moves, or opens brakes, may reach: each takes a place, so
-    /// that [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms.
+    /// that [`stop_all`](Self::stop_all) stops it by a stop of its own, which it confirms. On CAN whoever has not
+    /// answered it confirms its next stop by a second answer, 50 ms or so after the first: the move may lie in a
+    /// controller's mailbox until then.
     ///
     /// # One that ends motion
     /// To end motion at once use [`stop_all`](Self::stop_all). A broadcast waits for what is in flight, and for a stop

@@ -19,8 +19,9 @@
 //! dropped, and so is what a controller hands back. A confirmation counts if it answers this stop and
 //! not an earlier one, and if nothing that was sent before can move the motor any more: a set-point may
 //! wait in a mailbox that the stop overtook, and there for as long as the bus is cut. Otherwise the stop goes once
-//! more. The same holds for requests that end motion, which wait for their turn, though not for moves of all that
-//! were asked for later.
+//! more, when what was sent before must have come. So it does on CAN, too, after each move of all that the motor has
+//! not answered, however long ago that was. The same holds for requests that end motion, which wait for their turn,
+//! though not for moves of all that were asked for later.
 //!
 //! # What can still go wrong
 //! A reply says which motor, which command and which index, but not which of two equal commands it answers; and
@@ -28,9 +29,10 @@
 //! follows from these two no master can prevent. If a frame is held back for longer than the late window, an answer
 //! can be wrong, or a move can come behind the stop that was confirmed; so, too, where a bus swaps a move and the stop
 //! behind it, and their answers as well. A frame from before a cut that an adapter holds back for longer than the
-//! reply time-out says that the bus is whole, so that a stop may be confirmed before a move that lies in a mailbox. A
-//! stop that has lain in a mailbox until nobody expected its answer any more may come after a later stop of the other
-//! kind was confirmed. A command that was given up for want of an answer may lie in the mailbox of a controller that
+//! reply time-out says that the bus is whole, so that a stop may be confirmed before a move that lies in a mailbox; so
+//! do two such frames that are heard apart while the bus was cut between them. A stop, or what ends the motion of all,
+//! that has lain in a mailbox until nobody expected its answer any more may come after a later stop of the other kind
+//! was confirmed. A command that was given up for want of an answer may lie in the mailbox of a controller that
 //! nobody acknowledges: it is obeyed when the bus is whole again, whenever that is, unless the controller can be
 //! reset. An answer can also be wrong if a drive answers twice or a command reaches it twice (the second reply may be
 //! taken for that to the next request of its kind), if two motors have one id, if another master asks the same at the
