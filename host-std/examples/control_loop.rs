@@ -14,31 +14,33 @@ use myactuator_protocol_core::command::{
     AnyReply, MotionFeedback, MotionRanges, MotionSetPoint, RawMotion, ReadVersionDate,
 };
 use myactuator_protocol_core::io::{CallError, Guard, Runner};
-use myactuator_protocol_core::master::{Failure, MotorSet, Presence, StopKind};
+use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::{Firmware, MotorId};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 /// Moves eight motors at 500 Hz until `plan` has nothing more to say. `scale` is that of their firmware:
 /// never guess it. However this is left, by an error or by its end, the motors are stopped; `stop_all` behind it
-/// says which of them have not confirmed that. Lost cycles are not made up for; 50 ms of them end it.
+/// says which of them have not confirmed that. Lost cycles are not made up for; 50 ms of them end it, and so do 100 ms
+/// in which a motor is not heard.
 fn run<R: Runner<8>>(
     bus: &mut R,
     scale: &MotionRanges,
     mut plan: impl FnMut(MotorId, Option<MotionFeedback>) -> Option<RawMotion>,
 ) -> Result<(), CallError<R::Error>> {
     let mut bus = Guard::new(bus, StopKind::Hold);
-    let mut next = bus.now();
+    let begun = bus.now();
+    let mut next = begun;
     loop {
+        let now = bus.now();
         for motor in MotorId::all().take(8) {
-            let master = bus.master();
-            if master.health(motor).presence == Presence::Silent {
+            let (measured, heard) = match bus.master().latest_feedback(motor) {
+                Some((AnyReply::Motion(raw), at)) => (Some(scale.feedback(&raw)), at.max(begun)),
+                _ => (None, begun),
+            };
+            if now - heard > Duration::from_millis(100) {
                 return Err(CallError::Failed { motor, failure: Failure::NoReply });
             }
-            let measured = match master.latest_feedback(motor) {
-                Some((AnyReply::Motion(raw), _time)) => Some(scale.feedback(&raw)),
-                _ => None,
-            };
             let Some(wanted) = plan(motor, measured) else { return Ok(()) };
             bus.set_point(motor, wanted)?;
         }
@@ -107,6 +109,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 #[cfg(test)]
 mod tests {
+    use myactuator_protocol_core::time::Instant;
+
     use super::*;
 
     /// Has the program held in its tenth cycle for so long. Gives how it ends, and when each cycle began, in
@@ -152,6 +156,32 @@ mod tests {
         assert_eq!(left, Err(format!("motor 1: {}", Failure::Dropped)));
         assert_eq!(begun.len(), 10);
     }
+
+    /// Runs for ten seconds on a bus on which this goes wrong. Gives how it ends, and when it last planned anything.
+    fn ten_seconds_with(fault: &str) -> (Result<(), String>, Duration) {
+        let fleet = Fleet::new(8).faults([fault.parse().unwrap()]).on_can(1_000_000).unwrap();
+        let mut bus = fleet.master::<8>();
+        let scale = Firmware::V4_3.motion_ranges().unwrap();
+        let end = Duration::from_secs(10);
+        let rest = scale.quantise(&MotionSetPoint { kd: 1.0, ..MotionSetPoint::default() });
+        let mut planned = Duration::ZERO;
+        let left = run(&mut bus, &scale, |_, _| {
+            planned = fleet.world.now() - Instant::ZERO;
+            rest.ok().filter(|_| planned < end)
+        });
+        (left.map_err(|error| error.to_string()), planned)
+    }
+
+    #[test]
+    fn frames_that_are_lost_by_chance_end_nothing_and_a_cable_that_is_pulled_does() {
+        let (left, _) = ten_seconds_with("lose=0.05");
+        assert_eq!(left, Ok(()));
+        let (left, after) = ten_seconds_with("cut@3+5s");
+        assert_eq!(left, Err(format!("motor 3: {}", Failure::NoReply)));
+        let within = Duration::from_millis(100)..=Duration::from_millis(104);
+        assert!(within.contains(&(after - Duration::from_secs(5))), "{after}");
+    }
+
     #[test]
     fn whoever_ends_the_program_ends_it_through_the_stop() {
         for signal in [SIGINT, SIGHUP, SIGTERM] {
