@@ -157,9 +157,12 @@ impl Broadcast {
         self.moved_since.contains(motor)
     }
 
-    /// It has answered what ends its motion.
-    pub(super) fn has_ended_motion_of(&mut self, motor: MotorId) {
-        self.moved_since.remove(motor);
+    /// It has answered what ends its motion: what lies in a mailbox comes now, if ever.
+    pub(super) fn has_ended_motion_of(&mut self, motor: MotorId, now: Instant, config: &Config) {
+        if self.moved_since.contains(motor) {
+            self.moved_since.remove(motor);
+            self.on_its_way.extend(now + config.late_window);
+        }
     }
 
     /// Whether it waits to move this motor, or what was sent may still do so.
@@ -233,10 +236,12 @@ impl Broadcast {
         (self.sent, self.sent_byte) = (now, self.data[0]);
         self.may_answer = all_if(kind.has_reply());
         self.has_moved |= kind.may_move();
+        self.others = self.others.with(self.last);
         if kind.may_move() && !config.is_rs485() {
+            // The answer to this one says nothing of those before it.
+            self.others.moves = self.others.moves.with(self.moved_since);
             self.moved_since = MotorSet::ALL;
         }
-        self.others = self.others.with(self.last);
         self.last = MayUndo::by(kind, config);
         let may_be_cut = !config.is_rs485() && !self.others.with(self.last).is_none();
         self.on_its_way.put(now + config.reply_timeout + config.late_window, may_be_cut);
@@ -300,10 +305,10 @@ impl Broadcast {
         }
         if self.may_be_mistaken(data[0], motor) {
             self.may_answer.remove(motor);
-            self.last = self.last.without(motor);
-            if !self.others.moves.contains(motor) {
+            if self.last.moves.contains(motor) && !self.others.moves.contains(motor) {
                 self.moved_since.remove(motor);
             }
+            self.last = self.last.without(motor);
         }
         let answers = self.is_in_flight()
             && self.silent.contains(motor)

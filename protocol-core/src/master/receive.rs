@@ -173,7 +173,7 @@ impl<const N: usize> Master<N> {
             Meaning::OnceMore => {
                 // No move to all goes between the attempts of that, either.
                 self.broadcast.on_its_way.bus_is_alive(now, &self.config);
-                self.broadcast.has_ended_motion_of(id);
+                self.broadcast.has_ended_motion_of(id, now, &self.config);
                 None
             }
             Meaning::OfBroadcast => {
@@ -286,7 +286,7 @@ impl Motor {
             }
             // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
             if asked.is_stop() && heard.to_all.may_be_mistaken(data[0], heard.from) {
-                self.send_again(asked, Round::First);
+                self.request = Request::Waiting(asked);
                 return Meaning::OfBroadcast;
             }
             let late =
@@ -294,7 +294,10 @@ impl Motor {
             if late.is_none() {
                 return self.take_answer(asked, heard, config);
             }
-            self.send_again(asked, Round::First);
+            // Nobody counts what may be the last one again: each would send one more.
+            if !may_be_doubled {
+                self.request = Request::Waiting(asked);
+            }
             return Meaning::Nothing;
         }
         // Too soon after that: to one sent before, or to all.
@@ -376,7 +379,7 @@ impl Motor {
         if heard.is_ignored_one() && asked.data == data {
             if asked.is_stop() {
                 // It ignores one, and no more.
-                self.send_again(asked, Round::First);
+                self.request = Request::Waiting(asked);
             } else if asked.attempts_left > 0 && asked.kind().repeat() == Repeat::Harmless {
                 self.request = Request::Waiting(asked);
             } else {
@@ -394,19 +397,20 @@ impl Motor {
         }
         let kind = asked.kind();
         if kind.ends_motion() {
-            let may_move = heard.to_all.may_undo(kind, motor) || self.may_yet_move();
-            let is_first = asked.round == Round::First;
+            let may_undo = heard.to_all.may_undo(kind, motor);
             let may_lie = heard.to_all.has_moved_since(motor) || self.may_lie_in_mailbox(config);
-            if !may_move && is_first && may_lie {
+            // The bus is whole, at last: what lies in a mailbox comes now.
+            if asked.round == Round::First && may_lie && !may_undo {
                 self.may_move_until(now + config.late_window, config);
             }
-            if self.may_yet_move() || may_move {
+            if may_undo || self.may_yet_move() {
                 let until = self.sent + asked.timeout + config.late_window;
                 let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
                 self.expect_late(asked.question, of, replies, until, config);
                 // Nothing that moves it goes between the attempts of what ends its motion.
                 self.on_its_way.bus_is_alive(now, config);
-                self.send_again(asked, Round::Waits);
+                asked.round = Round::Waits;
+                self.request = Request::Waiting(asked);
                 return Meaning::OnceMore;
             }
             self.has_ended_motion();
@@ -422,11 +426,5 @@ impl Motor {
         }
         let ticket = TicketId { motor, number: self.ticket };
         Meaning::Answer(ticket, kind, round_trip)
-    }
-
-    /// What ends motion is sent again: at once, or when nothing sent before it can move the motor any more.
-    fn send_again(&mut self, mut asked: Asked, round: Round) {
-        asked.round = round;
-        self.request = Request::Waiting(asked);
     }
 }

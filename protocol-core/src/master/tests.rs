@@ -13,6 +13,7 @@ mod odd_orders;
 mod pushed_out;
 mod reports;
 mod restarts;
+mod stopped_twice;
 mod stops;
 mod streams;
 mod to_all;

@@ -1,0 +1,238 @@
+//! Stops that are confirmed by a second answer, because a mailbox may hold what moves.
+
+use super::*;
+
+/// When a stop of motor 1, which begins at 500 ms, is confirmed: by so many answers.
+fn answers_that_confirm(before: impl FnOnce(&mut Master<2>)) -> u32 {
+    let mut master = Master::<2>::new(Config::CAN);
+    before(&mut master);
+    events(&mut master, ms(500));
+    master.stop(id(1), StopKind::Off).unwrap();
+    let mut answers = 0;
+    for now in 500..600 {
+        if !sent(&mut master, ms(now)).is_empty() {
+            answers += 1;
+            if reply(&mut master, 1, Shutdown.encode(), ms(now + 1)) == confirmed(1) {
+                return answers;
+            }
+        }
+    }
+    panic!("{answers} answers do not confirm it")
+}
+
+#[test]
+fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
+    let moves = |master: &mut Master<2>| {
+        master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+        sent(master, ms(10));
+        events(master, ms(200));
+    };
+    // Nothing was heard since; or one frame, on a cable that makes contact for a moment; or many.
+    assert_eq!(answers_that_confirm(moves), 2);
+    for heard in [1, 20] {
+        let count = answers_that_confirm(|master| {
+            moves(master);
+            (0..heard).for_each(|time| {
+                reply(master, 2, ANGLE_REPLY, ms(210 + 10 * time));
+            });
+        });
+        assert_eq!(count, 2, "{heard} frames");
+    }
+    // A motor that gets its place only since may be moved, too: here it has none before its stop.
+    let count = answers_that_confirm(|master| {
+        let _ = ask(master, 2, ReadMultiTurnAngle, ms(1));
+        reply(master, 2, ANGLE_REPLY, ms(2)).unwrap();
+        moves(master);
+    });
+    assert_eq!(count, 2);
+    // Not whoever has answered that, or has been stopped since.
+    let answered = |master: &mut Master<2>| {
+        master.broadcast(torque(1.0), id(1).into()).unwrap();
+        sent(master, ms(10));
+        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(11)).unwrap();
+        events(master, ms(200));
+    };
+    assert_eq!(answers_that_confirm(answered), 1);
+    // Who has answered one of two may have the other to come.
+    let answered_one = |master: &mut Master<2>| {
+        for at in [10, 11] {
+            master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+            assert_eq!(sent(master, ms(at)).len(), 1);
+            events(master, ms(at));
+        }
+        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(12));
+        for at in [100, 200] {
+            reply(master, 2, ANGLE_REPLY, ms(at));
+            events(master, ms(at + 90));
+        }
+    };
+    assert_eq!(answers_that_confirm(answered_one), 2);
+    let ended = |master: &mut Master<2>| {
+        moves(master);
+        for at in [210, 300] {
+            let _ = master.request(id(1), Shutdown);
+            sent(master, ms(at));
+            reply(master, 1, Shutdown.encode(), ms(at + 1));
+        }
+    };
+    assert_eq!(answers_that_confirm(ended), 1);
+    // Nor whom nothing has moved.
+    assert_eq!(answers_that_confirm(|_| {}), 1);
+}
+
+#[test]
+fn a_set_point_that_was_given_up_in_a_cut_is_over_by_two_answers_where_nothing_was_heard_since() {
+    let given_up = |master: &mut Master<2>| {
+        master.set_point(id(1), motion(), ms(0)).unwrap();
+        sent(master, ms(0));
+        (1..200).for_each(|now| drop(events(master, ms(now))));
+    };
+    assert_eq!(answers_that_confirm(given_up), 2);
+    // One frame says that the bus was whole for a moment; another, when all must have come, that it still is.
+    for (heard, answers) in [(&[210][..], 2), (&[210, 300], 1)] {
+        let count = answers_that_confirm(|master| {
+            given_up(master);
+            for &at in heard {
+                reply(master, 2, ANGLE_REPLY, ms(at));
+                events(master, ms(at + 50));
+            }
+        });
+        assert_eq!(count, answers, "{heard:?}");
+    }
+}
+
+/// A move of all lies in a mailbox through a cut; motor 2 is heard twice since.
+fn moved_in_a_cut(master: &mut Master<2>) {
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    sent(master, ms(10));
+    events(master, ms(10));
+    for at in [200, 280] {
+        reply(master, 2, ANGLE_REPLY, ms(at));
+        events(master, ms(at + 50));
+    }
+}
+
+/// The first answer to a stop at this time confirms nothing. Gives when the second does.
+fn confirmed_after(master: &mut Master<2>, at: u64) -> u64 {
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(master, ms(at)).len(), 1);
+    assert_eq!(reply(master, 1, Shutdown.encode(), ms(at + 1)), None);
+    for now in at + 1..at + 200 {
+        if !sent(master, ms(now)).is_empty() {
+            assert_eq!(reply(master, 1, Shutdown.encode(), ms(now + 1)), confirmed(1));
+            return now - at;
+        }
+    }
+    panic!("it never goes again")
+}
+
+#[test]
+fn the_second_answer_counts_a_late_window_after_the_first() {
+    let window = Config::CAN.late_window.as_millis();
+    let mut master = Master::<2>::new(Config::CAN);
+    moved_in_a_cut(&mut master);
+    assert!(confirmed_after(&mut master, 400) >= window);
+    // What else was sent is over soon, which says nothing of the move of all.
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    sent(&mut master, ms(10));
+    events(&mut master, ms(10));
+    reply(&mut master, 2, ANGLE_REPLY, ms(200));
+    events(&mut master, ms(200));
+    assert!(confirmed_after(&mut master, 230) >= window);
+    let mut master = Master::<2>::new(Config::CAN);
+    moved_in_a_cut(&mut master);
+    master.set_point(id(1), torque(1.0), ms(400)).unwrap();
+    sent(&mut master, ms(400));
+    events(&mut master, ms(421));
+    reply(&mut master, 2, ANGLE_REPLY, ms(425));
+    events(&mut master, ms(463));
+    assert!(confirmed_after(&mut master, 463) >= window);
+}
+
+#[test]
+fn no_answer_to_anything_else_of_all_is_one_to_the_move() {
+    for command in [ReadMultiTurnAngle.encode(), Stop.encode(), torque(2.0).encode()] {
+        let mut master = Master::<2>::new(Config::CAN);
+        moved_in_a_cut(&mut master);
+        let (answer, told) = match command[0] {
+            0x92 => (ANGLE_REPLY, master.broadcast(ReadMultiTurnAngle, id(1).into())),
+            0x81 => (command, master.broadcast(Stop, id(1).into())),
+            _ => (FEEDBACK, master.broadcast(torque(2.0), id(1).into())),
+        };
+        told.unwrap();
+        sent(&mut master, ms(400));
+        reply(&mut master, 1, answer, ms(401)).unwrap();
+        events(&mut master, ms(401));
+        confirmed_after(&mut master, 402);
+    }
+}
+
+/// Feedback of a torque (2.19).
+const FEEDBACK: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
+
+#[test]
+fn of_two_set_points_in_a_cut_the_answer_to_the_first_says_nothing_of_the_second() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(21));
+    reply(&mut master, 2, ANGLE_REPLY, ms(100));
+    events(&mut master, ms(200));
+    master.set_point(id(1), torque(2.0), ms(300)).unwrap();
+    sent(&mut master, ms(300));
+    events(&mut master, ms(321));
+    reply(&mut master, 1, FEEDBACK, ms(330));
+    confirmed_after(&mut master, 331);
+}
+
+#[test]
+fn a_line_keeps_its_order_so_that_the_first_answer_after_a_move_of_all_confirms_a_stop() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(200));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(200)).len(), 1);
+    let answer = Frame { address: Target::Motor(id(1)), data: Shutdown.encode() };
+    assert_eq!(master.handle_line(&answer, ms(201)), confirmed(1));
+}
+
+#[test]
+fn a_brake_that_was_released_with_all_is_one_that_moves() {
+    assert_eq!(
+        answers_that_confirm(|master| {
+            master.broadcast(ReleaseBrake, MotorSet::EMPTY).unwrap();
+            sent(master, ms(10));
+            events(master, ms(200));
+        }),
+        2
+    );
+}
+
+/// Where answers may come at once, each may be the last one doubled.
+#[test]
+fn stops_whose_answers_may_be_doubled_do_not_go_round_for_ever() {
+    let config = Config { shortest_response: Duration::ZERO, ..Config::CAN };
+    let mut master = Master::<2>::new(config);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let mut stops: usize = (0..60).map(|now| sent(&mut master, ms(now)).len()).sum();
+    master.lift_stop();
+    master.stop(id(1), StopKind::Off).unwrap();
+    stops += sent(&mut master, ms(60)).len();
+    // The bus is whole again; each is answered after 0.8 ms.
+    let micros = |micros| ms(100) + Duration::from_micros(micros);
+    let mut answers: Vec<Instant> = (0..stops as u64).map(|it| micros(200 * it)).collect();
+    for _ in 0..100 {
+        let at = match answers.is_empty() {
+            true => master.poll_at().unwrap(),
+            false => answers.remove(0),
+        };
+        if reply(&mut master, 1, Shutdown.encode(), at) == confirmed(1) {
+            return;
+        }
+        let again = sent(&mut master, at).into_iter();
+        answers.extend(again.map(|_| at + Duration::from_micros(800)));
+    }
+    panic!("no end");
+}
