@@ -6,6 +6,7 @@ use myactuator_protocol_core::Packet;
 use myactuator_protocol_core::master::{Bus, Config, MotorSet};
 use myactuator_protocol_core::time::{Duration, Instant};
 
+use super::doubt::shows_echo;
 use super::truth::{Page, Truth};
 
 /// A refused port is offered it again after 1 ms, and whoever had an error or events to take first does not look
@@ -94,7 +95,9 @@ impl Truth {
         if took > within {
             self.breaks(format!("no first stop is tried for {took}, and not {within}"));
         }
-        if let Some(packet) = packet.filter(|packet| !self.is_stop(packet)) {
+        // Whether there is an echo is asked of one that seems to be there: else each would be waited for in vain.
+        let asks = |packet: &Packet| shows_echo(packet) && self.doubt.is_open();
+        if let Some(packet) = packet.filter(|packet| !self.is_stop(packet) && !asks(packet)) {
             self.breaks(format!("{packet:X?} goes before a first stop"));
         }
         self.offers.since = self.world;

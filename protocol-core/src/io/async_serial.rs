@@ -134,7 +134,7 @@ struct Sending<'a, K: Clock, const N: usize> {
 impl<K: Clock, const N: usize> Drop for Sending<'_, K, N> {
     fn drop(&mut self) {
         if !self.is_refused {
-            self.line.was_taken(self.master, self.bytes, self.clock.now());
+            self.line.was_taken(self.master, self.bytes, self.rest, self.clock.now());
         }
     }
 }

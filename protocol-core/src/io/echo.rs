@@ -1,6 +1,6 @@
 //! What an RS485 adapter hands back of one's own bytes.
 
-use crate::id::Target;
+use crate::id::{MotorId, Target};
 use crate::master::MotorSet;
 use crate::opcode::{Opcode, ReplyRule};
 use crate::time::{Duration, Instant};
@@ -26,8 +26,9 @@ const SENDINGS: usize = 8;
 /// This holds, too, for an adapter of which nobody has said that it echoes, until it is shown that it does not: by
 /// two answers in a row that came without the echo of what they answer. A drive has heard that command, and an echo
 /// comes before the answer. Only a command counts whose answer never is the same bytes: a read of the status, the date
-/// or the model. So before the loops send one whose answer may be, they read that motor's status; only the first
-/// attempt of a stop waits for nothing, and is confirmed by the next one then.
+/// or the model. So before the loops send one whose answer may be, they read that motor's status. Only the first
+/// attempt of a stop does not wait for that, and is confirmed by the next one then; but once one seems answered, that
+/// motor's status goes before the stops of others, each of which would be waited for in vain.
 ///
 /// An adapter is found to echo by what comes back and no drive sends: a frame to all, or two such reads of one motor.
 /// One may be handed back by a drive that has lost its master and ignored it. After four answers in a row without an
@@ -39,6 +40,8 @@ pub struct EchoFilter {
     sent: [Option<Sent>; SENDINGS],
     /// What was sent to these last shows whether there is an echo, and nothing has come yet that does.
     asked: MotorSet,
+    /// What was sent to this one has come back: it has answered, or the adapter echoes.
+    seems_there: Option<MotorId>,
     /// When the last was sent that found no place there any more and may come back yet.
     forgotten: Option<Instant>,
     /// When the port was found empty last.
@@ -60,17 +63,17 @@ enum Adapter {
     Echoes,
     /// It echoes, as was found; but so many answers in a row came without an echo since.
     FoundEchoing { answers: u8 },
-    /// No echo was found, and so many answers in a row came without one; but something to this one has come back.
-    NoneFound { answers: u8, suspected: Option<Target> },
+    /// No echo was found, and so many answers in a row came without one; but something to these has come back before.
+    NoneFound { answers: u8, suspected: MotorSet },
 }
 
 impl EchoFilter {
     /// For an adapter that is said to echo, or not to.
     pub const fn new(is_echoing: bool) -> Self {
-        let none_found = Adapter::NoneFound { answers: 0, suspected: None };
+        let none_found = Adapter::NoneFound { answers: 0, suspected: MotorSet::EMPTY };
         let adapter = if is_echoing { Adapter::Echoes } else { none_found };
-        let (sent, asked) = ([None; SENDINGS], MotorSet::EMPTY);
-        Self { adapter, sent, asked, forgotten: None, empty_at: Instant::ZERO }
+        let (sent, asked, seems_there) = ([None; SENDINGS], MotorSet::EMPTY, None);
+        Self { adapter, sent, asked, seems_there, forgotten: None, empty_at: Instant::ZERO }
     }
 
     /// Whether the adapter echoes, as was said or found.
@@ -83,21 +86,26 @@ impl EchoFilter {
         matches!(self.adapter, Adapter::NoneFound { answers: ARE_ENOUGH.., .. })
     }
 
-    /// Whether what shows an echo is to be sent before this frame: its own may seem to be its answer. Once, whether
-    /// that is answered or not.
-    pub(super) fn asks_before(&self, frame: &Frame) -> bool {
-        let is_unknown = !self.is_echoing() && !self.is_quiet();
-        let was_asked = matches!(frame.address, Target::Motor(it) if self.asked.contains(it));
-        is_unknown && can_be_a_reply(frame) && !was_asked
+    /// Whose status is to be read before this frame, because that shows an echo and this one's own may seem to be its
+    /// answer: each once, if nothing comes of it.
+    pub(super) fn asks_before(&self, frame: &Frame, is_first_stop: bool) -> Option<MotorId> {
+        if self.is_echoing() || self.is_quiet() || !can_be_a_reply(frame) {
+            return None;
+        }
+        let to = match frame.address {
+            Target::Motor(motor) if !is_first_stop => Some(motor),
+            Target::Motor(_) | Target::All => None,
+        };
+        [self.seems_there, to].into_iter().flatten().find(|&motor| !self.asked.contains(motor))
     }
 
     /// Takes note of a frame that was sent.
     pub fn sent(&mut self, frame: Frame, now: Instant) {
-        let shows = !can_be_a_reply(&frame);
+        let shows = shows_echo(&frame);
         match frame.address {
             Target::Motor(motor) if shows => self.asked.insert(motor),
-            Target::Motor(motor) => self.asked.remove(motor),
-            Target::All => {}
+            Target::Motor(motor) if can_be_a_reply(&frame) => self.asked.remove(motor),
+            Target::Motor(_) | Target::All => {}
         }
         // Each makes way for the next one, up to a free place. Without one the oldest is forgotten.
         let mut newer = Some(Sent { frame, at: now, shows });
@@ -129,7 +137,12 @@ impl EchoFilter {
             if self.is_quiet() {
                 return false;
             }
+            if let Target::Motor(motor) = frame.address {
+                self.seems_there = Some(motor);
+            }
         } else {
+            // Some of what was sent before may have been lost, and this be the echo of another.
+            self.show_nothing();
             self.has_shown(frame.address, self.adapter.has_echoed(frame.address));
         }
         if let Some(first) = self.sent.get_mut(first) {
@@ -160,8 +173,8 @@ impl EchoFilter {
         }
     }
 
-    /// Reading has failed: an echo may be lost, so that an answer without it shows nothing.
-    pub(super) fn reading_has_failed(&mut self) {
+    /// Echoes of what was sent may be lost, or it was not sent whole: an answer without one shows nothing.
+    pub(super) fn show_nothing(&mut self) {
         self.sent.iter_mut().flatten().for_each(|sent| sent.shows = false);
     }
 
@@ -186,12 +199,13 @@ impl Adapter {
     fn has_echoed(self, address: Target) -> Self {
         match self {
             Self::Echoes => self,
-            Self::NoneFound { suspected, .. }
-                if address != Target::All && suspected != Some(address) =>
-            {
-                Self::NoneFound { answers: 0, suspected: suspected.or(Some(address)) }
-            }
-            Self::FoundEchoing { .. } | Self::NoneFound { .. } => Self::FoundEchoing { answers: 0 },
+            Self::NoneFound { suspected, .. } => match address {
+                Target::Motor(motor) if !suspected.contains(motor) => {
+                    Self::NoneFound { answers: 0, suspected: suspected.with(motor.into()) }
+                }
+                Target::Motor(_) | Target::All => Self::FoundEchoing { answers: 0 },
+            },
+            Self::FoundEchoing { .. } => Self::FoundEchoing { answers: 0 },
         }
     }
 
@@ -202,28 +216,39 @@ impl Adapter {
             Self::FoundEchoing { answers } if answers + 1 < SHOW_OTHERWISE => {
                 Self::FoundEchoing { answers: answers + 1 }
             }
-            Self::FoundEchoing { .. } => Self::NoneFound { answers: ARE_ENOUGH, suspected: None },
-            Self::NoneFound { answers, .. } => Self::NoneFound {
-                answers: answers.saturating_add(1).min(ARE_ENOUGH),
-                suspected: None,
-            },
+            Self::NoneFound { answers, suspected } if answers + 1 < ARE_ENOUGH => {
+                Self::NoneFound { answers: answers + 1, suspected }
+            }
+            Self::FoundEchoing { .. } | Self::NoneFound { .. } => {
+                Self::NoneFound { answers: ARE_ENOUGH, suspected: MotorSet::EMPTY }
+            }
         }
     }
 }
 
 /// Whether a drive can answer a command with the command's own bytes. Not to all motors, and not where it answers
 /// nothing that means anything, or with values that are never all zero: a voltage, a date, a name.
-pub(super) fn can_be_a_reply(command: &Frame) -> bool {
+fn can_be_a_reply(command: &Frame) -> bool {
+    let is_silent = |opcode: Opcode| !opcode.reply_rule().has_reply();
+    let never = opcode(command).is_some_and(is_silent) || shows_echo(command);
+    command.as_reply().is_some() && !never
+}
+
+/// Whether a drive answers a command, and never with the command's own bytes.
+fn shows_echo(command: &Frame) -> bool {
     const NEVER: [Opcode; 3] = [Opcode::ReadStatus1, Opcode::ReadVersionDate, Opcode::ReadModel];
-    let [byte, ..] = command.data;
-    let never = |opcode: Opcode| NEVER.contains(&opcode) || !opcode.reply_rule().has_reply();
-    command.as_reply().is_some() && !Opcode::from_byte(byte).is_some_and(never)
+    command.as_reply().is_some() && opcode(command).is_some_and(|it| NEVER.contains(&it))
+}
+
+fn opcode(frame: &Frame) -> Option<Opcode> {
+    let [byte, ..] = frame.data;
+    Opcode::from_byte(byte)
 }
 
 /// Whether a frame says no more than a command: an acknowledgement, or without values.
 fn may_be_a_command(frame: &Frame) -> bool {
-    let [byte, values @ ..] = frame.data;
-    let rule = Opcode::from_byte(byte).map(Opcode::reply_rule);
+    let [_, values @ ..] = frame.data;
+    let rule = opcode(frame).map(Opcode::reply_rule);
     values == [0; 7] || rule.is_some_and(|rule| rule != ReplyRule::Values)
 }
 
@@ -357,7 +382,7 @@ mod tests {
 
     /// Whether what shows an echo goes before a stop.
     fn asks(filter: &EchoFilter) -> bool {
-        filter.asks_before(&frame(Stop))
+        filter.asks_before(&frame(Stop), false).is_some()
     }
 
     /// Whether the answer to a stop counts.
@@ -413,7 +438,7 @@ mod tests {
         let mut filter = EchoFilter::new(false);
         for _ in 0..3 {
             filter.sent(frame(ReadStatus1), ms(1));
-            filter.reading_has_failed();
+            filter.show_nothing();
             assert!(!filter.is_echo(&Frame { data: [0x9A; 8], ..frame(ReadStatus1) }));
         }
         assert!(!believes(&mut filter));

@@ -41,7 +41,7 @@ impl Line {
                 return Ok(event);
             }
             (self.next, self.end) = (0, 0);
-            match read(&mut self.chunk).inspect_err(|_| self.echoes.reading_has_failed())? {
+            match read(&mut self.chunk).inspect_err(|_| self.echoes.show_nothing())? {
                 0 => {
                     self.echoes.found_empty(now);
                     return Ok(None);
@@ -83,21 +83,25 @@ impl Line {
     ) -> Option<[u8; FRAME_LENGTH]> {
         pump.refusals.pause();
         let frame = Frame::from_packet(&pump.master.poll_transmit(now)?)?;
-        let asks_first = self.echoes.asks_before(&frame);
-        let status = if asks_first { pump.master.let_status_go_first() } else { None };
+        let asks = self.echoes.asks_before(&frame, pump.master.offers_first_stop());
+        let status = asks.and_then(|motor| pump.master.let_status_go_first(motor));
         Some(status.and_then(|packet| Frame::from_packet(&packet)).unwrap_or(frame).encode())
     }
 
-    /// The port has taken what was to be sent, or some of it: it may be heard, and come back.
+    /// The port has taken what was to be sent, but for this rest of it: it may be heard, and come back.
     pub(super) fn was_taken<const N: usize>(
         &mut self,
         master: &mut Master<N>,
         bytes: &[u8; FRAME_LENGTH],
+        rest: &[u8],
         now: Instant,
     ) {
         master.handle_transmitted(now);
         if let Ok(frame) = Frame::decode(bytes) {
             self.echoes.sent(frame, now);
+            if !rest.is_empty() {
+                self.echoes.show_nothing();
+            }
         }
     }
 

@@ -84,7 +84,7 @@ impl<S: Read + Write + ReadReady, K: Clock, const N: usize> Port<N> for SerialPo
         let written = write(self.serial, &mut rest);
         // What the port has taken may be heard, and answered, whatever fails then.
         if rest.len() < bytes.len() {
-            self.line.was_taken(&mut pump.master, &bytes, self.clock.now());
+            self.line.was_taken(&mut pump.master, &bytes, rest, self.clock.now());
         }
         if !written? {
             pump.bus_is_down(now);

@@ -1,7 +1,7 @@
 //! What leaves the master, and what becomes of it.
 
 use crate::command::ReadStatus1;
-use crate::id::Target;
+use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::Master;
 use crate::master::late::{Of, Question};
@@ -10,6 +10,9 @@ use crate::master::stop::STOP_ATTEMPTS;
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
+
+/// What the transport asks of a motor.
+const STATUS: Question = Question::without_key(Kind::Known(Opcode::ReadStatus1));
 
 /// What [`Master::poll_transmit`] has offered last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,16 +51,23 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// RS485: the motor whose frame was offered is asked for its status first, and nothing else goes until that is
-    /// answered or its time is up. `None` where that must not be: the first attempt of a stop waits for nothing.
-    pub(crate) fn let_status_go_first(&mut self) -> Option<Packet> {
-        let (Offer::Request(place) | Offer::SetPoint(place)) = self.offer? else { return None };
-        let motor = self.motors.get(usize::from(place))?;
-        let is_first = |asked: &Asked| asked.is_stop() && asked.attempts_left == STOP_ATTEMPTS;
-        if motor.request.waiting().is_some_and(is_first) || !motor.late.has_room() {
+    /// Whether the first attempt of a stop is offered.
+    pub(crate) fn offers_first_stop(&self) -> bool {
+        let Some(Offer::Request(place)) = self.offer else { return false };
+        let asked = self.motors.get(usize::from(place)).and_then(|motor| motor.request.waiting());
+        asked.is_some_and(|asked| asked.is_stop() && asked.attempts_left == STOP_ATTEMPTS)
+    }
+
+    /// RS485: this motor is asked for its status before what was offered, and nothing else goes until that is answered
+    /// or its time is up. `None` where its late answer could not be told from another, or the caller asks the same.
+    pub(crate) fn let_status_go_first(&mut self, motor: MotorId) -> Option<Packet> {
+        let place = self.places.of(motor)?;
+        let motor = self.motors.get(place)?;
+        let asks_same = |asked: &Asked| asked.question == STATUS;
+        if motor.request.waiting().is_some_and(asks_same) || !motor.late.has_room() {
             return None;
         }
-        self.offer = Some(Offer::Status(place));
+        self.offer = Some(Offer::Status(place as u8));
         Some(ReadStatus1.packet(motor.id?))
     }
 
@@ -112,9 +122,8 @@ impl<const N: usize> Master<N> {
                 silence = self.stop_timeout();
                 self.due = now;
                 self.change_at(usize::from(place), |motor, config| {
-                    let question = Question::without_key(Kind::Known(Opcode::ReadStatus1));
                     let until = now + silence + config.late_window;
-                    motor.expect_late(question, Of::Nobody, 1, until, config);
+                    motor.expect_late(STATUS, Of::Nobody, 1, until, config);
                 });
             }
         }

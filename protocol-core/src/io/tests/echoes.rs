@@ -2,12 +2,13 @@
 
 use std::vec::Vec;
 
-use super::id;
 use super::world::{TestClock, TestSerial};
-use crate::command::{ReadMultiTurnAngle, ReadStatus1, Stop};
+use super::{id, torque};
+use crate::command::{ReadMultiTurnAngle, ReadStatus1, Reset, Stop};
 use crate::io::{Runner, SerialMaster};
-use crate::master::{Config, Event, StopKind};
-use crate::time::Duration;
+use crate::master::{Config, Event, MotorSet, StopKind};
+use crate::time::{Duration, Instant};
+use crate::wire::rs485::Frame;
 
 type Arm = SerialMaster<TestSerial, TestClock, 8>;
 
@@ -19,15 +20,19 @@ fn echoing(is_told: bool) -> (TestSerial, Arm) {
     (port.clone(), SerialMaster::new(port, clock, Config::rs485(115_200, is_told)))
 }
 
-/// Runs for so long, whatever fails, and gives how many stops were confirmed.
-fn confirmations(arm: &mut Arm, micros: u64) -> usize {
-    let end = arm.now() + Duration::from_micros(micros);
-    let mut confirmed = 0;
+/// Runs for so long, whatever fails, and gives what happened.
+fn run(arm: &mut Arm, micros: u64) -> Vec<Event> {
+    let (end, mut events) = (arm.now() + Duration::from_micros(micros), Vec::new());
     while arm.now() < end {
-        let note = |event| confirmed += usize::from(matches!(event, Event::StopConfirmed { .. }));
-        let _ = arm.run_until(end, note);
+        let _ = arm.run_until(end, |event| events.push(event));
     }
-    confirmed
+    events
+}
+
+/// As that, and gives how many stops were confirmed.
+fn confirmations(arm: &mut Arm, micros: u64) -> usize {
+    let is_it = |event: &&Event| matches!(event, Event::StopConfirmed { .. });
+    run(arm, micros).iter().filter(is_it).count()
 }
 
 #[test]
@@ -204,4 +209,145 @@ fn echoes_that_pile_up_while_reading_fails_confirm_nothing() {
             }
         }
     }
+}
+
+#[test]
+fn a_command_goes_after_one_status_of_another_motor() {
+    let (port, mut arm) = echoing(false);
+    arm.ask(id(1), ReadStatus1).unwrap();
+    let ticket = arm.master().request(id(2), ReadMultiTurnAngle).unwrap();
+    let events = run(&mut arm, 1_000_000);
+    let outcome = events.iter().find_map(|event| ticket.outcome(event));
+    assert!(matches!(outcome, Some(Ok(_))), "{outcome:?} behind {} frames", sent(&port).len());
+    // Nor is a stop kept back whose first attempt was lost.
+    let (port, mut arm) = echoing(false);
+    arm.ask(id(1), ReadStatus1).unwrap();
+    port.state().is_cut = true;
+    arm.master().stop(id(2), StopKind::Hold).unwrap();
+    run(&mut arm, 2_000);
+    port.state().is_cut = false;
+    assert!(arm.stop(id(2), StopKind::Hold), "{} frames", sent(&port).len());
+}
+
+#[test]
+fn every_other_echo_that_is_lost_keeps_nothing_back_for_long() {
+    let (port, mut arm) = echoing(false);
+    let ticket = arm.master().request(id(2), ReadMultiTurnAngle).unwrap();
+    let mut outcome = None;
+    while outcome.is_none() && arm.now() < Instant::from_millis(500) {
+        port.state().echoes = sent(&port).len().is_multiple_of(2);
+        let events = run(&mut arm, 100);
+        outcome = events.iter().find_map(|event| ticket.outcome(event));
+    }
+    assert!(matches!(outcome, Some(Ok(_))), "{outcome:?} behind {:?}", sent(&port));
+}
+
+#[test]
+fn one_echo_that_noise_takes_behind_a_cut_confirms_nothing() {
+    for cut in 1..20 {
+        for noise in cut..cut + 6 {
+            let (port, mut arm) = echoing(false);
+            arm.master().stop(id(1), StopKind::Hold).unwrap();
+            // Nobody is there.
+            arm.master().stop(id(9), StopKind::Hold).unwrap();
+            let mut events = Vec::new();
+            for _ in 0..5_000 {
+                let frames = sent(&port).len();
+                (port.state().is_cut, port.state().echoes) = (frames < cut, frames != noise);
+                events.extend(run(&mut arm, 100));
+            }
+            let nobody = Event::StopConfirmed { motor: id(9) };
+            assert!(!events.contains(&nobody), "cut for {cut} frames, the echo of {noise} lost");
+        }
+    }
+}
+
+#[test]
+fn a_read_that_was_half_taken_has_no_answer() {
+    let (port, mut arm) = echoing(false);
+    port.state().is_cut = true;
+    arm.master().stop(id(1), StopKind::Hold).unwrap();
+    run(&mut arm, 8_000);
+    let answer = Frame { address: id(1).into(), data: [0x9A, 50, 30, 1, 0xE5, 1, 0, 0] }.encode();
+    for _ in 0..2 {
+        let length = port.written().len();
+        (port.state().at_most, port.state().fails_after) = (5, Some(length + 5));
+        while port.written().len() == length {
+            run(&mut arm, 100);
+        }
+        port.hear(&answer);
+        run(&mut arm, 50);
+    }
+    (port.state().at_most, port.state().fails_after) = (0, None);
+    port.state().is_cut = false;
+    assert!(!arm.stop(id(9), StopKind::Hold), "nobody is there");
+}
+
+/// A line of an adapter that does not echo, which waits for so long for an answer.
+fn quiet(millis: u64) -> (TestSerial, Arm) {
+    let (clock, longest) = (TestClock::default(), Duration::from_millis(millis));
+    let port = TestSerial::new(&clock);
+    let config = Config::rs485(115_200, false).adapting_up_to(longest);
+    (port.clone(), SerialMaster::new(port, clock, config))
+}
+
+#[test]
+fn the_first_stops_of_live_motors_do_not_wait_for_each_others_time_out() {
+    for to_all in [true, false] {
+        let (port, mut arm) = quiet(40);
+        let motors: MotorSet = (1..=3).map(id).collect();
+        match to_all {
+            true => arm.master().stop_all(StopKind::Hold, motors).unwrap(),
+            false => {
+                motors.iter().for_each(|it| arm.master().stop(it, StopKind::Hold).unwrap());
+            }
+        }
+        run(&mut arm, 70_000);
+        assert!(sent(&port).contains(&(3, 0x81)), "{:?}", sent(&port));
+    }
+}
+
+#[test]
+fn what_asks_for_an_echo_keeps_no_question_back_for_ever() {
+    let (_, mut arm) = quiet(0);
+    let ticket = arm.master().request(id(9), ReadStatus1).unwrap();
+    let mut outcome = None;
+    for _ in 0..200 {
+        let _ = arm.set_point(id(9), torque());
+        let events = run(&mut arm, 10_000);
+        outcome = outcome.or(events.iter().find_map(|event| ticket.outcome(event)));
+    }
+    assert!(outcome.is_some(), "2 s");
+}
+
+#[test]
+fn what_nobody_answers_does_not_count_as_asked() {
+    let clock = TestClock::default();
+    let config = Config { attempts: 1, ..Config::rs485(115_200, false) };
+    let mut arm = SerialMaster::<_, _, 8>::new(TestSerial::new(&clock), clock, config);
+    arm.ask(id(1), Reset).unwrap();
+    run(&mut arm, 2_500_000);
+    assert_eq!(arm.ask(id(1), Stop), Ok(Stop));
+}
+
+#[test]
+fn an_error_of_reading_may_have_taken_an_echo() {
+    let (port, mut arm) = echoing(false);
+    // Each echo is lost with the error that tells of it, but not the answer.
+    let mut confirmed = 0;
+    arm.master().stop(id(1), StopKind::Hold).unwrap();
+    arm.master().stop(id(9), StopKind::Hold).unwrap();
+    for _ in 0..3_000 {
+        let before = sent(&port).len();
+        let events = run(&mut arm, 100);
+        confirmed +=
+            events.iter().filter(|it| **it == Event::StopConfirmed { motor: id(9) }).count();
+        if sent(&port).len() > before {
+            port.lose();
+            port.state().read_fails = true;
+            run(&mut arm, 100);
+            port.state().read_fails = false;
+        }
+    }
+    assert_eq!(confirmed, 0, "nobody is there");
 }

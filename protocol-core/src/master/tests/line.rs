@@ -151,7 +151,7 @@ const STATUS_REPLY: [u8; 8] = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
 /// What the transport wants goes first, at this time.
 fn status_goes_first(master: &mut Master<4>, at: Instant) {
     assert!(master.poll_transmit(at).is_some());
-    assert_eq!(master.let_status_go_first(), Some(ReadStatus1.packet(id(1))));
+    assert_eq!(master.let_status_go_first(id(1)), Some(ReadStatus1.packet(id(1))));
     master.handle_transmitted(at);
 }
 
@@ -192,14 +192,36 @@ fn only_the_first_attempt_of_a_stop_waits_for_no_status() {
     let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(master.poll_transmit(ms(0)).unwrap().data[0], 0x81);
-    assert_eq!(master.let_status_go_first(), None);
+    assert!(master.offers_first_stop());
     assert_eq!(sent(&mut master, ms(0))[0].data[0], 0x81);
     assert_eq!(events(&mut master, ms(10)), []);
     status_goes_first(&mut master, ms(10));
-    // A stop of all goes to all at once.
-    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     assert!(master.poll_transmit(ms(20)).is_some());
-    assert_eq!(master.let_status_go_first(), None);
+    assert!(!master.offers_first_stop());
+}
+
+#[test]
+fn no_status_goes_first_that_the_caller_asks_for_or_whose_answer_has_no_place() {
+    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let _read = master.request(id(1), ReadStatus1).unwrap();
+    assert!(master.poll_transmit(ms(0)).is_some());
+    assert_eq!(master.let_status_go_first(id(1)), None);
+    assert_eq!(master.let_status_go_first(id(2)), None, "it has no place");
+    // Three other questions may be answered late.
+    let config = Config { late_window: ms(100) - ms(0), ..Config::rs485(1_000_000, false) };
+    let mut master = Master::<4>::new(config);
+    let once = Patience { reply_timeout: ms(5) - ms(0), attempts: 1 };
+    for (at, index) in
+        [(0, PidIndex::CURRENT_KP), (6, PidIndex::SPEED_KP), (12, PidIndex::POSITION_KP)]
+    {
+        let _read = master.request_with(id(1), ReadPid { index }, once).unwrap();
+        assert_eq!(sent(&mut master, ms(at)).len(), 1);
+        assert_eq!(events(&mut master, ms(at + 5)).len(), 1);
+    }
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert!(master.poll_transmit(ms(18)).is_some());
+    assert_eq!(master.let_status_go_first(id(1)), None);
 }
 
 #[test]
