@@ -6,7 +6,7 @@
 //! none that was to hold still is known, or may be feared, to hold nothing, else 1.
 
 use myactuator_protocol_core::Target;
-use myactuator_protocol_core::command::ReadStatus2;
+use myactuator_protocol_core::command::{ReadStatus1, ReadStatus2};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Bus, MotorSet, StopKind};
 
@@ -144,8 +144,9 @@ fn find_on_line(session: &mut Session) -> (MotorSet, Option<String>) {
     let mut rounds = 0;
     loop {
         let patience = session.master.master().patience(1);
+        // No other read goes before this one, to find out whether the adapter echoes.
         let Together { outcomes, failure } =
-            session.ask_each(MotorSet::ALL, ReadStatus2, Some(patience));
+            session.ask_each(MotorSet::ALL, ReadStatus1, Some(patience));
         let answered = outcomes.into_iter().filter(|(_, outcome)| outcome.is_ok());
         found = found.with(answered.map(|(motor, _)| motor).collect());
         rounds += 1;
