@@ -20,11 +20,12 @@ pub enum Bus {
         ///
         /// If this says no, the loops find out: until two answers in a row have come without an echo, they read a
         /// motor's status (0x9A) before each command to it whose echo may pass for the answer, and take what equals
-        /// that command for its echo. Only the first attempt of a stop waits for nothing, and is confirmed by the next
-        /// one then. See [`EchoFilter`](crate::io::EchoFilter).
+        /// that command for its echo. Only the first attempt of a stop does not wait for that, and is confirmed by the
+        /// next one then. A motor that is not there is waited for twice so. What is sent only once, because it writes
+        /// to ROM, counts as not answered if that read was lost. See [`EchoFilter`](crate::io::EchoFilter).
         ///
         /// If this says yes and the adapter does not echo, an answer of the command's own bytes counts as the echo:
-        /// no stop is confirmed.
+        /// no stop is confirmed, and no reading of 0 is heard.
         echo: bool,
     },
 }
