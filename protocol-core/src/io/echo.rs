@@ -2,7 +2,7 @@
 
 use crate::id::{MotorId, Target};
 use crate::master::MotorSet;
-use crate::opcode::{Opcode, ReplyRule};
+use crate::opcode::{LOST_MASTER_BYTE, Opcode, ReplyRule};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
@@ -31,8 +31,8 @@ const SENDINGS: usize = 8;
 /// motor's status goes before the stops of others, each of which would be waited for in vain.
 ///
 /// An adapter is found to echo by what comes back and no drive sends: a frame to all, or two such reads of one motor.
-/// One may be handed back by a drive that has lost its master and ignored it. After four answers in a row without an
-/// echo it counts as quiet.
+/// One may be handed back by a drive that has lost its master (0xF1) and ignored it; where that was heard, it shows
+/// nothing. After four answers in a row without an echo the adapter counts as quiet.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
@@ -42,6 +42,8 @@ pub struct EchoFilter {
     asked: MotorSet,
     /// What was sent to this one has come back: it has answered, or the adapter echoes.
     seems_there: Option<MotorId>,
+    /// These have said that they have lost their master, and hand the next command back.
+    hand_back: MotorSet,
     /// When the last was sent that found no place there any more and may come back yet.
     forgotten: Option<Instant>,
     /// When the port was found empty last.
@@ -72,8 +74,9 @@ impl EchoFilter {
     pub const fn new(is_echoing: bool) -> Self {
         let none_found = Adapter::NoneFound { answers: 0, suspected: MotorSet::EMPTY };
         let adapter = if is_echoing { Adapter::Echoes } else { none_found };
-        let (sent, asked, seems_there) = ([None; SENDINGS], MotorSet::EMPTY, None);
-        Self { adapter, sent, asked, seems_there, forgotten: None, empty_at: Instant::ZERO }
+        let (nobody, empty_at) = (MotorSet::EMPTY, Instant::ZERO);
+        let (sent, asked, hand_back) = ([None; SENDINGS], nobody, nobody);
+        Self { adapter, sent, asked, seems_there: None, hand_back, forgotten: None, empty_at }
     }
 
     /// Whether the adapter echoes, as was said or found.
@@ -143,7 +146,9 @@ impl EchoFilter {
         } else {
             // Some of what was sent before may have been lost, and this be the echo of another.
             self.show_nothing();
-            self.has_shown(frame.address, self.adapter.has_echoed(frame.address));
+            if !self.is_handed_back(frame.address) {
+                self.has_shown(frame.address, self.adapter.has_echoed(frame.address));
+            }
         }
         if let Some(first) = self.sent.get_mut(first) {
             *first = None;
@@ -151,8 +156,19 @@ impl EchoFilter {
         true
     }
 
+    /// Whether the first command since its drive has lost its master has come back: that may be no echo.
+    fn is_handed_back(&mut self, address: Target) -> bool {
+        let Target::Motor(motor) = address else { return false };
+        let is_first = self.hand_back.contains(motor);
+        self.hand_back.remove(motor);
+        is_first
+    }
+
     /// What is no echo may be an answer; if that of what it answers has not come, it will not.
     fn has_answered(&mut self, frame: &Frame) {
+        if let (Target::Motor(motor), [LOST_MASTER_BYTE, ..]) = (frame.address, frame.data) {
+            self.hand_back.insert(motor);
+        }
         let mut shows = false;
         for sent in self.sent.iter_mut().flatten() {
             let asked = &sent.frame;

@@ -39,8 +39,9 @@
 //! same time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no more
 //! and has not heard). A drive that has lost its master sends back the first command and ignores it: if its message
 //! of that is lost, this may be taken for the answer. On RS485 an echo that nobody configured confirms a stop if noise
-//! has taken the echoes of two reads in a row, and neither these reads nor their answers; and any echo does that comes
-//! more than 100 ms after its sending although the port was found empty meanwhile. A restart shows by a second in which the
+//! has taken the echoes of two reads in a row, and neither these reads nor their answers, or the echo of one, where an
+//! answer came late or twice while the next read went into a cut; and any echo does that comes more than 100 ms after
+//! its sending although the port was found empty meanwhile. A restart shows by a second in which the
 //! motor does not answer what it is asked, by a run time that has gone back when it is read (0xB1), or by an angle that
 //! jumps under a stream; one that shows by none of these is not noticed, nor is a jump for as long as the feedback may
 //! be that to a set-point given up before, until the stream rests. And a stop cannot be confirmed by a motor whose

@@ -351,3 +351,22 @@ fn an_error_of_reading_may_have_taken_an_echo() {
     }
     assert_eq!(confirmed, 0, "nobody is there");
 }
+
+#[test]
+fn reads_that_a_drive_hands_back_that_has_lost_its_master_show_no_echo() {
+    let (port, mut arm) = quiet(0);
+    let line = |data| Frame { address: id(1).into(), data }.encode();
+    for _ in 0..3 {
+        // It says so, hands the next command back and ignores it, and answers the second attempt.
+        port.hear(&line([0xF1, 0, 0, 0, 0, 0, 0, 0]));
+        run(&mut arm, 100);
+        port.state().is_cut = true;
+        let _ = arm.master().request(id(1), ReadStatus1).unwrap();
+        run(&mut arm, 1_000);
+        port.hear(&line([0x9A, 0, 0, 0, 0, 0, 0, 0]));
+        run(&mut arm, 1_000);
+        port.state().is_cut = false;
+        run(&mut arm, 1_000_000);
+    }
+    assert!(arm.stop(id(1), StopKind::Hold), "{:?}", sent(&port));
+}
