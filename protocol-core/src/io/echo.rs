@@ -502,6 +502,7 @@ mod tests {
         assert!(believes(&mut filter));
         // Of one that was configured nothing is believed but that.
         let mut told = EchoFilter::new(true);
+        exchange(&mut told, 1, true);
         (0..9).for_each(|_| exchange(&mut told, 1, false));
         assert!(!believes(&mut told));
     }

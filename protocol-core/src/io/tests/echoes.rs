@@ -6,7 +6,7 @@ use super::world::{TestClock, TestSerial};
 use super::{id, torque};
 use crate::command::{ReadMultiTurnAngle, ReadStatus1, Reset, Stop};
 use crate::io::{Runner, SerialMaster};
-use crate::master::{Config, Event, MotorSet, StopKind};
+use crate::master::{Config, Event, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 use crate::wire::rs485::Frame;
 
@@ -369,4 +369,19 @@ fn reads_that_a_drive_hands_back_that_has_lost_its_master_show_no_echo() {
         run(&mut arm, 1_000_000);
     }
     assert!(arm.stop(id(1), StopKind::Hold), "{:?}", sent(&port));
+}
+
+#[test]
+fn an_echo_that_a_cut_took_long_ago_is_not_waited_for() {
+    let (port, mut arm) = echoing(true);
+    port.state().is_cut = true;
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    assert!(arm.ask_with(id(1), Stop, Some(once), |_| {}).is_err());
+    run(&mut arm, 200_000);
+    port.state().is_cut = false;
+    assert_eq!(
+        arm.ask_with(id(1), Stop, Some(once), |_| {}),
+        Ok(Stop),
+        "its answer is no second echo"
+    );
 }
