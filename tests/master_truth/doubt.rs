@@ -50,7 +50,9 @@ impl Doubt {
         let byte = packet.data[0];
         let Self::Open { left, asked } = self else { return };
         if !NEVER_LIKE_THEIR_REPLY.contains(&byte) {
-        } else if packet.data[3] != DONE {
+            return;
+        }
+        if packet.data[3] != DONE {
             *left = ANSWERS_THEN;
         } else if asked.take_if(|asked| *asked == (motor, byte)).is_some() {
             *left = left.saturating_sub(1);

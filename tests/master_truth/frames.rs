@@ -43,13 +43,13 @@ impl Truth {
 
     fn taken_of(&mut self, motor: MotorId, packet: &Packet) {
         let (name, now) = (Name::of(packet), self.now);
+        self.doubt.taken(motor, name);
         if shows_echo(packet) {
             if !self.doubt.is_open() {
                 self.breaks(format!("motor {motor} is asked for an echo of which all is known"));
             }
-            return self.doubt.taken(motor, name);
+            return;
         }
-        self.doubt.taken(motor, name);
         if is_asking(packet) {
             let page = self.page(motor);
             (page.asked_at, page.answered_newest) = (now, false);

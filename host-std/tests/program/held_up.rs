@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use crate::run::{myactuator, run, text};
-use crate::sim_control::control;
+use crate::sim_control::{control, controlled};
 use crate::sim_serve::Simulation;
 
 /// How long the program may take to end after a signal: the stop, and its last words.
@@ -210,11 +210,8 @@ fn what_is_written_is_not_left_halfway_although_ctrl_c_is_pressed() {
 /// It once gave up then, for the bus had carried nothing for so long.
 #[test]
 fn a_stop_that_was_suspended_goes_on_with_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("control");
+    let (_folder, path, simulation) = controlled(1);
     let socket = path.to_str().unwrap();
-    let options = ["--only", "slcan", "--count", "1", "--control", socket];
-    let simulation = Simulation::start(2, &options);
     let bus = simulation.bus("slcan");
     for what in ["stop", "shutdown"] {
         control(socket, &["fault", "cut"]);

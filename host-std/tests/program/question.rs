@@ -8,8 +8,7 @@ use std::process::{Child, Stdio};
 use rustix::pty::{OpenptFlags, grantpt, ioctl_tiocgptpeer, openpt, unlockpt};
 
 use crate::run::{myactuator, text};
-use crate::sim_control::control;
-use crate::sim_serve::Simulation;
+use crate::sim_control::{control, controlled};
 
 /// A terminal: where somebody types, and where that is read.
 fn terminal() -> (File, OwnedFd) {
@@ -38,11 +37,8 @@ fn asked(arguments: &str) -> (Child, File, String) {
 
 #[test]
 fn a_shaft_that_is_turned_beyond_the_scale_before_the_answer_is_not_moved() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("control");
+    let (_folder, path, simulation) = controlled(1);
     let socket = path.to_str().unwrap();
-    let options = ["--only", "slcan", "--count", "1", "--control", socket];
-    let simulation = Simulation::start(2, &options);
     let bus = simulation.bus("slcan");
     let motion = "motion --id 1 --position-rad 0 --kp 40 --kd 2 --firmware v4.3 --for-s 0.2";
     let beyond =

@@ -1,12 +1,24 @@
 //! `myactuator sim --control` and `sim-control`, as people and scripts use them.
 
+use std::path::PathBuf;
 use std::process::Stdio;
 
 use rustix::process::Signal;
 use serde_json::Value;
+use tempfile::TempDir;
 
 use crate::run::{myactuator, run, text};
 use crate::sim_serve::Simulation;
+
+/// A simulation of so many motors that is controlled by this socket, and the folder that this is in.
+pub(crate) fn controlled(motors: u8) -> (TempDir, PathBuf, Simulation) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("control");
+    let (count, socket) = (motors.to_string(), path.to_str().unwrap());
+    let options = ["--only", "slcan", "--count", &count, "--control", socket];
+    let simulation = Simulation::start(2, &options);
+    (folder, path, simulation)
+}
 
 /// What `sim-control` prints; it must have done what was asked.
 pub(crate) fn control(socket: &str, arguments: &[&str]) -> String {
@@ -22,11 +34,8 @@ fn refused(arguments: &[&str]) -> (Option<i32>, String) {
 
 #[test]
 fn drives_are_looked_at_and_changed_while_they_run() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("control");
+    let (_folder, path, simulation) = controlled(2);
     let socket = path.to_str().unwrap();
-    let options = ["--only", "slcan", "--count", "2", "--control", socket];
-    let simulation = Simulation::start(2, &options);
     assert_eq!(simulation.place("control")["path"], socket);
     let bus = simulation.bus("slcan");
 

@@ -39,6 +39,8 @@ use crate::wire::can::Received;
 use crate::wire::rs485::Frame;
 
 const ANGLE_REPLY: [u8; 8] = [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0];
+/// Feedback of a torque (2.19).
+const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
 
 fn id(id: u8) -> MotorId {
     MotorId::new(id).unwrap()

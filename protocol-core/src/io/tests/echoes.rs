@@ -12,13 +12,22 @@ use crate::wire::rs485::Frame;
 
 type Arm = SerialMaster<TestSerial, TestClock, 8>;
 
-/// A line on which motors 1 to 3 answer, by an adapter that echoes, which the loop was told or not.
-fn echoing(is_told: bool) -> (TestSerial, Arm) {
+/// A line on which motors 1 to 3 answer, by an adapter that does not echo.
+fn quiet(config: Config) -> (TestSerial, Arm) {
     let clock = TestClock::default();
     let port = TestSerial::new(&clock);
-    port.state().echoes = true;
-    (port.clone(), SerialMaster::new(port, clock, Config::rs485(115_200, is_told)))
+    (port.clone(), SerialMaster::new(port, clock, config))
 }
+
+/// As that, by one that echoes, which the loop was told or not.
+fn echoing(is_told: bool) -> (TestSerial, Arm) {
+    let (port, arm) = quiet(Config::rs485(115_200, is_told));
+    port.state().echoes = true;
+    (port, arm)
+}
+
+/// That of a loop which nobody has told anything.
+const UNTOLD: Config = Config::rs485(115_200, false);
 
 /// Runs for so long, whatever fails, and gives what happened.
 fn run(arm: &mut Arm, micros: u64) -> Vec<Event> {
@@ -132,8 +141,7 @@ fn the_first_attempt_of_a_stop_waits_for_nothing_and_the_others_for_one_read_eac
 
 #[test]
 fn a_line_on_which_motors_answer_is_asked_twice_and_no_more() {
-    let (port, mut arm) = echoing(false);
-    port.state().echoes = false;
+    let (port, mut arm) = quiet(UNTOLD);
     for _ in 0..5 {
         arm.ask(id(1), ReadMultiTurnAngle).unwrap();
         assert!(arm.stop(id(1), StopKind::Hold));
@@ -150,10 +158,7 @@ fn a_line_on_which_motors_answer_is_asked_twice_and_no_more() {
 
 #[test]
 fn what_is_sent_once_is_acknowledged_also_where_nothing_was_heard_before() {
-    let clock = TestClock::default();
-    let port = TestSerial::new(&clock);
-    let config = Config { attempts: 1, ..Config::rs485(115_200, false) };
-    let mut arm = SerialMaster::<_, _, 8>::new(port, clock, config);
+    let (_, mut arm) = quiet(Config { attempts: 1, ..UNTOLD });
     let ticket = arm.master().request(id(1), Stop).unwrap();
     let (end, mut events) = (arm.now() + Duration::from_millis(100), Vec::new());
     arm.run_until(end, |event| events.push(event)).unwrap();
@@ -183,8 +188,7 @@ fn what_an_adapter_gave_back_before_a_cut_or_within_it_confirms_nothing() {
 
 #[test]
 fn stops_are_confirmed_on_a_line_on_which_nothing_else_was_heard() {
-    let (port, mut arm) = echoing(false);
-    port.state().echoes = false;
+    let (port, mut arm) = quiet(UNTOLD);
     // Motors 1 to 3 get their power late.
     port.state().is_cut = true;
     (1..=3).for_each(|motor| arm.master().stop(id(motor), StopKind::Hold).unwrap());
@@ -283,18 +287,10 @@ fn a_read_that_was_half_taken_has_no_answer() {
     assert!(!arm.stop(id(9), StopKind::Hold), "nobody is there");
 }
 
-/// A line of an adapter that does not echo, which waits for so long for an answer.
-fn quiet(millis: u64) -> (TestSerial, Arm) {
-    let (clock, longest) = (TestClock::default(), Duration::from_millis(millis));
-    let port = TestSerial::new(&clock);
-    let config = Config::rs485(115_200, false).adapting_up_to(longest);
-    (port.clone(), SerialMaster::new(port, clock, config))
-}
-
 #[test]
 fn the_first_stops_of_live_motors_do_not_wait_for_each_others_time_out() {
     for to_all in [true, false] {
-        let (port, mut arm) = quiet(40);
+        let (port, mut arm) = quiet(UNTOLD.adapting_up_to(Duration::from_millis(40)));
         let motors: MotorSet = (1..=3).map(id).collect();
         match to_all {
             true => arm.master().stop_all(StopKind::Hold, motors).unwrap(),
@@ -309,7 +305,7 @@ fn the_first_stops_of_live_motors_do_not_wait_for_each_others_time_out() {
 
 #[test]
 fn what_asks_for_an_echo_keeps_no_question_back_for_ever() {
-    let (_, mut arm) = quiet(0);
+    let (_, mut arm) = quiet(UNTOLD);
     let ticket = arm.master().request(id(9), ReadStatus1).unwrap();
     let mut outcome = None;
     for _ in 0..200 {
@@ -322,9 +318,7 @@ fn what_asks_for_an_echo_keeps_no_question_back_for_ever() {
 
 #[test]
 fn what_nobody_answers_does_not_count_as_asked() {
-    let clock = TestClock::default();
-    let config = Config { attempts: 1, ..Config::rs485(115_200, false) };
-    let mut arm = SerialMaster::<_, _, 8>::new(TestSerial::new(&clock), clock, config);
+    let (_, mut arm) = quiet(Config { attempts: 1, ..UNTOLD });
     arm.ask(id(1), Reset).unwrap();
     run(&mut arm, 2_500_000);
     assert_eq!(arm.ask(id(1), Stop), Ok(Stop));
@@ -354,7 +348,7 @@ fn an_error_of_reading_may_have_taken_an_echo() {
 
 #[test]
 fn reads_that_a_drive_hands_back_that_has_lost_its_master_show_no_echo() {
-    let (port, mut arm) = quiet(0);
+    let (port, mut arm) = quiet(UNTOLD);
     let line = |data| Frame { address: id(1).into(), data }.encode();
     for _ in 0..3 {
         // It says so, hands the next command back and ignores it, and answers the second attempt.

@@ -348,7 +348,7 @@ fn a_request_and_a_stream_of_the_same_kind_exclude_each_other() {
     let ticket = master.request(id(1), torque(2.0)).unwrap();
     assert_eq!(master.set_point(id(1), torque(3.0), ms(22)), Err(RequestError::Busy));
     assert_eq!(sent(&mut master, ms(22)), []);
-    let feedback = [0xA1, 30, 0, 0, 0, 0, 7, 0];
+    let feedback = TORQUE_REPLY;
     let late = reply(&mut master, 1, feedback, ms(30)).unwrap();
     assert!(matches!(late, Event::Feedback { .. }) && ticket.outcome(&late).is_none(), "{late:?}");
     assert_eq!(sent(&mut master, ms(30)).len(), 1);
@@ -369,11 +369,9 @@ fn only_what_is_surely_a_late_answer_ends_the_wait_for_it() {
     events(&mut master, ms(28));
     let second = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
     // Late feedback of the lost set-point, twice; an error report.
-    for (data, at) in [
-        ([0xA1, 30, 0, 0, 0, 0, 7, 0], 30),
-        ([0xA1, 30, 0, 0, 0, 0, 7, 0], 30),
-        ([0x9A, 50, 40, 0, 0xE0, 1, 2, 0], 35),
-    ] {
+    for (data, at) in
+        [(TORQUE_REPLY, 30), (TORQUE_REPLY, 30), ([0x9A, 50, 40, 0, 0xE0, 1, 2, 0], 35)]
+    {
         reply(&mut master, 1, data, ms(at)).unwrap();
         assert!(sent(&mut master, ms(at)).is_empty(), "{data:02X?}");
     }

@@ -3,8 +3,6 @@
 use super::unnamed::{TO_ALL, all_have_moved, all_move, channels, to};
 use super::*;
 
-const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
-
 /// All were told this, and nobody who has a place is expected to answer.
 fn all_were_told<C: Command>(master: &mut Master<2>, command: C, now: Instant) {
     master.broadcast(command, MotorSet::EMPTY).unwrap();

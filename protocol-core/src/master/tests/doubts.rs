@@ -4,9 +4,6 @@
 use super::unnamed::{channels, to};
 use super::*;
 
-/// Feedback of a torque of 0.1 A (2.19).
-const TORQUE_FEEDBACK: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
-
 /// Motor 1 is told to hold when `before` was done: whether its first confirmation counts, and when the next frame is
 /// due otherwise.
 fn held_after(before: impl Fn(&mut Master<2>), at: u64) -> Result<(), Instant> {
@@ -379,7 +376,7 @@ fn the_answer_to_a_move_of_all_is_no_feedback_of_a_set_point_like_it() {
     master.set_point(id(1), torque(1.0), ms(59)).unwrap();
     assert_eq!(sent(&mut master, ms(59)).len(), 1);
     // That to all has lain in the controller for 59 ms; now its answer comes.
-    reply(&mut master, 1, TORQUE_FEEDBACK, ms(60));
+    reply(&mut master, 1, TORQUE_REPLY, ms(60));
     events(&mut master, ms(60));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(62))), [to(1)]);
@@ -405,7 +402,7 @@ fn the_answer_to_a_move_of_all_is_no_late_feedback_of_a_set_point_like_it() {
     assert_eq!(sent(&mut master, ms(45)).len(), 1);
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(46))), [to(1)]);
-    reply(&mut master, 1, TORQUE_FEEDBACK, ms(47));
+    reply(&mut master, 1, TORQUE_REPLY, ms(47));
     events(&mut master, ms(64));
     assert_eq!(
         reply(&mut master, 1, Shutdown.encode(), ms(64)),
@@ -422,8 +419,8 @@ fn doubled_feedback_is_no_answer_to_a_move_of_all() {
     events(&mut master, ms(0));
     master.set_point(id(1), torque(1.0), ms(1)).unwrap();
     assert_eq!(sent(&mut master, ms(1)).len(), 1);
-    reply(&mut master, 1, TORQUE_FEEDBACK, ms(2));
-    reply(&mut master, 1, TORQUE_FEEDBACK, ms(2) + Duration::from_micros(140));
+    reply(&mut master, 1, TORQUE_REPLY, ms(2));
+    reply(&mut master, 1, TORQUE_REPLY, ms(2) + Duration::from_micros(140));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(3))), [to(1)]);
     assert_eq!(
@@ -444,8 +441,8 @@ fn late_feedback_that_is_doubled_says_nothing_of_a_second_set_point() {
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(22))), [to(1)]);
     // The answer to the first set-point, twice. The second lies in a mailbox.
-    assert!(reply(&mut master, 1, TORQUE_FEEDBACK, ms(23)).is_some());
-    reply(&mut master, 1, TORQUE_FEEDBACK, ms(23) + Duration::from_micros(140));
+    assert!(reply(&mut master, 1, TORQUE_REPLY, ms(23)).is_some());
+    reply(&mut master, 1, TORQUE_REPLY, ms(23) + Duration::from_micros(140));
     assert_eq!(
         reply(&mut master, 1, Shutdown.encode(), ms(24)),
         None,

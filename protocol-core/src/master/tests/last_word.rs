@@ -161,7 +161,7 @@ impl Run {
             if told.hears && !is_handed_back {
                 let answer = match packet.data[0] {
                     0x92 => ANGLE_REPLY,
-                    0xA1 => [0xA1, 30, 0, 0, 0, 0, 7, 0],
+                    0xA1 => TORQUE_REPLY,
                     _ => packet.data,
                 };
                 self.answers.push((self.now + 1, to, answer));

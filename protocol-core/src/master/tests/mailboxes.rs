@@ -2,8 +2,6 @@
 
 use super::*;
 
-const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
-
 /// The stop that is sent at this time and answered a millisecond later.
 fn is_stop_confirmed(master: &mut Master<2>, at: Instant) -> bool {
     assert_eq!(sent(master, at).len(), 1, "{at:?}");

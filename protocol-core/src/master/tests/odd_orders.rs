@@ -4,8 +4,6 @@
 use super::*;
 use crate::command::{ReadStatus2, ReleaseBrake};
 
-const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
-
 fn patient(attempts: u8, millis: u64) -> Patience {
     Patience { attempts, reply_timeout: Duration::from_millis(millis) }
 }

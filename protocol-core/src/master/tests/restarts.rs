@@ -281,7 +281,7 @@ fn a_move_that_waited_before_a_restart_was_seen_is_not_sent() {
     let mut master = Master::<2>::new(Config::CAN);
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
-    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(1)).unwrap();
+    reply(&mut master, 1, TORQUE_REPLY, ms(1)).unwrap();
     for now in [10, 40, 70] {
         master.set_point(id(1), torque(1.0), ms(now)).unwrap();
         sent(&mut master, ms(now));
@@ -290,7 +290,7 @@ fn a_move_that_waited_before_a_restart_was_seen_is_not_sent() {
     master.set_point(id(1), torque(1.0), ms(1_200)).unwrap();
     sent(&mut master, ms(1_200));
     let moving = master.request(id(1), step()).unwrap();
-    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(1_201)).unwrap();
+    reply(&mut master, 1, TORQUE_REPLY, ms(1_201)).unwrap();
     assert_eq!(sent(&mut master, ms(1_201)), []);
     let told = events(&mut master, ms(1_201));
     assert!(told.contains(&Event::Restarted { motor: id(1) }), "{told:?}");

@@ -49,7 +49,7 @@ fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
     let answered = |master: &mut Master<2>| {
         master.broadcast(torque(1.0), id(1).into()).unwrap();
         sent(master, ms(10));
-        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(11)).unwrap();
+        reply(master, 1, TORQUE_REPLY, ms(11)).unwrap();
         events(master, ms(200));
     };
     assert_eq!(answers_that_confirm(answered), 1);
@@ -60,7 +60,7 @@ fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
             assert_eq!(sent(master, ms(at)).len(), 1);
             events(master, ms(at));
         }
-        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(12));
+        reply(master, 1, TORQUE_REPLY, ms(12));
         for at in [100, 200] {
             reply(master, 2, ANGLE_REPLY, ms(at));
             events(master, ms(at + 90));
@@ -158,7 +158,7 @@ fn no_answer_to_anything_else_of_all_is_one_to_the_move() {
         let (answer, told) = match command[0] {
             0x92 => (ANGLE_REPLY, master.broadcast(ReadMultiTurnAngle, id(1).into())),
             0x81 => (command, master.broadcast(Stop, id(1).into())),
-            _ => (FEEDBACK, master.broadcast(torque(2.0), id(1).into())),
+            _ => (TORQUE_REPLY, master.broadcast(torque(2.0), id(1).into())),
         };
         told.unwrap();
         sent(&mut master, ms(400));
@@ -167,9 +167,6 @@ fn no_answer_to_anything_else_of_all_is_one_to_the_move() {
         confirmed_after(&mut master, 402);
     }
 }
-
-/// Feedback of a torque (2.19).
-const FEEDBACK: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
 
 #[test]
 fn of_two_set_points_in_a_cut_the_answer_to_the_first_says_nothing_of_the_second() {
@@ -182,7 +179,7 @@ fn of_two_set_points_in_a_cut_the_answer_to_the_first_says_nothing_of_the_second
     master.set_point(id(1), torque(2.0), ms(300)).unwrap();
     sent(&mut master, ms(300));
     events(&mut master, ms(321));
-    reply(&mut master, 1, FEEDBACK, ms(330));
+    reply(&mut master, 1, TORQUE_REPLY, ms(330));
     confirmed_after(&mut master, 331);
 }
 

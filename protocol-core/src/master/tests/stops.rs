@@ -343,7 +343,7 @@ fn a_stop_is_not_confirmed_by_the_answer_to_an_earlier_one_to_all() {
     // It moves again, and is stopped by itself.
     master.set_point(id(1), torque(1.0), ms(1)).unwrap();
     sent(&mut master, ms(1));
-    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(2)).unwrap();
+    reply(&mut master, 1, TORQUE_REPLY, ms(2)).unwrap();
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(sent(&mut master, ms(3)).len(), 1);
     let told = reply(&mut master, 1, Stop.encode(), ms(4));
@@ -374,7 +374,7 @@ fn a_stop_is_confirmed_only_when_no_command_to_all_can_move_the_motor_any_more()
     }
     assert_eq!(sent(&mut master, ms(3)), []);
     // Motor 1 answers what was sent to all, motor 2 does not.
-    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(4)).unwrap();
+    reply(&mut master, 1, TORQUE_REPLY, ms(4)).unwrap();
     assert_eq!(sent(&mut master, ms(4)).len(), 1);
     let confirmed = |motor| Some(Event::StopConfirmed { motor: id(motor) });
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(5)), confirmed(1));

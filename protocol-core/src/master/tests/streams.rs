@@ -16,7 +16,7 @@ fn only_the_newest_set_point_is_sent() {
     master.set_point(id(1), torque(4.0), ms(1)).unwrap();
     master.set_point(id(1), torque(5.0), ms(1)).unwrap();
     assert!(sent(&mut master, ms(1)).is_empty());
-    let event = reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(1)).unwrap();
+    let event = reply(&mut master, 1, TORQUE_REPLY, ms(1)).unwrap();
     assert_eq!(event.feedback().unwrap().1.angle.degrees(), 7.0);
     assert_eq!(sent(&mut master, ms(1))[0].data, torque(5.0).encode());
 }

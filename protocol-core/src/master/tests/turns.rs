@@ -2,7 +2,6 @@
 
 use super::*;
 
-const TORQUE_REPLY: [u8; 8] = [0xA1, 30, 0, 0, 0, 0, 7, 0];
 const MODEL_REPLY: [u8; 8] = [0xB5, 0x58, 0x38, 0, 0, 0, 0, 0];
 /// Of [`Config::CAN`]: 3 ms and 128 frames of 136 us; the late window is twice that.
 const TIMEOUT: Duration = Duration::from_micros(20_408);
@@ -386,7 +385,7 @@ fn a_motor_that_rested_for_long_does_not_starve() {
         now += Duration::from_millis(1);
         master.set_point(id(1), torque(1.0), now).unwrap();
         sent(&mut master, now);
-        reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], now + Duration::from_micros(900));
+        reply(&mut master, 1, TORQUE_REPLY, now + Duration::from_micros(900));
     }
     now += Duration::from_millis(1);
     master.set_point(id(1), torque(1.0), now).unwrap();
@@ -434,7 +433,7 @@ fn a_set_point_and_a_request_of_one_motor_go_in_turn() {
         let packets = sent(&mut master, ms(2 * now));
         let [Packet { data, .. }] = packets[..] else { panic!("{packets:?}") };
         order.push(data[0]);
-        let answer = if data[0] == 0x92 { ANGLE_REPLY } else { [0xA1, 30, 0, 0, 0, 0, 7, 0] };
+        let answer = if data[0] == 0x92 { ANGLE_REPLY } else { TORQUE_REPLY };
         reply(&mut master, 1, answer, ms(2 * now + 1)).unwrap();
     }
     assert_eq!(order, [0xA1, 0x92, 0xA1, 0x92, 0xA1, 0x92]);

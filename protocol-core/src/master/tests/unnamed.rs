@@ -9,7 +9,7 @@ pub(super) fn all_move() -> Master<2> {
     let mut master = Master::new(Config::CAN);
     master.broadcast(torque(1.0), id(1).into()).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
-    reply(&mut master, 1, [0xA1, 30, 0, 0, 0, 0, 7, 0], ms(1));
+    reply(&mut master, 1, TORQUE_REPLY, ms(1));
     events(&mut master, ms(1));
     master
 }
