@@ -202,7 +202,7 @@ fn a_stopped_motor_goes_on_holding_when_it_may_not_be_written_to<W: Wire>() {
     let (runner, drive) = (&mut master(&bus), &bus.drives[0]);
     runner.ask(id(1), turn(50.0)).expect("it is there");
     assert_eq!(runner.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
-    let stopped = || Err(BringUpError::from(RequestError::Stopped));
+    let stopped = || Err(CallError::refused(id(1))(RequestError::Stopped).into());
     assert_eq!(bring_up::zero_here(runner, id(1)).map(|_| ()), stopped());
     assert!(state(drive).output_on, "a load would fall");
     assert_eq!(bring_up::change_id(runner, id(1), id(9)), stopped());

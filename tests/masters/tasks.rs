@@ -100,7 +100,7 @@ where
     assert_eq!(latest, Some(AnyReply::Torque(feedback)));
     assert!(bus.stop(id(1), StopKind::Hold).await);
     let refused = bus.set_point_and_wait(id(1), push(0.0)).await;
-    assert_eq!(refused, Err(RequestError::Stopped.into()));
+    assert_eq!(refused, Err(CallError::refused(id(1))(RequestError::Stopped)));
 }
 
 async fn a_motor_arrives<B: Medium, R: AsyncRunner<8>>(fleet: &BusFleet<B>, bus: &mut R)
@@ -140,7 +140,7 @@ async fn a_move_that_is_dropped_stops_its_motor<B: Medium, R: AsyncRunner<8>>(
     let first = select(moving, clock.wait_until(soon)).await;
     assert!(matches!(first, Either::Second(())), "it takes half a second");
     let refused = bus.set_point(id(1), push(0.1));
-    assert_eq!(refused, Err(RequestError::Stopped));
+    assert_eq!(refused, Err(CallError::refused(id(1))(RequestError::Stopped)));
     // Any other future of the loop sends the stop first.
     bus.ask(id(2), ReadStatus1).await.unwrap();
     let later = bus.now() + millis(500);

@@ -64,7 +64,7 @@ fn each_question_has_its_own_answer<W: Wire>() {
     listen(runner, millis(50));
     let moved = runner.ask_together([1, 2].map(|motor| (id(motor), turn(5.0))));
     assert!(moved[0].is_ok());
-    assert_eq!(moved[1], Err(RequestError::Stopped.into()));
+    assert_eq!(moved[1], Err(CallError::refused(id(2))(RequestError::Stopped)));
     let none: [_; 0] = runner.ask_together::<ReadModel, 0>([]);
     assert!(none.is_empty());
 }
@@ -75,7 +75,7 @@ fn behind_a_stop_on_a_dead_bus_nobody_waits_for_ever() {
     let mut bus = fleet.master::<8>();
     fleet.world.cut(fleet.drives[0].station());
     assert_eq!(bus.stop_all(StopKind::Hold, id(1).into()), id(1).into());
-    let busy = RequestError::Busy.into();
+    let busy = CallError::refused(id(1))(RequestError::Busy);
     assert_eq!(bus.ask(id(1), ReadMultiTurnAngle), Err(busy));
     let told = bus.ask_together([1, 2].map(|motor| (id(motor), ReadMultiTurnAngle)));
     assert_eq!(
@@ -171,7 +171,7 @@ fn a_set_point_that_cannot_be_sent_or_is_not_answered_is_told<W: Wire>() {
     bus.world.mend(bus.drives[0].station());
     assert!(runner.stop(id(1), StopKind::Hold));
     let refused = runner.set_point_and_wait(id(1), push(0.1));
-    assert_eq!(refused, Err(RequestError::Stopped.into()));
+    assert_eq!(refused, Err(CallError::refused(id(1))(RequestError::Stopped)));
 }
 
 fn the_newest_feedback_is_kept<W: Wire>() {
@@ -234,7 +234,7 @@ fn held<W: Wire>(limits: &MoveLimits) -> (MoveFailure<()>, bool) {
         other => panic!("{other}"),
     };
     let refused = runner.set_point(id(1), push(0.1));
-    assert_eq!(refused, Err(RequestError::Stopped), "the stop holds");
+    assert_eq!(refused, Err(CallError::refused(id(1))(RequestError::Stopped)), "the stop holds");
     (why, not_arrived.is_stopped)
 }
 
@@ -349,7 +349,10 @@ fn a_restart_on_the_way_ends_the_move_and_forbids_another<W: Wire>() {
         let limits = MoveLimits::default();
         let go_on = |_: &_| ControlFlow::Continue(());
         let moved = bring_up::move_to(runner, id(1), go_to(900.0, 360), &limits, go_on);
-        let restarted = MoveFailure::Call(CallError::Request(RequestError::Restarted));
+        let restarted = MoveFailure::Call(CallError::Refused {
+            motor: id(1),
+            refusal: RequestError::Restarted,
+        });
         assert_eq!(moved.map_err(|it| it.why), Err(restarted), "attempt {attempt}");
         runner.master().lift_stop();
     }
@@ -370,7 +373,7 @@ fn one_whose_cable_was_cut_may_have_restarted<W: Wire>() {
     bus.world.mend(bus.drives[0].station());
     assert!(runner.ask(id(1), ReadMultiTurnAngle).is_ok());
     let told = runner.ask(id(1), turn(90.0)).unwrap_err();
-    assert_eq!(told, CallError::Request(RequestError::Restarted));
+    assert_eq!(told, CallError::Refused { motor: id(1), refusal: RequestError::Restarted });
     // It has not restarted, and turns yet.
     assert!(state(&bus.drives[0]).measurement.speed_dps > 80.0);
     let told = told.to_string();
@@ -397,7 +400,10 @@ fn a_gripper_goes_on_pressing_with_what_it_was_given<W: Wire>() {
             assert!((0.5..1.5).contains(&pressing), "as limited, not more: {pressing} A");
             assert!(runner.set_point(id(1), push(0.1)).is_ok(), "nothing has stopped it");
         } else {
-            assert_eq!(runner.set_point(id(1), push(0.1)), Err(RequestError::Stopped));
+            assert_eq!(
+                runner.set_point(id(1), push(0.1)),
+                Err(CallError::refused(id(1))(RequestError::Stopped))
+            );
         }
     }
 }
@@ -432,7 +438,10 @@ fn gripped<W: Wire>(percent_of_rated: u8, torque_nm: f64) -> MoveFailure<()> {
         MoveFailure::Turning { at, target, speed } => MoveFailure::Turning { at, target, speed },
         other => panic!("{other}"),
     };
-    assert_eq!(runner.set_point(id(1), push(0.1)), Err(RequestError::Stopped));
+    assert_eq!(
+        runner.set_point(id(1), push(0.1)),
+        Err(CallError::refused(id(1))(RequestError::Stopped))
+    );
     why
 }
 

@@ -330,7 +330,8 @@ impl<W: Wire> Rig<W> {
     pub fn put(&mut self, motor: MotorId, number: u32) -> Result<(), RequestError> {
         let max_torque = MaxTorque::from_raw(STREAM_MARK);
         let speed = SpeedTarget::from_raw(number as i32);
-        self.runner.set_point(motor, Speed { max_torque, speed })
+        let now = self.runner.now();
+        self.runner.master().set_point(motor, Speed { max_torque, speed }, now)
     }
 
     /// Puts one for every motor.

@@ -90,7 +90,7 @@ impl<E> Desk<E> {
         }
         let slot = state.slot(motor);
         if let Some(refusal) = slot.refusal.take() {
-            return Err(refusal.into());
+            return Err(SharedBusError::Refused { motor, refusal });
         }
         slot.set_point = Some(command);
         self.leave(state);

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
+use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::Failure;
 
@@ -18,11 +19,21 @@ pub enum SharedBusError<E = BusError> {
     #[error("the bus reports an error: {0:?}")]
     Bus(Arc<E>),
     /// The command could not be sent as asked.
-    #[error(transparent)]
-    Request(#[from] RequestError),
+    #[error("motor {motor}: {refusal}")]
+    Refused {
+        /// Whom it was for.
+        motor: MotorId,
+        /// Why it could not be sent.
+        refusal: RequestError,
+    },
     /// It was sent, and has no answer, or a stop came before it.
-    #[error("{0}")]
-    Failed(Failure),
+    #[error("motor {motor}: {failure}")]
+    Failed {
+        /// Who was asked.
+        motor: MotorId,
+        /// Why there is no answer.
+        failure: Failure,
+    },
     /// The bus driver keeps its thread for 2 s already (or the program was frozen). Whether a command was sent is
     /// not known, nor whether the driver sends it yet in the round in which it hangs; after that round no command that a
     /// stop would refuse, a move say, is sent any more.
@@ -39,8 +50,8 @@ impl<E> Clone for SharedBusError<E> {
     fn clone(&self) -> Self {
         match self {
             Self::Bus(error) => Self::Bus(Arc::clone(error)),
-            Self::Request(error) => Self::Request(*error),
-            Self::Failed(failure) => Self::Failed(*failure),
+            Self::Refused { motor, refusal } => Self::Refused { motor: *motor, refusal: *refusal },
+            Self::Failed { motor, failure } => Self::Failed { motor: *motor, failure: *failure },
             Self::Held => Self::Held,
             Self::Panicked(words) => Self::Panicked(Arc::clone(words)),
         }

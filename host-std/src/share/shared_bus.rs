@@ -151,14 +151,17 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     ) -> Result<C::Reply, SharedBusError<E>> {
         let desk = &self.0.desk;
         let reply = desk.wait(desk.ask(motor, Untyped::of(command), patience))?;
-        C::decode_reply(&reply).map_err(|error| SharedBusError::Failed(Failure::Unreadable(error)))
+        C::decode_reply(&reply).map_err(|error| {
+            let failure = Failure::Unreadable(error);
+            SharedBusError::Failed { motor, failure }
+        })
     }
 
     /// Puts a set-point in a motor's stream, whoever put the one before it: only the newest waits. Never
     /// waits itself.
     ///
     /// # Errors
-    /// [`SharedBusError::Request`]: the motors were stopped, or the set-point before this one was not taken,
+    /// [`SharedBusError::Refused`]: the motors were stopped, or the set-point before this one was not taken,
     /// as [`Master::set_point`](myactuator_protocol_core::master::Master::set_point) has it; then this one
     /// was not put either. [`SharedBusError::Bus`] if the bus failed and nobody was told yet.
     /// [`SharedBusError::Held`] if nothing was taken up for 2 s.
@@ -188,7 +191,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// not: **cut its power**.
     ///
     /// # Errors
-    /// [`SharedBusError::Request`] if the master has no place for it, [`SharedBusError::Panicked`].
+    /// [`SharedBusError::Refused`] if the master has no place for it, [`SharedBusError::Panicked`].
     pub fn stop(&self, motor: MotorId, kind: StopKind) -> Result<bool, SharedBusError<E>> {
         let desk = &self.0.desk;
         Ok(desk.wait_for_stop(desk.stop(motor, kind), motor.into())?.is_empty())

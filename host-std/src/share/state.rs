@@ -108,10 +108,10 @@ impl<E> State<E> {
         }
         let is_stopped = self.stops_all || self.stopped.contains(motor);
         if is_stopped && kind.is_refused_while_stopped() {
-            return Err(RequestError::Stopped.into());
+            return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
         if self.restarted.contains(motor) && kind.moves() {
-            return Err(RequestError::Restarted.into());
+            return Err(SharedBusError::Refused { motor, refusal: RequestError::Restarted });
         }
         Ok(())
     }
@@ -147,7 +147,7 @@ impl<E> State<E> {
         }
         self.drop_questions(|motor, kind| {
             let is_dropped = motors.contains(motor) && kind.is_refused_while_stopped();
-            is_dropped.then_some(SharedBusError::Failed(Failure::Stopped))
+            is_dropped.then_some(SharedBusError::Failed { motor, failure: Failure::Stopped })
         });
     }
 
@@ -159,7 +159,8 @@ impl<E> State<E> {
         }
         self.drop_questions(|motor, kind| {
             let is_dropped = motor == restarted && kind.moves();
-            is_dropped.then_some(SharedBusError::Request(RequestError::Restarted))
+            let refusal = RequestError::Restarted;
+            is_dropped.then_some(SharedBusError::Refused { motor, refusal })
         });
     }
 

@@ -1,5 +1,6 @@
 //! Threads on one bus of simulated drives, in real time.
 
+use std::fmt::{Debug, Display};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{self, sync_channel};
 use std::sync::{Arc, Barrier};
@@ -44,6 +45,12 @@ fn shared(motors: u8) -> (CanFleet, SharedBus<CanError>) {
     let world = fleet.world.clone().in_real_time();
     let bus = SharedBus::with_wake(fleet.master::<8>(), move || world.wake(), StopKind::Hold);
     (fleet, bus)
+}
+
+/// Checks that a call was told of this motor, and this.
+#[track_caller]
+fn tells<E: Debug>(told: &SharedBusError<E>, motor: u8, why: impl Display) {
+    assert_eq!(told.to_string(), format!("motor {motor}: {why}"));
 }
 
 /// The packets that were on the wire since this was last asked.
@@ -124,9 +131,9 @@ fn any_thread_stops_what_another_moves_and_whoever_waits_is_told() {
 
     assert_eq!(bus.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap(), MotorSet::EMPTY);
     let refused = moving.join().unwrap();
-    assert!(matches!(refused, SharedBusError::Request(RequestError::Stopped)), "{refused}");
+    tells(&refused, 1, RequestError::Stopped);
     let told = asking.join().unwrap().unwrap_err();
-    assert!(matches!(told, SharedBusError::Failed(Failure::Stopped)), "{told}");
+    tells(&told, 2, Failure::Stopped);
 
     // Nothing that moves follows it, until it is lifted.
     packets(&log);
@@ -175,7 +182,7 @@ fn a_thread_that_is_left_stops_the_motors_though_another_has_a_handle() {
         });
         let is_panic = ended.join().is_err();
         let refused = bus.ask(id(1), turn(90.0)).unwrap_err();
-        assert!(matches!(refused, SharedBusError::Request(RequestError::Stopped)), "{refused}");
+        tells(&refused, 1, RequestError::Stopped);
         bus.lift_stop().unwrap();
         let sent: Vec<_> = packets(&log).iter().map(|packet| packet.data[0]).collect();
         (is_panic, sent)
@@ -396,7 +403,9 @@ fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
         let bus = bus.clone();
         move || bus.stop_all(StopKind::Hold, MotorSet::EMPTY)
     });
-    let is_stopped = |error| matches!(error, SharedBusError::Request(RequestError::Stopped));
+    let is_stopped = |error: SharedBusError<_>| {
+        error.to_string().starts_with("motor 1: the motors were stopped")
+    };
     while !bus.set_point(id(1), turn(1.0)).is_err_and(is_stopped) {
         thread::yield_now();
     }
@@ -520,7 +529,7 @@ fn who_waits_for_long_is_not_told_that_the_driver_is_held() {
     fleet.world.cut(fleet.drives[0].station());
     let patience = Patience { reply_timeout: Duration::from_millis(1_200), attempts: 1 };
     let told = bus.ask_with(id(1), ReadMultiTurnAngle, patience).unwrap_err();
-    assert!(matches!(told, SharedBusError::Failed(Failure::NoReply)), "{told}");
+    tells(&told, 1, Failure::NoReply);
     fleet.world.mend(fleet.drives[0].station());
 }
 
@@ -541,7 +550,7 @@ fn a_question_does_not_wait_for_ever_behind_a_stop_that_a_dead_bus_keeps() {
     let unconfirmed = bus.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     assert_eq!(unconfirmed, id(1).into());
     let told = bus.ask(id(1), ReadStatus1).unwrap_err();
-    assert!(matches!(told, SharedBusError::Request(RequestError::Busy)), "{told}");
+    tells(&told, 1, RequestError::Busy);
     order.store(WORK, Ordering::SeqCst);
 }
 
@@ -587,7 +596,9 @@ impl Clerk<CanError> for Notes {
     fn put(&mut self, question: Question<CanError>) -> Option<Question<CanError>> {
         self.told.push(format!("{}?", question.motor));
         if self.takes_questions {
-            let _ = question.answer.send(Err(SharedBusError::Failed(Failure::NoReply)));
+            let Question { motor, answer, .. } = question;
+            let failure = Failure::NoReply;
+            let _ = answer.send(Err(SharedBusError::Failed { motor, failure }));
             return None;
         }
         Some(question)
@@ -616,7 +627,7 @@ fn of_set_points_the_newest_is_taken_once() {
     desk.set_point(id(3), Untyped::of(&turn(1.0))).unwrap();
     assert_eq!(taken(&desk), [set(3, 1.0)]);
     let told = desk.set_point(id(3), Untyped::of(&turn(2.0))).unwrap_err();
-    assert!(matches!(told, SharedBusError::Request(RequestError::Restarted)), "{told}");
+    tells(&told, 3, RequestError::Restarted);
     assert!(taken(&desk).is_empty());
     desk.set_point(id(3), Untyped::of(&turn(3.0))).unwrap();
     assert_eq!(taken(&desk), [set(3, 3.0)]);
@@ -633,9 +644,9 @@ fn nothing_older_than_a_stop_outlives_it() {
     desk.set_point(id(2), Untyped::of(&turn(3.0))).unwrap();
     let stopping = desk.stop_all(StopKind::Hold, MotorSet::EMPTY);
     let told = desk.wait(moving).unwrap_err();
-    assert!(matches!(told, SharedBusError::Failed(Failure::Stopped)), "{told}");
+    tells(&told, 1, Failure::Stopped);
     let refused = desk.set_point(id(1), Untyped::of(&turn(4.0))).unwrap_err();
-    assert!(matches!(refused, SharedBusError::Request(RequestError::Stopped)), "{refused}");
+    tells(&refused, 1, RequestError::Stopped);
     // Not even when it is lifted before the thread has seen it.
     desk.lift_stop().unwrap();
     desk.set_point(id(1), Untyped::of(&turn(5.0))).unwrap();
@@ -652,7 +663,7 @@ fn nothing_older_than_a_stop_outlives_it() {
     assert!(desk.take(&mut free));
     assert_eq!(free.told, ["2?".to_owned(), "1?".to_owned(), set(1, 7.0)]);
     let ending = desk.wait(ending).unwrap_err();
-    assert!(matches!(ending, SharedBusError::Failed(Failure::NoReply)), "{ending}");
+    tells(&ending, 1, Failure::NoReply);
     let reading = desk.ask(id(2), Untyped::of(&ReadStatus1), None);
 
     // Whoever still waits is told by the end.
@@ -673,7 +684,7 @@ fn somebody_elses_error_keeps_no_stop_from_the_bus() {
         let mut free = Notes { takes_questions: true, ..Notes::default() };
         assert!(desk.take(&mut free));
         assert_eq!(free.told, ["1?"], "the set-point is older");
-        assert!(matches!(desk.wait(stopping), Err(SharedBusError::Failed(_))));
+        assert!(matches!(desk.wait(stopping), Err(SharedBusError::Failed { .. })));
         // Whoever moves a motor next is told.
         let told = desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap_err();
         assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
@@ -711,7 +722,8 @@ fn what_ends_motion_outlives_an_error_that_its_caller_is_not_there_to_be_told() 
 
 #[test]
 fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
-    let is_refused = |told| matches!(told, SharedBusError::Request(RequestError::Restarted));
+    let is_refused =
+        |told| matches!(told, SharedBusError::Refused { refusal: RequestError::Restarted, .. });
     let desk = Desk::new(None);
     let reading = desk.ask(id(1), Untyped::of(&ReadStatus1), None);
     let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };

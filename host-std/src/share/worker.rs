@@ -115,9 +115,11 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         let outcomes = self.asked.iter().map(|asked| asked.ticket.outcome(event));
         let answered = outcomes.enumerate().find_map(|(at, outcome)| Some((at, outcome?)));
         if let Some((at, outcome)) = answered {
-            let outcome = outcome.map(|reply| reply.0).map_err(SharedBusError::Failed);
+            let asked = self.asked.swap_remove(at);
+            let motor = asked.ticket.id().motor();
+            let failed = |failure| SharedBusError::Failed { motor, failure };
             // Who asked waits for it.
-            let _ = self.asked.swap_remove(at).answer.send(outcome);
+            let _ = asked.answer.send(outcome.map(|reply| reply.0).map_err(failed));
         }
         for stop in &mut self.stopping {
             match *event {
@@ -205,8 +207,8 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             }
             Order::Stop { motor, kind, answer } => match master.stop(motor, kind) {
                 Ok(()) => self.await_stop(motor.into(), MotorSet::EMPTY, answer),
-                Err(error) => {
-                    let _ = answer.send(Err(error.into()));
+                Err(refusal) => {
+                    let _ = answer.send(Err(SharedBusError::Refused { motor, refusal }));
                 }
             },
             Order::LiftStop => master.lift_stop(),
@@ -244,8 +246,8 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
                     Some(self.turn_ends.map_or(turn_ends, |first| first.min(turn_ends)));
                 return Some(question);
             }
-            Err(error) => {
-                let _ = question.answer.send(Err(error.into()));
+            Err(refusal) => {
+                let _ = question.answer.send(Err(SharedBusError::Refused { motor, refusal }));
             }
         }
         None

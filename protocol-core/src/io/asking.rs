@@ -16,8 +16,13 @@ pub enum CallError<E> {
     #[error("the bus reports an error: {0:?}")]
     Bus(E),
     /// The command could not be sent as asked.
-    #[error(transparent)]
-    Request(#[from] RequestError),
+    #[error("motor {motor}: {refusal}")]
+    Refused {
+        /// Whom it was for.
+        motor: MotorId,
+        /// Why it could not be sent.
+        refusal: RequestError,
+    },
     /// It was sent, and has no answer.
     #[error("motor {motor}: {failure}")]
     Failed {
@@ -26,6 +31,13 @@ pub enum CallError<E> {
         /// Why there is no answer.
         failure: Failure,
     },
+}
+
+impl<E> CallError<E> {
+    /// Makes of what the [`Master`] refuses the error of a call: `.map_err(CallError::refused(motor))`.
+    pub fn refused(motor: MotorId) -> impl Fn(RequestError) -> Self {
+        move |refusal| Self::Refused { motor, refusal }
+    }
 }
 
 /// A question that is put as soon as the motor is free for it.
@@ -51,16 +63,16 @@ impl<C: Command> Asking<C> {
     }
 
     /// Puts it, unless it was put or the motor is busy, for a while.
-    pub(super) fn put<const N: usize>(
+    pub(super) fn put<const N: usize, E>(
         &mut self,
         master: &mut Master<N>,
         now: Instant,
-    ) -> Result<(), RequestError> {
+    ) -> Result<(), CallError<E>> {
         if self.ticket.is_none() {
             match master.put_request(self.motor, &self.command, self.patience) {
                 Ok(ticket) => self.ticket = Some(ticket),
                 Err(RequestError::Busy) if now < self.latest_turn => {}
-                Err(error) => return Err(error),
+                Err(refusal) => return Err(CallError::Refused { motor: self.motor, refusal }),
             }
         }
         Ok(())
@@ -99,7 +111,7 @@ impl<C: Command, E, const M: usize> Askings<C, E, M> {
     /// Puts those that can be put. Gives whether any of them is still open.
     pub(super) fn put<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
         for (asking, outcome) in self.open() {
-            *outcome = asking.put(master, now).err().map(|error| Err(error.into()));
+            *outcome = asking.put(master, now).err().map(Err);
         }
         self.open().next().is_some()
     }

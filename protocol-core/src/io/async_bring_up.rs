@@ -66,7 +66,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
                     found.insert(motor);
                     on_answer(motor, true);
                 }
-                Err(error) => return Err(error.into()),
+                Err(refusal) => return Err(CallError::Refused { motor, refusal }),
             }
         }
         let soon = runner.now() + LONGEST_IDLE;
@@ -193,7 +193,8 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     motor: MotorId,
 ) -> Result<EncoderPulses, BringUpError<R::Error>> {
     // What a stop refuses is refused before a motor that it holds is switched off.
-    runner.master().check(Opcode::SetCurrentPositionZero.into(), motor.into())?;
+    let zeroing = Opcode::SetCurrentPositionZero.into();
+    runner.master().check(zeroing, motor.into()).map_err(CallError::refused(motor))?;
     check_stands(runner, motor).await?;
     runner.ask(motor, Shutdown).await?;
     let stored = runner.ask(motor, SetCurrentPositionZero).await?.offset;

@@ -5,7 +5,6 @@ use core::fmt;
 use embassy_futures::yield_now;
 
 use crate::command::{Command, SetPoint};
-use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::{Asking, Askings, CallError, outcome_of_set_point};
 use crate::io::elapsed::Elapsed;
@@ -139,10 +138,14 @@ pub trait AsyncRunner<const N: usize> {
     /// [`run`](Self::run).
     ///
     /// # Errors
-    /// As there.
-    fn set_point<C: SetPoint>(&mut self, motor: MotorId, command: C) -> Result<(), RequestError> {
+    /// [`CallError::Refused`], for what is refused there.
+    fn set_point<C: SetPoint>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<(), CallError<Self::Error>> {
         let now = self.now();
-        self.master().set_point(motor, command, now)
+        self.master().set_point(motor, command, now).map_err(CallError::refused(motor))
     }
 
     /// As [`Runner::set_point_and_wait`](crate::io::Runner::set_point_and_wait).

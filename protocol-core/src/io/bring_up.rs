@@ -7,7 +7,6 @@
 use core::ops::ControlFlow;
 
 use crate::command::{BrakeCommand, Mode, ModelName, Status1, VersionDate};
-use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_bring_up as task;
@@ -83,12 +82,6 @@ pub enum BringUpError<E> {
     BrakeNotReleased(BrakeCommand),
 }
 
-impl<E> From<RequestError> for BringUpError<E> {
-    fn from(error: RequestError) -> Self {
-        Self::Call(CallError::Request(error))
-    }
-}
-
 /// What a motor is and how it does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -125,7 +118,7 @@ pub enum Protection {
 ///
 /// # Errors
 /// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown), of any of the candidates, if the bus
-/// carries nothing, as CAN does when nobody is there to acknowledge; [`RequestError::TooManyMotors`] if the
+/// carries nothing, as CAN does when nobody is there to acknowledge; [`RequestError::TooManyMotors`](crate::error::RequestError::TooManyMotors) if the
 /// master has no place free at all.
 pub fn scan<R: Runner<N>, const N: usize>(
     runner: &mut R,

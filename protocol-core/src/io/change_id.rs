@@ -53,7 +53,8 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
         return Err(BringUpError::IdShared(from));
     }
     // What a stop refuses is refused before a motor that it holds is switched off.
-    runner.master().check(Opcode::FunctionControl.into(), from.into())?;
+    let function_control = Opcode::FunctionControl.into();
+    runner.master().check(function_control, from.into()).map_err(CallError::refused(from))?;
     check_stands(runner, from).await?;
     // Some drives keep nothing unless they are shut down.
     runner.ask(from, Shutdown).await?;
@@ -100,7 +101,7 @@ async fn is_taken_by_0x79<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     to: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
-    runner.master().broadcast(BusId::Write(to), to.into())?;
+    runner.master().broadcast(BusId::Write(to), to.into()).map_err(CallError::refused(to))?;
     let mut is_taken = false;
     let end = runner.now() + ACKNOWLEDGED_IN;
     let hear = |event| {

@@ -311,7 +311,8 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
         last = look;
         // If it has restarted, its target is not where it was.
         if runner.master().has_restarted(motor) {
-            return Err(CallError::Request(RequestError::Restarted).into());
+            let refusal = RequestError::Restarted;
+            return Err(CallError::Refused { motor, refusal }.into());
         }
         let now = runner.now();
         let progress = MoveProgress { from, target, time: now - start, angle, feedback };

@@ -3,7 +3,6 @@
 use core::fmt;
 
 use crate::command::{Command, SetPoint};
-use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
@@ -66,7 +65,7 @@ pub trait Runner<const N: usize> {
     /// # Errors
     /// [`CallError`]. After one of the bus the request may still be under way: the next one waits for it. What
     /// gets no turn within 2 s, since a stop waits for a bus that is down, say, is
-    /// [`Busy`](RequestError::Busy).
+    /// [`Busy`](crate::error::RequestError::Busy).
     fn ask_with<C: Command>(
         &mut self,
         motor: MotorId,
@@ -118,10 +117,13 @@ pub trait Runner<const N: usize> {
     /// Puts a set-point in a motor's stream; see [`Master::set_point`].
     ///
     /// # Errors
-    /// As there.
-    fn set_point<C: SetPoint>(&mut self, motor: MotorId, command: C) -> Result<(), RequestError> {
-        let now = self.now();
-        self.master().set_point(motor, command, now)
+    /// [`CallError::Refused`], for what is refused there.
+    fn set_point<C: SetPoint>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<(), CallError<Self::Error>> {
+        Polled(self).set_point(motor, command)
     }
 
     /// Puts a set-point in a motor's stream and waits for its feedback. Feedback says how the motor is, and

@@ -134,9 +134,7 @@ fn go(
             session.check_interrupted()?;
             session.check_stopped_elsewhere()
         }
-        Err(NotArrived { why: MoveFailure::Call(error), .. }) => {
-            Err(Unfinished::of_motor(motor)(error))
-        }
+        Err(NotArrived { why: MoveFailure::Call(error), .. }) => Err(error.into()),
         Err(NotArrived { why: MoveFailure::Fault(errors), .. }) => healthy(motor, errors),
         Err(NotArrived { why, .. }) => {
             Err(Unfinished::Failed(format!("motor {motor} has not arrived: {why}")))

@@ -148,7 +148,7 @@ fn repeat<C: Command + Copy>(
             {
                 missed += 1;
             }
-            Err(error) => return Err(Unfinished::of_motor(motor)(error)),
+            Err(error) => return Err(error.into()),
         }
         if turn % ERRORS_EVERY == 0 {
             healthy(motor, session.ask(motor, ReadStatus1)?.errors)?;

@@ -114,7 +114,7 @@ fn describe(session: &mut Session, motor: MotorId, as_json: bool) -> Outcome<Str
         Ok(model) => Ok(Group::default().and(&model)),
         // Firmware V4.4 does not answer this.
         Err(CallError::Failed { failure: Failure::NoReply, .. }) => Ok(Group::default()),
-        Err(error) => Err(Unfinished::of_motor(motor)(error)),
+        Err(error) => Err(error.into()),
     };
     let status = session.ask(motor, ReadStatus1);
     let read = model.and_then(|model| Ok(model.and(&status?)));

@@ -188,7 +188,7 @@ impl Sending {
                      its id?"
                 ))
             }
-            (_, error) => Unfinished::of_motor(motor)(error),
+            (_, error) => error.into(),
         }
     }
 
@@ -200,7 +200,7 @@ impl Sending {
             _ => motors,
         };
         let sent = session.master.master().broadcast(self.as_raw(), expected);
-        sent.map_err(CallError::from)?;
+        sent.map_err(|refusal| Unfinished::Failed(refusal.to_string()))?;
         let silent = loop {
             session.check_interrupted()?;
             match session.master.poll()? {

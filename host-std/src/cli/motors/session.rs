@@ -81,18 +81,11 @@ impl Consent {
 }
 
 impl Unfinished {
-    /// A call of this motor has failed: a refusal does not name it.
-    pub(super) fn of_motor(motor: MotorId) -> impl Fn(CallError<BusError>) -> Self {
-        move |error| match error {
-            CallError::Request(refusal) => Self::Failed(format!("motor {motor}: {refusal}")),
-            error => error.into(),
-        }
-    }
-
     /// A scan has failed: whom it has asked then need not be there.
     pub(super) fn of_scan(error: CallError<BusError>) -> Self {
         match error {
             CallError::Failed { failure, .. } => Self::Failed(failure.to_string()),
+            CallError::Refused { refusal, .. } => Self::Failed(refusal.to_string()),
             error => error.into(),
         }
     }
@@ -234,7 +227,7 @@ impl Session {
             CallError::Failed { failure: Failure::NoReply, .. } if self.has_garbled() => {
                 Unfinished::Failed(format!("{error}; {NO_FRAME}"))
             }
-            error => Unfinished::of_motor(motor)(error),
+            error => error.into(),
         })
     }
 
@@ -247,7 +240,7 @@ impl Session {
         };
         // Meanwhile another motor's answer to that comes.
         let status = self.master.ask_with(motor, ReadStatus1, None, hear);
-        status.map_err(Unfinished::of_motor(motor))?;
+        status?;
         // A closer look takes half a second, so not without a reason.
         Ok(answers_again && bring_up::is_shared(&mut self.master, motor)?)
     }

@@ -30,7 +30,7 @@ pub(super) fn status(arguments: &Arguments) -> Outcome {
 }
 
 fn what_it_is(session: &mut Session, motor: MotorId) -> Outcome<Vec<Group>> {
-    let is = bring_up::identify(&mut session.master, motor).map_err(Unfinished::of_motor(motor))?;
+    let is = bring_up::identify(&mut session.master, motor)?;
     let zero = session.ask(motor, ReadMultiTurnEncoderOffset)?;
     let model = is.model.map_or(Group::default(), |model| Group::default().and(&Model { model }));
     let made = model.and(&Version { version_date: is.version });

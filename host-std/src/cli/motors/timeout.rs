@@ -5,7 +5,7 @@ use myactuator_protocol_core::io::bring_up::{self, Protection};
 use myactuator_protocol_core::units::Milliseconds;
 
 use super::session::{OneMotor, say};
-use crate::cli::{Outcome, Unfinished, arguments as parse};
+use crate::cli::{Outcome, arguments as parse};
 
 /// Set after how long without a command a motor cuts its output by itself (0xB3)
 ///
@@ -30,8 +30,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         _ => format!("Motor {motor} will cut its output when it hears nothing for {time}."),
     })?;
     session.is_not_left_halfway()?;
-    let told =
-        bring_up::protect(&mut session.master, motor, time).map_err(Unfinished::of_motor(motor))?;
+    let told = bring_up::protect(&mut session.master, motor, time)?;
     say(&sentence(motor, time, told))
 }
 

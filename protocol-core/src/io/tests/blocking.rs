@@ -418,7 +418,7 @@ fn a_scan_does_not_wait_for_ever_for_a_stop_that_a_dead_bus_keeps() {
     bus.state().full_until = u64::MAX;
     arm.master().stop(id(1), StopKind::Hold).unwrap();
     let found = bring_up::scan(&mut arm, id(1).into(), |_, _| {});
-    assert_eq!(found, Err(CallError::Request(RequestError::Busy)));
+    assert_eq!(found, Err(CallError::Refused { motor: id(1), refusal: RequestError::Busy }));
     assert!((2_000_000..2_100_000).contains(&clock.micros()), "{}", clock.micros());
 }
 

@@ -95,6 +95,21 @@ fn who_has_no_answer_is_named_once() {
 }
 
 #[test]
+fn whose_command_is_refused_is_named() {
+    let (_, _, mut arm) = on_can(CanMaster::<_, _, 1>::new);
+    arm.master().stop(id(1), StopKind::Hold).unwrap();
+    let refused =
+        [arm.set_point(id(1), torque()), arm.set_point_and_wait(id(1), torque()).map(|_| ())];
+    for refused in refused {
+        assert_eq!(refused, Err(CallError::refused(id(1))(RequestError::Stopped)));
+    }
+    let told = arm.ask(id(2), ReadMultiTurnAngle).unwrap_err();
+    let why = RequestError::TooManyMotors { capacity: 1 };
+    assert_eq!(told, CallError::refused(id(2))(why));
+    assert_eq!(told.to_string(), std::format!("motor 2: {why}"));
+}
+
+#[test]
 fn of_four_that_are_asked_together_those_without_an_answer_are_named() {
     let (bus, mut arm) = arm();
     let mut ask = || {
@@ -112,7 +127,13 @@ fn a_scan_without_a_free_place_says_so() {
     let (_, _, mut arm) = on_can(CanMaster::<_, _, 1>::new);
     arm.ask(id(1), ReadMultiTurnAngle).unwrap();
     let found = bring_up::scan(&mut arm, id(2).into(), |_, _| {});
-    assert_eq!(found, Err(CallError::Request(RequestError::TooManyMotors { capacity: 1 })));
+    assert_eq!(
+        found,
+        Err(CallError::Refused {
+            motor: id(2),
+            refusal: RequestError::TooManyMotors { capacity: 1 }
+        })
+    );
 }
 
 #[test]

@@ -63,7 +63,7 @@ fn check(log: &[String]) {
     assert_eq!(log[4], "Err(Failed { motor: MotorId(9), failure: NoReply })");
     assert!(log[5].contains("Feedback"), "{}", log[5]);
     assert_eq!(log[6], "MotorSet(9)", "motor 9 has not confirmed");
-    assert_eq!(log[7], "Err(Request(Stopped))");
+    assert_eq!(log[7], "Err(Refused { motor: MotorId(1), refusal: Stopped })");
 }
 
 #[test]

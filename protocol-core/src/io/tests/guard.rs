@@ -20,18 +20,23 @@ use crate::master::{Event, Failure, MotorSet, StopKind};
 use crate::packet::{Channel, Packet};
 use crate::wire::rs485::Frame;
 
+/// What motor 1 is told while it is stopped.
+fn refused<E>() -> CallError<E> {
+    CallError::Refused { motor: id(1), refusal: RequestError::Stopped }
+}
+
 /// Leaves a control loop in this way on either bus, and checks that the stop was the last thing sent.
 macro_rules! is_stopped_after {
     (|$bus:ident| $leave:expr) => {{
         let (bus, _, mut arm) = on_can(CanMaster::<TestCan, TestClock, 4>::new);
         is_left!(arm, |$bus| $leave);
         assert_eq!(bus.sent().last(), Some(&Stop.encode()));
-        assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+        assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 
         let (port, _, mut arm) = on_rs485(SerialMaster::<TestSerial, TestClock, 4>::new);
         is_left!(arm, |$bus| $leave);
         assert_eq!(on_the_line(&port).last(), Some(&Stop.encode()));
-        assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+        assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
     }};
 }
 
@@ -142,7 +147,7 @@ fn by_a_future_that_is_dropped() {
     let before = bus.sent().len();
     let _event = block_on(arm.next_event());
     assert_eq!(bus.sent().get(before), Some(&Stop.encode()));
-    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+    assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
 
 #[test]
@@ -155,7 +160,7 @@ fn by_a_move_whose_future_is_dropped() {
     assert!(bus.sent().contains(&step().encode()), "it was on its way");
     let _event = block_on(arm.next_event());
     assert_eq!(bus.sent().get(before), Some(&Stop.encode()));
-    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+    assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
 
 /// Works for ever.
@@ -177,7 +182,7 @@ fn by_an_error_of_a_task_on_a_line() {
     assert_eq!(result, Err(CallError::Failed { motor: id(9), failure: Failure::NoReply }));
     assert_eq!(unconfirmed, id(9).into());
     assert!(on_the_line(&port).ends_with(&[Stop.encode(); 2]));
-    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+    assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
 
 #[test]
@@ -190,7 +195,7 @@ fn by_a_future_that_is_dropped_on_a_line() {
     while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
     // First to all, then to the motor.
     assert_eq!(on_the_line(&port)[before..], [Stop.encode(); 2]);
-    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+    assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
 
 /// Has set a motor in motion.
@@ -208,7 +213,7 @@ fn by_a_panic_of_a_task() {
     let before = bus.sent().len();
     while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
     assert_eq!(bus.sent()[before..], [Stop.encode()]);
-    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+    assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 
     let (port, _, mut arm) = on_rs485(AsyncSerialMaster::<_, _, 4>::new);
     let task = || block_on(guarded(&mut arm, StopKind::Hold, panicking));
@@ -216,5 +221,5 @@ fn by_a_panic_of_a_task() {
     let before = on_the_line(&port).len();
     while block_on(arm.next_event()).unwrap() != (Event::StopConfirmed { motor: id(1) }) {}
     assert_eq!(on_the_line(&port)[before..], [Stop.encode(); 2]);
-    assert_eq!(arm.set_point(id(1), torque()), Err(RequestError::Stopped));
+    assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
