@@ -157,12 +157,17 @@ impl Broadcast {
         self.moved_since.contains(motor)
     }
 
-    /// It has answered what ends its motion: what lies in a mailbox comes now, if ever.
-    pub(super) fn has_ended_motion_of(&mut self, motor: MotorId, now: Instant, config: &Config) {
+    /// It has answered what is to end its motion: what lies in a mailbox comes now, if ever.
+    pub(super) fn is_answered_by(&mut self, motor: MotorId, now: Instant, config: &Config) {
+        self.on_its_way.bus_is_alive(now, config);
         if self.moved_since.contains(motor) {
-            self.moved_since.remove(motor);
             self.on_its_way.extend(now + config.late_window);
         }
+    }
+
+    /// It has ended its motion for good.
+    pub(super) fn has_ended_motion_of(&mut self, motor: MotorId) {
+        self.moved_since.remove(motor);
     }
 
     /// Whether it waits to move this motor, or what was sent may still do so.

@@ -163,17 +163,20 @@ impl<const N: usize> Master<N> {
             Meaning::SetPointIgnored => Some(Event::SetPointUnanswered { motor: id }),
             Meaning::Answer(ticket, kind, round_trip) => {
                 self.measured(round_trip);
+                if kind.ends_motion() {
+                    self.broadcast.has_ended_motion_of(id);
+                }
                 Some(Event::Reply { ticket, kind, data: packet.data })
             }
             Meaning::StopConfirmed(round_trip) => {
                 self.measured(round_trip);
+                self.broadcast.has_ended_motion_of(id);
                 Some(Event::StopConfirmed { motor: id })
             }
             Meaning::Nothing => None,
             Meaning::OnceMore => {
                 // No move to all goes between the attempts of that, either.
-                self.broadcast.on_its_way.bus_is_alive(now, &self.config);
-                self.broadcast.has_ended_motion_of(id, now, &self.config);
+                self.broadcast.is_answered_by(id, now, &self.config);
                 None
             }
             Meaning::OfBroadcast => {

@@ -81,6 +81,23 @@ fn whoever_was_moved_with_all_confirms_a_stop_twice_whatever_was_heard_since() {
 }
 
 #[test]
+fn what_ended_motion_but_half_says_nothing_of_a_move_of_all() {
+    let shut_down_once = |master: &mut Master<2>| {
+        master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+        sent(master, ms(10));
+        events(master, ms(200));
+        let ticket = ask(master, 1, Shutdown, ms(210));
+        assert_eq!(reply(master, 1, Shutdown.encode(), ms(211)), None);
+        // The bus is cut before it goes once more.
+        master.handle_bus_down(ms(212));
+        let told = events(master, ms(212));
+        assert!(told.iter().any(|event| ticket.outcome(event) == Some(Err(Failure::BusDown))));
+        reply(master, 2, ANGLE_REPLY, ms(400));
+    };
+    assert_eq!(answers_that_confirm(shut_down_once), 2);
+}
+
+#[test]
 fn a_set_point_that_was_given_up_in_a_cut_is_over_by_two_answers_where_nothing_was_heard_since() {
     let given_up = |master: &mut Master<2>| {
         master.set_point(id(1), motion(), ms(0)).unwrap();
