@@ -17,8 +17,8 @@ use crate::cli::{Outcome, Unfinished};
 
 /// How a stop of all goes, for the help.
 pub(super) const OF_ALL: &str = "\
-A stop of all takes about 1 s on CAN and 2 s on RS485 at 115200 bit/s, to listen and to wait for ids that no motor has: \
-motors are told at its beginning. A motor whose confirmation never comes is like none: it is not named.
+A stop of all takes about 1 s on CAN and 2 s on RS485 at 115200 bit/s (4 s where nobody answers), to listen and to wait \
+for ids that no motor has: motors are told at its beginning. A motor whose confirmation never comes is like none: it is not named.
 A serial bus (slcan:, rs485:) can be opened by one program at a time: if another moves the motors, end that one.";
 
 /// How often the stop to all goes on a line: as often as a motor by itself is sent one that it does not confirm.
@@ -29,8 +29,9 @@ const ROUNDS: usize = 3;
 pub(super) fn stop(arguments: &Motors) -> Outcome {
     let mut session = Session::open_to_stop(&arguments.on)?;
     let motors = halt(&mut session, arguments.id, StopKind::Hold)?;
-    let others = of_others(arguments.id, motors);
-    match session.stopped(motors) {
+    let stopped = session.stopped(motors);
+    let others = of_others(&session, arguments.id, motors);
+    match stopped {
         Ok(told) => say(&format!("{told}{others}")),
         Err(Unfinished::Failed(told)) => Err(Unfinished::Failed(format!("{told}{others}"))),
         Err(other) => Err(other),
@@ -44,16 +45,16 @@ pub(super) fn shut_down(arguments: &Motors) -> Outcome {
         1 => "is off (0x80): its shaft is free unless a brake holds it",
         _ => "are off (0x80): their shafts are free unless brakes hold them",
     };
-    say(&format!("{} {are}{}", named(motors), of_others(arguments.id, motors)))
+    say(&format!("{} {are}{}", named(motors), of_others(&session, arguments.id, motors)))
 }
 
 /// What a stop of all cannot know: a motor that never confirms is like none.
-fn of_others(meant: Target, confirmed: MotorSet) -> &'static str {
-    if meant == Target::All && confirmed != MotorSet::ALL {
-        "; no other id has confirmed: a motor that is not named here may go on"
-    } else {
-        ""
+fn of_others(session: &Session, meant: Target, confirmed: MotorSet) -> String {
+    if meant != Target::All || confirmed == MotorSet::ALL {
+        return String::new();
     }
+    let garbled = session.garbled();
+    format!("; no other id has confirmed{garbled}: a motor that is not named here may go on")
 }
 
 /// Gives the motors that have confirmed.
@@ -82,10 +83,14 @@ fn stop_every_id(session: &mut Session, kind: StopKind) -> Outcome<MotorSet> {
     let mut meant = MotorSet::ALL;
     if on_line {
         stop_line(session, kind);
+        session.garbled_by_all = session.master.bus.garbled();
         (meant, outage) = find_on_line(session);
     }
     if outage.is_none() {
+        // One to all goes before it.
+        let garbled = session.master.bus.garbled();
         outage = stop_each(session, kind, meant);
+        session.garbled_by_all += session.master.bus.garbled() - garbled;
     }
     let confirmed = session.master.confirmed;
     let silent = meant.without(confirmed);
@@ -134,6 +139,9 @@ fn stop_line(session: &mut Session, kind: StopKind) {
             session.master.idle(soon);
         }
     }
+    // All answer the last one at once.
+    let settled = session.master.now() + session.master.master().config().reply_timeout;
+    let _ = session.master.run_until(settled, |_| {});
 }
 
 /// Those that answer on a line, and why it carries nothing, if that is so. All are asked again and again, so that a
@@ -191,12 +199,12 @@ fn stop_each(session: &mut Session, kind: StopKind, motors: MotorSet) -> Option<
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::BusKind;
-    use myactuator_host_std::open::AnyMaster;
+    use myactuator_host_std::open::{AnyMaster, BusAddress};
     use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
     use myactuator_host_std::sim::bus::trace::{Event, Log};
-    use myactuator_host_std::sim::{DriveHandle, Fleet};
+    use myactuator_host_std::sim::{DriveHandle, Fleet, MotorSetup};
     use myactuator_protocol_core::command::{Shutdown, Speed, Stop};
-    use myactuator_protocol_core::io::{SerialMaster, bring_up};
+    use myactuator_protocol_core::io::{CanMaster, SerialMaster, bring_up};
     use myactuator_protocol_core::master::Config;
     use myactuator_protocol_core::time::{Duration, Instant};
     use myactuator_protocol_core::units::{MaxTorque, Milliseconds, SpeedTarget};
@@ -296,6 +304,28 @@ mod tests {
         let some = "the bus carries nothing; confirmation of the stop from motors 1 ";
         assert!(told.starts_with(some), "{told}");
         assert!(told.ends_with(" only: cut the power of the others on sim:1"), "{told}");
+    }
+
+    #[test]
+    fn a_stop_of_all_takes_as_long_as_the_help_says() {
+        let seconds = |mut session: Session| {
+            let _ = halt(&mut session, Target::All, StopKind::Hold);
+            (session.master.now().as_micros() as f64 / 1e6).round()
+        };
+        let fleet = Fleet::new(3).on_can(1_000_000).unwrap();
+        let address: BusAddress = "can0".parse().unwrap();
+        let (port, clock) = (fleet.world.port(), fleet.world.clock());
+        let master = CanMaster::new(port, clock, address.config());
+        let of_can = seconds(Session::by(AnyMaster::SimulatedCan(master)));
+        let of_line = [3, 0].map(|there| {
+            let fleet = Fleet::new(3).on_rs485(115_200).unwrap();
+            fleet.drives.iter().skip(there).for_each(|drive| fleet.world.cut(drive.station()));
+            let address: BusAddress = "rs485:/dev/ttyUSB0@115200".parse().unwrap();
+            let (port, clock) = (fleet.world.port(), fleet.world.clock());
+            let master = SerialMaster::new(port, clock, address.config());
+            seconds(Session::by(AnyMaster::SimulatedRs485(master)))
+        });
+        assert_eq!((of_can, of_line), (1.0, [2.0, 4.0]));
     }
 
     /// What the first of two motors is told from elsewhere.
@@ -485,6 +515,17 @@ mod tests {
         for told in [stopped, found] {
             let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
             assert!(told.contains("bytes come that are no frame (do two motors"), "{told}");
+        }
+        // Of a third one that is there, too, they are told beside it.
+        let third = MotorId::new(2).unwrap();
+        for (ids, is_told) in [(&[motor, motor, third][..], true), (&[motor, third], false)] {
+            let fleet = Fleet::of(ids.iter().map(|&id| MotorSetup::new(id)));
+            let fleet = fleet.on_rs485(115_200).unwrap();
+            let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+            let stopped = stop_every_id(&mut session, StopKind::Hold).unwrap();
+            assert!(stopped.contains(third));
+            let told = of_others(&session, Target::All, stopped);
+            assert_eq!(told.contains("do two motors have one id?"), is_told, "{told}");
         }
         let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
         fleet.world.cut(fleet.drives[0].station());

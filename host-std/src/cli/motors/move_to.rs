@@ -167,6 +167,19 @@ mod tests {
     use super::*;
 
     #[test]
+    fn of_a_restart_on_the_way_it_is_told_what_to_do() {
+        let faults = ["reset@1+1.5s".parse().unwrap()];
+        let fleet = Fleet::new(1).faults(faults).on_can(1_000_000).unwrap();
+        let (max_speed, angle) = (MaxSpeed::from_raw(360), Angle::from_raw(90_000));
+        let command = AbsolutePosition { max_speed, angle };
+        let limits = MoveLimits::default();
+        let outcome = go(&mut Session::on(&fleet), MotorId::MIN, command, &limits);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.starts_with("motor 1 has restarted, or was silent"), "{told}");
+        assert!(!told.contains("resume"), "{told}");
+    }
+
+    #[test]
     fn a_motor_that_is_stopped_from_elsewhere_is_told_so_at_once() {
         for (first, how) in [
             (0x81, "is stopped and holds still (0x81)"),

@@ -63,6 +63,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
                 return Err(session.nobody());
             }
             anybody |= !motors.is_empty();
+            session.note_garbled();
             for motor in motors.iter() {
                 say(&describe(session, motor, arguments.json)?)?;
             }

@@ -10,6 +10,7 @@ use myactuator_host_std::port::SlowAdapter;
 #[cfg(test)]
 use myactuator_host_std::sim::CanFleet;
 use myactuator_protocol_core::command::{Command, ErrorFlags, ReadStatus1, ReadStatus2, Status1};
+use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Bus, Config, Event, Failure, MotorSet};
@@ -101,6 +102,12 @@ impl From<BringUpError<BusError>> for Unfinished {
     fn from(error: BringUpError<BusError>) -> Self {
         match error {
             BringUpError::Call(CallError::Bus(error)) => error.into(),
+            BringUpError::Call(CallError::Refused { motor, refusal: RequestError::Restarted }) => {
+                Self::Failed(format!(
+                    "motor {motor} has restarted, or was silent for so long that it may have: its turns may be lost, \
+                     so see where it is before you move it again"
+                ))
+            }
             BringUpError::NotThere(_) => Self::Failed(format!(
                 "{error}: check its power, the wiring and the bit rate, which may be another since a restart \
                  ('scan --all-rates' tries the others)"
@@ -126,6 +133,8 @@ pub(super) struct Session {
     pub(super) interrupted: Arc<AtomicBool>,
     /// Set by them, too, also after the motor was stopped for that.
     pub(super) again: Arc<AtomicBool>,
+    /// How often bytes that are no frame were the answers of several motors to a command to all.
+    pub(super) garbled_by_all: u32,
 }
 
 impl Session {
@@ -177,6 +186,7 @@ impl Session {
             yes: false,
             interrupted: interrupt::flag(),
             again: interrupt::again(),
+            garbled_by_all: 0,
         })
     }
 
@@ -203,6 +213,7 @@ impl Session {
             yes: true,
             interrupted: Arc::default(),
             again: Arc::default(),
+            garbled_by_all: 0,
         }
     }
 
@@ -252,7 +263,11 @@ impl Session {
             Target::All => {
                 let found = bring_up::scan(&mut self.master, MotorSet::ALL, |_, _| {})
                     .map_err(Unfinished::of_scan)?;
-                if found.is_empty() { Err(self.nobody()) } else { Ok(found) }
+                if found.is_empty() {
+                    return Err(self.nobody());
+                }
+                self.note_garbled();
+                Ok(found)
             }
         }
     }
@@ -278,8 +293,15 @@ impl Session {
         if self.has_garbled() { format!(", but {NO_FRAME}") } else { String::new() }
     }
 
+    /// The same, beside the motors that were found.
+    pub(super) fn note_garbled(&self) {
+        if self.has_garbled() {
+            report("note", NO_FRAME);
+        }
+    }
+
     const fn has_garbled(&self) -> bool {
-        self.master.bus.garbled() != 0
+        self.master.bus.garbled() != self.garbled_by_all
     }
 
     /// What a stop that is not confirmed may be due to, where an echo was told of: an answer of the command's own
