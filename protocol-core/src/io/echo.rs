@@ -272,7 +272,7 @@ fn may_be_a_command(frame: &Frame) -> bool {
 mod tests {
     use super::*;
     use crate::command::{
-        Command, ReadModel, ReadMultiTurnAngle, ReadStatus1, ReadVersionDate, Shutdown, Stop,
+        Command, ReadModel, ReadMultiTurnAngle, ReadStatus1, ReadVersionDate, Reset, Shutdown, Stop,
     };
     use crate::id::MotorId;
     use crate::packet::{Channel, Packet};
@@ -321,6 +321,7 @@ mod tests {
         assert!(filter.is_echo(&frame(Stop)), "the one that was forgotten");
         let write = Frame { data: [0x31, 1, 0, 0, 0, 0, 0x80, 0x3F], ..frame(Stop) };
         assert!(filter.is_echo(&write), "so it may have been");
+        assert!(filter.is_echo(&frame(ReadMultiTurnAngle)), "and so may one without values");
         let angle = Frame { data: [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0], ..frame(Stop) };
         assert!(!filter.is_echo(&angle), "that is no command");
         // The program was halted: the adapter may hold it yet.
@@ -377,7 +378,7 @@ mod tests {
         let to_all = Frame { address: Target::All, ..frame(Stop) };
         filter.sent(to_all, ms(0));
         filter.sent(frame(Stop), ms(2));
-        assert!(filter.is_echo(&to_all));
+        assert!(filter.is_echo(&to_all) && filter.is_echoing());
         assert!(filter.is_echo(&frame(Stop)));
         assert!(!filter.is_echo(&frame(Stop)), "that is the drive's");
         // What drives answer to all is no sign of it.
@@ -447,6 +448,66 @@ mod tests {
             assert!(!filter.is_echo(&Frame { data: [0x92; 8], ..frame(Stop) }));
         }
         assert!(!believes(&mut filter));
+    }
+
+    /// Reads of motor 1 go without their echo, and what another motor or another command answers comes between.
+    #[test]
+    fn however_many_answers_to_something_else_show_nothing() {
+        let read = frame(ReadStatus1);
+        let of_other = Frame { address: MotorId::new(2).unwrap().into(), data: [0x9A; 8] };
+        for answer in [of_other, Frame { data: [0xB2; 8], ..read }] {
+            let mut filter = EchoFilter::new(false);
+            for _ in 0..3 {
+                filter.sent(read, ms(1));
+                assert!(!filter.is_echo(&answer));
+            }
+            assert!(!believes(&mut filter));
+        }
+    }
+
+    #[test]
+    fn what_no_drive_answers_shows_an_echo_and_nothing_goes_before_it() {
+        for command in [frame(Reset), frame(ReadModel)] {
+            let mut filter = EchoFilter::new(false);
+            assert_eq!(filter.asks_before(&command, false), None);
+            for is_found in [false, true] {
+                filter.sent(command, ms(0));
+                assert!(filter.is_echo(&command));
+                assert_eq!(filter.is_echoing(), is_found, "{command:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_has_come_back_leaves_its_place_to_the_next() {
+        let mut filter = EchoFilter::new(true);
+        filter.sent(frame(Shutdown), ms(0));
+        (0..7).for_each(|_| filter.sent(frame(ReadStatus1), ms(1)));
+        assert!(filter.is_echo(&frame(ReadStatus1)));
+        filter.sent(frame(ReadStatus1), ms(2));
+        assert!(filter.is_echo(&frame(Shutdown)));
+        assert!(!filter.is_echo(&frame(Shutdown)), "nothing was forgotten: that is the drive's");
+    }
+
+    #[test]
+    fn on_a_quiet_adapter_an_acknowledgement_counts_however_much_was_sent_since() {
+        let mut filter = EchoFilter::new(false);
+        (1..=2).for_each(|motor| exchange(&mut filter, motor, false));
+        filter.sent(frame(Stop), ms(1));
+        (0..8).for_each(|_| filter.sent(frame(ReadMultiTurnAngle), ms(1)));
+        assert!(!filter.is_echo(&frame(Stop)));
+    }
+
+    #[test]
+    fn a_drive_that_has_lost_its_master_hands_one_command_back_and_no_more() {
+        let mut filter = EchoFilter::new(false);
+        let lost = [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0];
+        assert!(!filter.is_echo(&Frame { data: lost, ..frame(ReadStatus1) }));
+        for is_found in [false, false, true] {
+            filter.sent(frame(ReadStatus1), ms(1));
+            assert!(filter.is_echo(&frame(ReadStatus1)));
+            assert_eq!(filter.is_echoing(), is_found);
+        }
     }
 
     #[test]
