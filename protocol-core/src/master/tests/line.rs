@@ -237,3 +237,60 @@ fn what_comes_late_to_the_transport_is_over_in_time() {
     assert_eq!(sent(&mut master, over).len(), 1);
     assert!(master.poll_at().unwrap() > over);
 }
+
+/// The first was never answered, the second comes late and says so.
+#[test]
+fn what_was_over_when_a_stop_was_confirmed_keeps_no_later_stop_back() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let answer = |master: &mut Master<2>, data, at| {
+        master.handle_line(&Frame { address: Target::Motor(id(1)), data }, at)
+    };
+    let _ = ask(&mut master, 1, step(), ms(0));
+    assert_eq!(events(&mut master, ms(6)).len(), 1);
+    assert_eq!(events(&mut master, ms(17)), []);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(18)).len(), 1);
+    assert_eq!(answer(&mut master, Shutdown.encode(), ms(19)), confirmed(1));
+    master.lift_stop();
+    let _ = ask(&mut master, 1, step(), ms(20));
+    assert_eq!(events(&mut master, ms(26)).len(), 1);
+    let late = answer(&mut master, [0xA8, 30, 0, 0, 0, 0, 0, 0], ms(28));
+    assert!(matches!(late, Some(Event::Stray { .. })), "{late:?}");
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(29)).len(), 1);
+    assert_eq!(answer(&mut master, Shutdown.encode(), ms(30)), confirmed(1));
+}
+
+#[test]
+fn on_a_line_a_set_point_waits_for_the_answers_to_a_question_to_all() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.set_point(id(1), torque(1.0), ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), []);
+    let angle = Frame { address: Target::Motor(id(1)), data: ANGLE_REPLY };
+    assert!(master.handle_line(&angle, ms(2)).is_some());
+    assert_eq!(sent(&mut master, ms(3)).len(), 1);
+}
+
+/// Nobody answers it there, so that nothing is to come behind the motor's own answer.
+#[test]
+fn on_a_line_a_stop_to_all_is_not_waited_for() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    let frames: Vec<Packet> = (0..8).flat_map(|now| sent(&mut master, ms(now))).collect();
+    assert_eq!(frames.len(), 2);
+    let off = Frame { address: Target::Motor(id(1)), data: Shutdown.encode() };
+    assert_eq!(master.handle_line(&off, ms(8)), confirmed(1));
+    let _again = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(9)).len(), 1);
+}
+
+#[test]
+fn a_request_with_as_many_attempts_as_a_stop_is_none() {
+    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+    let often = Patience { reply_timeout: Duration::from_millis(5), attempts: 15 };
+    let _ = master.request_with(id(1), ReadModel, often).unwrap();
+    assert!(master.poll_transmit(ms(0)).is_some());
+    assert!(!master.offers_first_stop());
+}

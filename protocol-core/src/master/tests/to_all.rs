@@ -357,3 +357,84 @@ fn who_gets_a_place_under_a_stop_of_all_that_switches_off_is_not_held_with_all()
     let all: Vec<_> = (4..200).flat_map(|t| sent(&mut master, ms(t))).collect();
     assert_eq!(all, []);
 }
+
+#[test]
+fn a_question_to_all_drops_nothing_that_waits() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 2);
+    assert_eq!(events(&mut master, ms(0)), []);
+}
+
+#[test]
+fn what_was_sent_to_all_and_is_awaited_goes_on_when_a_motor_restarts_or_the_bus_is_down() {
+    for is_restart in [true, false] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.broadcast(torque(1.0), id(1).into()).unwrap();
+        assert_eq!(sent(&mut master, ms(0)).len(), 1);
+        if is_restart {
+            master.note_restart(id(1));
+        } else {
+            master.handle_bus_down(ms(1));
+        }
+        events(&mut master, ms(1));
+        let event = reply(&mut master, 1, TORQUE_REPLY, ms(2));
+        assert!(matches!(event, Some(Event::BroadcastReply { .. })), "{event:?}");
+    }
+}
+
+#[test]
+fn whoever_does_not_answer_what_all_are_asked_has_lost_one_and_who_does_has_answered() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for motor in 1..=2 {
+        let _ = ask(&mut master, motor, ReadModel, ms(0));
+        reply(&mut master, motor, *b"\xB5X8S2V10", ms(1)).unwrap();
+    }
+    master.broadcast(ReadMultiTurnAngle, (1..=2).map(id).collect()).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    reply(&mut master, 1, ANGLE_REPLY, ms(3)).unwrap();
+    assert_eq!(events(&mut master, ms(23)).len(), 1);
+    let counts = |motor| (master.health(id(motor)).answered, master.health(id(motor)).lost);
+    assert_eq!([counts(1), counts(2)], [(2, 0), (1, 1)]);
+}
+
+#[test]
+fn a_command_to_all_that_nobody_answers_is_over_when_it_was_sent_whoever_is_expected_to() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(Reset, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    let done = Event::BroadcastDone { silent: id(1).into(), was_sent: true };
+    assert!(events(&mut master, ms(0)).contains(&done));
+}
+
+#[test]
+fn what_holds_all_does_not_wait_for_a_read_that_waits_for_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = master.request(id(1), ReadModel).unwrap();
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0))[0], packet_to_all(Stop.encode()));
+}
+
+/// A motor that was forgotten has no news that all were told to restart.
+#[test]
+fn who_has_a_place_is_told_of_a_restart_of_all_whoever_was_forgotten() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for motor in 1..=2 {
+        let _ = ask(&mut master, motor, ReadModel, ms(0));
+        reply(&mut master, motor, *b"\xB5X8S2V10", ms(1)).unwrap();
+    }
+    assert!(master.forget(id(1)));
+    master.broadcast(Reset, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    assert!(events(&mut master, ms(2)).contains(&Event::Restarted { motor: id(2) }));
+}
+
+#[test]
+fn a_question_to_all_that_waits_keeps_no_motor_from_being_forgotten() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    reply(&mut master, 1, *b"\xB5X8S2V10", ms(1)).unwrap();
+    master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    assert!(master.forget(id(1)));
+}
