@@ -555,3 +555,79 @@ fn two_reports_that_are_looked_at_at_once_are_reports() {
         assert!(matches!(event, Some(Event::Report { .. })), "{event:?}");
     }
 }
+
+/// Its time was up, and it waited for its next attempt.
+#[test]
+fn what_is_dropped_between_two_attempts_is_late_for_a_time_that_ends() {
+    for is_withdrawn in [true, false] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let twice = Patience { reply_timeout: Duration::from_millis(5), attempts: 2 };
+        let ticket = master.request_with(id(1), step(), twice).unwrap();
+        assert_eq!(sent(&mut master, ms(0)).len(), 1);
+        assert_eq!(events(&mut master, ms(5)), []);
+        if is_withdrawn {
+            master.withdraw(ticket.id());
+        } else {
+            master.handle_bus_down(ms(5));
+        }
+        assert_eq!(events(&mut master, ms(5)).len(), 1);
+        let _again = master.request(id(1), step()).unwrap();
+        assert_eq!(sent(&mut master, ms(6)), []);
+        assert_eq!(sent(&mut master, ms(50)).len(), 1);
+    }
+}
+
+/// The ticket of a request that takes its place would name it.
+#[test]
+fn no_request_is_taken_before_it_was_told_that_a_stop_took_the_place_of_the_last() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let first = master.request(id(1), ReadModel).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
+    assert_eq!(master.request(id(1), ReadModel).unwrap_err(), RequestError::Busy);
+    assert!(!master.forget(id(1)), "nor is the motor forgotten");
+    let stopped = Event::Failed { ticket: first.id(), failure: Failure::Stopped };
+    assert_eq!(events(&mut master, ms(1)), [stopped]);
+    assert!(master.request(id(1), ReadModel).is_ok());
+}
+
+#[test]
+fn a_motor_is_not_forgotten_before_its_failure_was_told_or_while_it_restarts() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let _read = master.request_with(id(1), ReadModel, once).unwrap();
+    sent(&mut master, ms(0));
+    master.handle_timeout(ms(5));
+    assert!(!master.forget(id(1)));
+    assert_eq!(events(&mut master, ms(5)).len(), 1);
+    assert!(master.forget(id(1)));
+    let _reset = ask(&mut master, 2, Reset, ms(10));
+    events(&mut master, ms(1_900));
+    assert!(!master.forget(id(2)));
+    events(&mut master, ms(2_010));
+    assert!(master.forget(id(2)));
+}
+
+/// A step was offered and withdrawn, and the request in its place was offered to nobody.
+#[test]
+fn what_was_put_since_the_offer_was_not_sent() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let ticket = master.request(id(1), step()).unwrap();
+    assert!(master.poll_transmit(ms(0)).is_some());
+    master.withdraw(ticket.id());
+    assert!(master.poll_event().is_some());
+    let _read = master.request(id(1), ReadModel).unwrap();
+    master.handle_transmitted(ms(0));
+    assert_eq!(sent(&mut master, ms(1)), [packet_to(1, ReadModel.encode())]);
+}
+
+#[test]
+fn a_short_frame_counts_as_a_stray() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, ms(0));
+    let short =
+        Received::WrongLength { channel: Channel::Reply(id(1)), length: 3, first: Some(0xB5) };
+    assert_eq!(master.handle_frame(&short, ms(1)), None);
+    assert_eq!(master.health(id(1)).stray, 1);
+}

@@ -128,3 +128,17 @@ fn a_motor_that_was_forgotten_ignores_its_first_command_all_the_same() {
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(4)), None, "it was ignored");
     assert_eq!(sent(&mut master, ms(4)).len(), 1);
 }
+
+#[test]
+fn a_drive_that_has_lost_its_master_and_says_more_than_the_command_has_not_ignored_it() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(1)).unwrap();
+    assert_eq!(master.health(id(1)).last_seen, Some(ms(1)));
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(2)).unwrap();
+    assert!(read.outcome(&event).is_some());
+    master.set_point(id(1), torque(1.0), ms(3)).unwrap();
+    sent(&mut master, ms(3));
+    reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(4)).unwrap();
+    assert!(matches!(reply(&mut master, 1, TORQUE_REPLY, ms(5)), Some(Event::Feedback { .. })));
+}

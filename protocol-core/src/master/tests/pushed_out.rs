@@ -126,3 +126,13 @@ fn what_nobody_waits_for_any_more_is_not_sent_once_it_is_handed_back() {
     master.handle_pushed_out(&packets[0]);
     assert_eq!(sent(&mut master, ms(1)), []);
 }
+
+#[test]
+fn a_set_point_that_was_pushed_out_and_gives_way_counts_as_superseded() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    master.set_point(id(1), torque(2.0), ms(1)).unwrap();
+    master.handle_pushed_out(&pushed_out);
+    assert_eq!(master.health(id(1)).superseded, 1);
+}

@@ -375,3 +375,37 @@ fn what_waits_behind_a_restart_that_the_caller_has_found_goes_in_time() {
     let at = master.poll_at().unwrap();
     assert!(!sent(&mut master, at).is_empty() || master.poll_at() > Some(at));
 }
+
+#[test]
+fn a_motor_that_stays_silent_is_told_to_have_restarted_once() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    let mut told = 0;
+    for now in (1_100..1_500).step_by(10) {
+        let _ = master.request(id(1), ReadMultiTurnAngle);
+        sent(&mut master, ms(now));
+        let restarted = Event::Restarted { motor: id(1) };
+        told += events(&mut master, ms(now)).iter().filter(|&&it| it == restarted).count();
+    }
+    assert_eq!(told, 1);
+}
+
+/// What its stream said before the restart is no place to tell a jump from.
+#[test]
+fn the_first_feedback_after_a_restart_that_is_known_tells_no_other() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let streams = |master: &mut Master<2>, degrees: i16, at| {
+        master.set_point(id(1), torque(1.0), ms(at)).unwrap();
+        assert_eq!(sent(master, ms(at)).len(), 1);
+        let [low, high] = degrees.to_le_bytes();
+        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, low, high], ms(at + 1)).unwrap();
+        events(master, ms(at + 1))
+    };
+    assert_eq!(streams(&mut master, 2_000, 0), []);
+    assert_eq!(streams(&mut master, 2_000, 2), []);
+    master.note_restart(id(1));
+    assert_eq!(events(&mut master, ms(3)), [Event::Restarted { motor: id(1) }]);
+    master.resume(id(1));
+    assert_eq!(streams(&mut master, 0, 4), []);
+}

@@ -466,3 +466,51 @@ fn a_stop_is_confirmed_soon_also_behind_a_move_that_is_waited_for_patiently() {
         assert!(at <= 200, "{at} ms");
     }
 }
+
+/// What the motor is asked when the stop takes its place may be answered for as long behind that.
+#[test]
+fn the_late_window_of_what_a_stop_went_over_begins_with_the_stops_own_time_out() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = ask(&mut master, 1, ReadModel, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(15));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(16)), confirmed(1));
+    assert_eq!(events(&mut master, ms(16)).len(), 1);
+    let _read = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(75)), []);
+    assert_eq!(sent(&mut master, ms(77)).len(), 1);
+}
+
+#[test]
+fn nothing_that_comes_before_it_was_sent_confirms_a_stop() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_ne!(reply(&mut master, 1, Shutdown.encode(), ms(5)), confirmed(1));
+    assert_eq!(sent(&mut master, ms(5)), [packet_to(1, Shutdown.encode())]);
+}
+
+/// That has three attempts, and its answer is no confirmation.
+#[test]
+fn a_stop_that_is_called_for_again_takes_the_place_of_the_callers_own_command() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
+    let ticket = ask(&mut master, 1, Shutdown, ms(2));
+    master.stop(id(1), StopKind::Off).unwrap();
+    let stopped = Event::Failed { ticket: ticket.id(), failure: Failure::Stopped };
+    assert_eq!(events(&mut master, ms(3)), [stopped]);
+    assert_eq!(sent(&mut master, ms(3)), [packet_to(1, Shutdown.encode())]);
+}
+
+/// It is the only one that they get, and nobody confirms it.
+#[test]
+fn a_stop_of_all_that_is_called_for_again_goes_again_while_no_motor_has_a_place() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    for now in [0, 10, 20] {
+        master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(now)), [packet_to_all(Shutdown.encode())]);
+    }
+}

@@ -213,3 +213,13 @@ fn on_a_busy_bus_feedback_is_waited_for() {
         assert_eq!(events(&mut master, now), []);
     }
 }
+
+#[test]
+fn a_set_point_that_nothing_else_is_due_with_is_dropped_when_it_is_too_old() {
+    let mut master = Master::<2>::new(Config::CAN);
+    assert_eq!(events(&mut master, ms(0)), []);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(events(&mut master, ms(49)), []);
+    assert_eq!(events(&mut master, ms(50)), [Event::SetPointDropped { motor: id(1) }]);
+    assert_eq!(master.health(id(1)).superseded, 1);
+}

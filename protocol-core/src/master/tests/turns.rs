@@ -459,3 +459,23 @@ fn a_motor_whose_request_has_to_wait_keeps_no_turn() {
     let to_first = Channel::Command(Target::Motor(id(1)));
     assert!(matches!(packets[..], [Packet { channel, .. }] if channel == to_first), "{packets:?}");
 }
+
+/// Motor 1 has had 300 turns meanwhile.
+#[test]
+fn a_stream_that_rested_for_long_has_no_claim_to_what_it_missed() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let mut now = ms(0);
+    let _ = ask(&mut master, 2, ReadModel, now);
+    reply(&mut master, 2, *b"\xB5X8S2V10", ms(1)).unwrap();
+    for _ in 0..300 {
+        now += Duration::from_millis(1);
+        master.set_point(id(1), torque(1.0), now).unwrap();
+        sent(&mut master, now);
+        reply(&mut master, 1, TORQUE_REPLY, now + Duration::from_micros(900));
+    }
+    now += Duration::from_millis(1);
+    for motor in 1..=2 {
+        master.set_point(id(motor), torque(1.0), now).unwrap();
+    }
+    assert_eq!(sent(&mut master, now).len(), 2);
+}

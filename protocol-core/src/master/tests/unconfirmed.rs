@@ -82,6 +82,7 @@ fn who_confirms_no_stop_is_forgotten_all_the_same() {
         let stops = sent(&mut master, ms(now + if is_in_flight { 100 } else { 50 }));
         assert_eq!(stops.len(), usize::from(is_in_flight));
         assert!(master.forget(id(1)));
+        assert!(!master.is_anything_in_flight());
         assert_eq!(goes_again(&mut master, now + 101), []);
     }
 }
@@ -386,4 +387,31 @@ fn each_unconfirmed_stop_goes_when_it_is_time_for_it() {
             }
         }
     }
+}
+
+/// Each of the fifteen that went may still be answered; so may the read from before.
+#[test]
+fn a_stop_that_is_called_for_as_soon_as_it_was_given_up_is_confirmed_by_its_first_answer() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let _read = master.request_with(id(1), ReadModel, once).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(events(&mut master, ms(5)).len(), 1);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let now = is_given_up(&mut master, 6);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(now)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 1)), confirmed(1));
+    let _read = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(now + 2)), []);
+}
+
+#[test]
+fn a_stop_that_is_called_for_again_and_was_never_confirmed_has_all_its_attempts() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let now = is_given_up(&mut master, 0);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let frames: usize = (now..now + 15 * 21).map(|now| sent(&mut master, ms(now)).len()).sum();
+    assert_eq!(frames, 15);
 }
