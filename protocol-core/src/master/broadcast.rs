@@ -305,7 +305,7 @@ impl Broadcast {
         now: Instant,
     ) -> bool {
         // What comes sooner is a reply from before, doubled.
-        if self.is_in_flight() && now - self.sent < shortest {
+        if now - self.sent < shortest {
             return false;
         }
         if self.may_be_mistaken(data[0], motor) {

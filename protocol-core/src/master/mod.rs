@@ -217,7 +217,7 @@ impl<const N: usize> Master<N> {
         if now >= self.due {
             let heard_at = self.heard_at_least();
             let in_flight = self.places.in_flight;
-            let is_quiet = !in_flight.is_empty() && self.quiet_at() <= now;
+            let is_quiet = self.quiet_at() <= now;
             let under_way = self.places.waiting.or(in_flight);
             let mut next = Earliest::default();
             for place in self.places.taken.iter() {

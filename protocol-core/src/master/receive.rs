@@ -92,7 +92,7 @@ impl<const N: usize> Master<N> {
         // Whoever fills the line holds no stop up.
         let is_stop_due = match self.choose_interruption() {
             Some((at, _)) => at <= now,
-            None => !self.is_anything_in_flight() && self.choose_stop().is_some(),
+            None => self.choose_stop().is_some(),
         };
         if is_stop_due {
             self.busy_until = before.min(self.busy_until);

@@ -82,9 +82,7 @@ impl Asked {
 
     /// It is not sent again.
     pub(super) fn withdraw(&mut self) {
-        if self.purpose == Purpose::Caller {
-            self.purpose = Purpose::Once;
-        }
+        self.purpose = Purpose::Once;
     }
 
     pub(super) fn is_withdrawn(&self) -> bool {

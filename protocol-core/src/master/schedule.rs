@@ -114,8 +114,7 @@ impl<const N: usize> Master<N> {
     fn request_may_go(&self, motor: &Motor, asked: &Asked) -> bool {
         // A broadcast that waits lets attempts of what has begun go on, and what ends motion: it waits for their end.
         let has_begun = asked.unanswered > 0 || asked.kind().ends_motion();
-        !asked.is_stop()
-            && motor.may_send_request(asked, self.is_undone_with_all(motor))
+        motor.may_send_request(asked, self.is_undone_with_all(motor))
             && (has_begun && self.broadcast.is_waiting() || !self.broadcast.keeps_requests_back())
             && !self.is_confusable(motor)
     }

@@ -261,9 +261,6 @@ impl<const N: usize> Master<N> {
         let (held, off) = self.broadcast.stopped_since();
         let undone = match kind.opcode() {
             _ if !kind.ends_motion() => return,
-            _ if kind.is_refused_while_stopped() && self.is_any_stopped() => {
-                return self.broadcast.cancel();
-            }
             Some(Opcode::Shutdown) => held,
             // What a stop has switched off stays off until that is lifted, whenever it was.
             Some(Opcode::Stop) => off.with(self.switched_off),

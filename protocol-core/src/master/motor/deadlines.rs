@@ -59,8 +59,7 @@ impl Motor {
         // What waited only for a quiet bus must have come when it is, or after the usual time-out: a bus that
         // others keep busy is never quiet.
         let waited = now - self.sent;
-        let is_over = is_quiet || !config.is_rs485() && waited >= config.reply_timeout;
-        if self.is_in_flight() && waited >= config.longest_response && is_over {
+        if waited >= config.longest_response && (is_quiet || waited >= config.reply_timeout) {
             self.last_sent.insert(LastSent::HAD_ITS_CHANCE);
         }
         self.on_its_way.age(now, heard_at, config);
@@ -77,16 +76,12 @@ impl Motor {
             let until = now + config.late_window;
             self.expect_late(set_point.question, Of::Stream, 1, until, config);
             self.news.insert(News::UNANSWERED);
-            return;
         }
         let Request::InFlight(asked) = self.request else { return };
         if asked.kind().ends_motion() {
             self.bus_may_be_cut(now, config);
         }
-        if asked.attempts_left > 0
-            && !asked.is_withdrawn()
-            && !(self.has_restarted && asked.kind().moves())
-        {
+        if asked.attempts_left > 0 && !asked.is_withdrawn() {
             self.request = Request::Waiting(asked);
             return;
         }

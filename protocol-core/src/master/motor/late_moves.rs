@@ -69,10 +69,9 @@ impl Motor {
         reply: &Data,
         may_be_doubled: bool,
     ) -> Option<Of> {
-        let could_move = self.late.may_move();
         let (of, question) = self.late.take(is_motion, reply, may_be_doubled)?;
         self.last_answered = Some(question);
-        if could_move && !self.late.may_move() && !self.is_beyond_late {
+        if !self.late.may_move() && !self.is_beyond_late {
             self.on_its_way.has_ended();
         }
         Some(of)

@@ -235,9 +235,7 @@ impl Motor {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
         self.was_sent(LastSent::empty(), now);
-        if !asked.is_stop() {
-            self.is_told(asked.kind());
-        }
+        self.is_told(asked.kind());
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
             self.settled_at = self.settled_at.max(now + config.hold_after(asked.kind()));
