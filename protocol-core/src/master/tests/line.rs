@@ -294,3 +294,39 @@ fn a_request_with_as_many_attempts_as_a_stop_is_none() {
     assert!(master.poll_transmit(ms(0)).is_some());
     assert!(!master.offers_first_stop());
 }
+
+/// The line keeps the order: what was late came before the set-point that was answered.
+#[test]
+fn on_a_line_feedback_keeps_no_stop_in_doubt() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let answer = |master: &mut Master<2>, data, at| {
+        master.handle_line(&Frame { address: Target::Motor(id(1)), data }, at)
+    };
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(events(&mut master, ms(6)).len(), 1);
+    master.set_point(id(1), torque(2.0), ms(13)).unwrap();
+    assert_eq!(sent(&mut master, ms(13)).len(), 1);
+    answer(&mut master, TORQUE_REPLY, ms(14)).unwrap();
+    events(&mut master, ms(17));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(18)).len(), 1);
+    assert_eq!(answer(&mut master, Shutdown.encode(), ms(19)), confirmed(1));
+}
+
+/// Motor 1 is to be off, so that what holds all goes to motor 2 by itself.
+#[test]
+fn on_a_line_what_holds_all_but_one_does_not_meet_an_answer() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    let off = Frame { address: Target::Motor(id(1)), data: Shutdown.encode() };
+    assert_eq!(master.handle_line(&off, ms(1)), confirmed(1));
+    let _read = master.request(id(2), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    for now in 3..7 {
+        assert_eq!(sent(&mut master, ms(now)), [], "at {now} ms");
+    }
+    assert_eq!(sent(&mut master, ms(7)), [packet_to(2, Stop.encode())]);
+}

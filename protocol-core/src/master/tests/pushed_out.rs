@@ -136,3 +136,52 @@ fn a_set_point_that_was_pushed_out_and_gives_way_counts_as_superseded() {
     master.handle_pushed_out(&pushed_out);
     assert_eq!(master.health(id(1)).superseded, 1);
 }
+
+/// The caller's own command may have reached the motor: its answer is no confirmation.
+#[test]
+fn a_stop_that_is_handed_back_leaves_the_answer_to_the_command_before_it_owed() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, Shutdown, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    let stop = sent(&mut master, ms(1))[0];
+    master.handle_pushed_out(&stop);
+    assert_eq!(sent(&mut master, ms(2)), [stop]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(3)), None);
+}
+
+#[test]
+fn a_set_point_of_long_ago_that_is_handed_back_is_not_the_one_in_flight() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let lost = sent(&mut master, ms(0))[0];
+    assert_eq!(events(&mut master, ms(21)).len(), 1);
+    master.set_point(id(1), torque(2.0), ms(21)).unwrap();
+    assert_eq!(sent(&mut master, ms(21)).len(), 1);
+    master.handle_pushed_out(&lost);
+    assert_eq!(sent(&mut master, ms(22)), []);
+    assert_eq!(master.health(id(1)).lost, 0);
+}
+
+#[test]
+fn a_set_point_that_was_pushed_out_goes_again_beside_a_read_that_waits() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let pushed_out = sent(&mut master, ms(0))[0];
+    let _read = master.request(id(1), ReadModel).unwrap();
+    master.handle_pushed_out(&pushed_out);
+    let packets: Vec<Packet> = (1..25).flat_map(|now| sent(&mut master, ms(now))).collect();
+    assert!(packets.contains(&pushed_out), "{packets:?}");
+}
+
+/// It counted as lost, and a stop takes its place before it goes again.
+#[test]
+fn an_attempt_that_is_handed_back_behind_a_stop_was_not_lost() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), ReadModel).unwrap();
+    let read = sent(&mut master, ms(0))[0];
+    master.handle_timeout(ms(21));
+    assert_eq!(master.health(id(1)).lost, 1);
+    master.stop(id(1), StopKind::Off).unwrap();
+    master.handle_pushed_out(&read);
+    assert_eq!(master.health(id(1)).lost, 0);
+}

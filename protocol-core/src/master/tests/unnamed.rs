@@ -462,3 +462,16 @@ fn a_stop_of_all_behind_that_of_one_reaches_whom_nobody_has_named() {
     can.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     assert!(to_all(&sent(&mut can, ms(100))));
 }
+
+#[test]
+fn a_hold_of_all_that_is_handed_back_goes_again_where_the_shutdown_was_before_it() {
+    let mut master = all_have_moved();
+    let _off = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(100)).len(), 1);
+    assert!(reply(&mut master, 1, Shutdown.encode(), ms(101)).is_some());
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(102));
+    assert_eq!(channels(&packets), [TO_ALL, to(1)]);
+    master.handle_pushed_out(&packets[0]);
+    assert_eq!(sent(&mut master, ms(103)), [packets[0]]);
+}
