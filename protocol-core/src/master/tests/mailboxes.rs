@@ -697,3 +697,27 @@ fn the_answer_to_an_attempt_before_the_last_move_could_come_does_not_confirm_the
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(66)), None, "to the second");
     assert!(is_stop_confirmed(&mut master, ms(85)));
 }
+
+/// The same of a move of one motor that is not answered: another is heard for a moment, and then the stop.
+#[test]
+fn nor_does_it_say_so_of_a_move_without_reply_where_the_window_has_grown_since() {
+    let longest_reply_timeout = Duration::from_millis(40);
+    let mut master = Master::<2>::new(Config { longest_reply_timeout, ..Config::CAN });
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.set_point(id(2), torque(1.0), ms(10)).unwrap();
+    sent(&mut master, ms(10));
+    let moves = RawCommand::new([0x72, 0, 0, 0, 0, 0, 0, 0], ReplyRule::Silent, true);
+    let _ = master.request(id(1), moves).unwrap();
+    assert_eq!(sent(&mut master, ms(12)).len(), 1);
+    // On its way when the bus was cut.
+    reply(&mut master, 2, TORQUE_REPLY, ms(30)).unwrap();
+    for now in 31..100 {
+        events(&mut master, ms(now));
+    }
+    reply(&mut master, 2, TORQUE_REPLY, ms(100)).unwrap();
+    events(&mut master, ms(100));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(101)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None, "it comes now");
+}

@@ -479,3 +479,30 @@ fn a_stream_that_rested_for_long_has_no_claim_to_what_it_missed() {
     }
     assert_eq!(sent(&mut master, now).len(), 2);
 }
+
+/// Something else is heard, and the bus is quiet then; but a drive needs some time to answer.
+#[test]
+fn nobody_has_had_its_chance_before_the_longest_response() {
+    let mut master = Master::<8>::new(Config::CAN);
+    let at = Instant::from_micros;
+    stream_to(&mut master, 1..=1, ms(0));
+    sent(&mut master, ms(0));
+    feedback_of_all(&mut master, 1..=1, ms(1));
+    stream_to(&mut master, 1..=2, ms(1));
+    assert_eq!(sent(&mut master, ms(1)).len(), 2);
+    feedback_of_all(&mut master, 1..=1, at(1_900));
+    reply(&mut master, 3, ANGLE_REPLY, at(1_950)).unwrap();
+    stream_to(&mut master, 1..=1, at(2_600));
+    assert_eq!(sent(&mut master, at(2_600)), [], "1.6 ms after its command");
+    assert_eq!(sent(&mut master, at(3_000)).len(), 1);
+}
+
+#[test]
+fn a_move_of_all_that_waits_is_not_dropped_for_a_read() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 2, ReadModel, ms(0));
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    let _read = master.request(id(1), ReadModel).unwrap();
+    reply(&mut master, 2, MODEL_REPLY, ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(1))[0], to_all(torque(1.0).encode()));
+}

@@ -415,3 +415,57 @@ fn a_stop_that_is_called_for_again_and_was_never_confirmed_has_all_its_attempts(
     let frames: usize = (now..now + 15 * 21).map(|now| sent(&mut master, ms(now)).len()).sum();
     assert_eq!(frames, 15);
 }
+
+/// Neither a question to all that waits for another motor's answer, nor one to the motor itself.
+#[test]
+fn no_question_keeps_a_stop_back_that_goes_again() {
+    for is_to_all in [true, false] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop(id(1), StopKind::Off).unwrap();
+        let now = is_given_up(&mut master, 0);
+        let patient = Patience { reply_timeout: Duration::from_millis(500), attempts: 1 };
+        let _read = master.request_with(id(if is_to_all { 2 } else { 1 }), ReadModel, patient);
+        assert_eq!(sent(&mut master, ms(now)).len(), 1);
+        if is_to_all {
+            master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+        }
+        let stop = packet_to(1, Shutdown.encode());
+        assert_eq!(sent(&mut master, ms(now + 100)), [stop], "{is_to_all}");
+    }
+}
+
+#[test]
+fn that_a_stop_is_not_confirmed_is_told_however_late_somebody_asks() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    (0..600).for_each(|now| drop(sent(&mut master, ms(now))));
+    assert_eq!(events(&mut master, ms(600)), [Event::StopUnconfirmed { motor: id(1) }]);
+}
+
+/// Those of the hold that was not confirmed are none of the shutdown's.
+#[test]
+fn a_shutdown_after_a_hold_that_was_not_confirmed_is_answered_once() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let now = is_given_up(&mut master, 0) + 90;
+    events(&mut master, ms(now));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(now)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 1)), confirmed(1));
+    let _off = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(now + 1)).len(), 1, "no other answer may come");
+}
+
+/// The motor answers what it is asked, which is on the line when the stop is due again.
+#[test]
+fn a_stop_that_goes_again_does_not_meet_an_answer_on_a_line() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop(id(1), StopKind::Off).unwrap();
+    let now = is_given_up(&mut master, 0);
+    let _read = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(now + 99)).len(), 1);
+    for after in 100..104 {
+        assert_eq!(sent(&mut master, ms(now + after)), [], "{after} ms");
+    }
+    assert_eq!(sent(&mut master, ms(now + 104)), [packet_to(1, Shutdown.encode())]);
+}
