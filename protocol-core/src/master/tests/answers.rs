@@ -631,3 +631,70 @@ fn a_short_frame_counts_as_a_stray() {
     assert_eq!(master.handle_frame(&short, ms(1)), None);
     assert_eq!(master.health(id(1)).stray, 1);
 }
+
+/// What was heard 0.45 ms before looks otherwise.
+#[test]
+fn an_answer_that_comes_soon_after_another_command_is_none_doubled() {
+    let at = Instant::from_micros;
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, at(0));
+    reply(&mut master, 1, ANGLE_REPLY, at(1_000)).unwrap();
+    let second = ask(&mut master, 1, ReadModel, at(1_100));
+    let told = reply(&mut master, 1, *b"\xB5X8S2V10", at(1_450));
+    assert!(told.is_some_and(|event| second.outcome(&event).is_some()));
+}
+
+#[test]
+fn a_motor_that_is_heard_between_is_not_silent_because_the_bus_was_down_now_and_then() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for now in (0..10).map(|time| 10 * time) {
+        let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+        master.handle_bus_down(ms(now));
+        events(&mut master, ms(now));
+        let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(now + 1));
+        reply(&mut master, 1, ANGLE_REPLY, ms(now + 2)).unwrap();
+        let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+        master.handle_bus_down(ms(now + 3));
+        assert_eq!(master.health(id(1)).presence, Presence::Present);
+        events(&mut master, ms(now + 3));
+    }
+}
+
+#[test]
+fn a_read_that_makes_way_among_late_replies_moves_nobody() {
+    use crate::master::late::{LateReplies, Of, Question};
+    let mut late = LateReplies::default();
+    let read = |opcode| Question::without_key(Kind::Known(opcode));
+    let opcodes =
+        [Opcode::ReadModel, Opcode::ReadStatus1, Opcode::ReadRunTime, Opcode::ReadMultiTurnAngle];
+    for opcode in opcodes {
+        assert!(!late.expect(read(opcode), Of::Request, 1, ms(20)), "{opcode:?}");
+    }
+}
+
+#[test]
+fn what_may_come_later_is_not_over_sooner_for_what_is_sent_since() {
+    use crate::master::on_its_way::OnItsWay;
+    let mut on_its_way = OnItsWay::default();
+    on_its_way.put(ms(100), false);
+    on_its_way.put(ms(50), false);
+    assert_eq!(on_its_way.end(), Some(ms(100)));
+}
+
+/// The longest is 40 ms, and nothing was measured yet.
+#[test]
+fn what_confirms_a_stop_is_measured_and_what_comes_late_lengthens_the_time_outs() {
+    let longest = Duration::from_millis(40);
+    let mut master = Master::<2>::new(Config::CAN.adapting_up_to(longest));
+    master.stop(id(1), StopKind::Off).unwrap();
+    sent(&mut master, ms(0));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
+    let shortest = Config::CAN.reply_timeout;
+    assert_eq!(master.config().reply_timeout, shortest);
+    let once = master.patience(1);
+    let _read = master.request_with(id(1), ReadModel, once).unwrap();
+    sent(&mut master, ms(2));
+    assert_eq!(events(&mut master, ms(25)).len(), 1);
+    reply(&mut master, 1, *b"\xB5X8S2V10", ms(26)).unwrap();
+    assert!(master.config().reply_timeout > shortest);
+}

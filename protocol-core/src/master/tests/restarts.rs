@@ -409,3 +409,36 @@ fn the_first_feedback_after_a_restart_that_is_known_tells_no_other() {
     master.resume(id(1));
     assert_eq!(streams(&mut master, 0, 4), []);
 }
+
+#[test]
+fn each_call_with_a_time_says_what_time_it_is() {
+    let calls: [fn(&mut Master<2>, Instant); 4] = [
+        |master, now| assert!(reply(master, 2, ANGLE_REPLY, now).is_some()),
+        |master, now| assert!(master.poll_transmit(now).is_none()),
+        |master, now| master.handle_transmitted(now),
+        |master, now| master.handle_bus_down(now),
+    ];
+    for (of, call) in calls.into_iter().enumerate() {
+        let mut master = Master::<2>::new(Config::CAN);
+        call(&mut master, ms(60));
+        assert_eq!(master.now, ms(60), "{of}");
+    }
+}
+
+/// The answer to what all were told is taken for feedback: where the motor was then nobody knows.
+#[test]
+fn feedback_that_may_be_the_answer_to_all_tells_no_jump() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let streams = |master: &mut Master<2>, degrees: i16, at| {
+        master.set_point(id(1), torque(1.0), ms(at)).unwrap();
+        assert_eq!(sent(master, ms(at)).len(), 1);
+        let [low, high] = degrees.to_le_bytes();
+        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, low, high], ms(at + 1)).unwrap();
+        events(master, ms(at + 1))
+    };
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(0));
+    assert_eq!(streams(&mut master, 0, 30), []);
+    assert_eq!(streams(&mut master, 400, 32), []);
+}
