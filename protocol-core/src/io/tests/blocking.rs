@@ -15,7 +15,8 @@ use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster, 
 use crate::master::{Config, Event, Failure, StopKind};
 use crate::time::Instant;
 use crate::wire::can::{self, SimpleFrame};
-use crate::{Channel, Packet};
+use crate::wire::rs485::Frame;
+use crate::{Channel, Packet, Target};
 
 fn can() -> (TestCan, TestClock, CanMaster<TestCan, TestClock, 4>) {
     on_can(CanMaster::new)
@@ -512,4 +513,13 @@ fn a_relative_move_to_somewhere_is_sent_once() {
     assert!(moved.is_err_and(|why| why.is_stopped));
     let moves = bus.sent().iter().filter(|data| data[0] == 0xA8).count();
     assert_eq!(moves, 1);
+}
+
+#[test]
+fn what_was_read_behind_a_frame_that_tells_nothing_is_not_lost() {
+    let (port, clock, mut arm) = used_serial();
+    let nothing = Frame { address: Target::All, data: Stop.encode() };
+    let report = Frame { address: id(1).into(), data: [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0] };
+    port.hear(&[nothing.encode(), report.encode()].concat());
+    assert!(matches!(run(&mut arm, &clock, 1_000)[..], [Event::Report { .. }]));
 }

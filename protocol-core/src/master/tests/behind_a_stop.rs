@@ -428,3 +428,12 @@ fn a_hold_of_all_that_is_handed_back_does_not_follow_a_shutdown_of_all_without_p
     master.handle_pushed_out(&packets[0]);
     assert_eq!(sent(&mut master, ms(101)), [], "all were switched off since");
 }
+
+#[test]
+fn what_may_answer_all_rather_than_the_stop_tells_nothing_where_nobody_is_expected_to() {
+    let mut master = Master::<2>::new(Config::CAN);
+    all_were_told(&mut master, Shutdown, ms(0));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None);
+}

@@ -721,3 +721,19 @@ fn nor_does_it_say_so_of_a_move_without_reply_where_the_window_has_grown_since()
     assert_eq!(sent(&mut master, ms(101)).len(), 1);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None, "it comes now");
 }
+
+/// Its move is over by time, and nobody has told it to end its motion.
+#[test]
+fn a_read_that_is_not_answered_does_not_say_that_a_move_may_come() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, step(), ms(0));
+    assert_eq!(events(&mut master, ms(21)).len(), 1);
+    reply(&mut master, 2, ANGLE_REPLY, ms(30)).unwrap();
+    events(&mut master, ms(30));
+    events(&mut master, ms(75));
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let _ = master.request_with(id(1), ReadModel, once).unwrap();
+    assert_eq!(sent(&mut master, ms(80)).len(), 1);
+    assert_eq!(events(&mut master, ms(85)).len(), 1);
+    assert!(master.forget(id(1)));
+}
