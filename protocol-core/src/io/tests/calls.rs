@@ -10,20 +10,23 @@ use super::world::{Broken, TestCan, TestClock, block_on, on_can};
 use super::{id, step, torque};
 use crate::Data;
 use crate::command::{
-    AbsolutePosition, AnyReply, ForcePosition, ReadMultiTurnAngle, ReadRunTime, ReadStatus2,
-    ReadStatus3, Reset, Torque,
+    AbsolutePosition, ActiveReply, AnyReply, ForcePosition, ReadMultiTurnAngle, ReadRunTime,
+    ReadStatus1, ReadStatus2, ReadStatus3, ReportedCommand, Reset, Shutdown, Switch, Torque,
 };
 use crate::error::RequestError;
 use crate::firmware::Firmware;
 use crate::id::MotorId;
 use crate::io::asking::outcome_of_set_point;
-use crate::io::bring_up::{self, BringUpError, MoveCommand, MoveFailure, MoveLimits, NotArrived};
+use crate::io::bring_up::{
+    self, BringUpError, MoveCommand, MoveFailure, MoveLimits, NotArrived, Protection,
+};
+use crate::io::runner::LONGEST_TURN;
 use crate::io::{AsyncCanMaster, AsyncRunner, CallError, CanMaster, Guard, Runner};
-use crate::master::{Config, Event, Failure, Master, MotorSet, StopKind};
-use crate::opcode::LOST_MASTER_BYTE;
+use crate::master::{Config, Event, Failure, Master, MotorSet, Patience, StopKind};
+use crate::opcode::{LOST_MASTER_BYTE, Opcode};
 use crate::packet::{Channel, Packet};
 use crate::time::Instant;
-use crate::units::{Angle, MaxSpeed, MaxTorque};
+use crate::units::{Angle, MaxSpeed, MaxTorque, Milliseconds, ReportInterval};
 use crate::wire::can::{self, Received, SimpleFrame};
 
 fn arm() -> (TestCan, CanMaster<TestCan, TestClock, 4>) {
@@ -167,20 +170,107 @@ fn a_scan_finds_whoever_tells_that_it_has_lost_its_master() {
 }
 
 #[test]
+fn a_scan_finds_whoever_reports_its_status_by_itself_and_tells_of_it_once() {
+    let (bus, mut arm) = arm();
+    let command = ReportedCommand::of(Opcode::ReadStatus1).unwrap();
+    let interval = ReportInterval::from_raw(1);
+    arm.ask(id(1), ActiveReply { command, enable: Switch::On, interval }).unwrap();
+    let mut told = Vec::new();
+    let found = bring_up::scan(&mut arm, id(1).into(), |motor, there| told.push((motor, there)));
+    assert_eq!((found, told), (Ok(id(1).into()), Vec::from([(id(1), true)])));
+    assert!(!is_sent(&bus, ReadStatus1.encode()), "nobody asks what is reported");
+}
+
+/// As long as a question waits for its turn, and longer.
+#[test]
+fn a_patience_of_more_than_the_longest_turn_is_kept() {
+    let (bus, mut arm) = arm();
+    let patience = Patience { reply_timeout: LONGEST_TURN + LONGEST_TURN, attempts: 1 };
+    let data = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
+    bus.hear_at(3_000_000, &Packet { channel: Channel::Reply(id(2)), data });
+    let asked = arm.ask_with(id(9), ReadMultiTurnAngle, Some(patience), |_| {});
+    assert_eq!(asked, Err(CallError::Failed { motor: id(9), failure: Failure::NoReply }));
+}
+
+#[test]
 fn a_motor_is_there_or_is_not() {
     let (bus, mut arm) = arm();
     assert_eq!(bring_up::is_there(&mut arm, id(1)), Ok(true));
     assert_eq!(bring_up::is_there(&mut arm, id(9)), Ok(false));
     assert_eq!(bring_up::restart(&mut arm, id(1), id(1)), Ok(()));
     assert!(is_sent(&bus, Reset.encode()));
+    assert!(!arm.master().has_restarted(id(1)), "it was meant to");
+    let gone = bring_up::restart(&mut arm, id(1), id(9));
+    assert_eq!(gone, Err(BringUpError::NotThere(id(9))));
 }
 
 #[test]
 fn a_zero_that_reads_otherwise_is_not_kept() {
     // The offset is the one that was stored; the angle is 360 degrees.
-    let (_, mut arm) = arm();
+    let (bus, mut arm) = arm();
     let zero = bring_up::zero_here(&mut arm, id(1));
     assert!(matches!(zero, Err(BringUpError::ZeroNotKept { .. })), "{zero:?}");
+    assert!(is_sent(&bus, Shutdown.encode()), "some keep nothing without that");
+}
+
+/// A bus on which this is said instead of other answers to the same command.
+struct Says<const M: usize>(TestCan, [Data; M]);
+
+impl<const M: usize> nb::Can for Says<M> {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        self.0.transmit(frame)
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        let frame = self.0.receive()?;
+        let Received::Packet(packet) = can::decode(&frame) else { return Ok(frame) };
+        let said = self.1.into_iter().find(|data| data[0] == packet.data[0]);
+        Ok(said.map_or(frame, |data| SimpleFrame::from_packet(&Packet { data, ..packet })))
+    }
+}
+
+fn saying<const M: usize>(data: [Data; M]) -> (TestCan, CanMaster<Says<M>, TestClock, 4>) {
+    let (bus, _, arm) = on_can(|bus, clock, config| CanMaster::new(Says(bus, data), clock, config));
+    (bus, arm)
+}
+
+#[test]
+fn a_zero_is_kept_where_the_angle_is_0_and_the_offset_the_one_that_was_stored() {
+    let angle = [0x92, 0, 0, 0, 0, 0, 0, 0];
+    let (_, mut arm) = saying([angle]);
+    assert!(bring_up::zero_here(&mut arm, id(1)).is_ok());
+    let (_, mut arm) = saying([angle, [0x62, 0, 0, 0, 1, 0, 0, 0]]);
+    let zero = bring_up::zero_here(&mut arm, id(1));
+    assert!(matches!(zero, Err(BringUpError::ZeroNotKept { .. })), "{zero:?}");
+}
+
+#[test]
+fn a_motor_with_an_error_is_not_moved() {
+    let (bus, mut arm) = saying([[0x9A, 50, 30, 1, 0xE5, 0x01, 2, 0]]);
+    let target = AbsolutePosition { max_speed: MaxSpeed::from_raw(100), angle: Angle::from_raw(0) };
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let moved = bring_up::move_to(&mut arm, id(1), target, &MoveLimits::default(), go_on);
+    assert!(matches!(moved.expect_err("a fault").why, MoveFailure::Fault(_)));
+    assert!(!is_sent(&bus, target.encode()));
+}
+
+#[test]
+fn who_was_known_keeps_its_place_though_it_is_not_there() {
+    let (_, mut arm) = arm();
+    arm.ask(id(9), ReadMultiTurnAngle).unwrap_err();
+    assert_eq!(bring_up::is_there(&mut arm, id(9)), Ok(false));
+    assert_eq!(bring_up::scan(&mut arm, id(9).into(), |_, _| {}), Ok(MotorSet::EMPTY));
+    assert_eq!(arm.master().motors(), id(9).into());
+}
+
+#[test]
+fn a_protection_that_is_answered_with_another_time_is_acknowledged_only() {
+    let (_, mut arm) = arm();
+    let protection = bring_up::protect(&mut arm, id(1), Milliseconds::from_raw(100));
+    assert!(matches!(protection, Ok(Protection::AcknowledgedOnly(_))), "{protection:?}");
 }
 
 #[test]
@@ -201,7 +291,8 @@ fn two_motors_that_differ_in_any_one_answer_share_an_id() {
 fn what_others_say_and_errors_that_are_reported_are_no_second_answers() {
     let status = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
     let angle = [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0];
-    for (motor, data) in [(1, status), (2, status), (2, angle)] {
+    let feedback = [0x9C, 50, 100, 0, 0, 0, 45, 0];
+    for (motor, data) in [(1, status), (2, status), (2, angle), (9, feedback)] {
         let (bus, mut arm) = arm();
         // Motor 2 has a place, too.
         arm.ask(id(2), ReadRunTime).unwrap();
@@ -220,6 +311,7 @@ fn no_motor_is_restarted_for_an_id_that_nobody_has_taken() {
     let changed = bring_up::change_id(&mut arm, id(1), id(5));
     let refused = BringUpError::IdNotTaken { from: id(1), to: id(5), is_alone: false };
     assert_eq!(changed, Err(refused));
+    assert!(is_sent(&bus, Shutdown.encode()), "some keep nothing without that");
     assert!(!is_sent(&bus, Reset.encode()));
 
     // Alone on the bus it is told by 0x79, too.
