@@ -315,6 +315,15 @@ mod tests {
     }
 
     #[test]
+    fn a_bus_id_goes_to_all_or_is_a_command_like_another() {
+        let motor = MotorId::MIN.into();
+        let to_one = Frame { address: motor, data: [0x79, 0, 0, 0, 0, 0, 0, 2] };
+        assert_eq!(to_one.as_command().channel, Channel::Command(motor));
+        let to_all = Frame { address: Target::All, ..to_one };
+        assert_eq!(to_all.as_command().channel, Channel::BusId);
+    }
+
+    #[test]
     fn the_crc_is_that_of_modbus() {
         // The check value that catalogues of CRCs give for it.
         let crc = b"123456789".iter().fold(CRC_START, |crc, &byte| crc_over(crc, byte));

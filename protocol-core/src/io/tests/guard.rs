@@ -223,3 +223,17 @@ fn by_a_panic_of_a_task() {
     assert_eq!(on_the_line(&port)[before..], [Stop.encode(); 2]);
     assert_eq!(arm.set_point(id(1), torque()), Err(refused()));
 }
+
+/// The motor has confirmed it, so that nothing is owed to whoever uses the loop next.
+#[test]
+fn what_was_guarded_to_its_end_is_stopped_once() {
+    let (bus, _, mut arm) = on_can(AsyncCanMaster::<TestCan, TestClock, 4>::new);
+    let (is_done, unconfirmed) = block_on(guarded(&mut arm, StopKind::Hold, async |bus| {
+        bus.ask(id(1), ReadMultiTurnAngle).await.is_ok()
+    }));
+    assert!(is_done && unconfirmed.is_empty());
+    let stops = |bus: &TestCan| bus.sent().iter().filter(|&&data| data == Stop.encode()).count();
+    assert_eq!(stops(&bus), 1);
+    block_on(arm.ask(id(2), ReadMultiTurnAngle)).unwrap();
+    assert_eq!(stops(&bus), 1);
+}
