@@ -151,6 +151,9 @@ fn async_the_pin_does_the_same() {
         assert_eq!(port.flush().await, Ok(()));
     });
     assert_eq!(rig.log(), SENT);
+    // With nothing written there is nothing to turn.
+    assert_eq!(block_on(port.flush()), Ok(()));
+    assert_eq!(rig.log()[8..], [Flush]);
 }
 
 #[test]
