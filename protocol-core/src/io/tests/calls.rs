@@ -84,6 +84,21 @@ fn what_becomes_of_anothers_set_point_says_nothing_of_this_one() {
     }
 }
 
+/// It was told of an earlier one, which nobody has asked for yet.
+#[test]
+fn that_an_earlier_set_point_was_lost_says_nothing_of_the_one_in_flight() {
+    let mut master = Master::<4>::new(Config::CAN);
+    for now in [0, 21].map(Instant::from_millis) {
+        master.handle_timeout(now);
+        master.set_point(id(1), torque(), now).unwrap();
+        assert!(master.poll_transmit(now).is_some());
+        master.handle_transmitted(now);
+    }
+    let event = master.poll_event().unwrap();
+    assert_eq!(event, Event::SetPointUnanswered { motor: id(1) });
+    assert_eq!(outcome_of_set_point::<Torque, 4>(&master, id(1), &event), None);
+}
+
 #[test]
 fn who_has_no_answer_is_named_once() {
     let error = CallError::<Broken>::Failed { motor: id(3), failure: Failure::Stopped };

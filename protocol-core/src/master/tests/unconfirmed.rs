@@ -469,3 +469,15 @@ fn a_stop_that_goes_again_does_not_meet_an_answer_on_a_line() {
     }
     assert_eq!(sent(&mut master, ms(now + 104)), [packet_to(1, Shutdown.encode())]);
 }
+
+#[test]
+fn the_callers_own_shutdown_leaves_a_shutdown_that_goes_on_its_answers() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let now = is_given_up(&mut master, 0);
+    let _off = master.request(id(1), Shutdown).unwrap();
+    assert_eq!(sent(&mut master, ms(now + 50)), [packet_to(1, Shutdown.encode())]);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(now + 51)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 52)), confirmed(1));
+}

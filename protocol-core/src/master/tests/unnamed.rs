@@ -475,3 +475,12 @@ fn a_hold_of_all_that_is_handed_back_goes_again_where_the_shutdown_was_before_it
     master.handle_pushed_out(&packets[0]);
     assert_eq!(sent(&mut master, ms(103)), [packets[0]]);
 }
+
+#[test]
+fn the_answer_to_a_hold_of_all_is_awaited_beside_that_to_ones_own_shutdown() {
+    let mut master = all_have_moved();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1)]);
+    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(101)), None, "it is no stray");
+}
