@@ -135,9 +135,8 @@ impl<const N: usize> Master<N> {
     }
 
     /// The bus has handed back a frame that it had taken, because another was more urgent: it was not
-    /// sent. It waits again, unless something newer does.
+    /// sent. It waits again, unless something newer does. That, and that the other was taken, may be said in either order.
     pub fn handle_pushed_out(&mut self, packet: &Packet) {
-        self.offer = None;
         self.due = self.now;
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {

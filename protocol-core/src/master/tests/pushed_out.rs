@@ -185,3 +185,17 @@ fn an_attempt_that_is_handed_back_behind_a_stop_was_not_lost() {
     master.handle_pushed_out(&read);
     assert_eq!(master.health(id(1)).lost, 0);
 }
+
+/// A driver tells of both at once: that it has taken a frame, and which one had to make way for it.
+#[test]
+fn what_was_taken_is_not_sent_again_when_what_made_way_for_it_is_handed_back_first() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = master.request(id(2), ReadMultiTurnAngle).unwrap();
+    let made_way = sent(&mut master, ms(0))[0];
+    let _step = master.request(id(1), step()).unwrap();
+    let step = master.poll_transmit(ms(1)).unwrap();
+    assert_eq!(step.data[0], 0xA8);
+    master.handle_pushed_out(&made_way);
+    master.handle_transmitted(ms(1));
+    assert_eq!(sent(&mut master, ms(2)), [made_way], "the step is on its way already");
+}
