@@ -73,6 +73,9 @@ impl Late {
 /// How many questions of one motor may have late replies. More are never asked: see
 /// [`has_room`](LateReplies::has_room).
 const QUESTIONS: usize = 3;
+/// More replies to one question are not waited for: answers that come together count as one, and each sending of a stop
+/// prolongs for how long they are.
+const MOST_REPLIES: u8 = 2 * crate::master::stop::STOP_ATTEMPTS;
 
 /// The late replies that may still come from one motor.
 #[derive(Clone, Copy, Debug, Default)]
@@ -91,7 +94,7 @@ impl LateReplies {
         let known = self.0.iter_mut().flatten().find(|late| late.question == question);
         if let Some(late) = known {
             late.of = of;
-            late.replies = late.replies.saturating_add(replies);
+            late.replies = late.replies.saturating_add(replies).min(MOST_REPLIES);
             late.until = late.until.max(until);
             return false;
         }

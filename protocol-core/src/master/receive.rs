@@ -211,7 +211,11 @@ impl<const N: usize> Master<N> {
         let shortest = self.config.shortest_response;
         let is_answer = self.broadcast.take_reply(motor, data, shortest, now);
         if is_answer {
-            self.change(motor, |motor, _| motor.answered(None));
+            let asked = self.broadcast.question();
+            self.change(motor, |motor, _| {
+                motor.last_answered = asked;
+                motor.answered(None);
+            });
         }
         is_answer
     }

@@ -30,6 +30,8 @@ impl Motor {
         let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
         if asked.purpose == Purpose::StopAgain {
             (asked.purpose, asked.attempts_left) = (stop.purpose, stop.attempts_left);
+            // What became of an earlier stop says nothing of this one.
+            self.news.remove(News::UNCONFIRMED);
         }
         true
     }

@@ -438,3 +438,37 @@ fn a_question_to_all_that_waits_keeps_no_motor_from_being_forgotten() {
     master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
     assert!(master.forget(id(1)));
 }
+
+/// What the last answer was is known also if that was to a broadcast: the same frame once more, within 0.5 ms of both,
+/// answers nothing.
+#[test]
+fn a_doubled_answer_to_a_broadcast_is_not_that_to_the_next_request() {
+    let master = &mut Master::<2>::new(Config::CAN);
+    // It has a place.
+    master.stop(id(1), StopKind::Hold).unwrap();
+    sent(master, ms(0));
+    assert_eq!(reply(master, 1, [0x81, 0, 0, 0, 0, 0, 0, 0], ms(1)), confirmed(1));
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    sent(master, ms(10));
+    let first = reply(master, 1, ANGLE_REPLY, ms(11));
+    assert!(matches!(first, Some(Event::BroadcastReply { .. })), "{first:?}");
+    let ticket = ask(master, 1, ReadMultiTurnAngle, ms(11));
+    let doubled = reply(master, 1, ANGLE_REPLY, Instant::from_micros(11_300)).unwrap();
+    assert_eq!(ticket.outcome(&doubled), None);
+}
+
+/// A torque goes out behind the answer to a stop of all, and a stop behind that, which is lost.
+#[test]
+fn a_doubled_answer_to_a_broadcast_confirms_no_stop() {
+    let master = &mut Master::<2>::new(Config::CAN);
+    master.broadcast(Stop, id(1).into()).unwrap();
+    sent(master, ms(0));
+    let first = reply(master, 1, [0x81, 0, 0, 0, 0, 0, 0, 0], ms(1));
+    assert!(matches!(first, Some(Event::BroadcastReply { .. })), "{first:?}");
+    master.set_point(id(1), torque(1.0), ms(1)).unwrap();
+    assert_eq!(sent(master, ms(1)).len(), 1);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(master, ms(1)).len(), 1);
+    let doubled = reply(master, 1, [0x81, 0, 0, 0, 0, 0, 0, 0], Instant::from_micros(1_300));
+    assert_ne!(doubled, confirmed(1), "it was lost, and the motor turns");
+}

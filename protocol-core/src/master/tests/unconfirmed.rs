@@ -481,3 +481,60 @@ fn the_callers_own_shutdown_leaves_a_shutdown_that_goes_on_its_answers() {
     assert_eq!(sent(&mut master, ms(now + 51)).len(), 1);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 52)), confirmed(1));
 }
+
+/// An adapter hands over every 16 ms what it received, and a program lifts its stop and stops again in every cycle.
+/// Of the answers that come together only one is counted off, so that ever more are owed; and each sending of the
+/// stop prolongs for how long they are. The motor answers every stop, and yet it is not confirmed for seconds.
+#[test]
+fn answers_that_come_together_do_not_keep_a_stop_unconfirmed_for_seconds() {
+    let master = &mut Master::<2>::new(Config::CAN);
+    let mut owed = 0;
+    for at in 0..2_000 {
+        if at % 16 == 0 {
+            for _ in 0..core::mem::take(&mut owed) {
+                let _ = reply(master, 1, [0x81, 0, 0, 0, 0, 0, 0, 0], ms(at));
+            }
+        }
+        if at % 4 == 0 {
+            master.lift_stop();
+            master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+        }
+        owed += sent(master, ms(at)).len();
+        events(master, ms(at));
+    }
+    // The program calls nothing any more: 500 ms are more than any time-out of this master.
+    let mut confirmed = None;
+    for at in 2_000..12_000 {
+        if at % 16 == 0 {
+            for _ in 0..core::mem::take(&mut owed) {
+                let event = reply(master, 1, [0x81, 0, 0, 0, 0, 0, 0, 0], ms(at));
+                if matches!(event, Some(Event::StopConfirmed { .. })) {
+                    confirmed.get_or_insert(at);
+                }
+            }
+        }
+        owed += sent(master, ms(at)).len();
+        events(master, ms(at));
+    }
+    assert!(confirmed.is_some_and(|at| at < 2_500), "{confirmed:?}");
+}
+
+/// What became of an earlier stop says nothing of the one that goes on as the caller's own.
+#[test]
+fn an_earlier_stop_that_was_given_up_is_not_told_of_the_next_one() {
+    let master = &mut Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    // Nobody polls events; nobody answers.
+    let mut at = 0;
+    while master.motor(id(1)).unwrap().unconfirmed.is_none() {
+        sent(master, ms(at));
+        at += 1;
+    }
+    // It goes once more by itself.
+    while !master.motor(id(1)).unwrap().is_in_flight() {
+        sent(master, ms(at));
+        at += 1;
+    }
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(master.poll_event(), None, "the new stop has just begun");
+}
