@@ -3,16 +3,18 @@
 use std::fmt::Debug;
 
 use myactuator_host_std::sim::Fleet;
+use myactuator_host_std::sim::bus::trace;
 use myactuator_protocol_core::command::{
     BrakeCommand, ErrorFlags, MotionLimits, MotionRanges, ReadMultiTurnAngle,
     ReadMultiTurnEncoderOffset, ReadStatus1,
 };
-use myactuator_protocol_core::drive::Quirks;
+use myactuator_protocol_core::drive::{self, Quirks};
 use myactuator_protocol_core::io::bring_up::{self, BringUpError, Protection};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
+use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{Firmware, RequestError};
 use myactuator_tests::fleet::{master, state, turn_to};
 use myactuator_tests::listen::listen;
@@ -40,6 +42,10 @@ on_both_buses! {
     a_brake_opens_though_its_drive_had_lost_its_master
     a_brake_that_does_not_open_is_told
     a_protected_motor_stops_when_nobody_speaks
+    a_brake_that_does_not_open_is_told_with_its_motor
+    a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one
+    a_new_id_is_taken_though_the_restart_was_lost_once
+    a_zero_is_kept_though_the_restart_was_lost_once
 }
 
 fn ids(numbers: impl IntoIterator<Item = u8>) -> MotorSet {
@@ -321,7 +327,8 @@ fn a_brake_that_does_not_open_is_told<W: Wire>() {
     let bus = W::drives(&Fleet::new(1).brakes(true).quirks(says_so)).unwrap();
     let runner = &mut master(&bus);
     let refused = bring_up::release_brake(runner, id(1));
-    assert_eq!(refused, Err(BringUpError::BrakeNotReleased(BrakeCommand::LOCK)));
+    let (motor, says) = (id(1), BrakeCommand::LOCK);
+    assert_eq!(refused, Err(BringUpError::BrakeNotReleased { motor, says }));
 }
 
 fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
@@ -344,4 +351,63 @@ fn a_protected_motor_stops_when_nobody_speaks<W: Wire>() {
     runner.ask(id(1), turn(50.0)).expect("it is there");
     listen(runner, millis(1_000));
     assert!(state(drive).output_on);
+}
+
+fn a_brake_that_does_not_open_is_told_with_its_motor<W: Wire>() {
+    let says_so = Quirks { brake_told_by_motion: true, ..Quirks::default() };
+    let bus = W::drives(&Fleet::new(1).brakes(true).quirks(says_so)).unwrap();
+    let refused = bring_up::release_brake(&mut master(&bus), id(1)).unwrap_err().to_string();
+    assert!(refused.contains("motor 1"), "{refused}");
+}
+
+/// Has this done to motor 1 of two, whose wire is cut for 2 ms when the first 0x76 goes out. Gives what comes of it, and
+/// how often motor 1 has restarted.
+fn with_first_restart_lost<W: Wire, T>(mut work: impl FnMut(&mut W::Runner<8>) -> T) -> (T, u32) {
+    let mut lost_at = None;
+    loop {
+        let faults = lost_at
+            .into_iter()
+            .flat_map(|us: u64| [format!("cut@1+{us}us"), format!("mend@1+{}us", us + 2_000)]);
+        let fleet = Fleet::new(2).faults(faults.map(|fault| fault.parse().unwrap()));
+        let bus = W::drives(&fleet).unwrap();
+        turn_to(&bus.drives[0], 50.0);
+        // It has run for a while.
+        bus.world.run_for(millis(5_000));
+        myactuator_tests::fleet::happened(&bus.drives[0]);
+        let log = bus.world.log();
+        let result = work(&mut master(&bus));
+        let is_reset = |record: &trace::Record<W::Frame>| match &record.event {
+            trace::Event::Carried { frame, .. } => {
+                W::packet(&mut Receiver::new(), frame, true).is_some_and(|it| it.data[0] == 0x76)
+            }
+            _ => false,
+        };
+        let resets: Vec<_> = log.take().into_iter().filter(is_reset).collect();
+        if lost_at.is_some() {
+            let restarts = myactuator_tests::fleet::happened(&bus.drives[0]).into_iter();
+            let restarted = |it: &drive::Event| matches!(it, drive::Event::Started { .. });
+            return (result, restarts.filter(restarted).count() as u32);
+        }
+        lost_at = Some(resets[0].at_ns / 1_000 - 60);
+    }
+}
+
+/// The first 0x76 is lost: the motor goes on as it was, which answers, too.
+fn a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one<W: Wire>() {
+    let restart = |runner: &mut W::Runner<8>| bring_up::restart(runner, id(1), id(1));
+    let (told, restarts) = with_first_restart_lost::<W, _>(restart);
+    assert!(told.is_err() || restarts == 1, "{told:?} after {restarts} restarts");
+}
+
+fn a_new_id_is_taken_though_the_restart_was_lost_once<W: Wire>() {
+    let change = |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(5));
+    let (told, _) = with_first_restart_lost::<W, _>(change);
+    assert!(told.is_ok(), "{told:?}");
+}
+
+fn a_zero_is_kept_though_the_restart_was_lost_once<W: Wire>() {
+    let zero = |runner: &mut W::Runner<8>| bring_up::zero_here(runner, id(1));
+    let (told, restarts) = with_first_restart_lost::<W, _>(zero);
+    assert!(told.is_err() || restarts == 1, "{told:?} after {restarts} restarts");
+    assert!(told.is_ok(), "{told:?}");
 }

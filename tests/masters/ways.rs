@@ -32,6 +32,7 @@ on_both_buses! {
     a_motor_that_is_held_has_stalled_and_is_stopped
     a_move_ends_when_its_time_is_up
     a_move_is_given_up
+    a_restart_on_the_way_is_told_as_one
     a_panic_on_the_way_stops_the_motor
     a_protected_motor_is_moved_after_a_pause
     a_fault_on_the_way_ends_the_move
@@ -456,4 +457,16 @@ fn what_drives_a_gripper_away_is_no_grip<W: Wire>() {
 fn a_gripper_that_never_moved_has_gripped_nothing<W: Wire>() {
     let why = gripped::<W>(1, 0.0);
     assert!(matches!(why, MoveFailure::Stalled { at, .. } if at.degrees().abs() < 0.2), "{why}");
+}
+
+/// Its supply drops out for a moment: nobody has switched it off, and it heard all the time.
+fn a_restart_on_the_way_is_told_as_one<W: Wire>() {
+    let restart = "reset@1+300ms".parse().unwrap();
+    let bus = W::drives(&Fleet::new(1).faults([restart])).unwrap();
+    let go_on = |_: &_| ControlFlow::Continue(());
+    let limits = MoveLimits::default();
+    let not_arrived =
+        bring_up::move_to(&mut master(&bus), id(1), TO_90_DEG(), &limits, go_on).unwrap_err();
+    let told = not_arrived.to_string();
+    assert!(told.contains("restarted"), "{told}");
 }

@@ -20,11 +20,13 @@ use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
 use crate::io::standing::check_stands;
 use crate::master::{Event, Failure, MotorSet};
 use crate::opcode::Opcode;
-use crate::time::Duration;
+use crate::time::{Duration, Instant};
 use crate::units::{EncoderPulses, Milliseconds};
 
 /// How often a motor is asked whether it is there at all.
 const ATTEMPTS: u8 = 2;
+/// How often a drive is told to restart that goes on running.
+const RESTARTS: u8 = 3;
 /// How long a brake takes to open at the most.
 const BRAKE_OPENING: Duration = Duration::from_millis(150);
 /// How often a motor is spoken to that is waited for.
@@ -204,7 +206,7 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     if found == stored && angle.raw().unsigned_abs() <= ZERO_TOLERANCE.unsigned_abs() {
         Ok(stored)
     } else {
-        Err(BringUpError::ZeroNotKept { stored, found, angle })
+        Err(BringUpError::ZeroNotKept { motor, stored, found, angle })
     }
 }
 
@@ -230,7 +232,7 @@ pub async fn release_brake<R: AsyncRunner<N>, const N: usize>(
     }
     match runner.ask(motor, ReadStatus1).await?.brake {
         BrakeCommand::RELEASE => Ok(()),
-        other => Err(BringUpError::BrakeNotReleased(other)),
+        says => Err(BringUpError::BrakeNotReleased { motor, says }),
     }
 }
 
@@ -257,9 +259,41 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
     then: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
     const LONGEST_RESTART: Duration = Duration::from_secs(5);
-    runner.ask(motor, Reset).await?;
-    wait_until_there(runner, then, LONGEST_RESTART).await?;
-    // It was meant to.
-    runner.master().resume(then);
-    Ok(())
+    for _ in 0..RESTARTS {
+        // One with a new id may answer under that already.
+        let ran = match then == motor {
+            true => runner.ask(motor, ReadRunTime).await?.run_time.into(),
+            false => Duration::ZERO,
+        };
+        let told_at = runner.now();
+        runner.ask(motor, Reset).await?;
+        let there = match wait_until_there(runner, then, LONGEST_RESTART).await {
+            Err(BringUpError::NotThere(_)) if then != motor && is_there(runner, motor).await? => {
+                motor
+            }
+            result => result.map(|()| then)?,
+        };
+        let has_restarted =
+            there != motor || has_started_since(runner, motor, told_at, ran).await?;
+        // It was meant to.
+        runner.master().resume(there);
+        match has_restarted {
+            true if there == then => return Ok(()),
+            true => return Err(BringUpError::NotThere(then)),
+            false => {}
+        }
+    }
+    Err(BringUpError::NotRestarted(motor))
+}
+
+/// Whether its drive has started since then, when it had run for so long.
+pub(super) async fn has_started_since<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    then: Instant,
+    ran: Duration,
+) -> Result<bool, CallError<R::Error>> {
+    let runs = Duration::from(runner.ask(motor, ReadRunTime).await?.run_time);
+    // Else it is longer by all that it had run before. Its clock need not agree with ours.
+    Ok(runs.times(2) <= (runner.now() - then).times(2) + ran)
 }

@@ -65,11 +65,20 @@ pub enum BringUpError<E> {
         /// How fast it turns.
         speed: CoarseSpeed,
     },
+    /// The drive was told to restart, again and again, and goes on running. What was written to its ROM before, a zero or
+    /// an id, may be in force after its next start.
+    #[error(
+        "motor {0} was told to restart and goes on running: what was written to its ROM may be in force after its next \
+         start; switch its supply off and on"
+    )]
+    NotRestarted(MotorId),
     /// After the restart the zero is not where it was put.
     #[error(
-        "the zero was not kept: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
+        "motor {motor} has not kept its zero: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
     )]
     ZeroNotKept {
+        /// The motor.
+        motor: MotorId,
         /// The offset that the motor said it stored.
         stored: EncoderPulses,
         /// The offset that it has now.
@@ -78,8 +87,13 @@ pub enum BringUpError<E> {
         angle: Angle,
     },
     /// The drive does not return release as its brake's last command.
-    #[error("the brake was told to release and says {0}")]
-    BrakeNotReleased(BrakeCommand),
+    #[error("motor {motor}: the brake was told to release and says {says}")]
+    BrakeNotReleased {
+        /// The motor.
+        motor: MotorId,
+        /// What its drive says that the brake was told last.
+        says: BrakeCommand,
+    },
 }
 
 /// What a motor is and how it does.
@@ -170,7 +184,8 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 /// [is shared](is_shared).
 ///
 /// # Errors
-/// [`BringUpError::Turns`], [`BringUpError::ZeroNotKept`], [`BringUpError::NotThere`], [`BringUpError::Call`].
+/// [`BringUpError::Turns`], [`BringUpError::ZeroNotKept`], [`BringUpError::NotRestarted`], [`BringUpError::NotThere`],
+/// [`BringUpError::Call`].
 pub fn zero_here<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -187,8 +202,8 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 ///
 /// # Errors
 /// [`BringUpError::NotThere`] if nobody answers under the old id, or the new one after the restart;
-/// [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`] and
-/// [`BringUpError::IdNotTaken`]; [`BringUpError::Call`].
+/// [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`],
+/// [`BringUpError::NotRestarted`] and [`BringUpError::IdNotTaken`]; [`BringUpError::Call`].
 pub fn change_id<R: Runner<N>, const N: usize>(
     runner: &mut R,
     from: MotorId,
@@ -240,14 +255,16 @@ pub fn protect<R: Runner<N>, const N: usize>(
     at_once(task::protect(&mut Polled(runner), motor, timeout))
 }
 
-/// Restarts a drive (0x76) and waits until it answers, under another id perhaps. It asks nothing before: the
+/// Restarts a drive (0x76) and waits until it answers, under another id perhaps. One that goes on running, as 0xB1 says or
+/// because it answers under its old id, has not heard that, and is told again. Nothing is asked before: the
 /// output goes off, so that a turning shaft runs on and a load that is held falls. Stop the motor first, and lift
 /// that stop: it refuses this. Whole turns are lost unless multi-turn saving
 /// ([function 4](crate::command::FunctionControl::SaveMultiTurn)) is on, and it may be moved at once afterwards: read
 /// its angle first.
 ///
 /// # Errors
-/// [`BringUpError::NotThere`] if it does not answer within 5 s, [`BringUpError::Call`].
+/// [`BringUpError::NotThere`] if it does not answer within 5 s, [`BringUpError::NotRestarted`] if it goes on running;
+/// [`BringUpError::Call`].
 pub fn restart<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,

@@ -5,11 +5,12 @@ use core::ops::ControlFlow;
 
 use crate::command::{
     AbsolutePosition, Command, ErrorFlags, Feedback, ForcePosition, IncrementalPosition,
-    ReadMultiTurnAngle, ReadRunningMode, ReadStatus1, ReadStatus2,
+    ReadMultiTurnAngle, ReadRunTime, ReadRunningMode, ReadStatus1, ReadStatus2,
 };
 use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
+use crate::io::async_bring_up::has_started_since;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::on_drop::OnDrop;
 use crate::io::standing::turns;
@@ -286,6 +287,8 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
         return Err(MoveFailure::Fault(errors));
     }
     let at = runner.now();
+    let ran = runner.ask(motor, ReadRunTime).await?.run_time.into();
+    let begun = runner.now();
     let from = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
     let mut last = Look { at, angle: from, dps: 0 };
     let target = command.target(from).ok_or(MoveFailure::OutOfRange { here: from })?;
@@ -309,10 +312,10 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
             runner.master().note_restart(motor);
         }
         last = look;
-        // If it has restarted, its target is not where it was.
+        // Its target is not where it was.
+        let restarted = CallError::Refused { motor, refusal: RequestError::Restarted };
         if runner.master().has_restarted(motor) {
-            let refusal = RequestError::Restarted;
-            return Err(CallError::Refused { motor, refusal }.into());
+            return Err(restarted.into());
         }
         let now = runner.now();
         let progress = MoveProgress { from, target, time: now - start, angle, feedback };
@@ -334,6 +337,10 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
         let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
         let is_time_up = progress.time > time;
         if (has_stalled || is_time_up) && runs_nothing(runner, motor).await {
+            if has_started_since(runner, motor, begun, ran).await? {
+                runner.master().note_restart(motor);
+                return Err(restarted.into());
+            }
             return Err(MoveFailure::LetGo { at: angle });
         }
         if has_stalled {

@@ -64,7 +64,7 @@ impl Session {
     pub(super) fn release_brake(&mut self, motor: MotorId) -> Outcome<bool> {
         match bring_up::release_brake(&mut self.master, motor) {
             Ok(()) => Ok(true),
-            Err(BringUpError::BrakeNotReleased(says)) => {
+            Err(BringUpError::BrakeNotReleased { says, .. }) => {
                 report(
                     "warning",
                     format!(

@@ -1,16 +1,12 @@
 //! `myactuator reset`: a restart, which also clears the errors that nothing else clears.
 
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{ReadMultiTurnAngle, ReadRunTime};
+use myactuator_protocol_core::command::ReadMultiTurnAngle;
 use myactuator_protocol_core::io::bring_up;
 use myactuator_protocol_core::units::Angle;
 
 use super::session::{OneMotor, Session, say};
-use crate::cli::{Outcome, Unfinished};
-
-/// A drive that has run for less long may have restarted however long it says it has run, ms: it is asked
-/// again some 2 s after the restart.
-const SHORT_RUN_MS: u32 = 3000;
+use crate::cli::Outcome;
 
 /// Restart a motor (0x76), which also clears errors whose cause is gone
 ///
@@ -54,15 +50,7 @@ fn restarted(motor: MotorId, before: Angle, after: Angle) -> String {
 fn restart(session: &mut Session, motor: MotorId) -> Outcome {
     session.is_not_left_halfway()?;
     session.standing(motor)?;
-    let ran = session.ask(motor, ReadRunTime)?.run_time.raw();
-    bring_up::restart(&mut session.master, motor, motor)?;
-    let runs = session.ask(motor, ReadRunTime)?.run_time.raw();
-    if ran >= SHORT_RUN_MS && runs >= ran {
-        return Err(Unfinished::Failed(format!(
-            "motor {motor} has not restarted: it had run for {ran} ms, and has for {runs} ms now: switch its supply off and on"
-        )));
-    }
-    Ok(())
+    Ok(bring_up::restart(&mut session.master, motor, motor)?)
 }
 
 #[cfg(test)]
@@ -77,6 +65,7 @@ mod tests {
         simulated::{sent, turning},
     };
     use super::*;
+    use crate::cli::Unfinished;
 
     #[test]
     fn an_error_whose_cause_is_gone_goes_with_a_restart() {
@@ -135,9 +124,9 @@ mod tests {
     #[test]
     fn a_motor_that_runs_on_has_not_restarted() {
         let (fleet, drive) = odd_drive::alone();
-        drive.lock().unwrap().run_time_ms = 5_000;
+        drive.lock().unwrap().run_time_ms = 50_000;
         let told = restart(&mut Session::on(&fleet), MotorId::MIN);
         let Err(Unfinished::Failed(told)) = told else { panic!("{told:?}") };
-        assert!(told.starts_with("motor 1 has not restarted: it had run for 5000 ms"), "{told}");
+        assert!(told.starts_with("motor 1 was told to restart and goes on running"), "{told}");
     }
 }

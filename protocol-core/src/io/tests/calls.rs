@@ -372,8 +372,8 @@ fn an_id_is_acknowledged_under_the_old_one_or_the_new_one() {
 
 #[test]
 fn a_motor_that_turns_has_not_arrived() {
-    // Motor 3 is at 360 degrees, turns at 500 dps and runs nothing, says every answer.
-    let (bus, mut arm) = arm();
+    // Motor 3 is at 360 degrees, turns at 500 dps and runs nothing, says every answer; it has run for a minute.
+    let (bus, mut arm) = saying([[0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0]]);
     let (max_speed, angle) = (MaxSpeed::from_raw(100), Angle::from_raw(36_000));
     let go_on = |_: &_| ControlFlow::Continue(());
     let target = AbsolutePosition { max_speed, angle };
