@@ -385,7 +385,7 @@ fn with_first_restart_lost<W: Wire, T>(mut work: impl FnMut(&mut W::Runner<8>) -
         let resets: Vec<_> = log.take().into_iter().filter(is_reset).collect();
         if lost_at.is_some() {
             let restarts = myactuator_tests::fleet::happened(&bus.drives[0]).into_iter();
-            let restarted = |it: &drive::Event| matches!(it, drive::Event::Started { .. });
+            let restarted = |it: &drive::Event| matches!(it, drive::Event::Started);
             return (result, restarts.filter(restarted).count() as u32);
         }
         lost_at = Some(resets[0].at_ns / 1_000 - 60);

@@ -200,6 +200,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse. Does not
     /// wait.
     ///
+    /// **It lifts every stop, of any thread**, also one that came since you stopped the motors yourself, because
+    /// somebody pressed a button. Have one place in a program that lifts stops, and knows of all reasons for them.
+    ///
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn lift_stop(&self) -> Result<(), SharedBusError<E>> {

@@ -290,7 +290,8 @@ impl<const N: usize> Master<N> {
         self.stops_all.is_some() || !self.stopped.is_empty()
     }
 
-    /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse.
+    /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse: every stop, whoever has
+    /// called for it.
     pub fn lift_stop(&mut self) {
         self.stops_all = None;
         self.stopped = MotorSet::EMPTY;

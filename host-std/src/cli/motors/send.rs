@@ -1,5 +1,6 @@
 //! `myactuator send`: one command, known or not, and what is answered.
 
+use myactuator_host_std::BusKind;
 use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
 use myactuator_protocol_core::command::{AnyCommand, BusId, Phrase, RawCommand, awaits_reply};
@@ -111,7 +112,7 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
         send(session)?;
         session.wait_for_reader()
     })?;
-    if arguments.command.opcode().is_some() {
+    if kind.opcode().is_some() {
         let go = if motors.len() == 1 { "goes" } else { "go" };
         report("note", format!("{} {go} on: 'myactuator stop' ends it", named(motors)));
     }
@@ -201,6 +202,7 @@ impl Sending {
         };
         let sent = session.master.master().broadcast(self.as_raw(), expected);
         sent.map_err(|refusal| Unfinished::Failed(refusal.to_string()))?;
+        let at_once = session.address.kind() == BusKind::Rs485 && expected.len() > 1;
         let silent = loop {
             session.check_interrupted()?;
             match session.master.poll()? {
@@ -224,13 +226,19 @@ impl Sending {
         if silent.is_empty() {
             return Ok(());
         }
+        if at_once {
+            return say(&format!(
+                "{}: sent {}; on RS485 the replies of several motors collide, so that nobody can tell who has heard it",
+                named(motors),
+                self.words()
+            ));
+        }
         let unknown = match self.kind() {
             Kind::Known(_) => "",
             Kind::Raw { .. } => "firmware may not know the command byte; ",
         };
         Err(Unfinished::Failed(format!(
-            "no reply from {}: {unknown}on CAN a motor whose id filter is on (function 2) \
-             does not hear what goes to all, on RS485 the replies to it collide",
+            "no reply from {}: {unknown}a motor whose id filter is on (function 2) does not hear what goes to all on CAN",
             named(silent)
         )))
     }
@@ -263,7 +271,7 @@ impl Sending {
 mod tests {
     use std::sync::atomic::Ordering;
 
-    use myactuator_host_std::open::AnyMaster;
+    use myactuator_host_std::open::{AnyMaster, BusAddress};
     use myactuator_host_std::sim::Fleet;
     use myactuator_host_std::sim::bus::can::ControllerConfig;
     use myactuator_protocol_core::command::{MotionLimits, MotionRanges, ReadStatus1, VersionDate};
@@ -307,6 +315,14 @@ mod tests {
         // Nobody waits for what is not answered.
         let (outcome, packets) = send(&Fleet::new(1), "--id 1 raw C001020304050607 --reply none");
         assert_eq!((outcome, packets), (Ok(()), vec![Packet { channel, data: C0 }]));
+    }
+
+    #[test]
+    fn what_goes_to_all_on_a_line_is_sent_and_nobody_is_said_not_to_have_heard_it() {
+        let fleet = Fleet::new(3).on_rs485(115_200).unwrap();
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        session.address = BusAddress::Simulated { motors: 3, kind: BusKind::Rs485 };
+        assert_eq!(run_on(&mut session, &typed("--id all stop")), Ok(()));
     }
 
     #[test]
