@@ -132,8 +132,8 @@ pub enum Protection {
 ///
 /// # Errors
 /// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown), of any of the candidates, if the bus
-/// carries nothing, as CAN does when nobody is there to acknowledge; [`RequestError::TooManyMotors`](crate::error::RequestError::TooManyMotors) if the
-/// master has no place free at all.
+/// carries nothing, as CAN does when nobody is there to acknowledge;
+/// [`TooManyMotors`](crate::error::RequestError::TooManyMotors) if the master has no place free at all.
 pub fn scan<R: Runner<N>, const N: usize>(
     runner: &mut R,
     candidates: MotorSet,
