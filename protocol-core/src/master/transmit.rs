@@ -90,6 +90,8 @@ impl<const N: usize> Master<N> {
                 let Some((is_over, round)) = sent.flatten() else { return };
                 (self.due, self.pace) = (now, round);
                 if is_over {
+                    // It may have been a restart.
+                    self.cancel_move_after_restart();
                     silence = self.config.settle_time;
                 }
             }

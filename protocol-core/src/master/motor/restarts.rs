@@ -10,6 +10,9 @@ use crate::time::{Duration, Instant};
 /// A motor that was silent for so long and answers again may have restarted: that takes 1.1 s.
 pub(super) const RESTART_TAKES: Duration = Duration::from_secs(1);
 
+/// A run time that counts on from 0 goes on by less between two answers.
+const AN_HOUR_MS: u32 = 3_600_000;
+
 /// No motor turns a degree in less: 10,000 dps.
 const DEGREE_TAKES: Duration = Duration::from_micros(100);
 /// In degrees: what lies further away is nearer to another turn.
@@ -80,7 +83,8 @@ impl Motor {
         now: Instant,
     ) {
         let before = core::mem::replace(&mut self.run_time_ms, run_time_ms);
-        if run_time_ms < before {
+        // It counts on from 0 after 49.7 days.
+        if run_time_ms < before && run_time_ms.wrapping_sub(before) >= AN_HOUR_MS {
             self.has_begun_anew(config, now);
         }
     }

@@ -472,3 +472,21 @@ fn a_doubled_answer_to_a_broadcast_confirms_no_stop() {
     let doubled = reply(master, 1, [0x81, 0, 0, 0, 0, 0, 0, 0], Instant::from_micros(1_300));
     assert_ne!(doubled, confirmed(1), "it was lost, and the motor turns");
 }
+
+/// A restart that was sent ends a move of all that waits. Whoever sleeps until `poll_at` is woken for that: until then
+/// the requests of all others wait for that move.
+#[test]
+fn a_restart_that_is_sent_ends_a_move_of_all_without_waiting_for_anything_else() {
+    let master = &mut Master::<2>::new(Config::CAN);
+    let _ = master.request(id(1), Reset).unwrap();
+    master.broadcast(torque(1.0), id(2).into()).unwrap();
+    let _ = master.request(id(2), ReadMultiTurnAngle).unwrap();
+    let mut packets = sent(master, ms(1));
+    while master.poll_event().is_some() {}
+    if packets.len() == 1 {
+        // Nothing but the time that it says itself is needed.
+        let at = master.poll_at().expect("the move is to be ended, and the angle asked");
+        packets.extend(sent(master, at));
+    }
+    assert_eq!(packets.len(), 2, "the restart and the angle");
+}
