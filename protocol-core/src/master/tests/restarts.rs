@@ -391,17 +391,19 @@ fn a_motor_that_stays_silent_is_told_to_have_restarted_once() {
     assert_eq!(told, 1);
 }
 
+/// Motor 1 gets a set-point, and says in its feedback that it is there. Gives what comes of that.
+fn streams(master: &mut Master<2>, degrees: i16, at: u64) -> Vec<Event> {
+    master.set_point(id(1), torque(1.0), ms(at)).unwrap();
+    assert_eq!(sent(master, ms(at)).len(), 1);
+    let [low, high] = degrees.to_le_bytes();
+    reply(master, 1, [0xA1, 30, 0, 0, 0, 0, low, high], ms(at + 1)).unwrap();
+    events(master, ms(at + 1))
+}
+
 /// What its stream said before the restart is no place to tell a jump from.
 #[test]
 fn the_first_feedback_after_a_restart_that_is_known_tells_no_other() {
     let mut master = Master::<2>::new(Config::CAN);
-    let streams = |master: &mut Master<2>, degrees: i16, at| {
-        master.set_point(id(1), torque(1.0), ms(at)).unwrap();
-        assert_eq!(sent(master, ms(at)).len(), 1);
-        let [low, high] = degrees.to_le_bytes();
-        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, low, high], ms(at + 1)).unwrap();
-        events(master, ms(at + 1))
-    };
     assert_eq!(streams(&mut master, 2_000, 0), []);
     assert_eq!(streams(&mut master, 2_000, 2), []);
     master.note_restart(id(1));
@@ -429,13 +431,6 @@ fn each_call_with_a_time_says_what_time_it_is() {
 #[test]
 fn feedback_that_may_be_the_answer_to_all_tells_no_jump() {
     let mut master = Master::<2>::new(Config::CAN);
-    let streams = |master: &mut Master<2>, degrees: i16, at| {
-        master.set_point(id(1), torque(1.0), ms(at)).unwrap();
-        assert_eq!(sent(master, ms(at)).len(), 1);
-        let [low, high] = degrees.to_le_bytes();
-        reply(master, 1, [0xA1, 30, 0, 0, 0, 0, low, high], ms(at + 1)).unwrap();
-        events(master, ms(at + 1))
-    };
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     events(&mut master, ms(0));

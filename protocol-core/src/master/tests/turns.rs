@@ -375,8 +375,8 @@ fn nobody_waits_for_a_motor_that_had_its_chance() {
     assert!(held_at.len() <= 1, "held at {held_at:?}");
 }
 
-#[test]
-fn a_motor_that_rested_for_long_does_not_starve() {
+/// Motor 2 has answered once, and motor 1 has had 300 turns since. Also what time it is.
+fn beside_one_that_rests() -> (Master<2>, Instant) {
     let mut master = Master::<2>::new(Config::CAN);
     let mut now = ms(0);
     let _ = ask(&mut master, 2, ReadModel, now);
@@ -388,6 +388,12 @@ fn a_motor_that_rested_for_long_does_not_starve() {
         reply(&mut master, 1, TORQUE_REPLY, now + Duration::from_micros(900));
     }
     now += Duration::from_millis(1);
+    (master, now)
+}
+
+#[test]
+fn a_motor_that_rested_for_long_does_not_starve() {
+    let (mut master, now) = beside_one_that_rests();
     master.set_point(id(1), torque(1.0), now).unwrap();
     let _read = master.request(id(2), ReadModel).unwrap();
     assert_eq!(sent(&mut master, now).len(), 2);
@@ -460,20 +466,9 @@ fn a_motor_whose_request_has_to_wait_keeps_no_turn() {
     assert!(matches!(packets[..], [Packet { channel, .. }] if channel == to_first), "{packets:?}");
 }
 
-/// Motor 1 has had 300 turns meanwhile.
 #[test]
 fn a_stream_that_rested_for_long_has_no_claim_to_what_it_missed() {
-    let mut master = Master::<2>::new(Config::CAN);
-    let mut now = ms(0);
-    let _ = ask(&mut master, 2, ReadModel, now);
-    reply(&mut master, 2, *b"\xB5X8S2V10", ms(1)).unwrap();
-    for _ in 0..300 {
-        now += Duration::from_millis(1);
-        master.set_point(id(1), torque(1.0), now).unwrap();
-        sent(&mut master, now);
-        reply(&mut master, 1, TORQUE_REPLY, now + Duration::from_micros(900));
-    }
-    now += Duration::from_millis(1);
+    let (mut master, now) = beside_one_that_rests();
     for motor in 1..=2 {
         master.set_point(id(motor), torque(1.0), now).unwrap();
     }
