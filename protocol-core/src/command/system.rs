@@ -53,6 +53,18 @@ reply! {
     }
 }
 
+impl RunTime {
+    /// Whether a drive that says this, and said `before` earlier, has started again in between: it has run for less.
+    /// Not where the time only counts on from 0, as it does after 49.7 days, unless the two are an hour apart.
+    ///
+    /// One that has run for longer may have started again as well, long ago.
+    pub const fn shows_restart_since(self, before: Self) -> bool {
+        const AN_HOUR_MS: u32 = 3_600_000;
+        let (now, before) = (self.run_time.raw(), before.run_time.raw());
+        now < before && now.wrapping_sub(before) >= AN_HOUR_MS
+    }
+}
+
 command! {
     /// Read the date of the drive's software: 0xB2 (2.30).
     ReadVersionDate -> Version
@@ -226,6 +238,22 @@ impl fmt::Display for ModelName {
 mod tests {
     use super::*;
     use std::string::ToString;
+
+    #[test]
+    fn a_run_time_that_counts_on_from_0_is_no_restart() {
+        let runs = |ms| RunTime { run_time: Milliseconds::from_raw(ms) };
+        let shows_restart = |before, now| runs(now).shows_restart_since(runs(before));
+        assert!(!shows_restart(94, 94));
+        assert!(!shows_restart(94, 10_000_000));
+        // The longest that it tells, and 100 ms or all but an hour later.
+        assert!(!shows_restart(u32::MAX - 5, 94));
+        assert!(!shows_restart(u32::MAX, 3_600_000 - 2));
+        assert!(shows_restart(u32::MAX, 3_600_000 - 1));
+        // The last after 24.9 and after 49.5 days.
+        for before in [194, 1 << 31, 4_280_000_000] {
+            assert!(shows_restart(before, 50), "{before}");
+        }
+    }
 
     #[test]
     fn dates_come_with_and_without_a_build_number() {

@@ -429,7 +429,7 @@ impl Motor {
         if let (Kind::Known(Opcode::ReadRunTime), Ok(reply)) =
             (kind, ReadRunTime::decode_reply(&data))
         {
-            self.has_run_for(reply.run_time.raw(), config, now);
+            self.has_run_for(reply, config, now);
         }
         let ticket = TicketId { motor, number: self.ticket };
         Meaning::Answer(ticket, kind, round_trip)

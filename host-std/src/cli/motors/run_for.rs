@@ -7,12 +7,11 @@ use std::mem::replace;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
-    BrakeCommand, Command, LockBrake, ReadRunTime, ReadRunningMode, ReadStatus1,
+    BrakeCommand, Command, LockBrake, ReadRunTime, ReadRunningMode, ReadStatus1, RunTime,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
 use myactuator_protocol_core::time::Duration;
-use myactuator_protocol_core::units::Milliseconds;
 
 use super::moving::told_with_stop;
 use super::progress::Progress;
@@ -26,8 +25,6 @@ const ERRORS_EVERY: u32 = 10;
 /// Between two commands goes less time than this, however badly the motor answers: else the program, or the machine,
 /// was frozen. The motor may have stopped by itself, and nobody expects it to go on.
 const LONGEST_GAP: Duration = Duration::from_secs(1);
-/// A run time that counts on from 0 does not go on by so much between two looks, ms.
-const AN_HOUR_MS: u32 = 3_600_000;
 /// So many commands in a row without a reply are a motor that does not answer.
 const MOST_MISSED: u32 = 5;
 
@@ -111,9 +108,9 @@ fn repeat<C: Command + Copy>(
     span: &Span,
     command: C,
     reading: impl Fn(&C::Reply) -> String,
-) -> Outcome<Milliseconds> {
+) -> Outcome<RunTime> {
     let (motor, length) = (span.motor.id, span.for_s);
-    let mut ran = session.ask(motor, ReadRunTime)?.run_time;
+    let mut ran = session.ask(motor, ReadRunTime)?;
     let start = session.master.now();
     let mut progress = Progress::new(start);
     let mut missed = 0;
@@ -163,16 +160,16 @@ fn repeat<C: Command + Copy>(
 }
 
 /// That the motor has not restarted since it had run for so long. One that takes no time for it is never silent.
-fn runs_on(session: &mut Session, motor: MotorId, ran: &mut Milliseconds) -> Outcome {
-    let runs = session.ask(motor, ReadRunTime)?.run_time;
+fn runs_on(session: &mut Session, motor: MotorId, ran: &mut RunTime) -> Outcome {
+    let runs = session.ask(motor, ReadRunTime)?;
     let ran = replace(ran, runs);
-    // It counts on from 0 after 49.7 days.
-    if runs.raw() >= ran.raw() || runs.raw().wrapping_sub(ran.raw()) < AN_HOUR_MS {
+    if !runs.shows_restart_since(ran) {
         return Ok(());
     }
     Err(Unfinished::Failed(format!(
-        "motor {motor} has restarted on the way: it had run for {ran}, and has for {runs} now (0xB1); see its supply, and \
-         where it believes to be"
+        "motor {motor} has restarted on the way: it had run for {}, and has for {} now (0xB1); see its supply, and \
+         where it believes to be",
+        ran.run_time, runs.run_time
     )))
 }
 
@@ -204,10 +201,11 @@ mod tests {
     };
     use myactuator_protocol_core::io::bring_up;
     use myactuator_protocol_core::time::Instant;
-    use myactuator_protocol_core::units::{Acceleration, Current, MaxTorque, SpeedTarget};
+    use myactuator_protocol_core::units::{
+        Acceleration, Current, MaxTorque, Milliseconds, SpeedTarget,
+    };
     use myactuator_protocol_core::wire::can::SimpleFrame;
 
-    use super::super::odd_drive;
     use super::super::simulated::{CtrlC, OtherMaster, Sends, sent, to_first, typed};
     use super::*;
 
@@ -408,24 +406,6 @@ mod tests {
                 told.contains("; motor 1 is off (0x80)") || told.ends_with(holds),
                 "{at}: {told}"
             );
-        }
-    }
-
-    #[test]
-    fn a_run_time_that_begins_again_after_49_days_is_no_restart() {
-        let (fleet, drive) = odd_drive::alone();
-        let mut session = Session::on(&fleet);
-        let mut looks = |ran, runs| {
-            drive.lock().unwrap().run_time_ms = runs;
-            runs_on(&mut session, MotorId::MIN, &mut Milliseconds::from_raw(ran))
-        };
-        assert_eq!(looks(u32::MAX - 5, 94), Ok(()));
-        // Nor is it one where this program slept for longer than an hour.
-        assert_eq!(looks(94, 10_000_000), Ok(()));
-        // The last after 24.9 and after 49.5 days.
-        for ran in [194, 1 << 31, 4_280_000_000] {
-            let told = format!("{:?}", looks(ran, 50));
-            assert!(told.contains("motor 1 has restarted on the way"), "{ran}: {told}");
         }
     }
 

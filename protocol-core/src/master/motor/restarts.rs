@@ -1,17 +1,15 @@
 //! What shows that a motor has restarted: the turns that it had counted are gone, and the next move starts from
 //! wherever it now believes to be.
 
-use crate::command::AnyReply;
+use crate::command::{AnyReply, RunTime};
 use crate::master::config::Config;
 use crate::master::event::{Failure, feedback_of};
 use crate::master::motor::{Motor, News};
 use crate::time::{Duration, Instant};
+use crate::units::Milliseconds;
 
 /// A motor that was silent for so long and answers again may have restarted: that takes 1.1 s.
 pub(super) const RESTART_TAKES: Duration = Duration::from_secs(1);
-
-/// A run time that counts on from 0 goes on by less between two answers.
-const AN_HOUR_MS: u32 = 3_600_000;
 
 /// No motor turns a degree in less: 10,000 dps.
 const DEGREE_TAKES: Duration = Duration::from_micros(100);
@@ -76,15 +74,10 @@ impl Motor {
     }
 
     /// It has said how long it has run.
-    pub(in crate::master) fn has_run_for(
-        &mut self,
-        run_time_ms: u32,
-        config: &Config,
-        now: Instant,
-    ) {
-        let before = core::mem::replace(&mut self.run_time_ms, run_time_ms);
-        // It counts on from 0 after 49.7 days.
-        if run_time_ms < before && run_time_ms.wrapping_sub(before) >= AN_HOUR_MS {
+    pub(in crate::master) fn has_run_for(&mut self, runs: RunTime, config: &Config, now: Instant) {
+        let before_ms = core::mem::replace(&mut self.run_time_ms, runs.run_time.raw());
+        let before = RunTime { run_time: Milliseconds::from_raw(before_ms) };
+        if runs.shows_restart_since(before) {
             self.has_begun_anew(config, now);
         }
     }

@@ -437,19 +437,3 @@ fn feedback_that_may_be_the_answer_to_all_tells_no_jump() {
     assert_eq!(streams(&mut master, 0, 30), []);
     assert_eq!(streams(&mut master, 400, 32), []);
 }
-
-/// The run time counts on from 0 after 49.7 days.
-#[test]
-fn a_run_time_that_begins_anew_after_all_its_bits_is_no_restart() {
-    let master = &mut Master::<2>::new(Config::CAN);
-    let mut at = 0;
-    for run_time_ms in [u32::MAX - 500, 500] {
-        let ticket = ask(master, 1, ReadRunTime, ms(at));
-        let mut answer = [0xB1, 0, 0, 0, 0, 0, 0, 0];
-        answer[4..].copy_from_slice(&run_time_ms.to_le_bytes());
-        let event = reply(master, 1, answer, ms(at + 1)).unwrap();
-        assert!(ticket.outcome(&event).is_some());
-        at += 1_000;
-    }
-    assert!(!master.has_restarted(id(1)));
-}
