@@ -131,7 +131,7 @@ impl Kind {
 
     /// Whether it may set the motor in motion, or open the brake that holds its load.
     #[inline(never)]
-    pub(crate) const fn may_move(self) -> bool {
+    pub const fn may_move(self) -> bool {
         self.moves() || matches!(self, Self::Known(Opcode::ReleaseBrake))
     }
 

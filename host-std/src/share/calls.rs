@@ -56,6 +56,16 @@ pub(super) struct Waiting<T, E> {
     pub(super) asker: Arc<()>,
 }
 
+/// How often a question is put, and how long each answer is waited for.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Insistence {
+    /// As the master does with such a command.
+    Usual,
+    /// With the patience of now, so often at the most.
+    Attempts(u8),
+    Of(Patience),
+}
+
 /// A question that is still to be put.
 #[derive(Debug)]
 pub(super) struct Question<E> {
@@ -63,7 +73,7 @@ pub(super) struct Question<E> {
     pub(super) asker: Weak<()>,
     pub(super) motor: MotorId,
     pub(super) command: Untyped,
-    pub(super) patience: Option<Patience>,
+    pub(super) insistence: Insistence,
     /// Until when it waits for its turn, on the clock of the bus, once it was there to be put.
     pub(super) turn_ends: Option<time::Instant>,
     pub(super) answer: Answer<Data, E>,
@@ -72,10 +82,24 @@ pub(super) struct Question<E> {
 /// What goes before all questions and set-points, in the order in which it was said.
 #[derive(Debug)]
 pub(super) enum Order<E> {
-    StopAll { kind: StopKind, also: MotorSet, answer: Answer<MotorSet, E> },
-    Stop { motor: MotorId, kind: StopKind, answer: Answer<MotorSet, E> },
+    StopAll {
+        kind: StopKind,
+        also: MotorSet,
+        answer: Answer<MotorSet, E>,
+    },
+    Stop {
+        motor: MotorId,
+        kind: StopKind,
+        answer: Answer<MotorSet, E>,
+    },
     LiftStop,
     LiftStopOf(MotorId),
     Resume(MotorId),
+    NoteRestart(MotorId),
     Forget(MotorId),
+    /// The answer, which comes no sooner than `until`, is what time it is then.
+    Wait {
+        until: time::Instant,
+        answer: Answer<time::Instant, E>,
+    },
 }

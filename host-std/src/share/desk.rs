@@ -8,11 +8,12 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use myactuator_protocol_core::master::{Event, MotorSet, Patience, StopKind};
-use myactuator_protocol_core::{Data, MotorId};
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
+use myactuator_protocol_core::{Data, MotorId, time};
 
 use super::SharedBusError;
-use super::calls::{Answer, Awaited, Order, Question, Untyped, Waiting};
+use super::calls::{Answer, Awaited, Insistence, Order, Question, Untyped, Waiting};
 use super::state::{Clerk, Latest, Life, State};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::Wake;
@@ -57,22 +58,23 @@ impl<E> Desk<E> {
 
     // ---- the callers' side ----
 
-    /// Lays down a question.
+    /// Lays down a question of somebody who began to work with that motor then.
     pub(super) fn ask(
         &self,
         motor: MotorId,
         command: Untyped,
-        patience: Option<Patience>,
+        insistence: Insistence,
+        since: Option<u32>,
     ) -> Awaited<Data, E> {
         let (answer, waiting) = call();
         let mut state = self.lock();
         if command.kind.ends_motion() {
-            state.slot(motor).set_point = None;
+            state.drop_what_is_ended(motor);
         }
-        state.check(motor, command.kind)?;
+        state.check(motor, command.kind, since)?;
         let asker = Arc::downgrade(&waiting.asker);
-        let question = Question { asker, motor, command, patience, turn_ends: None, answer };
-        state.questions.push_back(question);
+        let question = Question { asker, motor, command, insistence, turn_ends: None, answer };
+        state.put(question);
         self.leave(state);
         Ok(waiting)
     }
@@ -84,7 +86,7 @@ impl<E> Desk<E> {
         command: Untyped,
     ) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
-        state.check(motor, command.kind)?;
+        state.check(motor, command.kind, None)?;
         if state.news_since.is_some_and(|since| since.elapsed() > LONGEST_ROUND) {
             return Err(SharedBusError::Held);
         }
@@ -141,6 +143,34 @@ impl<E> Desk<E> {
         state.order(Order::Resume(motor))?;
         self.leave(state);
         Ok(())
+    }
+
+    pub(super) fn note_restart(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
+        let mut state = self.lock();
+        state.restarted.insert(motor);
+        state.drop_what_moves(motor);
+        state.order(Order::NoteRestart(motor))?;
+        self.leave(state);
+        Ok(())
+    }
+
+    /// What to begin to work with a motor by.
+    pub(super) fn ended(&self, motor: MotorId) -> u32 {
+        self.lock().ended[motor.index()]
+    }
+
+    /// Whether whoever began then may move a motor now.
+    pub(super) fn may_move(&self, motor: MotorId, since: u32) -> Result<(), RequestError> {
+        self.lock().may_move(motor, Some(since))
+    }
+
+    /// Waits until then, on the clock of the bus. The answer is what time it is.
+    pub(super) fn wait_until(&self, until: time::Instant) -> Awaited<time::Instant, E> {
+        let (answer, waiting) = call();
+        let mut state = self.lock();
+        state.order(Order::Wait { until, answer })?;
+        self.leave(state);
+        Ok(waiting)
     }
 
     pub(super) fn forget(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {

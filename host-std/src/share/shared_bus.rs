@@ -9,7 +9,7 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Failure, MotorSet, Patience, StopKind};
 use myactuator_protocol_core::{Command, MotorId};
 
-use super::calls::Untyped;
+use super::calls::{Insistence, Untyped};
 use super::desk::Desk;
 use super::state::Latest;
 use super::{SharedBusError, Subscription, worker};
@@ -115,8 +115,13 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         Self(Arc::new(Running { desk, thread: Some(thread) }))
     }
 
+    pub(super) fn desk(&self) -> &Desk<E> {
+        &self.0.desk
+    }
+
     /// Sends a command to one motor and waits for its answer, or until it was sent if it has none. Other
-    /// threads' questions are under way meanwhile; to one motor they go in their order.
+    /// threads' questions are under way meanwhile; to one motor they go in their order, but for what ends motion, which
+    /// goes before all that waits and drops what moves the motor.
     ///
     /// # Errors
     /// [`SharedBusError`]. What is next and gets no turn within 2 s, since a stop waits for a bus that is down,
@@ -127,7 +132,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         motor: MotorId,
         command: C,
     ) -> Result<C::Reply, SharedBusError<E>> {
-        self.put(motor, &command, None)
+        self.put(motor, &command, Insistence::Usual, None)
     }
 
     /// As [`ask`](Self::ask), with a patience of its own.
@@ -140,17 +145,18 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         command: C,
         patience: Patience,
     ) -> Result<C::Reply, SharedBusError<E>> {
-        self.put(motor, &command, Some(patience))
+        self.put(motor, &command, Insistence::Of(patience), None)
     }
 
-    fn put<C: Command>(
+    pub(super) fn put<C: Command>(
         &self,
         motor: MotorId,
         command: &C,
-        patience: Option<Patience>,
+        insistence: Insistence,
+        since: Option<u32>,
     ) -> Result<C::Reply, SharedBusError<E>> {
-        let desk = &self.0.desk;
-        let reply = desk.wait(desk.ask(motor, Untyped::of(command), patience))?;
+        let desk = self.desk();
+        let reply = desk.wait(desk.ask(motor, Untyped::of(command), insistence, since))?;
         C::decode_reply(&reply).map_err(|error| {
             let failure = Failure::Unreadable(error);
             SharedBusError::Failed { motor, failure }
@@ -170,7 +176,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         motor: MotorId,
         command: C,
     ) -> Result<(), SharedBusError<E>> {
-        self.0.desk.set_point(motor, Untyped::of(&command))
+        self.desk().set_point(motor, Untyped::of(&command))
     }
 
     /// Stops all motors that were spoken to and those of `also`, before anything else is sent, and waits
@@ -183,7 +189,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`]: nobody is there to stop them. **Cut their power.**
     pub fn stop_all(&self, kind: StopKind, also: MotorSet) -> Result<MotorSet, SharedBusError<E>> {
-        let desk = &self.0.desk;
+        let desk = self.desk();
         desk.wait_for_stop(desk.stop_all(kind, also), MotorSet::ALL)
     }
 
@@ -193,7 +199,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Refused`] if the master has no place for it, [`SharedBusError::Panicked`].
     pub fn stop(&self, motor: MotorId, kind: StopKind) -> Result<bool, SharedBusError<E>> {
-        let desk = &self.0.desk;
+        let desk = self.desk();
         Ok(desk.wait_for_stop(desk.stop(motor, kind), motor.into())?.is_empty())
     }
 
@@ -206,7 +212,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn lift_stop(&self) -> Result<(), SharedBusError<E>> {
-        self.0.desk.lift_stop()
+        self.desk().lift_stop()
     }
 
     /// Accepts again what [`stop`](Self::stop) made it refuse to this motor. Does not wait.
@@ -214,7 +220,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn lift_stop_of(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        self.0.desk.lift_stop_of(motor)
+        self.desk().lift_stop_of(motor)
     }
 
     /// Takes set-points and moves again for a motor that [has
@@ -223,7 +229,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn resume(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        self.0.desk.resume(motor)
+        self.desk().resume(motor)
     }
 
     /// Gives up the place of an id at which there is nobody: until then each stop of all waits for it. Nothing
@@ -232,18 +238,18 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`].
     pub fn forget(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
-        self.0.desk.forget(motor)
+        self.desk().forget(motor)
     }
 
     /// The newest feedback of a motor: to its set-points, or reported by itself. `None` if there is none
     /// yet. Does not wait.
     pub fn latest(&self, motor: MotorId) -> Option<Latest> {
-        self.0.desk.latest(motor)
+        self.desk().latest(motor)
     }
 
     /// Everything that the bus reports from now on, to be taken at leisure: up to so many events wait
     /// (at least one), and what comes then is lost, and counted.
     pub fn subscribe(&self, room: usize) -> Subscription {
-        self.0.desk.subscribe(room)
+        self.desk().subscribe(room)
     }
 }

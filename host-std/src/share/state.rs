@@ -50,6 +50,8 @@ pub(super) struct State<E> {
     pub(super) slots: [Slot; MotorId::COUNT],
     pub(super) stops_all: bool,
     pub(super) stopped: MotorSet,
+    /// How often the motion of each was to be ended, by a stop or otherwise.
+    pub(super) ended: [u32; MotorId::COUNT],
     /// These were told to have restarted, and not resumed.
     pub(super) restarted: MotorSet,
     /// An error that nobody was told yet.
@@ -82,6 +84,7 @@ impl<E> State<E> {
             slots: std::array::from_fn(|_| Slot::default()),
             stops_all: false,
             stopped: MotorSet::EMPTY,
+            ended: [0; MotorId::COUNT],
             restarted: MotorSet::EMPTY,
             error: None,
             subscribers: Vec::new(),
@@ -95,8 +98,13 @@ impl<E> State<E> {
         &mut self.slots[motor.index()]
     }
 
-    /// Whether a command may be laid down.
-    pub(super) fn check(&mut self, motor: MotorId, kind: Kind) -> Result<(), SharedBusError<E>> {
+    /// Whether a command may be laid down by whoever began then.
+    pub(super) fn check(
+        &mut self,
+        motor: MotorId,
+        kind: Kind,
+        since: Option<u32>,
+    ) -> Result<(), SharedBusError<E>> {
         if let Life::Panicked(_) = self.life {
             return Err(self.last_words());
         }
@@ -106,7 +114,7 @@ impl<E> State<E> {
         {
             return Err(SharedBusError::Bus(error));
         }
-        let is_stopped = self.stops_all || self.stopped.contains(motor);
+        let is_stopped = self.is_stopped(motor, since);
         if is_stopped && kind.is_refused_while_stopped() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
@@ -114,6 +122,21 @@ impl<E> State<E> {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Restarted });
         }
         Ok(())
+    }
+
+    /// Whether a motor is stopped, or its motion was to be ended since then; `None` for whoever begins now.
+    fn is_stopped(&self, motor: MotorId, since: Option<u32>) -> bool {
+        let was_ended = since.is_some_and(|since| since != self.ended[motor.index()]);
+        was_ended || self.stops_all || self.stopped.contains(motor)
+    }
+
+    /// Whether whoever began then may move a motor now.
+    pub(super) fn may_move(&self, motor: MotorId, since: Option<u32>) -> Result<(), RequestError> {
+        match self.is_stopped(motor, since) {
+            true => Err(RequestError::Stopped),
+            false if self.restarted.contains(motor) => Err(RequestError::Restarted),
+            false => Ok(()),
+        }
     }
 
     pub(super) fn order(&mut self, order: Order<E>) -> Result<(), SharedBusError<E>> {
@@ -140,15 +163,36 @@ impl<E> State<E> {
         }
     }
 
-    /// A stop drops whatever is older than it.
+    /// A stop drops what it refuses and is older, and what would end motion in another way.
     pub(super) fn drop_what_is_stopped(&mut self, motors: MotorSet) {
+        self.end_motion(motors, |kind| kind.is_refused_while_stopped() || kind.ends_motion());
+    }
+
+    /// So does a command that ends motion with what moves, but for other such commands.
+    pub(super) fn drop_what_is_ended(&mut self, motor: MotorId) {
+        self.end_motion(motor.into(), Kind::may_move);
+    }
+
+    fn end_motion(&mut self, motors: MotorSet, is_over: impl Fn(Kind) -> bool) {
         for motor in motors.iter() {
             self.slot(motor).set_point = None;
+            let ended = &mut self.ended[motor.index()];
+            *ended = ended.wrapping_add(1);
         }
         self.drop_questions(|motor, kind| {
-            let is_dropped = motors.contains(motor) && kind.is_refused_while_stopped();
+            let is_dropped = motors.contains(motor) && is_over(kind);
             is_dropped.then_some(SharedBusError::Failed { motor, failure: Failure::Stopped })
         });
+    }
+
+    /// Puts a question behind those that are older; one that ends motion before all others of its motor.
+    pub(super) fn put(&mut self, question: Question<E>) {
+        let is_overtaken = |other: &Question<E>| {
+            other.motor == question.motor && !other.command.kind.ends_motion()
+        };
+        let ends_motion = question.command.kind.ends_motion();
+        let overtaken = self.questions.iter().position(|other| ends_motion && is_overtaken(other));
+        self.questions.insert(overtaken.unwrap_or(self.questions.len()), question);
     }
 
     /// A restart drops what moves and is older than the word of it.

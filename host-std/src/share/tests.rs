@@ -7,7 +7,8 @@ use std::sync::{Arc, Barrier};
 use std::thread;
 
 use myactuator_protocol_core::command::{
-    AbsolutePosition, IncrementalPosition, ReadMultiTurnAngle, ReadStatus1, Shutdown, Speed, Stop,
+    AbsolutePosition, Command, IncrementalPosition, ReadMultiTurnAngle, ReadStatus1, ReleaseBrake,
+    Shutdown, Speed, Stop,
 };
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
@@ -17,9 +18,9 @@ use myactuator_protocol_core::master::{
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::units::{Angle, MaxSpeed, MaxTorque, SpeedTarget};
 use myactuator_protocol_core::wire::can::{self, Received, SimpleFrame};
-use myactuator_protocol_core::{Channel, MotorId, Packet, Target};
+use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
-use super::calls::{Order, Question, Untyped};
+use super::calls::{Awaited, Insistence, Order, Question, Untyped};
 use super::desk::Desk;
 use super::state::Clerk;
 use super::{Guard, SharedBus, SharedBusError};
@@ -30,7 +31,7 @@ use crate::sim::{CanFleet, Fleet};
 
 type SimMaster = CanMaster<CanPort, SimClock<CanBus>, 8>;
 
-fn id(number: u8) -> MotorId {
+pub(super) fn id(number: u8) -> MotorId {
     MotorId::new(number).unwrap()
 }
 
@@ -40,7 +41,7 @@ fn turn(dps: f32) -> Speed {
 }
 
 /// Drives in real time, and the bus that they are on.
-fn shared(motors: u8) -> (CanFleet, SharedBus<CanError>) {
+pub(super) fn shared(motors: u8) -> (CanFleet, SharedBus<CanError>) {
     let fleet = Fleet::new(motors).on_can(1_000_000).unwrap();
     let world = fleet.world.clone().in_real_time();
     let bus = SharedBus::with_wake(fleet.master::<8>(), move || world.wake(), StopKind::Hold);
@@ -268,7 +269,7 @@ const BLOCKED: u32 = 6;
 const BLOCK_AT_WORK: u32 = 7;
 /// Is suspended for longer than a stop is tried when something waits to be sent.
 const SUSPEND_AT_WORK: u32 = 8;
-const PANIC: u32 = 9;
+pub(super) const PANIC: u32 = 9;
 
 /// A bus that fails when it is told to.
 struct Fragile(SimMaster, Arc<AtomicU32>);
@@ -333,7 +334,7 @@ impl Runner<8> for Fragile {
 }
 
 /// One in virtual time, which nothing wakes.
-fn fragile() -> (CanFleet, Arc<AtomicU32>, SharedBus<CanError>) {
+pub(super) fn fragile() -> (CanFleet, Arc<AtomicU32>, SharedBus<CanError>) {
     let fleet = Fleet::new(1).on_can(1_000_000).unwrap();
     let order = Arc::new(AtomicU32::new(WORK));
     let bus = SharedBus::new(Fragile(fleet.master(), Arc::clone(&order)), StopKind::Hold);
@@ -574,6 +575,8 @@ fn a_panic_of_the_bus_stops_the_motors_and_is_told() {
 #[derive(Default)]
 struct Notes {
     told: Vec<String>,
+    /// Whom the questions were for, and their first bytes.
+    bytes: Vec<(u8, u8)>,
     takes_questions: bool,
 }
 
@@ -584,6 +587,7 @@ impl Clerk<CanError> for Notes {
             Order::LiftStop => "lift".to_owned(),
             Order::Resume(motor) => format!("resume {motor}"),
             Order::Forget(motor) => format!("forget {motor}"),
+            Order::NoteRestart(motor) => format!("restart {motor}"),
             other => panic!("{other:?}"),
         });
     }
@@ -595,6 +599,7 @@ impl Clerk<CanError> for Notes {
 
     fn put(&mut self, question: Question<CanError>) -> Option<Question<CanError>> {
         self.told.push(format!("{}?", question.motor));
+        self.bytes.push((question.motor.get(), question.command.encode()[0]));
         if self.takes_questions {
             let Question { motor, answer, .. } = question;
             let failure = Failure::NoReply;
@@ -637,8 +642,8 @@ fn of_set_points_the_newest_is_taken_once() {
 fn nothing_older_than_a_stop_outlives_it() {
     let desk = Desk::new(None);
     desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
-    let moving = desk.ask(id(1), Untyped::of(&turn(2.0)), None);
-    let _answered = desk.ask(id(2), Untyped::of(&ReadStatus1), None);
+    let moving = ask(&desk, 1, turn(2.0));
+    let _answered = ask(&desk, 2, ReadStatus1);
     // The motors are busy: the questions stay.
     assert_eq!(taken(&desk), [set(1, 1.0), "1?".to_owned(), "2?".to_owned()]);
     desk.set_point(id(2), Untyped::of(&turn(3.0))).unwrap();
@@ -655,7 +660,7 @@ fn nothing_older_than_a_stop_outlives_it() {
 
     // A command that ends motion drops the set-point that is older, and goes before the one that is newer.
     desk.set_point(id(1), Untyped::of(&turn(6.0))).unwrap();
-    let ending = desk.ask(id(1), Untyped::of(&Shutdown), None);
+    let ending = ask(&desk, 1, Shutdown);
     desk.set_point(id(1), Untyped::of(&turn(7.0))).unwrap();
     desk.set_point(id(2), Untyped::of(&turn(8.0))).unwrap();
     assert_eq!(taken(&desk), [set(2, 8.0), "2?".to_owned(), "1?".to_owned()]);
@@ -664,7 +669,7 @@ fn nothing_older_than_a_stop_outlives_it() {
     assert_eq!(free.told, ["2?".to_owned(), "1?".to_owned(), set(1, 7.0)]);
     let ending = desk.wait(ending).unwrap_err();
     tells(&ending, 1, Failure::NoReply);
-    let reading = desk.ask(id(2), Untyped::of(&ReadStatus1), None);
+    let reading = ask(&desk, 2, ReadStatus1);
 
     // Whoever still waits is told by the end.
     desk.has_panicked(Arc::from("the test is over"));
@@ -674,13 +679,83 @@ fn nothing_older_than_a_stop_outlives_it() {
     assert!(is_over(desk.wait(stopping).unwrap_err()));
 }
 
+/// A question that nobody waits for.
+fn ask(desk: &Desk<CanError>, motor: u8, command: impl Command) -> Awaited<Data, CanError> {
+    desk.ask(id(motor), Untyped::of(&command), Insistence::Usual, None)
+}
+
+#[test]
+fn what_ends_motion_goes_first_and_drops_the_moves_that_wait() {
+    let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
+    let desk = Desk::new(None);
+    let _other = ask(&desk, 2, ReadStatus1);
+    let _read = ask(&desk, 1, ReadStatus1);
+    let _others = ask(&desk, 2, goal);
+    let moving = ask(&desk, 1, goal);
+    let opening = ask(&desk, 1, ReleaseBrake);
+    desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+    let _off = ask(&desk, 1, Shutdown);
+    for dropped in [moving, opening] {
+        tells(&desk.wait(dropped).unwrap_err(), 1, Failure::Stopped);
+    }
+    // Who ends its motion after that has the last word.
+    let _held = ask(&desk, 1, Stop);
+    let newer = ask(&desk, 1, goal);
+    let mut notes = Notes { takes_questions: true, ..Notes::default() };
+    assert!(desk.take(&mut notes));
+    assert_eq!(notes.bytes, [(2, 0x9A), (1, 0x80), (1, 0x81), (1, 0x9A), (2, 0xA4), (1, 0xA4)]);
+    assert!(newer.is_ok());
+}
+
+#[test]
+fn what_ends_motion_otherwise_and_is_older_than_a_stop_does_not_follow_it() {
+    // A motor that was switched off would be switched on, and one that is held let go.
+    for kind in [StopKind::Off, StopKind::Hold] {
+        for is_of_all in [true, false] {
+            let desk = Desk::new(None);
+            let _reading = ask(&desk, 1, ReadStatus1);
+            let ending = match kind {
+                StopKind::Off => ask(&desk, 1, Stop),
+                StopKind::Hold => ask(&desk, 1, Shutdown),
+            };
+            let _stopping = match is_of_all {
+                true => desk.stop_all(kind, MotorSet::EMPTY),
+                false => desk.stop(id(1), kind),
+            };
+            tells(&desk.wait(ending).unwrap_err(), 1, Failure::Stopped);
+        }
+    }
+}
+
+#[test]
+fn who_works_with_a_motor_that_was_stopped_since_moves_it_no_more() {
+    let ends: [fn(&Desk<CanError>); 4] = [
+        |desk| drop(desk.stop_all(StopKind::Hold, MotorSet::EMPTY)),
+        |desk| drop(desk.stop(id(1), StopKind::Off)),
+        |desk| drop(ask(desk, 1, Shutdown)),
+        |_| {},
+    ];
+    for (at, end) in ends.into_iter().enumerate() {
+        let desk = Desk::new(None);
+        let (since, of_other) = (desk.ended(id(1)), desk.ended(id(2)));
+        end(&desk);
+        desk.lift_stop().unwrap();
+        let was_ended = at < 3;
+        let refused = desk.ask(id(1), Untyped::of(&STEP), Insistence::Usual, Some(since)).err();
+        assert_eq!(refused.is_some(), was_ended, "{at}");
+        assert_eq!(desk.may_move(id(1), since).is_err(), was_ended, "{at}");
+        assert_eq!(desk.may_move(id(2), of_other).is_err(), at == 0, "{at}");
+        assert!(ask(&desk, 1, STEP).is_ok(), "one that begins now");
+    }
+}
+
 #[test]
 fn somebody_elses_error_keeps_no_stop_from_the_bus() {
     let desk = Desk::new(None);
     for command in [Untyped::of(&Stop), Untyped::of(&Shutdown)] {
         desk.set_point(id(1), Untyped::of(&turn(90.0))).unwrap();
         desk.fail(&Arc::new(CanError::BusOff), []);
-        let stopping = desk.ask(id(1), command, None);
+        let stopping = desk.ask(id(1), command, Insistence::Usual, None);
         let mut free = Notes { takes_questions: true, ..Notes::default() };
         assert!(desk.take(&mut free));
         assert_eq!(free.told, ["1?"], "the set-point is older");
@@ -698,24 +773,24 @@ fn an_error_that_only_callers_who_have_gone_were_told_is_told_to_the_next() {
     let is_told = |outcome| matches!(outcome, Err(SharedBusError::Bus(_)));
     let error = Arc::new(CanError::BusOff);
     // One at the desk, and one whose question was put.
-    drop(desk.ask(id(1), reading, None).unwrap());
+    drop(desk.ask(id(1), reading, Insistence::Usual, None).unwrap());
     let (put, gone) = sync_channel(1);
     drop(gone);
     desk.fail(&error, [put]);
-    assert!(is_told(desk.wait(desk.ask(id(1), reading, None))));
+    assert!(is_told(desk.wait(desk.ask(id(1), reading, Insistence::Usual, None))));
     // Who still waits is told, and nobody else.
-    let waiting = desk.ask(id(1), reading, None);
-    drop(desk.ask(id(2), reading, None).unwrap());
+    let waiting = desk.ask(id(1), reading, Insistence::Usual, None);
+    drop(desk.ask(id(2), reading, Insistence::Usual, None).unwrap());
     desk.fail(&error, []);
     assert!(is_told(desk.wait(waiting)));
-    assert!(desk.ask(id(1), reading, None).is_ok());
+    assert!(desk.ask(id(1), reading, Insistence::Usual, None).is_ok());
 }
 
 #[test]
 fn what_ends_motion_outlives_an_error_that_its_caller_is_not_there_to_be_told() {
     let desk = Desk::new(None);
-    drop(desk.ask(id(1), Untyped::of(&Shutdown), None).unwrap());
-    drop(desk.ask(id(2), Untyped::of(&ReadStatus1), None).unwrap());
+    drop(ask(&desk, 1, Shutdown).unwrap());
+    drop(ask(&desk, 2, ReadStatus1).unwrap());
     desk.fail(&Arc::new(CanError::BusOff), []);
     assert_eq!(taken(&desk), ["1?"]);
 }
@@ -725,18 +800,18 @@ fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
     let is_refused =
         |told| matches!(told, SharedBusError::Refused { refusal: RequestError::Restarted, .. });
     let desk = Desk::new(None);
-    let reading = desk.ask(id(1), Untyped::of(&ReadStatus1), None);
+    let reading = ask(&desk, 1, ReadStatus1);
     let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
-    let moving = desk.ask(id(1), Untyped::of(&goal), None);
+    let moving = ask(&desk, 1, goal);
     // The move waits behind the question, which the motor is busy with.
     assert_eq!(taken(&desk), ["1?"]);
     desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
     desk.set_point(id(2), Untyped::of(&turn(2.0))).unwrap();
-    let _other = desk.ask(id(2), Untyped::of(&goal), None);
+    let _other = ask(&desk, 2, goal);
     desk.publish(&Event::Restarted { motor: id(1) });
     assert!(is_refused(desk.wait(moving).unwrap_err()));
     assert!(is_refused(desk.set_point(id(1), Untyped::of(&turn(3.0))).unwrap_err()));
-    assert!(is_refused(desk.wait(desk.ask(id(1), Untyped::of(&goal), None)).unwrap_err()));
+    assert!(is_refused(desk.wait(ask(&desk, 1, goal)).unwrap_err()));
     desk.resume(id(1)).unwrap();
     desk.set_point(id(1), Untyped::of(&turn(4.0))).unwrap();
     assert_eq!(
@@ -748,5 +823,10 @@ fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
     desk.forget(id(2)).unwrap();
     desk.set_point(id(2), Untyped::of(&turn(6.0))).unwrap();
     assert_eq!(taken(&desk), ["forget 2".to_owned(), set(2, 6.0), "1?".to_owned()]);
+    // Who has found a restart out need not wait until the bus says so.
+    desk.set_point(id(2), Untyped::of(&turn(7.0))).unwrap();
+    desk.note_restart(id(2)).unwrap();
+    assert_eq!(desk.may_move(id(2), desk.ended(id(2))), Err(RequestError::Restarted));
+    assert_eq!(taken(&desk), ["restart 2", "1?"]);
     drop(reading);
 }

@@ -12,7 +12,7 @@ use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Data, MotorId};
 
 use super::SharedBusError;
-use super::calls::{Answer, Order, Question, Untyped};
+use super::calls::{Answer, Insistence, Order, Question, Untyped};
 use super::desk::Desk;
 use super::state::Clerk;
 
@@ -26,15 +26,15 @@ const NEVER: Instant = Instant::from_micros(u64::MAX);
 /// Runs the bus until nobody has a handle any more, or its driver panics. Then stops all motors.
 pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
     let looked_at = runner.now();
-    let (asked, stopping) = (Vec::new(), Vec::new());
-    let mut worker = Worker { runner, asked, stopping, turn_ends: None, looked_at };
+    let (asked, stopping, waiting) = (Vec::new(), Vec::new(), Vec::new());
+    let mut worker = Worker { runner, asked, stopping, waiting, turn_ends: None, looked_at };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
     if let Err(payload) = outcome {
         desk.has_panicked(words(&*payload));
     }
     // Those who wait find out now, and need not wait for the stop.
-    let Worker { mut runner, asked, stopping, .. } = worker;
-    drop((asked, stopping));
+    let Worker { mut runner, asked, stopping, waiting, .. } = worker;
+    drop((asked, stopping, waiting));
     let all = runner.master().motors();
     // A driver that has panicked may do it again: then nobody has confirmed.
     let stopped = catch_unwind(AssertUnwindSafe(|| runner.stop_all(kind, MotorSet::EMPTY)));
@@ -56,6 +56,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     runner: R,
     asked: Vec<Asked<R::Error>>,
     stopping: Vec<Stopping<R::Error>>,
+    /// Who waits for a time.
+    waiting: Vec<(Instant, Answer<Instant, R::Error>)>,
     /// Until when the first of the questions that wait for their turn does so.
     turn_ends: Option<Instant>,
     /// When the desk was looked at last, or waiting for what comes there ended: what lies there now may be as old.
@@ -96,6 +98,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             Err(error) => self.fail(error, desk),
         }
         self.end_stops();
+        self.end_waits();
         goes_on
     }
 
@@ -149,19 +152,39 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         });
     }
 
+    /// Tells those whose time has come.
+    fn end_waits(&mut self) {
+        let now = self.runner.now();
+        self.waiting.retain(|(until, answer)| {
+            let is_over = *until <= now;
+            if is_over {
+                let _ = answer.send(Ok(now));
+            }
+            !is_over
+        });
+    }
+
+    /// When something is to be done that no event brings about.
+    fn wake_at(&self) -> Option<Instant> {
+        let look_again = self.runner.now() + Elapsed::LOOK_AGAIN;
+        let of_stops = (!self.stopping.is_empty()).then_some(look_again);
+        let waits = self.waiting.iter().map(|(until, _)| *until);
+        waits.chain(of_stops).chain(self.turn_ends).min()
+    }
+
     fn idle(&mut self, desk: &Desk<R::Error>) {
         if !desk.may_idle() {
             return;
         }
-        let is_awaited =
-            !self.asked.is_empty() || !self.stopping.is_empty() || self.turn_ends.is_some();
+        let wake_at = self.wake_at();
         if desk.wakes() {
-            let look_again = self.runner.now() + Elapsed::LOOK_AGAIN;
-            let until = if self.stopping.is_empty() { NEVER } else { look_again };
-            self.runner.idle(self.turn_ends.map_or(until, |ends| ends.min(until)));
-        } else if is_awaited || self.runner.master().poll_at().is_some() {
+            self.runner.idle(wake_at.unwrap_or(NEVER));
+        } else if wake_at.is_some()
+            || !self.asked.is_empty()
+            || self.runner.master().poll_at().is_some()
+        {
             let until = self.runner.now() + LONGEST_IDLE;
-            self.runner.idle(until);
+            self.runner.idle(wake_at.map_or(until, |at| at.min(until)));
         } else {
             desk.wait_for_callers(LONGEST_IDLE.into());
         }
@@ -214,6 +237,8 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
             Order::LiftStop => master.lift_stop(),
             Order::LiftStopOf(motor) => master.lift_stop_of(motor),
             Order::Resume(motor) => master.resume(motor),
+            Order::NoteRestart(motor) => master.note_restart(motor),
+            Order::Wait { until, answer } => self.waiting.push((until, answer)),
             Order::Forget(motor) => {
                 // While it is spoken to it keeps its place, as is documented.
                 let _ = master.forget(motor);
@@ -230,11 +255,14 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
     fn put(&mut self, mut question: Question<R::Error>) -> Option<Question<R::Error>> {
         let now = self.runner.now();
         let turn_ends = *question.turn_ends.get_or_insert(now + LONGEST_TURN);
-        let Question { motor, command, patience, .. } = question;
+        let Question { motor, command, insistence, .. } = question;
         let master = self.runner.master();
-        let ticket = match patience {
-            Some(patience) => master.request_with(motor, command, patience),
-            None => master.request(motor, command),
+        let ticket = match insistence {
+            Insistence::Usual => master.request(motor, command),
+            Insistence::Attempts(attempts) => {
+                master.request_with(motor, command, master.patience(attempts))
+            }
+            Insistence::Of(patience) => master.request_with(motor, command, patience),
         };
         match ticket {
             Ok(ticket) => {

@@ -14,6 +14,7 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::{BringUpError, Identity, Protection};
+use crate::io::calls::Calls;
 pub use crate::io::change_id::{change_id, is_shared};
 pub use crate::io::move_to::move_to;
 use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
@@ -214,23 +215,23 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
 ///
 /// # Errors
 /// As there.
-pub async fn release_brake<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub async fn release_brake<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
-) -> Result<(), BringUpError<R::Error>> {
+) -> Result<(), BringUpError<B::Error>> {
     // One that has lost its master obeys the third command (2.31.1).
     for _ in 0..2 {
-        runner.ask(motor, ReadStatus1).await?;
+        bus.ask(motor, ReadStatus1).await?;
     }
-    runner.ask(motor, ReleaseBrake).await?;
-    let open = runner.now() + BRAKE_OPENING;
+    bus.ask(motor, ReleaseBrake).await?;
+    let open = bus.now() + BRAKE_OPENING;
     // Without a word its communication-loss protection would lock it again.
-    while runner.now() < open {
-        runner.ask(motor, ReadStatus1).await?;
-        let next = runner.now() + SPOKEN_TO_EVERY;
-        runner.run_until(next.min(open), |_| {}).await?;
+    while bus.now() < open {
+        bus.ask(motor, ReadStatus1).await?;
+        let next = bus.now() + SPOKEN_TO_EVERY;
+        bus.wait_until(next.min(open)).await?;
     }
-    match runner.ask(motor, ReadStatus1).await?.brake {
+    match bus.ask(motor, ReadStatus1).await?.brake {
         BrakeCommand::RELEASE => Ok(()),
         says => Err(BringUpError::BrakeNotReleased { motor, says }),
     }
@@ -287,13 +288,13 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// Whether its drive has started since then, when it had run for so long.
-pub(super) async fn has_started_since<R: AsyncRunner<N>, const N: usize>(
-    runner: &mut R,
+pub(super) async fn has_started_since<B: Calls<N>, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
     then: Instant,
     ran: Duration,
-) -> Result<bool, CallError<R::Error>> {
-    let runs = Duration::from(runner.ask(motor, ReadRunTime).await?.run_time);
+) -> Result<bool, CallError<B::Error>> {
+    let runs = Duration::from(bus.ask(motor, ReadRunTime).await?.run_time);
     // Else it is longer by all that it had run before. Its clock need not agree with ours.
-    Ok(runs.times(2) <= (runner.now() - then).times(2) + ran)
+    Ok(runs.times(2) <= (bus.now() - then).times(2) + ran)
 }

@@ -7,11 +7,10 @@ use crate::command::{
     AbsolutePosition, Command, ErrorFlags, Feedback, ForcePosition, IncrementalPosition,
     ReadMultiTurnAngle, ReadRunTime, ReadRunningMode, ReadStatus1, ReadStatus2,
 };
-use crate::error::RequestError;
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_bring_up::has_started_since;
-use crate::io::async_runner::AsyncRunner;
+use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
 use crate::io::standing::turns;
 use crate::master::StopKind;
@@ -231,6 +230,7 @@ impl<E: fmt::Debug> fmt::Display for NotArrived<E> {
         match &self.why {
             // The motor is named already.
             MoveFailure::Call(CallError::Failed { failure, .. }) => failure.fmt(f)?,
+            MoveFailure::Call(CallError::Refused { refusal, .. }) => refusal.fmt(f)?,
             why => why.fmt(f)?,
         }
         f.write_str(if self.is_stopped {
@@ -248,17 +248,14 @@ impl<E: fmt::Debug> core::error::Error for NotArrived<E> {}
 ///
 /// # Errors
 /// As there.
-pub async fn move_to<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
-    runner: &mut R,
+pub async fn move_to<B: Calls<N>, C: MoveCommand, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
     command: C,
     limits: &MoveLimits,
     on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
-) -> Result<MoveProgress, NotArrived<R::Error>> {
-    let moving = OnDrop::new(runner, |runner: &mut &mut R| {
-        // It was asked where it is, so it has a place.
-        let _ = runner.master().stop(motor, StopKind::Hold);
-    });
+) -> Result<MoveProgress, NotArrived<B::Error>> {
+    let moving = OnDrop::new(bus, |bus: &mut &mut B| bus.begin_stop(motor, StopKind::Hold));
     let outcome = go(moving.it, motor, command, limits, on_look).await;
     let result = match outcome {
         Ok(arrival) => Ok(arrival),
@@ -271,53 +268,49 @@ pub async fn move_to<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
     result
 }
 
-async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
-    runner: &mut R,
+async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
+    bus: &mut B,
     motor: MotorId,
     command: C,
     limits: &MoveLimits,
     mut on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
-) -> Result<MoveProgress, MoveFailure<R::Error>> {
+) -> Result<MoveProgress, MoveFailure<B::Error>> {
     if command.max_torque() == Some(MaxTorque::from_raw(0)) {
         return Err(MoveFailure::NoTorque);
     }
     // Two questions, since a drive that has lost its master obeys only when it hears it steadily (2.31.1).
-    let errors = runner.ask(motor, ReadStatus1).await?.errors;
+    let errors = bus.ask(motor, ReadStatus1).await?.errors;
     if !errors.is_empty() {
         return Err(MoveFailure::Fault(errors));
     }
-    let at = runner.now();
-    let ran = runner.ask(motor, ReadRunTime).await?.run_time.into();
-    let begun = runner.now();
-    let from = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
+    let at = bus.now();
+    let ran = bus.ask(motor, ReadRunTime).await?.run_time.into();
+    let begun = bus.now();
+    let from = bus.ask(motor, ReadMultiTurnAngle).await?.angle;
     let mut last = Look { at, angle: from, dps: 0 };
     let target = command.target(from).ok_or(MoveFailure::OutOfRange { here: from })?;
     // One that names a place may be sent again.
     let attempts = if command.kind().repeat() == Repeat::ActsAgain { 1 } else { ATTEMPTS };
-    let patience = runner.master().patience(attempts);
-    runner.ask_with(motor, command, Some(patience), |_| {}).await?;
+    bus.ask_often(motor, command, attempts).await?;
 
-    let start = runner.now();
+    let start = bus.now();
     let time = limits.time.unwrap_or_else(|| usual_time(from, target, command.max_speed()));
     let mut nearest = Nearest { distance: u32::MAX, since: start };
     let mut last_turn = LastTurn { at: start, speed: CoarseSpeed::from_raw(0) };
     let mut looks = 0;
     loop {
-        runner.run_until(start + LOOK_EVERY.times(looks), |_| {}).await?;
-        let at = runner.now();
-        let angle = runner.ask(motor, ReadMultiTurnAngle).await?.angle;
-        let feedback = runner.ask(motor, ReadStatus2).await?;
+        bus.wait_until(start + LOOK_EVERY.times(looks)).await?;
+        let at = bus.now();
+        let angle = bus.ask(motor, ReadMultiTurnAngle).await?.angle;
+        let feedback = bus.ask(motor, ReadStatus2).await?;
         let look = Look { at, angle, dps: feedback.speed.raw().unsigned_abs() };
-        if look.has_jumped_from(&last, runner.now()) {
-            runner.master().note_restart(motor);
+        if look.has_jumped_from(&last, bus.now()) {
+            bus.note_restart(motor);
         }
         last = look;
-        // Its target is not where it was.
-        let restarted = CallError::Refused { motor, refusal: RequestError::Restarted };
-        if runner.master().has_restarted(motor) {
-            return Err(restarted.into());
-        }
-        let now = runner.now();
+        // After a restart its target is not where it was.
+        bus.may_move(motor).map_err(CallError::refused(motor))?;
+        let now = bus.now();
         let progress = MoveProgress { from, target, time: now - start, angle, feedback };
         let distance = angle.raw().abs_diff(target.raw());
         let tolerance = limits.tolerance.raw().unsigned_abs();
@@ -326,7 +319,7 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
         }
         last_turn.note(feedback.speed, now);
         if looks % ERRORS_EVERY == 0 {
-            let errors = runner.ask(motor, ReadStatus1).await?.errors;
+            let errors = bus.ask(motor, ReadStatus1).await?.errors;
             if !errors.is_empty() {
                 return Err(MoveFailure::Fault(errors));
             }
@@ -336,11 +329,11 @@ async fn go<R: AsyncRunner<N>, C: MoveCommand, const N: usize>(
         }
         let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
         let is_time_up = progress.time > time;
-        if (has_stalled || is_time_up) && runs_nothing(runner, motor).await {
-            if has_started_since(runner, motor, begun, ran).await? {
-                runner.master().note_restart(motor);
-                return Err(restarted.into());
+        if (has_stalled || is_time_up) && runs_nothing(bus, motor).await {
+            if has_started_since(bus, motor, begun, ran).await? {
+                bus.note_restart(motor);
             }
+            bus.may_move(motor).map_err(CallError::refused(motor))?;
             return Err(MoveFailure::LetGo { at: angle });
         }
         if has_stalled {
@@ -375,8 +368,8 @@ fn end_of_stall<E>(
 }
 
 /// Whether the drive says so; one that does not answer that may run.
-async fn runs_nothing<R: AsyncRunner<N>, const N: usize>(runner: &mut R, motor: MotorId) -> bool {
-    runner.ask(motor, ReadRunningMode).await.is_ok_and(|reply| reply.mode.raw() == 0)
+async fn runs_nothing<B: Calls<N>, const N: usize>(bus: &mut B, motor: MotorId) -> bool {
+    bus.ask(motor, ReadRunningMode).await.is_ok_and(|reply| reply.mode.raw() == 0)
 }
 
 /// A look at the motor.

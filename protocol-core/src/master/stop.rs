@@ -281,8 +281,8 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Whether it was stopped, and that was not lifted.
-    pub(super) fn is_stopped(&self, motor: MotorId) -> bool {
+    /// Whether a motor was [stopped](Self::stop), by itself or with [all](Self::stop_all), and that was not lifted.
+    pub fn is_stopped(&self, motor: MotorId) -> bool {
         self.stops_all.is_some() || self.stopped.contains(motor)
     }
 

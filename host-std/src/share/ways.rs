@@ -1,0 +1,290 @@
+//! Ways of working, through a handle.
+
+use std::fmt;
+use std::ops::ControlFlow;
+
+use embassy_futures::block_on;
+use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io::bring_up::{
+    BringUpError, MoveCommand, MoveLimits, MoveProgress, NotArrived,
+};
+use myactuator_protocol_core::io::{CallError, Calls, async_bring_up};
+use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::time::Instant;
+use myactuator_protocol_core::{Command, MotorId};
+
+use super::calls::Insistence;
+use super::{SharedBus, SharedBusError};
+
+impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
+    /// Moves a motor to an angle, or by one, and watches it until it stands there, as
+    /// [`bring_up::move_to`](myactuator_protocol_core::io::bring_up::move_to) does. Other threads may move other motors
+    /// meanwhile. If one of them ends this motor's motion, by a stop or a command that does, the move has ended, too,
+    /// whether that stop is lifted at once or not.
+    ///
+    /// ```
+    /// # use std::ops::ControlFlow;
+    /// # use myactuator_host_std::open::BusAddress;
+    /// # use myactuator_host_std::protocol::MotorId;
+    /// # use myactuator_host_std::protocol::command::AbsolutePosition;
+    /// # use myactuator_host_std::protocol::master::StopKind;
+    /// # use myactuator_host_std::protocol::units::{Angle, MaxSpeed};
+    /// # use myactuator_host_std::share::SharedBus;
+    /// # let bus = SharedBus::open(&"sim:2".parse::<BusAddress>()?, StopKind::Hold)?;
+    /// let elbow = MotorId::new(2)?;
+    /// bus.release_brake(elbow)?;
+    /// let command = AbsolutePosition {
+    ///     max_speed: MaxSpeed::from_dps(180.0)?,
+    ///     angle: Angle::from_degrees(10.0)?,
+    /// };
+    /// let go_on = |_: &_| ControlFlow::Continue(());
+    /// let arrival = bus.move_to(elbow, command, &Default::default(), go_on)?;
+    /// assert!((arrival.angle.degrees() - 10.0).abs() < 0.3);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
+    pub fn move_to<C: MoveCommand>(
+        &self,
+        motor: MotorId,
+        command: C,
+        limits: &MoveLimits,
+        on_look: impl FnMut(&MoveProgress) -> ControlFlow<()>,
+    ) -> Result<MoveProgress, NotArrived<SharedBusError<E>>> {
+        block_on(async_bring_up::move_to(
+            &mut Way::on(self, motor),
+            motor,
+            command,
+            limits,
+            on_look,
+        ))
+    }
+
+    /// Opens a motor's brake and waits until it is open, as
+    /// [`bring_up::release_brake`](myactuator_protocol_core::io::bring_up::release_brake) does.
+    ///
+    /// # Errors
+    /// As there; what concerns the thread of the bus is a [`CallError::Bus`].
+    pub fn release_brake(&self, motor: MotorId) -> Result<(), BringUpError<SharedBusError<E>>> {
+        block_on(async_bring_up::release_brake(&mut Way::on(self, motor), motor))
+    }
+}
+
+/// A bus as ways of working see it. Each of its futures waits by itself, so that none has to be woken.
+struct Way<'a, E> {
+    bus: &'a SharedBus<E>,
+    /// How often the motor's motion had been ended when this began: nothing of it follows an end that came since.
+    since: u32,
+    /// What the clock of the bus said last.
+    now: Instant,
+}
+
+impl<'a, E: fmt::Debug + Send + Sync + 'static> Way<'a, E> {
+    fn on(bus: &'a SharedBus<E>, motor: MotorId) -> Self {
+        Self { bus, since: bus.desk().ended(motor), now: Instant::ZERO }
+    }
+
+    /// What time it is when it is no earlier than that.
+    fn time_at(&mut self, earliest: Instant) -> Result<Instant, SharedBusError<E>> {
+        let desk = self.bus.desk();
+        self.now = desk.wait(desk.wait_until(earliest))?;
+        Ok(self.now)
+    }
+}
+
+impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_, E> {
+    type Error = SharedBusError<E>;
+
+    fn now(&mut self) -> Instant {
+        // Where the thread has ended, the next call says so.
+        self.time_at(Instant::ZERO).unwrap_or(self.now)
+    }
+
+    async fn wait_until(&mut self, until: Instant) -> Result<(), CallError<Self::Error>> {
+        self.time_at(until).map(|_| ()).map_err(call_error)
+    }
+
+    async fn ask_often<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        attempts: u8,
+    ) -> Result<C::Reply, CallError<Self::Error>> {
+        let insistence = Insistence::Attempts(attempts);
+        self.bus.put(motor, &command, insistence, Some(self.since)).map_err(call_error)
+    }
+
+    async fn ask<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<C::Reply, CallError<Self::Error>> {
+        self.bus.put(motor, &command, Insistence::Usual, Some(self.since)).map_err(call_error)
+    }
+
+    async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
+        self.bus.stop(motor, kind).unwrap_or(false)
+    }
+
+    fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {
+        // Where the thread has ended, it has stopped the motors.
+        let _ = self.bus.desk().stop(motor, kind);
+    }
+
+    fn may_move(&mut self, motor: MotorId) -> Result<(), RequestError> {
+        self.bus.desk().may_move(motor, self.since)
+    }
+
+    fn note_restart(&mut self, motor: MotorId) {
+        // As above.
+        let _ = self.bus.desk().note_restart(motor);
+    }
+}
+
+fn call_error<E>(error: SharedBusError<E>) -> CallError<SharedBusError<E>> {
+    match error {
+        SharedBusError::Refused { motor, refusal } => CallError::Refused { motor, refusal },
+        SharedBusError::Failed { motor, failure } => CallError::Failed { motor, failure },
+        error @ (SharedBusError::Bus(_) | SharedBusError::Held | SharedBusError::Panicked(_)) => {
+            CallError::Bus(error)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+    use std::sync::atomic::Ordering;
+    use std::sync::mpsc::sync_channel;
+    use std::thread;
+    use std::time;
+
+    use myactuator_protocol_core::command::{AbsolutePosition, ReadMultiTurnAngle};
+    use myactuator_protocol_core::io::bring_up::MoveFailure;
+    use myactuator_protocol_core::master::{Event, MotorSet};
+    use myactuator_protocol_core::units::{Angle, MaxSpeed};
+
+    use super::*;
+    use crate::share::tests::{PANIC, fragile, id, shared};
+    use crate::sim::Fleet;
+    use crate::sim::bus::can::CanError;
+
+    fn to(degrees: f32, dps: f32) -> AbsolutePosition {
+        AbsolutePosition {
+            max_speed: MaxSpeed::from_dps(dps).unwrap(),
+            angle: Angle::from_degrees(degrees).unwrap(),
+        }
+    }
+
+    fn go_on(_: &MoveProgress) -> ControlFlow<()> {
+        ControlFlow::Continue(())
+    }
+
+    type Moved = Result<MoveProgress, NotArrived<SharedBusError<CanError>>>;
+
+    /// Moves a motor for ten seconds if nothing ends that, and calls `then` at a look at which it is on its way.
+    fn moved(bus: &SharedBus<CanError>, motor: MotorId, mut then: impl FnMut()) -> Moved {
+        let mut is_called = false;
+        bus.move_to(motor, to(900.0, 90.0), &MoveLimits::default(), |look| {
+            if look.angle.degrees() > 3.0 && !std::mem::replace(&mut is_called, true) {
+                then();
+            }
+            ControlFlow::Continue(())
+        })
+    }
+
+    /// Whether it stands, 100 ms after that.
+    fn stands(bus: &SharedBus<CanError>, motor: MotorId) -> bool {
+        let angle = || bus.ask(motor, ReadMultiTurnAngle).unwrap().angle.raw();
+        thread::sleep(time::Duration::from_millis(100));
+        let before = angle();
+        thread::sleep(time::Duration::from_millis(100));
+        angle() == before
+    }
+
+    #[test]
+    fn two_threads_move_two_motors_at_the_same_time() {
+        let (_fleet, bus) = shared(2);
+        let (met, meets) = (sync_channel(1), sync_channel(1));
+        // Each sees the other on its way before it arrives.
+        let ways = [(1, met.0, meets.1), (2, meets.0, met.1)].map(|(motor, say, hear)| {
+            let (bus, mut has_met) = (bus.clone(), false);
+            thread::spawn(move || {
+                bus.move_to(id(motor), to(30.0, 60.0), &MoveLimits::default(), |look| {
+                    if look.angle.degrees() > 3.0 && !std::mem::replace(&mut has_met, true) {
+                        say.send(()).unwrap();
+                        hear.recv_timeout(time::Duration::from_secs(10)).expect("the other moves");
+                    }
+                    ControlFlow::Continue(())
+                })
+            })
+        });
+        for way in ways {
+            let arrival = way.join().unwrap().unwrap();
+            assert!((arrival.angle.degrees() - 30.0).abs() <= 0.2, "{}", arrival.angle);
+        }
+    }
+
+    #[test]
+    fn a_move_that_another_thread_stops_ends_and_says_so() {
+        let (_fleet, bus) = shared(1);
+        let ended = moved(&bus, id(1), || {
+            let bus = bus.clone();
+            let stopping = thread::spawn(move || bus.stop_all(StopKind::Hold, MotorSet::EMPTY));
+            assert_eq!(stopping.join().unwrap().unwrap(), MotorSet::EMPTY);
+        });
+        let why = ended.unwrap_err();
+        assert_eq!(
+            why.to_string(),
+            "motor 1 has not arrived: the motors were stopped: lift the stop first; it has confirmed the stop"
+        );
+        assert!(stands(&bus, id(1)));
+    }
+
+    #[test]
+    fn a_drive_that_restarts_on_its_way_goes_on_with_nothing() {
+        let restart = "reset@1+1s".parse().unwrap();
+        let fleet = Fleet::new(1).faults([restart]).on_can(1_000_000).unwrap();
+        let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
+        let events = bus.subscribe(100_000);
+        let ended = moved(&bus, id(1), || {});
+        let why = ended.unwrap_err().why;
+        let is_restart = |call: &CallError<_>| {
+            matches!(call, CallError::Refused { refusal: RequestError::Restarted, .. })
+        };
+        assert!(matches!(&why, MoveFailure::Call(call) if is_restart(call)), "{why}");
+        let mut told = std::iter::from_fn(|| events.try_next());
+        assert!(told.any(|event| event == Event::Restarted { motor: id(1) }));
+        bus.lift_stop().unwrap();
+        assert!(bus.set_point(id(1), to(0.0, 10.0)).is_err(), "until it is resumed");
+        assert!(stands(&bus, id(1)));
+    }
+
+    #[test]
+    fn who_panics_on_the_way_leaves_through_the_stop() {
+        let (_fleet, bus) = shared(1);
+        let panics = || -> () { panic!("as it is meant to") };
+        assert!(catch_unwind(AssertUnwindSafe(|| moved(&bus, id(1), panics))).is_err());
+        assert!(stands(&bus, id(1)));
+        assert!(bus.set_point(id(1), to(0.0, 10.0)).is_err(), "the stop is in force");
+    }
+
+    #[test]
+    fn virtual_time_goes_on_while_a_move_waits() {
+        let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
+        let bus = SharedBus::new(fleet.master::<8>(), StopKind::Hold);
+        bus.release_brake(id(1)).unwrap();
+        let arrival = bus.move_to(id(1), to(90.0, 45.0), &MoveLimits::default(), go_on).unwrap();
+        assert!((arrival.angle.degrees() - 90.0).abs() <= 0.2, "{}", arrival.angle);
+    }
+
+    #[test]
+    fn a_move_ends_when_the_thread_of_the_bus_has_panicked() {
+        let (_fleet, order, bus) = fragile();
+        let ended = moved(&bus, id(1), || order.store(PANIC, Ordering::SeqCst));
+        let why = ended.unwrap_err();
+        assert!(why.to_string().contains("panicked"), "{why}");
+        assert!(!why.is_stopped);
+    }
+}

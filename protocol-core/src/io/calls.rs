@@ -1,0 +1,118 @@
+//! What a way of working needs that goes on for longer, with one motor.
+
+use core::fmt;
+
+use crate::command::Command;
+use crate::error::RequestError;
+use crate::id::MotorId;
+use crate::io::asking::CallError;
+use crate::io::async_runner::AsyncRunner;
+use crate::master::StopKind;
+use crate::time::Instant;
+
+/// A bus as [`move_to`](crate::io::async_bring_up::move_to) and
+/// [`release_brake`](crate::io::async_bring_up::release_brake) need it. Every [`AsyncRunner`] is one, and a handle to a
+/// loop that another thread runs may be: then `N` is of no consequence.
+#[allow(async_fn_in_trait, reason = "one task goes one way, so nothing asks for Send")]
+pub trait Calls<const N: usize> {
+    /// What the bus driver reports when it fails.
+    type Error: fmt::Debug;
+
+    /// The time now.
+    fn now(&mut self) -> Instant;
+
+    /// Waits until then, whatever happens meanwhile.
+    ///
+    /// # Errors
+    /// [`CallError::Bus`].
+    async fn wait_until(&mut self, until: Instant) -> Result<(), CallError<Self::Error>>;
+
+    /// Sends a command to one motor, so often at the most if it is not answered, and waits for its answer.
+    ///
+    /// # Errors
+    /// [`CallError`].
+    async fn ask_often<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        attempts: u8,
+    ) -> Result<C::Reply, CallError<Self::Error>>;
+
+    /// As [`ask_often`](Self::ask_often), with the attempts that are usual for this command.
+    ///
+    /// # Errors
+    /// As there.
+    async fn ask<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<C::Reply, CallError<Self::Error>>;
+
+    /// Stops a motor, and waits until it has confirmed that, or not: see
+    /// [`Master::stop`](crate::master::Master::stop).
+    #[must_use = "a motor that has not confirmed the stop may still move: cut its power"]
+    async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool;
+
+    /// Stops a motor, and waits for nothing.
+    fn begin_stop(&mut self, motor: MotorId, kind: StopKind);
+
+    /// Whether a motor would be refused a move now: it was stopped, or has restarted.
+    ///
+    /// # Errors
+    /// [`RequestError::Stopped`], [`RequestError::Restarted`].
+    fn may_move(&mut self, motor: MotorId) -> Result<(), RequestError>;
+
+    /// Takes note that a motor has restarted; see [`Master::note_restart`](crate::master::Master::note_restart).
+    fn note_restart(&mut self, motor: MotorId);
+}
+
+impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
+    type Error = R::Error;
+
+    fn now(&mut self) -> Instant {
+        AsyncRunner::now(self)
+    }
+
+    async fn wait_until(&mut self, until: Instant) -> Result<(), CallError<R::Error>> {
+        self.run_until(until, |_| {}).await
+    }
+
+    async fn ask_often<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+        attempts: u8,
+    ) -> Result<C::Reply, CallError<R::Error>> {
+        let patience = self.master().patience(attempts);
+        self.ask_with(motor, command, Some(patience), |_| {}).await
+    }
+
+    async fn ask<C: Command>(
+        &mut self,
+        motor: MotorId,
+        command: C,
+    ) -> Result<C::Reply, CallError<R::Error>> {
+        AsyncRunner::ask(self, motor, command).await
+    }
+
+    async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
+        AsyncRunner::stop(self, motor, kind).await
+    }
+
+    fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {
+        // Who was spoken to has a place.
+        let _ = self.master().stop(motor, kind);
+    }
+
+    fn may_move(&mut self, motor: MotorId) -> Result<(), RequestError> {
+        match self.master() {
+            master if master.is_stopped(motor) => Err(RequestError::Stopped),
+            master if master.has_restarted(motor) => Err(RequestError::Restarted),
+            _ => Ok(()),
+        }
+    }
+
+    fn note_restart(&mut self, motor: MotorId) {
+        self.master().note_restart(motor);
+    }
+}
