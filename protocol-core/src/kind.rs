@@ -135,6 +135,14 @@ impl Kind {
         self.moves() || matches!(self, Self::Known(Opcode::ReleaseBrake))
     }
 
+    /// Whether a drive that answers a command with its own bytes only hands it back, as one that has lost its master does
+    /// with what it ignores. So it is with what moves: feedback is never the command, unless all of it is 0. What answers
+    /// a raw one its caller knows.
+    pub(crate) fn is_handed_back(self, data: &Data) -> bool {
+        let [_, _, values @ ..] = data;
+        *values != [0; 6] && matches!(self, Self::Known(_)) && self.moves()
+    }
+
     /// The channel on which a command of this kind reaches `target`.
     ///
     /// # Errors

@@ -211,8 +211,8 @@ impl<W> Teller<W> {
         let mut data = packet.data;
         if let Channel::MotionReply(_) = channel {
             data[0] = self.motor.get();
-        } else if shows_echo(packet) {
-            data[1] = 25; // degrees
+        } else {
+            data[1] = 25; // degrees, where it means anything
         }
         let due = now + Duration::from_micros(700 + self.dice.below(201));
         let due = self.replies.back().map_or(due, |(before, _)| due.max(*before));

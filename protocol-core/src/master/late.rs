@@ -102,7 +102,7 @@ impl LateReplies {
         // move the motor if there is another: its reply tells that it has come.
         let is_worth = |late: &Option<Late>| late.map(|it| (it.may_move(), it.until));
         let least = self.0.iter_mut().min_by_key(|place| is_worth(place));
-        let late = Late { question, of, replies, until };
+        let late = Late { question, of, replies: replies.min(MOST_REPLIES), until };
         least.and_then(|place| place.replace(late)).is_some_and(|made_way| made_way.may_move())
     }
 

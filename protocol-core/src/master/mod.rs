@@ -38,7 +38,7 @@
 //! taken for that to the next request of its kind), if two motors have one id, if another master asks the same at the
 //! same time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no more
 //! and has not heard). A drive that has lost its master sends back the first command and ignores it: if its message
-//! of that is lost, this may be taken for the answer. On RS485 an echo that nobody configured confirms a stop if noise
+//! of that was not heard, this may be taken for the acknowledgement of a command, or for values that are all 0. On RS485 an echo that nobody configured confirms a stop if noise
 //! has taken the echoes of two reads in a row, and neither these reads nor their answers, or the echo of one, where an
 //! answer came late or twice while the next read went into a cut; and any echo does that comes more than 100 ms after
 //! its sending although the port was found empty meanwhile. A restart shows by a second in which the
@@ -85,6 +85,7 @@ use crate::command::AnyReply;
 use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
+use crate::opcode::Opcode;
 use crate::time::Instant;
 use broadcast::Broadcast;
 use motor::{Motor, News};
@@ -293,15 +294,15 @@ impl<const N: usize> Master<N> {
         if self.config.is_rs485() {
             kind.check_on_rs485()?;
         }
-        let is_stopped = match target {
-            Target::Motor(motor) => self.is_stopped(motor),
-            Target::All => self.is_any_stopped(),
+        let is_refused = match target {
+            // What holds a motor switches it on.
+            Target::Motor(motor) if kind == Kind::Known(Opcode::Stop) => {
+                self.switched_off.contains(motor)
+            }
+            Target::Motor(motor) => self.is_stopped(motor) && kind.is_refused_while_stopped(),
+            Target::All => self.is_any_stopped() && kind.is_refused_while_stopped(),
         };
-        if is_stopped && kind.is_refused_while_stopped() {
-            Err(RequestError::Stopped)
-        } else {
-            Ok(())
-        }
+        if is_refused { Err(RequestError::Stopped) } else { Ok(()) }
     }
 }
 

@@ -208,6 +208,14 @@ impl<const N: usize> Master<N> {
 
     /// Whether this reply of `motor` answers the broadcast.
     fn answers_broadcast(&mut self, motor: MotorId, data: &Data, now: Instant) -> bool {
+        // What a drive has ignored that has lost its master is no answer.
+        let (kind, command) = self.broadcast.command();
+        let is_echo = self.broadcast.may_be_mistaken(data[0], motor) && command == *data;
+        let is_handed_back = kind.is_some_and(|kind| kind.is_handed_back(data));
+        if is_echo && (self.lost_master.contains(motor) || is_handed_back) {
+            self.lost_master.remove(motor);
+            return false;
+        }
         let shortest = self.config.shortest_response;
         let is_answer = self.broadcast.take_reply(motor, data, shortest, now);
         if is_answer {
@@ -363,15 +371,16 @@ impl Motor {
             self.expect_late(set_point.question, Of::StreamAnswered, 1, until, config);
             is_one_late = true;
         }
-        let is_echo = || set_point.data == packet.data;
+        let is_echo = set_point.data == packet.data;
+        let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
         self.stream.take_in_flight();
-        if heard.is_ignored_one() && (is_one_late || is_echo()) {
+        if heard.is_ignored_one() && (is_one_late || is_echo) || is_handed_back {
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
         self.answered(Some(round_trip));
         // Also where nobody has heard why, an echo says nothing of that.
-        let place = Place::of(&reply).filter(|_| !is_echo());
+        let place = Place::of(&reply).filter(|_| !is_echo);
         let meaning = self.feedback(reply, place, Some(round_trip), config, now);
         self.knows_place = place.is_some() && !is_one_late && round_trip <= HALF_A_TURN_TAKES;
         meaning
@@ -383,7 +392,8 @@ impl Motor {
         asked.unanswered = asked.unanswered.saturating_sub(1);
         let is_in_flight = self.request.in_flight().is_some();
         self.request = Request::InFlight(asked);
-        if heard.is_ignored_one() && asked.data == data {
+        let is_ignored = heard.is_ignored_one() || asked.kind().is_handed_back(&data);
+        if is_ignored && asked.data == data {
             if asked.is_stop() {
                 // It ignores one, and no more.
                 self.request = Request::Waiting(asked);

@@ -10,6 +10,7 @@ impl<const N: usize> Master<N> {
         let now = self.now;
         (self.offer, self.due) = (None, now);
         self.change(motor, |motor, config| motor.has_begun_anew(config, now));
+        self.cancel_move_after_restart();
     }
 
     /// Whether a motor [has restarted](crate::master::Event::Restarted) and was not [resumed](Self::resume).

@@ -137,8 +137,10 @@ impl<const N: usize> Master<N> {
     }
 
     /// The bus has handed back a frame that it had taken, because another was more urgent: it was not
-    /// sent. It waits again, unless something newer does. That, and that the other was taken, may be said in either order.
+    /// sent. It waits again, unless something newer does. What [`poll_transmit`](Self::poll_transmit) offered last counts
+    /// as taken with that: so it may be said before [`handle_transmitted`](Self::handle_transmitted) or after it.
     pub fn handle_pushed_out(&mut self, packet: &Packet) {
+        self.handle_transmitted(self.now);
         self.due = self.now;
         match packet.channel {
             Channel::Command(Target::Motor(motor)) | Channel::Motion(motor) => {

@@ -4,7 +4,7 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::Of;
 use crate::master::motor::{LastSent, Motor, News};
-use crate::master::request::Request;
+use crate::master::request::{Request, Round};
 use crate::master::schedule::Earliest;
 use crate::time::{Duration, Instant};
 
@@ -77,8 +77,10 @@ impl Motor {
             self.expect_late(set_point.question, Of::Stream, 1, until, config);
             self.news.insert(News::UNANSWERED);
         }
-        let Request::InFlight(asked) = self.request else { return };
+        let Request::InFlight(mut asked) = self.request else { return };
         if asked.kind().ends_motion() {
+            // What it answered before a cut says nothing of what lies in a mailbox yet.
+            asked.round = Round::First;
             self.bus_may_be_cut(now, config);
         }
         if asked.attempts_left > 0 && !asked.is_withdrawn() {

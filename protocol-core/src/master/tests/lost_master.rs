@@ -137,8 +137,75 @@ fn a_drive_that_has_lost_its_master_and_says_more_than_the_command_has_not_ignor
     assert_eq!(master.health(id(1)).last_seen, Some(ms(1)));
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(2)).unwrap();
     assert!(read.outcome(&event).is_some());
+    // Nor does it ignore the next one.
+    let off = ask(&mut master, 1, Shutdown, ms(2));
+    let event = reply(&mut master, 1, Shutdown.encode(), ms(3)).unwrap();
+    assert!(off.outcome(&event).is_some());
     master.set_point(id(1), torque(1.0), ms(3)).unwrap();
     sent(&mut master, ms(3));
     reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(4)).unwrap();
     assert!(matches!(reply(&mut master, 1, TORQUE_REPLY, ms(5)), Some(Event::Feedback { .. })));
+}
+
+/// Who begins between two of its messages has not heard that it has lost its master.
+#[test]
+fn the_echo_of_what_moves_is_no_answer_whoever_has_heard_of_a_lost_master() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let moved = ask(&mut master, 1, step(), ms(0));
+    // It would be feedback of 0 degrees Celsius and 1 A.
+    assert_eq!(reply(&mut master, 1, step().encode(), ms(1)), None);
+    assert_eq!(sent(&mut master, ms(1)), []);
+    assert_eq!(moved.outcome(&events(&mut master, ms(1))[0]), Some(Err(Failure::NotExecuted)));
+    master.set_point(id(1), torque(1.0), ms(2)).unwrap();
+    sent(&mut master, ms(2));
+    let event = reply(&mut master, 1, torque(1.0).encode(), ms(3));
+    assert_eq!(event, Some(Event::SetPointUnanswered { motor: id(1) }));
+    assert_eq!(master.latest_feedback(id(1)), None);
+}
+
+#[test]
+fn an_answer_that_may_well_be_the_command_is_one() {
+    let mut master = Master::<2>::new(Config::CAN);
+    // At rest, at 0 degrees and 0 degrees Celsius.
+    master.set_point(id(1), torque(0.0), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    let event = reply(&mut master, 1, torque(0.0).encode(), ms(1));
+    assert!(matches!(event, Some(Event::Feedback { .. })), "{event:?}");
+    // One of which its caller says that it is acknowledged.
+    let raw = RawCommand::new([0xC0, 0, 1, 2, 3, 4, 5, 6], ReplyRule::Same, false);
+    let read = ask(&mut master, 1, raw, ms(2));
+    let event = reply(&mut master, 1, raw.encode(), ms(3)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+}
+
+#[test]
+fn what_all_are_told_and_a_drive_has_ignored_is_no_answer() {
+    // Whether its message was heard, or shows by values that are those of the command.
+    let heard = |master: &mut Master<2>| {
+        reply(master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(10)).unwrap();
+    };
+    for (is_heard, is_value) in [(true, false), (false, true)] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+        reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+        if is_heard {
+            heard(&mut master);
+        }
+        let told = if is_value { torque(1.0).encode() } else { Shutdown.encode() };
+        match is_value {
+            true => master.broadcast(torque(1.0), id(1).into()).unwrap(),
+            false => master.broadcast(Shutdown, id(1).into()).unwrap(),
+        }
+        assert_eq!(sent(&mut master, ms(11)).len(), 1);
+        let event = reply(&mut master, 1, told, ms(12));
+        assert!(!matches!(event, Some(Event::BroadcastReply { .. })), "{event:?}");
+        let silent = id(1).into();
+        let told = events(&mut master, ms(60));
+        assert!(told.contains(&Event::BroadcastDone { silent, was_sent: true }), "{told:?}");
+        // It ignores one, and executes the next.
+        let save = FunctionControl::SaveMultiTurn(Switch::On);
+        let write = ask(&mut master, 1, save, ms(200));
+        let event = reply(&mut master, 1, save.encode(), ms(201)).unwrap();
+        assert!(write.outcome(&event).unwrap().is_ok(), "{event:?}");
+    }
 }

@@ -199,3 +199,69 @@ fn what_was_taken_is_not_sent_again_when_what_made_way_for_it_is_handed_back_fir
     master.handle_transmitted(ms(1));
     assert_eq!(sent(&mut master, ms(2)), [made_way], "the step is on its way already");
 }
+
+/// All are switched off by a frame that waits in a mailbox; motor 2 is to be held since. What is offered to motor 1
+/// makes that frame go back, which is said before it is said that it was taken.
+fn handed_back_before_it_is_said(offer: impl FnOnce(&mut Master<2>), first: bool) -> Option<Event> {
+    let mut master = Master::<2>::new(Config::CAN);
+    for motor in [1, 2] {
+        let _ = ask(&mut master, motor, ReadMultiTurnAngle, ms(0));
+        reply(&mut master, motor, ANGLE_REPLY, ms(1)).unwrap();
+    }
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), [packet_to_all(Shutdown.encode())]);
+    events(&mut master, ms(2));
+    master.stop(id(2), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(3)).len(), 1);
+    offer(&mut master);
+    master.handle_timeout(ms(4));
+    let offered = master.poll_transmit(ms(4)).unwrap();
+    assert!(matches!(offered.data[0], 0xA1 | 0xA8), "{offered:?}");
+    if first {
+        master.handle_pushed_out(&packet_to_all(Shutdown.encode()));
+        master.handle_transmitted(ms(4));
+    } else {
+        master.handle_transmitted(ms(4));
+        master.handle_pushed_out(&packet_to_all(Shutdown.encode()));
+    }
+    // Motor 1 is switched off by itself now. What was taken before may come behind that.
+    let stop = packet_to(1, Shutdown.encode());
+    assert!(sent(&mut master, ms(4)).contains(&stop), "the stop goes at once");
+    reply(&mut master, 1, Shutdown.encode(), ms(5))
+}
+
+#[test]
+fn a_set_point_that_makes_a_shutdown_of_all_go_back_is_not_forgotten() {
+    let offer = |master: &mut Master<2>| master.set_point(id(1), torque(1.0), ms(4)).unwrap();
+    assert_eq!(handed_back_before_it_is_said(offer, false), None);
+    assert_eq!(handed_back_before_it_is_said(offer, true), None);
+}
+
+#[test]
+fn a_move_that_makes_a_shutdown_of_all_go_back_is_no_stop() {
+    let offer = |master: &mut Master<2>| {
+        let _step = master.request(id(1), step()).unwrap();
+    };
+    assert_eq!(handed_back_before_it_is_said(offer, false), None);
+    assert_eq!(handed_back_before_it_is_said(offer, true), None);
+}
+
+#[test]
+fn what_is_offered_and_taken_does_not_become_too_old_meanwhile() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(21));
+    master.set_point(id(1), torque(1.0), ms(30)).unwrap();
+    let expired = ms(30) + Config::CAN.set_point_max_age;
+    let packet = master.poll_transmit(expired).unwrap();
+    assert_eq!(packet.data[0], 0xA1);
+    let old = Packet { channel: Channel::Motion(id(1)), data: motion().encode() };
+    master.handle_pushed_out(&old);
+    master.handle_transmitted(expired);
+    // It lies in a mailbox.
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, expired + Duration::from_millis(1)).len(), 1);
+    let at = expired + Duration::from_millis(2);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), at), None);
+}

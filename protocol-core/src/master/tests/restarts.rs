@@ -94,17 +94,15 @@ fn an_angle_of_nobody_knows_when_shows_no_restart() {
 
 #[test]
 fn the_echo_of_a_set_point_has_no_angle() {
-    // The message of a drive that has lost its master was lost, and its echo counts as feedback.
+    // The message of a drive that has lost its master was lost, and an echo that is all 0 counts as feedback.
     let mut master = Master::<2>::new(Config::CAN);
-    let go =
-        AbsolutePosition { max_speed: MaxSpeed::from_raw(1), angle: Angle::from_raw(0x0400_0000) };
     for (cycle, data) in
-        [[0xA4, 0x32, 0, 0, 0, 0, 0, 0], go.encode(), [0xA4, 0x32, 0, 0, 0, 0, 1, 0]]
+        [[0xA1, 0x32, 0, 0, 0, 0, 0, 2], torque(0.0).encode(), [0xA1, 0x32, 0, 0, 0, 0, 1, 2]]
             .iter()
             .enumerate()
     {
         let now = ms(4 * cycle as u64);
-        master.set_point(id(1), go, now).unwrap();
+        master.set_point(id(1), torque(0.0), now).unwrap();
         sent(&mut master, now);
         let event = reply(&mut master, 1, *data, now + Duration::from_millis(1));
         assert!(matches!(event, Some(Event::Feedback { .. })), "{event:?}");
@@ -436,4 +434,17 @@ fn feedback_that_may_be_the_answer_to_all_tells_no_jump() {
     events(&mut master, ms(0));
     assert_eq!(streams(&mut master, 0, 30), []);
     assert_eq!(streams(&mut master, 400, 32), []);
+}
+
+#[test]
+fn who_notes_a_restart_and_resumes_at_once_lets_no_older_move_of_all_go() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    master.broadcast(torque(1.0), id(1).into()).unwrap();
+    master.note_restart(id(1));
+    master.resume(id(1));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), []);
+    let dropped = Event::BroadcastDone { silent: id(1).into(), was_sent: false };
+    assert!(events(&mut master, ms(2)).contains(&dropped));
 }

@@ -250,3 +250,68 @@ fn stops_whose_answers_may_be_doubled_do_not_go_round_for_ever() {
     }
     panic!("no end");
 }
+
+#[test]
+fn a_stop_that_is_cut_off_behind_its_first_answer_is_not_confirmed_by_one_more() {
+    let mut master = Master::<2>::new(Config::CAN);
+    // It lies in a mailbox: what is told to one motor is more urgent.
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(10)).len(), 1);
+    events(&mut master, ms(10));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(15)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(16)), None);
+    // The bus is cut behind that answer: what goes once more has none.
+    let mut times = 17..300;
+    let mut next = |master: &mut Master<2>| times.find(|&now| !sent(master, ms(now)).is_empty());
+    next(&mut master).unwrap();
+    let third = next(&mut master).unwrap();
+    // It is whole again: the first that comes is the stop, and then what lies in the mailbox.
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(third + 1)), None, "{third}");
+}
+
+#[test]
+fn a_stop_never_owes_more_answers_than_two_stops_can() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let mut now = 0;
+    while now < 30_000 {
+        sent(&mut master, ms(now));
+        events(&mut master, ms(now));
+        now += 1;
+    }
+    while sent(&mut master, ms(now)).is_empty() {
+        now += 1;
+    }
+    events(&mut master, ms(now + 21));
+    master.lift_stop();
+    master.stop(id(1), StopKind::Off).unwrap();
+    let mut stops = sent(&mut master, ms(now + 22)).len();
+    for at in now + 23..now + 423 {
+        if reply(&mut master, 1, Shutdown.encode(), ms(at)) == confirmed(1) {
+            assert!(stops <= 31, "{stops} stops");
+            return;
+        }
+        stops += sent(&mut master, ms(at)).len();
+    }
+    panic!("{stops} stops and no end");
+}
+
+#[test]
+fn a_stop_that_was_not_answered_in_a_cut_is_over_by_two_answers_whatever_is_heard_before_the_first()
+{
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), motion(), ms(0)).unwrap();
+    sent(&mut master, ms(0));
+    (1..30).for_each(|now| drop(events(&mut master, ms(now))));
+    // Then the bus is cut.
+    reply(&mut master, 2, ANGLE_REPLY, ms(30));
+    (30..200).for_each(|now| drop(events(&mut master, ms(now))));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(500)).len(), 1);
+    assert_eq!(sent(&mut master, ms(521)).len(), 1);
+    // The bus is whole again: what the mailboxes hold comes, by its priority.
+    reply(&mut master, 2, ANGLE_REPLY, ms(525));
+    events(&mut master, ms(525));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(526)), None);
+}

@@ -323,6 +323,27 @@ fn what_was_switched_off_is_switched_on_by_no_other_stop() {
 }
 
 #[test]
+fn what_was_switched_off_is_switched_on_by_no_request() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let _read = ask(&mut master, 2, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 2, ANGLE_REPLY, ms(1)).unwrap();
+    master.stop(id(2), StopKind::Hold).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(master.request(id(1), Stop).err(), Some(RequestError::Stopped));
+    assert_eq!(sent(&mut master, ms(100)).len(), 2, "the stops");
+    for (motor, stop) in [(1, Shutdown.encode()), (2, Stop.encode())] {
+        reply(&mut master, motor, stop, ms(101)).unwrap();
+    }
+    assert!(master.request(id(2), Stop).is_ok(), "it is held already");
+    assert!(master.request(id(1), Shutdown).is_ok());
+    sent(&mut master, ms(102));
+    reply(&mut master, 1, Shutdown.encode(), ms(103)).unwrap();
+    assert_eq!(master.request(id(1), Stop).err(), Some(RequestError::Stopped));
+    master.lift_stop_of(id(1));
+    assert!(master.request(id(1), Stop).is_ok());
+}
+
+#[test]
 fn a_stop_in_the_place_of_another_tells_of_no_request() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
