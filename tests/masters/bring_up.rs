@@ -14,6 +14,7 @@ use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
 use myactuator_protocol_core::time::Duration;
 use myactuator_protocol_core::units::Milliseconds;
+use myactuator_protocol_core::wire::can::{self, SimpleFrame};
 use myactuator_protocol_core::wire::rs485::Receiver;
 use myactuator_protocol_core::{Firmware, RequestError};
 use myactuator_tests::fleet::{master, state, turn_to};
@@ -46,6 +47,7 @@ on_both_buses! {
     a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one
     a_new_id_is_taken_though_the_restart_was_lost_once
     a_zero_is_kept_though_the_restart_was_lost_once
+    a_drive_that_answers_as_its_new_id_is_told_again_to_restart
 }
 
 fn ids(numbers: impl IntoIterator<Item = u8>) -> MotorSet {
@@ -362,13 +364,20 @@ fn a_brake_that_does_not_open_is_told_with_its_motor<W: Wire>() {
 
 /// Has this done to motor 1 of two, whose wire is cut for 2 ms when the first 0x76 goes out. Gives what comes of it, and
 /// how often motor 1 has restarted.
-fn with_first_restart_lost<W: Wire, T>(mut work: impl FnMut(&mut W::Runner<8>) -> T) -> (T, u32) {
+fn with_first_restart_lost<W: Wire, T>(work: impl FnMut(&mut W::Runner<8>) -> T) -> (T, u32) {
+    with_first_restart_lost_by::<W, T>(Quirks::default(), work)
+}
+
+fn with_first_restart_lost_by<W: Wire, T>(
+    quirks: Quirks,
+    mut work: impl FnMut(&mut W::Runner<8>) -> T,
+) -> (T, u32) {
     let mut lost_at = None;
     loop {
         let faults = lost_at
             .into_iter()
             .flat_map(|us: u64| [format!("cut@1+{us}us"), format!("mend@1+{}us", us + 2_000)]);
-        let fleet = Fleet::new(2).faults(faults.map(|fault| fault.parse().unwrap()));
+        let fleet = Fleet::new(2).quirks(quirks).faults(faults.map(|fault| fault.parse().unwrap()));
         let bus = W::drives(&fleet).unwrap();
         turn_to(&bus.drives[0], 50.0);
         // It has run for a while.
@@ -410,4 +419,43 @@ fn a_zero_is_kept_though_the_restart_was_lost_once<W: Wire>() {
     let (told, restarts) = with_first_restart_lost::<W, _>(zero);
     assert!(told.is_err() || restarts == 1, "{told:?} after {restarts} restarts");
     assert!(told.is_ok(), "{told:?}");
+}
+
+/// Firmware 2025070202: it hears the old id and answers as the new one until it restarts.
+fn a_drive_that_answers_as_its_new_id_is_told_again_to_restart<W: Wire>() {
+    let quirks = Quirks { answers_as_new_id: true, slow_boot: true, ..Quirks::default() };
+    let change = |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(5));
+    let (told, restarts) = with_first_restart_lost_by::<W, _>(quirks, change);
+    assert!(told.is_ok(), "{told:?} after {restarts} restarts");
+}
+
+fn starts_with(byte: u8, record: &trace::Record<SimpleFrame>) -> bool {
+    let trace::Event::Carried { frame, .. } = &record.event else { return false };
+    matches!(can::decode(frame), can::Received::Packet(packet) if packet.data[0] == byte)
+}
+
+/// It was refused what moves it since its turns may be lost, and nobody has seen where it is since.
+#[test]
+fn a_restart_that_was_never_heard_lifts_nothing() {
+    let mut cuts: Vec<u64> = Vec::new();
+    for _ in 0..4 {
+        let faults = cuts
+            .iter()
+            .flat_map(|us| [format!("cut@1+{us}us"), format!("mend@1+{}us", us + 2_000)]);
+        let faults = faults.map(|fault| fault.parse().unwrap());
+        let bus = Fleet::new(2).faults(faults).on_can(1_000_000).unwrap();
+        bus.world.run_for(millis(5_000));
+        let runner = &mut bus.master::<8>();
+        assert!(runner.ask(id(1), ReadStatus1).is_ok());
+        runner.master().note_restart(id(1));
+        let log = bus.world.log();
+        let told = bring_up::restart(runner, id(1), id(1));
+        if told == Err(BringUpError::NotRestarted(id(1))) {
+            assert!(runner.master().has_restarted(id(1)));
+            return;
+        }
+        let last = log.take().into_iter().rfind(|record| starts_with(0x76, record));
+        cuts.push(last.unwrap().at_ns / 1_000 - 60);
+    }
+    panic!("it was heard");
 }

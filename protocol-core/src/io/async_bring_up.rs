@@ -260,10 +260,15 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
     then: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
     const LONGEST_RESTART: Duration = Duration::from_secs(5);
+    let mut fails = BringUpError::NotRestarted(motor);
     for _ in 0..RESTARTS {
-        // One with a new id may answer under that already.
+        // One with a new id may answer under that already; one that does not answer may hear all the same.
         let ran = match then == motor {
-            true => runner.ask(motor, ReadRunTime).await?.run_time.into(),
+            true => match runner.ask(motor, ReadRunTime).await {
+                Ok(reply) => reply.run_time.into(),
+                Err(CallError::Failed { failure: Failure::NoReply, .. }) => Duration::ZERO,
+                Err(error) => return Err(error.into()),
+            },
             false => Duration::ZERO,
         };
         let told_at = runner.now();
@@ -272,19 +277,26 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
             Err(BringUpError::NotThere(_)) if then != motor && is_there(runner, motor).await? => {
                 motor
             }
+            // It may hear the old id and answer as the new one.
+            Err(BringUpError::NotThere(_)) if then != motor => {
+                fails = BringUpError::NotThere(then);
+                continue;
+            }
             result => result.map(|()| then)?,
         };
         let has_restarted =
             there != motor || has_started_since(runner, motor, told_at, ran).await?;
-        // It was meant to.
-        runner.master().resume(there);
+        if has_restarted {
+            // It was meant to.
+            runner.master().resume(there);
+        }
         match has_restarted {
             true if there == then => return Ok(()),
             true => return Err(BringUpError::NotThere(then)),
             false => {}
         }
     }
-    Err(BringUpError::NotRestarted(motor))
+    Err(fails)
 }
 
 /// Whether its drive has started since then, when it had run for so long.
