@@ -176,6 +176,11 @@ fn shows_echo(packet: &Packet) -> bool {
     !matches!(packet.channel, Channel::MotionReply(_)) && packet.data[0] == 0x9A
 }
 
+/// What moves is answered by feedback, never by its own bytes.
+fn moves(packet: &Packet) -> bool {
+    Opcode::from_byte(packet.data[0]).is_some_and(|opcode| Kind::from(opcode).moves())
+}
+
 /// The number of a set-point of the tests' streams: absolute positions and marked speeds carry it as
 /// token, motion mode commands its low 16 bits as position.
 fn set_point_number(packet: &Packet) -> Option<u32> {
@@ -211,8 +216,8 @@ impl<W> Teller<W> {
         let mut data = packet.data;
         if let Channel::MotionReply(_) = channel {
             data[0] = self.motor.get();
-        } else {
-            data[1] = 25; // degrees, where it means anything
+        } else if shows_echo(packet) || moves(packet) {
+            data[1] = 25; // degrees
         }
         let due = now + Duration::from_micros(700 + self.dice.below(201));
         let due = self.replies.back().map_or(due, |(before, _)| due.max(*before));

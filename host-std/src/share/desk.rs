@@ -147,8 +147,7 @@ impl<E> Desk<E> {
 
     pub(super) fn note_restart(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
-        state.restarted.insert(motor);
-        state.drop_what_moves(motor);
+        state.has_restarted(motor);
         state.order(Order::NoteRestart(motor))?;
         self.leave(state);
         Ok(())
@@ -315,8 +314,7 @@ impl<E> Desk<E> {
         let mut state = self.lock();
         state.subscribers.retain(|subscriber| subscriber.deliver(event));
         if let Event::Restarted { motor } = *event {
-            state.restarted.insert(motor);
-            state.drop_what_moves(motor);
+            state.has_restarted(motor);
         }
         let heard = match *event {
             Event::Feedback { motor, reply } => Some((motor, reply)),

@@ -195,8 +195,9 @@ impl<E> State<E> {
         self.questions.insert(overtaken.unwrap_or(self.questions.len()), question);
     }
 
-    /// A restart drops what moves and is older than the word of it.
-    pub(super) fn drop_what_moves(&mut self, restarted: MotorId) {
+    /// A motor has restarted: what moves it and is older than the word of it is dropped.
+    pub(super) fn has_restarted(&mut self, restarted: MotorId) {
+        self.restarted.insert(restarted);
         let slot = self.slot(restarted);
         if slot.set_point.take().is_some() {
             slot.refusal = Some(RequestError::Restarted);

@@ -109,18 +109,10 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
         &mut self,
         motor: MotorId,
         command: C,
-        attempts: u8,
+        attempts: Option<u8>,
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        let insistence = Insistence::Attempts(attempts);
+        let insistence = attempts.map_or(Insistence::Usual, Insistence::Attempts);
         self.bus.put(motor, &command, insistence, Some(self.since)).map_err(call_error)
-    }
-
-    async fn ask<C: Command>(
-        &mut self,
-        motor: MotorId,
-        command: C,
-    ) -> Result<C::Reply, CallError<Self::Error>> {
-        self.bus.put(motor, &command, Insistence::Usual, Some(self.since)).map_err(call_error)
     }
 
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {

@@ -289,11 +289,7 @@ pub async fn restart<R: AsyncRunner<N>, const N: usize>(
         if has_restarted {
             // It was meant to.
             runner.master().resume(there);
-        }
-        match has_restarted {
-            true if there == then => return Ok(()),
-            true => return Err(BringUpError::NotThere(then)),
-            false => {}
+            return if there == then { Ok(()) } else { Err(BringUpError::NotThere(then)) };
         }
     }
     Err(fails)

@@ -27,7 +27,8 @@ pub trait Calls<const N: usize> {
     /// [`CallError::Bus`].
     async fn wait_until(&mut self, until: Instant) -> Result<(), CallError<Self::Error>>;
 
-    /// Sends a command to one motor, so often at the most if it is not answered, and waits for its answer.
+    /// Sends a command to one motor and waits for its answer; if there is none, so often at the most, or as often as is
+    /// usual for this command.
     ///
     /// # Errors
     /// [`CallError`].
@@ -35,10 +36,10 @@ pub trait Calls<const N: usize> {
         &mut self,
         motor: MotorId,
         command: C,
-        attempts: u8,
+        attempts: Option<u8>,
     ) -> Result<C::Reply, CallError<Self::Error>>;
 
-    /// As [`ask_often`](Self::ask_often), with the attempts that are usual for this command.
+    /// As [`ask_often`](Self::ask_often), as often as is usual.
     ///
     /// # Errors
     /// As there.
@@ -46,7 +47,9 @@ pub trait Calls<const N: usize> {
         &mut self,
         motor: MotorId,
         command: C,
-    ) -> Result<C::Reply, CallError<Self::Error>>;
+    ) -> Result<C::Reply, CallError<Self::Error>> {
+        self.ask_often(motor, command, None).await
+    }
 
     /// Stops a motor, and waits until it has confirmed that, or not: see
     /// [`Master::stop`](crate::master::Master::stop).
@@ -81,18 +84,10 @@ impl<R: AsyncRunner<N>, const N: usize> Calls<N> for R {
         &mut self,
         motor: MotorId,
         command: C,
-        attempts: u8,
+        attempts: Option<u8>,
     ) -> Result<C::Reply, CallError<R::Error>> {
-        let patience = self.master().patience(attempts);
-        self.ask_with(motor, command, Some(patience), |_| {}).await
-    }
-
-    async fn ask<C: Command>(
-        &mut self,
-        motor: MotorId,
-        command: C,
-    ) -> Result<C::Reply, CallError<R::Error>> {
-        AsyncRunner::ask(self, motor, command).await
+        let patience = attempts.map(|attempts| self.master().patience(attempts));
+        self.ask_with(motor, command, patience, |_| {}).await
     }
 
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {

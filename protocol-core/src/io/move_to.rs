@@ -291,7 +291,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
     let target = command.target(from).ok_or(MoveFailure::OutOfRange { here: from })?;
     // One that names a place may be sent again.
     let attempts = if command.kind().repeat() == Repeat::ActsAgain { 1 } else { ATTEMPTS };
-    bus.ask_often(motor, command, attempts).await?;
+    bus.ask_often(motor, command, Some(attempts)).await?;
 
     let start = bus.now();
     let time = limits.time.unwrap_or_else(|| usual_time(from, target, command.max_speed()));

@@ -38,7 +38,8 @@
 //! taken for that to the next request of its kind), if two motors have one id, if another master asks the same at the
 //! same time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no more
 //! and has not heard). A drive that has lost its master sends back the first command and ignores it: if its message
-//! of that was not heard, this may be taken for the acknowledgement of a command, or for values that are all 0. On RS485 an echo that nobody configured confirms a stop if noise
+//! of that was not heard, this may be taken for the acknowledgement of a command, or for values that are all 0. On
+//! RS485 an echo that nobody configured confirms a stop if noise
 //! has taken the echoes of two reads in a row, and neither these reads nor their answers, or the echo of one, where an
 //! answer came late or twice while the next read went into a cut; and any echo does that comes more than 100 ms after
 //! its sending although the port was found empty meanwhile. A restart shows by a second in which the

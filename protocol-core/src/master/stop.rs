@@ -80,9 +80,9 @@ impl<const N: usize> Master<N> {
     ///
     /// # A motor that is off stays off
     /// A motor that a stop has switched off is not switched on by another stop: until the first is lifted it gets
-    /// [`StopKind::Off`] where [`StopKind::Hold`] is called for, a request of its own to hold
-    /// it (0x81) is refused, and the stop to all is left out where it would hold
-    /// such a motor. After a stop of all with `Off` that holds for every motor, also for one that gets its place
+    /// [`StopKind::Off`] where [`StopKind::Hold`] is called for, a request of its own to hold it (0x81) is refused, and
+    /// the stop to all is left out where it would hold such a motor. After a stop of all with `Off` that holds for every
+    /// motor, also for one that gets its place
     /// later. A stop to all that still waits to switch off goes all the same.
     ///
     /// # Errors
