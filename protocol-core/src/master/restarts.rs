@@ -5,10 +5,11 @@ use crate::master::Master;
 
 impl<const N: usize> Master<N> {
     /// The caller has found out that a motor has restarted, by its angle for example, which the master has not: as
-    /// [`Event::Restarted`](crate::master::Event::Restarted), which follows.
+    /// [`Event::Restarted`](crate::master::Event::Restarted), which follows. A motor without a place gets one; without room for it nothing can move it.
     pub fn note_restart(&mut self, motor: MotorId) {
         let now = self.now;
         (self.offer, self.due) = (None, now);
+        let _ = self.place_for(motor);
         self.change(motor, |motor, config| motor.has_begun_anew(config, now));
         self.cancel_move_after_restart();
     }

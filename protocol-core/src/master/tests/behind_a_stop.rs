@@ -437,3 +437,51 @@ fn what_may_answer_all_rather_than_the_stop_tells_nothing_where_nobody_is_expect
     assert_eq!(sent(&mut master, ms(1)).len(), 1);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), None);
 }
+
+/// On CAN, after a move of all: the stop to all (0x280) overtakes a set-point of motion mode (0x401) in the mailboxes.
+#[test]
+fn the_answer_to_the_stop_of_all_confirms_nothing_while_a_set_point_is_in_flight() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(step(), id(1).into()).unwrap();
+    sent(&mut master, ms(0));
+    reply(&mut master, 1, [0xA8, 30, 0, 0, 0, 0, 7, 0], ms(1));
+    events(&mut master, ms(1));
+    sent(&mut master, ms(150));
+    let _ = ask(&mut master, 1, ReadStatus1, ms(190));
+    reply(&mut master, 1, [0x9A, 0, 0, 0, 0, 0, 0, 0], ms(191));
+    master.set_point(id(1), motion(), ms(200)).unwrap();
+    assert_eq!(sent(&mut master, ms(200)).len(), 1);
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(master.poll_transmit(ms(200)), Some(packet_to_all([0x81, 0, 0, 0, 0, 0, 0, 0])));
+    master.handle_transmitted(ms(200));
+    // Both mailboxes are full, so that its own waits.
+    let heard = reply(&mut master, 1, [0x81, 0, 0, 0, 0, 0, 0, 0], ms(201));
+    assert_ne!(heard, confirmed(1), "the set-point lies in a mailbox yet");
+}
+
+/// The same where the move of all was not answered, and the set-point is lost behind the first answer.
+#[test]
+fn a_stop_goes_on_though_a_set_point_is_lost_after_its_first_answer() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(step(), id(1).into()).unwrap();
+    sent(&mut master, ms(0));
+    events(&mut master, ms(100));
+    let go = AbsolutePosition { max_speed: MaxSpeed::from_raw(1), angle: Angle::from_raw(0) };
+    master.set_point(id(1), go, ms(200)).unwrap();
+    assert_eq!(sent(&mut master, ms(200)).len(), 1);
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    // One mailbox.
+    assert_eq!(master.poll_transmit(ms(200)), Some(packet_to_all([0x80, 0, 0, 0, 0, 0, 0, 0])));
+    master.handle_transmitted(ms(200));
+    assert_eq!(reply(&mut master, 1, [0x80, 0, 0, 0, 0, 0, 0, 0], ms(201)), None);
+    let (mut at, mut stops) = (ms(201), 0);
+    while let Some(next) = master.poll_at().filter(|_| stops < 20) {
+        at = at.max(next);
+        stops += sent(&mut master, at).len();
+        events(&mut master, at);
+    }
+    assert!(
+        stops > 0,
+        "its own stop was never sent, and nobody is told: it waits since {at:?} for ever"
+    );
+}

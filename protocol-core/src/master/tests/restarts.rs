@@ -448,3 +448,10 @@ fn who_notes_a_restart_and_resumes_at_once_lets_no_older_move_of_all_go() {
     let dropped = Event::BroadcastDone { silent: id(1).into(), was_sent: false };
     assert!(events(&mut master, ms(2)).contains(&dropped));
 }
+
+#[test]
+fn a_restart_that_the_caller_notes_counts_for_a_motor_without_a_place_too() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.note_restart(id(1));
+    assert_eq!(master.request(id(1), step()).err(), Some(RequestError::Restarted));
+}

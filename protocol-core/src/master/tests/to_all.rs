@@ -490,3 +490,36 @@ fn a_restart_that_is_sent_ends_a_move_of_all_without_waiting_for_anything_else()
     }
     assert_eq!(packets.len(), 2, "the restart and the angle");
 }
+
+/// The answer to what all were told, which a stop has ended, and the same frame once more.
+#[test]
+fn the_double_of_an_answer_to_a_broadcast_that_is_over_confirms_no_stop() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadStatus1, ms(0));
+    reply(&mut master, 1, [0x9A, 0, 0, 0, 0, 0, 0, 0], ms(1));
+    master.broadcast(Shutdown, id(1).into()).unwrap();
+    sent(&mut master, ms(100));
+    master.handle_timeout(Instant::from_micros(100_700));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    sent(&mut master, Instant::from_micros(100_700));
+    let off = [0x80, 0, 0, 0, 0, 0, 0, 0];
+    let first = reply(&mut master, 1, off, Instant::from_micros(100_800));
+    let again = reply(&mut master, 1, off, Instant::from_micros(101_100));
+    assert_ne!(again, confirmed(1), "the drive has not heard the stop; first {first:?}");
+}
+
+#[test]
+fn the_double_of_an_answer_to_a_broadcast_that_is_over_answers_no_move() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(step(), id(1).into()).unwrap();
+    sent(&mut master, ms(100));
+    let ticket = master.request(id(1), step()).unwrap();
+    master.handle_timeout(Instant::from_micros(100_700));
+    master.stop(id(2), StopKind::Hold).unwrap();
+    sent(&mut master, Instant::from_micros(100_700));
+    let data = [0xA8, 30, 0, 0, 0, 0, 7, 0];
+    let first = reply(&mut master, 1, data, Instant::from_micros(101_000));
+    let moved = sent(&mut master, Instant::from_micros(101_000));
+    let again = reply(&mut master, 1, data, Instant::from_micros(101_290));
+    assert!(again.is_none_or(|it| ticket.outcome(&it).is_none()), "{first:?} {moved:?} {again:?}");
+}
