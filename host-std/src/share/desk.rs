@@ -14,7 +14,7 @@ use myactuator_protocol_core::{Data, MotorId, time};
 
 use super::SharedBusError;
 use super::calls::{Answer, Awaited, Insistence, Order, Question, Untyped, Waiting};
-use super::state::{Clerk, Latest, Life, State};
+use super::state::{Clerk, LaidDown, Latest, Life, Past, State};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::Wake;
 
@@ -64,12 +64,12 @@ impl<E> Desk<E> {
         motor: MotorId,
         command: Untyped,
         insistence: Insistence,
-        since: Option<u32>,
+        since: Option<Past>,
     ) -> Awaited<Data, E> {
         let (answer, waiting) = call();
         let mut state = self.lock();
         if command.kind.ends_motion() {
-            state.drop_what_is_ended(motor);
+            state.drop_what_is_ended(motor, command.kind);
         }
         state.check(motor, command.kind, since)?;
         let asker = Arc::downgrade(&waiting.asker);
@@ -94,7 +94,7 @@ impl<E> Desk<E> {
         if let Some(refusal) = slot.refusal.take() {
             return Err(SharedBusError::Refused { motor, refusal });
         }
-        slot.set_point = Some(command);
+        slot.set_point = Some(LaidDown { command, found_at: None });
         self.leave(state);
         Ok(())
     }
@@ -104,17 +104,24 @@ impl<E> Desk<E> {
         let (answer, waiting) = call();
         let mut state = self.lock();
         state.stops_all = true;
-        state.drop_what_is_stopped(MotorSet::ALL);
+        state.drop_what_is_stopped(MotorSet::ALL, kind);
         state.order(Order::StopAll { kind, also, answer })?;
         self.leave(state);
         Ok(waiting)
     }
 
-    pub(super) fn stop(&self, motor: MotorId, kind: StopKind) -> Awaited<MotorSet, E> {
+    /// Stops a motor for somebody who began to work with it then.
+    pub(super) fn stop(
+        &self,
+        motor: MotorId,
+        kind: StopKind,
+        since: Option<Past>,
+    ) -> Awaited<MotorSet, E> {
         let (answer, waiting) = call();
         let mut state = self.lock();
+        let kind = state.stop_kind(motor, kind, since);
         state.stopped.insert(motor);
-        state.drop_what_is_stopped(motor.into());
+        state.drop_what_is_stopped(motor.into(), kind);
         state.order(Order::Stop { motor, kind, answer })?;
         self.leave(state);
         Ok(waiting)
@@ -154,13 +161,13 @@ impl<E> Desk<E> {
     }
 
     /// What to begin to work with a motor by.
-    pub(super) fn ended(&self, motor: MotorId) -> u32 {
-        self.lock().ended[motor.index()]
+    pub(super) fn past(&self, motor: MotorId) -> Past {
+        self.lock().past[motor.index()]
     }
 
     /// Whether whoever began then may move a motor now.
-    pub(super) fn may_move(&self, motor: MotorId, since: u32) -> Result<(), RequestError> {
-        self.lock().may_move(motor, Some(since))
+    pub(super) fn may_move(&self, motor: MotorId, since: Past) -> Result<(), RequestError> {
+        self.lock().may_move(motor, since)
     }
 
     /// Waits until then, on the clock of the bus. The answer is what time it is.
@@ -275,7 +282,7 @@ impl<E> Desk<E> {
         let state = &mut *guard;
         (state.is_idle, state.news_since) = (false, None);
         state.rounds += 1;
-        state.orders.drain(..).for_each(|order| clerk.obey(order));
+        state.hand_over_orders(clerk);
         state.hand_over_set_points(clerk);
         // What one motor is asked, it is asked in that order.
         let mut busy = MotorSet::EMPTY;
@@ -309,13 +316,15 @@ impl<E> Desk<E> {
         drop(result.unwrap_or_else(PoisonError::into_inner));
     }
 
+    /// The master says that a motor has restarted.
+    pub(super) fn has_restarted(&self, motor: MotorId) {
+        self.lock().has_restarted(motor);
+    }
+
     /// Hands an event to whoever wants it.
     pub(super) fn publish(&self, event: &Event) {
         let mut state = self.lock();
         state.subscribers.retain(|subscriber| subscriber.deliver(event));
-        if let Event::Restarted { motor } = *event {
-            state.has_restarted(motor);
-        }
         let heard = match *event {
             Event::Feedback { motor, reply } => Some((motor, reply)),
             Event::Report { motor, reply } | Event::BroadcastReply { motor, reply } => {

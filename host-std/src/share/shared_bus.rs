@@ -11,7 +11,7 @@ use myactuator_protocol_core::{Command, MotorId};
 
 use super::calls::{Insistence, Untyped};
 use super::desk::Desk;
-use super::state::Latest;
+use super::state::{Latest, Past};
 use super::{SharedBusError, Subscription, worker};
 use crate::open::{AnyMaster, BusAddress, BusError, Wake};
 
@@ -153,7 +153,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         motor: MotorId,
         command: &C,
         insistence: Insistence,
-        since: Option<u32>,
+        since: Option<Past>,
     ) -> Result<C::Reply, SharedBusError<E>> {
         let desk = self.desk();
         let reply = desk.wait(desk.ask(motor, Untyped::of(command), insistence, since))?;
@@ -200,7 +200,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// [`SharedBusError::Refused`] if the master has no place for it, [`SharedBusError::Panicked`].
     pub fn stop(&self, motor: MotorId, kind: StopKind) -> Result<bool, SharedBusError<E>> {
         let desk = self.desk();
-        Ok(desk.wait_for_stop(desk.stop(motor, kind), motor.into())?.is_empty())
+        Ok(desk.wait_for_stop(desk.stop(motor, kind, None), motor.into())?.is_empty())
     }
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse. Does not

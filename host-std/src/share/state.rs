@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::master::{Failure, MotorSet};
-use myactuator_protocol_core::{Kind, MotorId};
+use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
+use myactuator_protocol_core::{Kind, MotorId, Opcode, time};
 
 use super::SharedBusError;
 use super::calls::{Order, Question, Untyped};
@@ -22,11 +22,30 @@ pub struct Latest {
     pub heard_at: Instant,
 }
 
+/// A set-point that lies there.
+#[derive(Debug)]
+pub(super) struct LaidDown {
+    pub(super) command: Untyped,
+    /// When it was found first, where it has to wait for what ends motion: it is as old as that at least.
+    pub(super) found_at: Option<time::Instant>,
+}
+
+/// What a motor was told that nothing older may follow.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Past {
+    /// How often its motion was to be ended, by a stop or otherwise.
+    ended: u32,
+    /// Whether it was let go by that, the last time.
+    is_let_go: bool,
+    /// How often it was told to have restarted.
+    restarts: u32,
+}
+
 /// What a motor's callers have left and may find.
 #[derive(Debug, Default)]
 pub(super) struct Slot {
     /// The newest set-point, until it is taken up.
-    pub(super) set_point: Option<Untyped>,
+    pub(super) set_point: Option<LaidDown>,
     /// Why an earlier one was not taken.
     pub(super) refusal: Option<RequestError>,
     pub(super) latest: Option<Latest>,
@@ -50,8 +69,7 @@ pub(super) struct State<E> {
     pub(super) slots: [Slot; MotorId::COUNT],
     pub(super) stops_all: bool,
     pub(super) stopped: MotorSet,
-    /// How often the motion of each was to be ended, by a stop or otherwise.
-    pub(super) ended: [u32; MotorId::COUNT],
+    pub(super) past: [Past; MotorId::COUNT],
     /// These were told to have restarted, and not resumed.
     pub(super) restarted: MotorSet,
     /// An error that nobody was told yet.
@@ -69,7 +87,16 @@ pub(super) struct State<E> {
 pub(super) trait Clerk<E> {
     fn obey(&mut self, order: Order<E>);
 
-    fn set_point(&mut self, motor: MotorId, set_point: Untyped) -> Result<(), RequestError>;
+    /// Puts a set-point that was there at this time.
+    fn set_point(
+        &mut self,
+        motor: MotorId,
+        set_point: Untyped,
+        found_at: time::Instant,
+    ) -> Result<(), RequestError>;
+
+    /// What lies there now may be as old as this.
+    fn looked_at(&self) -> time::Instant;
 
     /// Puts a question; gives it back if it has to wait.
     fn put(&mut self, question: Question<E>) -> Option<Question<E>>;
@@ -84,7 +111,7 @@ impl<E> State<E> {
             slots: std::array::from_fn(|_| Slot::default()),
             stops_all: false,
             stopped: MotorSet::EMPTY,
-            ended: [0; MotorId::COUNT],
+            past: [Past::default(); MotorId::COUNT],
             restarted: MotorSet::EMPTY,
             error: None,
             subscribers: Vec::new(),
@@ -103,7 +130,7 @@ impl<E> State<E> {
         &mut self,
         motor: MotorId,
         kind: Kind,
-        since: Option<u32>,
+        since: Option<Past>,
     ) -> Result<(), SharedBusError<E>> {
         if let Life::Panicked(_) = self.life {
             return Err(self.last_words());
@@ -118,24 +145,57 @@ impl<E> State<E> {
         if is_stopped && kind.is_refused_while_stopped() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
         }
-        if self.restarted.contains(motor) && kind.moves() {
+        if self.has_restarted_since(motor, since) && kind.moves() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Restarted });
         }
         Ok(())
     }
 
     /// Whether a motor is stopped, or its motion was to be ended since then; `None` for whoever begins now.
-    fn is_stopped(&self, motor: MotorId, since: Option<u32>) -> bool {
-        let was_ended = since.is_some_and(|since| since != self.ended[motor.index()]);
-        was_ended || self.stops_all || self.stopped.contains(motor)
+    fn is_stopped(&self, motor: MotorId, since: Option<Past>) -> bool {
+        self.was_ended_since(motor, since) || self.stops_all || self.stopped.contains(motor)
+    }
+
+    fn was_ended_since(&self, motor: MotorId, since: Option<Past>) -> bool {
+        since.is_some_and(|since| since.ended != self.past[motor.index()].ended)
+    }
+
+    /// Whether a motor has restarted and was not resumed, or has restarted since then.
+    fn has_restarted_since(&self, motor: MotorId, since: Option<Past>) -> bool {
+        let has_since = since.is_some_and(|it| it.restarts != self.past[motor.index()].restarts);
+        has_since || self.restarted.contains(motor)
+    }
+
+    /// How whoever began then stops a motor: one that somebody has let go since then is not switched on again.
+    pub(super) fn stop_kind(
+        &self,
+        motor: MotorId,
+        kind: StopKind,
+        since: Option<Past>,
+    ) -> StopKind {
+        match self.was_ended_since(motor, since) && self.past[motor.index()].is_let_go {
+            true => StopKind::Off,
+            false => kind,
+        }
     }
 
     /// Whether whoever began then may move a motor now.
-    pub(super) fn may_move(&self, motor: MotorId, since: Option<u32>) -> Result<(), RequestError> {
-        match self.is_stopped(motor, since) {
+    pub(super) fn may_move(&self, motor: MotorId, since: Past) -> Result<(), RequestError> {
+        match self.is_stopped(motor, Some(since)) {
             true => Err(RequestError::Stopped),
-            false if self.restarted.contains(motor) => Err(RequestError::Restarted),
+            false if self.has_restarted_since(motor, Some(since)) => Err(RequestError::Restarted),
             false => Ok(()),
+        }
+    }
+
+    /// Hands the clerk the orders.
+    pub(super) fn hand_over_orders(&mut self, clerk: &mut impl Clerk<E>) {
+        for order in self.orders.drain(..) {
+            // A restart of before it may have been told meanwhile.
+            if let Order::Resume(motor) = order {
+                self.restarted.remove(motor);
+            }
+            clerk.obey(order);
         }
     }
 
@@ -153,31 +213,35 @@ impl<E> State<E> {
         let ends_motion = |question: &&Question<E>| question.command.kind.ends_motion();
         let ending: MotorSet =
             self.questions.iter().filter(ends_motion).map(|question| question.motor).collect();
-        for motor in MotorSet::ALL.without(ending).iter() {
+        for motor in MotorId::all() {
             let slot = self.slot(motor);
-            if let Some(set_point) = slot.set_point.take()
-                && let Err(refusal) = clerk.set_point(motor, set_point)
-            {
+            let Some(LaidDown { command, found_at }) = slot.set_point.take() else { continue };
+            let found_at = found_at.unwrap_or_else(|| clerk.looked_at());
+            if ending.contains(motor) {
+                slot.set_point = Some(LaidDown { command, found_at: Some(found_at) });
+            } else if let Err(refusal) = clerk.set_point(motor, command, found_at) {
                 slot.refusal = Some(refusal);
             }
         }
     }
 
     /// A stop drops what it refuses and is older, and what would end motion in another way.
-    pub(super) fn drop_what_is_stopped(&mut self, motors: MotorSet) {
-        self.end_motion(motors, |kind| kind.is_refused_while_stopped() || kind.ends_motion());
+    pub(super) fn drop_what_is_stopped(&mut self, motors: MotorSet, by: StopKind) {
+        let is_over = |kind: Kind| kind.is_refused_while_stopped() || kind.ends_motion();
+        self.end_motion(motors, by == StopKind::Off, is_over);
     }
 
     /// So does a command that ends motion with what moves, but for other such commands.
-    pub(super) fn drop_what_is_ended(&mut self, motor: MotorId) {
-        self.end_motion(motor.into(), Kind::may_move);
+    pub(super) fn drop_what_is_ended(&mut self, motor: MotorId, by: Kind) {
+        let lets_go = matches!(by.opcode(), Some(Opcode::Shutdown | Opcode::Reset));
+        self.end_motion(motor.into(), lets_go, Kind::may_move);
     }
 
-    fn end_motion(&mut self, motors: MotorSet, is_over: impl Fn(Kind) -> bool) {
+    fn end_motion(&mut self, motors: MotorSet, lets_go: bool, is_over: impl Fn(Kind) -> bool) {
         for motor in motors.iter() {
             self.slot(motor).set_point = None;
-            let ended = &mut self.ended[motor.index()];
-            *ended = ended.wrapping_add(1);
+            let past = &mut self.past[motor.index()];
+            (past.ended, past.is_let_go) = (past.ended.wrapping_add(1), lets_go);
         }
         self.drop_questions(|motor, kind| {
             let is_dropped = motors.contains(motor) && is_over(kind);
@@ -198,10 +262,9 @@ impl<E> State<E> {
     /// A motor has restarted: what moves it and is older than the word of it is dropped.
     pub(super) fn has_restarted(&mut self, restarted: MotorId) {
         self.restarted.insert(restarted);
-        let slot = self.slot(restarted);
-        if slot.set_point.take().is_some() {
-            slot.refusal = Some(RequestError::Restarted);
-        }
+        let restarts = &mut self.past[restarted.index()].restarts;
+        *restarts = restarts.wrapping_add(1);
+        self.slot(restarted).set_point = None;
         self.drop_questions(|motor, kind| {
             let is_dropped = motor == restarted && kind.moves();
             let refusal = RequestError::Restarted;

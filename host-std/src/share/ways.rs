@@ -9,18 +9,21 @@ use myactuator_protocol_core::io::bring_up::{
     BringUpError, MoveCommand, MoveLimits, MoveProgress, NotArrived,
 };
 use myactuator_protocol_core::io::{CallError, Calls, async_bring_up};
-use myactuator_protocol_core::master::StopKind;
+use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::{Command, MotorId};
 
 use super::calls::Insistence;
+use super::state::Past;
 use super::{SharedBus, SharedBusError};
 
 impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// Moves a motor to an angle, or by one, and watches it until it stands there, as
     /// [`bring_up::move_to`](myactuator_protocol_core::io::bring_up::move_to) does. Other threads may move other motors
     /// meanwhile. If one of them ends this motor's motion, by a stop or a command that does, the move has ended, too,
-    /// whether that stop is lifted at once or not.
+    /// whether that stop is lifted at once or not. A move that has failed stops its motor, after somebody else has moved
+    /// on with it, too: see that it has ended before you move that motor again. One that was let go (0x80) meanwhile is
+    /// not switched on by that.
     ///
     /// ```
     /// # use std::ops::ControlFlow;
@@ -74,15 +77,16 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
 /// A bus as ways of working see it. Each of its futures waits by itself, so that none has to be woken.
 struct Way<'a, E> {
     bus: &'a SharedBus<E>,
-    /// How often the motor's motion had been ended when this began: nothing of it follows an end that came since.
-    since: u32,
+    /// What the motor had been told when this began: nothing of it follows an end of motion, or a restart, that came
+    /// since.
+    since: Past,
     /// What the clock of the bus said last.
     now: Instant,
 }
 
 impl<'a, E: fmt::Debug + Send + Sync + 'static> Way<'a, E> {
     fn on(bus: &'a SharedBus<E>, motor: MotorId) -> Self {
-        Self { bus, since: bus.desk().ended(motor), now: Instant::ZERO }
+        Self { bus, since: bus.desk().past(motor), now: Instant::ZERO }
     }
 
     /// What time it is when it is no earlier than that.
@@ -116,12 +120,14 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
     }
 
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
-        self.bus.stop(motor, kind).unwrap_or(false)
+        let desk = self.bus.desk();
+        let stopped = desk.wait_for_stop(desk.stop(motor, kind, Some(self.since)), motor.into());
+        stopped.is_ok_and(MotorSet::is_empty)
     }
 
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {
         // Where the thread has ended, it has stopped the motors.
-        let _ = self.bus.desk().stop(motor, kind);
+        let _ = self.bus.desk().stop(motor, kind, Some(self.since));
     }
 
     fn may_move(&mut self, motor: MotorId) -> Result<(), RequestError> {
@@ -152,9 +158,11 @@ mod tests {
     use std::thread;
     use std::time;
 
-    use myactuator_protocol_core::command::{AbsolutePosition, ReadMultiTurnAngle};
+    use myactuator_protocol_core::command::{
+        AbsolutePosition, ReadMultiTurnAngle, ReadRunningMode, Shutdown,
+    };
     use myactuator_protocol_core::io::bring_up::MoveFailure;
-    use myactuator_protocol_core::master::{Event, MotorSet};
+    use myactuator_protocol_core::master::Event;
     use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
     use super::*;
@@ -232,6 +240,32 @@ mod tests {
             "motor 1 has not arrived: the motors were stopped: lift the stop first; it has confirmed the stop"
         );
         assert!(stands(&bus, id(1)));
+    }
+
+    #[test]
+    fn a_motor_that_another_thread_has_switched_off_on_its_way_stays_off() {
+        let (_fleet, bus) = shared(1);
+        let ended = moved(&bus, id(1), || {
+            let bus = bus.clone();
+            // It may be told that the stop of the move came first.
+            let _ = thread::spawn(move || bus.ask(id(1), Shutdown)).join().unwrap();
+        });
+        let why = ended.unwrap_err();
+        assert!(why.is_stopped, "{why}");
+        assert_eq!(bus.ask(id(1), ReadRunningMode).unwrap().mode.raw(), 0, "no loop runs");
+    }
+
+    #[test]
+    fn what_began_before_a_restart_moves_nothing_behind_it() {
+        let (_fleet, bus) = shared(1);
+        let way = &mut Way::on(&bus, id(1));
+        bus.ask(id(1), ReadMultiTurnAngle).unwrap();
+        way.note_restart(id(1));
+        bus.resume(id(1)).unwrap();
+        assert_eq!(way.may_move(id(1)), Err(RequestError::Restarted));
+        assert!(block_on(way.ask(id(1), to(90.0, 10.0))).is_err());
+        assert!(stands(&bus, id(1)));
+        assert_eq!(Way::on(&bus, id(1)).may_move(id(1)), Ok(()), "who begins now");
     }
 
     #[test]

@@ -89,6 +89,12 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         self.looked_at = self.runner.now();
         match self.runner.poll() {
             Ok(Some(event)) => {
+                // Unless somebody has resumed it already.
+                if let Event::Restarted { motor } = event
+                    && self.runner.master().has_restarted(motor)
+                {
+                    desk.has_restarted(motor);
+                }
                 // Who has its answer and then subscribes gets nothing older.
                 desk.publish(&event);
                 self.answer(&event);
@@ -246,10 +252,18 @@ impl<R: Runner<N>, const N: usize> Clerk<R::Error> for Worker<R, N> {
         }
     }
 
-    fn set_point(&mut self, motor: MotorId, set_point: Untyped) -> Result<(), RequestError> {
+    fn set_point(
+        &mut self,
+        motor: MotorId,
+        set_point: Untyped,
+        found_at: Instant,
+    ) -> Result<(), RequestError> {
+        self.runner.master().set_point(motor, set_point, found_at)
+    }
+
+    fn looked_at(&self) -> Instant {
         // A driver may have been busy for long since then.
-        let put_at = self.looked_at;
-        self.runner.master().set_point(motor, set_point, put_at)
+        self.looked_at
     }
 
     fn put(&mut self, mut question: Question<R::Error>) -> Option<Question<R::Error>> {

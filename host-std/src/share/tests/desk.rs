@@ -1,0 +1,336 @@
+//! What lies on the desk, in which order it is taken up, and what a stop or a restart takes away.
+
+use myactuator_protocol_core::command::Reset;
+
+use super::*;
+use crate::share::calls::{Awaited, Insistence, Order, Question, Untyped};
+use crate::share::desk::Desk;
+use crate::share::state::Clerk;
+
+/// Notes what it gets; is busy with questions, or answers them at once.
+#[derive(Default)]
+struct Notes {
+    told: Vec<String>,
+    /// Whom the questions were for, and their first bytes.
+    bytes: Vec<(u8, u8)>,
+    takes_questions: bool,
+    looked_at: Instant,
+    /// Of the last set-point.
+    found_at: Option<Instant>,
+}
+
+impl Clerk<CanError> for Notes {
+    fn obey(&mut self, order: Order<CanError>) {
+        self.told.push(match order {
+            Order::StopAll { .. } => "stop all".to_owned(),
+            Order::Stop { motor, kind, .. } => format!("stop {motor}: {kind:?}"),
+            Order::LiftStop => "lift".to_owned(),
+            Order::Resume(motor) => format!("resume {motor}"),
+            Order::Forget(motor) => format!("forget {motor}"),
+            Order::NoteRestart(motor) => format!("restart {motor}"),
+            other => panic!("{other:?}"),
+        });
+    }
+
+    fn set_point(
+        &mut self,
+        motor: MotorId,
+        set_point: Untyped,
+        found_at: Instant,
+    ) -> Result<(), RequestError> {
+        self.told.push(format!("{motor}: {set_point:?}"));
+        self.found_at = Some(found_at);
+        if motor == id(3) { Err(RequestError::Restarted) } else { Ok(()) }
+    }
+
+    fn looked_at(&self) -> Instant {
+        self.looked_at
+    }
+
+    fn put(&mut self, question: Question<CanError>) -> Option<Question<CanError>> {
+        self.told.push(format!("{}?", question.motor));
+        self.bytes.push((question.motor.get(), question.command.encode()[0]));
+        if self.takes_questions {
+            let Question { motor, answer, .. } = question;
+            let failure = Failure::NoReply;
+            let _ = answer.send(Err(SharedBusError::Failed { motor, failure }));
+            return None;
+        }
+        Some(question)
+    }
+}
+
+fn taken(desk: &Desk<CanError>) -> Vec<String> {
+    let mut notes = Notes::default();
+    assert!(desk.take(&mut notes));
+    notes.told
+}
+
+fn set(motor: u8, dps: f32) -> String {
+    format!("{motor}: {:?}", Untyped::of(&turn(dps)))
+}
+
+#[test]
+fn of_set_points_the_newest_is_taken_once() {
+    let desk = Desk::new(None);
+    for (motor, dps) in [(1, 10.0), (2, 20.0), (1, 30.0)] {
+        desk.set_point(id(motor), Untyped::of(&turn(dps))).unwrap();
+    }
+    assert_eq!(taken(&desk), [set(1, 30.0), set(2, 20.0)]);
+    assert!(taken(&desk).is_empty());
+    // What was refused is told once, in place of the next.
+    desk.set_point(id(3), Untyped::of(&turn(1.0))).unwrap();
+    assert_eq!(taken(&desk), [set(3, 1.0)]);
+    let told = desk.set_point(id(3), Untyped::of(&turn(2.0))).unwrap_err();
+    tells(&told, 3, RequestError::Restarted);
+    assert!(taken(&desk).is_empty());
+    desk.set_point(id(3), Untyped::of(&turn(3.0))).unwrap();
+    assert_eq!(taken(&desk), [set(3, 3.0)]);
+}
+
+#[test]
+fn nothing_older_than_a_stop_outlives_it() {
+    let desk = Desk::new(None);
+    desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+    let moving = ask(&desk, 1, turn(2.0));
+    let _answered = ask(&desk, 2, ReadStatus1);
+    // The motors are busy: the questions stay.
+    assert_eq!(taken(&desk), [set(1, 1.0), "1?".to_owned(), "2?".to_owned()]);
+    desk.set_point(id(2), Untyped::of(&turn(3.0))).unwrap();
+    let stopping = desk.stop_all(StopKind::Hold, MotorSet::EMPTY);
+    let told = desk.wait(moving).unwrap_err();
+    tells(&told, 1, Failure::Stopped);
+    let refused = desk.set_point(id(1), Untyped::of(&turn(4.0))).unwrap_err();
+    tells(&refused, 1, RequestError::Stopped);
+    // Not even when it is lifted before the thread has seen it.
+    desk.lift_stop().unwrap();
+    desk.set_point(id(1), Untyped::of(&turn(5.0))).unwrap();
+    let stop_and_lift = ["stop all".to_owned(), "lift".to_owned()];
+    assert_eq!(taken(&desk), [&stop_and_lift[..], &[set(1, 5.0), "2?".to_owned()]].concat());
+
+    // A command that ends motion drops the set-point that is older, and goes before the one that is newer.
+    desk.set_point(id(1), Untyped::of(&turn(6.0))).unwrap();
+    let ending = ask(&desk, 1, Shutdown);
+    desk.set_point(id(1), Untyped::of(&turn(7.0))).unwrap();
+    desk.set_point(id(2), Untyped::of(&turn(8.0))).unwrap();
+    assert_eq!(taken(&desk), [set(2, 8.0), "2?".to_owned(), "1?".to_owned()]);
+    let mut free = Notes { takes_questions: true, ..Notes::default() };
+    assert!(desk.take(&mut free));
+    assert_eq!(free.told, ["2?".to_owned(), "1?".to_owned(), set(1, 7.0)]);
+    let ending = desk.wait(ending).unwrap_err();
+    tells(&ending, 1, Failure::NoReply);
+    let reading = ask(&desk, 2, ReadStatus1);
+
+    // Whoever still waits is told by the end.
+    desk.has_panicked(Arc::from("the test is over"));
+    let is_over =
+        |told| matches!(told, SharedBusError::Panicked(words) if &*words == "the test is over");
+    assert!(is_over(desk.wait(reading).unwrap_err()));
+    assert!(is_over(desk.wait(stopping).unwrap_err()));
+}
+
+/// A question that nobody waits for.
+fn ask(desk: &Desk<CanError>, motor: u8, command: impl Command) -> Awaited<Data, CanError> {
+    desk.ask(id(motor), Untyped::of(&command), Insistence::Usual, None)
+}
+
+#[test]
+fn what_ends_motion_goes_first_and_drops_the_moves_that_wait() {
+    let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
+    let desk = Desk::new(None);
+    let _other = ask(&desk, 2, ReadStatus1);
+    let _read = ask(&desk, 1, ReadStatus1);
+    let _others = ask(&desk, 2, goal);
+    let moving = ask(&desk, 1, goal);
+    let opening = ask(&desk, 1, ReleaseBrake);
+    desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+    let _off = ask(&desk, 1, Shutdown);
+    for dropped in [moving, opening] {
+        tells(&desk.wait(dropped).unwrap_err(), 1, Failure::Stopped);
+    }
+    // Who ends its motion after that has the last word.
+    let _held = ask(&desk, 1, Stop);
+    let newer = ask(&desk, 1, goal);
+    let mut notes = Notes { takes_questions: true, ..Notes::default() };
+    assert!(desk.take(&mut notes));
+    assert_eq!(notes.bytes, [(2, 0x9A), (1, 0x80), (1, 0x81), (1, 0x9A), (2, 0xA4), (1, 0xA4)]);
+    assert!(newer.is_ok());
+}
+
+#[test]
+fn what_ends_motion_otherwise_and_is_older_than_a_stop_does_not_follow_it() {
+    // A motor that was switched off would be switched on, and one that is held let go.
+    for kind in [StopKind::Off, StopKind::Hold] {
+        for is_of_all in [true, false] {
+            let desk = Desk::new(None);
+            let _reading = ask(&desk, 1, ReadStatus1);
+            let ending = match kind {
+                StopKind::Off => ask(&desk, 1, Stop),
+                StopKind::Hold => ask(&desk, 1, Shutdown),
+            };
+            let _stopping = match is_of_all {
+                true => desk.stop_all(kind, MotorSet::EMPTY),
+                false => desk.stop(id(1), kind, None),
+            };
+            tells(&desk.wait(ending).unwrap_err(), 1, Failure::Stopped);
+        }
+    }
+}
+
+#[test]
+fn who_works_with_a_motor_that_was_stopped_since_moves_it_no_more() {
+    let ends: [fn(&Desk<CanError>); 4] = [
+        |desk| drop(desk.stop_all(StopKind::Hold, MotorSet::EMPTY)),
+        |desk| drop(desk.stop(id(1), StopKind::Off, None)),
+        |desk| drop(ask(desk, 1, Shutdown)),
+        |_| {},
+    ];
+    for (at, end) in ends.into_iter().enumerate() {
+        let desk = Desk::new(None);
+        let (since, of_other) = (desk.past(id(1)), desk.past(id(2)));
+        end(&desk);
+        desk.lift_stop().unwrap();
+        let was_ended = at < 3;
+        let refused = desk.ask(id(1), Untyped::of(&STEP), Insistence::Usual, Some(since)).err();
+        assert_eq!(refused.is_some(), was_ended, "{at}");
+        assert_eq!(desk.may_move(id(1), since).is_err(), was_ended, "{at}");
+        assert_eq!(desk.may_move(id(2), of_other).is_err(), at == 0, "{at}");
+        assert!(ask(&desk, 1, STEP).is_ok(), "one that begins now");
+    }
+}
+
+#[test]
+fn somebody_elses_error_keeps_no_stop_from_the_bus() {
+    let desk = Desk::new(None);
+    for command in [Untyped::of(&Stop), Untyped::of(&Shutdown)] {
+        desk.set_point(id(1), Untyped::of(&turn(90.0))).unwrap();
+        desk.fail(&Arc::new(CanError::BusOff), []);
+        let stopping = desk.ask(id(1), command, Insistence::Usual, None);
+        let mut free = Notes { takes_questions: true, ..Notes::default() };
+        assert!(desk.take(&mut free));
+        assert_eq!(free.told, ["1?"], "the set-point is older");
+        assert!(matches!(desk.wait(stopping), Err(SharedBusError::Failed { .. })));
+        // Whoever moves a motor next is told.
+        let told = desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap_err();
+        assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
+    }
+}
+
+#[test]
+fn an_error_that_only_callers_who_have_gone_were_told_is_told_to_the_next() {
+    let desk = Desk::new(None);
+    let reading = Untyped::of(&ReadStatus1);
+    let is_told = |outcome| matches!(outcome, Err(SharedBusError::Bus(_)));
+    let error = Arc::new(CanError::BusOff);
+    // One at the desk, and one whose question was put.
+    drop(desk.ask(id(1), reading, Insistence::Usual, None).unwrap());
+    let (put, gone) = sync_channel(1);
+    drop(gone);
+    desk.fail(&error, [put]);
+    assert!(is_told(desk.wait(desk.ask(id(1), reading, Insistence::Usual, None))));
+    // Who still waits is told, and nobody else.
+    let waiting = desk.ask(id(1), reading, Insistence::Usual, None);
+    drop(desk.ask(id(2), reading, Insistence::Usual, None).unwrap());
+    desk.fail(&error, []);
+    assert!(is_told(desk.wait(waiting)));
+    assert!(desk.ask(id(1), reading, Insistence::Usual, None).is_ok());
+}
+
+#[test]
+fn what_ends_motion_outlives_an_error_that_its_caller_is_not_there_to_be_told() {
+    let desk = Desk::new(None);
+    drop(ask(&desk, 1, Shutdown).unwrap());
+    drop(ask(&desk, 2, ReadStatus1).unwrap());
+    desk.fail(&Arc::new(CanError::BusOff), []);
+    assert_eq!(taken(&desk), ["1?"]);
+}
+
+#[test]
+fn no_move_that_is_older_than_its_resumption_follows_a_restart() {
+    let is_refused =
+        |told| matches!(told, SharedBusError::Refused { refusal: RequestError::Restarted, .. });
+    let desk = Desk::new(None);
+    let reading = ask(&desk, 1, ReadStatus1);
+    let goal = AbsolutePosition { max_speed: MaxSpeed::from_raw(10), angle: Angle::from_raw(0) };
+    let moving = ask(&desk, 1, goal);
+    // The move waits behind the question, which the motor is busy with.
+    assert_eq!(taken(&desk), ["1?"]);
+    desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+    desk.set_point(id(2), Untyped::of(&turn(2.0))).unwrap();
+    let _other = ask(&desk, 2, goal);
+    desk.has_restarted(id(1));
+    assert!(is_refused(desk.wait(moving).unwrap_err()));
+    assert!(is_refused(desk.set_point(id(1), Untyped::of(&turn(3.0))).unwrap_err()));
+    assert!(is_refused(desk.wait(ask(&desk, 1, goal)).unwrap_err()));
+    desk.resume(id(1)).unwrap();
+    desk.set_point(id(1), Untyped::of(&turn(4.0))).unwrap();
+    assert_eq!(
+        taken(&desk),
+        ["resume 1".to_owned(), set(1, 4.0), set(2, 2.0), "1?".to_owned(), "2?".to_owned()]
+    );
+    // One that is forgotten may be another when it is asked again.
+    desk.has_restarted(id(2));
+    desk.forget(id(2)).unwrap();
+    desk.set_point(id(2), Untyped::of(&turn(6.0))).unwrap();
+    assert_eq!(taken(&desk), ["forget 2".to_owned(), set(2, 6.0), "1?".to_owned()]);
+    // Who has found a restart out need not wait until the bus says so.
+    desk.set_point(id(2), Untyped::of(&turn(7.0))).unwrap();
+    desk.note_restart(id(2)).unwrap();
+    assert_eq!(desk.may_move(id(2), desk.past(id(2))), Err(RequestError::Restarted));
+    assert_eq!(taken(&desk), ["restart 2", "1?"]);
+    drop(reading);
+}
+
+#[test]
+fn a_set_point_that_waits_behind_what_ends_motion_is_as_old_as_when_it_was_found_first() {
+    let desk = Desk::new(None);
+    let ending = ask(&desk, 1, Shutdown);
+    desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap();
+    let mut notes = Notes { looked_at: Instant::from_millis(10), ..Notes::default() };
+    assert!(desk.take(&mut notes));
+    assert_eq!(notes.told, ["1?"], "the motor is busy");
+    let mut notes = Notes { looked_at: Instant::from_millis(900), ..Notes::default() };
+    notes.takes_questions = true;
+    assert!(desk.take(&mut notes));
+    assert_eq!(
+        (notes.told, notes.found_at),
+        (vec!["1?".to_owned(), set(1, 1.0)], Some(Instant::from_millis(10)))
+    );
+    drop(ending);
+}
+
+#[test]
+fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
+    type End = fn(&Desk<CanError>);
+    let ends: [(End, &str); 6] = [
+        (|desk| drop(ask(desk, 1, Shutdown)), "Off"),
+        (|desk| drop(ask(desk, 1, Reset)), "Off"),
+        (|desk| drop(desk.stop_all(StopKind::Off, MotorSet::EMPTY)), "Off"),
+        (|desk| drop(ask(desk, 1, Stop)), "Hold"),
+        (|desk| drop(ask(desk, 2, Shutdown)), "Hold"),
+        (|desk| drop((ask(desk, 1, Shutdown), ask(desk, 1, Stop))), "Hold"),
+    ];
+    for (at, (end, kind)) in ends.into_iter().enumerate() {
+        let desk = Desk::new(None);
+        let since = desk.past(id(1));
+        end(&desk);
+        drop(desk.stop(id(1), StopKind::Hold, Some(since)));
+        let stops = taken(&desk).into_iter().filter(|told| told.starts_with("stop 1"));
+        assert_eq!(stops.collect::<Vec<_>>(), [format!("stop 1: {kind}")], "{at}");
+    }
+    // Who begins now, or is nobody's, does as it says.
+    let desk = Desk::new(None);
+    drop(ask(&desk, 1, Shutdown));
+    drop(desk.stop(id(1), StopKind::Hold, Some(desk.past(id(1)))));
+    drop(desk.stop(id(1), StopKind::Hold, None));
+    assert_eq!(taken(&desk), ["stop 1: Hold", "stop 1: Hold"]);
+}
+
+#[test]
+fn a_restart_that_is_told_while_its_resumption_lies_there_keeps_nothing_back() {
+    let desk = Desk::new(None);
+    desk.resume(id(1)).unwrap();
+    desk.has_restarted(id(1));
+    assert_eq!(taken(&desk), ["resume 1"]);
+    assert!(desk.set_point(id(1), Untyped::of(&turn(1.0))).is_ok());
+}
