@@ -47,6 +47,7 @@ on_both_buses! {
     a_restart_that_the_drive_has_not_heard_is_not_said_to_be_one
     a_new_id_is_taken_though_the_restart_was_lost_once
     a_zero_is_kept_though_the_restart_was_lost_once
+    who_does_not_answer_what_follows_a_write_may_have_kept_it
     a_drive_that_answers_as_its_new_id_is_told_again_to_restart
 }
 
@@ -365,18 +366,19 @@ fn a_brake_that_does_not_open_is_told_with_its_motor<W: Wire>() {
 /// Has this done to motor 1 of two, whose wire is cut for 2 ms when the first 0x76 goes out. Gives what comes of it, and
 /// how often motor 1 has restarted.
 fn with_first_restart_lost<W: Wire, T>(work: impl FnMut(&mut W::Runner<8>) -> T) -> (T, u32) {
-    with_first_restart_lost_by::<W, T>(Quirks::default(), work)
+    with_first_restart_lost_by::<W, T>(Quirks::default(), 2_000, work)
 }
 
 fn with_first_restart_lost_by<W: Wire, T>(
     quirks: Quirks,
+    cut_for_us: u64,
     mut work: impl FnMut(&mut W::Runner<8>) -> T,
 ) -> (T, u32) {
     let mut lost_at = None;
     loop {
         let faults = lost_at
             .into_iter()
-            .flat_map(|us: u64| [format!("cut@1+{us}us"), format!("mend@1+{}us", us + 2_000)]);
+            .flat_map(|us: u64| [format!("cut@1+{us}us"), format!("mend@1+{}us", us + cut_for_us)]);
         let fleet = Fleet::new(2).quirks(quirks).faults(faults.map(|fault| fault.parse().unwrap()));
         let bus = W::drives(&fleet).unwrap();
         turn_to(&bus.drives[0], 50.0);
@@ -425,8 +427,20 @@ fn a_zero_is_kept_though_the_restart_was_lost_once<W: Wire>() {
 fn a_drive_that_answers_as_its_new_id_is_told_again_to_restart<W: Wire>() {
     let quirks = Quirks { answers_as_new_id: true, slow_boot: true, ..Quirks::default() };
     let change = |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(5));
-    let (told, restarts) = with_first_restart_lost_by::<W, _>(quirks, change);
+    let (told, restarts) = with_first_restart_lost_by::<W, _>(quirks, 2_000, change);
     assert!(told.is_ok(), "{told:?} after {restarts} restarts");
+}
+
+fn who_does_not_answer_what_follows_a_write_may_have_kept_it<W: Wire>() {
+    let change = |runner: &mut W::Runner<8>| bring_up::change_id(runner, id(1), id(5));
+    let (changed, _) = with_first_restart_lost_by::<W, _>(Quirks::default(), 60_000_000, change);
+    let zero = |runner: &mut W::Runner<8>| bring_up::zero_here(runner, id(1)).map(|_| ());
+    let (zeroed, _) = with_first_restart_lost_by::<W, _>(Quirks::default(), 60_000_000, zero);
+    for told in [changed, zeroed] {
+        let told = told.unwrap_err().to_string();
+        assert!(told.starts_with("motor 1 may have its new zero or id in its ROM"), "{told}");
+        assert!(told.contains("no reply"), "{told}");
+    }
 }
 
 fn starts_with(byte: u8, record: &trace::Record<SimpleFrame>) -> bool {

@@ -33,6 +33,7 @@ on_both_buses! {
     a_move_ends_when_its_time_is_up
     a_move_is_given_up
     a_restart_on_the_way_is_told_as_one
+    who_takes_its_time_between_two_looks_is_told_of_no_restart
     a_panic_on_the_way_stops_the_motor
     a_protected_motor_is_moved_after_a_pause
     a_fault_on_the_way_ends_the_move
@@ -469,4 +470,33 @@ fn a_restart_on_the_way_is_told_as_one<W: Wire>() {
         bring_up::move_to(&mut master(&bus), id(1), TO_90_DEG(), &limits, go_on).unwrap_err();
     let told = not_arrived.to_string();
     assert!(told.contains("restarted"), "{told}");
+}
+
+fn who_takes_its_time_between_two_looks_is_told_of_no_restart<W: Wire>() {
+    let bus = W::drives(&Fleet::new(1)).unwrap();
+    bus.world.run_for(millis(5_000));
+    let runner = &mut master(&bus);
+    let mut has_rested = false;
+    let moved = bring_up::move_to(runner, id(1), go_to(300.0, 600), &MoveLimits::default(), |_| {
+        if !std::mem::replace(&mut has_rested, true) {
+            bus.world.run_for(millis(1_500));
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(moved.is_ok(), "{moved:?}");
+    // One that has restarted meanwhile is found out all the same.
+    let restart = "reset@1+3s".parse().unwrap();
+    let bus = W::drives(&Fleet::new(1).faults([restart])).unwrap();
+    let runner = &mut master(&bus);
+    turn_to(&bus.drives[0], 720.0);
+    bus.world.run_for(millis(100));
+    let mut looks = 0;
+    let moved = bring_up::move_to(runner, id(1), go_to(730.0, 600), &MoveLimits::default(), |_| {
+        looks += 1;
+        bus.world.run_for(millis(5_000));
+        ControlFlow::Continue(())
+    });
+    let why = moved.map_err(|it| it.to_string());
+    assert!(why.as_ref().is_err_and(|why| why.contains("restarted")), "{why:?}");
+    assert_eq!(looks, 1);
 }

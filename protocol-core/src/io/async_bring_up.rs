@@ -200,7 +200,32 @@ pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     runner.master().check(zeroing, motor.into()).map_err(CallError::refused(motor))?;
     check_stands(runner, motor).await?;
     runner.ask(motor, Shutdown).await?;
-    let stored = runner.ask(motor, SetCurrentPositionZero).await?.offset;
+    let stored = match runner.ask(motor, SetCurrentPositionZero).await {
+        Ok(reply) => reply.offset,
+        Err(refused @ CallError::Refused { .. }) => return Err(refused.into()),
+        Err(why) => return Err(BringUpError::MayBeWritten { motor, why }),
+    };
+    keeps_zero(runner, motor, stored).await.map_err(may_be_written(motor))
+}
+
+/// What a drive was told to write may be in its ROM, whatever has come then.
+pub(super) fn may_be_written<E>(motor: MotorId) -> impl Fn(BringUpError<E>) -> BringUpError<E> {
+    move |error| match error {
+        BringUpError::Call(why) => BringUpError::MayBeWritten { motor, why },
+        BringUpError::NotThere(silent) => {
+            let why = CallError::Failed { motor: silent, failure: Failure::NoReply };
+            BringUpError::MayBeWritten { motor, why }
+        }
+        error => error,
+    }
+}
+
+/// Restarts a drive and sees whether its zero is where it was put.
+async fn keeps_zero<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    motor: MotorId,
+    stored: EncoderPulses,
+) -> Result<EncoderPulses, BringUpError<R::Error>> {
     restart(runner, motor, motor).await?;
     let found = runner.ask(motor, ReadMultiTurnEncoderOffset).await?.offset;
     let angle = runner.ask(motor, ReadMultiTurnAngle).await?.angle;

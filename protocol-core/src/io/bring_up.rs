@@ -72,6 +72,18 @@ pub enum BringUpError<E> {
          start; switch its supply off and on"
     )]
     NotRestarted(MotorId),
+    /// The drive was told its new zero or id, and this came then, so that nobody knows what is in its ROM. It may come
+    /// into force with any later start.
+    #[error(
+        "motor {motor} may have its new zero or id in its ROM, in force from its next start on: {why}; restart it, and \
+         read its angle, or scan, before it moves"
+    )]
+    MayBeWritten {
+        /// The motor, as it was called before.
+        motor: MotorId,
+        /// What came of the command that writes, or of what followed it.
+        why: CallError<E>,
+    },
     /// After the restart the zero is not where it was put.
     #[error(
         "motor {motor} has not kept its zero: stored at {stored}, after the restart the offset is {found} and the angle {angle}"
@@ -184,8 +196,8 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
 /// [is shared](is_shared).
 ///
 /// # Errors
-/// [`BringUpError::Turns`], [`BringUpError::ZeroNotKept`], [`BringUpError::NotRestarted`], [`BringUpError::NotThere`],
-/// [`BringUpError::Call`].
+/// [`BringUpError::Turns`]; [`BringUpError::Call`] if it was not told; [`BringUpError::ZeroNotKept`],
+/// [`BringUpError::NotRestarted`] and [`BringUpError::MayBeWritten`] if it was.
 pub fn zero_here<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -203,7 +215,8 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 /// # Errors
 /// [`BringUpError::NotThere`] if nobody answers under the old id, or the new one after the restart;
 /// [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`],
-/// [`BringUpError::NotRestarted`] and [`BringUpError::IdNotTaken`]; [`BringUpError::Call`].
+/// [`BringUpError::NotRestarted`], [`BringUpError::IdNotTaken`] and [`BringUpError::MayBeWritten`];
+/// [`BringUpError::Call`] if it was not told.
 pub fn change_id<R: Runner<N>, const N: usize>(
     runner: &mut R,
     from: MotorId,

@@ -11,7 +11,7 @@ use crate::command::{
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::async_bring_up::{is_there, restart, scan};
+use crate::io::async_bring_up::{is_there, may_be_written, restart, scan};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::BringUpError;
 use crate::io::standing::check_stands;
@@ -58,9 +58,18 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     check_stands(runner, from).await?;
     // Some drives keep nothing unless they are shut down.
     runner.ask(from, Shutdown).await?;
-    let is_alone = there.len() == 1;
+    write_id(runner, from, to, there.len() == 1).await.map_err(may_be_written(from))
+}
+
+/// Writes the id and has it come into force.
+async fn write_id<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    from: MotorId,
+    to: MotorId,
+    is_alone: bool,
+) -> Result<(), BringUpError<R::Error>> {
     let is_taken = is_taken_by_function_5(runner, from, to).await?
-        || is_alone && is_taken_by_0x79(runner, to).await?;
+        || is_alone && is_taken_by_0x79(runner, from, to).await?;
     if !is_taken {
         return Err(BringUpError::IdNotTaken { from, to, is_alone });
     }
@@ -99,9 +108,10 @@ async fn is_taken_by_function_5<R: AsyncRunner<N>, const N: usize>(
 /// Whether somebody has acknowledged the id that goes to all who are connected.
 async fn is_taken_by_0x79<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
+    from: MotorId,
     to: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
-    runner.master().broadcast(BusId::Write(to), to.into()).map_err(CallError::refused(to))?;
+    runner.master().broadcast(BusId::Write(to), to.into()).map_err(CallError::refused(from))?;
     let mut is_taken = false;
     let end = runner.now() + ACKNOWLEDGED_IN;
     let hear = |event| {

@@ -20,6 +20,8 @@ use crate::units::{Angle, CoarseSpeed, MaxSpeed, MaxTorque};
 
 /// How often the motor is looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// In longer than this a motor may have begun to turn and have come to rest, far from where it was.
+const LONGEST_LOOK: Duration = Duration::from_millis(100);
 /// How often its errors are looked at, in looks.
 const ERRORS_EVERY: u32 = 5;
 /// How often a command that names a place is sent if no reply comes.
@@ -304,7 +306,11 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         let angle = bus.ask(motor, ReadMultiTurnAngle).await?.angle;
         let feedback = bus.ask(motor, ReadStatus2).await?;
         let look = Look { at, angle, dps: feedback.speed.raw().unsigned_abs() };
-        if look.has_jumped_from(&last, bus.now()) {
+        // What turned while nobody looked, because the caller took its time, was as fast as nobody knows.
+        let is_sure = bus.now() - last.at <= LONGEST_LOOK;
+        if look.has_jumped_from(&last, bus.now())
+            && (is_sure || has_started_since(bus, motor, begun, ran).await?)
+        {
             bus.note_restart(motor);
         }
         last = look;

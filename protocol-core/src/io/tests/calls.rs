@@ -263,6 +263,19 @@ fn a_zero_is_kept_where_the_angle_is_0_and_the_offset_the_one_that_was_stored() 
 }
 
 #[test]
+fn a_zero_whose_acknowledgement_is_lost_may_be_kept_and_one_that_was_not_sent_is_not() {
+    let (_, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x64));
+    let why = CallError::Failed { motor: id(1), failure: Failure::NoReply };
+    let told = bring_up::zero_here(&mut arm, id(1));
+    assert_eq!(told, Err(BringUpError::MayBeWritten { motor: id(1), why }));
+    // Without an answer to the shutdown before it nothing is written.
+    let (bus, mut arm) = hearing(|packet| usize::from(packet.data[0] != 0x80));
+    let told = bring_up::zero_here(&mut arm, id(1));
+    assert_eq!(told, Err(BringUpError::Call(why)));
+    assert!(bus.sent().iter().all(|data| data[0] != 0x64));
+}
+
+#[test]
 fn a_motor_with_an_error_is_not_moved() {
     let (bus, mut arm) = saying([[0x9A, 50, 30, 1, 0xE5, 0x01, 2, 0]]);
     let target = AbsolutePosition { max_speed: MaxSpeed::from_raw(100), angle: Angle::from_raw(0) };
