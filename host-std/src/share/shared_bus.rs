@@ -166,6 +166,9 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// Puts a set-point in a motor's stream, whoever put the one before it: only the newest waits. Never
     /// waits itself.
     ///
+    /// So it says nothing of what becomes of it: a motor that has fallen silent is refused set-points after a second
+    /// only, as one that may have restarted. See when it was [heard](Self::latest) last, or [subscribe](Self::subscribe).
+    ///
     /// # Errors
     /// [`SharedBusError::Refused`]: the motors were stopped, or the set-point before this one was not taken,
     /// as [`Master::set_point`](myactuator_protocol_core::master::Master::set_point) has it; then this one

@@ -178,9 +178,11 @@ pub enum MoveFailure<E> {
         /// Where it should be.
         target: Angle,
     },
-    /// It came no nearer for a while, and does not stand either: a load drives it away, or it swings.
+    /// It came no nearer for a while, and does not stand either: a load drives it away, it swings, or something else
+    /// commands it.
     #[error(
-        "it is at {at}, turns at {speed} and comes no nearer to {target}: a load drives it away, or it swings"
+        "it is at {at}, turns at {speed} and comes no nearer to {target}: a load drives it away, it swings, or something else \
+         commands it"
     )]
     Turning {
         /// Where it is.

@@ -81,6 +81,12 @@ impl From<MotorId> for MotorSet {
     }
 }
 
+impl<const M: usize> From<[MotorId; M]> for MotorSet {
+    fn from(motors: [MotorId; M]) -> Self {
+        Self::from_iter(motors)
+    }
+}
+
 #[cfg(feature = "defmt")]
 impl defmt::Format for MotorSet {
     fn format(&self, f: defmt::Formatter<'_>) {

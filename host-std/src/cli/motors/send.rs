@@ -112,10 +112,8 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
         send(session)?;
         session.wait_for_reader()
     })?;
-    if kind.opcode().is_some() {
-        let go = if motors.len() == 1 { "goes" } else { "go" };
-        report("note", format!("{} {go} on: 'myactuator stop' ends it", named(motors)));
-    }
+    let go = if motors.len() == 1 { "goes" } else { "go" };
+    report("note", format!("{} {go} on: 'myactuator stop' ends it", named(motors)));
     Ok(())
 }
 
@@ -189,6 +187,14 @@ impl Sending {
                      its id?"
                 ))
             }
+            (kind, error @ CallError::Failed { failure: Failure::NoReply, .. })
+                if kind.repeat() == Repeat::ActsAgain =>
+            {
+                Unfinished::Failed(format!(
+                    "{error} It was sent once, and may have been carried out: see what the motor does and \
+                     keeps before you send it again"
+                ))
+            }
             (_, error) => error.into(),
         }
     }
@@ -237,10 +243,13 @@ impl Sending {
             Kind::Known(_) => "",
             Kind::Raw { .. } => "firmware may not know the command byte; ",
         };
-        Err(Unfinished::Failed(format!(
-            "no reply from {}: {unknown}a motor whose id filter is on (function 2) does not hear what goes to all on CAN",
-            named(silent)
-        )))
+        let why = match session.address.kind() {
+            BusKind::Can => {
+                "a motor whose id filter is on (function 2) does not hear what goes to all on CAN"
+            }
+            BusKind::Rs485 => "is it powered, and is this its id?",
+        };
+        Err(Unfinished::Failed(format!("no reply from {}: {unknown}{why}", named(silent))))
     }
 
     /// Says that it was sent, where no reply is awaited.
@@ -274,7 +283,9 @@ mod tests {
     use myactuator_host_std::open::{AnyMaster, BusAddress};
     use myactuator_host_std::sim::Fleet;
     use myactuator_host_std::sim::bus::can::ControllerConfig;
-    use myactuator_protocol_core::command::{MotionLimits, MotionRanges, ReadStatus1, VersionDate};
+    use myactuator_protocol_core::command::{
+        MotionLimits, MotionRanges, ReadStatus1, Stop, VersionDate,
+    };
     use myactuator_protocol_core::io::CanMaster;
     use myactuator_protocol_core::time::Duration;
 
@@ -323,6 +334,30 @@ mod tests {
         let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
         session.address = BusAddress::Simulated { motors: 3, kind: BusKind::Rs485 };
         assert_eq!(run_on(&mut session, &typed("--id all stop")), Ok(()));
+    }
+
+    #[test]
+    fn of_one_motor_on_a_line_that_does_not_answer_nobody_is_told_of_can() {
+        let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        session.address = BusAddress::Simulated { motors: 1, kind: BusKind::Rs485 };
+        fleet.world.cut(fleet.drives[0].station());
+        let explainer =
+            Explainer { firmware: Firmware::V4_3, ranges: None, direction: FrameDirection::Reply };
+        let sending = Sending { command: Stop.into(), explainer, json: false };
+        // It has answered a scan, and is cut off then.
+        let Err(Unfinished::Failed(told)) = sending.to_all(&mut session, MotorId::MIN.into())
+        else {
+            panic!("nobody answers");
+        };
+        assert_eq!(told, "no reply from motor 1: is it powered, and is this its id?");
+    }
+
+    #[test]
+    fn what_acts_again_and_is_not_answered_may_have_been_carried_out() {
+        let fleet = Fleet::new(1).faults(["cut@1".parse().unwrap()]);
+        let (told, _) = failed(&fleet, "--id 1 set-current-position-zero");
+        assert!(told.contains("may have been carried out"), "{told}");
     }
 
     #[test]
