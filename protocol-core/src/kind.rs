@@ -208,4 +208,12 @@ mod tests {
         let refused = [0x77, 0xA8, 0x76, 0x32, 0x43, 0x63, 0x64, 0x20, 0x79, 0xB3, 0xB4, 0xB6];
         assert!(!refused.map(of_byte).into_iter().any(passes));
     }
+
+    #[test]
+    fn what_answers_a_raw_command_its_caller_knows() {
+        let data = [0xA4, 0, 100, 0, 0, 0, 45, 0];
+        assert!(Kind::Known(Opcode::AbsolutePosition).is_handed_back(&data));
+        let raw = Kind::Raw { byte: 0xC0, reply: ReplyRule::Values, moves: true };
+        assert!(raw.moves() && !raw.is_handed_back(&data));
+    }
 }
