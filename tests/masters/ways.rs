@@ -9,6 +9,7 @@ use myactuator_protocol_core::RequestError;
 use myactuator_protocol_core::command::{
     AnyReply, IncrementalPosition, ReadModel, ReadMultiTurnAngle, ReadStatus2, Stop,
 };
+use myactuator_protocol_core::drive::Quirks;
 use myactuator_protocol_core::io::bring_up::{
     self, MoveFailure, MoveLimits, Protection, WhenStalled,
 };
@@ -323,7 +324,7 @@ fn a_motor_that_falls_silent_has_not_confirmed_its_stop<W: Wire>() {
         ControlFlow::Continue(())
     })
     .expect_err("it is silent");
-    assert!(matches!(not_arrived.why, MoveFailure::Call(_)), "{not_arrived}");
+    assert!(matches!(not_arrived.why, MoveFailure::Silent { .. }), "{not_arrived}");
     assert!(!not_arrived.is_stopped);
     assert!(not_arrived.to_string().ends_with("cut its power"), "{not_arrived}");
 }
@@ -499,4 +500,30 @@ fn who_takes_its_time_between_two_looks_is_told_of_no_restart<W: Wire>() {
     let why = moved.map_err(|it| it.to_string());
     assert!(why.as_ref().is_err_and(|why| why.contains("restarted")), "{why:?}");
     assert_eq!(looks, 1);
+}
+
+/// A look that is ignored, by a drive that has lost its master meanwhile, is not the move: whoever were told to send a
+/// relative one again would move it twice.
+#[test]
+fn a_look_that_is_ignored_is_told_as_the_end_of_the_move() {
+    let step = IncrementalPosition { max_speed: up_to(360), angle: degrees(200.0) };
+    let mut let_go = 0;
+    for seed in 1..20 {
+        let quirks = Quirks { lost_master_heartbeat: true, ..Quirks::default() };
+        let fleet = Fleet::new(1).seed(seed).quirks(quirks).faults(["lose=0.05".parse().unwrap()]);
+        let bus = fleet.on_can(1_000_000).unwrap();
+        let runner = &mut bus.master::<8>();
+        while bring_up::protect(runner, id(1), Milliseconds::from_raw(30)).is_err() {}
+        let mut looks = 0;
+        let moved = bring_up::move_to(runner, id(1), step, &MoveLimits::default(), |_| {
+            looks += 1;
+            ControlFlow::Continue(())
+        });
+        match moved.map_err(|it| it.why) {
+            Err(MoveFailure::LetGo { .. }) => let_go += 1,
+            Err(why) => assert!(looks == 0 || !why.to_string().contains("send it again"), "{why}"),
+            Ok(_) => {}
+        }
+    }
+    assert!(let_go > 0, "none was");
 }

@@ -130,6 +130,7 @@ impl<E> Desk<E> {
     pub(super) fn lift_stop(&self) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
         (state.stops_all, state.stopped) = (false, MotorSet::EMPTY);
+        state.switched_off = MotorSet::EMPTY;
         state.order(Order::LiftStop)?;
         self.leave(state);
         Ok(())
@@ -138,6 +139,9 @@ impl<E> Desk<E> {
     pub(super) fn lift_stop_of(&self, motor: MotorId) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
         state.stopped.remove(motor);
+        if !state.stops_all {
+            state.switched_off.remove(motor);
+        }
         state.order(Order::LiftStopOf(motor))?;
         self.leave(state);
         Ok(())

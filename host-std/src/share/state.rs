@@ -35,7 +35,7 @@ pub(super) struct LaidDown {
 pub(super) struct Past {
     /// How often its motion was to be ended, by a stop or otherwise.
     ended: u32,
-    /// Whether it was let go by that, the last time.
+    /// Whether it was let go since it was held, or told to move, for the last time.
     is_let_go: bool,
     /// How often it was told to have restarted.
     restarts: u32,
@@ -69,6 +69,8 @@ pub(super) struct State<E> {
     pub(super) slots: [Slot; MotorId::COUNT],
     pub(super) stops_all: bool,
     pub(super) stopped: MotorSet,
+    /// These were switched off by a stop that is in force: what holds does not switch them on.
+    pub(super) switched_off: MotorSet,
     pub(super) past: [Past; MotorId::COUNT],
     /// These were told to have restarted, and not resumed.
     pub(super) restarted: MotorSet,
@@ -111,6 +113,7 @@ impl<E> State<E> {
             slots: std::array::from_fn(|_| Slot::default()),
             stops_all: false,
             stopped: MotorSet::EMPTY,
+            switched_off: MotorSet::EMPTY,
             past: [Past::default(); MotorId::COUNT],
             restarted: MotorSet::EMPTY,
             error: None,
@@ -147,6 +150,9 @@ impl<E> State<E> {
         }
         if self.has_restarted_since(motor, since) && kind.moves() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Restarted });
+        }
+        if kind.may_move() {
+            self.past[motor.index()].is_let_go = false;
         }
         Ok(())
     }
@@ -228,20 +234,39 @@ impl<E> State<E> {
     /// A stop drops what it refuses and is older, and what would end motion in another way.
     pub(super) fn drop_what_is_stopped(&mut self, motors: MotorSet, by: StopKind) {
         let is_over = |kind: Kind| kind.is_refused_while_stopped() || kind.ends_motion();
-        self.end_motion(motors, by == StopKind::Off, is_over);
+        if by == StopKind::Off {
+            motors.iter().for_each(|motor| self.switched_off.insert(motor));
+        }
+        self.end_motion(motors, Some(by), is_over);
     }
 
     /// So does a command that ends motion with what moves, but for other such commands.
     pub(super) fn drop_what_is_ended(&mut self, motor: MotorId, by: Kind) {
-        let lets_go = matches!(by.opcode(), Some(Opcode::Shutdown | Opcode::Reset));
-        self.end_motion(motor.into(), lets_go, Kind::may_move);
+        let by = match by.opcode() {
+            Some(Opcode::Shutdown | Opcode::Reset) => Some(StopKind::Off),
+            Some(Opcode::Stop) => Some(StopKind::Hold),
+            _ => None,
+        };
+        self.end_motion(motor.into(), by, Kind::may_move);
     }
 
-    fn end_motion(&mut self, motors: MotorSet, lets_go: bool, is_over: impl Fn(Kind) -> bool) {
+    fn end_motion(
+        &mut self,
+        motors: MotorSet,
+        by: Option<StopKind>,
+        is_over: impl Fn(Kind) -> bool,
+    ) {
         for motor in motors.iter() {
             self.slot(motor).set_point = None;
+            let stays_off = self.switched_off.contains(motor);
             let past = &mut self.past[motor.index()];
-            (past.ended, past.is_let_go) = (past.ended.wrapping_add(1), lets_go);
+            past.ended = past.ended.wrapping_add(1);
+            past.is_let_go = match by {
+                Some(StopKind::Off) => true,
+                Some(StopKind::Hold) => stays_off,
+                // What locks a brake switches nobody on.
+                None => past.is_let_go,
+            };
         }
         self.drop_questions(|motor, kind| {
             let is_dropped = motors.contains(motor) && is_over(kind);

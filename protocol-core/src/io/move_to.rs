@@ -13,7 +13,7 @@ use crate::io::async_bring_up::has_started_since;
 use crate::io::calls::Calls;
 use crate::io::on_drop::OnDrop;
 use crate::io::standing::turns;
-use crate::master::StopKind;
+use crate::master::{Failure, StopKind};
 use crate::opcode::Repeat;
 use crate::time::{Duration, Instant};
 use crate::units::{Angle, CoarseSpeed, MaxSpeed, MaxTorque};
@@ -202,6 +202,13 @@ pub enum MoveFailure<E> {
         /// Where it is.
         at: Angle,
     },
+    /// It has not answered the move, or nothing since. It may have moved, in part or all the way: see where it is before
+    /// you send a relative move again.
+    #[error("it was at {at} and does not answer: it may have moved since, in part or all the way")]
+    Silent {
+        /// Where it was last.
+        at: Angle,
+    },
     /// The time is up.
     #[error("it is at {at} and not at {target} when its time is up")]
     TimedOut {
@@ -295,7 +302,10 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
     let target = command.target(from).ok_or(MoveFailure::OutOfRange { here: from })?;
     // One that names a place may be sent again.
     let attempts = if command.kind().repeat() == Repeat::ActsAgain { 1 } else { ATTEMPTS };
-    bus.ask_often(motor, command, Some(attempts)).await?;
+    bus.ask_often(motor, command, Some(attempts)).await.map_err(|error| match error {
+        CallError::Failed { failure: Failure::NoReply, .. } => MoveFailure::Silent { at: from },
+        error => error.into(),
+    })?;
 
     let start = bus.now();
     let time = limits.time.unwrap_or_else(|| usual_time(from, target, command.max_speed()));
@@ -305,13 +315,15 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
     loop {
         bus.wait_until(start + LOOK_EVERY.times(looks)).await?;
         let at = bus.now();
-        let angle = bus.ask(motor, ReadMultiTurnAngle).await?.angle;
-        let feedback = bus.ask(motor, ReadStatus2).await?;
+        let reading = bus.ask(motor, ReadMultiTurnAngle).await;
+        let angle = reading.map_err(unseen_since(last.angle))?.angle;
+        let feedback = bus.ask(motor, ReadStatus2).await.map_err(unseen_since(angle))?;
         let look = Look { at, angle, dps: feedback.speed.raw().unsigned_abs() };
         // What turned while nobody looked, because the caller took its time, was as fast as nobody knows.
         let is_sure = bus.now() - last.at <= LONGEST_LOOK;
         if look.has_jumped_from(&last, bus.now())
-            && (is_sure || has_started_since(bus, motor, begun, ran).await?)
+            && (is_sure
+                || has_started_since(bus, motor, begun, ran).await.map_err(unseen_since(angle))?)
         {
             bus.note_restart(motor);
         }
@@ -327,7 +339,7 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         }
         last_turn.note(feedback.speed, now);
         if looks % ERRORS_EVERY == 0 {
-            let errors = bus.ask(motor, ReadStatus1).await?.errors;
+            let errors = bus.ask(motor, ReadStatus1).await.map_err(unseen_since(angle))?.errors;
             if !errors.is_empty() {
                 return Err(MoveFailure::Fault(errors));
             }
@@ -338,7 +350,8 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
         let is_time_up = progress.time > time;
         if (has_stalled || is_time_up) && runs_nothing(bus, motor).await {
-            if has_started_since(bus, motor, begun, ran).await? {
+            let has_started = has_started_since(bus, motor, begun, ran).await;
+            if has_started.map_err(unseen_since(angle))? {
                 bus.note_restart(motor);
             }
             bus.may_move(motor).map_err(CallError::refused(motor))?;
@@ -351,6 +364,16 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
             return Err(MoveFailure::TimedOut { at: angle, target });
         }
         looks += 1;
+    }
+}
+
+/// Why a look has failed at one that was last seen there.
+fn unseen_since<E>(at: Angle) -> impl Fn(CallError<E>) -> MoveFailure<E> {
+    move |error| match error {
+        // It had heard nothing for too long, and has ended the move by itself.
+        CallError::Failed { failure: Failure::NotExecuted, .. } => MoveFailure::LetGo { at },
+        CallError::Failed { failure: Failure::NoReply, .. } => MoveFailure::Silent { at },
+        error => error.into(),
     }
 }
 

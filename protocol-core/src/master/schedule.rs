@@ -2,7 +2,7 @@
 
 use crate::kind::Kind;
 use crate::master::motor::{LastSent, Motor};
-use crate::master::request::Asked;
+use crate::master::request::{Asked, Round};
 use crate::master::stop::{LONGEST_STOP_TIMEOUT, STOP_ATTEMPTS};
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
@@ -146,8 +146,15 @@ impl<const N: usize> Master<N> {
             let may_move = question.kind.may_move() && asked.kind().ends_motion();
             asked.unanswered > 0 || may_move || holds && lets_go(asked)
         };
+        // Nor is what one is to be told once more, when nothing that all were told can undo it: this would prolong that.
+        let is_again = |asked: &Asked| asked.round != Round::First;
+        let waits_for_all = |motor: &Motor| {
+            motor.request.waiting().is_some_and(is_again) && self.is_undone_with_all(motor)
+        };
         let keeps_back = |motor: &Motor| {
-            motor.request.under_way().is_some_and(is_first) || motor.late.may_be_mistaken(question)
+            motor.request.under_way().is_some_and(is_first)
+                || waits_for_all(motor)
+                || motor.late.may_be_mistaken(question)
         };
         !self.at(self.places.taken).any(|(_, motor)| keeps_back(motor))
             && (!question.kind.moves() || !self.has_any_restarted())

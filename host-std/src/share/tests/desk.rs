@@ -1,6 +1,6 @@
 //! What lies on the desk, in which order it is taken up, and what a stop or a restart takes away.
 
-use myactuator_protocol_core::command::Reset;
+use myactuator_protocol_core::command::{LockBrake, Reset};
 
 use super::*;
 use crate::share::calls::{Awaited, Insistence, Order, Question, Untyped};
@@ -302,13 +302,33 @@ fn a_set_point_that_waits_behind_what_ends_motion_is_as_old_as_when_it_was_found
 #[test]
 fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
     type End = fn(&Desk<CanError>);
-    let ends: [(End, &str); 6] = [
+    let ends: [(End, &str); 11] = [
         (|desk| drop(ask(desk, 1, Shutdown)), "Off"),
         (|desk| drop(ask(desk, 1, Reset)), "Off"),
         (|desk| drop(desk.stop_all(StopKind::Off, MotorSet::EMPTY)), "Off"),
         (|desk| drop(ask(desk, 1, Stop)), "Hold"),
         (|desk| drop(ask(desk, 2, Shutdown)), "Hold"),
         (|desk| drop((ask(desk, 1, Shutdown), ask(desk, 1, Stop))), "Hold"),
+        (|desk| drop((ask(desk, 1, Shutdown), ask(desk, 1, LockBrake))), "Off"),
+        // A stop that is in force keeps it off.
+        (|desk| drop((desk.stop(id(1), StopKind::Off, None), ask(desk, 1, Stop))), "Off"),
+        (
+            |desk| {
+                drop((
+                    desk.stop_all(StopKind::Off, MotorSet::EMPTY),
+                    desk.stop(id(1), StopKind::Hold, None),
+                ))
+            },
+            "Off",
+        ),
+        (
+            |desk| {
+                drop((desk.stop(id(1), StopKind::Off, None), desk.lift_stop(), ask(desk, 1, Stop)))
+            },
+            "Hold",
+        ),
+        // Whoever moves it by then does not have it fall.
+        (|desk| drop((ask(desk, 1, Shutdown), ask(desk, 1, STEP))), "Hold"),
     ];
     for (at, (end, kind)) in ends.into_iter().enumerate() {
         let desk = Desk::new(None);
@@ -316,7 +336,7 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
         end(&desk);
         drop(desk.stop(id(1), StopKind::Hold, Some(since)));
         let stops = taken(&desk).into_iter().filter(|told| told.starts_with("stop 1"));
-        assert_eq!(stops.collect::<Vec<_>>(), [format!("stop 1: {kind}")], "{at}");
+        assert_eq!(stops.last(), Some(format!("stop 1: {kind}")), "{at}");
     }
     // Who begins now, or is nobody's, does as it says.
     let desk = Desk::new(None);

@@ -95,9 +95,10 @@ fn a_broadcast_lets_further_attempts_go_and_waits_for_no_restart() {
     assert_eq!(sent(&mut master, ms(21))[0].data[0], 0x92);
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
     assert!(read.outcome(&event).is_some());
-    assert!(sent(&mut master, ms(22)).is_empty(), "the first attempt may still be answered");
+    assert!(sent(&mut master, ms(22)).is_empty(), "one of the two attempts may still be answered");
     let at = master.poll_at().unwrap();
-    assert!((ms(62)..ms(66)).contains(&at), "{at:?}");
+    // That to either may come for as long as any.
+    assert!((ms(82)..ms(84)).contains(&at), "{at:?}");
     assert_eq!(sent(&mut master, at)[0].channel, Channel::Command(Target::All));
 }
 
@@ -522,4 +523,48 @@ fn the_double_of_an_answer_to_a_broadcast_that_is_over_answers_no_move() {
     let moved = sent(&mut master, Instant::from_micros(101_000));
     let again = reply(&mut master, 1, data, Instant::from_micros(101_290));
     assert!(again.is_none_or(|it| ticket.outcome(&it).is_none()), "{first:?} {moved:?} {again:?}");
+}
+
+/// Motors 1 and 2 were moved with all, and stopped in one way, then in the other. A program reads all by one command
+/// every 20 ms; each drive answers everything after a millisecond.
+#[test]
+fn a_program_that_reads_all_again_and_again_keeps_no_stop_in_doubt() {
+    let both = || MotorSet::from([id(1), id(2)]);
+    for (first, then) in [(StopKind::Off, StopKind::Hold), (StopKind::Hold, StopKind::Off)] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let (mut answers, mut confirmed) = (Vec::new(), MotorSet::EMPTY);
+        for now in 0..1_000 {
+            for packet in core::mem::take(&mut answers) {
+                let event = master.handle_frame(&Received::Packet(packet), ms(now));
+                if let Some(Event::StopConfirmed { motor }) = event {
+                    confirmed.insert(motor);
+                }
+            }
+            events(&mut master, ms(now));
+            match now {
+                1 => master.broadcast(step(), both()).unwrap(),
+                10 => master.stop_all(first, both()).unwrap(),
+                13 => {
+                    master.lift_stop();
+                    master.stop_all(then, both()).unwrap();
+                    confirmed = MotorSet::EMPTY;
+                }
+                14.. if now % 20 == 0 => drop(master.broadcast(ReadMultiTurnAngle, both())),
+                _ => {}
+            }
+            for packet in sent(&mut master, ms(now)) {
+                let data = match packet.data {
+                    [0xA8, ..] => [0xA8, 25, 0, 0, 1, 0, 1, 0],
+                    data => data,
+                };
+                let hears = |motor: &MotorId| match packet.channel {
+                    Channel::Command(Target::Motor(one)) => one == *motor,
+                    _ => true,
+                };
+                let heard = both().iter().filter(hears);
+                answers.extend(heard.map(|it| Packet { channel: Channel::Reply(it), data }));
+            }
+        }
+        assert_eq!(confirmed, both(), "{then:?}");
+    }
 }
