@@ -335,8 +335,8 @@ fn who_began_before_a_motor_was_let_go_does_not_switch_it_on_to_stop_it() {
         let since = desk.past(id(1));
         end(&desk);
         drop(desk.stop(id(1), StopKind::Hold, Some(since)));
-        let stops = taken(&desk).into_iter().filter(|told| told.starts_with("stop 1"));
-        assert_eq!(stops.last(), Some(format!("stop 1: {kind}")), "{at}");
+        let mut stops = taken(&desk).into_iter().filter(|told| told.starts_with("stop 1"));
+        assert_eq!(stops.next_back(), Some(format!("stop 1: {kind}")), "{at}");
     }
     // Who begins now, or is nobody's, does as it says.
     let desk = Desk::new(None);
