@@ -71,7 +71,7 @@ impl<E> Desk<E> {
         if command.kind.ends_motion() {
             state.drop_what_is_ended(motor, command.kind);
         }
-        state.check(motor, command.kind, since)?;
+        state.admit(motor, command.kind, since)?;
         let asker = Arc::downgrade(&waiting.asker);
         let question = Question { asker, motor, command, insistence, turn_ends: None, answer };
         state.put(question);
@@ -86,7 +86,7 @@ impl<E> Desk<E> {
         command: Untyped,
     ) -> Result<(), SharedBusError<E>> {
         let mut state = self.lock();
-        state.check(motor, command.kind, None)?;
+        state.admit(motor, command.kind, None)?;
         if state.news_since.is_some_and(|since| since.elapsed() > LONGEST_ROUND) {
             return Err(SharedBusError::Held);
         }

@@ -197,7 +197,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Stops one motor, as [`stop_all`](Self::stop_all) stops all, and says whether it has confirmed it. If
-    /// not: **cut its power**.
+    /// not: **cut its power**. One that a stop in force has switched off stays so: to hold it is confirmed by that, and
+    /// nothing holds it.
     ///
     /// # Errors
     /// [`SharedBusError::Refused`] if the master has no place for it, [`SharedBusError::Panicked`].

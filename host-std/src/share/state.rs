@@ -128,8 +128,8 @@ impl<E> State<E> {
         &mut self.slots[motor.index()]
     }
 
-    /// Whether a command may be laid down by whoever began then.
-    pub(super) fn check(
+    /// Admits a command of whoever began then, or says why not.
+    pub(super) fn admit(
         &mut self,
         motor: MotorId,
         kind: Kind,
@@ -151,6 +151,7 @@ impl<E> State<E> {
         if self.has_restarted_since(motor, since) && kind.moves() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Restarted });
         }
+        // Whoever stops it now does not have it fall.
         if kind.may_move() {
             self.past[motor.index()].is_let_go = false;
         }

@@ -213,10 +213,9 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 /// `CanMaster<_, _, 8>` for six motors, say.
 ///
 /// # Errors
-/// [`BringUpError::NotThere`] if nobody answers under the old id, or the new one after the restart;
-/// [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`],
-/// [`BringUpError::NotRestarted`], [`BringUpError::IdNotTaken`] and [`BringUpError::MayBeWritten`];
-/// [`BringUpError::Call`] if it was not told.
+/// [`BringUpError::NotThere`], [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`];
+/// [`BringUpError::Call`] if it was not told; [`BringUpError::IdNotTaken`], [`BringUpError::NotRestarted`] and
+/// [`BringUpError::MayBeWritten`] if it was.
 pub fn change_id<R: Runner<N>, const N: usize>(
     runner: &mut R,
     from: MotorId,
@@ -289,7 +288,8 @@ pub fn restart<R: Runner<N>, const N: usize>(
 /// Moves a motor to an angle, or by one, and watches it until it stands there; then it holds its position. It
 /// must be ready to move: its brake open, no error.
 ///
-/// `on_look` gets every look at the motor, some fifty a second, and may give the move up.
+/// `on_look` gets every look at the motor, some fifty a second, and may give the move up. Nobody watches the motor
+/// while it takes its time.
 ///
 /// ```no_run
 /// # use core::ops::ControlFlow;

@@ -342,10 +342,7 @@ impl Motor {
             (Request::None, Some(asked)) => asked.of_others(),
             _ => Of::Request,
         };
-        // The last of what it was asked has its time yet, though another sending was answered.
-        let asked = self.request.under_way().filter(|asked| asked.unanswered > 0);
-        let end = asked.map_or(now, |asked| now.max(self.sent + asked.timeout));
-        self.give_request_up(of, config, end);
+        self.give_request_up(of, config, now);
         self.request = outcome;
     }
 
