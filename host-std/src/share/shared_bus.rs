@@ -203,8 +203,18 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Refused`] if the master has no place for it, [`SharedBusError::Panicked`].
     pub fn stop(&self, motor: MotorId, kind: StopKind) -> Result<bool, SharedBusError<E>> {
+        self.stop_since(motor, kind, None)
+    }
+
+    /// Stops one motor for whoever began to work with it then.
+    pub(super) fn stop_since(
+        &self,
+        motor: MotorId,
+        kind: StopKind,
+        since: Option<Past>,
+    ) -> Result<bool, SharedBusError<E>> {
         let desk = self.desk();
-        Ok(desk.wait_for_stop(desk.stop(motor, kind, None), motor.into())?.is_empty())
+        Ok(desk.wait_for_stop(desk.stop(motor, kind, since), motor.into())?.is_empty())
     }
 
     /// Accepts again what [`stop_all`](Self::stop_all) and [`stop`](Self::stop) made it refuse. Does not

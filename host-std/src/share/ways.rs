@@ -9,7 +9,7 @@ use myactuator_protocol_core::io::bring_up::{
     BringUpError, MoveCommand, MoveLimits, MoveProgress, NotArrived,
 };
 use myactuator_protocol_core::io::{CallError, Calls, async_bring_up};
-use myactuator_protocol_core::master::{MotorSet, StopKind};
+use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::{Command, MotorId};
 
@@ -120,9 +120,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> Calls<{ MotorId::COUNT }> for Way<'_
     }
 
     async fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
-        let desk = self.bus.desk();
-        let stopped = desk.wait_for_stop(desk.stop(motor, kind, Some(self.since)), motor.into());
-        stopped.is_ok_and(MotorSet::is_empty)
+        self.bus.stop_since(motor, kind, Some(self.since)).unwrap_or(false)
     }
 
     fn begin_stop(&mut self, motor: MotorId, kind: StopKind) {
@@ -162,7 +160,7 @@ mod tests {
         AbsolutePosition, ReadMultiTurnAngle, ReadRunningMode, Shutdown,
     };
     use myactuator_protocol_core::io::bring_up::MoveFailure;
-    use myactuator_protocol_core::master::Event;
+    use myactuator_protocol_core::master::{Event, MotorSet};
     use myactuator_protocol_core::units::{Angle, MaxSpeed};
 
     use super::*;

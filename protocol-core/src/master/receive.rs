@@ -220,17 +220,17 @@ impl<const N: usize> Master<N> {
         let was_owed = self.broadcast.may_be_mistaken(data[0], motor);
         let is_answer = self.broadcast.take_reply(motor, data, shortest, now);
         let is_taken = was_owed && !self.broadcast.may_be_mistaken(data[0], motor);
-        let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
-        let asked = asked.or(self.broadcast.question());
-        self.change(motor, |motor, _| {
-            if is_answer {
-                motor.answered(None);
-            }
+        if is_answer || is_taken {
             // Also of one that is over: the same once more answers nothing else.
-            if is_answer || is_taken {
+            let asked = Opcode::from_byte(data[0]).map(|known| Question::of(known.into(), data));
+            let asked = asked.or(self.broadcast.question());
+            self.change(motor, |motor, _| {
                 motor.last_answered = asked;
-            }
-        });
+                if is_answer {
+                    motor.answered(None);
+                }
+            });
+        }
         is_answer
     }
 

@@ -5,7 +5,8 @@ use crate::master::Master;
 
 impl<const N: usize> Master<N> {
     /// The caller has found out that a motor has restarted, by its angle for example, which the master has not: as
-    /// [`Event::Restarted`](crate::master::Event::Restarted), which follows. A motor without a place gets one; without room for it nothing can move it.
+    /// [`Event::Restarted`](crate::master::Event::Restarted), which follows. A motor without a place gets one; without
+    /// room for it nothing can move it.
     pub fn note_restart(&mut self, motor: MotorId) {
         let now = self.now;
         (self.offer, self.due) = (None, now);

@@ -281,8 +281,8 @@ mod tests {
     use std::sync::atomic::Ordering;
 
     use myactuator_host_std::open::{AnyMaster, BusAddress};
-    use myactuator_host_std::sim::Fleet;
     use myactuator_host_std::sim::bus::can::ControllerConfig;
+    use myactuator_host_std::sim::{Fleet, LineFleet};
     use myactuator_protocol_core::command::{
         MotionLimits, MotionRanges, ReadStatus1, Stop, VersionDate,
     };
@@ -312,6 +312,14 @@ mod tests {
         }
     }
 
+    /// A session with drives on a line.
+    fn on_line(motors: u8) -> (LineFleet, Session) {
+        let fleet = Fleet::new(motors).on_rs485(115_200).unwrap();
+        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
+        session.address = BusAddress::Simulated { motors, kind: BusKind::Rs485 };
+        (fleet, session)
+    }
+
     const C0: Data = [0xC0, 1, 2, 3, 4, 5, 6, 7];
 
     #[test]
@@ -330,20 +338,15 @@ mod tests {
 
     #[test]
     fn what_goes_to_all_on_a_line_is_sent_and_nobody_is_said_not_to_have_heard_it() {
-        let fleet = Fleet::new(3).on_rs485(115_200).unwrap();
-        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
-        session.address = BusAddress::Simulated { motors: 3, kind: BusKind::Rs485 };
+        let (_fleet, mut session) = on_line(3);
         assert_eq!(run_on(&mut session, &typed("--id all stop")), Ok(()));
     }
 
     #[test]
     fn of_one_motor_on_a_line_that_does_not_answer_nobody_is_told_of_can() {
-        let fleet = Fleet::new(1).on_rs485(115_200).unwrap();
-        let mut session = Session::by(AnyMaster::SimulatedRs485(fleet.master()));
-        session.address = BusAddress::Simulated { motors: 1, kind: BusKind::Rs485 };
+        let (fleet, mut session) = on_line(1);
         fleet.world.cut(fleet.drives[0].station());
-        let explainer =
-            Explainer { firmware: Firmware::V4_3, ranges: None, direction: FrameDirection::Reply };
+        let explainer = Explainer::new(Firmware::V4_3);
         let sending = Sending { command: Stop.into(), explainer, json: false };
         // It has answered a scan, and is cut off then.
         let Err(Unfinished::Failed(told)) = sending.to_all(&mut session, MotorId::MIN.into())

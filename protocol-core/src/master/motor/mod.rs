@@ -250,9 +250,7 @@ impl Motor {
         if asked.is_stop() {
             self.late.extend(late);
         }
-        if let Some(set_point) = self.stream.take_in_flight() {
-            self.expect_late(set_point.question, Of::StreamStopped, 1, late, config);
-        }
+        self.stop_set_point(late, config);
         asked.unanswered = asked.unanswered.saturating_add(1);
         if asked.round == Round::Waits {
             asked.round = Round::Second;

@@ -143,13 +143,17 @@ impl Motor {
         until: Instant,
         config: &Config,
     ) {
-        // It goes over what is in flight, as the motor's own does.
-        if let Some(set_point) = self.stream.take_in_flight() {
-            self.expect_late(set_point.question, Of::StreamStopped, 1, until, config);
-        }
+        self.stop_set_point(until, config);
         match self.own_stop(told) {
             Some(stop) => stop.unanswered = stop.unanswered.saturating_add(1),
             None => self.expect_late(told, Of::Nobody, 1, until, config),
+        }
+    }
+
+    /// A stop goes over the set-point in flight, which may still come, and be answered until then.
+    pub(super) fn stop_set_point(&mut self, until: Instant, config: &Config) {
+        if let Some(set_point) = self.stream.take_in_flight() {
+            self.expect_late(set_point.question, Of::StreamStopped, 1, until, config);
         }
     }
 
