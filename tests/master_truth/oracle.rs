@@ -469,9 +469,9 @@ fn check_restarted(motor: MotorId, truth: &mut Truth) {
     let may_have = std::mem::take(&mut page.longest_silence).max(silence) >= MAY_HAVE_RESTARTED;
     let has = page.restarted.take().is_some() | std::mem::take(&mut page.was_reset);
     // A run time of 0, sent back by a drive that has ignored the question; feedback of long ago, that a bus has held
-    // back for longer than anybody expects.
+    // back for longer than anybody expects; feedback that another station has made up, in motion mode (0) too.
     let misleading =
-        [0xB1, 0xA2, 0xA4].into_iter().find_map(|byte| page.excuses.of((byte, 0), now));
+        [0xB1, 0xA2, 0xA4, 0].into_iter().find_map(|byte| page.excuses.of((byte, 0), now));
     page.awaits_resume = true;
     page.set_points.restarted();
     page.turning.restarted();

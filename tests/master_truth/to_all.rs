@@ -175,6 +175,7 @@ impl Truth {
             if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && is_unsure {
                 // Unless it is over, and nobody was told yet.
                 (page.is_begun_anew, page.is_stopping, page.stopping_since) = (true, true, steady);
+                page.is_stopped_again = is_again;
             } else if !goes_on {
                 self.begin_stop(motor, Name { byte, token: 0 }, is_again);
             }

@@ -48,10 +48,6 @@
 //! be that to a set-point given up before, until the stream rests. And a stop cannot be confirmed by a motor whose
 //! replies do not come through: then cut its power.
 //!
-//! One thing could be prevented and is not yet: on RS485 nobody expects the answer to the stop to all, or to another
-//! sending of a stop that was answered. If an adapter holds it back for longer than the reply time-out, and the motor
-//! is stopped again meanwhile by a frame that is lost, it confirms that stop.
-//!
 //! # How the bus is shared
 //! The motor that was served least goes first. On a full CAN bus replies of high ids lose every
 //! arbitration against those of low ids and all commands; so no motor gets more than one round ahead

@@ -318,15 +318,14 @@ impl<const N: usize> Master<N> {
         let Some(kind) = self.stop_to_all.take() else { return };
         self.is_any_off_since = false;
         self.due = now;
-        if self.config.is_rs485() {
-            return;
-        }
         let told = kind.question();
         let until = now + self.config.reply_timeout + self.config.late_window;
         for place in self.places.taken.iter() {
             self.change_at(place, |motor, config| motor.stop_to_all_was_sent(told, until, config));
         }
-        self.broadcast.stop_was_sent(told.kind, until, &self.config);
+        if !self.config.is_rs485() {
+            self.broadcast.stop_was_sent(told.kind, until, &self.config);
+        }
     }
 
     /// The stop to all was handed back, if this is it: it goes once more. Gives whether it is, and in force.

@@ -340,7 +340,12 @@ impl Motor {
             (Request::None, Some(asked)) => asked.of_others(),
             _ => Of::Request,
         };
-        self.give_request_up(of, config, now);
+        // What another of its sendings is answered has time until the last one would.
+        let last_chance = match self.request.in_flight() {
+            Some(asked) => now.max(self.sent + asked.timeout),
+            None => now,
+        };
+        self.give_request_up(of, config, last_chance);
         self.request = outcome;
     }
 

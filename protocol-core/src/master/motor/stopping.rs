@@ -144,7 +144,7 @@ impl Motor {
         config: &Config,
     ) {
         self.stop_set_point(until, config);
-        match self.own_stop(told) {
+        match self.own_stop(told).filter(|_| !config.is_rs485()) {
             Some(stop) => stop.unanswered = stop.unanswered.saturating_add(1),
             None => self.expect_late(told, Of::Nobody, 1, until, config),
         }

@@ -273,17 +273,60 @@ fn on_a_line_a_set_point_waits_for_the_answers_to_a_question_to_all() {
     assert_eq!(sent(&mut master, ms(3)).len(), 1);
 }
 
-/// Nobody answers it there, so that nothing is to come behind the motor's own answer.
+fn off(master: &mut Master<2>, at: u64) -> Option<Event> {
+    master.handle_line(&Frame { address: Target::Motor(id(1)), data: Shutdown.encode() }, ms(at))
+}
+
+/// Lifts the stop and stops the motor anew, with a set-point between the two; nobody hears that stop.
+fn is_moved_and_stopped_in_vain(master: &mut Master<2>, at: u64) {
+    master.lift_stop();
+    master.set_point(id(1), torque(1.0), ms(at)).unwrap();
+    assert_eq!(sent(master, ms(at)), [packet_to(1, torque(1.0).encode())]);
+    master.handle_line(&Frame { address: Target::Motor(id(1)), data: TORQUE_REPLY }, ms(at));
+    master.stop(id(1), StopKind::Off).unwrap();
+    let at = ms(at) + Duration::from_micros(200);
+    assert_eq!(sent(master, at), [packet_to(1, Shutdown.encode())]);
+}
+
+/// An adapter may hold the answer to the stop to all back, so that it comes behind that to the motor's own.
 #[test]
-fn on_a_line_a_stop_to_all_is_not_waited_for() {
+fn on_a_line_the_answer_to_a_stop_to_all_confirms_neither_the_stop_nor_a_later_one() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
-    let frames: Vec<Packet> = (0..8).flat_map(|now| sent(&mut master, ms(now))).collect();
-    assert_eq!(frames.len(), 2);
-    let off = Frame { address: Target::Motor(id(1)), data: Shutdown.encode() };
-    assert_eq!(master.handle_line(&off, ms(8)), confirmed(1));
-    let _again = master.request(id(1), Shutdown).unwrap();
-    assert_eq!(sent(&mut master, ms(9)).len(), 1);
+    let frames: Vec<Packet> = (0..7).flat_map(|now| sent(&mut master, ms(now))).collect();
+    assert_eq!(frames, [packet_to_all(Shutdown.encode()), packet_to(1, Shutdown.encode())]);
+    assert_eq!(off(&mut master, 7), None, "it may be that to all");
+    assert_eq!(sent(&mut master, ms(8)), [packet_to(1, Shutdown.encode())]);
+    assert_eq!(off(&mut master, 9), confirmed(1));
+    is_moved_and_stopped_in_vain(&mut master, 10);
+    assert_eq!(off(&mut master, 11), None);
+    assert_eq!(sent(&mut master, ms(12)).len(), 1);
+    assert_eq!(off(&mut master, 13), confirmed(1));
+}
+
+/// What is answered at once costs no second stop.
+#[test]
+fn on_a_line_the_answer_to_a_stop_to_all_may_come_before_the_motors_own_stop() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to_all(Shutdown.encode())]);
+    assert_eq!(off(&mut master, 1), None);
+    assert_eq!(sent(&mut master, ms(6)), [packet_to(1, Shutdown.encode())]);
+    assert_eq!(off(&mut master, 7), confirmed(1));
+}
+
+/// Each of several sendings has its whole time, whichever is answered first.
+#[test]
+fn on_a_line_the_answer_to_another_sending_confirms_no_later_stop() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(sent(&mut master, ms(6)).len(), 1, "it was not answered");
+    assert_eq!(off(&mut master, 7), confirmed(1));
+    assert_eq!(events(&mut master, ms(20)), []);
+    is_moved_and_stopped_in_vain(&mut master, 20);
+    // The second has until then, and 10.262 ms more: 6 ms and 5.262 ms.
+    assert_eq!(off(&mut master, 21), None);
 }
 
 #[test]
