@@ -172,6 +172,7 @@ impl Truth {
         let doubled = self.doubled(motor);
         let (has_twin, flips) = (self.twin == Some(motor), self.flips);
         let reorders = self.reorders;
+        let tells = self.stop_to_all_is_answered && name.is_stop();
         let is_alone = name.is_stop() || packet.channel != Channel::Command(Target::All);
         let page = self.page(motor);
         // An answer to what was told all at once says nothing of what was sent before.
@@ -190,6 +191,7 @@ impl Truth {
         if name.is_ending() {
             // One that ignores it stands still as well: its output is cut.
             page.stop_heard = moment;
+            page.is_told_with_all |= tells && name == page.stop;
             page.endings_heard.insert(name.byte, moment);
             if is_alone {
                 page.ended_heard = page.ended_heard.max(sending.put);

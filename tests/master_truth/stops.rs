@@ -114,7 +114,10 @@ impl Truth {
         let is_second = page.stops_taken > 0 || page.is_stopped_again;
         let is_sure = !page.is_begun_anew && !page.may_be_stopping;
         if is_second && is_sure && self.is_first_stop_due() {
-            self.breaks(format!("motor {motor} gets a second stop before another's first"));
+            let first: MotorSet = MotorId::all()
+                .filter(|motor| self.pages[motor.index()].waits_for_first_stop())
+                .collect();
+            self.breaks(format!("motor {motor} gets a second stop before the first of {first}"));
         }
         let is_first_due_to =
             |page: &Page, answers| page.waits_for_first_stop() && page.answers == answers;

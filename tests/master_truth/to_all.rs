@@ -175,7 +175,6 @@ impl Truth {
             if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && is_unsure {
                 // Unless it is over, and nobody was told yet.
                 (page.is_begun_anew, page.is_stopping, page.stopping_since) = (true, true, steady);
-                page.is_stopped_again = is_again;
             } else if !goes_on {
                 self.begin_stop(motor, Name { byte, token: 0 }, is_again);
             }
@@ -207,12 +206,15 @@ impl Truth {
         let (answers, until) = (self.answers(motor), now + STOP_TAKES + self.late_window);
         let page = self.page(motor);
         page.turning.was_given_up(until);
+        // Who waits for its first yet was told nothing.
+        let is_told = page.is_confirmed || !page.waits_for_first_stop();
         if !is_again || page.stop != stop {
             page.stop_due_since = called;
         }
         (page.is_stopping, page.may_be_stopping, page.is_confirmed) = (true, false, false);
-        (page.stop_called, page.stop_called_at, page.stops_taken) = (called, now, 0);
-        (page.stop, page.is_begun_anew, page.is_stopped_again) = (stop, false, is_again);
+        (page.stop_called, page.stop_called_at) = (called, now);
+        (page.stops_taken, page.is_told_with_all) = (0, false);
+        (page.stop, page.is_begun_anew, page.is_stopped_again) = (stop, false, is_again && is_told);
         page.was_given_up = false;
         page.stopping_since = steady;
         page.other_stops.clear();

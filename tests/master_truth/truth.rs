@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use myactuator_protocol_core::master::{Config, MotorSet};
+use myactuator_protocol_core::master::{Bus, Config, MotorSet};
 use myactuator_protocol_core::time::{Duration, Instant};
 use myactuator_protocol_core::{Channel, Data, MotorId, Packet, Target};
 
@@ -73,6 +73,8 @@ pub(crate) struct Page {
     /// What stops it; and what may do so all the same, where that may have been dropped.
     pub(crate) stop: Name,
     pub(super) other_stops: Vec<Name>,
+    /// It has heard the stop to all, an answer to which confirms it.
+    pub(super) is_told_with_all: bool,
     /// It is told so again before a stop was lifted: each other's first goes before that.
     pub(super) is_stopped_again: bool,
     /// It may have been begun anew, so that nobody knows which of its sendings is the first.
@@ -150,6 +152,8 @@ pub(crate) struct Truth {
     pub(super) switched_off: MotorSet,
     /// So many got by themselves what was to end the motion of all.
     pub(crate) turned: u64,
+    /// An answer to the stop to all is one to a motor's own: not on a line.
+    pub(super) stop_to_all_is_answered: bool,
     /// An adapter hands back each command.
     pub(crate) echoes: bool,
     /// Whether an acknowledgement may pass for an echo.
@@ -194,6 +198,7 @@ impl Book {
             known: MotorSet::EMPTY,
             switched_off: MotorSet::EMPTY,
             turned: 0,
+            stop_to_all_is_answered: config.bus == Bus::Can,
             echoes: false,
             doubt: Doubt::of(config),
             twin: None,
@@ -218,7 +223,8 @@ impl Page {
     }
 
     pub(crate) fn waits_for_first_stop(&self) -> bool {
-        self.is_stopping && self.stops_taken == 0 && !self.is_stopped_again
+        let is_told = self.stops_taken > 0 || self.is_told_with_all || self.is_stopped_again;
+        self.is_stopping && !is_told
     }
 
     /// It is stopped by this, unless that was dropped.
@@ -227,6 +233,7 @@ impl Page {
             self.is_begun_anew = true;
         } else {
             (self.may_be_stopping, self.stops_taken) = (true, 0);
+            self.is_told_with_all = false;
         }
         self.other_stops.push(self.stop);
         (self.stop, self.may_be_stopping_since) = (stop, since);

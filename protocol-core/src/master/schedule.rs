@@ -3,7 +3,7 @@
 use crate::kind::Kind;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Round};
-use crate::master::stop::{LONGEST_STOP_TIMEOUT, STOP_ATTEMPTS};
+use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::Instant;
@@ -51,16 +51,16 @@ impl<const N: usize> Master<N> {
         let stops = self.at(self.places.stops).filter_map(|(place, motor)| {
             let stop = motor.request.waiting()?;
             let waits = motor.waits_for_motion(stop, self.is_undone_with_all(motor));
-            (!waits).then_some((place, motor, stop))
+            (!waits).then_some((place, motor))
         });
-        let urgency = |(_, motor, stop): &(_, &Motor, &Asked)| {
-            let turn = match stop.attempts_left {
-                STOP_ATTEMPTS => u8::from(motor.was_missed()),
-                _ => 2,
+        let urgency = |(_, motor): &(_, &Motor)| {
+            let turn = match motor.waits_for_first_stop() {
+                true => u8::from(motor.was_missed()),
+                false => 2,
             };
             (turn, motor.sent)
         };
-        stops.min_by_key(urgency).map(|(place, ..)| Offer::Request(place as u8))
+        stops.min_by_key(urgency).map(|(place, _)| Offer::Request(place as u8))
     }
 
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.

@@ -93,6 +93,7 @@ impl<const N: usize> Master<N> {
         let (was, was_same_for_all) = (self.stops_all, self.is_same_for_all(kind));
         self.broadcast.cancel();
         self.broadcast.all_were_stopped(kind);
+        let known = self.motors();
         let mut result = Ok(());
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
@@ -100,7 +101,8 @@ impl<const N: usize> Master<N> {
         let mut is_any_new = was != Some(kind) || self.places.taken.is_empty();
         for place in self.places.taken.iter() {
             if let Some(motor) = self.motors.get(place).and_then(|motor| motor.id) {
-                is_any_new |= self.put_stop(place, motor, kind, Purpose::Stop, was.is_some());
+                let is_told = known.contains(motor) && self.is_stopped(motor);
+                is_any_new |= self.put_stop(place, motor, kind, Purpose::Stop, is_told);
             }
         }
         if self.stops_all != Some(StopKind::Off) {
@@ -133,8 +135,9 @@ impl<const N: usize> Master<N> {
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
         self.let_line_answer();
         self.broadcast.cancel_what_moves();
+        let is_told = self.places.of(motor).is_some() && self.is_stopped(motor);
         let place = self.place_for(motor)?;
-        self.put_stop(place, motor, kind, Purpose::Stop, self.is_stopped(motor));
+        self.put_stop(place, motor, kind, Purpose::Stop, is_told);
         self.stopped.insert(motor);
         Ok(())
     }
@@ -154,8 +157,8 @@ impl<const N: usize> Master<N> {
     }
 
     /// Gives whether it is a new one: where the motor was stopped already, so that nothing has moved it since,
-    /// a stop that is under way goes on. Where it is called `again`, who has confirmed it goes behind those who have not
-    /// been told yet.
+    /// a stop that is under way goes on. Who `is_told` by an earlier one, however that ended, goes behind those who have
+    /// not been told yet.
     #[inline(never)]
     fn put_stop(
         &mut self,
@@ -163,7 +166,7 @@ impl<const N: usize> Master<N> {
         motor: MotorId,
         kind: StopKind,
         purpose: Purpose,
-        again: bool,
+        is_told: bool,
     ) -> bool {
         let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
@@ -182,8 +185,8 @@ impl<const N: usize> Master<N> {
             } else if motor.is_stopping_already(&stop) {
                 return false;
             }
-            if again && motor.last_answered == Some(stop.question) {
-                stop.attempts_left -= 1;
+            if is_told && !motor.waits_for_first_stop() {
+                stop.is_not_first();
             }
             motor.go_on_stopping(stop, config, now);
             true

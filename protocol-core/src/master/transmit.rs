@@ -5,8 +5,8 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::Master;
 use crate::master::late::{Of, Question};
+use crate::master::motor::Motor;
 use crate::master::request::Asked;
-use crate::master::stop::STOP_ATTEMPTS;
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -54,8 +54,7 @@ impl<const N: usize> Master<N> {
     /// Whether the first attempt of a stop is offered.
     pub(crate) fn offers_first_stop(&self) -> bool {
         let Some(Offer::Request(place)) = self.offer else { return false };
-        let asked = self.motors.get(usize::from(place)).and_then(|motor| motor.request.waiting());
-        asked.is_some_and(|asked| asked.is_stop() && asked.attempts_left == STOP_ATTEMPTS)
+        self.motors.get(usize::from(place)).is_some_and(Motor::waits_for_first_stop)
     }
 
     /// RS485: this motor is asked for its status before what was offered, and nothing else goes until that is answered

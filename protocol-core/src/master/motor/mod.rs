@@ -18,6 +18,7 @@ use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
 use crate::master::request::{Asked, Purpose, Request, Round};
+use crate::master::stop::STOP_ATTEMPTS;
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
@@ -113,6 +114,12 @@ impl Motor {
 
     pub(super) fn is_stop_waiting(&self) -> bool {
         self.request.waiting().is_some_and(Asked::is_stop)
+    }
+
+    /// Whether it was not told yet what is to stop it.
+    pub(super) fn waits_for_first_stop(&self) -> bool {
+        let is_first = |stop: &Asked| stop.is_stop() && stop.attempts_left == STOP_ATTEMPTS;
+        self.request.waiting().is_some_and(is_first)
     }
 
     /// Whether it has nothing under way and nothing to tell, and nothing that was sent may move it yet. A stop that

@@ -135,8 +135,9 @@ impl Motor {
         stop.map(|stop| (stop.kind, stop.since))
     }
 
-    /// A stop to all was sent, which tells it this. On CAN it is answered beside the motor's own: where that is the
-    /// same, as one more sending of it.
+    /// A stop to all was sent, which tells it this, and may be answered beside its own. On CAN, where that is the same,
+    /// as one more sending of it. On a line the answers of several motors collide, so that nobody knows whether this
+    /// one's is to come: it confirms nothing.
     pub(in crate::master) fn stop_to_all_was_sent(
         &mut self,
         told: Question,
@@ -182,7 +183,11 @@ impl Motor {
         now: Instant,
     ) {
         let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
-        if let Some(off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
+        if let Some(mut off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
+            let is_stopping = self.request.under_way().is_some_and(Asked::is_stop);
+            if is_stopping && !self.waits_for_first_stop() {
+                off.is_not_first();
+            }
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);

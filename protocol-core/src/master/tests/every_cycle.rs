@@ -60,3 +60,19 @@ fn a_stop_that_was_confirmed_once_is_tried_fourteen_times_when_it_is_called_agai
     });
     assert_eq!((attempts, told), (14, Some(Event::StopUnconfirmed { motor: id(1) })));
 }
+
+/// Motor 2 did not answer its last question, so that nothing but having been told nothing yet brings it forward.
+#[test]
+fn who_was_told_and_is_let_go_with_all_goes_behind_who_was_told_nothing_yet() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let _read = master.request_with(id(2), ReadModel, once).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(events(&mut master, ms(5)).len(), 1);
+    master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+    let first = master.poll_transmit(ms(6));
+    assert_eq!(first, Some(packet_to(1, Stop.encode())));
+    master.handle_transmitted(ms(6));
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    assert_eq!(master.poll_transmit(ms(6)), Some(packet_to(2, Shutdown.encode())));
+}

@@ -373,3 +373,16 @@ fn on_a_line_what_holds_all_but_one_does_not_meet_an_answer() {
     }
     assert_eq!(sent(&mut master, ms(7)), [packet_to(2, Stop.encode())]);
 }
+
+/// Motor 1 is held, and has said so; that it is to be off now keeps nobody waiting who was told nothing yet.
+#[test]
+fn who_is_told_once_more_goes_behind_who_was_told_nothing_yet() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let hold = |motor| Frame { address: Target::Motor(id(motor)), data: Stop.encode() };
+    master.stop(id(1), StopKind::Hold).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Stop.encode())]);
+    assert_eq!(master.handle_line(&hold(1), ms(1)), confirmed(1));
+    master.stop(id(1), StopKind::Off).unwrap();
+    master.stop(id(2), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), [packet_to(2, Shutdown.encode())]);
+}
