@@ -1,7 +1,8 @@
 //! What callers lay on the desk, and where their answers go.
 
-use std::sync::mpsc::{Receiver, SyncSender};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
 use std::sync::{Arc, Weak};
+use std::time::Duration;
 
 use myactuator_protocol_core::command::{RawReply, SetPoint};
 use myactuator_protocol_core::master::{MotorSet, Patience, StopKind};
@@ -54,6 +55,19 @@ pub(super) struct Waiting<T, E> {
     pub(super) answered: Receiver<Result<T, SharedBusError<E>>>,
     /// Says that somebody still does.
     pub(super) asker: Arc<()>,
+}
+
+/// An answer, or that there is nobody who could give one.
+pub(super) type Told<T, E> = Result<Result<T, SharedBusError<E>>, RecvTimeoutError>;
+
+impl<T, E> Waiting<T, E> {
+    /// The answer, if it comes within this.
+    pub(super) fn take(&self, longest: Duration) -> Option<Told<T, E>> {
+        match self.answered.recv_timeout(longest) {
+            Err(RecvTimeoutError::Timeout) => None,
+            answer => Some(answer),
+        }
+    }
 }
 
 /// How often a question is put, and how long each answer is waited for.

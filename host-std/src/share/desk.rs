@@ -3,7 +3,7 @@
 //! Everything is under one lock, so what counts is the order of the calls: a stop drops what is older
 //! here and now, and refuses what comes after it, whether or not the thread has seen it yet.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError::Timeout, sync_channel};
+use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -13,7 +13,7 @@ use myactuator_protocol_core::master::{Event, MotorSet, StopKind};
 use myactuator_protocol_core::{Data, MotorId, time};
 
 use super::SharedBusError;
-use super::calls::{Answer, Awaited, Insistence, Order, Question, Untyped, Waiting};
+use super::calls::{Answer, Awaited, Insistence, Order, Question, Told, Untyped, Waiting};
 use super::state::{Clerk, LaidDown, Latest, Life, Past, State};
 use super::subscription::{Subscriber, Subscription};
 use crate::open::Wake;
@@ -228,22 +228,31 @@ impl<E> Desk<E> {
         self.answer(awaited?).unwrap_or(Ok(motors))
     }
 
+    /// The answer if it is there. Nobody waits for it any more.
+    pub(super) fn take_answer<T>(&self, awaited: Awaited<T, E>) -> Result<T, SharedBusError<E>> {
+        self.last_answer(awaited?).unwrap_or(Err(SharedBusError::Held))
+    }
+
     /// Waits for an answer. `None` if the thread's driver holds it.
     fn answer<T>(&self, waiting: Waiting<T, E>) -> Option<Result<T, SharedBusError<E>>> {
-        let Waiting { answered, asker } = waiting;
-        let take = |from: &Receiver<_>, longest| match from.recv_timeout(longest) {
-            Err(Timeout) => None,
-            answer => Some(answer),
-        };
-        let answer = self.unless_held(|longest| take(&answered, longest)).or_else(|| {
-            // An error of the bus that comes now is told here, or to the next: nobody is told while this is locked.
-            let _state = self.lock();
-            let last = take(&answered, Duration::ZERO);
-            drop((answered, asker));
-            last
-        });
-        // Only a thread that has ended answers nothing, and it has said why.
-        answer.map(|answer| answer.unwrap_or_else(|_| Err(self.lock().last_words())))
+        match self.unless_held(|longest| waiting.take(longest)) {
+            Some(answer) => Some(self.told(answer)),
+            None => self.last_answer(waiting),
+        }
+    }
+
+    fn last_answer<T>(&self, waiting: Waiting<T, E>) -> Option<Result<T, SharedBusError<E>>> {
+        // An error of the bus that comes now is told here, or to the next: nobody is told while this is locked.
+        let state = self.lock();
+        let last = waiting.take(Duration::ZERO);
+        drop(waiting);
+        drop(state);
+        last.map(|answer| self.told(answer))
+    }
+
+    /// Only a thread that has ended answers nothing, and it has said why.
+    fn told<T>(&self, answer: Told<T, E>) -> Result<T, SharedBusError<E>> {
+        answer.unwrap_or_else(|_| Err(self.lock().last_words()))
     }
 
     /// Waits for the end of the thread. False if its driver holds it.

@@ -7,7 +7,7 @@ use std::thread::{self, JoinHandle};
 use myactuator_protocol_core::command::SetPoint;
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Failure, MotorSet, Patience, StopKind};
-use myactuator_protocol_core::{Command, MotorId};
+use myactuator_protocol_core::{Command, Data, MotorId};
 
 use super::calls::{Insistence, Untyped};
 use super::desk::Desk;
@@ -148,6 +148,40 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         self.put(motor, &command, Insistence::Of(patience), None)
     }
 
+    /// Asks several motors at the same time, so that it takes as long as the slowest, and gives an outcome each, in the
+    /// order of the questions.
+    ///
+    /// ```
+    /// # use myactuator_host_std::protocol::MotorId;
+    /// # use myactuator_host_std::protocol::command::ReadMultiTurnAngle;
+    /// # use myactuator_host_std::protocol::master::StopKind;
+    /// # use myactuator_host_std::share::SharedBus;
+    /// # let bus = SharedBus::open(&"sim:3".parse()?, StopKind::Hold)?;
+    /// let arm = [MotorId::new(1)?, MotorId::new(2)?, MotorId::new(3)?];
+    /// for angle in bus.ask_together(arm.map(|motor| (motor, ReadMultiTurnAngle))) {
+    ///     assert_eq!(angle?.angle.degrees(), 0.0);
+    /// }
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// Each error is that of one question; the others go on. Those of one motor go in their order.
+    pub fn ask_together<C: Command, const M: usize>(
+        &self,
+        questions: [(MotorId, C); M],
+    ) -> [Result<C::Reply, SharedBusError<E>>; M] {
+        let desk = self.desk();
+        let asked = questions.map(|(motor, command)| {
+            (motor, desk.ask(motor, Untyped::of(&command), Insistence::Usual, None))
+        });
+        let mut is_held = false;
+        asked.map(|(motor, awaited)| {
+            // Who holds one of them holds the others, and each would be waited for as long.
+            let reply = if is_held { desk.take_answer(awaited) } else { desk.wait(awaited) };
+            is_held |= matches!(reply, Err(SharedBusError::Held));
+            read::<C, E>(motor, &reply?)
+        })
+    }
+
     pub(super) fn put<C: Command>(
         &self,
         motor: MotorId,
@@ -157,10 +191,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     ) -> Result<C::Reply, SharedBusError<E>> {
         let desk = self.desk();
         let reply = desk.wait(desk.ask(motor, Untyped::of(command), insistence, since))?;
-        C::decode_reply(&reply).map_err(|error| {
-            let failure = Failure::Unreadable(error);
-            SharedBusError::Failed { motor, failure }
-        })
+        read::<C, E>(motor, &reply)
     }
 
     /// Puts a set-point in a motor's stream, whoever put the one before it: only the newest waits. Never
@@ -266,4 +297,12 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     pub fn subscribe(&self, room: usize) -> Subscription {
         self.desk().subscribe(room)
     }
+}
+
+/// What a motor has answered to such a command.
+fn read<C: Command, E>(motor: MotorId, reply: &Data) -> Result<C::Reply, SharedBusError<E>> {
+    C::decode_reply(reply).map_err(|error| {
+        let failure = Failure::Unreadable(error);
+        SharedBusError::Failed { motor, failure }
+    })
 }

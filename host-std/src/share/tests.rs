@@ -101,6 +101,28 @@ fn eight_threads_ask_eight_motors_at_once_and_get_their_own_answers() {
     assert!(most > 1, "one at a time");
 }
 
+/// The third is not there; two of the first motor's go one after the other.
+#[test]
+fn a_joint_ask_is_under_way_to_all_at_once_and_gives_each_its_own_outcome() {
+    let (fleet, bus) = shared(3);
+    for drive in &fleet.drives {
+        let angle = 10.0 * f64::from(drive.motor().get());
+        drive.with(|drive| drive.plant_mut().set_output_angle_deg(angle)).unwrap();
+    }
+    fleet.world.run_for(Duration::from_millis(10));
+    fleet.world.cut(fleet.drives[2].station());
+    let log = fleet.world.log();
+    let outcomes = bus.ask_together([1, 2, 3, 1].map(|motor| (id(motor), ReadMultiTurnAngle)));
+    let degrees = |at: usize| outcomes[at].as_ref().unwrap().angle.degrees();
+    for (at, expected) in [(0, 10.0), (1, 20.0), (3, 10.0)] {
+        assert!((degrees(at) - expected).abs() < 0.1, "{at}: {}", degrees(at));
+    }
+    tells(outcomes[2].as_ref().unwrap_err(), 3, Failure::NoReply);
+    let channels: Vec<Channel> = packets(&log).iter().map(|packet| packet.channel).collect();
+    let to = |motor| Channel::Command(id(motor).into());
+    assert_eq!(channels[..3], [to(1), to(2), to(3)], "no answer is waited for");
+}
+
 #[test]
 fn any_thread_stops_what_another_moves_and_whoever_waits_is_told() {
     let (fleet, bus) = shared(2);
@@ -469,8 +491,15 @@ fn nobody_waits_for_ever_for_a_driver_that_does_not_come_back() {
         let pause = |_: &_| thread::sleep(std::time::Duration::from_millis(10));
         (0..1_000).map(|_| again()).inspect(pause).find_map(|told| told)
     });
+    asking(|bus| {
+        let begun = std::time::Instant::now();
+        let told = bus.ask_together([1; 8].map(|motor| (id(motor), ReadMultiTurnAngle)));
+        // As one: each by itself would take a second here.
+        assert!(begun.elapsed() < std::time::Duration::from_secs(5));
+        told.into_iter().map(|outcome| outcome.err()).reduce(|one, other| one.and(other))?
+    });
     assert!(!bus.stop(id(1), StopKind::Hold).unwrap());
-    for _ in 0..3 {
+    for _ in 0..4 {
         let told = told.recv_timeout(std::time::Duration::from_secs(10)).expect("an answer");
         assert!(matches!(told, Some(SharedBusError::Held)), "{told:?}");
     }
