@@ -129,8 +129,11 @@ impl Truth {
             ));
         }
         let (now, within) = (self.now, self.first_stops_within);
-        let took = now - self.page(motor).stop_called_at;
-        if let Some(within) = within.filter(|within| !is_second && took > *within) {
+        let page = self.page(motor);
+        // What only may stop it was not called for by then.
+        let is_called = page.is_stopping && !is_second;
+        let took = now - page.stop_called_at;
+        if let Some(within) = within.filter(|within| is_called && took > *within) {
             self.breaks(format!("motor {motor}: its first stop takes {took} and not {within}"));
         }
     }
