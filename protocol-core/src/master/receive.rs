@@ -8,7 +8,7 @@ use crate::master::broadcast::Broadcast;
 use crate::master::late::{Of, Question};
 use crate::master::motor::reports::reported_bit;
 use crate::master::motor::restarts::{HALF_A_TURN_TAKES, Place};
-use crate::master::motor::{DOUBLED_WITHIN, Motor};
+use crate::master::motor::{DOUBLED_WITHIN, LastSent, Motor};
 use crate::master::request::{Asked, Request, Round};
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, MotorSet, TicketId};
@@ -58,11 +58,19 @@ impl Heard<'_> {
         !is_motion && self.to_all.may_be_mistaken(self.packet.data[0], self.from)
     }
 
-    /// Whether it may be the echo of a drive that has lost its master and ignored the command. It does so once.
-    fn is_ignored_one(&mut self) -> bool {
-        let has_lost_master = self.lost_master.contains(self.from);
-        self.lost_master.remove(self.from);
-        has_lost_master
+    /// Whether it may be the echo of a drive that has lost its master and ignored the command.
+    fn may_be_ignored_one(&self) -> bool {
+        self.lost_master.contains(self.from)
+    }
+
+    /// Whether it is that, where it looks like one. It ignores one, and no more: the next, if this answers what was sent
+    /// before it said so and executed.
+    fn is_ignored_one(&mut self, looks_like_one: bool, sent: LastSent) -> bool {
+        let is_ignored = self.may_be_ignored_one() && looks_like_one;
+        if is_ignored || !sent.contains(LastSent::BEFORE_IT_LOST_MASTER) {
+            self.lost_master.remove(self.from);
+        }
+        is_ignored
     }
 }
 
@@ -267,7 +275,10 @@ impl<const N: usize> Master<N> {
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Event {
         self.due = now;
         self.lost_master.insert(motor);
-        self.change(motor, |motor, config| motor.was_heard(config, now));
+        self.change(motor, |motor, config| {
+            motor.was_heard(config, now);
+            motor.last_sent.insert(LastSent::BEFORE_IT_LOST_MASTER);
+        });
         Event::LostMaster { motor }
     }
 
@@ -334,7 +345,8 @@ impl Motor {
             None if may_be_doubled && config.shortest_response > Duration::ZERO => Meaning::Doubled,
             Some(Of::Nobody) => Meaning::Nothing,
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
-            Some(_) if heard.is_ignored_one() => Meaning::Late,
+            // Or it comes from before that, and the next command is what is ignored: nobody knows its bytes any more.
+            Some(_) if heard.may_be_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
                 Ok(reply) => self.feedback(reply, Place::of(&reply), None, config, now),
                 Err(_) => Meaning::Late,
@@ -380,7 +392,7 @@ impl Motor {
         let is_echo = set_point.data == packet.data;
         let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
         self.stream.take_in_flight();
-        if heard.is_ignored_one() && (is_one_late || is_echo) || is_handed_back {
+        if heard.is_ignored_one(is_one_late || is_echo, self.last_sent) || is_handed_back {
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
@@ -398,8 +410,9 @@ impl Motor {
         asked.unanswered = asked.unanswered.saturating_sub(1);
         let is_in_flight = self.request.in_flight().is_some();
         self.request = Request::InFlight(asked);
-        let is_ignored = heard.is_ignored_one() || asked.kind().is_handed_back(&data);
-        if is_ignored && asked.data == data {
+        let is_echo = asked.data == data;
+        let is_handed_back = is_echo && asked.kind().is_handed_back(&data);
+        if heard.is_ignored_one(is_echo, self.last_sent) || is_handed_back {
             if asked.is_stop() {
                 // It ignores one, and no more.
                 self.request = Request::Waiting(asked);

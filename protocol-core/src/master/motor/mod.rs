@@ -18,7 +18,7 @@ use crate::master::health::{Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
 use crate::master::request::{Asked, Purpose, Request, Round};
-use crate::master::stop::STOP_ATTEMPTS;
+use crate::master::stop::{LONGEST_STOP_TIMEOUT, STOP_ATTEMPTS};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
@@ -52,6 +52,8 @@ bitflags! {
         const HAD_ITS_CHANCE = 1 << 1;
         /// All were told to end their motion since, or it has restarted: nothing that moves and is older goes again.
         const IS_OLD = 1 << 2;
+        /// The drive has said since that it has lost its master: it may have heard this before.
+        const BEFORE_IT_LOST_MASTER = 1 << 3;
     }
 }
 
@@ -333,6 +335,12 @@ impl Motor {
         }
     }
 
+    /// When what is in flight has had its time. No caller's patience makes that longer than a stop's.
+    pub(super) fn last_chance(&self, now: Instant) -> Instant {
+        let timeout = self.request.in_flight().map(|asked| asked.timeout.min(LONGEST_STOP_TIMEOUT));
+        timeout.map_or(now, |timeout| now.max(self.sent + timeout))
+    }
+
     /// Replies to the request that is under way come too late from then on.
     fn give_request_up(&mut self, of: Of, config: &Config, at: Instant) {
         if let Some(asked) = self.request.under_way() {
@@ -347,12 +355,8 @@ impl Motor {
             (Request::None, Some(asked)) => asked.of_others(),
             _ => Of::Request,
         };
-        // What another of its sendings is answered has time until the last one would.
-        let last_chance = match self.request.in_flight() {
-            Some(asked) => now.max(self.sent + asked.timeout),
-            None => now,
-        };
-        self.give_request_up(of, config, last_chance);
+        // One of several sendings is answered, the newest may be yet.
+        self.give_request_up(of, config, self.last_chance(now));
         self.request = outcome;
     }
 

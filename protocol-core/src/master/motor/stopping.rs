@@ -7,7 +7,7 @@ use crate::master::event::Failure;
 use crate::master::late::{Of, Question};
 use crate::master::motor::{Motor, News};
 use crate::master::request::{Asked, Purpose, Request, Round};
-use crate::master::stop::{LONGEST_STOP_TIMEOUT, StopKind};
+use crate::master::stop::StopKind;
 use crate::opcode::Opcode;
 use crate::time::Instant;
 
@@ -75,12 +75,7 @@ impl Motor {
         }
         let is_waiting = self.request.waiting().is_some();
         let of = if is_waiting { Of::Request } else { Of::RequestStopped };
-        // What is in flight has its time yet, but no caller's patience holds the stop's confirmation back.
-        let last_chance = match self.request.in_flight() {
-            Some(asked) => now.max(self.sent + asked.timeout.min(LONGEST_STOP_TIMEOUT)),
-            None => now,
-        };
-        self.give_request_up(of, config, last_chance);
+        self.give_request_up(of, config, self.last_chance(now));
         self.let_other_stop_come_first(&stop, config, now);
         self.request = Request::Waiting(stop);
     }

@@ -137,14 +137,16 @@ fn a_drive_that_has_lost_its_master_and_says_more_than_the_command_has_not_ignor
     assert_eq!(master.health(id(1)).last_seen, Some(ms(1)));
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(2)).unwrap();
     assert!(read.outcome(&event).is_some());
-    // Nor does it ignore the next one.
+    // That was sent before: it may ignore the next one, and no more.
     let off = ask(&mut master, 1, Shutdown, ms(2));
-    let event = reply(&mut master, 1, Shutdown.encode(), ms(3)).unwrap();
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(3)), None);
+    assert_eq!(sent(&mut master, ms(3)).len(), 1);
+    let event = reply(&mut master, 1, Shutdown.encode(), ms(4)).unwrap();
     assert!(off.outcome(&event).is_some());
-    master.set_point(id(1), torque(1.0), ms(3)).unwrap();
-    sent(&mut master, ms(3));
-    reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(4)).unwrap();
-    assert!(matches!(reply(&mut master, 1, TORQUE_REPLY, ms(5)), Some(Event::Feedback { .. })));
+    master.set_point(id(1), torque(1.0), ms(5)).unwrap();
+    sent(&mut master, ms(5));
+    reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(6)).unwrap();
+    assert!(matches!(reply(&mut master, 1, TORQUE_REPLY, ms(7)), Some(Event::Feedback { .. })));
 }
 
 /// Who begins between two of its messages has not heard that it has lost its master.
@@ -207,5 +209,31 @@ fn what_all_are_told_and_a_drive_has_ignored_is_no_answer() {
         let write = ask(&mut master, 1, save, ms(200));
         let event = reply(&mut master, 1, save.encode(), ms(201)).unwrap();
         assert!(write.outcome(&event).unwrap().is_ok(), "{event:?}");
+    }
+}
+
+/// The message goes before feedback that waits in the drive, since it has the lower identifier.
+#[test]
+fn feedback_from_before_the_message_is_not_what_a_drive_that_lost_its_master_ignores() {
+    // In time, or late.
+    for said_at in [1, 22] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.set_point(id(1), motion(), ms(0)).unwrap();
+        sent(&mut master, ms(0));
+        events(&mut master, ms(said_at));
+        reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(said_at)).unwrap();
+        let feedback = motion_feedback(&mut master, ms(said_at + 1));
+        assert_eq!(matches!(feedback, Some(Event::Feedback { .. })), said_at == 1, "{feedback:?}");
+        let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(24));
+        // All zero: 0 degrees, if it were an answer.
+        assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(25)), None);
+        assert_eq!(sent(&mut master, ms(25)).len(), 1, "it is asked again");
+        let event = reply(&mut master, 1, ANGLE_REPLY, ms(26)).unwrap();
+        assert!(read.outcome(&event).unwrap().is_ok());
+        // It ignores one, and no more.
+        let write = ask(&mut master, 1, FunctionControl::SaveMultiTurn(Switch::On), ms(30));
+        let event =
+            reply(&mut master, 1, FunctionControl::SaveMultiTurn(Switch::On).encode(), ms(31));
+        assert!(write.outcome(&event.unwrap()).unwrap().is_ok());
     }
 }
