@@ -207,7 +207,7 @@ impl Truth {
         let page = self.page(motor);
         page.turning.was_given_up(until);
         // Who waits for its first yet was told nothing.
-        let is_told = page.is_confirmed || !page.waits_for_first_stop();
+        let is_told = page.is_confirmed || page.stops_taken > 0 || page.is_stopped_again;
         if !is_again || page.stop != stop {
             page.stop_due_since = called;
         }
