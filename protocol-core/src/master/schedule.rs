@@ -44,7 +44,7 @@ impl<const N: usize> Master<N> {
         self.most_urgent_stop()
     }
 
-    /// Each motor's first stop before any second, and on a line those first that answered last time: a
+    /// Each motor's first stop before any second, and on a line those first that were heard last time: a
     /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
@@ -55,7 +55,7 @@ impl<const N: usize> Master<N> {
         });
         let urgency = |(_, motor): &(_, &Motor)| {
             let turn = match motor.waits_for_first_stop() {
-                true => u8::from(motor.was_missed()),
+                true => u8::from(motor.seems_dead()),
                 false => 2,
             };
             (turn, motor.sent)

@@ -200,6 +200,11 @@ impl Motor {
         self.misses > 0
     }
 
+    /// Whether it did not answer last time, and nothing was heard of it since it was last asked.
+    pub(super) fn seems_dead(&self) -> bool {
+        self.was_missed() && self.health.last_seen().is_none_or(|seen| seen < self.sent)
+    }
+
     /// Whether a waiting request may go, as far as this motor is concerned.
     pub(super) fn may_send_request(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
         self.late.has_room()

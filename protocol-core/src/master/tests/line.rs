@@ -386,3 +386,20 @@ fn who_is_told_once_more_goes_behind_who_was_told_nothing_yet() {
     master.stop(id(2), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(2)), [packet_to(2, Shutdown.encode())]);
 }
+
+/// It came too late to be an answer, but it came.
+#[test]
+fn who_was_heard_since_it_was_asked_is_stopped_before_who_was_not() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let once = Patience { reply_timeout: Duration::from_millis(2), attempts: 1 };
+    let _ = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(events(&mut master, ms(2)).len(), 1);
+    let _ = master.request_with(id(2), ReadMultiTurnAngle, once).unwrap();
+    assert_eq!(sent(&mut master, ms(3)).len(), 1);
+    assert_eq!(events(&mut master, ms(5)).len(), 1);
+    master.handle_line(&Frame { address: Target::Motor(id(2)), data: ANGLE_REPLY }, ms(6)).unwrap();
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    let stops: Vec<Packet> = (7..14).flat_map(|now| sent(&mut master, ms(now))).collect();
+    assert_eq!(stops, [packet_to_all(Stop.encode()), packet_to(2, Stop.encode())]);
+}
