@@ -113,7 +113,7 @@ impl Bounds {
 
     /// For as long as this a reply to what was given up may come, and nothing that could be mistaken for it goes.
     fn late(&self) -> Duration {
-        self.config.reply_timeout + self.config.late_window
+        self.config.reply_timeout + self.config.late_window + self.step
     }
 
     /// What a reply to this is waited for.
