@@ -66,11 +66,13 @@ impl Heard<'_> {
     /// Whether it is that, where it looks like one. It ignores one, and no more: the next, if this answers what was sent
     /// before it said so and executed.
     fn is_ignored_one(&mut self, looks_like_one: bool, sent: LastSent) -> bool {
-        let is_ignored = self.may_be_ignored_one() && looks_like_one;
-        if is_ignored || !sent.contains(LastSent::BEFORE_IT_LOST_MASTER) {
+        if !self.may_be_ignored_one() {
+            return false;
+        }
+        if looks_like_one || !sent.contains(LastSent::BEFORE_IT_LOST_MASTER) {
             self.lost_master.remove(self.from);
         }
-        is_ignored
+        looks_like_one
     }
 }
 
