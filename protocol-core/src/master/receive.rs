@@ -138,7 +138,9 @@ impl<const N: usize> Master<N> {
                 Some(self.lost_master(motor, now))
             }
             Channel::Reply(motor) | Channel::MotionReply(motor) => {
-                self.handle_reply(motor, packet, now)
+                let event = self.handle_reply(motor, packet, now);
+                self.stop_who_is_back(motor, now);
+                event
             }
             Channel::BusId => {
                 let reply = BusId::decode_reply(data).ok()?;

@@ -70,7 +70,7 @@ impl<const N: usize> Master<N> {
     /// - Then its confirmation, or its absence, comes as an event. A confirmation counts only once nothing that was
     ///   sent before the stop, and may lie in a controller's mailbox for example, can move the motor any more.
     /// - A motor that has not confirmed gets one more stop every 100 ms, or as often as a line has time for it, for as
-    ///   long as the stop is in force: it may be back on the bus at any time.
+    ///   long as the stop is in force, and at once when it is heard: it may be back on the bus at any time.
     /// - Called again before it was lifted it goes on with what is under way: a program may call it in every cycle.
     ///
     /// # Motors without a place
@@ -204,6 +204,28 @@ impl<const N: usize> Master<N> {
                 self.let_line_answer();
                 self.put_stop(place, motor, kind, Purpose::StopAgain, true);
             }
+        }
+    }
+
+    /// Who is heard with a stop in force that it has not confirmed is back: it gets that at once, before anybody asks it
+    /// anything more.
+    #[inline]
+    pub(super) fn stop_who_is_back(&mut self, motor: MotorId, now: Instant) {
+        if self.is_any_stopped() {
+            self.stop_now_if_unconfirmed(motor, now);
+        }
+    }
+
+    #[inline(never)]
+    fn stop_now_if_unconfirmed(&mut self, motor: MotorId, now: Instant) {
+        let Some(place) = self.places.of(motor) else { return };
+        // What was asked is answered first. Who goes on answering that, and no stop, leaves others half of the time.
+        let free = self.motors.get(place).filter(|motor| motor.request.is_none());
+        let stop = free.and_then(|motor| self.unconfirmed_stop(motor));
+        if let Some((.., kind, _)) = stop.filter(|(.., since)| *since + self.stop_timeout() <= now)
+        {
+            self.let_line_answer();
+            self.put_stop(place, motor, kind, Purpose::StopAgain, true);
         }
     }
 

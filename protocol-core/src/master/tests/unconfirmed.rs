@@ -539,3 +539,32 @@ fn an_earlier_stop_that_was_given_up_is_not_told_of_the_next_one() {
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(master.poll_event(), None, "the new stop has just begun");
 }
+
+/// On a cable that is mended it would turn on. A read that a stop cuts off has no answer, so it goes between two.
+#[test]
+fn who_is_heard_again_is_stopped_at_once_and_no_read_is_cut_off_by_that() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let now = is_given_up(&mut master, 0);
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(now + 21));
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(now + 22)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+    assert_eq!(master.request(id(1), ReadMultiTurnAngle).err(), Some(RequestError::Busy));
+    assert_eq!(sent(&mut master, ms(now + 22)), [packet_to(1, Shutdown.encode())]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 23)), confirmed(1));
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(now + 23));
+    let event = reply(&mut master, 1, ANGLE_REPLY, ms(now + 24)).unwrap();
+    assert!(read.outcome(&event).unwrap().is_ok());
+    assert_eq!(sent(&mut master, ms(now + 24)), []);
+}
+
+/// It answers reads and no stop: others have half of the time at least.
+#[test]
+fn who_is_heard_again_and_confirms_nothing_is_not_stopped_again_at_once() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let now = is_given_up(&mut master, 0);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now + 1));
+    assert!(reply(&mut master, 1, ANGLE_REPLY, ms(now + 2)).is_some());
+    assert_eq!(sent(&mut master, ms(now + 2)), [], "it was given up 2 ms ago");
+}
