@@ -138,9 +138,7 @@ impl<const N: usize> Master<N> {
                 Some(self.lost_master(motor, now))
             }
             Channel::Reply(motor) | Channel::MotionReply(motor) => {
-                let event = self.handle_reply(motor, packet, now);
-                self.stop_who_is_back(motor, now);
-                event
+                self.handle_reply(motor, packet, now)
             }
             Channel::BusId => {
                 let reply = BusId::decode_reply(data).ok()?;
@@ -166,6 +164,7 @@ impl<const N: usize> Master<N> {
         });
         if !matches!(meaning, Some(Meaning::Feedback(..))) {
             self.due = now;
+            self.stop_who_is_back(id, now);
         }
         match meaning.unwrap_or(Meaning::Unasked) {
             Meaning::Feedback(reply, round_trip) => {

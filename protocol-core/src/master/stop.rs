@@ -209,15 +209,8 @@ impl<const N: usize> Master<N> {
 
     /// Who is heard with a stop in force that it has not confirmed is back: it gets that at once, before anybody asks it
     /// anything more.
-    #[inline]
-    pub(super) fn stop_who_is_back(&mut self, motor: MotorId, now: Instant) {
-        if self.is_any_stopped() {
-            self.stop_now_if_unconfirmed(motor, now);
-        }
-    }
-
     #[inline(never)]
-    fn stop_now_if_unconfirmed(&mut self, motor: MotorId, now: Instant) {
+    pub(super) fn stop_who_is_back(&mut self, motor: MotorId, now: Instant) {
         let Some(place) = self.places.of(motor) else { return };
         // What was asked is answered first. Who goes on answering that, and no stop, leaves others half of the time.
         let free = self.motors.get(place).filter(|motor| motor.request.is_none());
