@@ -63,16 +63,14 @@ impl Heard<'_> {
         self.lost_master.contains(self.from)
     }
 
-    /// Whether it is that, where it looks like one. It ignores one, and no more: the next, if this answers what was sent
-    /// before it said so and executed.
-    fn is_ignored_one(&mut self, looks_like_one: bool, sent: LastSent) -> bool {
-        if !self.may_be_ignored_one() {
-            return false;
-        }
-        if looks_like_one || !sent.contains(LastSent::BEFORE_IT_LOST_MASTER) {
+    /// The same, of what answers the command in flight. It ignores one, and no more: the next, if this was sent before it
+    /// said so and is no echo.
+    fn take_ignored_one(&mut self, is_echo: bool, sent: LastSent) -> bool {
+        let may_be = self.may_be_ignored_one();
+        if may_be && (is_echo || !sent.contains(LastSent::BEFORE_IT_LOST_MASTER)) {
             self.lost_master.remove(self.from);
         }
-        looks_like_one
+        may_be
     }
 }
 
@@ -395,7 +393,9 @@ impl Motor {
         let is_echo = set_point.data == packet.data;
         let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
         self.stream.take_in_flight();
-        if heard.is_ignored_one(is_one_late || is_echo, self.last_sent) || is_handed_back {
+        if heard.take_ignored_one(is_echo, self.last_sent) && (is_one_late || is_echo)
+            || is_handed_back
+        {
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
@@ -415,7 +415,7 @@ impl Motor {
         self.request = Request::InFlight(asked);
         let is_echo = asked.data == data;
         let is_handed_back = is_echo && asked.kind().is_handed_back(&data);
-        if heard.is_ignored_one(is_echo, self.last_sent) || is_handed_back {
+        if heard.take_ignored_one(is_echo, self.last_sent) && is_echo || is_handed_back {
             if asked.is_stop() {
                 // It ignores one, and no more.
                 self.request = Request::Waiting(asked);
