@@ -360,8 +360,10 @@ impl Motor {
             (Request::None, Some(asked)) => asked.of_others(),
             _ => Of::Request,
         };
-        // One of several sendings is answered, the newest may be yet.
-        self.give_request_up(of, config, self.last_chance(now));
+        // One of several sendings is answered, the newest may be yet. A read of old is not worth that wait.
+        let ends_motion = self.request.under_way().is_some_and(|asked| asked.kind().ends_motion());
+        let last_chance = if ends_motion { self.last_chance(now) } else { now };
+        self.give_request_up(of, config, last_chance);
         self.request = outcome;
     }
 

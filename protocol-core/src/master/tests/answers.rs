@@ -699,16 +699,17 @@ fn what_confirms_a_stop_is_measured_and_what_comes_late_lengthens_the_time_outs(
     assert!(master.config().reply_timeout > shortest);
 }
 
-/// It may answer the other sending, but no drive takes as long as a caller may wait.
+/// What ends motion may be answered for another of its sendings, but no drive takes as long as a caller may wait.
 #[test]
 fn whoever_is_patient_waits_no_longer_for_the_next_answer_than_50_ms_and_the_late_window() {
     let mut master = Master::<2>::new(Config::CAN);
     let patient = Patience { reply_timeout: Duration::from_millis(200), attempts: 2 };
-    let _first = master.request_with(id(1), ReadMultiTurnAngle, patient).unwrap();
+    let _first = master.request_with(id(1), LockBrake, patient).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     assert_eq!(sent(&mut master, ms(200)).len(), 1);
-    assert!(matches!(reply(&mut master, 1, ANGLE_REPLY, ms(201)), Some(Event::Reply { .. })));
-    let _second = master.request_with(id(1), ReadMultiTurnAngle, patient).unwrap();
+    let answer = reply(&mut master, 1, LockBrake.encode(), ms(201));
+    assert!(matches!(answer, Some(Event::Reply { .. })), "{answer:?}");
+    let _second = master.request_with(id(1), LockBrake, patient).unwrap();
     let over = ms(250) + Config::CAN.late_window;
     assert_eq!(sent(&mut master, ms(290)), []);
     assert_eq!(master.poll_at(), Some(over));
