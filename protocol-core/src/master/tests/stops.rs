@@ -539,11 +539,21 @@ fn a_stop_of_all_that_is_called_for_again_goes_again_while_no_motor_has_a_place(
 
 #[test]
 fn who_gets_a_place_by_a_stop_that_is_called_again_is_told_before_the_others_are_once_more() {
-    let mut master = Master::<2>::new(Config::CAN);
-    master.stop_all(StopKind::Hold, id(1).into()).unwrap();
-    assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Stop.encode())]);
-    assert_eq!(reply(&mut master, 1, Stop.encode(), ms(1)), confirmed(1));
-    master.stop_all(StopKind::Hold, id(2).into()).unwrap();
-    let told = [packet_to(2, Stop.encode()), packet_to(1, Stop.encode())];
-    assert_eq!(sent(&mut master, ms(2)), told);
+    type Again = fn(&mut Master<2>);
+    let ways: [Again; 2] = [
+        |master| master.stop_all(StopKind::Hold, id(2).into()).unwrap(),
+        |master| {
+            master.stop(id(1), StopKind::Hold).unwrap();
+            master.stop(id(2), StopKind::Hold).unwrap();
+        },
+    ];
+    for again in ways {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+        assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Stop.encode())]);
+        assert_eq!(reply(&mut master, 1, Stop.encode(), ms(1)), confirmed(1));
+        again(&mut master);
+        let told = [packet_to(2, Stop.encode()), packet_to(1, Stop.encode())];
+        assert_eq!(sent(&mut master, ms(2)), told);
+    }
 }

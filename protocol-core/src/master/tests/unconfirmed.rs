@@ -547,6 +547,12 @@ fn who_is_heard_again_is_stopped_at_once_and_no_read_is_cut_off_by_that() {
     master.stop(id(1), StopKind::Off).unwrap();
     let now = is_given_up(&mut master, 0);
     let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(now + 21));
+    // Something else that it says ends no read.
+    assert!(matches!(
+        reply(&mut master, 1, [0x9C, 25, 0, 0, 0, 0, 0, 0], ms(now + 21)),
+        Some(Event::Stray { .. })
+    ));
+    assert_eq!(sent(&mut master, ms(now + 21)), []);
     let event = reply(&mut master, 1, ANGLE_REPLY, ms(now + 22)).unwrap();
     assert!(read.outcome(&event).unwrap().is_ok());
     assert_eq!(master.request(id(1), ReadMultiTurnAngle).err(), Some(RequestError::Busy));
