@@ -50,8 +50,8 @@ fn last_first_stop(case: Case) -> Duration {
     let start = rig.world.now();
     assert_eq!(rig.runner.stop_all(StopKind::Hold, MotorSet::EMPTY), dead, "{case:?}");
     // Who was switched off was told long ago, and goes last.
-    let first_told = if case.is_one_off { dead.with(id(MOTORS).into()) } else { dead };
-    let living = rig.motors().filter(|&motor| !first_told.contains(motor));
+    let is_told = |motor| case.is_one_off && motor == id(MOTORS);
+    let living = rig.motors().filter(|&motor| !dead.contains(motor) && !is_told(motor));
     let heard = living.map(|motor| rig.ledger.page(motor).heard.first_stop.expect("it was told"));
     heard.max().expect("some live") - start
 }

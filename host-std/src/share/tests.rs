@@ -47,6 +47,16 @@ pub(super) fn shared(motors: u8) -> (CanFleet, SharedBus<CanError>) {
     (fleet, bus)
 }
 
+/// Turns each shaft by ten degrees times its motor's id.
+fn turn_by_id(fleet: &CanFleet) {
+    for drive in &fleet.drives {
+        let angle = 10.0 * f64::from(drive.motor().get());
+        drive.with(|drive| drive.plant_mut().set_output_angle_deg(angle)).unwrap();
+    }
+    // The control loops measure it.
+    fleet.world.run_for(Duration::from_millis(10));
+}
+
 /// Checks that a call was told of this motor, and this.
 #[track_caller]
 fn tells<E: Debug>(told: &SharedBusError<E>, motor: u8, why: impl Display) {
@@ -69,12 +79,7 @@ fn packets(log: &Log<SimpleFrame>) -> Vec<Packet> {
 #[test]
 fn eight_threads_ask_eight_motors_at_once_and_get_their_own_answers() {
     let (fleet, bus) = shared(8);
-    for drive in &fleet.drives {
-        let angle = 10.0 * f64::from(drive.motor().get());
-        drive.with(|drive| drive.plant_mut().set_output_angle_deg(angle)).unwrap();
-    }
-    // The control loops measure it.
-    fleet.world.run_for(Duration::from_millis(10));
+    turn_by_id(&fleet);
     let log = fleet.world.log();
     let start = Arc::new(Barrier::new(8));
     let threads = MotorId::all().take(8).map(|motor| {
@@ -105,11 +110,7 @@ fn eight_threads_ask_eight_motors_at_once_and_get_their_own_answers() {
 #[test]
 fn a_joint_ask_is_under_way_to_all_at_once_and_gives_each_its_own_outcome() {
     let (fleet, bus) = shared(3);
-    for drive in &fleet.drives {
-        let angle = 10.0 * f64::from(drive.motor().get());
-        drive.with(|drive| drive.plant_mut().set_output_angle_deg(angle)).unwrap();
-    }
-    fleet.world.run_for(Duration::from_millis(10));
+    turn_by_id(&fleet);
     fleet.world.cut(fleet.drives[2].station());
     let log = fleet.world.log();
     let outcomes = bus.ask_together([1, 2, 3, 1].map(|motor| (id(motor), ReadMultiTurnAngle)));

@@ -75,11 +75,6 @@ impl Asked {
         matches!(self.purpose, Purpose::Stop | Purpose::StopAgain)
     }
 
-    /// Its motor was told to stop already: it goes behind those of motors that were not, as a second attempt does.
-    pub(super) fn is_not_first(&mut self) {
-        self.attempts_left = self.attempts_left.saturating_sub(1);
-    }
-
     /// What its other sendings are of, once one has an answer.
     pub(super) fn of_others(&self) -> Of {
         if self.is_stop() { Of::Nobody } else { Of::RequestAnswered }

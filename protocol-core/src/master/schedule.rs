@@ -54,10 +54,7 @@ impl<const N: usize> Master<N> {
             (!waits).then_some((place, motor))
         });
         let urgency = |(_, motor): &(_, &Motor)| {
-            let turn = match motor.waits_for_first_stop() {
-                true => u8::from(motor.seems_dead()),
-                false => 2,
-            };
+            let turn = if motor.waits_for_first_stop() { u8::from(motor.seems_dead()) } else { 2 };
             (turn, motor.sent)
         };
         stops.min_by_key(urgency).map(|(place, _)| Offer::Request(place as u8))

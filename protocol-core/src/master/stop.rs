@@ -101,8 +101,8 @@ impl<const N: usize> Master<N> {
         let mut is_any_new = was != Some(kind) || self.places.taken.is_empty();
         for place in self.places.taken.iter() {
             if let Some(motor) = self.motors.get(place).and_then(|motor| motor.id) {
-                let is_told = known.contains(motor) && self.is_stopped(motor);
-                is_any_new |= self.put_stop(place, motor, kind, Purpose::Stop, is_told);
+                let had_place = known.contains(motor);
+                is_any_new |= self.put_stop(place, motor, kind, Purpose::Stop, had_place);
             }
         }
         if self.stops_all != Some(StopKind::Off) {
@@ -135,9 +135,9 @@ impl<const N: usize> Master<N> {
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
         self.let_line_answer();
         self.broadcast.cancel_what_moves();
-        let is_told = self.places.of(motor).is_some() && self.is_stopped(motor);
+        let had_place = self.places.of(motor).is_some();
         let place = self.place_for(motor)?;
-        self.put_stop(place, motor, kind, Purpose::Stop, is_told);
+        self.put_stop(place, motor, kind, Purpose::Stop, had_place);
         self.stopped.insert(motor);
         Ok(())
     }
@@ -157,8 +157,8 @@ impl<const N: usize> Master<N> {
     }
 
     /// Gives whether it is a new one: where the motor was stopped already, so that nothing has moved it since,
-    /// a stop that is under way goes on. Who `is_told` by an earlier one, however that ended, goes behind those who have
-    /// not been told yet.
+    /// a stop that is under way goes on. Who `had_place` then was told, however that ended, and goes behind those who
+    /// were not.
     #[inline(never)]
     fn put_stop(
         &mut self,
@@ -166,7 +166,7 @@ impl<const N: usize> Master<N> {
         motor: MotorId,
         kind: StopKind,
         purpose: Purpose,
-        is_told: bool,
+        had_place: bool,
     ) -> bool {
         let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
@@ -185,9 +185,7 @@ impl<const N: usize> Master<N> {
             } else if motor.is_stopping_already(&stop) {
                 return false;
             }
-            if is_told && !motor.waits_for_first_stop() {
-                stop.is_not_first();
-            }
+            motor.let_first_stops_go_first(&mut stop, was_stopped && had_place);
             motor.go_on_stopping(stop, config, now);
             true
         });
@@ -199,11 +197,7 @@ impl<const N: usize> Master<N> {
     pub(super) fn stop_again(&mut self, now: Instant) {
         let rest = self.rest_before_next_stop();
         for place in self.places.taken.iter() {
-            let stop = self.motors.get(place).and_then(|motor| self.unconfirmed_stop(motor));
-            if let Some((motor, kind, _)) = stop.filter(|(.., since)| *since + rest <= now) {
-                self.let_line_answer();
-                self.put_stop(place, motor, kind, Purpose::StopAgain, true);
-            }
+            self.stop_once_more(place, rest, now);
         }
     }
 
@@ -213,10 +207,17 @@ impl<const N: usize> Master<N> {
     pub(super) fn stop_who_is_back(&mut self, motor: MotorId, now: Instant) {
         let Some(place) = self.places.of(motor) else { return };
         // What was asked is answered first. Who goes on answering that, and no stop, leaves others half of the time.
-        let free = self.motors.get(place).filter(|motor| motor.request.is_none());
-        let stop = free.and_then(|motor| self.unconfirmed_stop(motor));
-        if let Some((.., kind, _)) = stop.filter(|(.., since)| *since + self.stop_timeout() <= now)
-        {
+        if self.motors.get(place).is_some_and(|motor| motor.request.is_none()) {
+            self.stop_once_more(place, self.stop_timeout(), now);
+        }
+    }
+
+    /// The motor at this place gets the stop that it has not confirmed once more, if it has rested for so long. Inlined:
+    /// firmware that calls it takes more flash.
+    #[inline(always)]
+    fn stop_once_more(&mut self, place: usize, rest: Duration, now: Instant) {
+        let stop = self.motors.get(place).and_then(|motor| self.unconfirmed_stop(motor));
+        if let Some((motor, kind, _)) = stop.filter(|(.., since)| *since + rest <= now) {
             self.let_line_answer();
             self.put_stop(place, motor, kind, Purpose::StopAgain, true);
         }

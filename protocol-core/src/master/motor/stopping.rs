@@ -52,6 +52,14 @@ impl Motor {
         self.late.withdraw(stop.question, stop.unanswered);
     }
 
+    /// If it `is_told` to stop already, and not only about to be, one more goes behind the first stops of motors that
+    /// were not, as a second attempt does.
+    pub(in crate::master) fn let_first_stops_go_first(&self, stop: &mut Asked, is_told: bool) {
+        if is_told && !self.waits_for_first_stop() {
+            stop.attempts_left = stop.attempts_left.saturating_sub(1);
+        }
+    }
+
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
     pub(in crate::master) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
@@ -180,9 +188,7 @@ impl Motor {
         let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
         if let Some(mut off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
             let is_stopping = self.request.under_way().is_some_and(Asked::is_stop);
-            if is_stopping && !self.waits_for_first_stop() {
-                off.is_not_first();
-            }
+            self.let_first_stops_go_first(&mut off, is_stopping);
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);
