@@ -53,3 +53,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let running = work(&mut fleet.master(), arm)?;
     if running.is_empty() { Ok(()) } else { Err(format!("cut the power of {running}").into()) }
 }
+
+#[test]
+fn it_runs() {
+    main().unwrap();
+}

@@ -87,8 +87,8 @@ pub enum RequestError {
     /// not, it may be turning yet: stop it, see where it is, and then
     /// [resume](crate::master::Master::resume).
     #[error(
-        "the motor may have restarted (it was silent for a second, for example): stop it first, see where it is, \
-         then resume"
+        "the motor may have restarted (it was silent for a second, for example): stop it, see where it is, then \
+         lift the stop and resume"
     )]
     Restarted,
     /// The motors were stopped, and the command

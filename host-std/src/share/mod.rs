@@ -67,6 +67,11 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
+//! # A motor that restarts
+//! Its turns may be gone, so that moves and set-points are refused from then on. [Subscriptions](Subscription) hear of it
+//! ([`Restarted`](myactuator_protocol_core::master::Event::Restarted)), and so does whoever moves it. Stop it, read
+//! where it believes to be, and [`resume`](SharedBus::resume); lift the stop, and open its brake again.
+//!
 //! # What ends it
 //! A thread that leaves its control loop while others have handles leaves the motors as they are: [`Guard`] stops them.
 //! When the last handle is dropped, all motors are stopped and the thread ends; the drop waits for that. Who

@@ -235,7 +235,8 @@ mod tests {
         let why = ended.unwrap_err();
         assert_eq!(
             why.to_string(),
-            "motor 1 has not arrived: the motors were stopped: lift the stop first; it has confirmed the stop"
+            "motor 1 has not arrived: the motors were stopped: lift the stop first; it has confirmed the stop, \
+             which holds until it is lifted"
         );
         assert!(stands(&bus, id(1)));
     }

@@ -2,9 +2,14 @@
 
 use crate::run::{lines, run_words};
 
+#[path = "../../examples/ask_move_stop.rs"]
+mod ask_move_stop;
 #[path = "../../examples/control_loop.rs"]
 #[expect(dead_code, reason = "its tests are run here")]
 mod control_loop;
+#[path = "../../examples/threads.rs"]
+#[expect(dead_code, reason = "its test is run here")]
+mod threads;
 
 const README: &str = include_str!("../../../README.md");
 const CONTROL_LOOP: &str = include_str!("../../examples/control_loop.rs");
