@@ -165,6 +165,8 @@ pub struct Master<const N: usize> {
     stop_to_all: Option<StopKind>,
     /// The caller has switched somebody off since the last one was sent.
     is_any_off_since: bool,
+    /// What was sent last was a stop that had been called for again.
+    was_called_again: bool,
     /// The round that the motors are in: that of the last one served.
     pace: u32,
     last_ticket: u32,
@@ -201,6 +203,7 @@ impl<const N: usize> Master<N> {
             lost_master: MotorSet::EMPTY,
             stop_to_all: None,
             is_any_off_since: false,
+            was_called_again: false,
             pace: 0,
             last_ticket: 0,
             now: Instant::ZERO,

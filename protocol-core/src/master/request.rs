@@ -23,6 +23,9 @@ pub(super) enum Purpose {
     Once,
     /// A stop: before everything else, whatever is in flight.
     Stop,
+    /// A stop of a motor that was told to stop already: behind those that were not, and on a line every second turn is
+    /// somebody else's.
+    StopCalledAgain,
     /// A stop that was given up and goes once more.
     StopAgain,
 }
@@ -72,7 +75,7 @@ impl Asked {
     }
 
     pub(super) fn is_stop(&self) -> bool {
-        matches!(self.purpose, Purpose::Stop | Purpose::StopAgain)
+        matches!(self.purpose, Purpose::Stop | Purpose::StopCalledAgain | Purpose::StopAgain)
     }
 
     /// What its other sendings are of, once one has an answer.

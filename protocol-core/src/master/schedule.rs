@@ -2,7 +2,7 @@
 
 use crate::kind::Kind;
 use crate::master::motor::{LastSent, Motor};
-use crate::master::request::{Asked, Round};
+use crate::master::request::{Asked, Purpose, Round};
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
@@ -24,13 +24,41 @@ impl Earliest {
 impl<const N: usize> Master<N> {
     /// Stops first, then a broadcast that is due, then the motor that was served least.
     pub(super) fn choose(&self, now: Instant) -> Option<Offer> {
-        if let Some(stop) = self.choose_stop() {
-            return Some(stop);
+        match self.choose_stop() {
+            Some(stop) if self.is_others_turn(stop) => self.choose_other(now).or(Some(stop)),
+            Some(stop) => Some(stop),
+            None => self.choose_broadcast().or_else(|| self.choose_motor(now)),
         }
-        if self.broadcast.is_waiting() && self.broadcast_may_go() {
-            return Some(Offer::Broadcast);
-        }
-        self.choose_motor(now)
+    }
+
+    fn choose_broadcast(&self) -> Option<Offer> {
+        let may_go = self.broadcast.is_waiting() && self.broadcast_may_go();
+        may_go.then_some(Offer::Broadcast)
+    }
+
+    /// On a line: whether this stop, and what was sent before it, are called for again. A caller may do that in every
+    /// cycle, and would keep everybody else off the line.
+    fn is_others_turn(&self, stop: Offer) -> bool {
+        self.config.is_rs485() && self.was_called_again && self.is_called_again(stop)
+    }
+
+    /// What is no stop: a broadcast that is due, then whoever was sent nothing for longest. Rounds say little here: the
+    /// stops are ahead.
+    #[inline(never)]
+    fn choose_other(&self, now: Instant) -> Option<Offer> {
+        let others = self.at(self.places.waiting.without(self.places.stops));
+        let settled = others.filter(|(_, motor)| motor.is_settled(now));
+        let ready =
+            settled.filter_map(|(place, motor)| Some((motor.sent, self.next_of(place, motor)?)));
+        let longest_ago = || ready.min_by_key(|&(sent, _)| sent).map(|(_, offer)| offer);
+        self.choose_broadcast().or_else(longest_ago)
+    }
+
+    /// Whether this is a stop that is called for again.
+    pub(super) fn is_called_again(&self, offer: Offer) -> bool {
+        let Offer::Request(place) = offer else { return false };
+        let asked = self.motors.get(usize::from(place)).and_then(|motor| motor.request.waiting());
+        asked.is_some_and(|asked| asked.purpose == Purpose::StopCalledAgain)
     }
 
     /// The one to all, then the most urgent of those of one motor.

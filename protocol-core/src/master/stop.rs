@@ -185,7 +185,7 @@ impl<const N: usize> Master<N> {
             } else if motor.is_stopping_already(&stop) {
                 return false;
             }
-            motor.let_first_stops_go_first(&mut stop, was_stopped && had_place);
+            motor.let_others_go_first(&mut stop, was_stopped && had_place);
             motor.go_on_stopping(stop, config, now);
             true
         });

@@ -80,6 +80,7 @@ impl<const N: usize> Master<N> {
         let Some(offer) = self.offer.take() else { return };
         // An answer that nobody waits for may come all the same, and must not meet a command.
         let mut silence = Duration::ZERO;
+        self.was_called_again = self.is_called_again(offer);
         match offer {
             Offer::Request(place) => {
                 let sent = self.change_at(usize::from(place), |motor, config| {

@@ -120,8 +120,9 @@ impl Motor {
 
     /// Whether it was not told yet what is to stop it.
     pub(super) fn waits_for_first_stop(&self) -> bool {
-        let is_first = |stop: &Asked| stop.is_stop() && stop.attempts_left == STOP_ATTEMPTS;
-        self.request.waiting().is_some_and(is_first)
+        self.request.waiting().is_some_and(|asked| {
+            asked.purpose == Purpose::Stop && asked.attempts_left == STOP_ATTEMPTS
+        })
     }
 
     /// Whether it has nothing under way and nothing to tell, and nothing that was sent may move it yet. A stop that

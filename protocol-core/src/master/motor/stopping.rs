@@ -29,7 +29,7 @@ impl Motor {
         let is_same = |asked: &&mut Asked| asked.is_stop() && asked.question == stop.question;
         let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
         if asked.purpose == Purpose::StopAgain {
-            (asked.purpose, asked.attempts_left) = (stop.purpose, stop.attempts_left);
+            (asked.purpose, asked.attempts_left) = (Purpose::StopCalledAgain, stop.attempts_left);
             // What became of an earlier stop says nothing of this one.
             self.news.remove(News::UNCONFIRMED);
         }
@@ -52,18 +52,17 @@ impl Motor {
         self.late.withdraw(stop.question, stop.unanswered);
     }
 
-    /// If it `is_told` to stop already, and not only about to be, one more goes behind the first stops of motors that
-    /// were not, as a second attempt does.
-    pub(in crate::master) fn let_first_stops_go_first(&self, stop: &mut Asked, is_told: bool) {
-        if is_told && !self.waits_for_first_stop() {
-            stop.attempts_left = stop.attempts_left.saturating_sub(1);
+    /// Whether it `is_told` to stop already, and not only about to be: one more lets others go first.
+    pub(in crate::master) fn let_others_go_first(&self, stop: &mut Asked, is_told: bool) {
+        if is_told && stop.purpose == Purpose::Stop && !self.waits_for_first_stop() {
+            stop.purpose = Purpose::StopCalledAgain;
         }
     }
 
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
     pub(in crate::master) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
         self.drop_waiting_set_point();
-        if stop.purpose == Purpose::Stop {
+        if stop.purpose != Purpose::StopAgain {
             // What became of an earlier stop says nothing of this one.
             self.news.remove(News::UNCONFIRMED);
         }
@@ -115,7 +114,7 @@ impl Motor {
 
     /// Its stop was not confirmed, which is told once. Nobody has a ticket of it.
     pub(super) fn stop_was_given_up(&mut self, stop: &Asked, now: Instant) {
-        if stop.purpose == Purpose::Stop {
+        if stop.purpose != Purpose::StopAgain {
             self.news.insert(News::UNCONFIRMED);
         }
         let kind = StopKind::by(stop.kind());
@@ -188,7 +187,7 @@ impl Motor {
         let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
         if let Some(mut off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
             let is_stopping = self.request.under_way().is_some_and(Asked::is_stop);
-            self.let_first_stops_go_first(&mut off, is_stopping);
+            self.let_others_go_first(&mut off, is_stopping);
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);

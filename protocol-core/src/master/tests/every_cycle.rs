@@ -44,7 +44,7 @@ fn who_has_confirmed_a_stop_of_every_cycle_keeps_no_other_motors_first_stop_back
 }
 
 #[test]
-fn a_stop_that_was_confirmed_once_is_tried_fourteen_times_when_it_is_called_again() {
+fn a_stop_that_was_confirmed_is_tried_as_often_when_it_is_called_again() {
     let mut master = Master::<2>::new(Config::CAN);
     for _ in 0..2 {
         master.stop_all(StopKind::Off, id(1).into()).unwrap();
@@ -58,7 +58,7 @@ fn a_stop_that_was_confirmed_once_is_tried_fourteen_times_when_it_is_called_agai
         attempts += sent(&mut master, ms(now)).len();
         events(&mut master, ms(now)).pop()
     });
-    assert_eq!((attempts, told), (14, Some(Event::StopUnconfirmed { motor: id(1) })));
+    assert_eq!((attempts, told), (15, Some(Event::StopUnconfirmed { motor: id(1) })));
 }
 
 /// Motor 2 did not answer its last question, so that nothing but having been told nothing yet brings it forward.
@@ -75,4 +75,55 @@ fn who_was_told_and_is_let_go_with_all_goes_behind_who_was_told_nothing_yet() {
     master.handle_transmitted(ms(6));
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     assert_eq!(master.poll_transmit(ms(6)), Some(packet_to(2, Shutdown.encode())));
+}
+
+/// What a line carries in 200 ms while `stop` calls for stops every millisecond, and somebody else wants to switch
+/// motor 7 off and to move motor 8. Drives answer after 900 us; motor 2 is not there. Gives how often each was
+/// answered.
+fn answered_beside(stop: impl Fn(&mut Master<8>)) -> [u32; 8] {
+    let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
+    let mut answered = [0; 8];
+    for now in 0..200 {
+        stop(&mut master);
+        // Refused while one is under way.
+        let _off = master.request(id(7), Shutdown);
+        master.set_point(id(8), torque(1.0), ms(now)).unwrap();
+        events(&mut master, ms(now));
+        let Some(packet) = master.poll_transmit(ms(now)) else { continue };
+        master.handle_transmitted(ms(now));
+        let motor = match packet.channel {
+            Channel::Command(Target::Motor(motor)) if motor != id(2) => motor,
+            _ => continue,
+        };
+        let data = if motor == id(8) { TORQUE_REPLY } else { packet.data };
+        let frame = Frame { address: Target::Motor(motor), data };
+        if master.handle_line(&frame, ms(now) + Duration::from_micros(900)).is_some() {
+            answered[motor.index()] += 1;
+        }
+    }
+    answered
+}
+
+#[test]
+fn a_stop_of_every_cycle_leaves_every_second_turn_on_a_line_to_others() {
+    let one = answered_beside(|master| master.stop(id(1), StopKind::Off).unwrap());
+    // A turn a millisecond: the first stop, and then it has half of them.
+    assert_eq!([one[0], one[6], one[7]], [101, 50, 49]);
+}
+
+/// The broadcast is over, whoever answers it, when the stop is called for the next time.
+#[test]
+fn a_stop_of_every_cycle_has_its_turn_beside_broadcasts_of_every_cycle() {
+    let both = answered_beside(|master| {
+        master.stop(id(1), StopKind::Off).unwrap();
+        let _active = master.broadcast(ReadModel, MotorSet::EMPTY);
+    });
+    assert!(both[0] >= 10, "{both:?}");
+}
+
+/// The first call keeps the line for its fifteen attempts, of 5 ms each; each call after that for one in two turns.
+#[test]
+fn a_stop_of_every_cycle_of_a_motor_that_is_not_there_leaves_others_their_turn() {
+    let dead = answered_beside(|master| master.stop(id(2), StopKind::Off).unwrap());
+    assert!(dead[6] >= 5 && dead[7] >= 5, "{dead:?}");
 }
