@@ -64,10 +64,10 @@ impl Heard<'_> {
     }
 
     /// The same, of what answers the command in flight. It ignores one, and no more: the next, if this was sent before it
-    /// said so and is no echo.
-    fn take_ignored_one(&mut self, is_echo: bool, sent: LastSent) -> bool {
+    /// said so, since an answer may equal its command.
+    fn take_ignored_one(&mut self, sent: LastSent) -> bool {
         let may_be = self.may_be_ignored_one();
-        if may_be && (is_echo || !sent.contains(LastSent::BEFORE_IT_LOST_MASTER)) {
+        if may_be && !sent.contains(LastSent::BEFORE_IT_LOST_MASTER) {
             self.lost_master.remove(self.from);
         }
         may_be
@@ -222,7 +222,11 @@ impl<const N: usize> Master<N> {
         let is_echo = self.broadcast.may_be_mistaken(data[0], motor) && command == *data;
         let is_handed_back = kind.is_some_and(|kind| kind.is_handed_back(data));
         if is_echo && (self.lost_master.contains(motor) || is_handed_back) {
-            self.lost_master.remove(motor);
+            let is_before =
+                |motor: &Motor| motor.last_sent.contains(LastSent::BEFORE_IT_LOST_MASTER);
+            if !self.motor(motor).is_some_and(is_before) {
+                self.lost_master.remove(motor);
+            }
             return false;
         }
         let shortest = self.config.shortest_response;
@@ -393,9 +397,7 @@ impl Motor {
         let is_echo = set_point.data == packet.data;
         let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
         self.stream.take_in_flight();
-        if heard.take_ignored_one(is_echo, self.last_sent) && (is_one_late || is_echo)
-            || is_handed_back
-        {
+        if heard.take_ignored_one(self.last_sent) && (is_one_late || is_echo) || is_handed_back {
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
@@ -415,7 +417,7 @@ impl Motor {
         self.request = Request::InFlight(asked);
         let is_echo = asked.data == data;
         let is_handed_back = is_echo && asked.kind().is_handed_back(&data);
-        if heard.take_ignored_one(is_echo, self.last_sent) && is_echo || is_handed_back {
+        if heard.take_ignored_one(self.last_sent) && is_echo || is_handed_back {
             if asked.is_stop() {
                 // It ignores one, and no more.
                 self.request = Request::Waiting(asked);

@@ -5,7 +5,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::Master;
 use crate::master::late::{Of, Question};
-use crate::master::motor::Motor;
+use crate::master::motor::{LastSent, Motor};
 use crate::master::request::Asked;
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
@@ -108,6 +108,7 @@ impl<const N: usize> Master<N> {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
                             motor.note_sent(kind, &data, config, now);
+                            motor.last_sent.remove(LastSent::BEFORE_IT_LOST_MASTER);
                         });
                     }
                 }

@@ -238,3 +238,33 @@ fn feedback_from_before_the_message_is_not_what_a_drive_that_lost_its_master_ign
         assert!(write.outcome(&event.unwrap()).unwrap().is_ok());
     }
 }
+
+/// Nobody can tell it from the echo of an ignored command: it ends nothing, and what comes next may be ignored.
+#[test]
+fn an_answer_from_before_the_message_that_equals_its_command_is_not_all_that_is_ignored() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(1)).unwrap();
+    // 0 degrees. It waited in the drive.
+    assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(2)), None);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    for now in [3, 5] {
+        assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Stop.encode())]);
+        let event = reply(&mut master, 1, Stop.encode(), ms(now + 1));
+        assert_eq!(event, if now == 3 { None } else { confirmed(1) });
+    }
+}
+
+#[test]
+fn an_answer_to_all_from_before_the_message_is_not_all_that_is_ignored() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(Shutdown, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(3)).unwrap();
+    reply(&mut master, 1, Shutdown.encode(), ms(4));
+    events(&mut master, ms(100));
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(200));
+    assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(201)), None, "ignored");
+}
