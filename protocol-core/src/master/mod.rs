@@ -44,8 +44,8 @@
 //! answer came late or twice while the next read went into a cut; and any echo does that comes more than 100 ms after
 //! its sending although the port was found empty meanwhile. A restart shows by a second in which the
 //! motor does not answer what it is asked, by a run time that has gone back when it is read (0xB1), or by an angle that
-//! jumps under a stream; one that shows by none of these is not noticed, nor is a jump for as long as the feedback may
-//! be that to a set-point given up before, until the stream rests. And a stop cannot be confirmed by a motor whose
+//! jumps under a stream; one that shows by none of these is not noticed. Feedback that comes later and later may be
+//! taken for such a jump, at thousands of degrees a second. And a stop cannot be confirmed by a motor whose
 //! replies do not come through: then cut its power.
 //!
 //! # How the bus is shared

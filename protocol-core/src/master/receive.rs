@@ -388,7 +388,8 @@ impl Motor {
         self.on_its_way.bus_is_alive(now, config);
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
         let mut is_one_late = self.prolong_late(set_point.question, config, now);
-        if heard.may_answer_broadcast() {
+        let may_be_of_all = heard.may_answer_broadcast();
+        if may_be_of_all {
             // If it is that of all, this one's is still to come.
             let until = now + config.late_window;
             self.expect_late(set_point.question, Of::StreamAnswered, 1, until, config);
@@ -405,7 +406,8 @@ impl Motor {
         // Also where nobody has heard why, an echo says nothing of that.
         let place = Place::of(&reply).filter(|_| !is_echo);
         let meaning = self.feedback(reply, place, Some(round_trip), config, now);
-        self.knows_place = place.is_some() && !is_one_late && round_trip <= HALF_A_TURN_TAKES;
+        // That to a set-point before is hardly older, and a jump that is missed is worse than one that is none.
+        self.knows_place = place.is_some() && !may_be_of_all && round_trip <= HALF_A_TURN_TAKES;
         meaning
     }
 
