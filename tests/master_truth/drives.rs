@@ -56,6 +56,7 @@ impl<W> Drive<W> {
     pub(crate) fn new(motor: MotorId, seed: u64, book: Book) -> Self {
         let mut dice = Dice::new(seed);
         let shaft = Shaft::new(&mut dice);
+        book.open().page(motor).turning.is_fast = shaft.is_fast();
         Self {
             wire: PhantomData,
             motor,

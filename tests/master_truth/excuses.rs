@@ -23,6 +23,8 @@ pub(crate) enum Excuse {
     HeldBack,
     /// The drive has lost its master, and what it said of that was lost: it sends back what it ignores.
     LostMasterUntold,
+    /// A shaft that turns fast is told late, after a reply that was lost.
+    FastAndLate,
     /// The drive reports by itself (0xB6, function 3) what looks like an answer.
     ReportedByItself,
 }

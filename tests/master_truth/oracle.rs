@@ -472,6 +472,7 @@ fn check_restarted(motor: MotorId, truth: &mut Truth) {
     // back for longer than anybody expects; feedback that another station has made up, in motion mode (0) too.
     let misleading =
         [0xB1, 0xA2, 0xA4, 0].into_iter().find_map(|byte| page.excuses.of((byte, 0), now));
+    let may_seem_so = page.turning.may_seem_to_jump(now);
     page.awaits_resume = true;
     page.set_points.restarted();
     page.turning.restarted();
@@ -480,6 +481,8 @@ fn check_restarted(motor: MotorId, truth: &mut Truth) {
         truth.excuse(Excuse::TwoMotorsOfOneId);
     } else if let Some(excuse) = misleading.filter(|_| !may_have && !has) {
         truth.excuse(excuse);
+    } else if may_seem_so && !may_have && !has {
+        truth.excuse(Excuse::FastAndLate);
     } else if !may_have && !has && !truth.flips {
         truth.breaks(format!("motor {motor} has not restarted"));
     }

@@ -34,6 +34,11 @@ impl Shaft {
         self.degrees(now) as i16
     }
 
+    /// Whether it turns by more than half a turn while a reply may be late.
+    pub(crate) fn is_fast(&self) -> bool {
+        self.speed_dps.abs() == FASTEST_DPS
+    }
+
     /// The drive restarts, and knows no whole turns any more.
     pub(crate) fn loses_turns(&mut self, now: Instant) {
         (self.began_at, self.began) = (self.degrees(now).rem_euclid(360), now);
@@ -50,6 +55,8 @@ pub(crate) struct Turning {
     /// Until then feedback may be that to an earlier set-point, which was given up. Whose own feedback then comes
     /// may be taken for that to the next, so that this goes on for as long as the stream does.
     in_doubt_until: Instant,
+    /// Its shaft turns by more than half a turn while a reply may be late.
+    pub(crate) is_fast: bool,
 }
 
 impl Turning {
@@ -82,6 +89,11 @@ impl Turning {
     /// A set-point was given up, or a stop went over it.
     pub(crate) fn was_given_up(&mut self, until: Instant) {
         self.in_doubt_until = self.in_doubt_until.max(until);
+    }
+
+    /// What is told of it is not where it is now, by so much that this may seem a jump.
+    pub(crate) fn may_seem_to_jump(&self, now: Instant) -> bool {
+        self.is_fast && now <= self.in_doubt_until
     }
 
     /// It has jumped, so that nothing may move it.

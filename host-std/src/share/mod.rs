@@ -69,13 +69,14 @@
 //!
 //! # A motor that restarts
 //! Its turns may be gone, so that moves and set-points are refused from then on. [Subscriptions](Subscription) hear of it
-//! ([`Restarted`](myactuator_protocol_core::master::Event::Restarted)), and so does whoever moves it. Stop it, read
-//! where it believes to be, and [`resume`](SharedBus::resume); lift the stop, and open its brake again.
+//! ([`Restarted`](myactuator_protocol_core::master::Event::Restarted)), and so does whoever moves it. Until it is stopped
+//! it may turn on, as it was told last. Stop it, read where it believes to be, and [`resume`](SharedBus::resume); lift
+//! the stop, and open its brake again.
 //!
 //! # What ends it
 //! A thread that leaves its control loop while others have handles leaves the motors as they are: [`Guard`] stops them.
 //! When the last handle is dropped, all motors are stopped and the thread ends; the drop waits for that. Who
-//! has not confirmed this stop is told to [subscriptions](Subscription) alone, as the last that they hear
+//! has not confirmed this stop is told to [subscriptions](Subscription) that have room alone, as the last that they hear
 //! ([`StopUnconfirmed`](myactuator_protocol_core::master::Event::StopUnconfirmed)): call
 //! [`stop_all`](SharedBus::stop_all) first to be told yourself.
 //!

@@ -209,7 +209,8 @@ pub enum Event {
     /// - It was silent for a second. This is reported when it does not answer, and once more when it does again.
     /// - It has run for less long than it said before (0xB1).
     /// - Its stream's feedback tells a place that is more than half a turn beyond what 10,000 degrees/s could have
-    ///   turned; in motion mode, an eighth of the scale beyond 500 steps of it in a millisecond.
+    ///   turned; in motion mode, an eighth of the scale beyond 500 steps of it in a millisecond. Feedback that answers
+    ///   requests tells nothing of it.
     ///
     /// Its turns may be lost. Whatever moves it is refused until
     /// [`Master::resume`](crate::master::Master::resume). A command that it has heard since its restart it carries

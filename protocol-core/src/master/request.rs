@@ -23,8 +23,7 @@ pub(super) enum Purpose {
     Once,
     /// A stop: before everything else, whatever is in flight.
     Stop,
-    /// A stop of a motor that was told to stop already: behind those that were not, and on a line every second turn is
-    /// somebody else's.
+    /// A stop like one that came to its end, and is in force yet. On a line every second turn is somebody else's.
     StopCalledAgain,
     /// A stop that was given up and goes once more.
     StopAgain,

@@ -52,9 +52,18 @@ impl Motor {
         self.late.withdraw(stop.question, stop.unanswered);
     }
 
-    /// Whether it `is_told` to stop already, and not only about to be: one more lets others go first.
+    /// If it `is_told` to stop already, and not only about to be, one more goes behind the first stops of motors that
+    /// were not, as a second attempt does. If it has confirmed just that, or that was given up, it is called again.
     pub(in crate::master) fn let_others_go_first(&self, stop: &mut Asked, is_told: bool) {
-        if is_told && stop.purpose == Purpose::Stop && !self.waits_for_first_stop() {
+        if !is_told || self.waits_for_first_stop() {
+            return;
+        }
+        stop.attempts_left = stop.attempts_left.saturating_sub(1);
+        let is_over = match &self.unconfirmed {
+            Some(unconfirmed) => unconfirmed.kind.question() == stop.question,
+            None => self.last_answered == Some(stop.question),
+        };
+        if self.request.is_none() && is_over && stop.purpose == Purpose::Stop {
             stop.purpose = Purpose::StopCalledAgain;
         }
     }
