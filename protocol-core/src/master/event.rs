@@ -206,7 +206,8 @@ pub enum Event {
     /// A motor has restarted, or may have. One of these says so:
     ///
     /// - The bus has taken 0x76 for it (which a controller may still hand back).
-    /// - It was silent for a second. This is reported when it does not answer, and once more when it does again.
+    /// - It was silent for a second. This is reported when it does not answer, and once more when it does again. One
+    ///   that lost its supply for less shows by nothing but the next two: read its run time after each silence.
     /// - It has run for less long than it said before (0xB1).
     /// - Its stream's feedback tells a place that is more than half a turn beyond what 10,000 degrees/s could have
     ///   turned; in motion mode, an eighth of the scale beyond 500 steps of it in a millisecond. Feedback that answers

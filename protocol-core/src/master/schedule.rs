@@ -24,39 +24,37 @@ impl Earliest {
 impl<const N: usize> Master<N> {
     /// Stops first, then a broadcast that is due, then the motor that was served least.
     pub(super) fn choose(&self, now: Instant) -> Option<Offer> {
-        match self.choose_stop() {
-            Some(stop) if self.is_others_turn(stop) => self.choose_other(now).or(Some(stop)),
-            Some(stop) => Some(stop),
-            None => self.choose_broadcast().or_else(|| self.choose_motor(now)),
+        if let Some(stop) = self.choose_stop() {
+            return Some(self.stop_or_other(stop, now));
         }
+        if self.broadcast.is_waiting() && self.broadcast_may_go() {
+            return Some(Offer::Broadcast);
+        }
+        self.choose_motor(now)
     }
 
-    fn choose_broadcast(&self) -> Option<Offer> {
-        let may_go = self.broadcast.is_waiting() && self.broadcast_may_go();
-        may_go.then_some(Offer::Broadcast)
-    }
-
-    /// On a line: whether this stop, and what was sent before it, are called for again. A caller may do that in every
-    /// cycle, and would keep everybody else off the line.
-    fn is_others_turn(&self, stop: Offer) -> bool {
-        self.config.is_rs485() && self.was_called_again && self.is_called_again(stop)
-    }
-
-    /// What is no stop: a broadcast that is due, then whoever was sent nothing for longest. Rounds say little here: the
-    /// stops are ahead.
+    /// On a line: if this stop, and what was sent before it, are called for again, whatever is no stop goes first: a
+    /// broadcast that is due, then whoever was sent nothing for longest. A caller may stop a motor in every cycle, and
+    /// would keep everybody else off the line. Rounds say little here: the stops are ahead.
     #[inline(never)]
-    fn choose_other(&self, now: Instant) -> Option<Offer> {
+    fn stop_or_other(&self, stop: Offer, now: Instant) -> Offer {
+        let is_again = matches!(stop, Offer::Request(place) if self.is_called_again(place));
+        if !(self.config.is_rs485() && self.was_called_again && is_again) {
+            return stop;
+        }
+        if self.broadcast.is_waiting() && self.broadcast_may_go() {
+            return Offer::Broadcast;
+        }
         let others = self.at(self.places.waiting.without(self.places.stops));
         let settled = others.filter(|(_, motor)| motor.is_settled(now));
         let ready =
             settled.filter_map(|(place, motor)| Some((motor.sent, self.next_of(place, motor)?)));
-        let longest_ago = || ready.min_by_key(|&(sent, _)| sent).map(|(_, offer)| offer);
-        self.choose_broadcast().or_else(longest_ago)
+        ready.min_by_key(|&(sent, _)| sent).map_or(stop, |(_, offer)| offer)
     }
 
-    /// Whether this is a stop that is called for again.
-    pub(super) fn is_called_again(&self, offer: Offer) -> bool {
-        let Offer::Request(place) = offer else { return false };
+    /// Whether a stop that is called for again waits in this place.
+    #[inline(never)]
+    pub(super) fn is_called_again(&self, place: u8) -> bool {
         let asked = self.motors.get(usize::from(place)).and_then(|motor| motor.request.waiting());
         asked.is_some_and(|asked| asked.purpose == Purpose::StopCalledAgain)
     }
@@ -162,6 +160,7 @@ impl<const N: usize> Master<N> {
 
     /// Whether the broadcast that waits may go: no answer that looks like its own can come from a
     /// request, nor from the broadcast before it. Nor does one that moves a motor which was heard to have restarted.
+    #[inline(never)]
     fn broadcast_may_go(&self) -> bool {
         let Some(question) = self.broadcast.question() else { return false };
         // What all are told to do now is not undone by what one was told to do before.

@@ -80,9 +80,9 @@ impl<const N: usize> Master<N> {
         let Some(offer) = self.offer.take() else { return };
         // An answer that nobody waits for may come all the same, and must not meet a command.
         let mut silence = Duration::ZERO;
-        self.was_called_again = self.is_called_again(offer);
         match offer {
             Offer::Request(place) => {
+                self.was_called_again = self.is_called_again(place);
                 let sent = self.change_at(usize::from(place), |motor, config| {
                     let is_over = motor.request_was_sent(now, config)?;
                     Some((is_over, motor.round))
@@ -96,6 +96,7 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::SetPoint(place) => {
+                self.was_called_again = false;
                 self.due = self.due.min(now + self.config.longest_response);
                 let round = self.change_at(usize::from(place), |motor, _| {
                     motor.set_point_was_sent(now);
@@ -104,6 +105,7 @@ impl<const N: usize> Master<N> {
                 self.pace = round.unwrap_or(self.pace);
             }
             Offer::Broadcast => {
+                self.was_called_again = false;
                 if let (Some(kind), data) = self.broadcast.command() {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
