@@ -71,7 +71,8 @@ impl<const N: usize> Master<N> {
     ///   sent before the stop, and may lie in a controller's mailbox for example, can move the motor any more.
     /// - A motor that has not confirmed gets one more stop every 100 ms, or as often as a line has time for it, for as
     ///   long as the stop is in force, and at once when it is heard: it may be back on the bus at any time.
-    /// - Called again before it was lifted it goes on with what is under way: a program may call it in every cycle.
+    /// - Called again before it was lifted it goes on with what is under way: a program may call it in every cycle. On
+    ///   RS485 every second turn is somebody else's then.
     ///
     /// # Motors without a place
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, one stop
