@@ -380,7 +380,12 @@ fn one_whose_cable_was_cut_may_have_restarted<W: Wire>() {
     // It has not restarted, and turns yet.
     assert!(state(&bus.drives[0]).measurement.speed_dps > 80.0);
     let told = told.to_string();
-    for words in ["may have restarted", "silent for a second", "stop it"] {
+    for words in [
+        "may have restarted",
+        "silent for a second",
+        "stop it, see",
+        "then lift the stop and resume",
+    ] {
         assert!(told.contains(words), "{told}");
     }
 }
