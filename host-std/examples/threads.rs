@@ -6,6 +6,7 @@
 use std::error::Error;
 use std::ops::ControlFlow;
 use std::thread;
+use std::time::{Duration, Instant};
 
 use myactuator_host_std::open::BusAddress;
 use myactuator_host_std::protocol::MotorId;
@@ -34,11 +35,12 @@ fn reach(bus: &SharedBus, motor: MotorId, degrees: f32) -> Outcome<()> {
 /// believes to be, and says so.
 fn restart(bus: &SharedBus, motor: MotorId) -> Outcome<()> {
     bus.ask(motor, Reset)?;
+    let patience_ends = Instant::now() + Duration::from_secs(5);
     let reading = loop {
         // It starts for a second or so, and is silent meanwhile.
         match bus.ask(motor, ReadMultiTurnAngle) {
             Ok(reading) => break reading,
-            Err(SharedBusError::Failed { .. }) => {}
+            Err(SharedBusError::Failed { .. }) if Instant::now() < patience_ends => {}
             Err(error) => return Err(error.into()),
         }
     };

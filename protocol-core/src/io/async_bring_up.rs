@@ -96,9 +96,7 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
         let Some(event) = event else { continue };
         let (motor, there) = match event {
             Event::Reply { ticket, .. } => (ticket.motor(), true),
-            Event::Failed { ticket, failure } => {
-                (ticket.motor(), matches!(failure, Failure::Unreadable(_) | Failure::NotExecuted))
-            }
+            Event::Failed { ticket, failure } => (ticket.motor(), shows_motor(failure)),
             Event::Report { motor, .. } | Event::LostMaster { motor } => (motor, true),
             _ => continue,
         };
@@ -119,6 +117,11 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
         Some((why, _)) => Err(why),
         None => Ok(found),
     }
+}
+
+/// Whether there is a motor that was asked in vain: it has said something.
+fn shows_motor(failure: Failure) -> bool {
+    matches!(failure, Failure::Unreadable(_) | Failure::NotExecuted)
 }
 
 /// As [`bring_up::identify`](crate::io::bring_up::identify).
@@ -154,7 +157,8 @@ pub async fn is_there<R: AsyncRunner<N>, const N: usize>(
     let patience = runner.master().patience(ATTEMPTS);
     let is_known = runner.master().motors().contains(motor);
     match runner.ask_with(motor, ReadStatus1, Some(patience), |_| {}).await {
-        Ok(_) | Err(CallError::Failed { failure: Failure::Unreadable(_), .. }) => Ok(true),
+        Ok(_) => Ok(true),
+        Err(CallError::Failed { failure, .. }) if shows_motor(failure) => Ok(true),
         Err(CallError::Failed { .. }) => {
             if !is_known {
                 // Else every stop of all would wait for an id at which there is nobody.

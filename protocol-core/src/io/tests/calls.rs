@@ -252,6 +252,39 @@ fn saying<const M: usize>(data: [Data; M]) -> (TestCan, CanMaster<Says<M>, TestC
     (bus, arm)
 }
 
+/// A bus on which each drive has lost its master, says so before every answer, and sends the question back.
+struct Ignores(TestCan, Option<SimpleFrame>);
+
+impl nb::Can for Ignores {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        self.0.transmit(frame)
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        if let Some(echo) = self.1.take() {
+            return Ok(echo);
+        }
+        let frame = self.0.receive()?;
+        let Received::Packet(packet) = can::decode(&frame) else { return Ok(frame) };
+        let saying = |data| SimpleFrame::from_packet(&Packet { data, ..packet });
+        self.1 = Some(saying(ReadStatus1.encode()));
+        Ok(saying([LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0]))
+    }
+}
+
+#[test]
+fn a_motor_that_answers_and_does_nothing_is_there() {
+    let (_, _, mut arm): (_, _, CanMaster<_, _, 4>) =
+        on_can(|bus, clock, config| CanMaster::new(Ignores(bus, None), clock, config));
+    let asked = arm.ask(id(1), ReadStatus1);
+    assert_eq!(asked, Err(CallError::Failed { motor: id(1), failure: Failure::NotExecuted }));
+    assert_eq!(bring_up::is_there(&mut arm, id(1)), Ok(true));
+    assert_eq!(bring_up::scan(&mut arm, id(1).into(), |_, _| {}), Ok(id(1).into()));
+}
+
 #[test]
 fn a_zero_is_kept_where_the_angle_is_0_and_the_offset_the_one_that_was_stored() {
     let angle = [0x92, 0, 0, 0, 0, 0, 0, 0];
