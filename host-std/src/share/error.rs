@@ -58,9 +58,13 @@ impl<E> Clone for SharedBusError<E> {
     }
 }
 
-/// The same sentence as `Display`, as [`BusError`] has it.
+/// The same sentence as `Display`, as [`BusError`] has it; of the driver's error its own words alone, since a
+/// [`CallError`](myactuator_protocol_core::io::CallError) says itself whose they are.
 impl<E: fmt::Debug> fmt::Debug for SharedBusError<E> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Display::fmt(self, f)
+        match self {
+            Self::Bus(error) => error.fmt(f),
+            other => fmt::Display::fmt(other, f),
+        }
     }
 }

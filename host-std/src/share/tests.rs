@@ -13,7 +13,7 @@ use myactuator_protocol_core::command::{
     Shutdown, Speed, Stop,
 };
 use myactuator_protocol_core::error::RequestError;
-use myactuator_protocol_core::io::{CanMaster, Runner, SerialMaster};
+use myactuator_protocol_core::io::{CallError, CanMaster, Runner, SerialMaster};
 use myactuator_protocol_core::master::{
     Bus, Config, Event, Failure, Master, MotorSet, Patience, StopKind,
 };
@@ -550,6 +550,13 @@ fn who_is_told_an_error_of_the_bus_has_not_moved_anything_later() {
     assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
     while bus.ask(id(1), ReadStatus1).is_err() {}
     assert!(packets(&log).iter().all(|packet| packet.data[0] == 0x9A));
+}
+
+#[test]
+fn what_the_driver_says_is_called_an_error_of_the_bus_once() {
+    let told = || SharedBusError::Bus(Arc::new(CanError::BusOff));
+    assert_eq!(told().to_string(), "the bus reports an error: BusOff");
+    assert_eq!(CallError::Bus(told()).to_string(), "the bus reports an error: BusOff");
 }
 
 #[test]
