@@ -48,7 +48,7 @@ impl Shaft {
 /// What the feedback of a stream has told of where a motor is.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Turning {
-    /// The last angle, if it was measured just before it was told.
+    /// The last angle that was measured just before it was told.
     last: Option<(i16, Instant)>,
     /// It has jumped then, and no restart was told yet.
     jumped: Option<Instant>,
@@ -66,7 +66,7 @@ impl Turning {
         if is_in_doubt {
             self.in_doubt_until = now + window;
         }
-        if let Some((before, at)) = self.last.take() {
+        if let Some((before, at)) = self.last {
             let turned = i64::from(angle.wrapping_sub(before).unsigned_abs());
             let possible = FASTEST_DPS * (now - at).as_micros() as i64 / 1_000_000;
             // A degree more, since both are rounded.
@@ -74,7 +74,9 @@ impl Turning {
                 self.jumped.get_or_insert(now);
             }
         }
-        self.last = (is_certain && !is_in_doubt).then_some((angle, now));
+        if is_certain && !is_in_doubt {
+            self.last = Some((angle, now));
+        }
     }
 
     /// Its next angle says nothing: something else was told of it.

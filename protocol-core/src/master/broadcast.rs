@@ -392,9 +392,10 @@ impl<const N: usize> Master<N> {
     /// controller's mailbox until then.
     ///
     /// # One that ends motion
-    /// To end motion at once use [`stop_all`](Self::stop_all). A broadcast waits for what is in flight, and for a stop
-    /// for as long as a motor does not confirm that; and an answer to it does not say that nothing sent before can
-    /// move the motor any more.
+    /// To end motion at once use [`stop_all`](Self::stop_all). A broadcast waits for what is in flight, for a stop for as
+    /// long as a motor does not confirm that, and one that holds for each Shutdown (0x80) that was asked for before, also
+    /// where that waits for the end of a restart; and an answer to it does not say that nothing sent before can move the
+    /// motor any more.
     ///
     /// It drops the set-points and moves that wait. Where it lets go (0x80, 0x76), a Stop (0x81) of one motor that is
     /// under way becomes a Shutdown of that motor, which is confirmed as a stop. If one motor is

@@ -206,12 +206,13 @@ pub enum Event {
     /// A motor has restarted, or may have. One of these says so:
     ///
     /// - The bus has taken 0x76 for it (which a controller may still hand back).
-    /// - It was silent for a second. This is reported when it does not answer, and once more when it does again. One
-    ///   that lost its supply for less shows by nothing but the next two: read its run time after each silence.
+    /// - It was silent for a second, also because nobody asked it anything, and does not answer then. This is reported
+    ///   when it does not answer, and once more when it does again. One that lost its supply for less shows by nothing but
+    ///   the next two: read its run time after each silence.
     /// - It has run for less long than it said before (0xB1).
     /// - Its stream's feedback tells a place that is more than half a turn beyond what 10,000 degrees/s could have
-    ///   turned; in motion mode, an eighth of the scale beyond 500 steps of it in a millisecond. Feedback that answers
-    ///   requests tells nothing of it.
+    ///   turned since it told one within 18 ms of a set-point; in motion mode, an eighth of the scale beyond 500 steps of
+    ///   it in a millisecond. Feedback that answers requests tells nothing of it.
     ///
     /// Its turns may be lost. Whatever moves it is refused until
     /// [`Master::resume`](crate::master::Master::resume). A command that it has heard since its restart it carries

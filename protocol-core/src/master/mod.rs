@@ -42,8 +42,8 @@
 //! RS485 an echo that nobody configured confirms a stop if noise
 //! has taken the echoes of two reads in a row, and neither these reads nor their answers, or the echo of one, where an
 //! answer came late or twice while the next read went into a cut; and any echo does that comes more than 100 ms after
-//! its sending although the port was found empty meanwhile. A restart shows by a second in which the
-//! motor does not answer what it is asked, by a run time that has gone back when it is read (0xB1), or by an angle that
+//! its sending although the port was found empty meanwhile. A restart shows by a second in which
+//! nothing is heard of the motor and an answer that does not come, by a run time that has gone back when it is read (0xB1), or by an angle that
 //! jumps under a stream; one that shows by none of these is not noticed. Feedback that comes later and later may be
 //! taken for such a jump, at thousands of degrees a second. And a stop cannot be confirmed by a motor whose
 //! replies do not come through: then cut its power.
@@ -163,6 +163,8 @@ pub struct Master<const N: usize> {
     lost_master: MotorSet,
     /// A stop to all at once is to be sent before each motor's own.
     stop_to_all: Option<StopKind>,
+    /// When one was sent last.
+    stop_to_all_sent: Instant,
     /// The caller has switched somebody off since the last one was sent.
     is_any_off_since: bool,
     /// The last request, set-point or broadcast that was sent was a stop that had been called for again.
@@ -202,6 +204,7 @@ impl<const N: usize> Master<N> {
             switched_off: MotorSet::EMPTY,
             lost_master: MotorSet::EMPTY,
             stop_to_all: None,
+            stop_to_all_sent: Instant::ZERO,
             is_any_off_since: false,
             was_called_again: false,
             pace: 0,

@@ -9,7 +9,8 @@ use crate::master::late::{Of, Question};
 use crate::master::motor::reports::reported_bit;
 use crate::master::motor::restarts::{HALF_A_TURN_TAKES, Place};
 use crate::master::motor::{DOUBLED_WITHIN, LastSent, Motor};
-use crate::master::request::{Asked, Request, Round};
+use crate::master::request::{Asked, Purpose, Request, Round};
+use crate::master::stop::STOP_ATTEMPTS;
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Event, Failure, Master, MotorSet, TicketId};
 use crate::opcode::{LOST_MASTER_BYTE, Opcode, Repeat};
@@ -63,11 +64,11 @@ impl Heard<'_> {
         self.lost_master.contains(self.from)
     }
 
-    /// The same, of what answers the command in flight. It ignores one, and no more: the next, if this was sent before it
-    /// said so, since an answer may equal its command.
-    fn take_ignored_one(&mut self, sent: LastSent) -> bool {
+    /// The same, of what answers the command in flight. It ignores one, and no more: the next, if this may be of before
+    /// it said so, since an answer may equal its command.
+    fn take_ignored_one(&mut self, may_be_of_before: bool) -> bool {
         let may_be = self.may_be_ignored_one();
-        if may_be && !sent.contains(LastSent::BEFORE_IT_LOST_MASTER) {
+        if may_be && !may_be_of_before {
             self.lost_master.remove(self.from);
         }
         may_be
@@ -333,7 +334,7 @@ impl Motor {
             }
             // Nobody counts what may be the last one again: each would send one more.
             if !may_be_doubled {
-                self.request = Request::Waiting(asked);
+                self.is_not_confirmed_by_that(asked, config);
             }
             return Meaning::Nothing;
         }
@@ -398,7 +399,8 @@ impl Motor {
         let is_echo = set_point.data == packet.data;
         let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
         self.stream.take_in_flight();
-        if heard.take_ignored_one(self.last_sent) && (is_one_late || is_echo) || is_handed_back {
+        let is_of_before = self.last_sent.contains(LastSent::BEFORE_IT_LOST_MASTER);
+        if heard.take_ignored_one(is_of_before) && (is_one_late || is_echo) || is_handed_back {
             return Meaning::SetPointIgnored;
         }
         let round_trip = now - self.sent;
@@ -407,8 +409,30 @@ impl Motor {
         let place = Place::of(&reply).filter(|_| !is_echo);
         let meaning = self.feedback(reply, place, Some(round_trip), config, now);
         // That to a set-point before is hardly older, and a jump that is missed is worse than one that is none.
-        self.knows_place = place.is_some() && !may_be_of_all && round_trip <= HALF_A_TURN_TAKES;
+        if let Some(place) = place.filter(|_| !may_be_of_all && round_trip <= HALF_A_TURN_TAKES) {
+            (self.place, self.placed_at) = (Some(place), now);
+        }
         meaning
+    }
+
+    /// Its answer may be owed to an earlier stop, so that it goes once more: at once, unless the motor was stopped before
+    /// and this is called again, or that has happened before. Then it waits until nothing is owed any more: stops
+    /// that go on would go on owing.
+    fn is_not_confirmed_by_that(&mut self, stop: Asked, config: &Config) {
+        if stop.purpose == Purpose::StopCalledAgain || stop.unanswered > STOP_ATTEMPTS / 2 {
+            self.waits_to_go_once_more(stop, config);
+        } else {
+            self.request = Request::Waiting(stop);
+        }
+    }
+
+    /// What ends its motion goes once more, when nobody can take an answer of before for that to the last.
+    fn waits_to_go_once_more(&mut self, mut asked: Asked, config: &Config) {
+        let until = self.sent + asked.timeout + config.late_window;
+        let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
+        self.expect_late(asked.question, of, replies, until, config);
+        asked.round = Round::Waits;
+        self.request = Request::Waiting(asked);
     }
 
     /// A reply to the request in flight.
@@ -419,7 +443,9 @@ impl Motor {
         self.request = Request::InFlight(asked);
         let is_echo = asked.data == data;
         let is_handed_back = is_echo && asked.kind().is_handed_back(&data);
-        if heard.take_ignored_one(self.last_sent) && is_echo || is_handed_back {
+        let is_of_before = self.last_sent.contains(LastSent::BEFORE_IT_LOST_MASTER)
+            || asked.unanswered > 0 && !asked.is_stop();
+        if heard.take_ignored_one(is_of_before) && is_echo || is_handed_back {
             if asked.is_stop() {
                 // It ignores one, and no more.
                 self.request = Request::Waiting(asked);
@@ -447,16 +473,12 @@ impl Motor {
                 self.may_move_until(now + config.late_window, config);
             }
             if may_undo || self.may_yet_move() {
-                let until = self.sent + asked.timeout + config.late_window;
-                let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
-                self.expect_late(asked.question, of, replies, until, config);
                 // Nothing that moves it goes between the attempts of what ends its motion.
                 self.on_its_way.bus_is_alive(now, config);
-                asked.round = Round::Waits;
-                self.request = Request::Waiting(asked);
+                self.waits_to_go_once_more(asked, config);
                 return Meaning::OnceMore;
             }
-            self.has_ended_motion();
+            self.has_ended_motion(kind);
         }
         self.finish_request(Request::None, config, now);
         if asked.is_stop() {

@@ -33,13 +33,17 @@ impl<const N: usize> Master<N> {
         self.choose_motor(now)
     }
 
-    /// On a line: if this stop, and what was sent before it, are called for again, whatever is no stop goes first: a
-    /// broadcast that is due, then whoever was sent nothing for longest. A caller may stop a motor in every cycle, and
-    /// would keep everybody else off the line. Rounds say little here: the stops are ahead.
+    /// On a line: if all stops that may go, and what was sent before, are called for again, whatever is no stop goes
+    /// first: a broadcast that is due, then whoever was sent nothing for longest. A caller may stop a motor in every
+    /// cycle, and would keep everybody else off the line. Rounds say little here: the stops are ahead.
     #[inline(never)]
     fn stop_or_other(&self, stop: Offer, now: Instant) -> Offer {
-        let is_again = matches!(stop, Offer::Request(place) if self.is_called_again(place));
-        if !(self.config.is_rs485() && self.was_called_again && is_again) {
+        let is_again = |(place, _)| self.is_called_again(place as u8);
+        if !self.config.is_rs485()
+            || !self.was_called_again
+            || stop == Offer::StopToAll
+            || !self.ready_stops().all(is_again)
+        {
             return stop;
         }
         if self.broadcast.is_waiting() && self.broadcast_may_go() {
@@ -74,16 +78,19 @@ impl<const N: usize> Master<N> {
     /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
-        let stops = self.at(self.places.stops).filter_map(|(place, motor)| {
-            let stop = motor.request.waiting()?;
-            let waits = motor.waits_for_motion(stop, self.is_undone_with_all(motor));
-            (!waits).then_some((place, motor))
-        });
         let urgency = |(_, motor): &(_, &Motor)| {
             let turn = if motor.waits_for_first_stop() { u8::from(motor.seems_dead()) } else { 2 };
             (turn, motor.sent)
         };
-        stops.min_by_key(urgency).map(|(place, _)| Offer::Request(place as u8))
+        self.ready_stops().min_by_key(urgency).map(|(place, _)| Offer::Request(place as u8))
+    }
+
+    /// The motors with a stop that may go.
+    fn ready_stops(&self) -> impl Iterator<Item = (usize, &Motor)> {
+        self.at(self.places.stops).filter(|(_, motor)| {
+            let waits = |stop| motor.waits_for_motion(stop, self.is_undone_with_all(motor));
+            motor.request.waiting().is_some_and(|stop| !waits(stop))
+        })
     }
 
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.

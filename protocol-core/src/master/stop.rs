@@ -7,6 +7,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::motor::Motor;
+use crate::master::motor::stopping::LastStop;
 use crate::master::request::{Asked, Purpose};
 use crate::master::{Bus, Master, MotorSet, Patience};
 use crate::opcode::Opcode;
@@ -77,7 +78,8 @@ impl<const N: usize> Master<N> {
     /// # Motors without a place
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, one stop
     /// to all goes before each motor's own. A motor without a place gets that single frame and confirms nothing. So
-    /// name all motors that a broadcast may reach, there or in `also`.
+    /// name all motors that a broadcast may reach, there or in `also`. On RS485 it goes again where this is called
+    /// again, once in 100 ms at the most.
     ///
     /// # A motor that is off stays off
     /// A motor that a stop has switched off is not switched on by another stop: until the first is lifted it gets
@@ -112,10 +114,17 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off = MotorSet::ALL;
         }
-        // On CAN once for a stop: each motor answers it, and not all may hear it.
-        let is_for_unnamed = self.broadcast.has_moved() && was != Some(kind);
+        // Called again it is for motors without a place: where nobody has one, each time; else on a line after a rest, and
+        // not on CAN, where each motor answers it.
+        let is_called_again = was == Some(kind) && !self.places.taken.is_empty();
+        let has_rested = self.now - self.stop_to_all_sent >= STOP_AGAIN_AFTER;
+        let is_due = if self.config.is_rs485() {
+            !is_called_again || has_rested
+        } else {
+            !is_called_again && self.broadcast.has_moved()
+        };
         if is_any_new {
-            let goes = was_same_for_all && (self.config.is_rs485() || is_for_unnamed);
+            let goes = was_same_for_all && is_due;
             // One that waits has reached nobody yet.
             let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
             self.stop_to_all = goes.then_some(kind).or(waits);
@@ -171,7 +180,8 @@ impl<const N: usize> Master<N> {
     ) -> bool {
         let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
-        if kind == StopKind::Off {
+        // What goes again by itself is the last that the motor was told, by whomever, and no stop that anybody called for.
+        if kind == StopKind::Off && purpose == Purpose::Stop {
             self.switched_off.insert(motor);
         }
         self.overtakes_broadcast(motor, kind);
@@ -182,7 +192,7 @@ impl<const N: usize> Master<N> {
         let now = self.now;
         let is_new = self.change_at(place, |motor, config| {
             if !was_stopped {
-                motor.unconfirmed = None;
+                motor.last_stop = LastStop::None;
             } else if motor.is_stopping_already(&stop) {
                 return false;
             }
@@ -337,6 +347,7 @@ impl<const N: usize> Master<N> {
     pub(super) fn stop_to_all_was_sent(&mut self, now: Instant) {
         let Some(kind) = self.stop_to_all.take() else { return };
         self.is_any_off_since = false;
+        self.stop_to_all_sent = now;
         self.due = now;
         let told = kind.question();
         let until = now + self.config.reply_timeout + self.config.late_window;

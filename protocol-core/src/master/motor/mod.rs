@@ -4,7 +4,7 @@ mod deadlines;
 mod late_moves;
 pub(super) mod reports;
 pub(super) mod restarts;
-mod stopping;
+pub(super) mod stopping;
 
 use bitflags::bitflags;
 
@@ -23,7 +23,8 @@ use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
-use stopping::Unconfirmed;
+use restarts::Place;
+use stopping::LastStop;
 
 bitflags! {
     /// What is to be reported of a motor, beside the outcome of its request.
@@ -98,10 +99,10 @@ pub(super) struct Motor {
     /// The newest feedback of its stream, and when it came.
     pub(super) latest: Option<AnyReply>,
     pub(super) latest_at: Instant,
-    /// Where it is was measured just before that came.
-    pub(super) knows_place: bool,
-    /// The stop that it has not confirmed, once that is given up.
-    pub(super) unconfirmed: Option<Unconfirmed>,
+    /// Where it was, as it said last just after that was measured, and when it said so.
+    pub(super) place: Option<Place>,
+    pub(super) placed_at: Instant,
+    pub(super) last_stop: LastStop,
     pub(super) health: Record,
 }
 
@@ -261,8 +262,8 @@ impl Motor {
             self.note_sent(asked.kind(), &asked.data, config, now);
             return Some(true);
         }
-        // Only a stop goes over something in flight, which may still be on its way.
-        if asked.is_stop() {
+        // Only a stop goes over something in flight, which may still be on its way: on a line it waits for that.
+        if asked.is_stop() && !config.is_rs485() {
             self.late.extend(late);
         }
         self.stop_set_point(late, config);

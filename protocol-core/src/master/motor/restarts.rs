@@ -23,7 +23,7 @@ const EIGHTH_OF_SCALE: u16 = 1 << 13;
 const STEP_TAKES: Duration = Duration::from_micros(2);
 
 /// Where the motor is, as feedback says.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(in crate::master) enum Place {
     Degrees(i16),
     /// In steps of the scale of motion mode.
@@ -85,10 +85,8 @@ impl Motor {
     /// Feedback of its stream says where it is: further from where it was than it can have turned since.
     #[inline(never)]
     pub(in crate::master) fn note_place(&mut self, place: Place, config: &Config, now: Instant) {
-        let knows_place = core::mem::take(&mut self.knows_place);
-        let before = self.latest.filter(|_| knows_place).and_then(|it| Place::of(&it));
-        let shortest = before.and_then(|it| it.shortest_way_to(place));
-        if shortest.is_some_and(|shortest| shortest > now - self.latest_at) {
+        let shortest = self.place.and_then(|before| before.shortest_way_to(place));
+        if shortest.is_some_and(|shortest| shortest > now - self.placed_at) {
             self.has_begun_anew(config, now);
         }
     }
@@ -99,7 +97,7 @@ impl Motor {
         self.has_restarted = true;
         self.reports = 0;
         self.run_time_ms = 0;
-        self.knows_place = false;
+        self.place = None;
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
         self.is_sent_no_more();

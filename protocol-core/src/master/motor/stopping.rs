@@ -11,15 +11,34 @@ use crate::master::stop::StopKind;
 use crate::opcode::Opcode;
 use crate::time::Instant;
 
-/// A stop that a motor has not confirmed.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::master) struct Unconfirmed {
-    /// It was stopped so, or told so since.
-    kind: StopKind,
-    /// So many stop frames were sent, of which each may still be answered.
-    sendings: u8,
-    /// When it was given up last.
-    since: Instant,
+/// What became of a motor's last stop.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::master) enum LastStop {
+    /// There was none, or it is under way, or the motor was told something else since.
+    #[default]
+    None,
+    /// It has confirmed this one.
+    Confirmed(StopKind),
+    /// It has not confirmed it.
+    Unconfirmed {
+        /// It was stopped so, or told so since.
+        kind: StopKind,
+        /// So many stop frames were sent, of which each may still be answered.
+        sendings: u8,
+        /// When it was given up last.
+        since: Instant,
+    },
+}
+
+impl LastStop {
+    fn is_like(self, stop: &Asked) -> bool {
+        match self {
+            Self::None => false,
+            Self::Confirmed(kind) | Self::Unconfirmed { kind, .. } => {
+                kind.question() == stop.question
+            }
+        }
+    }
 }
 
 impl Motor {
@@ -44,9 +63,12 @@ impl Motor {
         config: &Config,
         now: Instant,
     ) {
-        let is_same = |it: &Unconfirmed| it.kind.question() == stop.question;
-        if let Some(unconfirmed) = self.unconfirmed.take().filter(is_same) {
-            stop.unanswered = unconfirmed.sendings;
+        let last = core::mem::take(&mut self.last_stop);
+        match last {
+            LastStop::Unconfirmed { sendings, .. } if last.is_like(&stop) => {
+                stop.unanswered = sendings;
+            }
+            _ => {}
         }
         self.put_stop(stop, config, now);
         self.late.withdraw(stop.question, stop.unanswered);
@@ -59,11 +81,10 @@ impl Motor {
             return;
         }
         stop.attempts_left = stop.attempts_left.saturating_sub(1);
-        let is_over = match &self.unconfirmed {
-            Some(unconfirmed) => unconfirmed.kind.question() == stop.question,
-            None => self.last_answered == Some(stop.question),
-        };
-        if self.request.is_none() && is_over && stop.purpose == Purpose::Stop {
+        let ends_otherwise =
+            |asked: &Asked| asked.kind().ends_motion() && asked.question != stop.question;
+        let is_news = self.request.under_way().is_some_and(ends_otherwise);
+        if self.last_stop.is_like(stop) && !is_news && stop.purpose == Purpose::Stop {
             stop.purpose = Purpose::StopCalledAgain;
         }
     }
@@ -116,8 +137,12 @@ impl Motor {
     /// hold would switch on whom somebody has switched off since.
     pub(in crate::master) fn is_told(&mut self, kind: Kind) {
         let Some(told) = StopKind::by(kind) else { return };
-        if let Some(stop) = self.unconfirmed.as_mut().filter(|stop| stop.kind != told) {
-            *stop = Unconfirmed { kind: told, sendings: 0, since: stop.since };
+        match &mut self.last_stop {
+            LastStop::Confirmed(kind) if *kind != told => self.last_stop = LastStop::None,
+            LastStop::Unconfirmed { kind, sendings, .. } if *kind != told => {
+                (*kind, *sendings) = (told, 0);
+            }
+            _ => {}
         }
     }
 
@@ -126,15 +151,15 @@ impl Motor {
         if stop.purpose != Purpose::StopAgain {
             self.news.insert(News::UNCONFIRMED);
         }
-        let kind = StopKind::by(stop.kind());
         let (sendings, since) = (stop.unanswered, now);
-        self.unconfirmed = kind.map(|kind| Unconfirmed { kind, sendings, since });
+        let unconfirmed = |kind| LastStop::Unconfirmed { kind, sendings, since };
+        self.last_stop = StopKind::by(stop.kind()).map(unconfirmed).unwrap_or_default();
         self.request = Request::None;
     }
 
-    /// It has answered what ends its motion.
-    pub(in crate::master) fn has_ended_motion(&mut self) {
-        self.unconfirmed = None;
+    /// It has answered this, which ends its motion.
+    pub(in crate::master) fn has_ended_motion(&mut self, by: Kind) {
+        self.last_stop = StopKind::by(by).map(LastStop::Confirmed).unwrap_or_default();
         self.on_its_way.has_ended();
         self.news.remove(News::UNCONFIRMED);
     }
@@ -142,8 +167,11 @@ impl Motor {
     /// The stop that it has not confirmed, and since when nothing goes on with that.
     pub(in crate::master) fn unconfirmed_stop(&self) -> Option<(StopKind, Instant)> {
         let ends_motion = |asked: &Asked| asked.kind().ends_motion();
-        let stop = self.unconfirmed.filter(|_| !self.request.under_way().is_some_and(ends_motion));
-        stop.map(|stop| (stop.kind, stop.since))
+        match self.last_stop {
+            _ if self.request.under_way().is_some_and(ends_motion) => None,
+            LastStop::Unconfirmed { kind, since, .. } => Some((kind, since)),
+            LastStop::None | LastStop::Confirmed(_) => None,
+        }
     }
 
     /// A stop to all was sent, which tells it this, and may be answered beside its own. On CAN, where that is the same,

@@ -127,3 +127,218 @@ fn a_stop_of_every_cycle_of_a_motor_that_is_not_there_leaves_others_their_turn()
     let dead = answered_beside(|master| master.stop(id(2), StopKind::Off).unwrap());
     assert!(dead[6] >= 5 && dead[7] >= 5, "{dead:?}");
 }
+
+/// How many of 20 stops of all, `period_ms` apart and each lifted before the next, three motors have confirmed on a
+/// line. They answer after 900 us.
+fn confirmed_of_lifted_ones(period_ms: u64) -> [u32; 3] {
+    let mut master = Master::<3>::new(Config::rs485(1_000_000, false));
+    let all: MotorSet = (1..=3).map(id).collect();
+    let mut confirmed = [0; 3];
+    for now in 0..20 * period_ms {
+        if now % period_ms == 0 {
+            master.lift_stop();
+            master.stop_all(StopKind::Off, all).unwrap();
+        }
+        master.handle_timeout(ms(now));
+        let Some(packet) = master.poll_transmit(ms(now)) else { continue };
+        master.handle_transmitted(ms(now));
+        let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
+        let frame = Frame { address: Target::Motor(motor), data: packet.data };
+        let event = master.handle_line(&frame, ms(now) + Duration::from_micros(900));
+        if event == Some(Event::StopConfirmed { motor }) {
+            confirmed[motor.index()] += 1;
+        }
+    }
+    confirmed
+}
+
+/// One to all and the pause behind it take 5 ms, and each motor answers that, perhaps, and its own: twelve more.
+#[test]
+fn stops_that_are_lifted_and_called_again_are_confirmed_on_a_line() {
+    for period in [20, 25] {
+        assert_eq!(confirmed_of_lifted_ones(period), [20; 3], "every {period} ms");
+    }
+}
+
+/// What comes of 1,000 calls of `stop`, `period_ms` apart, where every `lost`th answer is lost. Motors answer their own
+/// stops after 900 us; nobody hears what a line answers to all. Gives how many were confirmed, and how many were not.
+fn of_every_cycle(
+    mut master: Master<4>,
+    stop: impl Fn(&mut Master<4>),
+    period_ms: u64,
+    lost: u32,
+) -> (u32, u32) {
+    let is_line = matches!(master.config().bus, Bus::Rs485 { .. });
+    let (mut answers, mut confirmed, mut unconfirmed) = (0, 0, 0);
+    for now in 0..1_000 * period_ms {
+        if now % period_ms == 0 {
+            stop(&mut master);
+        }
+        for event in events(&mut master, ms(now)) {
+            unconfirmed += u32::from(matches!(event, Event::StopUnconfirmed { .. }));
+        }
+        let Some(packet) = master.poll_transmit(ms(now)) else { continue };
+        master.handle_transmitted(ms(now));
+        let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
+        answers += 1;
+        if answers % lost == 0 {
+            continue;
+        }
+        let answered = ms(now) + Duration::from_micros(900);
+        let event = if is_line {
+            let frame = Frame { address: Target::Motor(motor), data: packet.data };
+            master.handle_line(&frame, answered)
+        } else {
+            reply(&mut master, motor.get(), packet.data, answered)
+        };
+        confirmed += u32::from(event == Some(Event::StopConfirmed { motor }));
+    }
+    (confirmed, unconfirmed)
+}
+
+#[test]
+fn what_was_lost_is_not_owed_for_as_long_as_a_stop_is_called_in_every_cycle() {
+    let stop = |master: &mut Master<4>| master.stop(id(1), StopKind::Off).unwrap();
+    let lift_and_stop = |master: &mut Master<4>| {
+        master.lift_stop();
+        stop(master);
+    };
+    for config in [Config::CAN, Config::rs485(1_000_000, false)] {
+        for period_ms in [2, 10, 50] {
+            let (confirmed, unconfirmed) = of_every_cycle(Master::new(config), stop, period_ms, 25);
+            assert_eq!(unconfirmed, 0, "{period_ms} ms");
+            assert!(confirmed > 300, "{period_ms} ms: {confirmed}");
+            let lifted = of_every_cycle(Master::new(config), lift_and_stop, period_ms, 25);
+            assert_eq!(lifted.1, 0, "{period_ms} ms");
+        }
+    }
+}
+
+#[test]
+fn a_stop_of_all_of_every_cycle_is_confirmed_on_a_line() {
+    let all: MotorSet = (1..=4).map(id).collect();
+    let stop = |master: &mut Master<4>| master.stop_all(StopKind::Off, all).unwrap();
+    for (period_ms, at_least) in [(1, 700), (2, 1_400), (5, 3_000), (10, 3_000), (50, 4_000)] {
+        let line = Master::new(Config::rs485(1_000_000, false));
+        let (confirmed, unconfirmed) = of_every_cycle(line, stop, period_ms, u32::MAX);
+        assert_eq!(unconfirmed, 0, "{period_ms} ms");
+        assert!(confirmed >= at_least, "{period_ms} ms: {confirmed}");
+    }
+}
+
+/// A thread that reads a motor's status beside another that stops it.
+#[test]
+fn a_request_that_a_stop_of_every_cycle_drops_takes_no_turn_of_others() {
+    let both = answered_beside(|master| {
+        let _dropped = master.request(id(1), ReadMultiTurnAngle);
+        master.stop(id(1), StopKind::Off).unwrap();
+    });
+    assert_eq!([both[0], both[6], both[7]], [101, 50, 49]);
+}
+
+/// This motor is stopped, gets its stop at this time, and confirms it 900 us later.
+fn is_stopped_by_line(master: &mut Master<8>, motor: u8, kind: StopKind, at: Instant) {
+    master.stop(id(motor), kind).unwrap();
+    let (_, data) = kind.command();
+    assert_eq!(sent(master, at), [packet_to(motor, data)]);
+    assert_eq!(says(master, motor, data, at + Duration::from_micros(900)), confirmed(motor));
+}
+
+fn says(master: &mut Master<8>, motor: u8, data: Data, at: Instant) -> Option<Event> {
+    master.handle_line(&Frame { address: Target::Motor(id(motor)), data }, at)
+}
+
+/// A line on which motor 1 is stopped like this, and called again, and motor 8 follows a stream.
+fn called_again(kind: StopKind) -> Master<8> {
+    let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
+    is_stopped_by_line(&mut master, 1, kind, ms(0));
+    is_stopped_by_line(&mut master, 1, kind, ms(1));
+    master.set_point(id(8), torque(1.0), ms(2)).unwrap();
+    master
+}
+
+#[test]
+fn a_first_stop_goes_right_behind_one_that_was_called_again() {
+    let mut master = called_again(StopKind::Off);
+    is_stopped_by_line(&mut master, 2, StopKind::Off, ms(2));
+}
+
+#[test]
+fn a_hold_that_becomes_an_off_goes_right_behind_one_that_was_called_again() {
+    let mut master = called_again(StopKind::Hold);
+    is_stopped_by_line(&mut master, 1, StopKind::Off, ms(2));
+}
+
+/// Also where the hold was given up.
+#[test]
+fn a_hold_that_nobody_has_confirmed_and_that_becomes_an_off_is_no_stop_that_is_called_again() {
+    let mut master = called_again(StopKind::Hold);
+    master.stop(id(2), StopKind::Hold).unwrap();
+    let mut now = 2;
+    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(2) }) {
+        sent(&mut master, ms(now));
+        now += 1;
+    }
+    is_stopped_by_line(&mut master, 1, StopKind::Hold, ms(now));
+    master.set_point(id(8), torque(1.0), ms(now + 1)).unwrap();
+    master.stop(id(2), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(now + 1)), [packet_to(2, Shutdown.encode())]);
+}
+
+/// It is held once more, though it has confirmed that before.
+#[test]
+fn a_hold_behind_what_all_were_told_is_no_stop_that_is_called_again() {
+    let mut master = called_again(StopKind::Hold);
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    says(&mut master, 8, TORQUE_REPLY, Instant::from_micros(2_900)).unwrap();
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(3)), [packet_to_all(Shutdown.encode())]);
+    events(&mut master, ms(30));
+    is_stopped_by_line(&mut master, 3, StopKind::Hold, ms(30));
+    is_stopped_by_line(&mut master, 3, StopKind::Hold, ms(31));
+    master.set_point(id(8), torque(1.0), ms(32)).unwrap();
+    is_stopped_by_line(&mut master, 1, StopKind::Hold, ms(32));
+}
+
+/// Motors 2 and 4 are off, and called again; motor 1 is held, and was asked something since motor 2 was.
+#[test]
+fn a_stop_that_is_news_gives_its_turn_to_nobody_behind_those_that_are_called_again() {
+    let mut master = called_again(StopKind::Hold);
+    for at in [2, 3] {
+        master.set_point(id(8), torque(1.0), ms(at)).unwrap();
+        assert_eq!(sent(&mut master, ms(at)).len(), 1);
+        says(&mut master, 8, TORQUE_REPLY, ms(at) + Duration::from_micros(900)).unwrap();
+    }
+    for at in [4, 5] {
+        is_stopped_by_line(&mut master, 2, StopKind::Off, ms(at));
+    }
+    let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(6));
+    says(&mut master, 1, ANGLE_REPLY, Instant::from_micros(6_900)).unwrap();
+    for at in [7, 8] {
+        is_stopped_by_line(&mut master, 4, StopKind::Off, ms(at));
+    }
+    master.set_point(id(8), torque(1.0), ms(9)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    is_stopped_by_line(&mut master, 2, StopKind::Off, ms(9));
+    assert_eq!(sent(&mut master, ms(10)), [packet_to(1, Shutdown.encode())]);
+}
+
+#[test]
+fn who_restarts_is_left_alone_beside_a_stop_that_is_called_again() {
+    let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
+    let _reset = ask(&mut master, 8, Reset, ms(0));
+    events(&mut master, ms(0));
+    for at in [10, 11] {
+        is_stopped_by_line(&mut master, 1, StopKind::Off, ms(at));
+    }
+    let _read = master.request(id(8), ReadModel).unwrap();
+    is_stopped_by_line(&mut master, 1, StopKind::Off, ms(12));
+}
+
+#[test]
+fn what_all_are_asked_has_its_turn_beside_a_stop_that_is_called_again() {
+    let mut master = called_again(StopKind::Off);
+    master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), [packet_to_all(ReadModel.encode())]);
+}

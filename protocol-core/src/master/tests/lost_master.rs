@@ -268,3 +268,30 @@ fn an_answer_to_all_from_before_the_message_is_not_all_that_is_ignored() {
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(200));
     assert_eq!(reply(&mut master, 1, ReadMultiTurnAngle.encode(), ms(201)), None, "ignored");
 }
+
+/// A read was sent before the message and after it: nobody knows which of the two is answered, or was ignored.
+#[test]
+fn the_answer_to_one_of_two_sendings_does_not_say_what_the_drive_ignores() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(2)).unwrap();
+    assert_eq!(sent(&mut master, ms(21)).len(), 1);
+    let answer = reply(&mut master, 1, ANGLE_REPLY, ms(22)).unwrap();
+    assert!(read.outcome(&answer).is_some());
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(25)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(26)), None);
+    assert_eq!(sent(&mut master, ms(26)).len(), 1, "once more");
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(27)), confirmed(1));
+}
+
+/// Its values are all 0, as those of feedback may be.
+#[test]
+fn a_set_point_of_0_that_was_ignored_is_no_feedback() {
+    let mut master = Master::<2>::new(Config::CAN);
+    reply(&mut master, 1, [0xF1, 0, 0, 0, 0, 0, 0, 0], ms(0)).unwrap();
+    master.set_point(id(1), torque(0.0), ms(1)).unwrap();
+    assert_eq!(sent(&mut master, ms(1)).len(), 1);
+    let echo = reply(&mut master, 1, torque(0.0).encode(), ms(2));
+    assert_eq!(echo, Some(Event::SetPointUnanswered { motor: id(1) }));
+}

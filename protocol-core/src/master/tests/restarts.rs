@@ -99,6 +99,25 @@ fn a_reply_that_was_lost_hides_no_restart() {
     assert!(is_restart(&mut master, 221_000, 1_000, 360));
 }
 
+/// Neither one that comes after its time-out, nor one that takes long: where the motor was before is known.
+#[test]
+fn a_reply_of_nobody_knows_when_hides_no_restart() {
+    for (lost_at, answered_us) in [(None, 19_000), (Some(ms(25)), 22_000)] {
+        let mut master = Master::<2>::new(Config::CAN);
+        assert!(!is_restart(&mut master, 0, 1_000, 720));
+        master.set_point(id(1), torque(1.0), ms(4)).unwrap();
+        assert_eq!(sent(&mut master, ms(4)).len(), 1);
+        if let Some(lost_at) = lost_at {
+            assert_eq!(events(&mut master, lost_at), [Event::SetPointUnanswered { motor: id(1) }]);
+        }
+        let answered = ms(4) + Duration::from_micros(answered_us);
+        let slow = reply(&mut master, 1, [0xA1, 0x32, 0x64, 0, 0, 0, 0xD0, 2], answered);
+        assert!(matches!(slow, Some(Event::Feedback { .. })), "{slow:?}");
+        // Two turns and more within 28 ms: half a turn and 280 degrees are possible.
+        assert!(is_restart(&mut master, 28_000, 1_000, 0), "{answered_us}");
+    }
+}
+
 #[test]
 fn the_echo_of_a_set_point_has_no_angle() {
     // The message of a drive that has lost its master was lost, and an echo that is all 0 counts as feedback.

@@ -568,3 +568,23 @@ fn a_program_that_reads_all_again_and_again_keeps_no_stop_in_doubt() {
         assert_eq!(confirmed, both(), "{then:?}");
     }
 }
+
+/// It looks like the answer to a set-point that was given up meanwhile, and comes after its time.
+#[test]
+fn a_late_answer_to_all_does_not_say_that_a_set_point_has_come() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let line = |data| Frame { address: Target::Motor(id(1)), data };
+    let us = Instant::from_micros;
+    master.broadcast(torque(1.0), id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, us(0)).len(), 1);
+    events(&mut master, us(5_300));
+    master.set_point(id(1), torque(2.0), us(5_300)).unwrap();
+    assert_eq!(sent(&mut master, us(5_400)).len(), 1);
+    assert!(events(&mut master, us(10_800)).contains(&Event::SetPointUnanswered { motor: id(1) }));
+    master.handle_line(&line(TORQUE_REPLY), us(15_100));
+    // It is answered when nobody expects those answers any more.
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, us(15_250)), [packet_to(1, Shutdown.encode())]);
+    assert_eq!(events(&mut master, us(16_000)), []);
+    assert_eq!(master.handle_line(&line(Shutdown.encode()), us(16_100)), None, "once more");
+}

@@ -527,7 +527,7 @@ fn an_earlier_stop_that_was_given_up_is_not_told_of_the_next_one() {
     master.stop(id(1), StopKind::Hold).unwrap();
     // Nobody polls events; nobody answers.
     let mut at = 0;
-    while master.motor(id(1)).unwrap().unconfirmed.is_none() {
+    while master.motor(id(1)).unwrap().unconfirmed_stop().is_none() {
         sent(master, ms(at));
         at += 1;
     }
@@ -587,4 +587,23 @@ fn a_stop_that_goes_again_when_it_is_called_for_goes_behind_who_was_told_nothing
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let stops = [packet_to(2, Shutdown.encode()), packet_to(1, Shutdown.encode())];
     assert_eq!(sent(&mut master, ms(now + 30)), stops);
+}
+
+/// A hold that nobody has confirmed goes again as what all were told since. It does not stay so by that.
+#[test]
+fn a_stop_that_goes_again_keeps_nobody_off_whom_no_stop_has_switched_off() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let mut now = 0;
+    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
+        sent(&mut master, ms(now));
+        now += 1;
+    }
+    master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(now)), [packet_to_all(Shutdown.encode())]);
+    let again = (now..now + 200).find_map(|now| sent(&mut master, ms(now)).pop());
+    assert_eq!(again, Some(packet_to(1, Shutdown.encode())));
+    now += 300;
+    events(&mut master, ms(now));
+    assert!(master.request(id(1), Stop).is_ok());
 }
