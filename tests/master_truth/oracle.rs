@@ -473,6 +473,9 @@ fn check_restarted(motor: MotorId, truth: &mut Truth) {
     let misleading =
         [0xB1, 0xA2, 0xA4, 0].into_iter().find_map(|byte| page.excuses.of((byte, 0), now));
     let may_seem_so = page.turning.may_seem_to_jump(now);
+    // From a place that was made up it jumps back.
+    let was_misled = std::mem::replace(&mut page.misled, misleading.filter(|_| !may_have && !has));
+    let misleading = misleading.or(was_misled);
     page.awaits_resume = true;
     page.set_points.restarted();
     page.turning.restarted();

@@ -103,6 +103,8 @@ pub(crate) struct Page {
     /// The master has told it to restart, and not reported that.
     pub(crate) was_reset: bool,
     pub(crate) awaits_resume: bool,
+    /// A restart was told that was none, for this reason, and no other since.
+    pub(super) misled: Option<Excuse>,
     pub(crate) turning: Turning,
     /// How often the master has heard that it has lost it.
     pub(crate) lost_master_delivered: u32,
