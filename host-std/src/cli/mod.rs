@@ -97,7 +97,11 @@ fn parse_sentence(error: &clap::Error) -> String {
     let told = text.split("\n\nUsage:").next().unwrap_or(&text);
     let told = told.split("\n\nFor more information").next().unwrap_or(told);
     let words: Vec<&str> = told.split_whitespace().collect();
-    words.join(" ").trim_start_matches("error: ").replace(" tip: ", "; ")
+    let sentence = words.join(" ").trim_start_matches("error: ").replace(" tip: ", "; ");
+    match error.kind() {
+        ErrorKind::InvalidSubcommand => format!("{sentence}; --help lists those that there are"),
+        _ => sentence,
+    }
 }
 
 #[cfg(test)]
