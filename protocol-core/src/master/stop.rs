@@ -73,7 +73,8 @@ impl<const N: usize> Master<N> {
     /// - A motor that has not confirmed gets one more stop every 100 ms, or as often as a line has time for it, for as
     ///   long as the stop is in force, and at once when it is heard: it may be back on the bus at any time.
     /// - Called again before it was lifted it goes on with what is under way: a program may call it in every cycle. On
-    ///   RS485 every second turn is somebody else's then.
+    ///   RS485 every second turn is somebody else's then. It leaves the motors no time for requests; and after an answer
+    ///   that was lost the next confirmation comes only when that cannot come any more.
     ///
     /// # Motors without a place
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, one stop
