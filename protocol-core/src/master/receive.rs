@@ -420,18 +420,18 @@ impl Motor {
     /// that go on would go on owing.
     fn is_not_confirmed_by_that(&mut self, stop: Asked, config: &Config) {
         if stop.purpose == Purpose::StopCalledAgain || stop.unanswered > STOP_ATTEMPTS / 2 {
-            self.waits_to_go_once_more(stop, config);
+            self.waits_to_go_once_more(stop, Round::WaitsForOwed, config);
         } else {
             self.request = Request::Waiting(stop);
         }
     }
 
     /// What ends its motion goes once more, when nobody can take an answer of before for that to the last.
-    fn waits_to_go_once_more(&mut self, mut asked: Asked, config: &Config) {
+    fn waits_to_go_once_more(&mut self, mut asked: Asked, round: Round, config: &Config) {
         let until = self.sent + asked.timeout + config.late_window;
         let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
         self.expect_late(asked.question, of, replies, until, config);
-        asked.round = Round::Waits;
+        asked.round = round;
         self.request = Request::Waiting(asked);
     }
 
@@ -475,7 +475,7 @@ impl Motor {
             if may_undo || self.may_yet_move() {
                 // Nothing that moves it goes between the attempts of what ends its motion.
                 self.on_its_way.bus_is_alive(now, config);
-                self.waits_to_go_once_more(asked, config);
+                self.waits_to_go_once_more(asked, Round::Waits, config);
                 return Meaning::OnceMore;
             }
             self.has_ended_motion(kind);

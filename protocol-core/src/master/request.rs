@@ -49,10 +49,26 @@ pub(super) struct Asked {
 pub(super) enum Round {
     /// It was not answered.
     First,
+    /// Perhaps it was not: its answers may be owed to earlier ones. It waits until nothing is owed any more.
+    WaitsForOwed,
     /// It was, but something that was sent before it may still move the motor: it waits until that is over.
     Waits,
     /// It was, and has been sent once more.
     Second,
+}
+
+impl Round {
+    pub(super) fn waits(self) -> bool {
+        matches!(self, Self::WaitsForOwed | Self::Waits)
+    }
+
+    /// The same when it is sent.
+    pub(super) fn begun(self) -> Self {
+        match self {
+            Self::First | Self::WaitsForOwed => Self::First,
+            Self::Waits | Self::Second => Self::Second,
+        }
+    }
 }
 
 impl Asked {

@@ -217,9 +217,8 @@ impl Motor {
     /// Whether this is to end motion once more, which it does only when nothing that was sent before can move
     /// the motor any more, and no answer to its earlier attempts can be taken for that to the last.
     pub(super) fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
-        let may_be_mistaken = || self.late.may_be_mistaken(asked.question);
-        asked.round == Round::Waits
-            && (is_moved_with_all || self.may_yet_move() || may_be_mistaken())
+        let moves = || asked.round == Round::Waits && (is_moved_with_all || self.may_yet_move());
+        asked.round.waits() && (moves() || self.late.may_be_mistaken(asked.question))
     }
 
     /// Whether the set-point that waits may go. What ends motion was asked for before it, and comes first however
@@ -268,9 +267,7 @@ impl Motor {
         }
         self.stop_set_point(late, config);
         asked.unanswered = asked.unanswered.saturating_add(1);
-        if asked.round == Round::Waits {
-            asked.round = Round::Second;
-        }
+        asked.round = asked.round.begun();
         self.request = Request::InFlight(asked);
         Some(false)
     }

@@ -6,7 +6,7 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::{Of, Question};
 use crate::master::motor::{Motor, News};
-use crate::master::request::{Asked, Purpose, Request, Round};
+use crate::master::request::{Asked, Purpose, Request};
 use crate::master::stop::StopKind;
 use crate::opcode::Opcode;
 use crate::time::Instant;
@@ -210,7 +210,7 @@ impl Motor {
     /// The stop that tells it this, if that is under way. One that goes once more is confirmed by its own answer alone.
     fn own_stop(&mut self, told: Question) -> Option<&mut Asked> {
         let stop = self.request.under_way_mut()?;
-        (stop.is_stop() && stop.question == told && stop.round != Round::Waits).then_some(stop)
+        (stop.is_stop() && stop.question == told && !stop.round.waits()).then_some(stop)
     }
 
     /// All are told to end their motion: nothing older of this motor's follows that.

@@ -342,3 +342,58 @@ fn what_all_are_asked_has_its_turn_beside_a_stop_that_is_called_again() {
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(2)), [packet_to_all(ReadModel.encode())]);
 }
+
+/// Nobody answers anything, for a cable is out: what moves the motor `before` a stop, that stop, and what moves it
+/// `behind` that, when it is lifted. Then each stop is answered after a millisecond. Nobody else speaks on the bus. Gives
+/// after how many ms each stop goes until one is confirmed.
+fn sent_behind_a_cut(
+    before: impl Fn(&mut Master<2>, Instant),
+    behind: impl Fn(&mut Master<2>, Instant),
+) -> Vec<u64> {
+    let mut master = Master::<2>::new(Config::CAN);
+    before(&mut master, ms(0));
+    sent(&mut master, ms(0));
+    events(&mut master, ms(100));
+    master.stop_all(StopKind::Off, id(1).into()).unwrap();
+    let mut now = 100;
+    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
+        sent(&mut master, ms(now));
+        now += 1;
+    }
+    master.lift_stop();
+    behind(&mut master, ms(now));
+    sent(&mut master, ms(now));
+    master.stop(id(1), StopKind::Off).unwrap();
+    let mut sendings = Vec::new();
+    for after in 1..1_000 {
+        let now = ms(now + after);
+        if sendings.last() == Some(&(after - 1))
+            && reply(&mut master, 1, Shutdown.encode(), now) == confirmed(1)
+        {
+            return sendings;
+        }
+        assert!(!events(&mut master, now).contains(&Event::StopUnconfirmed { motor: id(1) }));
+        if sent(&mut master, now).contains(&packet_to(1, Shutdown.encode())) {
+            sendings.push(after);
+        }
+    }
+    panic!("no stop is confirmed: {sendings:?}");
+}
+
+/// Half of its attempts go at once, and one 61 ms after the last of these. Where something may lie in a mailbox, the
+/// answer to that says that it comes now, and the last goes 41 ms later.
+#[test]
+fn a_stop_that_waits_for_what_is_owed_waits_for_no_sign_of_a_bus_that_nobody_else_uses() {
+    let set_point = |master: &mut Master<2>, now| {
+        master.set_point(id(1), torque(1.0), now).unwrap();
+    };
+    let all = |master: &mut Master<2>, _| {
+        master.broadcast(torque(1.0), id(1).into()).unwrap();
+    };
+    let nothing = |_: &mut Master<2>, _| {};
+    let at_once_and = |then: &[u64]| [&[1, 2, 3, 4, 5, 6, 7, 8], then].concat();
+    assert_eq!(sent_behind_a_cut(nothing, nothing), at_once_and(&[70]));
+    assert_eq!(sent_behind_a_cut(nothing, set_point), at_once_and(&[70, 112]));
+    assert_eq!(sent_behind_a_cut(nothing, all), at_once_and(&[70, 112]));
+    assert_eq!(sent_behind_a_cut(all, nothing), at_once_and(&[70, 112]));
+}
