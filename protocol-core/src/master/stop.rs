@@ -115,10 +115,12 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off = MotorSet::ALL;
         }
-        // Called again it is for motors without a place: where nobody has one, each time; else on a line after a rest, and
-        // not on CAN, where each motor answers it.
+        // Called again it is for motors without a place: where nobody has one, each time; else on a line after a rest, when
+        // it prolongs nobody's wait for what is owed, and not on CAN, where each motor answers it.
         let is_called_again = was == Some(kind) && !self.places.taken.is_empty();
-        let has_rested = self.now - self.stop_to_all_sent >= STOP_AGAIN_AFTER;
+        let waits = |motor: &Motor| motor.request.waiting().is_some_and(|stop| stop.round.waits());
+        let has_rested = self.now - self.stop_to_all_sent >= STOP_AGAIN_AFTER
+            && !self.at(self.places.stops).any(|(_, motor)| waits(motor));
         let is_due = if self.config.is_rs485() {
             !is_called_again || has_rested
         } else {

@@ -161,15 +161,16 @@ fn stops_that_are_lifted_and_called_again_are_confirmed_on_a_line() {
 }
 
 /// What comes of 1,000 calls of `stop`, `period_ms` apart, where every `lost`th answer is lost. Motors answer their own
-/// stops after 900 us; nobody hears what a line answers to all. Gives how many were confirmed, and how many were not.
+/// stops after 900 us; nobody hears what a line answers to all. Gives how many of each motor were confirmed, and how many
+/// were not.
 fn of_every_cycle(
     mut master: Master<4>,
     stop: impl Fn(&mut Master<4>),
     period_ms: u64,
     lost: u32,
-) -> (u32, u32) {
+) -> ([u32; 4], u32) {
     let is_line = matches!(master.config().bus, Bus::Rs485 { .. });
-    let (mut answers, mut confirmed, mut unconfirmed) = (0, 0, 0);
+    let (mut answers, mut confirmed, mut unconfirmed) = (0, [0; 4], 0);
     for now in 0..1_000 * period_ms {
         if now % period_ms == 0 {
             stop(&mut master);
@@ -191,7 +192,7 @@ fn of_every_cycle(
         } else {
             reply(&mut master, motor.get(), packet.data, answered)
         };
-        confirmed += u32::from(event == Some(Event::StopConfirmed { motor }));
+        confirmed[motor.index()] += u32::from(event == Some(Event::StopConfirmed { motor }));
     }
     (confirmed, unconfirmed)
 }
@@ -207,7 +208,7 @@ fn what_was_lost_is_not_owed_for_as_long_as_a_stop_is_called_in_every_cycle() {
         for period_ms in [2, 10, 50] {
             let (confirmed, unconfirmed) = of_every_cycle(Master::new(config), stop, period_ms, 25);
             assert_eq!(unconfirmed, 0, "{period_ms} ms");
-            assert!(confirmed > 300, "{period_ms} ms: {confirmed}");
+            assert!(confirmed[0] > 300, "{period_ms} ms: {confirmed:?}");
             let lifted = of_every_cycle(Master::new(config), lift_and_stop, period_ms, 25);
             assert_eq!(lifted.1, 0, "{period_ms} ms");
         }
@@ -218,11 +219,25 @@ fn what_was_lost_is_not_owed_for_as_long_as_a_stop_is_called_in_every_cycle() {
 fn a_stop_of_all_of_every_cycle_is_confirmed_on_a_line() {
     let all: MotorSet = (1..=4).map(id).collect();
     let stop = |master: &mut Master<4>| master.stop_all(StopKind::Off, all).unwrap();
-    for (period_ms, at_least) in [(1, 700), (2, 1_400), (5, 3_000), (10, 3_000), (50, 4_000)] {
-        let line = Master::new(Config::rs485(1_000_000, false));
-        let (confirmed, unconfirmed) = of_every_cycle(line, stop, period_ms, u32::MAX);
+    let line = Config::rs485(1_000_000, false);
+    let slow = Config {
+        reply_timeout: Duration::from_millis(60),
+        late_window: Duration::from_millis(120),
+        ..line
+    };
+    for (config, period_ms, at_least) in [
+        (line, 1, 170),
+        (line, 2, 350),
+        (line, 5, 750),
+        (line, 10, 750),
+        (line, 50, 1_000),
+        (slow, 1, 5),
+        (slow, 10, 50),
+    ] {
+        let (confirmed, unconfirmed) =
+            of_every_cycle(Master::new(config), stop, period_ms, u32::MAX);
         assert_eq!(unconfirmed, 0, "{period_ms} ms");
-        assert!(confirmed >= at_least, "{period_ms} ms: {confirmed}");
+        assert!(confirmed.iter().all(|&it| it >= at_least), "{period_ms} ms: {confirmed:?}");
     }
 }
 
