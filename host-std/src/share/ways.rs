@@ -5,10 +5,11 @@ use std::ops::ControlFlow;
 
 use embassy_futures::block_on;
 use myactuator_protocol_core::error::RequestError;
+use myactuator_protocol_core::io::CallError;
+use myactuator_protocol_core::io::async_bring_up::{self, Calls};
 use myactuator_protocol_core::io::bring_up::{
     BringUpError, MoveCommand, MoveLimits, MoveProgress, NotArrived,
 };
-use myactuator_protocol_core::io::{CallError, Calls, async_bring_up};
 use myactuator_protocol_core::master::StopKind;
 use myactuator_protocol_core::time::Instant;
 use myactuator_protocol_core::{Command, MotorId};

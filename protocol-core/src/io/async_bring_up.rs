@@ -14,7 +14,7 @@ use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::{BringUpError, Identity, Protection};
-use crate::io::calls::Calls;
+pub use crate::io::calls::Calls;
 pub use crate::io::change_id::{change_id, is_shared};
 pub use crate::io::move_to::move_to;
 use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};

@@ -130,7 +130,7 @@ pub struct Identity {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub enum Protection {
-    /// It replied with the time that it was given.
+    /// It replied with the time that it was given: 0 where it was switched off.
     Confirmed,
     /// It replied with this time instead; the manual's own example replies 0. No command reads the
     /// setting back, so try it: stop sending and see that the motor stops.
@@ -250,7 +250,7 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
     at_once(task::release_brake(&mut Polled(runner), motor))
 }
 
-/// Sets after how long without a command a motor stops by itself (0xB3). It is kept in ROM.
+/// Sets after how long without a command a motor stops by itself (0xB3); 0 switches that off. It is kept in ROM.
 ///
 /// From then on the motor has to be spoken to without longer pauses, and after one it may answer and not obey
 /// until it is spoken to steadily again (2.31.1). Its brake has locked by then, which torque and motion

@@ -48,7 +48,6 @@ pub use async_can::{AsyncCan, AsyncCanMaster, CanHalves};
 pub use async_clock::{AsyncClock, DelayClock};
 pub use async_runner::AsyncRunner;
 pub use async_serial::AsyncSerialMaster;
-pub use calls::Calls;
 pub use can::{BlockingCan, CanMaster};
 pub use clock::{Clock, FnClock};
 pub use echo::EchoFilter;

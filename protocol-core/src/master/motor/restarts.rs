@@ -98,6 +98,7 @@ impl Motor {
         self.reports = 0;
         self.run_time_ms = 0;
         self.place = None;
+        self.last_stop.has_restarted();
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
         self.is_sent_no_more();

@@ -31,6 +31,13 @@ pub(in crate::master) enum LastStop {
 }
 
 impl LastStop {
+    /// The motor has restarted: it is held no more.
+    pub(super) fn has_restarted(&mut self) {
+        if let Self::Confirmed(_) = self {
+            *self = Self::None;
+        }
+    }
+
     fn is_like(self, stop: &Asked) -> bool {
         match self {
             Self::None => false,
@@ -81,10 +88,7 @@ impl Motor {
             return;
         }
         stop.attempts_left = stop.attempts_left.saturating_sub(1);
-        let ends_otherwise =
-            |asked: &Asked| asked.kind().ends_motion() && asked.question != stop.question;
-        let is_news = self.request.under_way().is_some_and(ends_otherwise);
-        if self.last_stop.is_like(stop) && !is_news && stop.purpose == Purpose::Stop {
+        if self.last_stop.is_like(stop) && stop.purpose == Purpose::Stop {
             stop.purpose = Purpose::StopCalledAgain;
         }
     }

@@ -412,3 +412,41 @@ fn a_stop_that_waits_for_what_is_owed_waits_for_no_sign_of_a_bus_that_nobody_els
     assert_eq!(sent_behind_a_cut(nothing, all), at_once_and(&[70, 112]));
     assert_eq!(sent_behind_a_cut(all, nothing), at_once_and(&[70, 112]));
 }
+
+/// A motor without a place may have missed the first.
+#[test]
+fn the_stop_to_all_of_a_line_goes_again_every_100_ms_while_it_is_called_in_every_cycle() {
+    let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
+    let mut to_all = Vec::new();
+    for now in 0..250 {
+        events(&mut master, ms(now));
+        master.stop_all(StopKind::Off, id(1).into()).unwrap();
+        let Some(packet) = master.poll_transmit(ms(now)) else { continue };
+        master.handle_transmitted(ms(now));
+        if packet == packet_to_all(Shutdown.encode()) {
+            to_all.push(now);
+        } else {
+            says(&mut master, 1, packet.data, ms(now) + Duration::from_micros(900));
+        }
+    }
+    assert_eq!(to_all.len(), 3, "{to_all:?}");
+    assert!(to_all.windows(2).all(|two| two[1] - two[0] >= 100), "{to_all:?}");
+}
+
+#[test]
+fn a_stop_to_all_gives_its_turn_to_nobody() {
+    let mut master = Master::<8>::new(Config::rs485(1_000_000, false));
+    is_stopped_by_line(&mut master, 1, StopKind::Off, ms(0));
+    is_stopped_by_line(&mut master, 1, StopKind::Off, ms(1));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(2)), [packet_to_all(Shutdown.encode())]);
+}
+
+/// It holds nothing any more.
+#[test]
+fn a_hold_behind_a_restart_is_no_stop_that_is_called_again() {
+    let mut master = called_again(StopKind::Hold);
+    master.note_restart(id(1));
+    is_stopped_by_line(&mut master, 1, StopKind::Hold, ms(2));
+}

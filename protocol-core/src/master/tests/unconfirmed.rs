@@ -607,3 +607,23 @@ fn a_stop_that_goes_again_keeps_nobody_off_whom_no_stop_has_switched_off() {
     events(&mut master, ms(now));
     assert!(master.request(id(1), Stop).is_ok());
 }
+
+/// A motor that was told to be off since its hold was given up: the answer to that is late, and of before the next stop.
+#[test]
+fn the_sendings_of_a_hold_are_none_of_the_off_that_it_was_told_since() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Hold).unwrap();
+    let mut now = 0;
+    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
+        sent(&mut master, ms(now));
+        now += 1;
+    }
+    let once = Patience { reply_timeout: Duration::from_millis(20), attempts: 1 };
+    let off = master.request_with(id(1), Shutdown, once).unwrap();
+    assert_eq!(sent(&mut master, ms(now)).len(), 1);
+    let told = events(&mut master, ms(now + 21));
+    assert_eq!(told, [Event::Failed { ticket: off.id(), failure: Failure::NoReply }]);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let late = reply(&mut master, 1, Shutdown.encode(), ms(now + 22));
+    assert!(matches!(late, Some(Event::Stray { .. })), "{late:?}");
+}
