@@ -214,8 +214,8 @@ impl Motor {
             && !self.waits_for_motion(asked, is_moved_with_all)
     }
 
-    /// Whether this is to end motion once more, which it does only when nothing that was sent before can move
-    /// the motor any more, and no answer to its earlier attempts can be taken for that to the last.
+    /// Whether this is to end motion once more and waits: until no answer to its earlier attempts can be taken for that to
+    /// the last, and, where it was answered for sure, until nothing that was sent before can move the motor any more.
     pub(super) fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
         let moves = || asked.round == Round::Waits && (is_moved_with_all || self.may_yet_move());
         asked.round.waits() && (moves() || self.late.may_be_mistaken(asked.question))
