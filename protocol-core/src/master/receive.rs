@@ -223,9 +223,7 @@ impl<const N: usize> Master<N> {
         let is_echo = self.broadcast.may_be_mistaken(data[0], motor) && command == *data;
         let is_handed_back = kind.is_some_and(|kind| kind.is_handed_back(data));
         if is_echo && (self.lost_master.contains(motor) || is_handed_back) {
-            let is_before =
-                |motor: &Motor| motor.last_sent.contains(LastSent::BEFORE_IT_LOST_MASTER);
-            if !self.motor(motor).is_some_and(is_before) {
+            if !self.motor(motor).is_some_and(Motor::was_told_before_it_lost_master) {
                 self.lost_master.remove(motor);
             }
             return false;
@@ -399,7 +397,7 @@ impl Motor {
         let is_echo = set_point.data == packet.data;
         let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
         self.stream.take_in_flight();
-        let is_of_before = self.last_sent.contains(LastSent::BEFORE_IT_LOST_MASTER);
+        let is_of_before = self.was_told_before_it_lost_master();
         if heard.take_ignored_one(is_of_before) && (is_one_late || is_echo) || is_handed_back {
             return Meaning::SetPointIgnored;
         }
@@ -443,8 +441,8 @@ impl Motor {
         self.request = Request::InFlight(asked);
         let is_echo = asked.data == data;
         let is_handed_back = is_echo && asked.kind().is_handed_back(&data);
-        let is_of_before = self.last_sent.contains(LastSent::BEFORE_IT_LOST_MASTER)
-            || asked.unanswered > 0 && !asked.is_stop();
+        let is_of_before =
+            self.was_told_before_it_lost_master() || asked.unanswered > 0 && !asked.is_stop();
         if heard.take_ignored_one(is_of_before) && is_echo || is_handed_back {
             if asked.is_stop() {
                 // It ignores one, and no more.

@@ -2,7 +2,7 @@
 
 use crate::kind::Kind;
 use crate::master::motor::{LastSent, Motor};
-use crate::master::request::{Asked, Purpose, Round};
+use crate::master::request::{Asked, Round};
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
@@ -38,7 +38,7 @@ impl<const N: usize> Master<N> {
     /// cycle, and would keep everybody else off the line. Rounds say little here: the stops are ahead.
     #[inline(never)]
     fn stop_or_other(&self, stop: Offer, now: Instant) -> Offer {
-        let is_again = |(place, _)| self.is_called_again(place as u8);
+        let is_again = |(_, motor): (_, &Motor)| motor.is_stop_called_again();
         if !self.config.is_rs485()
             || !self.was_called_again
             || stop == Offer::StopToAll
@@ -54,13 +54,6 @@ impl<const N: usize> Master<N> {
         let ready =
             settled.filter_map(|(place, motor)| Some((motor.sent, self.next_of(place, motor)?)));
         ready.min_by_key(|&(sent, _)| sent).map_or(stop, |(_, offer)| offer)
-    }
-
-    /// Whether a stop that is called for again waits in this place.
-    #[inline(never)]
-    pub(super) fn is_called_again(&self, place: u8) -> bool {
-        let asked = self.motors.get(usize::from(place)).and_then(|motor| motor.request.waiting());
-        asked.is_some_and(|asked| asked.purpose == Purpose::StopCalledAgain)
     }
 
     /// The one to all, then the most urgent of those of one motor.

@@ -118,13 +118,16 @@ impl<const N: usize> Master<N> {
         // Called again it is for motors without a place: where nobody has one, each time; else on a line after a rest, when
         // it prolongs nobody's wait for what is owed, and not on CAN, where each motor answers it.
         let is_called_again = was == Some(kind) && !self.places.taken.is_empty();
-        let waits = |motor: &Motor| motor.request.waiting().is_some_and(|stop| stop.round.waits());
-        let has_rested = self.now - self.stop_to_all_sent >= STOP_AGAIN_AFTER
-            && !self.at(self.places.stops).any(|(_, motor)| waits(motor));
-        let is_due = if self.config.is_rs485() {
-            !is_called_again || has_rested
-        } else {
-            !is_called_again && self.broadcast.has_moved()
+        let is_due = match (self.config.bus, is_called_again) {
+            (Bus::Rs485 { .. }, false) => true,
+            (Bus::Rs485 { .. }, true) => {
+                let waits = |asked: &Asked| asked.round.waits();
+                let has_rested = self.now - self.stop_to_all_sent >= STOP_AGAIN_AFTER;
+                let mut stops = self.at(self.places.stops);
+                has_rested && !stops.any(|(_, motor)| motor.request.waiting().is_some_and(waits))
+            }
+            (Bus::Can, false) => self.broadcast.has_moved(),
+            (Bus::Can, true) => false,
         };
         if is_any_new {
             let goes = was_same_for_all && is_due;

@@ -96,6 +96,17 @@ fn ask<C: Command, const N: usize>(
     ticket
 }
 
+/// This motor was stopped and has confirmed none of the attempts from then on. Gives when that was told.
+fn is_given_up<const N: usize>(master: &mut Master<N>, motor: u8, from: u64) -> u64 {
+    let unconfirmed = [Event::StopUnconfirmed { motor: id(motor) }];
+    let mut times = from..from + 1_000;
+    let told = times.find(|&now| {
+        sent(master, ms(now));
+        events(master, ms(now)) == unconfirmed
+    });
+    told.expect("after fifteen attempts")
+}
+
 #[test]
 fn fits_its_budget() {
     assert!(size_of::<Master<8>>() <= 2_312, "{}", size_of::<Master<8>>());

@@ -82,7 +82,8 @@ impl<const N: usize> Master<N> {
         let mut silence = Duration::ZERO;
         match offer {
             Offer::Request(place) => {
-                self.was_called_again = self.is_called_again(place);
+                let motor = self.motors.get(usize::from(place));
+                self.was_called_again = motor.is_some_and(Motor::is_stop_called_again);
                 let sent = self.change_at(usize::from(place), |motor, config| {
                     let is_over = motor.request_was_sent(now, config)?;
                     Some((is_over, motor.round))

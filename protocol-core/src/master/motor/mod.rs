@@ -126,6 +126,12 @@ impl Motor {
         })
     }
 
+    /// Whether a stop that is called for again waits.
+    #[inline(never)]
+    pub(super) fn is_stop_called_again(&self) -> bool {
+        self.request.waiting().is_some_and(|asked| asked.purpose == Purpose::StopCalledAgain)
+    }
+
     /// Whether it has nothing under way and nothing to tell, and nothing that was sent may move it yet. A stop that
     /// nobody has confirmed, and that goes again and again, is nothing.
     pub(super) fn is_idle(&self, now: Instant) -> bool {
@@ -180,6 +186,11 @@ impl Motor {
 
     pub(super) fn is_settled(&self, now: Instant) -> bool {
         self.settled_at <= now
+    }
+
+    /// Whether its drive has said since the last command that it has lost its master.
+    pub(super) fn was_told_before_it_lost_master(&self) -> bool {
+        self.last_sent.contains(LastSent::BEFORE_IT_LOST_MASTER)
     }
 
     /// Whether its last reply was due while the bus was quiet.

@@ -128,38 +128,6 @@ fn a_stop_of_every_cycle_of_a_motor_that_is_not_there_leaves_others_their_turn()
     assert!(dead[6] >= 5 && dead[7] >= 5, "{dead:?}");
 }
 
-/// How many of 20 stops of all, `period_ms` apart and each lifted before the next, three motors have confirmed on a
-/// line. They answer after 900 us.
-fn confirmed_of_lifted_ones(period_ms: u64) -> [u32; 3] {
-    let mut master = Master::<3>::new(Config::rs485(1_000_000, false));
-    let all: MotorSet = (1..=3).map(id).collect();
-    let mut confirmed = [0; 3];
-    for now in 0..20 * period_ms {
-        if now % period_ms == 0 {
-            master.lift_stop();
-            master.stop_all(StopKind::Off, all).unwrap();
-        }
-        master.handle_timeout(ms(now));
-        let Some(packet) = master.poll_transmit(ms(now)) else { continue };
-        master.handle_transmitted(ms(now));
-        let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
-        let frame = Frame { address: Target::Motor(motor), data: packet.data };
-        let event = master.handle_line(&frame, ms(now) + Duration::from_micros(900));
-        if event == Some(Event::StopConfirmed { motor }) {
-            confirmed[motor.index()] += 1;
-        }
-    }
-    confirmed
-}
-
-/// One to all and the pause behind it take 5 ms, and each motor answers that, perhaps, and its own: twelve more.
-#[test]
-fn stops_that_are_lifted_and_called_again_are_confirmed_on_a_line() {
-    for period in [20, 25] {
-        assert_eq!(confirmed_of_lifted_ones(period), [20; 3], "every {period} ms");
-    }
-}
-
 /// What comes of 1,000 calls of `stop`, `period_ms` apart, where every `lost`th answer is lost. Motors answer their own
 /// stops after 900 us; nobody hears what a line answers to all. Gives how many of each motor were confirmed, and how many
 /// were not.
@@ -241,6 +209,21 @@ fn a_stop_of_all_of_every_cycle_is_confirmed_on_a_line() {
     }
 }
 
+/// One to all and the pause behind it take 5 ms, and each motor answers that, perhaps, and its own: twelve more.
+#[test]
+fn stops_that_are_lifted_and_called_again_are_confirmed_on_a_line() {
+    let all: MotorSet = (1..=3).map(id).collect();
+    let lift_and_stop = |master: &mut Master<4>| {
+        master.lift_stop();
+        master.stop_all(StopKind::Off, all).unwrap();
+    };
+    for period_ms in [20, 25] {
+        let line = Master::new(Config::rs485(1_000_000, false));
+        let told = of_every_cycle(line, lift_and_stop, period_ms, u32::MAX);
+        assert_eq!(told, ([1_000, 1_000, 1_000, 0], 0), "every {period_ms} ms");
+    }
+}
+
 /// A thread that reads a motor's status beside another that stops it.
 #[test]
 fn a_request_that_a_stop_of_every_cycle_drops_takes_no_turn_of_others() {
@@ -289,11 +272,7 @@ fn a_hold_that_becomes_an_off_goes_right_behind_one_that_was_called_again() {
 fn a_hold_that_nobody_has_confirmed_and_that_becomes_an_off_is_no_stop_that_is_called_again() {
     let mut master = called_again(StopKind::Hold);
     master.stop(id(2), StopKind::Hold).unwrap();
-    let mut now = 2;
-    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(2) }) {
-        sent(&mut master, ms(now));
-        now += 1;
-    }
+    let now = is_given_up(&mut master, 2, 2);
     is_stopped_by_line(&mut master, 1, StopKind::Hold, ms(now));
     master.set_point(id(8), torque(1.0), ms(now + 1)).unwrap();
     master.stop(id(2), StopKind::Off).unwrap();
@@ -370,11 +349,7 @@ fn sent_behind_a_cut(
     sent(&mut master, ms(0));
     events(&mut master, ms(100));
     master.stop_all(StopKind::Off, id(1).into()).unwrap();
-    let mut now = 100;
-    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
-        sent(&mut master, ms(now));
-        now += 1;
-    }
+    let now = is_given_up(&mut master, 1, 100);
     master.lift_stop();
     behind(&mut master, ms(now));
     sent(&mut master, ms(now));

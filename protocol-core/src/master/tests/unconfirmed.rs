@@ -2,17 +2,6 @@
 
 use super::*;
 
-/// Motor 1 was stopped so and has confirmed none of the attempts from then on. Gives when that was told.
-fn is_given_up(master: &mut Master<2>, from: u64) -> u64 {
-    let unconfirmed = [Event::StopUnconfirmed { motor: id(1) }];
-    let mut times = from..from + 1_000;
-    let told = times.find(|&now| {
-        sent(master, ms(now));
-        events(master, ms(now)) == unconfirmed
-    });
-    told.expect("after fifteen attempts")
-}
-
 /// What goes from then on for as long as a stop rests that was given up, 100 ms, and is waited for, 20.4 ms.
 fn goes_again<const N: usize>(master: &mut Master<N>, from: u64) -> Vec<Packet> {
     (from..from + 120).flat_map(|now| sent(master, ms(now))).collect()
@@ -23,7 +12,7 @@ fn a_motor_that_has_not_confirmed_its_stop_gets_it_every_100_ms_until_it_does() 
     for kind in [StopKind::Hold, StopKind::Off] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop_all(kind, id(1).into()).unwrap();
-        let mut now = is_given_up(&mut master, 0);
+        let mut now = is_given_up(&mut master, 1, 0);
         let (_, stop) = kind.command();
         for _ in 0..40 {
             assert!(master.poll_at() > Some(ms(now + 98)), "{:?}", master.poll_at());
@@ -47,7 +36,7 @@ fn a_stop_that_was_lifted_goes_no_more() {
     for is_one in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Off).unwrap();
-        let now = is_given_up(&mut master, 0);
+        let now = is_given_up(&mut master, 1, 0);
         if is_one {
             master.lift_stop_of(id(1));
         } else {
@@ -78,7 +67,7 @@ fn who_confirms_no_stop_is_forgotten_all_the_same() {
     for is_in_flight in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop_all(StopKind::Off, id(1).into()).unwrap();
-        let now = is_given_up(&mut master, 0);
+        let now = is_given_up(&mut master, 1, 0);
         let stops = sent(&mut master, ms(now + if is_in_flight { 100 } else { 50 }));
         assert_eq!(stops.len(), usize::from(is_in_flight));
         assert!(master.forget(id(1)));
@@ -114,7 +103,7 @@ fn a_hold_that_was_not_confirmed_does_not_switch_on_what_is_switched_off_since()
     for is_to_all in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Hold).unwrap();
-        let now = is_given_up(&mut master, 0);
+        let now = is_given_up(&mut master, 1, 0);
         if is_to_all {
             master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
         } else {
@@ -136,7 +125,7 @@ fn what_ends_its_motion_takes_an_unconfirmed_stop_back_when_it_is_answered() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     // Its answer could not come any more.
-    let now = is_given_up(&mut master, 0) + 50;
+    let now = is_given_up(&mut master, 1, 0) + 50;
     master.handle_timeout(ms(now));
     let patience = Patience { reply_timeout: Duration::from_millis(500), attempts: 1 };
     let off = master.request_with(id(1), Shutdown, patience).unwrap();
@@ -170,7 +159,7 @@ fn a_hold_that_became_a_shutdown_with_all_goes_again_as_a_shutdown() {
 fn a_hold_of_long_ago_does_not_switch_on_who_has_no_place_under_a_stop_of_all() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let now = is_given_up(&mut master, 0) + 100;
+    let now = is_given_up(&mut master, 1, 0) + 100;
     events(&mut master, ms(now));
     master.lift_stop();
     assert!(master.forget(id(1)));
@@ -220,7 +209,7 @@ fn a_stop_that_is_called_for_has_all_its_attempts_also_while_one_goes_again() {
     for (is_waiting, is_to_all) in [(false, false), (true, false), (false, true)] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop_all(StopKind::Off, id(1).into()).unwrap();
-        let mut now = is_given_up(&mut master, 0) + 100;
+        let mut now = is_given_up(&mut master, 1, 0) + 100;
         master.handle_timeout(ms(now));
         let mut frames = if is_waiting { 0 } else { sent(&mut master, ms(now)).len() };
         for _ in 0..2 {
@@ -256,7 +245,7 @@ fn who_has_confirmed_no_stop_for_long_confirms_it_with_its_first_answer() {
     for config in [Config::CAN, Config::rs485(1_000_000, false)] {
         let mut master = Master::<2>::new(config);
         master.stop(id(1), StopKind::Off).unwrap();
-        let mut now = is_given_up(&mut master, 0);
+        let mut now = is_given_up(&mut master, 1, 0);
         let mut stops = 0;
         while stops < 30 {
             now += 1;
@@ -302,7 +291,7 @@ fn a_stop_that_was_lifted_does_not_go_on() {
     for is_held_first in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Off).unwrap();
-        let now = is_given_up(&mut master, 0);
+        let now = is_given_up(&mut master, 1, 0);
         master.lift_stop();
         // It may be moved here.
         if is_held_first {
@@ -320,7 +309,7 @@ fn a_shutdown_that_was_never_sent_does_not_change_a_hold_that_goes_again() {
     for is_to_all in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Hold).unwrap();
-        let now = is_given_up(&mut master, 0) + 50;
+        let now = is_given_up(&mut master, 1, 0) + 50;
         if is_to_all {
             master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
         } else {
@@ -335,7 +324,7 @@ fn a_shutdown_that_was_never_sent_does_not_change_a_hold_that_goes_again() {
 fn what_all_are_about_to_be_told_is_not_undone_by_a_hold_that_goes_again() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let now = is_given_up(&mut master, 0);
+    let now = is_given_up(&mut master, 1, 0);
     let patient = Patience { reply_timeout: Duration::from_millis(300), attempts: 1 };
     let _ = master.request_with(id(2), ReadModel, patient).unwrap();
     assert_eq!(sent(&mut master, ms(now)).len(), 1);
@@ -350,7 +339,7 @@ fn what_all_are_about_to_be_told_is_not_undone_by_a_hold_that_goes_again() {
 fn a_stop_that_was_lifted_does_not_go_again_because_another_is_in_force() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let now = is_given_up(&mut master, 0);
+    let now = is_given_up(&mut master, 1, 0);
     master.stop(id(2), StopKind::Hold).unwrap();
     sent(&mut master, ms(now));
     assert!(reply(&mut master, 2, Stop.encode(), ms(now + 1)).is_some());
@@ -398,7 +387,7 @@ fn a_stop_that_is_called_for_as_soon_as_it_was_given_up_is_confirmed_by_its_firs
     sent(&mut master, ms(0));
     assert_eq!(events(&mut master, ms(5)).len(), 1);
     master.stop(id(1), StopKind::Off).unwrap();
-    let now = is_given_up(&mut master, 6);
+    let now = is_given_up(&mut master, 1, 6);
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(now)).len(), 1);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 1)), confirmed(1));
@@ -411,7 +400,7 @@ fn a_stop_that_is_called_for_as_soon_as_it_was_given_up_is_confirmed_by_its_firs
 fn a_stop_that_is_called_for_again_and_was_never_confirmed_has_all_its_attempts_but_one() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
-    let now = is_given_up(&mut master, 0);
+    let now = is_given_up(&mut master, 1, 0);
     master.stop(id(1), StopKind::Off).unwrap();
     let frames: usize = (now..now + 15 * 21).map(|now| sent(&mut master, ms(now)).len()).sum();
     assert_eq!(frames, 14);
@@ -423,7 +412,7 @@ fn no_question_keeps_a_stop_back_that_goes_again() {
     for is_to_all in [true, false] {
         let mut master = Master::<2>::new(Config::CAN);
         master.stop(id(1), StopKind::Off).unwrap();
-        let now = is_given_up(&mut master, 0);
+        let now = is_given_up(&mut master, 1, 0);
         let patient = Patience { reply_timeout: Duration::from_millis(500), attempts: 1 };
         let _read = master.request_with(id(if is_to_all { 2 } else { 1 }), ReadModel, patient);
         assert_eq!(sent(&mut master, ms(now)).len(), 1);
@@ -448,7 +437,7 @@ fn that_a_stop_is_not_confirmed_is_told_however_late_somebody_asks() {
 fn a_shutdown_after_a_hold_that_was_not_confirmed_is_answered_once() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let now = is_given_up(&mut master, 0) + 90;
+    let now = is_given_up(&mut master, 1, 0) + 90;
     events(&mut master, ms(now));
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(now)).len(), 1);
@@ -462,7 +451,7 @@ fn a_shutdown_after_a_hold_that_was_not_confirmed_is_answered_once() {
 fn a_stop_that_goes_again_does_not_meet_an_answer_on_a_line() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop(id(1), StopKind::Off).unwrap();
-    let now = is_given_up(&mut master, 0);
+    let now = is_given_up(&mut master, 1, 0);
     let _read = master.request(id(1), ReadModel).unwrap();
     assert_eq!(sent(&mut master, ms(now + 99)).len(), 1);
     for after in 100..104 {
@@ -475,7 +464,7 @@ fn a_stop_that_goes_again_does_not_meet_an_answer_on_a_line() {
 fn the_callers_own_shutdown_leaves_a_shutdown_that_goes_on_its_answers() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
-    let now = is_given_up(&mut master, 0);
+    let now = is_given_up(&mut master, 1, 0);
     let _off = master.request(id(1), Shutdown).unwrap();
     assert_eq!(sent(&mut master, ms(now + 50)), [packet_to(1, Shutdown.encode())]);
     master.stop(id(1), StopKind::Off).unwrap();
@@ -545,7 +534,7 @@ fn an_earlier_stop_that_was_given_up_is_not_told_of_the_next_one() {
 fn who_is_heard_again_is_stopped_at_once_and_no_read_is_cut_off_by_that() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
-    let now = is_given_up(&mut master, 0);
+    let now = is_given_up(&mut master, 1, 0);
     let read = ask(&mut master, 1, ReadMultiTurnAngle, ms(now + 21));
     // Something else that it says ends no read.
     assert!(matches!(
@@ -569,7 +558,7 @@ fn who_is_heard_again_is_stopped_at_once_and_no_read_is_cut_off_by_that() {
 fn who_is_heard_again_and_confirms_nothing_is_not_stopped_again_at_once() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
-    let now = is_given_up(&mut master, 0);
+    let now = is_given_up(&mut master, 1, 0);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now + 1));
     assert!(reply(&mut master, 1, ANGLE_REPLY, ms(now + 2)).is_some());
     assert_eq!(sent(&mut master, ms(now + 2)), [], "it was given up 2 ms ago");
@@ -579,7 +568,7 @@ fn who_is_heard_again_and_confirms_nothing_is_not_stopped_again_at_once() {
 fn a_stop_that_goes_again_when_it_is_called_for_goes_behind_who_was_told_nothing_yet() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Off).unwrap();
-    let now = is_given_up(&mut master, 0);
+    let now = is_given_up(&mut master, 1, 0);
     let _ = ask(&mut master, 2, ReadMultiTurnAngle, ms(now + 20));
     assert!(reply(&mut master, 2, ANGLE_REPLY, ms(now + 21)).is_some());
     // It is heard again, so that its stop is to go once more.
@@ -594,17 +583,12 @@ fn a_stop_that_goes_again_when_it_is_called_for_goes_behind_who_was_told_nothing
 fn a_stop_that_goes_again_keeps_nobody_off_whom_no_stop_has_switched_off() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let mut now = 0;
-    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
-        sent(&mut master, ms(now));
-        now += 1;
-    }
+    let now = is_given_up(&mut master, 1, 0);
     master.broadcast(Shutdown, MotorSet::EMPTY).unwrap();
     assert_eq!(sent(&mut master, ms(now)), [packet_to_all(Shutdown.encode())]);
     let again = (now..now + 200).find_map(|now| sent(&mut master, ms(now)).pop());
     assert_eq!(again, Some(packet_to(1, Shutdown.encode())));
-    now += 300;
-    events(&mut master, ms(now));
+    events(&mut master, ms(now + 300));
     assert!(master.request(id(1), Stop).is_ok());
 }
 
@@ -613,11 +597,7 @@ fn a_stop_that_goes_again_keeps_nobody_off_whom_no_stop_has_switched_off() {
 fn the_sendings_of_a_hold_are_none_of_the_off_that_it_was_told_since() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
-    let mut now = 0;
-    while !events(&mut master, ms(now)).contains(&Event::StopUnconfirmed { motor: id(1) }) {
-        sent(&mut master, ms(now));
-        now += 1;
-    }
+    let now = is_given_up(&mut master, 1, 0);
     let once = Patience { reply_timeout: Duration::from_millis(20), attempts: 1 };
     let off = master.request_with(id(1), Shutdown, once).unwrap();
     assert_eq!(sent(&mut master, ms(now)).len(), 1);
