@@ -2,6 +2,7 @@
 
 mod deadlines;
 mod late_moves;
+pub(super) mod replies;
 pub(super) mod reports;
 pub(super) mod restarts;
 pub(super) mod stopping;

@@ -1,4 +1,20 @@
 //! What stops a motor: its own stop, whatever all are told, and what becomes of a stop that is not confirmed.
+//!
+//! # The way of a stop
+//! 1. It is put in the place of whatever waits ([`put_stop`](Motor::put_stop)), unless one like it is under way
+//!    ([`is_stopping_already`](Motor::is_stopping_already)). Answers to what was sent before are owed from then on.
+//! 2. It goes ([`schedule`](crate::master::schedule)): first stops before any other, and on a line one that is called
+//!    for again leaves every second turn to others.
+//! 3. An answer comes ([`replies`](crate::master::motor::replies)).
+//!    - It may be owed to what was sent before: the stop goes again, at once or, if stops go on and on, when nothing is
+//!      owed any more ([`WaitsForOwed`](crate::master::request::Round::WaitsForOwed)).
+//!    - It is the stop's, but something sent before may still move the motor: when that is over the stop goes once more,
+//!      and the answer to that counts ([`Waits`](crate::master::request::Round::Waits),
+//!      [`Second`](crate::master::request::Round::Second)).
+//!    - Else the motor has confirmed it ([`has_ended_motion`](Motor::has_ended_motion)).
+//! 4. None comes in time: it goes again ([`deadlines`](crate::master::motor::deadlines)) until it has no attempts left.
+//!    Then it was given up ([`stop_was_given_up`](Motor::stop_was_given_up)), which is reported, and goes once more from
+//!    time to time, and when the motor is heard, for as long as it is in force ([`Purpose::StopAgain`]).
 
 use crate::data::Data;
 use crate::kind::Kind;

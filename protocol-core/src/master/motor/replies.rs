@@ -1,0 +1,295 @@
+//! What a reply means to its motor: every reply is held against what is in flight, and what may come late.
+
+use crate::command::{AnyReply, Command, ReadRunTime};
+use crate::id::MotorId;
+use crate::kind::Kind;
+use crate::master::broadcast::Broadcast;
+use crate::master::late::{Of, Question};
+use crate::master::motor::restarts::{HALF_A_TURN_TAKES, Place};
+use crate::master::motor::{DOUBLED_WITHIN, Motor};
+use crate::master::request::{Asked, Purpose, Request, Round};
+use crate::master::stop::STOP_ATTEMPTS;
+use crate::master::stream::SetPoint;
+use crate::master::{Config, Failure, MotorSet, TicketId};
+use crate::opcode::{Opcode, Repeat};
+use crate::packet::{Channel, Packet};
+use crate::time::{Duration, Instant};
+
+/// What a reply is, as far as its motor knows. How long it took is known unless it may answer one of
+/// several sendings.
+pub(in crate::master) enum Meaning {
+    /// It answers a set-point.
+    Feedback(AnyReply, Option<Duration>),
+    /// It shows that the set-point in flight was ignored.
+    SetPointIgnored,
+    /// It answers the caller's request of this kind.
+    Answer(TicketId, Kind, Option<Duration>),
+    /// It confirms the stop.
+    StopConfirmed(Option<Duration>),
+    /// It answers what was asked, but does not end it: nothing is to be reported.
+    Nothing,
+    /// It answers what ends motion, which goes once more: something sent before may move the motor yet.
+    OnceMore,
+    /// It may as well answer the broadcast, and ends nothing.
+    OfBroadcast,
+    /// It is the late answer to something that was given up.
+    Late,
+    /// It is what was answered last, once more.
+    Doubled,
+    /// It is none of these.
+    Unasked,
+}
+
+/// A reply, and what the master knows of the motor that it is from.
+pub(in crate::master) struct Heard<'a> {
+    pub(in crate::master) from: MotorId,
+    pub(in crate::master) packet: &'a Packet,
+    pub(in crate::master) at: Instant,
+    pub(in crate::master) to_all: &'a Broadcast,
+    pub(in crate::master) lost_master: &'a mut MotorSet,
+}
+
+impl Heard<'_> {
+    /// Whether it may be the answer to what all were told.
+    fn may_answer_broadcast(&self) -> bool {
+        let is_motion = matches!(self.packet.channel, Channel::MotionReply(_));
+        !is_motion && self.to_all.may_be_mistaken(self.packet.data[0], self.from)
+    }
+
+    /// Whether it may be the echo of a drive that has lost its master and ignored the command.
+    fn may_be_ignored_one(&self) -> bool {
+        self.lost_master.contains(self.from)
+    }
+
+    /// The same, of what answers the command in flight. It ignores one, and no more: the next, if this may be of before
+    /// it said so, since an answer may equal its command.
+    fn take_ignored_one(&mut self, may_be_of_before: bool) -> bool {
+        let may_be = self.may_be_ignored_one();
+        if may_be && !may_be_of_before {
+            self.lost_master.remove(self.from);
+        }
+        may_be
+    }
+}
+
+impl Motor {
+    /// Holds a reply against what is expected: what is in flight, and what may come late.
+    pub(in crate::master) fn take(&mut self, heard: &mut Heard<'_>, config: &Config) -> Meaning {
+        let &mut Heard { packet, at: now, .. } = heard;
+        let is_motion = matches!(packet.channel, Channel::MotionReply(_));
+        let data = &packet.data;
+        let is_same = |question: Question| question.is_answered_by(is_motion, data);
+        let may_be_doubled = self.was_heard(config, now) && self.last_answered.is_some_and(is_same);
+        let shortest = match config.shortest_response {
+            clear if may_be_doubled && clear > Duration::ZERO => clear.max(DOUBLED_WITHIN),
+            clear => clear,
+        };
+        let is_in_time = now - self.sent >= shortest;
+        let answers = |question: Question| is_in_time && is_same(question);
+        if let Some(&set_point) = self.stream.in_flight().filter(|sent| answers(sent.question)) {
+            self.last_answered = Some(set_point.question);
+            return self.take_feedback(&set_point, heard, config);
+        }
+        if let Some(&asked) = self.request.answerable().filter(|asked| answers(asked.question)) {
+            self.last_answered = Some(asked.question);
+            return self.take_what_may_answer(asked, may_be_doubled, heard, config);
+        }
+        // Too soon after that: to one sent before, or to all.
+        let is_of_stop =
+            |asked: &Asked| asked.is_stop() && asked.unanswered > 1 && is_same(asked.question);
+        if self.request.in_flight().is_some_and(is_of_stop) {
+            return Meaning::Nothing;
+        }
+        self.take_what_answers_nothing(may_be_doubled, heard, config)
+    }
+
+    /// A reply as this request has it, which may be owed to something else.
+    fn take_what_may_answer(
+        &mut self,
+        asked: Asked,
+        may_be_doubled: bool,
+        heard: &mut Heard<'_>,
+        config: &Config,
+    ) -> Meaning {
+        let data = &heard.packet.data;
+        // Of what waits to be sent again: the last answer doubled.
+        if may_be_doubled && self.request.waiting().is_some() {
+            return Meaning::Nothing;
+        }
+        if !asked.is_stop() {
+            return self.take_answer(asked, heard, config);
+        }
+        // One that is owed to a broadcast or an earlier stop says nothing of this one, and comes first.
+        if heard.to_all.may_be_mistaken(data[0], heard.from) {
+            self.request = Request::Waiting(asked);
+            return Meaning::OfBroadcast;
+        }
+        if self.take_late(false, data, may_be_doubled).is_none() {
+            return self.take_answer(asked, heard, config);
+        }
+        // Nobody counts what may be the last one again: each would send one more.
+        if !may_be_doubled {
+            self.is_not_confirmed_by_that(asked, config);
+        }
+        Meaning::Nothing
+    }
+
+    /// A reply to nothing that is under way.
+    #[inline(never)]
+    fn take_what_answers_nothing(
+        &mut self,
+        may_be_doubled: bool,
+        heard: &Heard<'_>,
+        config: &Config,
+    ) -> Meaning {
+        let &Heard { packet, at: now, .. } = heard;
+        let is_motion = matches!(packet.channel, Channel::MotionReply(_));
+        if heard.may_answer_broadcast() {
+            self.late_replies_say_nothing();
+        }
+        match self.take_late(is_motion, &packet.data, may_be_doubled) {
+            None if may_be_doubled && config.shortest_response > Duration::ZERO => Meaning::Doubled,
+            None => Meaning::Unasked,
+            Some(Of::Nobody) => Meaning::Nothing,
+            Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
+            // Or it comes from before that, and the next command is what is ignored: nobody knows its bytes any more.
+            Some(_) if heard.may_be_ignored_one() => Meaning::Late,
+            Some(_) => match AnyReply::decode(packet, config.firmware) {
+                Ok(reply) => self.feedback(reply, Place::of(&reply), None, config, now),
+                Err(_) => Meaning::Late,
+            },
+        }
+    }
+
+    /// Feedback of its stream has come.
+    fn feedback(
+        &mut self,
+        reply: AnyReply,
+        place: Option<Place>,
+        round_trip: Option<Duration>,
+        config: &Config,
+        now: Instant,
+    ) -> Meaning {
+        if let Some(place) = place {
+            self.note_place(place, config, now);
+        }
+        (self.latest, self.latest_at) = (Some(reply), now);
+        Meaning::Feedback(reply, round_trip)
+    }
+
+    /// A reply to the set-point in flight.
+    fn take_feedback(
+        &mut self,
+        set_point: &SetPoint,
+        heard: &mut Heard<'_>,
+        config: &Config,
+    ) -> Meaning {
+        let &mut Heard { packet, at: now, .. } = heard;
+        let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
+        self.on_its_way.bus_is_alive(now, config);
+        // An earlier one may be what was ignored, and nobody knows its bytes any more.
+        let mut is_one_late = self.prolong_late(set_point.question, config, now);
+        let may_be_of_all = heard.may_answer_broadcast();
+        if may_be_of_all {
+            // If it is that of all, this one's is still to come.
+            let until = now + config.late_window;
+            self.expect_late(set_point.question, Of::StreamAnswered, 1, until, config);
+            is_one_late = true;
+        }
+        let is_echo = set_point.data == packet.data;
+        let is_handed_back = is_echo && set_point.question.kind.is_handed_back(&packet.data);
+        self.stream.take_in_flight();
+        let is_of_before = self.was_told_before_it_lost_master();
+        if heard.take_ignored_one(is_of_before) && (is_one_late || is_echo) || is_handed_back {
+            return Meaning::SetPointIgnored;
+        }
+        let round_trip = now - self.sent;
+        self.answered(Some(round_trip));
+        // Also where nobody has heard why, an echo says nothing of that.
+        let place = Place::of(&reply).filter(|_| !is_echo);
+        let meaning = self.feedback(reply, place, Some(round_trip), config, now);
+        // That to a set-point before is hardly older, and a jump that is missed is worse than one that is none.
+        if let Some(place) = place.filter(|_| !may_be_of_all && round_trip <= HALF_A_TURN_TAKES) {
+            (self.place, self.placed_at) = (Some(place), now);
+        }
+        meaning
+    }
+
+    /// Its answer may be owed to an earlier stop, so that it goes once more: at once, unless the motor was stopped before
+    /// and this is called again, or that has happened before. Then it waits until nothing is owed any more: stops
+    /// that go on would go on owing.
+    fn is_not_confirmed_by_that(&mut self, stop: Asked, config: &Config) {
+        if stop.purpose == Purpose::StopCalledAgain || stop.unanswered > STOP_ATTEMPTS / 2 {
+            self.waits_to_go_once_more(stop, Round::WaitsForOwed, config);
+        } else {
+            self.request = Request::Waiting(stop);
+        }
+    }
+
+    /// What ends its motion goes once more, when nobody can take an answer of before for that to the last.
+    fn waits_to_go_once_more(&mut self, mut asked: Asked, round: Round, config: &Config) {
+        let until = self.sent + asked.timeout + config.late_window;
+        let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
+        self.expect_late(asked.question, of, replies, until, config);
+        asked.round = round;
+        self.request = Request::Waiting(asked);
+    }
+
+    /// A reply to the request in flight.
+    fn take_answer(&mut self, mut asked: Asked, heard: &mut Heard<'_>, config: &Config) -> Meaning {
+        let &mut Heard { from: motor, at: now, packet: &Packet { data, .. }, .. } = heard;
+        asked.unanswered = asked.unanswered.saturating_sub(1);
+        let is_in_flight = self.request.in_flight().is_some();
+        self.request = Request::InFlight(asked);
+        let is_echo = asked.data == data;
+        let is_handed_back = is_echo && asked.kind().is_handed_back(&data);
+        let is_of_before =
+            self.was_told_before_it_lost_master() || asked.unanswered > 0 && !asked.is_stop();
+        if heard.take_ignored_one(is_of_before) && is_echo || is_handed_back {
+            if asked.is_stop() {
+                // It ignores one, and no more.
+                self.request = Request::Waiting(asked);
+            } else if asked.attempts_left > 0 && asked.kind().repeat() == Repeat::Harmless {
+                self.request = Request::Waiting(asked);
+            } else {
+                self.request_has_failed(Failure::NotExecuted, config, now);
+            }
+            return Meaning::Nothing;
+        }
+        // With more than one attempt under way nobody knows which one this answers.
+        let round_trip = (is_in_flight && asked.unanswered == 0).then_some(now - self.sent);
+        if is_in_flight {
+            self.answered(round_trip);
+        } else {
+            // That counted as lost, or was to all.
+            self.is_there();
+        }
+        let kind = asked.kind();
+        if kind.ends_motion() {
+            let may_undo = heard.to_all.may_undo(kind, motor);
+            let may_lie = heard.to_all.has_moved_since(motor) || self.may_lie_in_mailbox(config);
+            // The bus is whole, at last: what lies in a mailbox comes now.
+            if asked.round == Round::First && may_lie && !may_undo {
+                self.may_move_until(now + config.late_window, config);
+            }
+            if may_undo || self.may_yet_move() {
+                // Nothing that moves it goes between the attempts of what ends its motion.
+                self.on_its_way.bus_is_alive(now, config);
+                self.waits_to_go_once_more(asked, Round::Waits, config);
+                return Meaning::OnceMore;
+            }
+            self.has_ended_motion(kind);
+        }
+        self.finish_request(Request::None, config, now);
+        if asked.is_stop() {
+            return Meaning::StopConfirmed(round_trip);
+        }
+        if let (Kind::Known(Opcode::ReadRunTime), Ok(reply)) =
+            (kind, ReadRunTime::decode_reply(&data))
+        {
+            self.has_run_for(reply, config, now);
+        }
+        let ticket = TicketId { motor, number: self.ticket };
+        Meaning::Answer(ticket, kind, round_trip)
+    }
+}
