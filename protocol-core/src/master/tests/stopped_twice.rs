@@ -251,6 +251,25 @@ fn stops_whose_answers_may_be_doubled_do_not_go_round_for_ever() {
     panic!("no end");
 }
 
+/// Two answers are owed to a stop that was lifted.
+#[test]
+fn a_copy_of_an_answer_that_is_owed_brings_no_other_sending_about() {
+    let config = Config { shortest_response: Duration::ZERO, ..Config::CAN };
+    let mut master = Master::<2>::new(config);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let attempts: usize = (0..=42).map(|now| sent(&mut master, ms(now)).len()).sum();
+    assert_eq!(attempts, 3);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(43)), confirmed(1));
+    master.lift_stop();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(44)).len(), 1);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(45)), None);
+    assert_eq!(sent(&mut master, ms(45)).len(), 1, "it goes once more for that");
+    let copied = ms(45) + Duration::from_micros(300);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), copied), None);
+    assert_eq!(sent(&mut master, copied), []);
+}
+
 #[test]
 fn a_stop_that_is_cut_off_behind_its_first_answer_is_not_confirmed_by_one_more() {
     let mut master = Master::<2>::new(Config::CAN);

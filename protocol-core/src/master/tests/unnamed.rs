@@ -113,6 +113,23 @@ fn handed_back_it_goes_once_more_and_its_answer_is_awaited_once() {
 }
 
 #[test]
+fn handed_back_before_ones_own_stop_was_sent_it_owes_no_answer() {
+    let mut master = all_move();
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    master.handle_timeout(ms(100));
+    let to_all = master.poll_transmit(ms(100)).unwrap();
+    master.handle_transmitted(ms(100));
+    master.handle_pushed_out(&to_all);
+    assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None);
+    master.lift_stop();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(channels(&sent(&mut master, ms(103))), [to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(104)), confirmed(1));
+}
+
+#[test]
 fn an_older_one_that_is_handed_back_does_not_follow_a_newer_stop() {
     let mut master = all_move();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
