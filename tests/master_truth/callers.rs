@@ -410,6 +410,12 @@ impl<W: Rough> Session<W> {
     }
 
     fn take(&mut self, event: &Event) {
+        // Nothing is counted of who has no place yet.
+        if let Event::Stray { motor, .. } = *event
+            && !self.stage.host.master().motors().contains(motor)
+        {
+            return;
+        }
         self.oracle.hear(event, &mut self.stage.book.open());
         match *event {
             Event::Feedback { motor, .. }
