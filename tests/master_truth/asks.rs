@@ -92,6 +92,7 @@ impl<W: Rough> Session<W> {
             Ok(()) => truth.put_to_all(&data, known, MotorSet::EMPTY),
             Err(RequestError::Stopped) if any(|page| page.is_stopped) => return,
             Err(RequestError::Restarted) => return,
+            Err(RequestError::Busy) if truth.all_are_told_again() => return,
             Err(error) => truth.breaks(format!("{error} to {data:X?} to all")),
         }
         drop(truth);
@@ -127,6 +128,7 @@ impl<W: Rough> Session<W> {
         truth.tick(now);
         match begun {
             Ok(()) => truth.put_to_all(&data, known, holding),
+            Err(RequestError::Busy) if truth.all_are_told_again() => return,
             Err(error) => truth.breaks(format!("{error} to {data:X?} to all")),
         }
         drop(truth);

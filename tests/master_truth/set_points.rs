@@ -29,8 +29,10 @@ pub(crate) struct SetPoints {
     pub(crate) sent: u64,
     /// So many of these were answered within the shortest time in which one counts as lost.
     pub(crate) answered_soon: u64,
-    /// So many were told as unanswered.
+    /// So many of these were told as unanswered.
     pub(crate) told_unanswered: u64,
+    /// The last of them.
+    last_unanswered: Option<u32>,
 }
 
 impl Waiting {
@@ -66,6 +68,9 @@ impl SetPoints {
     /// The controller has handed it back: it waits again if it is the newest.
     pub(crate) fn handed_back(&mut self, number: u32) {
         self.sent -= 1;
+        // It was told while it lay in the controller.
+        let was_told = self.last_unanswered.take_if(|told| *told == number).is_some();
+        self.told_unanswered -= u64::from(was_told);
         if let Some(taken) = self.taken.take_if(|taken| taken.number == number) {
             // Who put another meanwhile has replaced it.
             self.waiting.get_or_insert(taken);
@@ -100,6 +105,7 @@ impl SetPoints {
     /// It is told that one was not answered. Gives whether that can be true.
     pub(crate) fn unanswered(&mut self) -> bool {
         self.told_unanswered += 1;
+        self.last_unanswered = self.taken.map(|taken| taken.number);
         self.told_unanswered + self.answered_soon <= self.sent
     }
 }

@@ -108,6 +108,12 @@ impl Truth {
         self.undo_nobody();
     }
 
+    /// Whether what ends the motion of all was handed back, and goes once more: nothing else goes to all meanwhile.
+    pub(crate) fn all_are_told_again(&self) -> bool {
+        let goes = |it: ToAll| it.taken == 0 && !it.is_over && !it.may_be_dropped;
+        self.to_all.is_some_and(|it| it.name.is_ending() && goes(it))
+    }
+
     /// What waits may have been dropped.
     pub(super) fn what_all_were_told_may_be_dropped(&mut self) {
         if let Some(it) = &mut self.to_all {

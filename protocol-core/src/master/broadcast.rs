@@ -406,7 +406,8 @@ impl<const N: usize> Master<N> {
     ///
     /// # Errors
     /// [`RequestError`]: the command has no form for all motors or none on this bus, another
-    /// broadcast is under way, the motors were stopped, or it moves them and one has
+    /// broadcast is under way, or was to end motion and goes once more because a controller has handed it back,
+    /// the motors were stopped, or it moves them and one has
     /// [restarted](Event::Restarted) or there is no place for all of `expected`: then nothing is sent.
     pub fn broadcast<C: Command>(
         &mut self,
