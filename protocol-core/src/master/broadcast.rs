@@ -35,6 +35,8 @@ pub(super) struct Broadcast {
     data: Data,
     /// Who is expected to answer it and has not.
     silent: MotorSet,
+    /// Of whom it counted as lost when its time was up.
+    lost: MotorSet,
     /// The motors that were stopped since it was put, to be held and to be off: one that ends motion is not to undo
     /// that, however late a controller hands it back.
     held: MotorSet,
@@ -120,7 +122,7 @@ impl Broadcast {
         (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
         self.kind = Some(kind);
         self.data = data;
-        self.silent = expected;
+        (self.silent, self.lost) = (expected, MotorSet::EMPTY);
         self.state = State::Waiting;
     }
 
@@ -341,8 +343,8 @@ impl Broadcast {
         matches!(self.state, State::Waiting | State::Again | State::Dropped)
     }
 
-    /// A controller has handed it back: it was never on the bus, and moves nobody.
-    pub(super) fn was_pushed_out(&mut self) {
+    /// A controller has handed it back: it was never on the bus, and moves nobody. Gives of whom it counted as lost.
+    pub(super) fn was_pushed_out(&mut self) -> MotorSet {
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last = MayUndo::default();
@@ -352,6 +354,7 @@ impl Broadcast {
             State::InFlight | State::Sent | State::Done => State::Waiting,
             state => state,
         };
+        core::mem::take(&mut self.lost)
     }
 
     pub(super) fn goes_again(&mut self) {
@@ -455,7 +458,8 @@ impl<const N: usize> Master<N> {
             return;
         }
         self.broadcast.state = State::Done;
-        for motor in self.broadcast.silent.iter() {
+        self.broadcast.lost = self.broadcast.silent;
+        for motor in self.broadcast.lost.iter() {
             self.change(motor, |motor, config| motor.has_missed(config, now));
         }
     }

@@ -99,6 +99,11 @@ impl Record {
         self.presence = if in_a_row < SILENT_AFTER { Presence::Late } else { Presence::Silent };
         self.lost = self.lost.saturating_add(1);
     }
+
+    /// One that counted as lost was never on the bus.
+    pub(super) fn uncount_miss(&mut self) {
+        self.lost = self.lost.saturating_sub(1);
+    }
 }
 
 #[cfg(test)]

@@ -162,7 +162,9 @@ impl<const N: usize> Master<N> {
                 let is_newest = is_broadcast && self.broadcast.is_active();
                 let is_stop_to_all = !is_newest && self.stop_to_all_was_pushed_out(packet);
                 if !is_stop_to_all && is_broadcast {
-                    self.broadcast.was_pushed_out();
+                    for motor in self.broadcast.was_pushed_out().iter() {
+                        self.change(motor, |motor, _| motor.health.uncount_miss());
+                    }
                     self.end_motion_of_all();
                 }
                 self.cancel_move_after_restart();

@@ -309,7 +309,7 @@ impl Motor {
                     // One without a reply, and nobody was told yet that it was sent.
                     Request::Sent(_) => self.settled_at = Instant::ZERO,
                     // Its time was up, and it counted as lost.
-                    Request::Waiting(_) => self.health.lost = self.health.lost.saturating_sub(1),
+                    Request::Waiting(_) => self.health.uncount_miss(),
                     _ => {}
                 }
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
@@ -339,9 +339,7 @@ impl Motor {
         } else {
             // A stop went over it, or it was given up: it will not be answered.
             match self.take_late(is_motion, &packet.data, false) {
-                Some(Of::Request | Of::Stream) => {
-                    self.health.lost = self.health.lost.saturating_sub(1);
-                }
+                Some(Of::Request | Of::Stream) => self.health.uncount_miss(),
                 Some(Of::RequestAnswered | Of::StreamAnswered) => {
                     // What was taken for its answer came late, to one that counted as lost.
                     self.health.answered = self.health.answered.saturating_sub(1);

@@ -179,6 +179,25 @@ fn a_stop_that_is_handed_back_after_it_has_failed_was_not_lost_rather_than_not_a
 }
 
 #[test]
+fn a_command_to_all_that_is_handed_back_after_its_time_was_up_was_not_lost() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
+    master.broadcast(Shutdown, [id(1), id(2)].into()).unwrap();
+    let to_all = sent(&mut master, ms(2)).pop().unwrap();
+    let silent = [id(1), id(2)].into();
+    assert_eq!(events(&mut master, ms(23)), [Event::BroadcastDone { silent, was_sent: true }]);
+    assert_eq!(master.health(id(1)).lost, 1);
+    master.handle_pushed_out(&to_all);
+    assert_eq!(master.health(id(1)).lost, 0);
+    // It goes once more, and nobody counts that.
+    assert_eq!(sent(&mut master, ms(24)), [to_all]);
+    events(&mut master, ms(50));
+    master.handle_pushed_out(&to_all);
+    assert_eq!(master.health(id(1)).lost, 0);
+}
+
+#[test]
 fn feedback_counts_as_lost_when_its_time_is_up_also_where_that_is_shorter_than_the_longest_response()
  {
     let mut config = Config { reply_timeout: Duration::from_micros(1_200), ..Config::CAN };
