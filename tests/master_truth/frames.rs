@@ -235,9 +235,8 @@ impl Truth {
         self.doubt.delivered(motor, packet);
         let page = self.page(motor);
         let is_lost_master = packet.data[0] == 0xF1;
-        if !may_pass_for_echo {
-            page.unanswered = 0;
-        }
+        // What may pass for an echo need not be taken for one.
+        page.unanswered = 0;
         if is_lost_master {
             page.lost_master_untold = false;
             page.ignores_next = true;
