@@ -7,6 +7,7 @@ use super::bounds::{Quiet, is_ending};
 use super::callers::Session;
 use super::oracle::{Open, is_move};
 use super::scenarios::Trouble;
+use super::truth::Page;
 use super::world::Rough;
 
 /// How often somebody looks.
@@ -61,7 +62,11 @@ impl<W: Rough> Session<W> {
             }
         }
         if let Some(asked) = self.oracle.broadcast {
-            let late = check(1, clocks.calm - self.all_asked_since, self.bounds.broadcast());
+            let (longest, restart) = (self.bounds.broadcast(), self.bounds.restart());
+            // A Shutdown that waits for the end of a restart goes before what holds all.
+            let rested = |page: &Page| page.reset_at.is_some_and(|at| at + restart + longest > now);
+            let longest = if pages().any(rested) { longest + restart } else { longest };
+            let late = check(1, clocks.calm - self.all_asked_since, longest);
             hangs.extend(late.map(|late| format!("{asked:?} {late}")));
         }
         hangs.into_iter().for_each(|what| truth.breaks(what));
