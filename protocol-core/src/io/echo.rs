@@ -261,11 +261,13 @@ fn opcode(frame: &Frame) -> Option<Opcode> {
     Opcode::from_byte(byte)
 }
 
-/// Whether a frame says no more than a command: an acknowledgement, or without values.
+/// Whether a frame says no more than a command: an acknowledgement, or without values. Not that a drive has lost its
+/// master, which is never sent to one.
 fn may_be_a_command(frame: &Frame) -> bool {
-    let [_, values @ ..] = frame.data;
+    let [byte, values @ ..] = frame.data;
     let rule = opcode(frame).map(Opcode::reply_rule);
-    values == [0; 7] || rule.is_some_and(|rule| rule != ReplyRule::Values)
+    let says_little = values == [0; 7] || rule.is_some_and(|rule| rule != ReplyRule::Values);
+    says_little && byte != LOST_MASTER_BYTE
 }
 
 #[cfg(test)]
@@ -324,6 +326,8 @@ mod tests {
         assert!(filter.is_echo(&frame(ReadMultiTurnAngle)), "and so may one without values");
         let angle = Frame { data: [0x92, 0, 0, 0, 0xA0, 0x8C, 0, 0], ..frame(Stop) };
         assert!(!filter.is_echo(&angle), "that is no command");
+        let lost_master = Frame { data: [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ..frame(Stop) };
+        assert!(!filter.is_echo(&lost_master), "nor is that");
         // The program was halted: the adapter may hold it yet.
         [500, 560, 600].into_iter().for_each(|at| filter.found_empty(ms(at)));
         assert!(filter.is_echo(&frame(Stop)));
