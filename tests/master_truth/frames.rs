@@ -101,7 +101,7 @@ impl Truth {
             page.newest_set_point = page.newest_set_point.max(name.token);
         }
         let was_dropped =
-            if name.is_set_point() { page.set_points.taken(name.token) } else { None };
+            if name.is_set_point() { page.set_points.taken(name.token, now) } else { None };
         let wrong = was_dropped.unwrap_or(wrong);
         if !wrong.is_empty() {
             self.breaks(format!("motor {motor}: {name:X?} {wrong}"));
@@ -133,7 +133,7 @@ impl Truth {
     /// The controller has handed a command back.
     pub(crate) fn handed_back(&mut self, packet: &Packet) {
         let name = Name::of(packet);
-        let is_stop = self.is_stop(packet);
+        let (is_stop, now) = (self.is_stop(packet), self.now);
         if matches!(packet.channel, Channel::Command(Target::All)) && !is_stop {
             self.what_all_were_told_is_back(name);
         }
@@ -156,7 +156,7 @@ impl Truth {
                 page.newest_set_point -= 1;
             }
             if name.is_set_point() {
-                page.set_points.handed_back(name.token);
+                page.set_points.handed_back(name.token, now);
             }
         }
     }

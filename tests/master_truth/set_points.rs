@@ -33,6 +33,10 @@ pub(crate) struct SetPoints {
     pub(crate) told_unanswered: u64,
     /// The last of them.
     last_unanswered: Option<u32>,
+    /// When the newest was taken, by the master's clock.
+    taken_at: Instant,
+    /// So many had lain in the controller when they were handed back: their time may have been up, and that not told yet.
+    untold: u64,
 }
 
 impl Waiting {
@@ -57,8 +61,9 @@ impl SetPoints {
     }
 
     /// The bus has taken it. Gives what is wrong with that.
-    pub(crate) fn taken(&mut self, number: u32) -> Option<&'static str> {
+    pub(crate) fn taken(&mut self, number: u32, now: Instant) -> Option<&'static str> {
         self.sent += 1;
+        self.taken_at = now;
         if let Some(waiting) = self.waiting.take_if(|waiting| waiting.number == number) {
             self.taken = Some(waiting);
         }
@@ -66,11 +71,12 @@ impl SetPoints {
     }
 
     /// The controller has handed it back: it waits again if it is the newest.
-    pub(crate) fn handed_back(&mut self, number: u32) {
+    pub(crate) fn handed_back(&mut self, number: u32, now: Instant) {
         self.sent -= 1;
         // It was told while it lay in the controller.
         let was_told = self.last_unanswered.take_if(|told| *told == number).is_some();
         self.told_unanswered -= u64::from(was_told);
+        self.untold += u64::from(!was_told && now > self.taken_at);
         if let Some(taken) = self.taken.take_if(|taken| taken.number == number) {
             // Who put another meanwhile has replaced it.
             self.waiting.get_or_insert(taken);
@@ -106,6 +112,6 @@ impl SetPoints {
     pub(crate) fn unanswered(&mut self) -> bool {
         self.told_unanswered += 1;
         self.last_unanswered = self.taken.map(|taken| taken.number);
-        self.told_unanswered + self.answered_soon <= self.sent
+        self.told_unanswered + self.answered_soon <= self.sent + self.untold
     }
 }
