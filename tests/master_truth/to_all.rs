@@ -87,6 +87,10 @@ impl Truth {
 
     /// The bus has taken a command to all that is none of the master's own stops.
     pub(super) fn caller_reaches_all(&mut self, name: Name) {
+        if name.byte == STOP {
+            // What was let go before is held now, and may be held again.
+            self.pages.iter_mut().for_each(|page| page.let_go = 0);
+        }
         let wrong = match &mut self.to_all {
             Some(it) if it.name == name => {
                 it.taken += 1;
