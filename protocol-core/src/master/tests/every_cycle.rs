@@ -111,6 +111,23 @@ fn a_stop_of_every_cycle_leaves_every_second_turn_on_a_line_to_others() {
     assert_eq!([one[0], one[6], one[7]], [101, 50, 49]);
 }
 
+#[test]
+fn a_stop_of_every_cycle_brings_no_broadcast_back_that_is_over() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    let mut to_all = 0;
+    for now in 0..100 {
+        master.stop(id(1), StopKind::Off).unwrap();
+        events(&mut master, ms(now));
+        let Some(packet) = master.poll_transmit(ms(now)) else { continue };
+        master.handle_transmitted(ms(now));
+        to_all += u32::from(packet.channel == Channel::Command(Target::All));
+        let frame = Frame { address: Target::Motor(id(1)), data: packet.data };
+        master.handle_line(&frame, ms(now) + Duration::from_micros(900));
+    }
+    assert_eq!(to_all, 1);
+}
+
 /// The broadcast is over, whoever answers it, when the stop is called for the next time.
 #[test]
 fn a_stop_of_every_cycle_has_its_turn_beside_broadcasts_of_every_cycle() {
