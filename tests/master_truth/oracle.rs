@@ -319,7 +319,8 @@ impl Oracle {
         let is_wrong = answered + lost > asking
             || exactly && answered + lost != asking
             || lost + u64::from(ignored) < told.no_reply.max(told.unanswered)
-            || u64::from(health.stray) < told.strays.min(most);
+            || u64::from(health.stray) < told.strays.min(most)
+            || told.lost_master < page.lost_master_delivered;
         if is_wrong {
             truth.breaks(format!("motor {motor}: {health:?} of {asking} commands, {told:?}"));
         }
