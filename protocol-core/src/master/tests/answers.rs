@@ -715,3 +715,18 @@ fn whoever_is_patient_waits_no_longer_for_the_next_answer_than_50_ms_and_the_lat
     assert_eq!(master.poll_at(), Some(over));
     assert_eq!(sent(&mut master, over).len(), 1);
 }
+
+#[test]
+fn a_copy_of_the_last_answer_is_none_to_the_same_question_to_all() {
+    let micros = Instant::from_micros;
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, micros(0));
+    reply(&mut master, 1, ANGLE_REPLY, micros(1_000)).unwrap();
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, micros(1_050)).len(), 1);
+    // Later than an answer takes at least.
+    let copy = reply(&mut master, 1, ANGLE_REPLY, micros(1_450));
+    assert!(matches!(copy, Some(Event::Stray { .. })), "{copy:?}");
+    let answer = reply(&mut master, 1, ANGLE_REPLY, micros(2_000));
+    assert!(matches!(answer, Some(Event::BroadcastReply { .. })), "{answer:?}");
+}
