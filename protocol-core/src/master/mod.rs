@@ -167,7 +167,7 @@ pub struct Master<const N: usize> {
     stop_to_all_sent: Instant,
     /// The caller has switched somebody off since the last one was sent.
     is_any_off_since: bool,
-    /// The last request, set-point or broadcast that was sent was a stop that had been called for again.
+    /// What was sent last was a stop that had been called for again.
     was_called_again: bool,
     /// The round that the motors are in: that of the last one served.
     pace: u32,

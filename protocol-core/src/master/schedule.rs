@@ -83,7 +83,16 @@ impl<const N: usize> Master<N> {
         self.at(self.places.stops).filter(|(_, motor)| {
             let waits = |stop| motor.waits_for_motion(stop, self.is_undone_with_all(motor));
             motor.request.waiting().is_some_and(|stop| !waits(stop))
+                && !(motor.is_stop_called_again() && self.is_ahead(motor))
         })
+    }
+
+    /// Whether a motor was sent as much as another one, or more, that may be waiting for its turn to answer, or to be
+    /// told: who is stopped in every cycle would fill the bus, or have the other's stop handed back again and again.
+    fn is_ahead(&self, motor: &Motor) -> bool {
+        let next = motor.round.wrapping_add(1);
+        let mut all = self.at(self.places.in_flight);
+        all.any(|(_, other)| other.is_behind(next) && !other.had_its_chance())
     }
 
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.
@@ -93,9 +102,9 @@ impl<const N: usize> Master<N> {
         Some((in_flight_since + LONGEST_STOP_TIMEOUT, stop))
     }
 
-    /// Of the motor that was served least of those that have something to be sent now.
+    /// Of the motor that was served least of those that have something to be sent now, and no stop.
     fn choose_motor(&self, now: Instant) -> Option<Offer> {
-        let ready = self.places.waiting.without(self.places.in_flight);
+        let ready = self.places.waiting.without(self.places.in_flight).without(self.places.stops);
         let mut first: Option<(u32, Offer)> = None;
         for (place, motor) in self.at(ready) {
             let is_first = first.is_none_or(|(round, _)| motor.is_behind(round));
@@ -107,7 +116,7 @@ impl<const N: usize> Master<N> {
         // One round ahead of a motor that may be waiting for its turn to answer is enough. That is not one that
         // did not answer last time, nor one that the quiet bus has shown to be silent.
         for (_, motor) in self.at(self.places.in_flight) {
-            if motor.is_behind(round) && !motor.was_missed() && !motor.had_its_chance() {
+            if motor.is_behind(round) && motor.is_waited_for() {
                 return None;
             }
         }

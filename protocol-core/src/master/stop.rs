@@ -102,11 +102,10 @@ impl<const N: usize> Master<N> {
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
         }
-        let mut is_any_new = was != Some(kind) || self.places.taken.is_empty();
         for place in self.places.taken.iter() {
             if let Some(motor) = self.motors.get(place).and_then(|motor| motor.id) {
                 let had_place = known.contains(motor);
-                is_any_new |= self.put_stop(place, motor, kind, Purpose::Stop, had_place);
+                self.put_stop(place, motor, kind, Purpose::Stop, had_place);
             }
         }
         if self.stops_all != Some(StopKind::Off) {
@@ -129,12 +128,10 @@ impl<const N: usize> Master<N> {
             (Bus::Can, false) => self.broadcast.has_moved(),
             (Bus::Can, true) => false,
         };
-        if is_any_new {
-            let goes = was_same_for_all && is_due;
-            // One that waits has reached nobody yet.
-            let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
-            self.stop_to_all = goes.then_some(kind).or(waits);
-        }
+        let goes = was_same_for_all && is_due;
+        // One that waits has reached nobody yet.
+        let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
+        self.stop_to_all = goes.then_some(kind).or(waits);
         result
     }
 
@@ -172,9 +169,8 @@ impl<const N: usize> Master<N> {
         of_motors.chain(self.broadcast.in_flight_since()).max()
     }
 
-    /// Gives whether it is a new one: where the motor was stopped already, so that nothing has moved it since,
-    /// a stop that is under way goes on. Who `had_place` then was told, however that ended, and goes behind those who
-    /// were not.
+    /// Where the motor was stopped already, so that nothing has moved it since, a stop that is under way goes on. Who
+    /// `had_place` then was told, however that ended, and goes behind those who were not.
     #[inline(never)]
     fn put_stop(
         &mut self,
@@ -183,7 +179,7 @@ impl<const N: usize> Master<N> {
         kind: StopKind,
         purpose: Purpose,
         had_place: bool,
-    ) -> bool {
+    ) {
         let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         // What goes again by itself is the last that the motor was told, by whomever, and no stop that anybody called for.
@@ -196,17 +192,15 @@ impl<const N: usize> Master<N> {
         let (command, data) = kind.command();
         let mut stop = self.stop_of(command, data, purpose);
         let now = self.now;
-        let is_new = self.change_at(place, |motor, config| {
+        self.change_at(place, |motor, config| {
             if !was_stopped {
                 motor.last_stop = LastStop::None;
             } else if motor.is_stopping_already(&stop) {
-                return false;
+                return;
             }
             motor.let_others_go_first(&mut stop, was_stopped && had_place);
             motor.go_on_stopping(stop, config, now);
-            true
         });
-        is_new.unwrap_or(false)
     }
 
     /// Whoever has not confirmed a stop that is in force gets it once more when it is time: on a cable that is mended

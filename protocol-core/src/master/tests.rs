@@ -3,6 +3,7 @@
 
 mod answers;
 mod behind_a_stop;
+mod by_priority;
 mod doubts;
 mod every_cycle;
 mod last_word;

@@ -57,6 +57,13 @@ impl<const N: usize> Master<N> {
         self.motors.get(usize::from(place)).is_some_and(Motor::waits_for_first_stop)
     }
 
+    /// Whether it is a stop that is called for again.
+    #[inline]
+    fn is_stop_called_again(&self, offer: Offer) -> bool {
+        let Offer::Request(place) = offer else { return false };
+        self.motors.get(usize::from(place)).is_some_and(Motor::is_stop_called_again)
+    }
+
     /// RS485: this motor is asked for its status before what was offered, and nothing else goes until that is answered
     /// or its time is up. `None` where its late answer could not be told from another, or the caller asks the same.
     pub(crate) fn let_status_go_first(&mut self, motor: MotorId) -> Option<Packet> {
@@ -78,12 +85,14 @@ impl<const N: usize> Master<N> {
     pub fn handle_transmitted(&mut self, now: Instant) {
         self.now = now;
         let Some(offer) = self.offer.take() else { return };
+        // What the transport asks is nobody's turn.
+        if !matches!(offer, Offer::Status(_)) {
+            self.was_called_again = self.is_stop_called_again(offer);
+        }
         // An answer that nobody waits for may come all the same, and must not meet a command.
         let mut silence = Duration::ZERO;
         match offer {
             Offer::Request(place) => {
-                let motor = self.motors.get(usize::from(place));
-                self.was_called_again = motor.is_some_and(Motor::is_stop_called_again);
                 let sent = self.change_at(usize::from(place), |motor, config| {
                     let is_over = motor.request_was_sent(now, config)?;
                     Some((is_over, motor.round))
@@ -97,7 +106,6 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::SetPoint(place) => {
-                self.was_called_again = false;
                 self.due = self.due.min(now + self.config.longest_response);
                 let round = self.change_at(usize::from(place), |motor, _| {
                     motor.set_point_was_sent(now);
@@ -106,7 +114,6 @@ impl<const N: usize> Master<N> {
                 self.pace = round.unwrap_or(self.pace);
             }
             Offer::Broadcast => {
-                self.was_called_again = false;
                 if let (Some(kind), data) = self.broadcast.command() {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {

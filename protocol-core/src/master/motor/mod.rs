@@ -56,6 +56,8 @@ bitflags! {
         const IS_OLD = 1 << 2;
         /// The drive has said since that it has lost its master: it may have heard this before.
         const BEFORE_IT_LOST_MASTER = 1 << 3;
+        /// It was a stop, and a controller has handed that back, now or before.
+        const STOP_MAKES_WAY = 1 << 4;
     }
 }
 
@@ -214,6 +216,13 @@ impl Motor {
         self.misses > 0
     }
 
+    /// Whether its turn to answer is waited for, or to be told: not if it did not answer last time, unless its stop makes
+    /// way for whatever goes meanwhile.
+    pub(super) fn is_waited_for(&self) -> bool {
+        !self.had_its_chance()
+            && (!self.was_missed() || self.last_sent.contains(LastSent::STOP_MAKES_WAY))
+    }
+
     /// Whether it did not answer last time, and nothing was heard of it since it was last asked.
     pub(super) fn seems_dead(&self) -> bool {
         self.was_missed() && self.health.last_seen().is_none_or(|seen| seen < self.sent)
@@ -261,7 +270,8 @@ impl Motor {
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
-        self.was_sent(LastSent::empty(), now);
+        let makes_way = self.last_sent & LastSent::STOP_MAKES_WAY;
+        self.was_sent(if asked.is_stop() { makes_way } else { LastSent::empty() }, now);
         self.is_told(asked.kind());
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
@@ -315,6 +325,7 @@ impl Motor {
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
                 self.last_sent.insert(LastSent::REQUESTS_TURN);
+                self.last_sent.set(LastSent::STOP_MAKES_WAY, asked.is_stop());
                 let is_old = self.last_sent.contains(LastSent::IS_OLD);
                 self.request = match asked.kind().may_move() {
                     true if self.has_restarted => Request::Failed(Failure::Dropped),

@@ -179,9 +179,12 @@ impl Motor {
 
     /// It has answered this, which ends its motion.
     pub(in crate::master) fn has_ended_motion(&mut self, by: Kind) {
-        self.last_stop = StopKind::by(by).map(LastStop::Confirmed).unwrap_or_default();
         self.on_its_way.has_ended();
-        self.news.remove(News::UNCONFIRMED);
+        // A drive that has no brake acknowledges its lock, too, and turns on.
+        if let Some(stop) = StopKind::by(by) {
+            self.last_stop = LastStop::Confirmed(stop);
+            self.news.remove(News::UNCONFIRMED);
+        }
     }
 
     /// The stop that it has not confirmed, and since when nothing goes on with that.

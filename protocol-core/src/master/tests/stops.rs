@@ -306,8 +306,8 @@ fn what_was_switched_off_is_switched_on_by_no_other_stop() {
     assert_eq!(first_stops(&mut master, ms(0)), [(1, 0x80)]);
     // As whoever leaves a control loop does.
     master.stop_all(StopKind::Hold, id(2).into()).unwrap();
-    let who_was_not_told_first = [(2, 0x81), (1, 0x80)];
-    assert_eq!(first_stops(&mut master, ms(100)), who_was_not_told_first);
+    assert_eq!(first_stops(&mut master, ms(100)), [(2, 0x81)], "who was told nothing yet");
+    assert_eq!(first_stops(&mut master, ms(102)), [(1, 0x80)]);
     master.lift_stop_of(id(1));
     master.stop(id(1), StopKind::Hold).unwrap();
     assert_eq!(first_stops(&mut master, ms(200)), [(1, 0x80)], "all are stopped still");
@@ -538,6 +538,15 @@ fn a_stop_of_all_that_is_called_for_again_goes_again_while_no_motor_has_a_place(
 }
 
 #[test]
+fn a_stop_to_all_of_another_kind_goes_at_once_on_a_line() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop_all(StopKind::Hold, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to_all(Stop.encode())]);
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(20)), [packet_to_all(Shutdown.encode())]);
+}
+
+#[test]
 fn who_gets_a_place_by_a_stop_that_is_called_again_is_told_before_the_others_are_once_more() {
     type Again = fn(&mut Master<2>);
     let ways: [Again; 2] = [
@@ -553,7 +562,8 @@ fn who_gets_a_place_by_a_stop_that_is_called_again_is_told_before_the_others_are
         assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Stop.encode())]);
         assert_eq!(reply(&mut master, 1, Stop.encode(), ms(1)), confirmed(1));
         again(&mut master);
-        let told = [packet_to(2, Stop.encode()), packet_to(1, Stop.encode())];
-        assert_eq!(sent(&mut master, ms(2)), told);
+        assert_eq!(sent(&mut master, ms(2)), [packet_to(2, Stop.encode())]);
+        assert_eq!(reply(&mut master, 2, Stop.encode(), ms(3)), confirmed(2));
+        assert_eq!(sent(&mut master, ms(3)), [packet_to(1, Stop.encode())]);
     }
 }

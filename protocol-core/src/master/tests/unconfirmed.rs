@@ -607,3 +607,25 @@ fn the_sendings_of_a_hold_are_none_of_the_off_that_it_was_told_since() {
     let late = reply(&mut master, 1, Shutdown.encode(), ms(now + 22));
     assert!(matches!(late, Some(Event::Stray { .. })), "{late:?}");
 }
+
+#[test]
+fn the_lock_of_a_brake_that_may_not_be_there_ends_no_stop() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let given_up = is_given_up(&mut master, 1, 0);
+    let lock = master.request(id(1), LockBrake).unwrap();
+    let (mut is_locked, mut stops) = (false, 0);
+    for now in given_up..given_up + 500 {
+        for packet in sent(&mut master, ms(now)) {
+            if packet.data == LockBrake.encode() {
+                let answered = ms(now) + Duration::from_micros(800);
+                let answer = reply(&mut master, 1, packet.data, answered);
+                is_locked |= answer.is_some_and(|event| lock.outcome(&event).is_some());
+            } else if is_locked {
+                assert_eq!(packet, packet_to(1, Shutdown.encode()));
+                stops += 1;
+            }
+        }
+    }
+    assert!(is_locked && stops > 0, "{is_locked} {stops}");
+}
