@@ -14,20 +14,23 @@ use crate::open::BusError;
 ///
 /// A handle alone does not: while any other thread has one, the motors go on.
 ///
+/// It waits for the motors, for up to [a second](myactuator_protocol_core::io::LONGEST_STOP): of two buses in one thread
+/// the second is stopped after that, where the first is cut. Stop each in a thread of its own.
+///
 /// It cannot stop them where nobody leaves it: when `main` returns while it lives in another thread, for example. [What
 /// ends a shared bus](super#what-ends-it) names the others.
 ///
 /// ```
 /// use myactuator_host_std::open::BusAddress;
 /// use myactuator_host_std::protocol::MotorId;
-/// use myactuator_host_std::protocol::command::Stop;
+/// use myactuator_host_std::protocol::command::ReleaseBrake;
 /// use myactuator_host_std::protocol::master::StopKind;
 /// use myactuator_host_std::share::{Guard, SharedBus};
 ///
 /// let address: BusAddress = "sim:4".parse()?;
 /// let bus = SharedBus::open(&address, StopKind::Hold)?;
 /// let guard = Guard::new(bus.clone(), StopKind::Hold);
-/// guard.ask(MotorId::MIN, Stop)?;
+/// guard.ask(MotorId::MIN, ReleaseBrake)?;
 /// let unconfirmed = guard.finish()?;
 /// assert!(unconfirmed.is_empty(), "cut the power of motors {unconfirmed}");
 /// # Ok::<(), Box<dyn std::error::Error>>(())

@@ -13,12 +13,14 @@ use crate::units::{
 
 command! {
     /// Switch the output off and leave every control mode: 0x80 (2.17). The shaft is free to turn
-    /// unless a brake holds it. The reply is the same frame.
+    /// unless a brake holds it. The reply is the same frame. A stream goes on after it: what keeps
+    /// a motor stopped is [`Master::stop`](crate::master::Master::stop).
     Shutdown -> Self
 }
 
 command! {
-    /// Stop, and hold still against outside force: 0x81 (2.18). The reply is the same frame.
+    /// Stop, and hold still against outside force: 0x81 (2.18). The reply is the same frame. A stream
+    /// goes on after it: what keeps a motor stopped is [`Master::stop`](crate::master::Master::stop).
     Stop -> Self
 }
 

@@ -142,6 +142,9 @@ pub enum Protection {
 /// known. Motors that share an id, as those from the factory do, are found as one on CAN; on RS485 their
 /// answers collide, and nobody may be found: connect one at a time.
 ///
+/// Who had no place in the master has none afterwards, so that [`stop_all`](Runner::stop_all) and a
+/// [`Guard`](crate::io::Guard) do not reach motors that were found and not spoken to since: name them, as `also`.
+///
 /// # Errors
 /// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown), of any of the candidates, if the bus
 /// carries nothing, as CAN does when nobody is there to acknowledge;

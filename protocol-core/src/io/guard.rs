@@ -28,7 +28,11 @@ use crate::time::Instant;
 /// ```
 ///
 /// The motors are [those that have a place](crate::master::Master::motors): whoever was asked or moved by itself, and
-/// whom a [broadcast](crate::master::Master::broadcast) was expected to move.
+/// whom a [broadcast](crate::master::Master::broadcast) was expected to move; not who was found by a
+/// [scan](crate::io::bring_up::scan) alone.
+///
+/// It waits for them, for up to [`LONGEST_STOP`](crate::io::LONGEST_STOP): of two buses in one thread the second is
+/// stopped after that, where the first is cut. Give each bus a thread or a task.
 ///
 /// It cannot stop them where nobody leaves it: in a program that is killed, aborts, calls `exit`, is ended by a signal
 /// (Ctrl-C) that it does not handle, or returns from `main` while the guard lives in another thread. For those set

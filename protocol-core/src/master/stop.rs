@@ -77,8 +77,8 @@ impl<const N: usize> Master<N> {
     ///   that was lost the next confirmation comes only when that cannot come any more.
     ///
     /// # Motors without a place
-    /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, one stop
-    /// to all goes before each motor's own. A motor without a place gets that single frame and confirms nothing. So
+    /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or where
+    /// there is none for all of `also`, one stop to all goes before each motor's own. A motor without a place gets that single frame and confirms nothing. So
     /// name all motors that a broadcast may reach, there or in `also`. On RS485 it goes again where this is called
     /// again, once in 100 ms at the most.
     ///
@@ -91,7 +91,7 @@ impl<const N: usize> Master<N> {
     ///
     /// # Errors
     /// [`RequestError::TooManyMotors`] if there is no place for all of `also`; the others are
-    /// stopped all the same.
+    /// stopped all the same, and one stop goes to all.
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
         self.let_line_answer();
         let (was, was_same_for_all) = (self.stops_all, self.is_same_for_all(kind));
@@ -125,7 +125,8 @@ impl<const N: usize> Master<N> {
                 let mut stops = self.at(self.places.stops);
                 has_rested && !stops.any(|(_, motor)| motor.request.waiting().is_some_and(waits))
             }
-            (Bus::Can, false) => self.broadcast.has_moved(),
+            // Whom there is no place for, nothing else reaches.
+            (Bus::Can, false) => self.broadcast.has_moved() || result.is_err(),
             (Bus::Can, true) => false,
         };
         let goes = was_same_for_all && is_due;

@@ -538,6 +538,15 @@ fn a_stop_of_all_that_is_called_for_again_goes_again_while_no_motor_has_a_place(
 }
 
 #[test]
+fn a_stop_of_more_motors_than_there_is_room_for_goes_to_all() {
+    let mut master = Master::<1>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    assert!(master.stop_all(StopKind::Off, id(2).into()).is_err());
+    let told = [packet_to_all(Shutdown.encode()), packet_to(1, Shutdown.encode())];
+    assert_eq!(sent(&mut master, ms(1)), told);
+}
+
+#[test]
 fn a_stop_to_all_of_another_kind_goes_at_once_on_a_line() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     master.stop_all(StopKind::Hold, id(1).into()).unwrap();
