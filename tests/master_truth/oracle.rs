@@ -311,8 +311,8 @@ impl Oracle {
         let asking = page.asking;
         // A set-point that was ignored counts as unanswered, and is not lost. So does one that may be what was: the
         // drive may have ignored the one before, or what another master has told it.
-        let ignored: u32 = page.sendings.values().map(|sending| sending.ignored).sum();
-        let ignored = ignored + told.lost_master;
+        let heard = page.sendings.values().map(|sending| sending.ignored);
+        let ignored = heard.sum::<u32>() + told.lost_master;
         let (answered, lost) = (u64::from(health.answered), u64::from(health.lost));
         // Counters stay at their largest value.
         let most = u64::from(u16::MAX);

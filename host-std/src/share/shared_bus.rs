@@ -278,8 +278,8 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     }
 
     /// Gives up the place of an id at which there is nobody: until then each stop of all waits for it. No stop of all
-    /// and no guard reaches a motor that is there from then on, until it is spoken to. Nothing
-    /// changes while it is being spoken to, or may yet be moved by what was sent. Does not wait.
+    /// and no guard reaches a motor that is there from then on, until it is spoken to. Nothing changes while it is being
+    /// spoken to, or may yet be moved by what was sent. Does not wait.
     ///
     /// # Errors
     /// [`SharedBusError::Panicked`].

@@ -23,7 +23,8 @@ pub(super) enum Purpose {
     Once,
     /// A stop: before everything else, whatever is in flight.
     Stop,
-    /// A stop like one that came to its end, and is in force yet. On a line every second turn is somebody else's.
+    /// A stop like one that came to its end, and is in force yet. On a line every second turn is somebody else's;
+    /// on CAN it waits for whom was sent no more and may be waiting for its turn.
     StopCalledAgain,
     /// A stop that was given up and goes once more.
     StopAgain,

@@ -73,14 +73,15 @@ impl<const N: usize> Master<N> {
     /// - A motor that has not confirmed gets one more stop every 100 ms, or as often as a line has time for it, for as
     ///   long as the stop is in force, and at once when it is heard: it may be back on the bus at any time.
     /// - Called again before it was lifted it goes on with what is under way: a program may call it in every cycle. On
-    ///   RS485 every second turn is somebody else's then. It leaves the motors no time for requests; and after an answer
+    ///   RS485 every second turn is somebody else's then; on CAN a motor that has confirmed it is told again when
+    ///   nobody who was told no more often may be waiting for a turn to answer. It leaves the motors no time for requests; and after an answer
     ///   that was lost the next confirmation comes only when that cannot come any more.
     ///
     /// # Motors without a place
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or where
-    /// there is none for all of `also`, one stop to all goes before each motor's own. A motor without a place gets that single frame and confirms nothing. So
-    /// name all motors that a broadcast may reach, there or in `also`. On RS485 it goes again where this is called
-    /// again, once in 100 ms at the most.
+    /// there is none for all of `also`, one stop to all goes before each motor's own. A motor without a place gets that
+    /// single frame and confirms nothing. So name all motors that a broadcast may reach, there or in `also`. On RS485
+    /// it goes again where this is called again, once in 100 ms at the most.
     ///
     /// # A motor that is off stays off
     /// A motor that a stop has switched off is not switched on by another stop: until the first is lifted it gets

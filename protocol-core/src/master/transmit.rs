@@ -53,15 +53,15 @@ impl<const N: usize> Master<N> {
 
     /// Whether the first attempt of a stop is offered.
     pub(crate) fn offers_first_stop(&self) -> bool {
-        let Some(Offer::Request(place)) = self.offer else { return false };
-        self.motors.get(usize::from(place)).is_some_and(Motor::waits_for_first_stop)
+        let offer = self.offer.and_then(|offer| self.requested_of(offer));
+        offer.is_some_and(Motor::waits_for_first_stop)
     }
 
-    /// Whether it is a stop that is called for again.
+    /// The motor whose request this is.
     #[inline]
-    fn is_stop_called_again(&self, offer: Offer) -> bool {
-        let Offer::Request(place) = offer else { return false };
-        self.motors.get(usize::from(place)).is_some_and(Motor::is_stop_called_again)
+    fn requested_of(&self, offer: Offer) -> Option<&Motor> {
+        let Offer::Request(place) = offer else { return None };
+        self.motors.get(usize::from(place))
     }
 
     /// RS485: this motor is asked for its status before what was offered, and nothing else goes until that is answered
@@ -87,7 +87,8 @@ impl<const N: usize> Master<N> {
         let Some(offer) = self.offer.take() else { return };
         // What the transport asks is nobody's turn.
         if !matches!(offer, Offer::Status(_)) {
-            self.was_called_again = self.is_stop_called_again(offer);
+            let motor = self.requested_of(offer);
+            self.was_called_again = motor.is_some_and(Motor::is_stop_called_again);
         }
         // An answer that nobody waits for may come all the same, and must not meet a command.
         let mut silence = Duration::ZERO;

@@ -3,8 +3,8 @@
 //! # The way of a stop
 //! 1. It is put in the place of whatever waits ([`put_stop`](Motor::put_stop)), unless one like it is under way
 //!    ([`is_stopping_already`](Motor::is_stopping_already)). Answers to what was sent before are owed from then on.
-//! 2. It goes ([`schedule`](crate::master::schedule)): first stops before any other, and on a line one that is called
-//!    for again leaves every second turn to others.
+//! 2. It goes ([`schedule`](crate::master::schedule)): first stops before any other. One that is called for again
+//!    leaves every second turn on a line to others, and waits on CAN for whom was sent no more.
 //! 3. An answer comes ([`replies`](crate::master::motor::replies)).
 //!    - It may be owed to what was sent before: the stop goes again, at once or, if stops go on and on, when nothing is
 //!      owed any more ([`WaitsForOwed`](crate::master::request::Round::WaitsForOwed)).

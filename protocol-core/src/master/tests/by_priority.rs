@@ -1,5 +1,5 @@
-//! A controller of three mailboxes that sends by priority, and hands back what has to make way: no stop is handed back
-//! for ever.
+//! Where ids decide who is first: a controller of three mailboxes that sends by priority, and hands back what has to make
+//! way, and a bus on which answers arbitrate. No stop is handed back for ever, and none unconfirmed.
 
 use super::*;
 
@@ -89,8 +89,8 @@ fn a_stop_of_one_goes_before_the_streams_of_others_though_it_seems_dead() {
                 master.set_point(motor, torque(1.0), ms(now)).unwrap();
             }
         });
-        let at = told[last.index()];
-        assert!(at.is_some_and(|at| at <= 203), "of {motors}: {at:?}");
+        // It has to make way at 200 ms, lies there alone at 201 ms, and is sent.
+        assert_eq!(told[last.index()], Some(202), "of {motors}");
     }
 }
 
