@@ -17,6 +17,9 @@ pub(super) fn since_boot() -> std::time::Duration {
     clock_gettime(ClockId::Boottime).try_into().unwrap_or_default()
 }
 
+/// How long a port that has gone is left alone.
+const REST: std::time::Duration = std::time::Duration::from_millis(1);
+
 /// The host's monotonic clock, in microseconds since it was made. It runs on while the machine is suspended.
 ///
 /// One that is made [for a port](Self::for_port) idles until something arrives there, by `ppoll` with
@@ -108,6 +111,7 @@ impl HostClock {
         // error the next use of the port will tell.
         let Some(waker) = &self.waker else {
             let _ = poll(port.as_mut_slice(), Some(&timeout));
+            rest_if_gone(port.as_ref(), span);
             return;
         };
         let woken = PollFd::new(waker, PollFlags::IN);
@@ -117,6 +121,15 @@ impl HostClock {
         if !fds[0].revents().is_empty() {
             let _ = rustix::io::read(waker, &mut [0; 8]);
         }
+        rest_if_gone(fds.last(), span);
+    }
+}
+
+/// A port that has gone, or whose error nobody has taken, ends each wait for it at once: whoever goes on trying would
+/// do nothing else.
+fn rest_if_gone(port: Option<&PollFd<'_>>, span: std::time::Duration) {
+    if port.is_some_and(|port| port.revents().intersects(PollFlags::HUP | PollFlags::ERR)) {
+        std::thread::sleep(span.min(REST));
     }
 }
 
@@ -190,6 +203,21 @@ mod tests {
                 poll(&mut [PollFd::new(&waker.0, PollFlags::IN)], Some(&Timespec::default()))
                     == Ok(0)
             );
+        }
+    }
+
+    #[test]
+    fn a_port_that_has_gone_is_not_asked_again_and_again() {
+        let (end, other) = UnixStream::pair().unwrap();
+        drop(other);
+        let mut clock = HostClock::for_port(&end).unwrap();
+        for has_waker in [false, true] {
+            let start = clock.now();
+            for _ in 0..5 {
+                clock.idle(start + NEVER);
+            }
+            assert!(clock.now() - start >= Duration::from_millis(5), "{has_waker}");
+            clock.waker().unwrap();
         }
     }
 

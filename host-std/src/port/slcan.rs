@@ -54,7 +54,9 @@ pub struct Slcan {
 impl Slcan {
     /// Opens the adapter on this serial port and puts it on the bus.
     ///
-    /// Takes up to half a second with adapters that answer nothing.
+    /// Takes up to half a second with adapters that answer nothing. Where another program, which knows no lock,
+    /// talks to the adapter all the time, refusals may be meant for that one and count for nothing, so that a stop
+    /// can go all the same.
     ///
     /// # Errors
     /// [`PortError`]: there is no such port, it is no serial port, the user may not open it, another
@@ -73,12 +75,14 @@ impl Slcan {
         slcan.set_up(AdapterCommand::Nothing)?;
         slcan.set_up(AdapterCommand::Close)?;
         // Answers to what an earlier program said last may still be on their way.
-        slcan.read_until_quiet()?;
+        let is_quiet = slcan.read_until_quiet()?;
         slcan.tty.discard_input()?;
         slcan.unread.clear();
         slcan.codec = Codec::default();
         for command in [AdapterCommand::SetRate(rate), AdapterCommand::Open] {
-            if slcan.set_up(command)? == Some(Answer::Refused) {
+            let is_refused = slcan.set_up(command)? == Some(Answer::Refused);
+            // What is refused may be another program's, which may have this command's answer, too.
+            if is_refused && is_quiet && slcan.answer(|answer| *answer == Answer::Done)?.is_none() {
                 return Err(PortError::Refused(slcan.tty.name().to_owned()));
             }
         }
@@ -97,11 +101,16 @@ impl Slcan {
     /// Sends a command of the set-up and waits for its answer; `None` if none comes.
     fn set_up(&mut self, command: AdapterCommand) -> Result<Option<Answer>, PortError> {
         self.unsent.put(command);
+        self.answer(|answer| matches!(answer, Answer::Done | Answer::Refused))
+    }
+
+    /// Waits for such an answer; `None` if none comes.
+    fn answer(&mut self, is_it: impl Fn(&Answer) -> bool) -> Result<Option<Answer>, PortError> {
         let deadline = Instant::now() + ANSWER_TIME;
         loop {
             self.send_on()?;
             while let Some(answer) = self.next_answer()? {
-                if matches!(answer, Answer::Done | Answer::Refused) {
+                if is_it(&answer) {
                     return Ok(Some(answer));
                 }
             }
@@ -113,15 +122,16 @@ impl Slcan {
         }
     }
 
-    /// Passes over what arrives, until nothing has for a while.
-    fn read_until_quiet(&mut self) -> Result<(), PortError> {
+    /// Passes over what arrives, until nothing has for a while. False where there is no end of it: then another
+    /// program talks to the adapter.
+    fn read_until_quiet(&mut self) -> Result<bool, PortError> {
         let end = Instant::now() + ANSWER_TIME;
         let mut has_come = true;
         while has_come && Instant::now() < end {
             self.tty.wait(PollFlags::IN, Some(QUIET))?;
             has_come = self.next_answer()?.is_some();
         }
-        Ok(())
+        Ok(!has_come)
     }
 
     /// Hands the port what it has not taken yet.

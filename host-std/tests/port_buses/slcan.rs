@@ -3,6 +3,8 @@
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use embedded_can::nb::Can as _;
@@ -28,6 +30,8 @@ struct Adapter {
     refuses_torque: bool,
     /// What it says before every frame that it received.
     noise: &'static [u8],
+    /// What it says before it answers, for another program had sent it something.
+    to_another: &'static [u8],
 }
 
 const TORQUE: u8 = 0xA1;
@@ -44,7 +48,7 @@ fn play(mut line: File, adapter: Adapter) -> JoinHandle<Vec<AdapterCommand>> {
         let (mut chunk, mut heard, mut is_open) = ([0; 64], Vec::new(), false);
         while let Ok(length @ 1..) = line.read(&mut chunk) {
             for command in chunk[..length].iter().filter_map(|&byte| codec.feed(byte)) {
-                let mut told = Vec::new();
+                let mut told = adapter.to_another.to_vec();
                 let mut tell = |answer: Answer| {
                     if !adapter.is_silent {
                         answer.encode(&mut told);
@@ -134,6 +138,50 @@ fn an_adapter_that_will_not_open_is_told() {
     let error = open(&path).unwrap_err();
     assert!(matches!(error, BusError::Port(PortError::Refused(_))), "{error}");
     device.join().unwrap();
+}
+
+/// BEL, for the adapter is closed: what another program sends is refused, before this one's commands are heard.
+#[test]
+fn an_adapter_that_refuses_what_another_program_says_is_opened() {
+    let (line, path) = pty::open();
+    let device = play(line, Adapter { to_another: b"\x07\x07", ..Adapter::default() });
+    let can = Slcan::open(&path, Rate::Mbit1).unwrap();
+    drop(can);
+    let heard = device.join().unwrap();
+    use AdapterCommand as C;
+    assert_eq!(heard[..4], [C::Nothing, C::Close, C::SetRate(Rate::Mbit1), C::Open]);
+}
+
+/// The other program takes the answers to this one's commands, too, and leaves it refusals.
+#[test]
+fn a_stop_goes_through_an_adapter_that_another_program_talks_to_all_the_time() {
+    let (mut line, path) = pty::open();
+    let mut refusals = line.try_clone().unwrap();
+    let is_over = Arc::new(AtomicBool::new(false));
+    let ends = Arc::clone(&is_over);
+    let another = std::thread::spawn(move || {
+        while !ends.load(Ordering::Relaxed) {
+            // Before the port is open and after that nobody hears it.
+            let _ = refusals.write_all(b"\x07");
+            std::thread::sleep(std::time::Duration::from_millis(2));
+        }
+    });
+    let stop = frame(0x81);
+    let device = std::thread::spawn(move || {
+        let (mut codec, mut chunk) = (AdapterCodec::default(), [0; 64]);
+        while let Ok(length @ 1..) = line.read(&mut chunk) {
+            let mut commands = chunk[..length].iter().filter_map(|&byte| codec.feed(byte));
+            if commands.any(|command| command == AdapterCommand::Transmit(stop)) {
+                return true;
+            }
+        }
+        false
+    });
+    let mut can = Slcan::open(&path, Rate::Mbit1).unwrap();
+    can.transmit(&stop).unwrap();
+    assert!(device.join().unwrap());
+    is_over.store(true, Ordering::Relaxed);
+    another.join().unwrap();
 }
 
 /// Receives until this gives something; gives up after four seconds.
