@@ -350,8 +350,9 @@ impl<E> Desk<E> {
         }
     }
 
-    /// The bus has failed. Tells those whose answers these are, and all who wait here; if none of them is there any
-    /// more, whoever comes next. What ends motion and has nobody to put it again stays.
+    /// The bus has failed. Tells those whose answers these are, all who wait here and, until it [works](Self::works)
+    /// again, all who come; if nobody is there to be told, whoever comes next. What ends motion and has nobody to put it
+    /// again stays.
     pub(super) fn fail(&self, error: &Arc<E>, asked: impl IntoIterator<Item = Answer<Data, E>>) {
         let mut state = self.lock();
         let tell = |answer: &Answer<Data, E>| {
@@ -366,6 +367,12 @@ impl<E> Desk<E> {
         if told == 0 {
             state.error = Some(Arc::clone(error));
         }
+        state.outage = Some(Arc::clone(error));
+    }
+
+    /// The bus works again.
+    pub(super) fn works(&self) {
+        self.lock().outage = None;
     }
 
     /// The thread has panicked, with these words, and has a last stop to send.

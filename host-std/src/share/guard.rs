@@ -15,7 +15,8 @@ use crate::open::BusError;
 /// A handle alone does not: while any other thread has one, the motors go on.
 ///
 /// It waits for the motors, for up to [a second](myactuator_protocol_core::io::LONGEST_STOP): of two buses in one thread
-/// the second is stopped after that, where the first is cut. Stop each in a thread of its own.
+/// the second is stopped after that, where the first is cut. Guard each in a thread of its own, or
+/// [begin](SharedBus::begin_stop_all) the stop of both before the guards are dropped.
 ///
 /// It cannot stop them where nobody leaves it: when `main` returns while it lives in another thread, for example. [What
 /// ends a shared bus](super#what-ends-it) names the others.

@@ -84,8 +84,9 @@
 //! not handle, or **returns from `main` while another thread has a handle or a [`Guard`]**: that ends all threads where
 //! they are. Join them first. For the rest set the motors' communication-loss protection (0xB3).
 //!
-//! An error of the bus is told to all who wait for an answer; if nobody does, to whoever asks or moves a motor next;
-//! a command that ends motion is taken all the same. The thread goes on and tries again. A panic in the bus's
+//! An error of the bus is told to all who wait for an answer, and to all who ask or move a motor until it works again; if
+//! it does so before anybody was told, to whoever comes next. A command that ends motion is taken all the same. The
+//! thread goes on and tries again. A panic in the bus's
 //! driver stops the motors, as far as that driver still works, and is told to everybody from then on; who has not
 //! confirmed this stop is told to subscriptions, too, and all are if the driver panics again. Nobody waits for a
 //! driver that does not come back: after 2 s each call says so, and each stop has nobody's confirmation.
@@ -104,6 +105,6 @@ mod worker;
 
 pub use error::SharedBusError;
 pub use guard::Guard;
-pub use shared_bus::SharedBus;
+pub use shared_bus::{SharedBus, Stopping, WeakBus};
 pub use state::Latest;
 pub use subscription::Subscription;

@@ -1,7 +1,7 @@
 //! The handle.
 
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::thread::{self, JoinHandle};
 
 use myactuator_protocol_core::command::SetPoint;
@@ -9,7 +9,7 @@ use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::master::{Failure, MotorSet, Patience, StopKind};
 use myactuator_protocol_core::{Command, Data, MotorId};
 
-use super::calls::{Insistence, Untyped};
+use super::calls::{Awaited, Insistence, Untyped};
 use super::desk::Desk;
 use super::state::{Latest, Past};
 use super::{SharedBusError, Subscription, worker};
@@ -24,6 +24,52 @@ const MOTORS: usize = MotorId::COUNT;
 /// What a call waits for is the bus's affair alone: no other caller's question delays it, unless it is
 /// to the same motor.
 pub struct SharedBus<E = BusError>(Arc<Running<E>>);
+
+/// A handle that does not keep the bus running, for a thread that watches it: one that loops over a [`Subscription`]
+/// with a handle in its hand would never see the end.
+pub struct WeakBus<E = BusError>(Weak<Running<E>>);
+
+impl<E> WeakBus<E> {
+    /// A handle, unless the last one was dropped.
+    pub fn upgrade(&self) -> Option<SharedBus<E>> {
+        self.0.upgrade().map(SharedBus)
+    }
+}
+
+impl<E> Clone for WeakBus<E> {
+    fn clone(&self) -> Self {
+        Self(Weak::clone(&self.0))
+    }
+}
+
+impl<E> fmt::Debug for WeakBus<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("WeakBus").finish_non_exhaustive()
+    }
+}
+
+/// A stop of all that is under way; see [`SharedBus::begin_stop_all`]. It goes on if this is dropped.
+#[must_use = "those that have not confirmed the stop may still move: cut their power"]
+pub struct Stopping<E = BusError> {
+    bus: SharedBus<E>,
+    stop: Awaited<MotorSet, E>,
+}
+
+impl<E> Stopping<E> {
+    /// Waits for it, as [`SharedBus::stop_all`] does.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn wait(self) -> Result<MotorSet, SharedBusError<E>> {
+        self.bus.0.desk.wait_for_stop(self.stop, MotorSet::ALL)
+    }
+}
+
+impl<E> fmt::Debug for Stopping<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Stopping").finish_non_exhaustive()
+    }
+}
 
 /// The thread, for as long as somebody has a handle.
 struct Running<E> {
@@ -115,6 +161,11 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
         Self(Arc::new(Running { desk, thread: Some(thread) }))
     }
 
+    /// A handle that does not keep the bus running.
+    pub fn downgrade(&self) -> WeakBus<E> {
+        WeakBus(Arc::downgrade(&self.0))
+    }
+
     pub(super) fn desk(&self) -> &Desk<E> {
         &self.0.desk
     }
@@ -203,7 +254,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Refused`]: the motors were stopped, or the set-point before this one was not taken,
     /// as [`Master::set_point`](myactuator_protocol_core::master::Master::set_point) has it; then this one
-    /// was not put either. [`SharedBusError::Bus`] if the bus failed and nobody was told yet.
+    /// was not put either. [`SharedBusError::Bus`] if the bus fails, or has failed and nobody was told yet.
     /// [`SharedBusError::Held`] if nothing was taken up for 2 s.
     pub fn set_point<C: SetPoint>(
         &self,
@@ -223,8 +274,26 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Errors
     /// [`SharedBusError::Panicked`]: nobody is there to stop them. **Cut their power.**
     pub fn stop_all(&self, kind: StopKind, also: MotorSet) -> Result<MotorSet, SharedBusError<E>> {
-        let desk = self.desk();
-        desk.wait_for_stop(desk.stop_all(kind, also), MotorSet::ALL)
+        self.begin_stop_all(kind, also).wait()
+    }
+
+    /// As [`stop_all`](Self::stop_all), but the caller need not wait, or waits later: several buses are stopped at the
+    /// same time.
+    ///
+    /// ```
+    /// # use myactuator_host_std::protocol::master::{MotorSet, StopKind};
+    /// # use myactuator_host_std::share::SharedBus;
+    /// # let left = SharedBus::open(&"sim:2".parse()?, StopKind::Hold)?;
+    /// # let right = SharedBus::open(&"sim:2".parse()?, StopKind::Hold)?;
+    /// let stops = [&left, &right].map(|bus| bus.begin_stop_all(StopKind::Hold, MotorSet::EMPTY));
+    /// for stop in stops {
+    ///     let unconfirmed = stop.wait()?;
+    ///     assert!(unconfirmed.is_empty(), "cut the power of motors {unconfirmed}");
+    /// }
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn begin_stop_all(&self, kind: StopKind, also: MotorSet) -> Stopping<E> {
+        Stopping { bus: self.clone(), stop: self.desk().stop_all(kind, also) }
     }
 
     /// Stops one motor, as [`stop_all`](Self::stop_all) stops all, and says whether it has confirmed it. If

@@ -74,6 +74,8 @@ pub(super) struct State<E> {
     pub(super) past: [Past; MotorId::COUNT],
     /// These were told to have restarted, and not resumed.
     pub(super) restarted: MotorSet,
+    /// What the bus fails with, since its last round did.
+    pub(super) outage: Option<Arc<E>>,
     /// An error that nobody was told yet.
     pub(super) error: Option<Arc<E>>,
     pub(super) subscribers: Vec<Subscriber>,
@@ -116,6 +118,7 @@ impl<E> State<E> {
             switched_off: MotorSet::EMPTY,
             past: [Past::default(); MotorId::COUNT],
             restarted: MotorSet::EMPTY,
+            outage: None,
             error: None,
             subscribers: Vec::new(),
             rounds: 0,
@@ -138,15 +141,16 @@ impl<E> State<E> {
         if let Life::Panicked(_) = self.life {
             return Err(self.last_words());
         }
-        // An error that is somebody else's keeps no stop from the bus.
-        if !kind.ends_motion()
-            && let Some(error) = self.error.take()
-        {
-            return Err(SharedBusError::Bus(error));
-        }
         let is_stopped = self.is_stopped(motor, since);
         if is_stopped && kind.is_refused_while_stopped() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Stopped });
+        }
+        // An error that is somebody else's keeps no stop from the bus.
+        if !kind.ends_motion() {
+            let untold = self.error.take();
+            if let Some(error) = self.outage.clone().or(untold) {
+                return Err(SharedBusError::Bus(error));
+            }
         }
         if self.has_restarted_since(motor, since) && kind.moves() {
             return Err(SharedBusError::Refused { motor, refusal: RequestError::Restarted });

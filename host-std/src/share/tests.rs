@@ -346,7 +346,12 @@ impl Runner<8> for Fragile {
                 Ok(self.0.master().poll_event())
             }
             PANIC_ONCE | PANIC => panic!("the adapter is on fire"),
-            _ => Err(CanError::BusOff),
+            // As loops do.
+            _ => {
+                let now = self.0.now();
+                self.0.master().handle_bus_down(now);
+                Err(CanError::BusOff)
+            }
         }
     }
 
@@ -414,7 +419,8 @@ fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
     // The thread may be about to lay the error down.
     let told = (0..).find_map(|_| bus.ask(id(1), ReadStatus1).err()).unwrap();
     assert!(is_bus_off(told));
-    bus.ask(id(1), ReadStatus1).unwrap();
+    // Until it works again.
+    while bus.ask(id(1), ReadStatus1).is_err() {}
 
     order.store(FAIL, Ordering::SeqCst);
     for _ in 0..3 {
@@ -434,6 +440,61 @@ fn an_error_of_the_bus_is_told_to_whoever_asks_next() {
     }
     order.store(WORK, Ordering::SeqCst);
     assert_eq!(stopping.join().unwrap().unwrap(), MotorSet::EMPTY);
+}
+
+/// One caller after another, and those who take no answer hear what became of the motors.
+#[test]
+fn while_the_bus_fails_everybody_is_told_and_subscribers_hear_the_master() {
+    let (_fleet, order, bus) = fragile();
+    bus.ask(id(1), ReadStatus1).unwrap();
+    let mut events = bus.subscribe(100);
+    order.store(FAIL, Ordering::SeqCst);
+    // The one that is put before the thread has failed.
+    while bus.set_point(id(1), turn(90.0)).is_ok() {
+        thread::yield_now();
+    }
+    for _ in 0..1_000 {
+        let told = bus.set_point(id(1), turn(90.0)).unwrap_err();
+        assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
+    }
+    assert_eq!(events.next(), Some(Event::SetPointDropped { motor: id(1) }));
+    order.store(WORK, Ordering::SeqCst);
+    while bus.set_point(id(1), turn(90.0)).is_err() {
+        thread::yield_now();
+    }
+    assert!(events.any(|event| matches!(event, Event::Feedback { .. })));
+}
+
+#[test]
+fn who_watches_a_bus_by_a_weak_handle_sees_its_end() {
+    let (_fleet, bus) = shared(1);
+    let (events, weak) = (bus.subscribe(100), bus.downgrade());
+    let watching = thread::spawn(move || {
+        let upgraded = events.map(|_| weak.upgrade().is_some()).collect::<Vec<_>>();
+        (upgraded, weak.upgrade().is_none())
+    });
+    bus.ask(id(1), ReadStatus1).unwrap();
+    drop(bus);
+    let (upgraded, is_over) = watching.join().unwrap();
+    assert!(!upgraded.is_empty() && is_over);
+}
+
+#[test]
+fn stops_of_two_buses_are_under_way_together() {
+    let buses = [shared(1), shared(1)];
+    for (_, bus) in &buses {
+        bus.ask(id(1), turn(90.0)).unwrap();
+    }
+    // Nobody confirms on the first, for a second.
+    let (fleet, _) = &buses[0];
+    fleet.world.cut(fleet.drives[0].station());
+    let log = buses[1].0.world.log();
+    let [first, second] =
+        [0, 1].map(|at| buses[at].1.begin_stop_all(StopKind::Hold, MotorSet::EMPTY));
+    assert_eq!(first.wait().unwrap(), id(1).into());
+    let sent: Vec<_> = packets(&log).iter().map(|packet| packet.data[0]).collect();
+    assert_eq!(sent, [0x81, 0x81], "it was confirmed before it was waited for");
+    assert_eq!(second.wait().unwrap(), MotorSet::EMPTY);
 }
 
 #[test]
@@ -527,7 +588,9 @@ fn a_move_that_its_caller_has_given_up_is_not_sent_when_the_driver_comes_back() 
         order.store(outcome, Ordering::SeqCst);
         while bus.ask(id(1), ReadStatus1).is_err() {}
         assert!(packets(&log).iter().all(|packet| packet.data[0] == 0x9A));
-        let is_dropped = |event: Event| matches!(event, Event::Failed { failure, .. } if failure == Failure::Dropped);
+        let dropped = if outcome == WORK { Failure::Dropped } else { Failure::BusDown };
+        let is_dropped =
+            |event| matches!(event, Event::Failed { failure, .. } if failure == dropped);
         assert!(std::iter::from_fn(|| events.try_next()).any(is_dropped), "it was the master's");
     }
 }

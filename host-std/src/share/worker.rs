@@ -27,7 +27,8 @@ const NEVER: Instant = Instant::from_micros(u64::MAX);
 pub(super) fn run<R: Runner<N>, const N: usize>(runner: R, desk: &Desk<R::Error>, kind: StopKind) {
     let looked_at = runner.now();
     let (asked, stopping, waiting) = (Vec::new(), Vec::new(), Vec::new());
-    let mut worker = Worker { runner, asked, stopping, waiting, turn_ends: None, looked_at };
+    let (turn_ends, has_failed) = (None, false);
+    let mut worker = Worker { runner, asked, stopping, waiting, turn_ends, looked_at, has_failed };
     let outcome = catch_unwind(AssertUnwindSafe(|| while worker.round(desk) {}));
     if let Err(payload) = outcome {
         desk.has_panicked(words(&*payload));
@@ -62,6 +63,8 @@ struct Worker<R: Runner<N>, const N: usize> {
     turn_ends: Option<Instant>,
     /// When the desk was looked at last, or waiting for what comes there ended: what lies there now may be as old.
     looked_at: Instant,
+    /// The last round of the bus has failed.
+    has_failed: bool,
 }
 
 /// A question that was put.
@@ -88,19 +91,16 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         let goes_on = desk.take(self);
         self.looked_at = self.runner.now();
         match self.runner.poll() {
-            Ok(Some(event)) => {
-                // Unless somebody has resumed it already.
-                if let Event::Restarted { motor } = event
-                    && self.runner.master().has_restarted(motor)
-                {
-                    desk.has_restarted(motor);
+            Ok(event) => {
+                if std::mem::take(&mut self.has_failed) {
+                    desk.works();
                 }
-                // Who has its answer and then subscribes gets nothing older.
-                desk.publish(&event);
-                self.answer(&event);
+                match event {
+                    Some(event) => self.tell(&event, desk),
+                    None if goes_on => self.idle(desk),
+                    None => {}
+                }
             }
-            Ok(None) if goes_on => self.idle(desk),
-            Ok(None) => {}
             Err(error) => self.fail(error, desk),
         }
         self.end_stops();
@@ -118,6 +118,19 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             }
             is_awaited
         });
+    }
+
+    /// Tells whoever an event concerns.
+    fn tell(&mut self, event: &Event, desk: &Desk<R::Error>) {
+        // Unless somebody has resumed it already.
+        if let Event::Restarted { motor } = *event
+            && self.runner.master().has_restarted(motor)
+        {
+            desk.has_restarted(motor);
+        }
+        // Who has its answer and then subscribes gets nothing older.
+        desk.publish(event);
+        self.answer(event);
     }
 
     fn answer(&mut self, event: &Event) {
@@ -199,6 +212,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
 
     /// Tells everybody who waits, and lets the bus rest.
     fn fail(&mut self, error: R::Error, desk: &Desk<R::Error>) {
+        self.has_failed = true;
         let error = Arc::new(error);
         let master = self.runner.master();
         let answers = self.asked.drain(..).map(|asked| {
@@ -207,6 +221,10 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             asked.answer
         });
         desk.fail(&error, answers);
+        // A bus that goes on failing has no other round to tell it in.
+        if let Some(event) = self.runner.master().poll_event() {
+            self.tell(&event, desk);
+        }
         desk.wait_for_callers(RETRY_AFTER);
         // In virtual time, time goes on here only.
         let until = self.runner.now() + RETRY_AFTER.into();

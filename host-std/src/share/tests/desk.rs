@@ -210,9 +210,12 @@ fn somebody_elses_error_keeps_no_stop_from_the_bus() {
         assert!(desk.take(&mut free));
         assert_eq!(free.told, ["1?"], "the set-point is older");
         assert!(matches!(desk.wait(stopping), Err(SharedBusError::Failed { .. })));
-        // Whoever moves a motor next is told.
-        let told = desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap_err();
-        assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
+        // Whoever moves a motor is told.
+        for _ in 0..2 {
+            let told = desk.set_point(id(1), Untyped::of(&turn(1.0))).unwrap_err();
+            assert!(matches!(told, SharedBusError::Bus(_)), "{told}");
+        }
+        desk.works();
     }
 }
 
@@ -227,12 +230,14 @@ fn an_error_that_only_callers_who_have_gone_were_told_is_told_to_the_next() {
     let (put, gone) = sync_channel(1);
     drop(gone);
     desk.fail(&error, [put]);
+    desk.works();
     assert!(is_told(desk.wait(desk.ask(id(1), reading, Insistence::Usual, None))));
     // Who still waits is told, and nobody else.
     let waiting = desk.ask(id(1), reading, Insistence::Usual, None);
     drop(desk.ask(id(2), reading, Insistence::Usual, None).unwrap());
     desk.fail(&error, []);
     assert!(is_told(desk.wait(waiting)));
+    desk.works();
     assert!(desk.ask(id(1), reading, Insistence::Usual, None).is_ok());
 }
 
