@@ -44,6 +44,18 @@ const ZERO_TOLERANCE: i32 = 100;
 pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     candidates: MotorSet,
+    on_answer: impl FnMut(MotorId, bool),
+) -> Result<MotorSet, CallError<R::Error>> {
+    let found = find(runner, candidates, on_answer).await?;
+    // A stop of all reaches who has a place. More than there are places for have none, as is documented.
+    let _ = runner.master().give_places(found);
+    Ok(found)
+}
+
+/// Finds out who is there, and leaves the master the places that it had free.
+pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
+    runner: &mut R,
+    candidates: MotorSet,
     mut on_answer: impl FnMut(MotorId, bool),
 ) -> Result<MotorSet, CallError<R::Error>> {
     let patience = runner.master().patience(ATTEMPTS);

@@ -142,8 +142,8 @@ pub enum Protection {
 /// known. Motors that share an id, as those from the factory do, are found as one on CAN; on RS485 their
 /// answers collide, and nobody may be found: connect one at a time.
 ///
-/// Who had no place in the master has none afterwards, so that [`stop_all`](Runner::stop_all) and a
-/// [`Guard`](crate::io::Guard) do not reach motors that were found and not spoken to since: name them, as `also`.
+/// [`stop_all`](Runner::stop_all) and a [`Guard`](crate::io::Guard) reach those that were found, unless the master has
+/// too few places for all of them: then none has one that it did not have before. Ids without a motor take none.
 ///
 /// # Errors
 /// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown), of any of the candidates, if the bus
@@ -212,7 +212,7 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 /// names the motor; if it does not acknowledge that and is the only one on the bus, 0x79 is tried, which all
 /// connected motors obey. Hold the shaft if a load pulls at it; a motor that turns is refused.
 ///
-/// It [scans](scan) first, so the master needs a free place besides those of the motors that it knows:
+/// It asks all ids first, so the master needs a free place besides those of the motors that it knows:
 /// `CanMaster<_, _, 8>` for six motors, say.
 ///
 /// # Errors

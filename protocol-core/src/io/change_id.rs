@@ -11,7 +11,7 @@ use crate::command::{
 };
 use crate::id::MotorId;
 use crate::io::asking::CallError;
-use crate::io::async_bring_up::{is_there, may_be_written, restart, scan};
+use crate::io::async_bring_up::{find, is_there, may_be_written, restart};
 use crate::io::async_runner::AsyncRunner;
 use crate::io::bring_up::BringUpError;
 use crate::io::standing::check_stands;
@@ -39,7 +39,7 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     from: MotorId,
     to: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
-    let there = scan(runner, MotorSet::ALL, |_, _| {}).await?;
+    let there = find(runner, MotorSet::ALL, |_, _| {}).await?;
     if !there.contains(from) {
         return Err(BringUpError::NotThere(from));
     }

@@ -27,9 +27,8 @@ use crate::time::Instant;
 /// # Ok(()) }
 /// ```
 ///
-/// The motors are [those that have a place](crate::master::Master::motors): whoever was asked or moved by itself, and
-/// whom a [broadcast](crate::master::Master::broadcast) was expected to move; not who was found by a
-/// [scan](crate::io::bring_up::scan) alone.
+/// The motors are [those that have a place](crate::master::Master::motors): whoever was asked, moved or
+/// [found](crate::io::bring_up::scan), and whom a [broadcast](crate::master::Master::broadcast) was expected to move.
 ///
 /// It waits for them, for up to [`LONGEST_STOP`](crate::io::LONGEST_STOP): of two buses in one thread the second is
 /// stopped after that, where the first is cut. Give each bus a thread or a task.

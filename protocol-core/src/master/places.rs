@@ -166,7 +166,7 @@ impl<const N: usize> Master<N> {
 
     /// Gives each of these motors a place, or, where there is none for all, none of them one.
     #[inline(never)]
-    pub(super) fn give_places(&mut self, motors: MotorSet) -> Result<(), RequestError> {
+    pub(crate) fn give_places(&mut self, motors: MotorSet) -> Result<(), RequestError> {
         if self.motors().with(motors).len() > N {
             return Err(RequestError::TooManyMotors { capacity: N });
         }

@@ -11,7 +11,7 @@ use super::{id, step, torque};
 use crate::Data;
 use crate::command::{
     AbsolutePosition, ActiveReply, AnyReply, ForcePosition, ReadMultiTurnAngle, ReadRunTime,
-    ReadStatus1, ReadStatus2, ReadStatus3, ReportedCommand, Reset, Shutdown, Switch, Torque,
+    ReadStatus1, ReadStatus2, ReadStatus3, ReportedCommand, Reset, Shutdown, Stop, Switch, Torque,
 };
 use crate::error::RequestError;
 use crate::firmware::Firmware;
@@ -174,6 +174,21 @@ fn a_scan_that_the_bus_ends_leaves_no_place_to_ids_without_a_motor() {
         let found = bring_up::scan(&mut arm, nobody.with(id(1).into()), |_, _| {});
         assert_eq!(found, Ok(id(1).into()));
     }
+}
+
+/// So that a stop of all and a guard reach them, if they turn since somebody else moved them.
+#[test]
+fn those_that_a_scan_has_found_keep_a_place_where_there_is_one_for_all() {
+    let there: MotorSet = (1..=3).map(id).collect();
+    let (bus, _, mut arm) = on_can(CanMaster::<_, _, 3>::new);
+    assert_eq!(bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}), Ok(there));
+    assert_eq!(arm.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+    assert_eq!(bus.sent().iter().filter(|&&data| data == Stop.encode()).count(), 3);
+
+    let (_, _, mut arm) = on_can(CanMaster::<_, _, 2>::new);
+    arm.ask(id(2), ReadMultiTurnAngle).unwrap();
+    assert_eq!(bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}), Ok(there));
+    assert_eq!(arm.master().motors(), id(2).into());
 }
 
 #[test]
