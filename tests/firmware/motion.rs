@@ -37,9 +37,10 @@ const QUEUE_BYTES: u32 = 256;
 /// lines, the longest.
 const REPLIES_BYTES: u32 = 22 * DRIVES as u32;
 
-/// Lost replies that may be excused besides one a second: two moments in which the emulator stands still. Where
-/// more are, the machine was too busy to say anything of lost replies, and that is told.
-const AT_FIRST: usize = 2 * DRIVES as usize;
+/// Lost replies that may be excused besides one a second: two moments in which the emulator stands still, each
+/// with a question on its way besides the drives' set-points. Where more are, the machine was too busy to say
+/// anything of lost replies, and that is told.
+const AT_FIRST: usize = 2 * (DRIVES as usize + 1);
 
 /// What the emulator takes to hand a byte to the firmware or to take one from it: twice the some 30 µs that
 /// were seen, for time is real, and the machine may be busy.

@@ -141,7 +141,8 @@ impl Firmware {
         if missing >= STOOD_STILL {
             // A master asks the next time after so many milliseconds, so that each of these may cost a reply.
             let late = missing / REPLY_TIMEOUT.as_millis() as u32 + 1;
-            self.stood_still += late as usize * self.drives().handles().len();
+            // What each drive was told, and the question that one of them is asked besides.
+            self.stood_still += late as usize * (self.drives().handles().len() + 1);
         }
         self.cycles = second.cycles;
         second
