@@ -104,8 +104,9 @@ impl Asked {
         self.purpose = Purpose::Once;
     }
 
-    pub(super) fn is_withdrawn(&self) -> bool {
-        self.purpose == Purpose::Once
+    /// Whether it may be sent once more.
+    pub(super) fn may_go_again(&self) -> bool {
+        self.attempts_left > 0 && self.purpose != Purpose::Once
     }
 
     pub(super) fn kind(&self) -> Kind {

@@ -83,7 +83,7 @@ impl Motor {
             asked.round = Round::First;
             self.bus_may_be_cut(now, config);
         }
-        if asked.attempts_left > 0 && !asked.is_withdrawn() {
+        if asked.may_go_again() {
             self.request = Request::Waiting(asked);
             return;
         }

@@ -330,8 +330,8 @@ impl Motor {
                 self.request = match asked.kind().may_move() {
                     true if self.has_restarted => Request::Failed(Failure::Dropped),
                     true if is_old => Request::Failed(Failure::Stopped),
-                    _ if asked.is_withdrawn() => Request::Failed(Failure::Dropped),
-                    _ => Request::Waiting(asked),
+                    _ if asked.may_go_again() => Request::Waiting(asked),
+                    _ => Request::Failed(Failure::Dropped),
                 };
                 return;
             }

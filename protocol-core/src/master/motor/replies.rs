@@ -246,10 +246,9 @@ impl Motor {
         let is_of_before =
             self.was_told_before_it_lost_master() || asked.unanswered > 0 && !asked.is_stop();
         if heard.take_ignored_one(is_of_before) && is_echo || is_handed_back {
-            if asked.is_stop() {
-                // It ignores one, and no more.
-                self.request = Request::Waiting(asked);
-            } else if asked.attempts_left > 0 && asked.kind().repeat() == Repeat::Harmless {
+            // It ignores one, and no more.
+            let is_harmless = || asked.kind().repeat() == Repeat::Harmless;
+            if asked.is_stop() || asked.may_go_again() && is_harmless() {
                 self.request = Request::Waiting(asked);
             } else {
                 self.request_has_failed(Failure::NotExecuted, config, now);

@@ -295,3 +295,25 @@ fn a_set_point_of_0_that_was_ignored_is_no_feedback() {
     let echo = reply(&mut master, 1, torque(0.0).encode(), ms(2));
     assert_eq!(echo, Some(Event::SetPointUnanswered { motor: id(1) }));
 }
+
+/// A load that the brake holds would fall, behind what ends motion, or after whoever asked for it has given up.
+#[test]
+fn an_ignored_release_of_a_brake_that_is_over_does_not_go_again() {
+    for is_withdrawn in [true, false] {
+        let mut master = Master::<2>::new(Config::CAN);
+        reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(0)).unwrap();
+        let release = ask(&mut master, 1, ReleaseBrake, ms(1));
+        if is_withdrawn {
+            master.withdraw(release.id());
+        } else {
+            master.broadcast(Shutdown, id(1).into()).unwrap();
+        }
+        assert_eq!(reply(&mut master, 1, ReleaseBrake.encode(), ms(2)), None);
+        let told = events(&mut master, ms(2));
+        assert_eq!(release.outcome(&told[0]), Some(Err(Failure::NotExecuted)));
+        let released = packet_to(1, ReleaseBrake.encode());
+        for now in [2, 4, 30, 100] {
+            assert!(!sent(&mut master, ms(now)).contains(&released), "{is_withdrawn}");
+        }
+    }
+}
