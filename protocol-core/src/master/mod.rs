@@ -163,7 +163,7 @@ pub struct Master<const N: usize> {
     lost_master: MotorSet,
     /// A stop to all at once is to be sent before each motor's own.
     stop_to_all: Option<StopKind>,
-    /// When one was sent last.
+    /// When one was sent last; zero before that.
     stop_to_all_sent: Instant,
     /// The caller has switched somebody off since the last one was sent.
     is_any_off_since: bool,

@@ -87,12 +87,17 @@ impl<const N: usize> Master<N> {
         })
     }
 
-    /// Whether a motor was sent as much as another one, or more, that may be waiting for its turn to answer, or to be
-    /// told: who is stopped in every cycle would fill the bus, or have the other's stop handed back again and again.
+    /// On CAN: whether a motor was sent as much as another one, or more, that may be waiting for its turn to answer, or to
+    /// be told: who is stopped in every cycle would fill the bus, or have the other's stop handed back again and again.
+    /// Or a broadcast waits for its turn.
     fn is_ahead(&self, motor: &Motor) -> bool {
+        if self.config.is_rs485() {
+            return false;
+        }
         let next = motor.round.wrapping_add(1);
         let mut all = self.at(self.places.in_flight);
         all.any(|(_, other)| other.is_behind(next) && !other.had_its_chance())
+            || self.broadcast.is_waiting() && self.broadcast_may_go()
     }
 
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.
@@ -113,14 +118,9 @@ impl<const N: usize> Master<N> {
             }
         }
         let (round, offer) = first?;
-        // One round ahead of a motor that may be waiting for its turn to answer is enough. That is not one that
-        // did not answer last time, nor one that the quiet bus has shown to be silent.
-        for (_, motor) in self.at(self.places.in_flight) {
-            if motor.is_behind(round) && motor.is_waited_for() {
-                return None;
-            }
-        }
-        Some(offer)
+        // One round ahead of a motor that may be waiting for its turn is enough.
+        let mut all = self.at(self.places.in_flight);
+        (!all.any(|(_, motor)| motor.is_waited_for(round))).then_some(offer)
     }
 
     /// What may go of this motor: where both may, its set-point and its request in turn.

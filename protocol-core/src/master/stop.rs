@@ -74,14 +74,14 @@ impl<const N: usize> Master<N> {
     ///   long as the stop is in force, and at once when it is heard: it may be back on the bus at any time.
     /// - Called again before it was lifted it goes on with what is under way: a program may call it in every cycle. On
     ///   RS485 every second turn is somebody else's then; on CAN a motor that has confirmed it is told again when
-    ///   nobody who was told no more often may be waiting for a turn to answer. It leaves the motors no time for requests; and after an answer
-    ///   that was lost the next confirmation comes only when that cannot come any more.
+    ///   nobody who was told no more often may be waiting for a turn to answer. It leaves the motors no time for
+    ///   requests; and after an answer that was lost the next confirmation comes only when that cannot come any more.
     ///
     /// # Motors without a place
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or where
     /// there is none for all of `also`, one stop to all goes before each motor's own. A motor without a place gets that
-    /// single frame and confirms nothing. So name all motors that a broadcast may reach, there or in `also`. On RS485
-    /// it goes again where this is called again, once in 100 ms at the most.
+    /// single frame and confirms nothing. So name all motors that a broadcast may reach, there or in `also`. It goes
+    /// again where this is called again, on CAN if there is no place for all of `also`, once in 100 ms at the most.
     ///
     /// # A motor that is off stays off
     /// A motor that a stop has switched off is not switched on by another stop: until the first is lifted it gets
@@ -115,26 +115,27 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off = MotorSet::ALL;
         }
-        // Called again it is for motors without a place: where nobody has one, each time; else on a line after a rest, when
-        // it prolongs nobody's wait for what is owed, and not on CAN, where each motor answers it.
+        // Where nobody has a place it goes each time.
         let is_called_again = was == Some(kind) && !self.places.taken.is_empty();
-        let is_due = match (self.config.bus, is_called_again) {
-            (Bus::Rs485 { .. }, false) => true,
-            (Bus::Rs485 { .. }, true) => {
-                let waits = |asked: &Asked| asked.round.waits();
-                let has_rested = self.now - self.stop_to_all_sent >= STOP_AGAIN_AFTER;
-                let mut stops = self.at(self.places.stops);
-                has_rested && !stops.any(|(_, motor)| motor.request.waiting().is_some_and(waits))
-            }
-            // Whom there is no place for, nothing else reaches.
-            (Bus::Can, false) => self.broadcast.has_moved() || result.is_err(),
-            (Bus::Can, true) => false,
-        };
-        let goes = was_same_for_all && is_due;
+        let goes = was_same_for_all && self.is_stop_to_all_due(is_called_again, result.is_err());
         // One that waits has reached nobody yet.
         let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
         self.stop_to_all = goes.then_some(kind).or(waits);
         result
+    }
+
+    /// Whether one stop to all goes beside each motor's own: for motors without a place, which nothing else reaches.
+    /// Called again it goes after a rest, when it prolongs nobody's wait for what is owed.
+    fn is_stop_to_all_due(&self, is_called_again: bool, is_no_place_left: bool) -> bool {
+        let is_needed = self.config.is_rs485() || is_no_place_left;
+        if !is_called_again {
+            return is_needed || self.broadcast.has_moved();
+        }
+        let waits = |asked: &Asked| asked.round.waits();
+        let (sent, mut stops) = (self.stop_to_all_sent, self.at(self.places.stops));
+        is_needed
+            && (sent == Instant::ZERO || self.now - sent >= STOP_AGAIN_AFTER)
+            && !stops.any(|(_, motor)| motor.request.waiting().is_some_and(waits))
     }
 
     /// Stops one motor, as [`stop_all`](Self::stop_all) stops all. Until [`lift_stop`](Self::lift_stop)
@@ -349,7 +350,7 @@ impl<const N: usize> Master<N> {
     pub(super) fn stop_to_all_was_sent(&mut self, now: Instant) {
         let Some(kind) = self.stop_to_all.take() else { return };
         self.is_any_off_since = false;
-        self.stop_to_all_sent = now;
+        self.stop_to_all_sent = now.max(Instant::from_micros(1));
         self.due = now;
         let told = kind.question();
         let until = now + self.config.reply_timeout + self.config.late_window;

@@ -99,7 +99,8 @@ impl<const N: usize> Master<N> {
                     Some((is_over, motor.round))
                 });
                 let Some((is_over, round)) = sent.flatten() else { return };
-                (self.due, self.pace) = (now, round);
+                self.due = now;
+                self.keep_pace(round);
                 if is_over {
                     // It may have been a restart.
                     self.cancel_move_after_restart();
@@ -112,7 +113,7 @@ impl<const N: usize> Master<N> {
                     motor.set_point_was_sent(now);
                     motor.round
                 });
-                self.pace = round.unwrap_or(self.pace);
+                round.iter().for_each(|&round| self.keep_pace(round));
             }
             Offer::Broadcast => {
                 if let (Some(kind), data) = self.broadcast.command() {
@@ -145,6 +146,14 @@ impl<const N: usize> Master<N> {
             self.line_is_free_after_turnaround(now + silence);
         } else {
             self.bus_is_busy(now);
+        }
+    }
+
+    /// Nobody has had more turns than this. A stop of who has rested is no step back.
+    #[inline]
+    fn keep_pace(&mut self, round: u32) {
+        if (self.pace.wrapping_sub(round) as i32) < 0 {
+            self.pace = round;
         }
     }
 

@@ -56,8 +56,9 @@ bitflags! {
         const IS_OLD = 1 << 2;
         /// The drive has said since that it has lost its master: it may have heard this before.
         const BEFORE_IT_LOST_MASTER = 1 << 3;
-        /// It was a stop, and a controller has handed that back, now or before.
-        const STOP_MAKES_WAY = 1 << 4;
+        /// A controller has handed a request of this motor back since it answered, or did not: it made way for a more
+        /// urgent frame.
+        const MAKES_WAY = 1 << 4;
     }
 }
 
@@ -178,11 +179,12 @@ impl Motor {
         (self.round.wrapping_sub(round) as i32) < 0
     }
 
-    /// Puts it forward after a rest, so that it is one round behind the others at the most: what it
-    /// did not ask for then it has no claim to now.
+    /// Puts it forward after a rest, or a silence, so that it is one round behind the others at the most: what it
+    /// did not ask for then, or did not answer, it has no claim to now. Who waits for its turn keeps its claim.
     pub(super) fn join(&mut self, pace: u32) {
         let one_behind = pace.wrapping_sub(1);
-        if self.is_behind(one_behind) {
+        let waits = self.is_waiting() || self.is_in_flight();
+        if (!waits || self.is_silent()) && self.is_behind(one_behind) {
             self.round = one_behind;
         }
     }
@@ -216,11 +218,19 @@ impl Motor {
         self.misses > 0
     }
 
-    /// Whether its turn to answer is waited for, or to be told: not if it did not answer last time, unless its stop makes
-    /// way for whatever goes meanwhile.
-    pub(super) fn is_waited_for(&self) -> bool {
-        !self.had_its_chance()
-            && (!self.was_missed() || self.last_sent.contains(LastSent::STOP_MAKES_WAY))
+    /// Whether it did not answer more than once in a row: one answer may be lost.
+    fn is_silent(&self) -> bool {
+        self.misses > 1
+    }
+
+    /// Whether its turn to answer, or to be told, is waited for by who has had so many: while it is behind, unless it did
+    /// not answer for the last two times. A request that has made way once does not for ever, and no answer of who is to
+    /// end its motion loses all arbitrations.
+    pub(super) fn is_waited_for(&self, round: u32) -> bool {
+        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
+        let counts = !self.is_silent() || self.request.in_flight().is_some_and(ends_motion);
+        let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
+        !self.had_its_chance() && (makes_way || self.is_behind(round) && counts)
     }
 
     /// Whether it did not answer last time, and nothing was heard of it since it was last asked.
@@ -261,7 +271,7 @@ impl Motor {
     }
 
     fn was_sent(&mut self, what: LastSent, now: Instant) {
-        (self.last_sent, self.sent) = (what, now);
+        (self.last_sent, self.sent) = (what | self.last_sent & LastSent::MAKES_WAY, now);
         self.round = self.round.wrapping_add(1);
     }
 
@@ -270,8 +280,7 @@ impl Motor {
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
-        let makes_way = self.last_sent & LastSent::STOP_MAKES_WAY;
-        self.was_sent(if asked.is_stop() { makes_way } else { LastSent::empty() }, now);
+        self.was_sent(LastSent::empty(), now);
         self.is_told(asked.kind());
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
@@ -325,7 +334,9 @@ impl Motor {
                 asked.attempts_left = asked.attempts_left.saturating_add(1);
                 asked.unanswered = asked.unanswered.saturating_sub(1);
                 self.last_sent.insert(LastSent::REQUESTS_TURN);
-                self.last_sent.set(LastSent::STOP_MAKES_WAY, asked.is_stop());
+                if asked.is_stop() || self.is_silent() {
+                    self.last_sent.insert(LastSent::MAKES_WAY);
+                }
                 let is_old = self.last_sent.contains(LastSent::IS_OLD);
                 self.request = match asked.kind().may_move() {
                     true if self.has_restarted => Request::Failed(Failure::Dropped),
@@ -338,6 +349,7 @@ impl Motor {
             _ => {}
         }
         if self.stream.in_flight().is_some_and(|sent| is_this(sent.question.kind, &sent.data)) {
+            self.last_sent.set(LastSent::MAKES_WAY, self.is_silent());
             let ends_motion = |asked: &Asked| asked.kind().ends_motion();
             if !self.stream.was_pushed_out() {
                 self.health.superseded = self.health.superseded.saturating_add(1);
@@ -415,12 +427,14 @@ impl Motor {
 
     /// A reply has not come in time.
     pub(super) fn has_missed(&mut self, config: &Config, now: Instant) {
+        self.last_sent.remove(LastSent::MAKES_WAY);
         self.misses = self.misses.saturating_add(1);
         self.health.count_miss(self.misses);
         self.was_silent(config, now);
     }
 
     pub(super) fn is_there(&mut self) {
+        self.last_sent.remove(LastSent::MAKES_WAY);
         self.misses = 0;
         self.health.presence = Presence::Present;
     }

@@ -14,21 +14,25 @@ fn priority(packet: &Packet) -> Option<core::cmp::Reverse<MotorId>> {
 }
 
 /// Goes on for so many milliseconds: what lies in the mailboxes is sent and answered, by all but who is `absent`, then
-/// the caller has its `cycle`, and then the master is looked after. Gives when each motor was first told to stop.
+/// the caller has its `cycle`, and then the master is looked after. Gives when each motor was first told to stop, and
+/// how often anything else.
 fn told(
     master: &mut Master<32>,
     span: core::ops::Range<u64>,
     absent: MotorSet,
     mut cycle: impl FnMut(&mut Master<32>, u64),
-) -> [Option<u64>; MotorId::COUNT] {
-    let mut told = [None; MotorId::COUNT];
+) -> [(Option<u64>, u64); MotorId::COUNT] {
+    let mut told = [(None, 0); MotorId::COUNT];
     let mut mailboxes = Vec::<Packet>::new();
     for now in span {
         for packet in core::mem::take(&mut mailboxes) {
             let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
             let is_stop = packet.data[0] == 0x80;
+            let (stopped_at, others) = &mut told[motor.index()];
             if is_stop {
-                told[motor.index()].get_or_insert(now);
+                stopped_at.get_or_insert(now);
+            } else {
+                *others += 1;
             }
             if !absent.contains(motor) {
                 let data = if is_stop { packet.data } else { TORQUE_REPLY };
@@ -66,7 +70,7 @@ fn a_stop_of_all_of_every_cycle_reaches_each_motor() {
         // Three a millisecond, and they are answered in the next one.
         let last = u64::from(motors).div_ceil(MAILBOXES as u64);
         for motor in first(motors) {
-            let at = told[motor.index()];
+            let (at, _) = told[motor.index()];
             assert!(at.is_some_and(|at| at <= last), "motor {motor} of {motors}: {at:?}");
         }
     }
@@ -90,7 +94,79 @@ fn a_stop_of_one_goes_before_the_streams_of_others_though_it_seems_dead() {
             }
         });
         // It has to make way at 200 ms, lies there alone at 201 ms, and is sent.
-        assert_eq!(told[last.index()], Some(202), "of {motors}");
+        assert!(told[last.index()].0.is_some_and(|at| at <= 202), "of {motors}");
+    }
+}
+
+/// A cycle in which each of these gets a set-point.
+fn stream(motors: MotorSet) -> impl FnMut(&mut Master<32>, u64) {
+    move |master, now| {
+        for motor in motors.iter() {
+            master.set_point(motor, torque(1.0), ms(now)).unwrap();
+        }
+    }
+}
+
+/// Whatever each of them has had before: the last has streamed alone, and then one that was idle was stopped; or two or
+/// three answers of it were lost; or all have streamed, and it has answered none.
+#[test]
+fn streams_of_all_have_equal_shares() {
+    for motors in [4, 6, 9, 12, 16] {
+        let last = id(motors);
+        for history in 0..5 {
+            let mut master = Master::new(Config::CAN);
+            match history {
+                1 => {
+                    told(&mut master, 0..3_000, MotorSet::EMPTY, stream(last.into()));
+                    told(&mut master, 3_000..3_100, MotorSet::EMPTY, |master, now| {
+                        if now == 3_050 {
+                            master.stop(id(1), StopKind::Off).unwrap();
+                        }
+                    });
+                    master.lift_stop();
+                }
+                2 | 3 => {
+                    told(&mut master, 3_000..3_100, last.into(), |master, now| {
+                        if now == 3_000 {
+                            let patience = master.patience(history);
+                            let _read = master.request_with(last, ReadModel, patience).unwrap();
+                        }
+                    });
+                }
+                4 => {
+                    let all = stream(first(motors).collect());
+                    told(&mut master, 0..3_100, last.into(), all);
+                }
+                _ => {}
+            }
+            let all = stream(first(motors).collect());
+            let told = told(&mut master, 3_100..3_600, MotorSet::EMPTY, all);
+            let shares: Vec<_> = first(motors).map(|motor| told[motor.index()].1).collect();
+            let (least, most) = (shares.iter().min().unwrap(), shares.iter().max().unwrap());
+            assert!(most - least <= 3 + most / 20, "of {motors}, {history}: {shares:?}");
+        }
+    }
+}
+
+/// It has answered nothing before, and others stream.
+#[test]
+fn a_request_is_told_to_the_last_though_others_stream() {
+    for motors in [4, 6, 9, 12, 16] {
+        let mut master = Master::new(Config::CAN);
+        let last = id(motors);
+        let mut others = stream(first(motors - 1).collect());
+        told(&mut master, 0..100, last.into(), |master, now| {
+            if now == 0 {
+                let _read = master.request(last, ReadModel).unwrap();
+            }
+        });
+        let told = told(&mut master, 100..120, MotorSet::EMPTY, |master, now| {
+            if now == 110 {
+                let _read = master.request(last, ReadRunTime).unwrap();
+            }
+            others(master, now);
+        });
+        assert_eq!(told[last.index()], (None, 1), "of {motors}");
     }
 }
 
@@ -131,5 +207,62 @@ fn a_stop_of_all_of_every_cycle_is_confirmed_by_each_motor_though_answers_arbitr
             }
         }
         assert_eq!(silent, MotorSet::EMPTY, "of {motors}");
+    }
+}
+
+/// One or two answers of it were lost; the bus is full, and answers of lower ids go before its own.
+#[test]
+fn who_has_missed_an_answer_is_waited_for_when_it_is_stopped() {
+    for (motors, lost) in [(6_u8, 1), (9, 1), (12, 1), (6, 2), (9, 2), (12, 2)] {
+        let mut master = Master::<32>::new(Config::CAN);
+        let last = id(motors);
+        let mut queue = std::collections::VecDeque::<Packet>::new();
+        let mut answers = Vec::<(u64, MotorId, [u8; 8])>::new();
+        let (mut loses, mut stopped_at, mut told_at) = (0, 0, None);
+        for slot in 0..8_000 {
+            let now = Instant::from_micros(125 * slot);
+            let ready = answers.iter().filter(|(at, ..)| *at <= slot).min_by_key(|(_, it, _)| *it);
+            match (queue.pop_front(), ready.copied()) {
+                (Some(packet), _) => {
+                    let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
+                    let is_torque = packet.data[0] == 0xA1;
+                    let data = if is_torque { TORQUE_REPLY } else { packet.data };
+                    answers.push((slot + 7, motor, data));
+                }
+                (None, Some(answer)) => {
+                    answers.retain(|it| *it != answer);
+                    let (_, motor, data) = answer;
+                    if motor == last && loses > 0 {
+                        loses -= 1;
+                        continue;
+                    }
+                    if reply(&mut master, motor.get(), data, now) == confirmed(motors) {
+                        told_at.get_or_insert(slot);
+                    }
+                }
+                (None, None) => {}
+            }
+            stream(first(motors - 1).collect())(&mut master, slot / 8);
+            if slot == 800 {
+                loses = lost;
+                let patience = master.patience(lost);
+                let _read = master.request_with(last, ReadModel, patience).unwrap();
+            }
+            if slot == 1_200 {
+                stopped_at = slot;
+                master.stop(last, StopKind::Off).unwrap();
+            }
+            events(&mut master, now);
+            while queue.len() < MAILBOXES {
+                let Some(packet) = master.poll_transmit(now) else { break };
+                master.handle_transmitted(now);
+                queue.push_back(packet);
+            }
+        }
+        let told_after = told_at.map(|at| at - stopped_at);
+        assert!(
+            told_after.is_some_and(|slots| slots <= 8 * 20),
+            "{motors}, {lost}: {told_after:?}"
+        );
     }
 }

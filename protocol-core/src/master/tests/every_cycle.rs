@@ -442,3 +442,26 @@ fn a_hold_behind_a_restart_is_no_stop_that_is_called_again() {
     master.note_restart(id(1));
     is_stopped_by_line(&mut master, 1, StopKind::Hold, ms(2));
 }
+
+/// Each answer comes with the next call, so that a stop is always under way.
+#[test]
+fn a_broadcast_and_requests_go_beside_a_stop_of_every_cycle() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let (mut is_broadcast, mut is_asked) = (false, false);
+    for now in 0..100 {
+        master.stop(id(1), StopKind::Off).unwrap();
+        if now == 20 {
+            master.broadcast(ReadStatus1, MotorSet::EMPTY).unwrap();
+            let _model = master.request(id(3), ReadModel).unwrap();
+        }
+        for packet in sent(&mut master, ms(now)) {
+            is_broadcast |= packet == packet_to_all(ReadStatus1.encode());
+            is_asked |= packet == packet_to(3, ReadModel.encode());
+            if packet == packet_to(1, Shutdown.encode()) {
+                reply(&mut master, 1, packet.data, ms(now + 1));
+            }
+        }
+        events(&mut master, ms(now + 1));
+    }
+    assert!(is_broadcast && is_asked);
+}

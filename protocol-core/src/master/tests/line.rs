@@ -403,3 +403,29 @@ fn who_was_heard_since_it_was_asked_is_stopped_before_who_was_not() {
     let stops: Vec<Packet> = (7..14).flat_map(|now| sent(&mut master, ms(now))).collect();
     assert_eq!(stops, [packet_to_all(Stop.encode()), packet_to(2, Stop.encode())]);
 }
+
+/// It was confirmed, or given up, and is called for once more while a patient question of another is under way.
+#[test]
+fn a_stop_that_is_called_again_waits_for_no_patience_of_others() {
+    for is_given_up_before in [false, true] {
+        let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+        let mut asked_at = 10;
+        master.stop(id(1), StopKind::Off).unwrap();
+        if is_given_up_before {
+            asked_at += is_given_up(&mut master, 1, 0);
+        } else {
+            assert_eq!(sent(&mut master, ms(0)), [packet_to(1, Shutdown.encode())]);
+            let frame = Frame { address: Target::Motor(id(1)), data: Shutdown.encode() };
+            assert_eq!(master.handle_line(&frame, ms(1)), confirmed(1));
+        }
+        let patience = Patience { reply_timeout: Duration::from_secs(10), attempts: 1 };
+        let _model = master.request_with(id(2), ReadModel, patience).unwrap();
+        assert_eq!(sent(&mut master, ms(asked_at)), [packet_to(2, ReadModel.encode())]);
+        master.stop(id(1), StopKind::Off).unwrap();
+        let goes =
+            |now: &u64| sent(&mut master, ms(*now)).contains(&packet_to(1, Shutdown.encode()));
+        let told_at = (asked_at + 1..asked_at + 200).find(goes);
+        // Its time is up after 50 ms.
+        assert_eq!(told_at, Some(asked_at + 50), "{is_given_up_before}");
+    }
+}

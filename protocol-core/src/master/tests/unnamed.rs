@@ -501,3 +501,28 @@ fn the_answer_to_a_hold_of_all_is_awaited_beside_that_to_ones_own_shutdown() {
     assert_eq!(channels(&sent(&mut master, ms(100))), [TO_ALL, to(1)]);
     assert_eq!(reply(&mut master, 1, Stop.encode(), ms(101)), None, "it is no stray");
 }
+
+/// A stop of all is in force already, when another motor is named.
+#[test]
+fn a_stop_of_more_than_there_is_room_for_goes_to_all_though_one_is_in_force() {
+    let mut master = Master::<1>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    reply(&mut master, 1, ANGLE_REPLY, ms(0));
+    master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(1)), [packet_to(1, Shutdown.encode())]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(2)), confirmed(1));
+    let mut at = Vec::new();
+    // In every cycle.
+    for now in 3..300 {
+        assert!(master.stop_all(StopKind::Off, id(2).into()).is_err());
+        for packet in sent(&mut master, ms(now)) {
+            if packet == packet_to_all(Shutdown.encode()) {
+                at.push(now);
+            } else {
+                reply(&mut master, 1, packet.data, ms(now));
+            }
+        }
+    }
+    assert_eq!(at.first(), Some(&3));
+    assert!(at.len() > 1 && at.windows(2).all(|at| at[1] - at[0] >= 100), "{at:?}");
+}
