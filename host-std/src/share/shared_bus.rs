@@ -48,10 +48,11 @@ impl<E> fmt::Debug for WeakBus<E> {
     }
 }
 
-/// A stop of all that is under way; see [`SharedBus::begin_stop_all`]. It goes on if this is dropped.
+/// A stop of all that is under way; see [`SharedBus::begin_stop_all`]. It goes on if this is dropped, and is no handle:
+/// where the bus has ended meanwhile, waiting for it says so.
 #[must_use = "those that have not confirmed the stop may still move: cut their power"]
 pub struct Stopping<E = BusError> {
-    bus: SharedBus<E>,
+    desk: Arc<Desk<E>>,
     stop: Awaited<MotorSet, E>,
 }
 
@@ -61,7 +62,7 @@ impl<E> Stopping<E> {
     /// # Errors
     /// As there.
     pub fn wait(self) -> Result<MotorSet, SharedBusError<E>> {
-        self.bus.0.desk.wait_for_stop(self.stop, MotorSet::ALL)
+        self.desk.wait_for_stop(self.stop, MotorSet::ALL)
     }
 }
 
@@ -293,7 +294,7 @@ impl<E: fmt::Debug + Send + Sync + 'static> SharedBus<E> {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn begin_stop_all(&self, kind: StopKind, also: MotorSet) -> Stopping<E> {
-        Stopping { bus: self.clone(), stop: self.desk().stop_all(kind, also) }
+        Stopping { desk: Arc::clone(&self.0.desk), stop: self.desk().stop_all(kind, also) }
     }
 
     /// Stops one motor, as [`stop_all`](Self::stop_all) stops all, and says whether it has confirmed it. If

@@ -17,6 +17,7 @@ use crate::io::bring_up::{BringUpError, Identity, Protection};
 pub use crate::io::calls::Calls;
 pub use crate::io::change_id::{change_id, is_shared};
 pub use crate::io::move_to::move_to;
+use crate::io::on_drop::OnDrop;
 use crate::io::runner::{LONGEST_IDLE, LONGEST_TURN};
 use crate::io::standing::check_stands;
 use crate::master::{Event, Failure, MotorSet};
@@ -46,21 +47,25 @@ pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     candidates: MotorSet,
     on_answer: impl FnMut(MotorId, bool),
 ) -> Result<MotorSet, CallError<R::Error>> {
-    let found = find(runner, candidates, on_answer).await?;
-    // A stop of all reaches who has a place. More than there are places for have none, as is documented.
-    let _ = runner.master().give_places(found);
-    Ok(found)
+    // However this ends.
+    let mut scan = OnDrop::new((runner, MotorSet::EMPTY), |(runner, found): &mut (&mut R, _)| {
+        runner.master().note_found(*found);
+    });
+    let (runner, found) = &mut scan.it;
+    find(*runner, candidates, found, on_answer).await?;
+    Ok(*found)
 }
 
 /// Finds out who is there, and leaves the master the places that it had free.
 pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     candidates: MotorSet,
+    found: &mut MotorSet,
     mut on_answer: impl FnMut(MotorId, bool),
-) -> Result<MotorSet, CallError<R::Error>> {
+) -> Result<(), CallError<R::Error>> {
     let patience = runner.master().patience(ATTEMPTS);
     let known = runner.master().motors();
-    let (mut waiting, mut asked, mut found) = (candidates, MotorSet::EMPTY, MotorSet::EMPTY);
+    let (mut waiting, mut asked) = (candidates, MotorSet::EMPTY);
     // Why no more are asked, and until when the answers of who was asked are waited for: nobody else takes back the
     // places of ids without a motor.
     let mut given_up = None;
@@ -117,17 +122,17 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
         }
         if matches!(event, Event::Reply { .. } | Event::Failed { .. }) && asked.contains(motor) {
             asked.remove(motor);
-            if there || given_up.is_none() {
-                on_answer(motor, found.contains(motor));
-            }
             if !known.contains(motor) {
                 runner.master().forget(motor);
+            }
+            if there || given_up.is_none() {
+                on_answer(motor, found.contains(motor));
             }
         }
     }
     match given_up {
         Some((why, _)) => Err(why),
-        None => Ok(found),
+        None => Ok(()),
     }
 }
 

@@ -142,8 +142,9 @@ pub enum Protection {
 /// known. Motors that share an id, as those from the factory do, are found as one on CAN; on RS485 their
 /// answers collide, and nobody may be found: connect one at a time.
 ///
-/// [`stop_all`](Runner::stop_all) and a [`Guard`](crate::io::Guard) reach those that were found, unless the master has
-/// too few places for all of them: then none has one that it did not have before. Ids without a motor take none.
+/// [`stop_all`](Runner::stop_all) and a [`Guard`](crate::io::Guard) reach those that were found, however this ends. If
+/// the master has too few places for all of them, none keeps one that it did not have before: then
+/// these get the one stop that goes to all, and confirm nothing. Ids without a motor take no place.
 ///
 /// # Errors
 /// [`CallError`]; [`Failure::BusDown`](crate::master::Failure::BusDown), of any of the candidates, if the bus

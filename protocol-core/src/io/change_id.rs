@@ -39,7 +39,8 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     from: MotorId,
     to: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
-    let there = find(runner, MotorSet::ALL, |_, _| {}).await?;
+    let mut there = MotorSet::EMPTY;
+    find(runner, MotorSet::ALL, &mut there, |_, _| {}).await?;
     if !there.contains(from) {
         return Err(BringUpError::NotThere(from));
     }

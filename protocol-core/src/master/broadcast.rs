@@ -48,8 +48,9 @@ pub(super) struct Broadcast {
     /// What the last one may still do, and what was sent before it, or as a stop to all.
     last: MayUndo,
     others: MayUndo,
-    /// Something that may move was sent, so that a stop of all has to reach whom nobody has named.
-    has_moved: bool,
+    /// Something that may move was sent, or motors were found that have no place: a stop of all has to reach whom nobody
+    /// has named.
+    may_be_unnamed: bool,
     /// It was sent on CAN since these have ended their motion, and they have not answered it: it may lie in a mailbox,
     /// through cuts that nobody has noticed.
     moved_since: MotorSet,
@@ -148,9 +149,14 @@ impl Broadcast {
         self.is_waiting() && self.kind.is_some_and(Kind::ends_motion)
     }
 
-    /// Whether a command to all may have moved anybody, since ever.
-    pub(super) fn has_moved(&self) -> bool {
-        self.has_moved
+    /// Whether there may be motors, since ever, that only a stop to all reaches.
+    pub(super) fn may_be_unnamed(&self) -> bool {
+        self.may_be_unnamed
+    }
+
+    /// There are some.
+    pub(super) fn note_unnamed(&mut self) {
+        self.may_be_unnamed = true;
     }
 
     /// Whether what this motor answers when it ends its motion is to be answered twice: the first answer shows that the
@@ -242,7 +248,7 @@ impl Broadcast {
         };
         (self.sent, self.sent_byte) = (now, self.data[0]);
         self.may_answer = all_if(kind.has_reply());
-        self.has_moved |= kind.may_move();
+        self.may_be_unnamed |= kind.may_move();
         self.others = self.others.with(self.last);
         if kind.may_move() && !config.is_rs485() {
             // The answer to this one says nothing of those before it.

@@ -164,9 +164,16 @@ impl<const N: usize> Master<N> {
         place.ok_or(RequestError::TooManyMotors { capacity: N })
     }
 
+    /// These motors are there: a stop of all is for them. Where there is no place for all of them, one goes to all.
+    pub(crate) fn note_found(&mut self, motors: MotorSet) {
+        if self.give_places(motors).is_err() {
+            self.broadcast.note_unnamed();
+        }
+    }
+
     /// Gives each of these motors a place, or, where there is none for all, none of them one.
     #[inline(never)]
-    pub(crate) fn give_places(&mut self, motors: MotorSet) -> Result<(), RequestError> {
+    pub(super) fn give_places(&mut self, motors: MotorSet) -> Result<(), RequestError> {
         if self.motors().with(motors).len() > N {
             return Err(RequestError::TooManyMotors { capacity: N });
         }

@@ -78,8 +78,9 @@ impl<const N: usize> Master<N> {
     ///   requests; and after an answer that was lost the next confirmation comes only when that cannot come any more.
     ///
     /// # Motors without a place
-    /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or where
-    /// there is none for all of `also`, one stop to all goes before each motor's own. A motor without a place gets that
+    /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or a scan has
+    /// found more than there are places, or where there is none for all of `also`, one stop to all goes before each
+    /// motor's own. A motor without a place gets that
     /// single frame and confirms nothing. So name all motors that a broadcast may reach, there or in `also`. It goes
     /// again where this is called again, on CAN if there is no place for all of `also`, once in 100 ms at the most.
     ///
@@ -129,7 +130,7 @@ impl<const N: usize> Master<N> {
     fn is_stop_to_all_due(&self, is_called_again: bool, is_no_place_left: bool) -> bool {
         let is_needed = self.config.is_rs485() || is_no_place_left;
         if !is_called_again {
-            return is_needed || self.broadcast.has_moved();
+            return is_needed || self.broadcast.may_be_unnamed();
         }
         let waits = |asked: &Asked| asked.round.waits();
         let (sent, mut stops) = (self.stop_to_all_sent, self.at(self.places.stops));

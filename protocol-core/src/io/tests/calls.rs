@@ -185,10 +185,27 @@ fn those_that_a_scan_has_found_keep_a_place_where_there_is_one_for_all() {
     assert_eq!(arm.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
     assert_eq!(bus.sent().iter().filter(|&&data| data == Stop.encode()).count(), 3);
 
-    let (_, _, mut arm) = on_can(CanMaster::<_, _, 2>::new);
+    let (bus, _, mut arm) = on_can(CanMaster::<_, _, 2>::new);
     arm.ask(id(2), ReadMultiTurnAngle).unwrap();
     assert_eq!(bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}), Ok(there));
     assert_eq!(arm.master().motors(), id(2).into());
+    assert_eq!(arm.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
+    let stops = bus.sent().iter().filter(|&&data| data == Stop.encode()).count();
+    assert_eq!(stops, 2, "one of them to all");
+
+    let (bus, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
+    let scan = bring_up::scan(&mut arm, MotorSet::ALL, |motor, _| {
+        bus.state().receive_fails = motor == id(3);
+    });
+    assert_eq!(scan, Err(CallError::Bus(Broken)));
+    assert_eq!(arm.master().motors(), there);
+
+    let (_, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
+    let panics = || bring_up::scan(&mut arm, MotorSet::ALL, |motor, _| assert!(motor != id(3)));
+    assert!(std::panic::catch_unwind(core::panic::AssertUnwindSafe(panics)).is_err());
+    // Ids that are still being asked have the places.
+    arm.master().stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert!(arm.master().is_stop_to_all_waiting());
 }
 
 #[test]
