@@ -226,11 +226,21 @@ impl Motor {
     /// Whether its turn to answer, or to be told, is waited for by who has had so many: while it is behind, unless it did
     /// not answer for the last two times. A request that has made way once does not for ever, and no answer of who is to
     /// end its motion loses all arbitrations.
+    #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
-        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
-        let counts = !self.is_silent() || self.request.in_flight().is_some_and(ends_motion);
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
-        !self.had_its_chance() && (makes_way || self.is_behind(round) && counts)
+        (makes_way || self.is_behind(round) && self.counts()) && !self.had_its_chance()
+    }
+
+    /// Whether it is worth waiting for.
+    #[inline]
+    fn counts(&self) -> bool {
+        !self.is_silent() || self.is_ending_motion()
+    }
+
+    #[inline(never)]
+    fn is_ending_motion(&self) -> bool {
+        self.request.in_flight().is_some_and(|asked| asked.kind().ends_motion())
     }
 
     /// Whether it did not answer last time, and nothing was heard of it since it was last asked.
