@@ -39,9 +39,6 @@ const ZERO_TOLERANCE: i32 = 100;
 /// As [`bring_up::scan`](crate::io::bring_up::scan). If this future is dropped on the way, ids that were asked keep
 /// their places in the master, also those without a motor: a stop of all waits for them, and the next scan may find no
 /// place free, until they are [forgotten](crate::master::Master::forget).
-///
-/// # Errors
-/// As there.
 pub async fn scan<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     candidates: MotorSet,
@@ -142,9 +139,6 @@ fn shows_motor(failure: Failure) -> bool {
 }
 
 /// As [`bring_up::identify`](crate::io::bring_up::identify).
-///
-/// # Errors
-/// As there.
 pub async fn identify<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -164,9 +158,6 @@ pub async fn identify<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// As [`bring_up::is_there`](crate::io::bring_up::is_there).
-///
-/// # Errors
-/// As there.
 pub async fn is_there<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -188,9 +179,6 @@ pub async fn is_there<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// As [`bring_up::wait_until_there`](crate::io::bring_up::wait_until_there).
-///
-/// # Errors
-/// As there.
 pub async fn wait_until_there<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -209,9 +197,6 @@ pub async fn wait_until_there<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// As [`bring_up::zero_here`](crate::io::bring_up::zero_here).
-///
-/// # Errors
-/// As there.
 pub async fn zero_here<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -258,9 +243,6 @@ async fn keeps_zero<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// As [`bring_up::release_brake`](crate::io::bring_up::release_brake).
-///
-/// # Errors
-/// As there.
 pub async fn release_brake<B: Calls<N>, const N: usize>(
     bus: &mut B,
     motor: MotorId,
@@ -284,9 +266,6 @@ pub async fn release_brake<B: Calls<N>, const N: usize>(
 }
 
 /// As [`bring_up::protect`](crate::io::bring_up::protect).
-///
-/// # Errors
-/// As there.
 pub async fn protect<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
@@ -297,9 +276,6 @@ pub async fn protect<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// As [`bring_up::restart`](crate::io::bring_up::restart).
-///
-/// # Errors
-/// As there.
 pub async fn restart<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,

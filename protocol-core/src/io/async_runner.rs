@@ -52,9 +52,6 @@ pub trait AsyncRunner<const N: usize> {
     }
 
     /// As [`Runner::run_until`](crate::io::Runner::run_until). When `until` is past, other tasks get a turn.
-    ///
-    /// # Errors
-    /// As there.
     async fn run_until(
         &mut self,
         until: Instant,
@@ -73,9 +70,6 @@ pub trait AsyncRunner<const N: usize> {
     }
 
     /// As [`Runner::ask_with`](crate::io::Runner::ask_with).
-    ///
-    /// # Errors
-    /// As there.
     async fn ask_with<C: Command>(
         &mut self,
         motor: MotorId,
@@ -101,9 +95,6 @@ pub trait AsyncRunner<const N: usize> {
     }
 
     /// As [`Runner::ask`](crate::io::Runner::ask).
-    ///
-    /// # Errors
-    /// As there.
     async fn ask<C: Command>(
         &mut self,
         motor: MotorId,
@@ -149,9 +140,6 @@ pub trait AsyncRunner<const N: usize> {
     }
 
     /// As [`Runner::set_point_and_wait`](crate::io::Runner::set_point_and_wait).
-    ///
-    /// # Errors
-    /// As there.
     async fn set_point_and_wait<C: SetPoint>(
         &mut self,
         motor: MotorId,

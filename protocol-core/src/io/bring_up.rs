@@ -6,6 +6,8 @@
 
 use core::ops::ControlFlow;
 
+use embassy_futures::block_on;
+
 use crate::command::{BrakeCommand, Mode, ModelName, Status1, VersionDate};
 use crate::id::MotorId;
 use crate::io::asking::CallError;
@@ -14,7 +16,7 @@ pub use crate::io::move_to::{
     MoveCommand, MoveFailure, MoveLimits, MoveProgress, NotArrived, WhenStalled,
 };
 use crate::io::on_drop::OnDrop;
-use crate::io::polled::{Polled, at_once};
+use crate::io::polled::Polled;
 use crate::io::runner::Runner;
 pub use crate::io::standing::turns;
 use crate::master::{MotorSet, StopKind};
@@ -155,7 +157,7 @@ pub fn scan<R: Runner<N>, const N: usize>(
     candidates: MotorSet,
     on_answer: impl FnMut(MotorId, bool),
 ) -> Result<MotorSet, CallError<R::Error>> {
-    at_once(task::scan(&mut Polled(runner), candidates, on_answer))
+    block_on(task::scan(&mut Polled(runner), candidates, on_answer))
 }
 
 /// Reads what a motor is and how it does.
@@ -166,7 +168,7 @@ pub fn identify<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
 ) -> Result<Identity, CallError<R::Error>> {
-    at_once(task::identify(&mut Polled(runner), motor))
+    block_on(task::identify(&mut Polled(runner), motor))
 }
 
 /// Whether anything answers under this id. An id that nobody answers at gets no place in the master that it did not
@@ -178,7 +180,7 @@ pub fn is_there<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
-    at_once(task::is_there(&mut Polled(runner), motor))
+    block_on(task::is_there(&mut Polled(runner), motor))
 }
 
 /// Waits until a motor answers: after power-on or a restart (0x76).
@@ -190,7 +192,7 @@ pub fn wait_until_there<R: Runner<N>, const N: usize>(
     motor: MotorId,
     time: Duration,
 ) -> Result<(), BringUpError<R::Error>> {
-    at_once(task::wait_until_there(&mut Polled(runner), motor, time))
+    block_on(task::wait_until_there(&mut Polled(runner), motor, time))
 }
 
 /// Makes the current position the zero and sees that it is kept: stores it (0x64), restarts the
@@ -206,7 +208,7 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
 ) -> Result<EncoderPulses, BringUpError<R::Error>> {
-    at_once(task::zero_here(&mut Polled(runner), motor))
+    block_on(task::zero_here(&mut Polled(runner), motor))
 }
 
 /// Gives a motor another id: switches it off, writes the id to its ROM and restarts it. Function 5 (0x20)
@@ -225,7 +227,7 @@ pub fn change_id<R: Runner<N>, const N: usize>(
     from: MotorId,
     to: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
-    at_once(task::change_id(&mut Polled(runner), from, to))
+    block_on(task::change_id(&mut Polled(runner), from, to))
 }
 
 /// Whether more than one motor seems to have this id, as far as that can be heard: some questions are
@@ -239,7 +241,7 @@ pub fn is_shared<R: Runner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
-    at_once(task::is_shared(&mut Polled(runner), id))
+    block_on(task::is_shared(&mut Polled(runner), id))
 }
 
 /// Opens a motor's brake and waits until it is open, so that torque does not work against it (0x77,
@@ -251,7 +253,7 @@ pub fn release_brake<R: Runner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
-    at_once(task::release_brake(&mut Polled(runner), motor))
+    block_on(task::release_brake(&mut Polled(runner), motor))
 }
 
 /// Sets after how long without a command a motor stops by itself (0xB3); 0 switches that off. It is kept in ROM.
@@ -268,7 +270,7 @@ pub fn protect<R: Runner<N>, const N: usize>(
     motor: MotorId,
     timeout: Milliseconds,
 ) -> Result<Protection, CallError<R::Error>> {
-    at_once(task::protect(&mut Polled(runner), motor, timeout))
+    block_on(task::protect(&mut Polled(runner), motor, timeout))
 }
 
 /// Restarts a drive (0x76) and waits until it answers, under another id perhaps. One that goes on running, as 0xB1 says or
@@ -286,7 +288,7 @@ pub fn restart<R: Runner<N>, const N: usize>(
     motor: MotorId,
     then: MotorId,
 ) -> Result<(), BringUpError<R::Error>> {
-    at_once(task::restart(&mut Polled(runner), motor, then))
+    block_on(task::restart(&mut Polled(runner), motor, then))
 }
 
 /// Moves a motor to an angle, or by one, and watches it until it stands there; then it holds its position. It
@@ -329,7 +331,7 @@ pub fn move_to<R: Runner<N>, C: MoveCommand, const N: usize>(
     let moving = OnDrop::new(runner, |runner: &mut &mut R| {
         let _is_stopped = runner.stop(motor, StopKind::Hold);
     });
-    let result = at_once(task::move_to(&mut Polled(moving.it), motor, command, limits, on_look));
+    let result = block_on(task::move_to(&mut Polled(moving.it), motor, command, limits, on_look));
     moving.end();
     result
 }

@@ -40,9 +40,6 @@ pub trait Calls<const N: usize> {
     ) -> Result<C::Reply, CallError<Self::Error>>;
 
     /// As [`ask_often`](Self::ask_often), as often as is usual.
-    ///
-    /// # Errors
-    /// As there.
     async fn ask<C: Command>(
         &mut self,
         motor: MotorId,

@@ -139,9 +139,7 @@ impl<C: blocking::Can, F: Fn(&C::Error) -> bool> BlockingCan<C, F> {
     pub const fn new(can: C, is_timeout: F) -> Self {
         Self { can, is_timeout }
     }
-}
 
-impl<C: blocking::Can, F: Fn(&C::Error) -> bool> BlockingCan<C, F> {
     fn error(&self, error: C::Error) -> ::nb::Error<C::Error> {
         if (self.is_timeout)(&error) { ::nb::Error::WouldBlock } else { ::nb::Error::Other(error) }
     }

@@ -31,9 +31,6 @@ const ATTEMPTS: usize = 3;
 const ROUNDS: usize = 3;
 
 /// As [`bring_up::change_id`](crate::io::bring_up::change_id).
-///
-/// # Errors
-/// As there.
 pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     from: MotorId,
@@ -123,9 +120,6 @@ async fn is_taken_by_0x79<R: AsyncRunner<N>, const N: usize>(
 }
 
 /// As [`bring_up::is_shared`](crate::io::bring_up::is_shared).
-///
-/// # Errors
-/// As there.
 pub async fn is_shared<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     id: MotorId,

@@ -257,9 +257,6 @@ impl<E: fmt::Debug> core::error::Error for NotArrived<E> {}
 
 /// As [`bring_up::move_to`](crate::io::bring_up::move_to). If this future is dropped on the way, the stop is
 /// in force, and the first thing that any other future of the loop sends.
-///
-/// # Errors
-/// As there.
 pub async fn move_to<B: Calls<N>, C: MoveCommand, const N: usize>(
     bus: &mut B,
     motor: MotorId,

@@ -1,8 +1,5 @@
 //! Ways of working are written once, for tasks; a loop that polls runs them, too.
 
-use core::pin::pin;
-use core::task::{Context, Poll, Waker};
-
 use crate::io::async_runner::AsyncRunner;
 use crate::io::pump::RETRY_AFTER;
 use crate::io::runner::{LONGEST_IDLE, Runner};
@@ -37,17 +34,6 @@ impl<R: Runner<N> + ?Sized, const N: usize> AsyncRunner<N> for Polled<'_, R> {
             }
             let latest = now + LONGEST_IDLE;
             self.0.idle(until.map_or(latest, |until| until.min(latest)));
-        }
-    }
-}
-
-/// Runs a future over [`Polled`] to its end: it never has to be woken.
-pub(super) fn at_once<F: Future>(future: F) -> F::Output {
-    let mut future = pin!(future);
-    let mut context = Context::from_waker(Waker::noop());
-    loop {
-        if let Poll::Ready(output) = future.as_mut().poll(&mut context) {
-            return output;
         }
     }
 }

@@ -2,11 +2,13 @@
 
 use core::fmt;
 
+use embassy_futures::block_on;
+
 use crate::command::{Command, SetPoint};
 use crate::id::MotorId;
 use crate::io::asking::CallError;
 use crate::io::async_runner::AsyncRunner;
-use crate::io::polled::{Polled, at_once};
+use crate::io::polled::Polled;
 use crate::master::{Event, Master, MotorSet, Patience, StopKind};
 use crate::time::{Duration, Instant};
 
@@ -55,7 +57,7 @@ pub trait Runner<const N: usize> {
         until: Instant,
         on_event: impl FnMut(Event),
     ) -> Result<(), CallError<Self::Error>> {
-        at_once(Polled(self).run_until(until, on_event))
+        block_on(Polled(self).run_until(until, on_event))
     }
 
     /// Sends a command to one motor and waits for its answer, or until it was sent if it has none. While an
@@ -73,7 +75,7 @@ pub trait Runner<const N: usize> {
         patience: Option<Patience>,
         on_event: impl FnMut(Event),
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        at_once(Polled(self).ask_with(motor, command, patience, on_event))
+        block_on(Polled(self).ask_with(motor, command, patience, on_event))
     }
 
     /// Sends a command to one motor and waits for its answer, or until it was sent if it has none. Other
@@ -86,7 +88,7 @@ pub trait Runner<const N: usize> {
         motor: MotorId,
         command: C,
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        at_once(Polled(self).ask(motor, command))
+        block_on(Polled(self).ask(motor, command))
     }
 
     /// Asks several motors at the same time, so that it takes as long as the slowest, and gives an
@@ -111,7 +113,7 @@ pub trait Runner<const N: usize> {
         &mut self,
         questions: [(MotorId, C); M],
     ) -> [Result<C::Reply, CallError<Self::Error>>; M] {
-        at_once(Polled(self).ask_together(questions))
+        block_on(Polled(self).ask_together(questions))
     }
 
     /// Puts a set-point in a motor's stream; see [`Master::set_point`].
@@ -137,7 +139,7 @@ pub trait Runner<const N: usize> {
         motor: MotorId,
         command: C,
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        at_once(Polled(self).set_point_and_wait(motor, command))
+        block_on(Polled(self).set_point_and_wait(motor, command))
     }
 
     /// Stops one motor and waits until it has confirmed, or not: then **cut its power**. See
@@ -145,7 +147,7 @@ pub trait Runner<const N: usize> {
     /// does not end it, as with [`stop_all`](Self::stop_all).
     #[must_use = "a motor that has not confirmed the stop may still move: cut its power"]
     fn stop(&mut self, motor: MotorId, kind: StopKind) -> bool {
-        at_once(Polled(self).stop(motor, kind))
+        block_on(Polled(self).stop(motor, kind))
     }
 
     /// Stops all motors [that have a place](Master::motors) and those of `also`, and waits until each has confirmed,
@@ -156,6 +158,6 @@ pub trait Runner<const N: usize> {
     /// Until [`Master::lift_stop`] whatever may move a motor is refused.
     #[must_use = "those that have not confirmed the stop may still move: cut their power"]
     fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> MotorSet {
-        at_once(Polled(self).stop_all(kind, also))
+        block_on(Polled(self).stop_all(kind, also))
     }
 }
