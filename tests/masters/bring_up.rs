@@ -68,9 +68,10 @@ fn a_scan_tells_who_is_there<W: Wire>() {
     told.sort_unstable();
     let expected: Vec<_> = (1..=32).map(|number| (id(number), number <= 5)).collect();
     assert_eq!(told, expected, "each is told of once");
-    // The places that it needed are free again.
-    assert_eq!(runner.master().motors(), MotorSet::EMPTY);
+    // So that a stop of all reaches them. The places of those that are not there are free again.
+    assert_eq!(runner.master().motors(), ids(1..=5));
     assert_eq!(bring_up::scan(runner, ids([2, 9]), |_, _| {}), Ok(ids([2])));
+    assert_eq!(runner.master().motors(), ids(1..=5));
 }
 
 fn a_motor_that_is_being_asked_is_not_there_before_it_answers<W: Wire>() {

@@ -181,20 +181,38 @@ fn a_stop_that_is_handed_back_after_it_has_failed_was_not_lost_rather_than_not_a
 #[test]
 fn a_command_to_all_that_is_handed_back_after_its_time_was_up_was_not_lost() {
     let mut master = Master::<2>::new(Config::CAN);
+    // This one is lost, and stays so.
+    let patience = master.patience(1);
+    let _read = master.request_with(id(1), ReadMultiTurnAngle, patience).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(events(&mut master, ms(21)).len(), 1);
+    master.broadcast(Shutdown, [id(1), id(2)].into()).unwrap();
+    let to_all = sent(&mut master, ms(102)).pop().unwrap();
+    let silent = [id(1), id(2)].into();
+    assert_eq!(events(&mut master, ms(123)), [Event::BroadcastDone { silent, was_sent: true }]);
+    assert_eq!(master.health(id(1)).lost, 2);
+    master.handle_pushed_out(&to_all);
+    assert_eq!(master.health(id(1)).lost, 1);
+    // It goes once more, and nobody counts that.
+    assert_eq!(sent(&mut master, ms(124)), [to_all]);
+    events(&mut master, ms(150));
+    master.handle_pushed_out(&to_all);
+    assert_eq!(master.health(id(1)).lost, 1);
+}
+
+#[test]
+fn a_command_to_all_that_is_handed_back_in_time_says_nothing_of_the_one_before() {
+    let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
-    master.broadcast(Shutdown, [id(1), id(2)].into()).unwrap();
-    let to_all = sent(&mut master, ms(2)).pop().unwrap();
-    let silent = [id(1), id(2)].into();
-    assert_eq!(events(&mut master, ms(23)), [Event::BroadcastDone { silent, was_sent: true }]);
+    master.broadcast(Shutdown, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(2)).len(), 1);
+    events(&mut master, ms(23));
     assert_eq!(master.health(id(1)).lost, 1);
+    master.broadcast(Stop, id(1).into()).unwrap();
+    let to_all = sent(&mut master, ms(100)).pop().unwrap();
     master.handle_pushed_out(&to_all);
-    assert_eq!(master.health(id(1)).lost, 0);
-    // It goes once more, and nobody counts that.
-    assert_eq!(sent(&mut master, ms(24)), [to_all]);
-    events(&mut master, ms(50));
-    master.handle_pushed_out(&to_all);
-    assert_eq!(master.health(id(1)).lost, 0);
+    assert_eq!(master.health(id(1)).lost, 1);
 }
 
 #[test]
