@@ -56,8 +56,8 @@ bitflags! {
         const IS_OLD = 1 << 2;
         /// The drive has said since that it has lost its master: it may have heard this before.
         const BEFORE_IT_LOST_MASTER = 1 << 3;
-        /// A controller has handed a request of this motor back since it answered, or did not: it made way for a more
-        /// urgent frame.
+        /// A controller has handed its stop back since it answered, or did not, or whatever it was sent where it is silent:
+        /// that made way for a more urgent frame.
         const MAKES_WAY = 1 << 4;
     }
 }
@@ -224,8 +224,8 @@ impl Motor {
     }
 
     /// Whether its turn to answer, or to be told, is waited for by who has had so many: while it is behind, unless it did
-    /// not answer for the last two times. A request that has made way once does not for ever, and no answer of who is to
-    /// end its motion loses all arbitrations.
+    /// not answer for the last two times. What has made way once does not for ever, and no answer of who is to end its
+    /// motion loses all arbitrations.
     #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
