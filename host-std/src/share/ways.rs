@@ -237,7 +237,7 @@ mod tests {
         assert_eq!(
             why.to_string(),
             "motor 1 has not arrived: the motors were stopped: lift the stop first; it has confirmed the stop, \
-             which holds until it is lifted"
+             which stays in force until it is lifted"
         );
         assert!(stands(&bus, id(1)));
     }

@@ -316,7 +316,7 @@ pub fn restart<R: Runner<N>, const N: usize>(
 /// ```
 ///
 /// # Errors
-/// [`NotArrived`], after a stop, which holds until [`lift_stop_of`](crate::master::Master::lift_stop_of): it
+/// [`NotArrived`], after a stop, which stays in force until [`lift_stop_of`](crate::master::Master::lift_stop_of): it
 /// has stalled ([a gripper may](WhenStalled::Press)), is driven away or has let go, its time is up, it reports
 /// an error, has restarted or does not answer, `on_look` gave it up, or the move is one that is not sent
 /// ([`MoveFailure::NoTorque`], [`MoveFailure::OutOfRange`]). A panic of `on_look` stops it, too.

@@ -246,7 +246,7 @@ impl<E: fmt::Debug> fmt::Display for NotArrived<E> {
             why => why.fmt(f)?,
         }
         f.write_str(if self.is_stopped {
-            "; it has confirmed the stop, which holds until it is lifted"
+            "; it has confirmed the stop, which stays in force until it is lifted"
         } else {
             "; it has not confirmed the stop: cut its power"
         })

@@ -108,7 +108,7 @@ fn who_has_no_answer_is_named_once() {
     assert_eq!(why.to_string(), error.to_string());
     let told = NotArrived { motor: id(3), why, is_stopped: true }.to_string();
     let expected = "motor 3 has not arrived: the motors were stopped first; it has confirmed the stop, \
-                    which holds until it is lifted";
+                    which stays in force until it is lifted";
     assert_eq!(told, expected);
 }
 
