@@ -364,7 +364,8 @@ impl<E> Desk<E> {
             told += usize::from(is_told);
             !is_told && question.command.kind.ends_motion()
         });
-        if told == 0 {
+        // While it goes on failing, whoever comes is told.
+        if told == 0 && state.outage.is_none() {
             state.error = Some(Arc::clone(error));
         }
         state.outage = Some(Arc::clone(error));

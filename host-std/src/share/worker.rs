@@ -145,7 +145,10 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         }
         for stop in &mut self.stopping {
             match *event {
-                Event::StopConfirmed { motor } => stop.running.remove(motor),
+                Event::StopConfirmed { motor } => {
+                    stop.running.remove(motor);
+                    stop.unconfirmed.remove(motor);
+                }
                 Event::StopUnconfirmed { motor } if stop.running.contains(motor) => {
                     stop.running.remove(motor);
                     stop.unconfirmed.insert(motor);

@@ -91,7 +91,7 @@ const CASES: [Case; 20] = {
         Case(Feedback, Fifo, AtOnce, LOSS, [2.66, 2.95]),
         Case(Feedback, ByPriority, AtOnce, LOSS, [2.66, 3.51]),
         Case(Feedback, Fifo, NowAndThen, LOSS, [2.04, 2.32]),
-        Case(Feedback, ByPriority, NowAndThen, LOSS, [2.04, 2.96]),
+        Case(Feedback, ByPriority, NowAndThen, LOSS, [2.04, 2.97]),
     ]
 };
 

@@ -241,6 +241,18 @@ fn an_error_that_only_callers_who_have_gone_were_told_is_told_to_the_next() {
     assert!(desk.ask(id(1), reading, Insistence::Usual, None).is_ok());
 }
 
+/// It fails in round after round, and somebody comes in between.
+#[test]
+fn an_outage_that_somebody_was_told_is_not_told_when_it_is_over() {
+    let desk = Desk::new(None);
+    let error = Arc::new(CanError::BusOff);
+    desk.fail(&error, []);
+    assert!(ask(&desk, 1, ReadStatus1).is_err());
+    desk.fail(&error, []);
+    desk.works();
+    assert!(ask(&desk, 1, ReadStatus1).is_ok());
+}
+
 #[test]
 fn what_ends_motion_outlives_an_error_that_its_caller_is_not_there_to_be_told() {
     let desk = Desk::new(None);
