@@ -62,8 +62,11 @@ bitflags! {
     }
 }
 
+/// So many rounds a motor may be behind the others that waits for its turn.
+const LONGEST_CLAIM: u32 = 4;
 /// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
 pub(super) const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
+
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Motor {
     pub(super) id: Option<MotorId>,
@@ -180,12 +183,14 @@ impl Motor {
     }
 
     /// Puts it forward after a rest, or a silence, so that it is one round behind the others at the most: what it
-    /// did not ask for then, or did not answer, it has no claim to now. Who waits for its turn keeps its claim.
+    /// did not ask for then, or did not answer, it has no claim to now. Who waits for its turn, since frames of it were
+    /// handed back for example, keeps a claim, but to a few only: it may be itself what it waits for.
     pub(super) fn join(&mut self, pace: u32) {
-        let one_behind = pace.wrapping_sub(1);
         let waits = self.is_waiting() || self.is_in_flight();
-        if (!waits || self.is_silent()) && self.is_behind(one_behind) {
-            self.round = one_behind;
+        let claim = if waits && !self.is_silent() { LONGEST_CLAIM } else { 1 };
+        let earliest = pace.wrapping_sub(claim);
+        if self.is_behind(earliest) {
+            self.round = earliest;
         }
     }
 

@@ -530,3 +530,35 @@ fn who_is_back_after_a_silence_has_no_claim_to_the_turns_of_then() {
     let [first, second] = turns(1_000..1_100, true);
     assert!(first > 70 && second > 70, "{first}, {second}");
 }
+
+/// Its set-points wait for the end of its restart, and the others go on.
+#[test]
+fn who_had_to_wait_for_itself_has_no_claim_to_the_turns_of_then() {
+    let mut master = Master::<4>::new(Config::CAN);
+    let _reset = master.request(id(2), Reset).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    events(&mut master, ms(0));
+    let mut packets = Vec::<Packet>::new();
+    let mut last = [0; 3];
+    for now in 1..4_000 {
+        for packet in core::mem::take(&mut packets) {
+            let motor = (1..=3).find(|&motor| packet == packet_to(motor, packet.data)).unwrap();
+            last[usize::from(motor) - 1] = now;
+            reply(&mut master, motor, TORQUE_REPLY, ms(now));
+        }
+        // After the restart, nobody waits for the other for long.
+        let longest = last.iter().map(|at| now - at).max().unwrap();
+        assert!(now < 3_000 || longest <= 20, "at {now}: {last:?}");
+        packets = sent(&mut master, ms(now));
+        for motor in 1..=3 {
+            master.resume(id(motor));
+            master.set_point(id(motor), torque(1.0), ms(now)).unwrap();
+        }
+        events(&mut master, ms(now));
+        if last[1] == 0 {
+            continue;
+        }
+        assert!(last[0].min(last[2]) + 20 > now, "at {now}: {last:?}");
+    }
+    assert!(last[1] > 0);
+}
