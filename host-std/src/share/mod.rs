@@ -86,10 +86,10 @@
 //!
 //! An error of the bus is told to all who wait for an answer, and to all who ask or move a motor until it works again; if
 //! it does so before anybody was told, to whoever comes next. A command that ends motion is taken all the same. The
-//! thread goes on and tries again. A panic in the bus's
-//! driver stops the motors, as far as that driver still works, and is told to everybody from then on; who has not
-//! confirmed this stop is told to subscriptions, too, and all are if the driver panics again. Nobody waits for a
-//! driver that does not come back: after 2 s each call says so, and each stop has nobody's confirmation.
+//! thread goes on and tries again. A panic in the bus's driver stops the motors, as far as that driver still works, and
+//! is told to everybody from then on; who has not confirmed this stop is told to subscriptions, too, and all are if the
+//! driver panics again. Nobody waits for a driver that does not come back: after 2 s each call says so, and each stop
+//! has nobody's confirmation.
 
 mod calls;
 mod desk;

@@ -83,14 +83,14 @@ impl<const N: usize> Master<N> {
         self.at(self.places.stops).filter(|(_, motor)| {
             let waits = |stop| motor.waits_for_motion(stop, self.is_undone_with_all(motor));
             motor.request.waiting().is_some_and(|stop| !waits(stop))
-                && !(motor.is_stop_called_again() && self.is_ahead(motor))
+                && !(motor.is_stop_called_again() && self.gives_way(motor))
         })
     }
 
-    /// On CAN: whether a motor was sent as much as another one, or more, that may be waiting for its turn to answer, or to
-    /// be told: who is stopped in every cycle would fill the bus, or have the other's stop handed back again and again.
-    /// Or a broadcast waits for its turn.
-    fn is_ahead(&self, motor: &Motor) -> bool {
+    /// On CAN: whether a motor that is stopped again waits, for a broadcast, or since it was sent as much as another one, or
+    /// more, that may be waiting for its turn to answer, or to be told: who is stopped in every cycle would fill the bus,
+    /// or have the other's stop handed back again and again.
+    fn gives_way(&self, motor: &Motor) -> bool {
         if self.config.is_rs485() {
             return false;
         }

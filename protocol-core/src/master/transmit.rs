@@ -5,7 +5,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::Master;
 use crate::master::late::{Of, Question};
-use crate::master::motor::{LastSent, Motor};
+use crate::master::motor::{LastSent, Motor, is_before};
 use crate::master::request::Asked;
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
@@ -113,7 +113,9 @@ impl<const N: usize> Master<N> {
                     motor.set_point_was_sent(now);
                     motor.round
                 });
-                round.iter().for_each(|&round| self.keep_pace(round));
+                if let Some(round) = round {
+                    self.keep_pace(round);
+                }
             }
             Offer::Broadcast => {
                 if let (Some(kind), data) = self.broadcast.command() {
@@ -152,7 +154,7 @@ impl<const N: usize> Master<N> {
     /// Nobody has had more turns than this. A stop of who has rested is no step back.
     #[inline]
     fn keep_pace(&mut self, round: u32) {
-        if (self.pace.wrapping_sub(round) as i32) < 0 {
+        if is_before(self.pace, round) {
             self.pace = round;
         }
     }

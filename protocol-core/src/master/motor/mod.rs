@@ -64,6 +64,12 @@ bitflags! {
 
 /// So many rounds a motor may be behind the others that waits for its turn.
 const LONGEST_CLAIM: u32 = 4;
+
+/// Whether a round is before another: they wrap.
+pub(super) const fn is_before(round: u32, other: u32) -> bool {
+    (round.wrapping_sub(other) as i32) < 0
+}
+
 /// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
 pub(super) const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
 
@@ -179,7 +185,7 @@ impl Motor {
 
     /// Whether it is behind that round.
     pub(super) fn is_behind(&self, round: u32) -> bool {
-        (self.round.wrapping_sub(round) as i32) < 0
+        is_before(self.round, round)
     }
 
     /// Puts it forward after a rest, or a silence, so that it is one round behind the others at the most: what it
@@ -234,12 +240,13 @@ impl Motor {
     #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
-        (makes_way || self.is_behind(round) && self.counts()) && !self.had_its_chance()
+        (makes_way || self.is_behind(round) && self.is_worth_waiting_for())
+            && !self.had_its_chance()
     }
 
-    /// Whether it is worth waiting for.
+    /// Whether its answer may come, or matters so much that it is waited for all the same.
     #[inline]
-    fn counts(&self) -> bool {
+    fn is_worth_waiting_for(&self) -> bool {
         !self.is_silent() || self.is_ending_motion()
     }
 

@@ -170,41 +170,65 @@ fn a_request_is_told_to_the_last_though_others_stream() {
     }
 }
 
-/// A queue as SocketCAN has it: a bus of eight frames a millisecond, on which answers arbitrate. Drives answer after 7
-/// frames' time.
+/// A queue as SocketCAN has it, with room for so many: a bus of eight frames a millisecond, on which answers arbitrate.
+/// Drives answer after 7 frames' time.
+struct Arbitrating {
+    room: usize,
+    queue: std::collections::VecDeque<Packet>,
+    /// From which slot on each may come.
+    answers: Vec<(u64, MotorId, Data)>,
+}
+
+impl Arbitrating {
+    fn new(room: usize) -> Self {
+        Self { room, queue: Default::default(), answers: Vec::new() }
+    }
+
+    /// Carries a frame. Gives whose answer it is, if it is one.
+    fn carry(&mut self, slot: u64) -> Option<(MotorId, Data)> {
+        // The ids of commands are the lower ones.
+        if let Some(packet) = self.queue.pop_front() {
+            if let Channel::Command(Target::Motor(motor)) = packet.channel {
+                let is_torque = packet.data[0] == 0xA1;
+                let data = if is_torque { TORQUE_REPLY } else { packet.data };
+                self.answers.push((slot + 7, motor, data));
+            }
+            return None;
+        }
+        let ready = self.answers.iter().filter(|(at, ..)| *at <= slot);
+        let first = *ready.min_by_key(|(_, motor, _)| *motor)?;
+        self.answers.retain(|it| *it != first);
+        Some((first.1, first.2))
+    }
+
+    /// Takes what the master has to send.
+    fn fill(&mut self, master: &mut Master<32>, now: Instant) {
+        while self.queue.len() < self.room {
+            let Some(packet) = master.poll_transmit(now) else { break };
+            master.handle_transmitted(now);
+            self.queue.push_back(packet);
+        }
+    }
+}
+
 #[test]
 fn a_stop_of_all_of_every_cycle_is_confirmed_by_each_motor_though_answers_arbitrate() {
     for motors in [8, 16, 32] {
-        let mut master = Master::<32>::new(Config::CAN);
-        let mut queue = std::collections::VecDeque::<MotorId>::new();
-        let mut answers = Vec::<(u64, MotorId)>::new();
+        let (mut master, mut bus) = (Master::<32>::new(Config::CAN), Arbitrating::new(10));
         let mut silent: MotorSet = first(motors).collect();
         for slot in 0..400 {
             let now = Instant::from_micros(125 * slot);
-            let ready =
-                answers.iter().filter(|(at, _)| *at <= slot).min_by_key(|(_, motor)| *motor);
-            // The ids of commands are the lower ones.
-            match (queue.pop_front(), ready.copied()) {
-                (Some(motor), _) => answers.push((slot + 7, motor)),
-                (None, Some(answer)) => {
-                    answers.retain(|it| *it != answer);
-                    let event = reply(&mut master, answer.1.get(), Shutdown.encode(), now);
-                    if event == confirmed(answer.1.get()) {
-                        silent.remove(answer.1);
-                    }
+            if let Some((motor, data)) = bus.carry(slot) {
+                let event = reply(&mut master, motor.get(), data, now);
+                if event == confirmed(motor.get()) {
+                    silent.remove(motor);
                 }
-                (None, None) => {}
             }
             if slot % 8 == 0 {
                 master.stop_all(StopKind::Off, first(motors).collect()).unwrap();
             }
             assert_eq!(events(&mut master, now), []);
-            while queue.len() < 10 {
-                let Some(packet) = master.poll_transmit(now) else { break };
-                master.handle_transmitted(now);
-                let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
-                queue.push_back(motor);
-            }
+            bus.fill(&mut master, now);
         }
         assert_eq!(silent, MotorSet::EMPTY, "of {motors}");
     }
@@ -214,35 +238,22 @@ fn a_stop_of_all_of_every_cycle_is_confirmed_by_each_motor_though_answers_arbitr
 #[test]
 fn who_has_missed_an_answer_is_waited_for_when_it_is_stopped() {
     for (motors, lost) in [(6_u8, 1), (9, 1), (12, 1), (6, 2), (9, 2), (12, 2)] {
-        let mut master = Master::<32>::new(Config::CAN);
+        let (mut master, mut bus) = (Master::<32>::new(Config::CAN), Arbitrating::new(MAILBOXES));
         let last = id(motors);
-        let mut queue = std::collections::VecDeque::<Packet>::new();
-        let mut answers = Vec::<(u64, MotorId, [u8; 8])>::new();
+        let mut others = stream(first(motors - 1).collect());
         let (mut loses, mut stopped_at, mut told_at) = (0, 0, None);
         for slot in 0..8_000 {
             let now = Instant::from_micros(125 * slot);
-            let ready = answers.iter().filter(|(at, ..)| *at <= slot).min_by_key(|(_, it, _)| *it);
-            match (queue.pop_front(), ready.copied()) {
-                (Some(packet), _) => {
-                    let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
-                    let is_torque = packet.data[0] == 0xA1;
-                    let data = if is_torque { TORQUE_REPLY } else { packet.data };
-                    answers.push((slot + 7, motor, data));
-                }
-                (None, Some(answer)) => {
-                    answers.retain(|it| *it != answer);
-                    let (_, motor, data) = answer;
-                    if motor == last && loses > 0 {
-                        loses -= 1;
-                        continue;
-                    }
+            match bus.carry(slot) {
+                Some((motor, _)) if motor == last && loses > 0 => loses -= 1,
+                Some((motor, data)) => {
                     if reply(&mut master, motor.get(), data, now) == confirmed(motors) {
                         told_at.get_or_insert(slot);
                     }
                 }
-                (None, None) => {}
+                None => {}
             }
-            stream(first(motors - 1).collect())(&mut master, slot / 8);
+            others(&mut master, slot / 8);
             if slot == 800 {
                 loses = lost;
                 let patience = master.patience(lost);
@@ -253,11 +264,7 @@ fn who_has_missed_an_answer_is_waited_for_when_it_is_stopped() {
                 master.stop(last, StopKind::Off).unwrap();
             }
             events(&mut master, now);
-            while queue.len() < MAILBOXES {
-                let Some(packet) = master.poll_transmit(now) else { break };
-                master.handle_transmitted(now);
-                queue.push_back(packet);
-            }
+            bus.fill(&mut master, now);
         }
         let told_after = told_at.map(|at| at - stopped_at);
         assert!(
