@@ -244,14 +244,12 @@ fn who_has_missed_an_answer_is_waited_for_when_it_is_stopped() {
         let (mut loses, mut stopped_at, mut told_at) = (0, 0, None);
         for slot in 0..8_000 {
             let now = Instant::from_micros(125 * slot);
-            match bus.carry(slot) {
-                Some((motor, _)) if motor == last && loses > 0 => loses -= 1,
-                Some((motor, data)) => {
-                    if reply(&mut master, motor.get(), data, now) == confirmed(motors) {
-                        told_at.get_or_insert(slot);
-                    }
+            if let Some((motor, data)) = bus.carry(slot) {
+                if motor == last && loses > 0 {
+                    loses -= 1;
+                } else if reply(&mut master, motor.get(), data, now) == confirmed(motors) {
+                    told_at.get_or_insert(slot);
                 }
-                None => {}
             }
             others(&mut master, slot / 8);
             if slot == 800 {
