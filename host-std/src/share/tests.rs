@@ -523,9 +523,13 @@ fn a_set_point_that_waited_for_a_blocked_bus_is_too_old() {
 fn a_stop_on_a_dead_bus_is_given_up() {
     let (_fleet, order, bus) = fragile();
     bus.ask(id(1), ReadStatus1).unwrap();
+    let mut events = bus.subscribe(100);
     order.store(FAIL, Ordering::SeqCst);
     let unconfirmed = bus.stop_all(StopKind::Hold, id(2).into()).unwrap();
     assert_eq!(unconfirmed, [id(1), id(2)].into_iter().collect());
+    // Who watches hears it as soon as who has called for it.
+    let told = [1, 2].map(|motor| Event::StopUnconfirmed { motor: id(motor) });
+    assert_eq!([events.next(), events.next()], told.map(Some));
     order.store(WORK, Ordering::SeqCst);
 }
 

@@ -103,7 +103,7 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             }
             Err(error) => self.fail(error, desk),
         }
-        self.end_stops();
+        self.end_stops(desk);
         self.end_waits();
         goes_on
     }
@@ -158,8 +158,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
         }
     }
 
-    /// Tells those who wait for a stop that is over.
-    fn end_stops(&mut self) {
+    /// Tells those who wait for a stop that is over; that its time is up, which is no event of the master, whoever
+    /// watches, too.
+    fn end_stops(&mut self, desk: &Desk<R::Error>) {
         let now = self.runner.now();
         // One to all at once may be what stops those whom nobody has named.
         let is_all_sent = !self.runner.master().is_stop_to_all_waiting();
@@ -167,6 +168,9 @@ impl<R: Runner<N>, const N: usize> Worker<R, N> {
             let is_late = stop.elapsed.at(now) >= LONGEST_STOP;
             let is_over = stop.running.is_empty() && is_all_sent || is_late;
             if is_over {
+                for motor in stop.running.iter() {
+                    desk.publish(&Event::StopUnconfirmed { motor });
+                }
                 let unconfirmed = stop.running.iter().chain(stop.unconfirmed.iter()).collect();
                 let _ = stop.answer.send(Ok(unconfirmed));
             }

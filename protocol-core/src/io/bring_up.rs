@@ -215,8 +215,8 @@ pub fn zero_here<R: Runner<N>, const N: usize>(
 /// names the motor; if it does not acknowledge that and is the only one on the bus, 0x79 is tried, which all
 /// connected motors obey. Hold the shaft if a load pulls at it; a motor that turns is refused.
 ///
-/// It asks all ids first, so the master needs a free place besides those of the motors that it knows:
-/// `CanMaster<_, _, 8>` for six motors, say.
+/// It asks all ids first, and both of these afterwards, so the master needs a place for each of them besides those of
+/// the other motors that it knows: `CanMaster<_, _, 8>` for six motors, say. Without them nothing is written.
 ///
 /// # Errors
 /// [`BringUpError::NotThere`], [`BringUpError::IdTaken`], [`BringUpError::IdShared`], [`BringUpError::Turns`];

@@ -47,6 +47,9 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     if there.contains(to) {
         return Err(BringUpError::IdTaken(to));
     }
+    // Both are spoken to, and nothing is written before that can be.
+    let both = MotorSet::from(from).with(to.into());
+        runner.master().has_places_for(both).map_err(CallError::refused(to))?;
     if is_shared(runner, from).await? {
         return Err(BringUpError::IdShared(from));
     }

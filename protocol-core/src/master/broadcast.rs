@@ -51,6 +51,8 @@ pub(super) struct Broadcast {
     /// Something that may move was sent, or motors were found that have no place: a stop of all has to reach whom nobody
     /// has named.
     may_be_unnamed: bool,
+    /// A controller has handed it back: that made way for a more urgent frame, as it may again.
+    makes_way: bool,
     /// It was sent on CAN since these have ended their motion, and they have not answered it: it may lie in a mailbox,
     /// through cuts that nobody has noticed.
     moved_since: MotorSet,
@@ -124,6 +126,7 @@ impl Broadcast {
         self.kind = Some(kind);
         self.data = data;
         (self.silent, self.lost) = (expected, MotorSet::EMPTY);
+        self.makes_way = false;
         self.state = State::Waiting;
     }
 
@@ -139,6 +142,11 @@ impl Broadcast {
 
     pub(super) fn is_waiting(&self) -> bool {
         matches!(self.state, State::Waiting | State::Again)
+    }
+
+    /// Whether it lies in a mailbox, as far as is known, from which it had to make way before.
+    pub(super) fn may_make_way_again(&self) -> bool {
+        self.makes_way && self.is_in_flight()
     }
 
     pub(super) fn waits_to_move(&self) -> bool {
@@ -351,6 +359,7 @@ impl Broadcast {
 
     /// A controller has handed it back: it was never on the bus, and moves nobody. Gives of whom it counted as lost.
     pub(super) fn was_pushed_out(&mut self) -> MotorSet {
+        self.makes_way = true;
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last = MayUndo::default();

@@ -174,10 +174,16 @@ impl<const N: usize> Master<N> {
     /// Gives each of these motors a place, or, where there is none for all, none of them one.
     #[inline(never)]
     pub(super) fn give_places(&mut self, motors: MotorSet) -> Result<(), RequestError> {
+        self.has_places_for(motors)?;
+        motors.iter().try_for_each(|motor| self.place_for(motor).map(|_| ()))
+    }
+
+    /// Whether there is one for each of these.
+    pub(crate) fn has_places_for(&self, motors: MotorSet) -> Result<(), RequestError> {
         if self.motors().with(motors).len() > N {
             return Err(RequestError::TooManyMotors { capacity: N });
         }
-        motors.iter().try_for_each(|motor| self.place_for(motor).map(|_| ()))
+        Ok(())
     }
 
     #[inline(never)]

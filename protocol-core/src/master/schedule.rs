@@ -89,7 +89,7 @@ impl<const N: usize> Master<N> {
 
     /// On CAN: whether a motor that is stopped again waits, for a broadcast, or since it was sent as much as another one, or
     /// more, that may be waiting for its turn to answer, or to be told: who is stopped in every cycle would fill the bus,
-    /// or have the other's stop handed back again and again.
+    /// or have the broadcast, or the other's stop, handed back again and again.
     fn gives_way(&self, motor: &Motor) -> bool {
         if self.config.is_rs485() {
             return false;
@@ -98,6 +98,7 @@ impl<const N: usize> Master<N> {
         let mut all = self.at(self.places.in_flight);
         all.any(|(_, other)| other.is_behind(next) && !other.had_its_chance())
             || self.broadcast.is_waiting() && self.broadcast_may_go()
+            || self.broadcast.may_make_way_again()
     }
 
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.

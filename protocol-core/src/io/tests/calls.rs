@@ -416,6 +416,20 @@ fn no_motor_is_restarted_for_an_id_that_nobody_has_taken() {
     assert!(!is_sent(&bus, Reset.encode()));
 }
 
+/// The last place is enough to ask who is there, but not to speak to the motor under both ids.
+#[test]
+fn without_places_for_both_ids_nothing_is_written() {
+    let (bus, mut arm) = arm();
+    // Each takes a place, whoever answers.
+    for other in [2, 3, 4] {
+        let _answer = arm.ask(id(other), ReadRunTime);
+    }
+    let changed = bring_up::change_id(&mut arm, id(1), id(5));
+    let refused = CallError::refused(id(5))(RequestError::TooManyMotors { capacity: 4 });
+    assert_eq!(changed, Err(BringUpError::Call(refused)));
+    assert!(bus.sent().iter().all(|data| matches!(data[0], 0x9A | 0xB1)));
+}
+
 /// A bus on which this motor hands function 5 back.
 struct Acknowledges(TestCan, MotorId);
 

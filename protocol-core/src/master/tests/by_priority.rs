@@ -26,7 +26,12 @@ fn told(
     let mut mailboxes = Vec::<Packet>::new();
     for now in span {
         for packet in core::mem::take(&mut mailboxes) {
-            let Channel::Command(Target::Motor(motor)) = packet.channel else { continue };
+            let Channel::Command(Target::Motor(motor)) = packet.channel else {
+                for motor in MotorSet::ALL.without(absent).iter() {
+                    reply(master, motor.get(), ANGLE_REPLY, ms(now));
+                }
+                continue;
+            };
             let is_stop = packet.data[0] == 0x80;
             let (stopped_at, others) = &mut told[motor.index()];
             if is_stop {
@@ -145,6 +150,23 @@ fn streams_of_all_have_equal_shares() {
             let (least, most) = (shares.iter().min().unwrap(), shares.iter().max().unwrap());
             assert!(most - least <= 3 + most / 20, "of {motors}, {history}: {shares:?}");
         }
+    }
+}
+
+/// It is more than the mailboxes hold that is stopped in every cycle, and all of it goes before a command to all.
+#[test]
+fn a_broadcast_goes_though_motors_are_stopped_in_every_cycle() {
+    for motors in [3, 4, 6, 12, 32] {
+        let mut master = Master::new(Config::CAN);
+        let mut broadcasts = 0;
+        told(&mut master, 0..200, MotorSet::EMPTY, |master, _| {
+            for motor in first(motors) {
+                master.stop(motor, StopKind::Off).unwrap();
+            }
+            let asks = master.broadcast(ReadMultiTurnAngle, first(motors).collect());
+            broadcasts += u32::from(asks.is_ok());
+        });
+        assert!(broadcasts >= 10, "{broadcasts} beside stops of {motors}");
     }
 }
 
