@@ -2,7 +2,6 @@
 
 use core::fmt;
 use core::future::poll_fn;
-use core::marker::PhantomData;
 use core::pin::pin;
 use core::task::{Context, Poll};
 
@@ -18,8 +17,42 @@ use crate::time::Instant;
 
 /// An async CAN controller: what embedded-can has no trait for.
 ///
-/// The drivers of the HALs have these two functions under other names, often on two halves.
-/// [`CanHalves`] makes them one of these.
+/// The drivers of the HALs have these two functions under other names, often on two halves:
+///
+/// ```
+/// # mod hal {
+/// #     pub use myactuator_protocol_core::wire::can::SimpleFrame as Frame;
+/// #     pub struct Envelope { pub frame: Frame }
+/// #     #[derive(Debug)]
+/// #     pub struct BusError;
+/// #     impl embedded_can::Error for BusError {
+/// #         fn kind(&self) -> embedded_can::ErrorKind { embedded_can::ErrorKind::Other }
+/// #     }
+/// #     pub struct CanTx;
+/// #     pub struct CanRx;
+/// #     impl CanTx { pub async fn write(&mut self, _: &Frame) -> Option<Frame> { None } }
+/// #     impl CanRx { pub async fn read(&mut self) -> Result<Envelope, BusError> { Err(BusError) } }
+/// # }
+/// use myactuator_protocol_core::io::AsyncCan;
+///
+/// struct Can {
+///     tx: hal::CanTx,
+///     rx: hal::CanRx,
+/// }
+///
+/// impl AsyncCan for Can {
+///     type Frame = hal::Frame;
+///     type Error = hal::BusError;
+///
+///     async fn transmit(&mut self, frame: &hal::Frame) -> Result<Option<hal::Frame>, hal::BusError> {
+///         Ok(self.tx.write(frame).await)
+///     }
+///
+///     async fn receive(&mut self) -> Result<hal::Frame, hal::BusError> {
+///         Ok(self.rx.read().await?.frame)
+///     }
+/// }
+/// ```
 ///
 /// The futures need not be `Send`: one task runs one bus.
 #[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
@@ -56,75 +89,6 @@ impl<C: AsyncCan + ?Sized> AsyncCan for &mut C {
 
     async fn receive(&mut self) -> Result<C::Frame, C::Error> {
         (**self).receive().await
-    }
-}
-
-/// An [`AsyncCan`] from the two halves of a driver, whatever they are called.
-///
-/// ```
-/// # mod hal {
-/// #     pub use myactuator_protocol_core::wire::can::SimpleFrame as Frame;
-/// #     pub struct Envelope { pub frame: Frame }
-/// #     #[derive(Debug)] pub struct BusError;
-/// #     impl embedded_can::Error for BusError {
-/// #         fn kind(&self) -> embedded_can::ErrorKind { embedded_can::ErrorKind::Other }
-/// #     }
-/// #     pub struct CanTx; pub struct CanRx;
-/// #     impl CanTx { pub async fn write(&mut self, _: &Frame) -> Option<Frame> { None } }
-/// #     impl CanRx { pub async fn read(&mut self) -> Result<Envelope, BusError> { Err(BusError) } }
-/// # }
-/// use myactuator_protocol_core::io::{AsyncCan, CanHalves};
-///
-/// # let (mut tx, mut rx) = (hal::CanTx, hal::CanRx);
-/// // let (mut tx, mut rx) = can.split();
-/// let can = CanHalves::new(
-///     async |frame: &hal::Frame| Ok(tx.write(frame).await),
-///     async || rx.read().await.map(|envelope| envelope.frame),
-/// );
-/// # fn is_can(_: impl AsyncCan<Frame = hal::Frame, Error = hal::BusError>) {}
-/// # is_can(can);
-/// ```
-///
-/// What [`AsyncCan`] asks of `transmit` and `receive` holds for the two functions.
-pub struct CanHalves<T, R, F, E> {
-    transmit: T,
-    receive: R,
-    kinds: PhantomData<fn() -> (F, E)>,
-}
-
-impl<T, R, F, E> CanHalves<T, R, F, E>
-where
-    T: AsyncFnMut(&F) -> Result<Option<F>, E>,
-    R: AsyncFnMut() -> Result<F, E>,
-{
-    /// The function that sends and the one that receives.
-    pub const fn new(transmit: T, receive: R) -> Self {
-        Self { transmit, receive, kinds: PhantomData }
-    }
-}
-
-impl<T, R, F, E> fmt::Debug for CanHalves<T, R, F, E> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("CanHalves").finish_non_exhaustive()
-    }
-}
-
-impl<T, R, F, E> AsyncCan for CanHalves<T, R, F, E>
-where
-    T: AsyncFnMut(&F) -> Result<Option<F>, E>,
-    R: AsyncFnMut() -> Result<F, E>,
-    F: Frame,
-    E: embedded_can::Error,
-{
-    type Frame = F;
-    type Error = E;
-
-    async fn transmit(&mut self, frame: &F) -> Result<Option<F>, E> {
-        (self.transmit)(frame).await
-    }
-
-    async fn receive(&mut self) -> Result<F, E> {
-        (self.receive)().await
     }
 }
 

@@ -49,7 +49,7 @@ pub async fn change_id<R: AsyncRunner<N>, const N: usize>(
     }
     // Both are spoken to, and nothing is written before that can be.
     let both = MotorSet::from(from).with(to.into());
-        runner.master().has_places_for(both).map_err(CallError::refused(to))?;
+    runner.master().has_places_for(both).map_err(CallError::refused(to))?;
     if is_shared(runner, from).await? {
         return Err(BringUpError::IdShared(from));
     }

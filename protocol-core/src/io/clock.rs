@@ -3,6 +3,21 @@
 use crate::time::Instant;
 
 /// A clock for the loops of [`io`](crate::io): it never runs backwards.
+///
+/// ```
+/// use myactuator_protocol_core::io::Clock;
+/// use myactuator_protocol_core::time::Instant;
+///
+/// # fn timer() -> u64 { 1_500 }
+/// struct Timer;
+///
+/// impl Clock for Timer {
+///     fn now(&self) -> Instant {
+///         // Microseconds, from a hardware timer.
+///         Instant::from_micros(timer())
+///     }
+/// }
+/// ```
 pub trait Clock {
     /// The time now.
     fn now(&self) -> Instant;
@@ -22,24 +37,5 @@ impl<C: Clock + ?Sized> Clock for &C {
 
     fn idle(&self, until: Instant) {
         (**self).idle(until);
-    }
-}
-
-/// A clock from a function that returns the time, such as a timer's counter.
-///
-/// ```
-/// use myactuator_protocol_core::io::{Clock, FnClock};
-/// use myactuator_protocol_core::time::Instant;
-///
-/// let timer = || 1_500; // microseconds, from a hardware timer
-/// let clock = FnClock(|| Instant::from_micros(timer()));
-/// assert_eq!(clock.now(), Instant::from_micros(1_500));
-/// ```
-#[derive(Clone, Copy, Debug)]
-pub struct FnClock<F>(pub F);
-
-impl<F: Fn() -> Instant> Clock for FnClock<F> {
-    fn now(&self) -> Instant {
-        (self.0)()
     }
 }

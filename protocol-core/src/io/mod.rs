@@ -44,12 +44,12 @@ mod standing;
 mod tests;
 
 pub use asking::CallError;
-pub use async_can::{AsyncCan, AsyncCanMaster, CanHalves};
+pub use async_can::{AsyncCan, AsyncCanMaster};
 pub use async_clock::{AsyncClock, DelayClock};
 pub use async_runner::AsyncRunner;
 pub use async_serial::AsyncSerialMaster;
 pub use can::{BlockingCan, CanMaster};
-pub use clock::{Clock, FnClock};
+pub use clock::Clock;
 pub use echo::EchoFilter;
 pub use elapsed::Elapsed;
 pub use guard::{Guard, guarded};

@@ -104,11 +104,8 @@ impl<const N: usize> Master<N> {
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
         }
-        for place in self.places.taken.iter() {
-            if let Some(motor) = self.motors.get(place).and_then(|motor| motor.id) {
-                let had_place = known.contains(motor);
-                self.put_stop(place, motor, kind, Purpose::Stop, had_place);
-            }
+        for motor in self.motors().iter() {
+            self.put_stop(motor, kind, Purpose::Stop, known.contains(motor));
         }
         if self.stops_all != Some(StopKind::Off) {
             self.stops_all = Some(kind);
@@ -153,8 +150,8 @@ impl<const N: usize> Master<N> {
         self.let_line_answer();
         self.broadcast.cancel_what_moves();
         let had_place = self.places.of(motor).is_some();
-        let place = self.place_for(motor)?;
-        self.put_stop(place, motor, kind, Purpose::Stop, had_place);
+        self.place_for(motor)?;
+        self.put_stop(motor, kind, Purpose::Stop, had_place);
         self.stopped.insert(motor);
         Ok(())
     }
@@ -176,14 +173,7 @@ impl<const N: usize> Master<N> {
     /// Where the motor was stopped already, so that nothing has moved it since, a stop that is under way goes on. Who
     /// `had_place` then was told, however that ended, and goes behind those who were not.
     #[inline(never)]
-    fn put_stop(
-        &mut self,
-        place: usize,
-        motor: MotorId,
-        kind: StopKind,
-        purpose: Purpose,
-        had_place: bool,
-    ) {
+    fn put_stop(&mut self, motor: MotorId, kind: StopKind, purpose: Purpose, had_place: bool) {
         let was_stopped = self.is_stopped(motor);
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         // What goes again by itself is the last that the motor was told, by whomever, and no stop that anybody called for.
@@ -196,7 +186,7 @@ impl<const N: usize> Master<N> {
         let (command, data) = kind.command();
         let mut stop = self.stop_of(command, data, purpose);
         let now = self.now;
-        self.change_at(place, |motor, config| {
+        self.change(motor, |motor, config| {
             if !was_stopped {
                 motor.last_stop = LastStop::None;
             } else if motor.is_stopping_already(&stop) {
@@ -234,7 +224,7 @@ impl<const N: usize> Master<N> {
         let stop = self.motors.get(place).and_then(|motor| self.unconfirmed_stop(motor));
         if let Some((motor, kind, _)) = stop.filter(|(.., since)| *since + rest <= now) {
             self.let_line_answer();
-            self.put_stop(place, motor, kind, Purpose::StopAgain, true);
+            self.put_stop(motor, kind, Purpose::StopAgain, true);
         }
     }
 

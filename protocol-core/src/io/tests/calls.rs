@@ -225,6 +225,7 @@ fn a_scan_finds_whoever_reports_its_status_by_itself_and_tells_of_it_once() {
     let mut told = Vec::new();
     let found = bring_up::scan(&mut arm, id(1).into(), |motor, there| told.push((motor, there)));
     assert_eq!((found, told), (Ok(id(1).into()), Vec::from([(id(1), true)])));
+    assert_eq!(bring_up::is_there(&mut arm, id(1)), Ok(true));
     assert!(!is_sent(&bus, ReadStatus1.encode()), "nobody asks what is reported");
 }
 

@@ -12,12 +12,11 @@ use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_can, on_
 use super::{id, step, torque};
 use crate::command::{PidIndex, ReadMultiTurnAngle, ReadPid, Reset};
 use crate::io::{
-    AsyncCan, AsyncCanMaster, AsyncClock, AsyncRunner, AsyncSerialMaster, CallError, CanHalves,
-    CanMaster, Clock, DelayClock, Runner, SerialMaster,
+    AsyncCanMaster, AsyncClock, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Clock,
+    DelayClock, Runner, SerialMaster,
 };
-use crate::master::{Config, Event, Failure, MotorSet, StopKind};
+use crate::master::{Event, Failure, MotorSet, StopKind};
 use crate::time::{Duration, Instant};
-use crate::wire::can::SimpleFrame;
 
 fn can() -> (TestCan, TestClock, AsyncCanMaster<TestCan, TestClock, 4>) {
     on_can(AsyncCanMaster::new)
@@ -320,20 +319,6 @@ fn a_run_ends_in_time() {
     port.state().closed = true;
     assert_eq!(block_on(arm.run(Some(Instant::from_micros(1_010)))), Ok(None));
     assert_eq!(clock.micros(), 1_010);
-}
-
-#[test]
-fn an_async_controller_may_come_in_halves() {
-    let clock = TestClock::default();
-    let mut tx = TestCan::new(&clock);
-    let mut rx = tx.clone();
-    let can = CanHalves::new(
-        async |frame: &SimpleFrame| AsyncCan::transmit(&mut tx, frame).await,
-        async || AsyncCan::receive(&mut rx).await,
-    );
-    let mut arm = AsyncCanMaster::<_, _, 4>::new(can, clock, Config::CAN);
-    let angle = block_on(arm.ask(id(1), ReadMultiTurnAngle)).unwrap().angle;
-    assert_eq!(angle.degrees(), 360.0);
 }
 
 /// A delay that is always a microsecond short.
