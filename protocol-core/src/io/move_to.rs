@@ -336,7 +336,10 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
             return Ok(progress);
         }
         last_turn.note(feedback.speed, now);
-        if looks % ERRORS_EVERY == 0 {
+        let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
+        let is_time_up = progress.time > time;
+        // An error may be why it comes no nearer, and have come just now.
+        if looks % ERRORS_EVERY == 0 || has_stalled || is_time_up {
             let errors = bus.ask(motor, ReadStatus1).await.map_err(unseen_since(angle))?.errors;
             if !errors.is_empty() {
                 return Err(MoveFailure::Fault(errors));
@@ -345,8 +348,6 @@ async fn go<B: Calls<N>, C: MoveCommand, const N: usize>(
         if on_look(&progress).is_break() {
             return Err(MoveFailure::GivenUp);
         }
-        let has_stalled = nearest.has_stalled(distance, tolerance, now, limits.stalled_after);
-        let is_time_up = progress.time > time;
         if (has_stalled || is_time_up) && runs_nothing(bus, motor).await {
             let has_started = has_started_since(bus, motor, begun, ran).await;
             if has_started.map_err(unseen_since(angle))? {

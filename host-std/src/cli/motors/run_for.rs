@@ -46,6 +46,7 @@ pub(super) struct Run<C> {
     pub(super) does: String,
     /// Whether a locked brake must be released first: torque does nothing against it (2.19.1).
     pub(super) needs_open_brake: bool,
+    /// How it is stopped, unless it runs something already that may hold a load: that is held.
     pub(super) end: StopKind,
 }
 
@@ -62,20 +63,23 @@ pub(super) fn run<C: Command + Copy>(
     may_run(session)?;
     let locked = session.ready(motor)?.brake == BrakeCommand::LOCK;
     let opens = run.needs_open_brake && locked;
+    // Where only the motor holds a load, it would fall.
+    let is_held = !locked && session.ask(motor, ReadRunningMode)?.mode.raw() != 0;
+    let end = if is_held { StopKind::Hold } else { run.end };
     let first = if opens { "have its brake released and " } else { "" };
-    let then = match run.end {
+    let then = match end {
         StopKind::Hold => "then stop and hold still",
         StopKind::Off => "then be switched off",
     };
     session.confirm(&format!("Motor {motor} will {first}{} for {seconds} s, {then}.", run.does))?;
     // Until the answer a shaft may have been turned.
     may_run(session)?;
-    let end = session.moving(motor, |session| {
+    let ended = session.moving(motor, |session| {
         if opens {
             session.release_brake(motor)?;
         }
         let mut ran = repeat(session, span, run.command, reading)?;
-        let end = match run.end {
+        let ended = match end {
             StopKind::Off if opens => put_down(session, motor),
             kind => session.stop(kind, motor.into()).and_then(|()| session.stopped(motor.into())),
         };
@@ -84,11 +88,11 @@ pub(super) fn run<C: Command + Copy>(
         // A last stop that fails tells what is true: it is no reason for one more. Nor is a restart meanwhile, which
         // may be why it fails.
         Ok(match runs_on(session, motor, &mut ran) {
-            Ok(()) => end,
-            Err(why) => Err(told_with_stop(why, end)),
+            Ok(()) => ended,
+            Err(why) => Err(told_with_stop(why, ended)),
         })
     })??;
-    say(&format!("motor {motor} has run for {seconds} s; {end}"))
+    say(&format!("motor {motor} has run for {seconds} s; {ended}"))
 }
 
 /// Stops a motor, locks its brake and switches it off, in the order in which no load falls.
@@ -196,7 +200,7 @@ mod tests {
     use myactuator_host_std::sim::bus::trace::Log;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{
-        AccelerationIndex, ErrorFlags, MotionRanges, MotionSetPoint, Speed, Torque,
+        AccelerationIndex, ErrorFlags, MotionRanges, MotionSetPoint, Speed, Stop, Torque,
         WriteAcceleration,
     };
     use myactuator_protocol_core::io::bring_up;
@@ -294,6 +298,22 @@ mod tests {
             String::new()
         };
         run(session, &typed, &run_it, |_| Ok(()), reading)
+    }
+
+    /// A load that only the motor holds would fall.
+    #[test]
+    fn what_was_held_with_an_open_brake_is_held_at_the_end() {
+        for (holds, last) in [(false, 0x80), (true, 0x81)] {
+            let fleet = fleet();
+            let mut session = Session::on(&fleet);
+            if holds {
+                session.ask(MotorId::MIN, Stop).unwrap();
+            }
+            let log = fleet.world.log();
+            run_to_end(&mut session, TURN, (0.3, true, StopKind::Off), || {}).unwrap();
+            let ends = commands(&log).into_iter().filter(|byte| matches!(byte, 0x80 | 0x81));
+            assert_eq!(ends.last(), Some(last));
+        }
     }
 
     #[test]

@@ -10,8 +10,9 @@ use super::world::{Broken, TestCan, TestClock, block_on, on_can};
 use super::{id, step, torque};
 use crate::Data;
 use crate::command::{
-    AbsolutePosition, ActiveReply, AnyReply, ForcePosition, ReadMultiTurnAngle, ReadRunTime,
-    ReadStatus1, ReadStatus2, ReadStatus3, ReportedCommand, Reset, Shutdown, Stop, Switch, Torque,
+    AbsolutePosition, ActiveReply, AnyReply, ErrorFlags, ForcePosition, ReadMultiTurnAngle,
+    ReadRunTime, ReadStatus1, ReadStatus2, ReadStatus3, ReportedCommand, Reset, Shutdown, Stop,
+    Switch, Torque,
 };
 use crate::error::RequestError;
 use crate::firmware::Firmware;
@@ -478,6 +479,47 @@ fn a_motor_that_turns_has_not_arrived() {
     let (looks, of_errors) = (count(0x92), count(0x9A));
     assert!((50..=54).contains(&looks), "{looks}");
     assert!((11..=13).contains(&of_errors), "{of_errors}");
+}
+
+/// A bus on which the drive has an error from its answer of this number to where it is on.
+struct Fails(TestCan, usize);
+
+impl nb::Can for Fails {
+    type Frame = SimpleFrame;
+    type Error = Broken;
+
+    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
+        self.0.transmit(frame)
+    }
+
+    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
+        let frame = self.0.receive()?;
+        let Received::Packet(mut packet) = can::decode(&frame) else { return Ok(frame) };
+        match packet.data {
+            [0x92, ..] => self.1 = self.1.saturating_sub(1),
+            [0xB1, ..] => packet.data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0],
+            // Stalled (2.14.3).
+            [0x9A, ..] if self.1 == 0 => packet.data[6] = 0x02,
+            _ => {}
+        }
+        Ok(SimpleFrame::from_packet(&packet))
+    }
+}
+
+/// The motor that runs nothing comes no nearer for a second, and has an error with one of its last answers.
+#[test]
+fn an_error_that_ends_a_move_is_why_it_has_not_arrived() {
+    for answer in 48..=53 {
+        let (_, _, mut arm) = on_can(|bus, clock, config| {
+            CanMaster::<_, _, 4>::new(Fails(bus, answer), clock, config)
+        });
+        let (max_speed, angle) = (MaxSpeed::from_raw(100), Angle::from_raw(0));
+        let target = AbsolutePosition { max_speed, angle };
+        let go_on = |_: &_| ControlFlow::Continue(());
+        let moved = bring_up::move_to(&mut arm, id(3), target, &MoveLimits::default(), go_on);
+        let why = moved.expect_err("it does not move").why;
+        assert_eq!(why, MoveFailure::Fault(ErrorFlags::STALL), "{answer}");
+    }
 }
 
 #[test]

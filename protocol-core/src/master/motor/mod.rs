@@ -2,6 +2,7 @@
 
 mod deadlines;
 mod late_moves;
+mod pushed_out;
 pub(super) mod replies;
 pub(super) mod reports;
 pub(super) mod restarts;
@@ -328,70 +329,6 @@ impl Motor {
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
         self.was_sent(LastSent::REQUESTS_TURN, now);
         self.stream.was_sent();
-    }
-
-    /// A controller has handed a frame back that it had taken: it was never on the bus. What moves does not
-    /// wait again if all were told to end their motion after it.
-    pub(super) fn was_pushed_out(&mut self, packet: &Packet) {
-        // It has had no turn.
-        self.round = self.round.wrapping_sub(1);
-        let is_motion = matches!(packet.channel, Channel::Motion(_));
-        let is_this =
-            |kind: Kind, data: &Data| kind.is_motion() == is_motion && *data == packet.data;
-        match self.request {
-            // It was not sent yet, so that this is another like it.
-            Request::Waiting(asked) if asked.unanswered == 0 => {}
-            Request::InFlight(mut asked)
-            | Request::Sent(mut asked)
-            | Request::Waiting(mut asked)
-                if is_this(asked.kind(), &asked.data) =>
-            {
-                match self.request {
-                    // One without a reply, and nobody was told yet that it was sent.
-                    Request::Sent(_) => self.settled_at = Instant::ZERO,
-                    // Its time was up, and it counted as lost.
-                    Request::Waiting(_) => self.health.uncount_miss(),
-                    _ => {}
-                }
-                asked.attempts_left = asked.attempts_left.saturating_add(1);
-                asked.unanswered = asked.unanswered.saturating_sub(1);
-                self.last_sent.insert(LastSent::REQUESTS_TURN);
-                if asked.is_stop() || self.is_silent() {
-                    self.last_sent.insert(LastSent::MAKES_WAY);
-                }
-                let is_old = self.last_sent.contains(LastSent::IS_OLD);
-                self.request = match asked.kind().may_move() {
-                    true if self.has_restarted => Request::Failed(Failure::Dropped),
-                    true if is_old => Request::Failed(Failure::Stopped),
-                    _ if asked.may_go_again() => Request::Waiting(asked),
-                    _ => Request::Failed(Failure::Dropped),
-                };
-                return;
-            }
-            _ => {}
-        }
-        if self.stream.in_flight().is_some_and(|sent| is_this(sent.question.kind, &sent.data)) {
-            self.last_sent.set(LastSent::MAKES_WAY, self.is_silent());
-            let ends_motion = |asked: &Asked| asked.kind().ends_motion();
-            if !self.stream.was_pushed_out() {
-                self.health.superseded = self.health.superseded.saturating_add(1);
-            } else if self.last_sent.contains(LastSent::IS_OLD)
-                || self.request.under_way().is_some_and(ends_motion)
-            {
-                // What waits to end motion was asked for after it, and a restart is news since.
-                self.drop_waiting_set_point();
-            }
-        } else {
-            // A stop went over it, or it was given up: it will not be answered.
-            match self.take_late(is_motion, &packet.data, false) {
-                Some(Of::Request | Of::Stream) => self.health.uncount_miss(),
-                Some(Of::RequestAnswered | Of::StreamAnswered) => {
-                    // What was taken for its answer came late, to one that counted as lost.
-                    self.health.answered = self.health.answered.saturating_sub(1);
-                }
-                Some(Of::RequestStopped | Of::StreamStopped | Of::Nobody) | None => {}
-            }
-        }
     }
 
     /// When what is in flight has had its time. No caller's patience makes that longer than a stop's.

@@ -1,0 +1,85 @@
+//! What a controller hands back, since a more urgent frame came: it was never on the bus.
+
+use crate::data::Data;
+use crate::kind::Kind;
+use crate::master::event::Failure;
+use crate::master::late::Of;
+use crate::master::motor::{LastSent, Motor};
+use crate::master::request::{Asked, Request};
+use crate::packet::{Channel, Packet};
+use crate::time::Instant;
+
+impl Motor {
+    /// A controller has handed a frame back that it had taken. It waits again, unless it is too old for that.
+    pub(in crate::master) fn was_pushed_out(&mut self, packet: &Packet) {
+        // It has had no turn.
+        self.round = self.round.wrapping_sub(1);
+        let is_motion = matches!(packet.channel, Channel::Motion(_));
+        let is_this =
+            |kind: Kind, data: &Data| kind.is_motion() == is_motion && *data == packet.data;
+        let asked = match self.request {
+            // It was not sent yet, so that this is another like it.
+            Request::Waiting(asked) if asked.unanswered == 0 => None,
+            Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked) => {
+                Some(asked)
+            }
+            Request::None | Request::Failed(_) => None,
+        };
+        if let Some(asked) = asked.filter(|asked| is_this(asked.kind(), &asked.data)) {
+            self.request_was_pushed_out(asked);
+        } else if self.stream.in_flight().is_some_and(|it| is_this(it.question.kind, &it.data)) {
+            self.set_point_was_pushed_out();
+        } else {
+            self.given_up_was_pushed_out(is_motion, &packet.data);
+        }
+    }
+
+    fn request_was_pushed_out(&mut self, mut asked: Asked) {
+        match self.request {
+            // One without a reply, and nobody was told yet that it was sent.
+            Request::Sent(_) => self.settled_at = Instant::ZERO,
+            // Its time was up, and it counted as lost.
+            Request::Waiting(_) => self.health.uncount_miss(),
+            _ => {}
+        }
+        asked.attempts_left = asked.attempts_left.saturating_add(1);
+        asked.unanswered = asked.unanswered.saturating_sub(1);
+        self.last_sent.insert(LastSent::REQUESTS_TURN);
+        if asked.is_stop() || self.is_silent() {
+            self.last_sent.insert(LastSent::MAKES_WAY);
+        }
+        let is_old = self.last_sent.contains(LastSent::IS_OLD);
+        self.request = match asked.kind().may_move() {
+            true if self.has_restarted => Request::Failed(Failure::Dropped),
+            true if is_old => Request::Failed(Failure::Stopped),
+            _ if asked.may_go_again() => Request::Waiting(asked),
+            _ => Request::Failed(Failure::Dropped),
+        };
+    }
+
+    fn set_point_was_pushed_out(&mut self) {
+        self.last_sent.set(LastSent::MAKES_WAY, self.is_silent());
+        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
+        let is_newest = self.stream.was_pushed_out();
+        if !is_newest {
+            self.health.superseded = self.health.superseded.saturating_add(1);
+        } else if self.last_sent.contains(LastSent::IS_OLD)
+            || self.request.under_way().is_some_and(ends_motion)
+        {
+            // What waits to end motion was asked for after it, and a restart is news since.
+            self.drop_waiting_set_point();
+        }
+    }
+
+    /// A stop went over it, or its time was up: it will not be answered.
+    fn given_up_was_pushed_out(&mut self, is_motion: bool, data: &Data) {
+        match self.take_late(is_motion, data, false) {
+            Some(Of::Request | Of::Stream) => self.health.uncount_miss(),
+            Some(Of::RequestAnswered | Of::StreamAnswered) => {
+                // What was taken for its answer came late, to one that counted as lost.
+                self.health.answered = self.health.answered.saturating_sub(1);
+            }
+            Some(Of::RequestStopped | Of::StreamStopped | Of::Nobody) | None => {}
+        }
+    }
+}
