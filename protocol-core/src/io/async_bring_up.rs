@@ -111,7 +111,10 @@ pub(super) async fn find<R: AsyncRunner<N>, const N: usize>(
         let (motor, there) = match event {
             Event::Reply { ticket, .. } => (ticket.motor(), true),
             Event::Failed { ticket, failure } => (ticket.motor(), shows_motor(failure)),
-            Event::Report { motor, .. } | Event::LostMaster { motor } => (motor, true),
+            // Whatever it says: one that reports by itself may answer nothing.
+            Event::Report { motor, .. }
+            | Event::LostMaster { motor }
+            | Event::Stray { motor, .. } => (motor, true),
             _ => continue,
         };
         if there && candidates.contains(motor) {

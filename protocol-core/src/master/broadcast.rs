@@ -6,6 +6,7 @@ use crate::error::RequestError;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
+use crate::master::motor::is_before;
 use crate::master::on_its_way::OnItsWay;
 use crate::master::{Config, Event, Master, MotorSet, StopKind};
 use crate::opcode::Opcode;
@@ -33,6 +34,8 @@ pub(super) struct Broadcast {
     state: State,
     kind: Option<Kind>,
     data: Data,
+    /// That of the newest request when it was put.
+    last_ticket: u32,
     /// Who is expected to answer it and has not.
     silent: MotorSet,
     /// Of whom it counted as lost when its time was up.
@@ -51,8 +54,6 @@ pub(super) struct Broadcast {
     /// Something that may move was sent, or motors were found that have no place: a stop of all has to reach whom nobody
     /// has named.
     may_be_unnamed: bool,
-    /// A controller has handed it back: that made way for a more urgent frame, as it may again.
-    makes_way: bool,
     /// It was sent on CAN since these have ended their motion, and they have not answered it: it may lie in a mailbox,
     /// through cuts that nobody has noticed.
     moved_since: MotorSet,
@@ -121,12 +122,12 @@ fn all_if(is_so: bool) -> MotorSet {
 }
 
 impl Broadcast {
-    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet) {
+    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, last_ticket: u32) {
+        self.last_ticket = last_ticket;
         (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
         self.kind = Some(kind);
         self.data = data;
         (self.silent, self.lost) = (expected, MotorSet::EMPTY);
-        self.makes_way = false;
         self.state = State::Waiting;
     }
 
@@ -144,9 +145,9 @@ impl Broadcast {
         matches!(self.state, State::Waiting | State::Again)
     }
 
-    /// Whether it lies in a mailbox, as far as is known, from which it had to make way before.
-    pub(super) fn may_make_way_again(&self) -> bool {
-        self.makes_way && self.is_in_flight()
+    /// Whether it was put after this request.
+    pub(super) fn is_after(&self, ticket: u32) -> bool {
+        !is_before(self.last_ticket, ticket)
     }
 
     pub(super) fn waits_to_move(&self) -> bool {
@@ -343,6 +344,11 @@ impl Broadcast {
         answers
     }
 
+    /// When it was sent, or the one before it while it waits.
+    pub(super) fn sent_at(&self) -> Instant {
+        self.sent
+    }
+
     pub(super) fn in_flight_since(&self) -> Option<Instant> {
         self.is_in_flight().then_some(self.sent)
     }
@@ -359,7 +365,6 @@ impl Broadcast {
 
     /// A controller has handed it back: it was never on the bus, and moves nobody. Gives of whom it counted as lost.
     pub(super) fn was_pushed_out(&mut self) -> MotorSet {
-        self.makes_way = true;
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last = MayUndo::default();
@@ -397,8 +402,8 @@ impl Broadcast {
 impl<const N: usize> Master<N> {
     /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all have come or
     /// the time is up. It is sent when no request is in flight, and requests wait until it is over, but for those that
-    /// end motion while it waits. The next broadcast waits until all motors that have a place have answered this one,
-    /// or its answers cannot come any more.
+    /// were asked before it, or end motion, while it waits. The next broadcast waits until all motors that have a place
+    /// have answered this one, or its answers cannot come any more.
     ///
     /// On CAN it reaches motors whose id filter (function 2) is off. On RS485 the answers of several motors are likely
     /// to collide. `expected` should name all motors that answer: the answers of others come as [`Event::Stray`].
@@ -445,7 +450,7 @@ impl<const N: usize> Master<N> {
         if kind.may_move() {
             self.give_places(expected)?;
         }
-        self.broadcast.put(kind, data, expected);
+        self.broadcast.put(kind, data, expected, self.last_ticket);
         if kind.ends_motion() {
             // What was offered may be a set-point that this ends.
             self.offer = None;

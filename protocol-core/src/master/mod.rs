@@ -165,6 +165,10 @@ pub struct Master<const N: usize> {
     stop_to_all: Option<StopKind>,
     /// When one was sent last; zero before that.
     stop_to_all_sent: Instant,
+    /// CAN: what all were told last, by a broadcast or to stop, may lie in a mailbox: the bus was not quiet since.
+    may_lie_for_all: bool,
+    /// A controller has handed that back: nothing but what ends motion is to push it out once more.
+    made_way_for_all: bool,
     /// The caller has switched somebody off since the last one was sent.
     is_any_off_since: bool,
     /// What was sent last was a stop that had been called for again.
@@ -205,6 +209,8 @@ impl<const N: usize> Master<N> {
             lost_master: MotorSet::EMPTY,
             stop_to_all: None,
             stop_to_all_sent: Instant::ZERO,
+            may_lie_for_all: false,
+            made_way_for_all: false,
             is_any_off_since: false,
             was_called_again: false,
             pace: 0,
@@ -221,6 +227,9 @@ impl<const N: usize> Master<N> {
         self.now = now;
         if self.stops_again_at().is_some_and(|at| at <= now) {
             self.stop_again(now);
+        }
+        if self.all_are_told_at().is_some_and(|at| at <= now) {
+            (self.may_lie_for_all, self.made_way_for_all) = (false, false);
         }
         if now >= self.due {
             let heard_at = self.heard_at_least();

@@ -6,7 +6,10 @@ use crate::master::request::{Asked, Round};
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
+
+/// So long somebody's stop goes behind other motors' first ones, at the most.
+const LONGEST_TURN_OF_OTHERS: Duration = Duration::from_millis(250);
 
 /// The earliest of several points in time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -68,11 +71,17 @@ impl<const N: usize> Master<N> {
     }
 
     /// Each motor's first stop before any second, and on a line those first that were heard last time: a
-    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
+    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest;
+    /// who has waited for long goes with the first, since a caller may lift and call stops all the time.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
         let urgency = |(_, motor): &(_, &Motor)| {
-            let turn = if motor.waits_for_first_stop() { u8::from(motor.seems_dead()) } else { 2 };
+            let has_waited = || self.now - motor.sent >= LONGEST_TURN_OF_OTHERS;
+            let turn = match motor.waits_for_first_stop() {
+                true => u8::from(motor.seems_dead()),
+                false if has_waited() && !motor.is_silent() => 0,
+                false => 2,
+            };
             (turn, motor.sent)
         };
         self.ready_stops().min_by_key(urgency).map(|(place, _)| Offer::Request(place as u8))
@@ -98,7 +107,7 @@ impl<const N: usize> Master<N> {
         let mut all = self.at(self.places.in_flight);
         all.any(|(_, other)| other.is_behind(next) && !other.had_its_chance())
             || self.broadcast.is_waiting() && self.broadcast_may_go()
-            || self.broadcast.may_make_way_again()
+            || self.may_lie_for_all
     }
 
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.
@@ -110,11 +119,13 @@ impl<const N: usize> Master<N> {
 
     /// Of the motor that was served least of those that have something to be sent now, and no stop.
     fn choose_motor(&self, now: Instant) -> Option<Offer> {
+        let is_held_back = self.may_lie_for_all && self.made_way_for_all;
         let ready = self.places.waiting.without(self.places.in_flight).without(self.places.stops);
         let mut first: Option<(u32, Offer)> = None;
         for (place, motor) in self.at(ready) {
             let is_first = first.is_none_or(|(round, _)| motor.is_behind(round));
-            if is_first && motor.is_settled(now) {
+            let may_go = motor.is_settled(now) && (!is_held_back || motor.waits_to_end_motion());
+            if is_first && may_go {
                 first = self.next_of(place, motor).map(|offer| (motor.round, offer)).or(first);
             }
         }
@@ -145,10 +156,10 @@ impl<const N: usize> Master<N> {
     /// Whether a motor's request could be sent now.
     #[inline(never)]
     fn request_may_go(&self, motor: &Motor, asked: &Asked) -> bool {
-        // A broadcast that waits lets attempts of what has begun go on, and what ends motion: it waits for their end.
-        let has_begun = asked.unanswered > 0 || asked.kind().ends_motion();
+        // A broadcast that waits lets what was asked before it go, and what ends motion: it waits for their end.
+        let is_first = self.broadcast.is_after(motor.ticket) || asked.kind().ends_motion();
         motor.may_send_request(asked, self.is_undone_with_all(motor))
-            && (has_begun && self.broadcast.is_waiting() || !self.broadcast.keeps_requests_back())
+            && (is_first && self.broadcast.is_waiting() || !self.broadcast.keeps_requests_back())
             && !self.is_confusable(motor)
     }
 
@@ -185,8 +196,19 @@ impl<const N: usize> Master<N> {
         let waits_for_all = |motor: &Motor| {
             motor.request.waiting().is_some_and(is_again) && self.is_undone_with_all(motor)
         };
+        // Nor is it asked before what one was asked before it. What ends motion goes all the same.
+        let was_asked_before = |motor: &Motor| {
+            !question.kind.ends_motion()
+                && self.broadcast.is_after(motor.ticket)
+                && motor.is_settled(self.now)
+                && motor
+                    .request
+                    .waiting()
+                    .is_some_and(|it| !it.is_stop() && self.request_may_go(motor, it))
+        };
         let keeps_back = |motor: &Motor| {
             motor.request.under_way().is_some_and(is_first)
+                || was_asked_before(motor)
                 || waits_for_all(motor)
                 || motor.late.may_be_mistaken(question)
         };
@@ -227,6 +249,13 @@ impl<const N: usize> Master<N> {
         self.busy_until + self.config.frame_time.times(3)
     }
 
+    /// CAN: when what all are told has left its mailbox, where it may lie there yet.
+    pub(super) fn all_are_told_at(&self) -> Option<Instant> {
+        let sent = self.broadcast.sent_at().max(self.stop_to_all_sent);
+        let latest = sent + self.config.reply_timeout;
+        self.may_lie_for_all.then(|| self.quiet_at().min(latest))
+    }
+
     /// When the first reply in flight is due on a quiet bus. On RS485 only one is asked at a time.
     fn reply_is_due(&self) -> Option<Instant> {
         if self.config.is_rs485() {
@@ -258,6 +287,10 @@ impl<const N: usize> Master<N> {
             earliest.take(offered_at);
         }
         earliest.take(self.broadcast.deadline(&self.config));
+        let mut stops = self.at(self.places.stops);
+        if self.made_way_for_all || stops.any(|(_, motor)| motor.is_stop_called_again()) {
+            earliest.take(self.all_are_told_at());
+        }
         earliest.take(self.stops_again_at());
         self.broadcast_wait(&mut earliest);
         earliest.0

@@ -148,6 +148,7 @@ impl<const N: usize> Master<N> {
             self.line_is_free_after_turnaround(now + silence);
         } else {
             self.bus_is_busy(now);
+            self.may_lie_for_all |= matches!(offer, Offer::Broadcast | Offer::StopToAll);
         }
     }
 
@@ -175,6 +176,7 @@ impl<const N: usize> Master<N> {
                 });
             }
             Channel::Command(Target::All) | Channel::BusId => {
+                (self.may_lie_for_all, self.made_way_for_all) = (false, true);
                 // A command to all of long ago may have been the same.
                 let is_broadcast =
                     !self.broadcast.is_unsent() && self.broadcast.packet().as_ref() == Some(packet);

@@ -217,6 +217,15 @@ fn a_scan_finds_whoever_tells_that_it_has_lost_its_master() {
     assert_eq!(bring_up::scan(&mut arm, id(9).into(), |_, _| {}), Ok(id(9).into()));
 }
 
+/// It answers nothing meanwhile, and this master has not told it to report.
+#[test]
+fn a_scan_finds_whoever_says_what_nobody_waits_for() {
+    let (bus, mut arm) = arm();
+    let data = [0x9C, 25, 0, 0, 0, 0, 0, 0];
+    bus.hear_at(5_000, &Packet { channel: Channel::Reply(id(9)), data });
+    assert_eq!(bring_up::scan(&mut arm, id(9).into(), |_, _| {}), Ok(id(9).into()));
+}
+
 #[test]
 fn a_scan_finds_whoever_reports_its_status_by_itself_and_tells_of_it_once() {
     let (bus, mut arm) = arm();

@@ -231,7 +231,7 @@ impl Motor {
     }
 
     /// Whether it did not answer more than once in a row: one answer may be lost.
-    fn is_silent(&self) -> bool {
+    pub(super) fn is_silent(&self) -> bool {
         self.misses > 1
     }
 
@@ -279,8 +279,13 @@ impl Motor {
     /// often it has to be sent.
     #[inline]
     pub(super) fn may_send_set_point(&self) -> bool {
-        let is_to_stop = self.request.waiting().is_some_and(|asked| asked.kind().ends_motion());
-        self.stream.waiting().is_some() && self.late.has_room() && !is_to_stop
+        self.stream.waiting().is_some() && self.late.has_room() && !self.waits_to_end_motion()
+    }
+
+    /// Whether a request that ends its motion is to be sent.
+    #[inline]
+    pub(super) fn waits_to_end_motion(&self) -> bool {
+        self.request.waiting().is_some_and(|asked| asked.kind().ends_motion())
     }
 
     pub(super) fn request_packet(&self) -> Option<Packet> {

@@ -59,6 +59,8 @@ impl Motor {
 
     fn set_point_was_pushed_out(&mut self) {
         self.last_sent.set(LastSent::MAKES_WAY, self.is_silent());
+        // Nor was it a set-point's turn.
+        self.last_sent.remove(LastSent::REQUESTS_TURN);
         let ends_motion = |asked: &Asked| asked.kind().ends_motion();
         let is_newest = self.stream.was_pushed_out();
         if !is_newest {

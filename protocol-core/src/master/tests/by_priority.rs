@@ -20,15 +20,29 @@ fn told(
     master: &mut Master<32>,
     span: core::ops::Range<u64>,
     absent: MotorSet,
-    mut cycle: impl FnMut(&mut Master<32>, u64),
+    cycle: impl FnMut(&mut Master<32>, u64),
 ) -> [(Option<u64>, u64); MotorId::COUNT] {
+    told_with_all(master, span, absent, cycle).0
+}
+
+/// The same, and how often all were told something.
+fn told_with_all(
+    master: &mut Master<32>,
+    span: core::ops::Range<u64>,
+    absent: MotorSet,
+    mut cycle: impl FnMut(&mut Master<32>, u64),
+) -> ([(Option<u64>, u64); MotorId::COUNT], u64) {
+    let mut to_all = 0;
     let mut told = [(None, 0); MotorId::COUNT];
     let mut mailboxes = Vec::<Packet>::new();
     for now in span {
         for packet in core::mem::take(&mut mailboxes) {
             let Channel::Command(Target::Motor(motor)) = packet.channel else {
+                to_all += 1;
+                let reads = packet.data == ReadMultiTurnAngle.encode();
+                let data = if reads { ANGLE_REPLY } else { packet.data };
                 for motor in MotorSet::ALL.without(absent).iter() {
-                    reply(master, motor.get(), ANGLE_REPLY, ms(now));
+                    reply(master, motor.get(), data, ms(now));
                 }
                 continue;
             };
@@ -58,7 +72,7 @@ fn told(
             makes_way.iter().for_each(|packet| master.handle_pushed_out(packet));
         }
     }
-    told
+    (told, to_all)
 }
 
 fn first(motors: u8) -> impl Iterator<Item = MotorId> {
@@ -153,20 +167,54 @@ fn streams_of_all_have_equal_shares() {
     }
 }
 
-/// It is more than the mailboxes hold that is stopped in every cycle, and all of it goes before a command to all.
+/// It is more than the mailboxes hold that is stopped in every cycle, and all of it goes before a command to all,
+/// whether that has an answer, is expected to have one, or is a stop itself.
 #[test]
-fn a_broadcast_goes_though_motors_are_stopped_in_every_cycle() {
-    for motors in [3, 4, 6, 12, 32] {
+fn what_all_are_told_goes_though_motors_are_stopped_in_every_cycle() {
+    type Tells = fn(&mut Master<32>, MotorSet) -> bool;
+    let ask: Tells = |master, all| master.broadcast(ReadMultiTurnAngle, all).is_ok();
+    let ask_whoever: Tells =
+        |master, _| master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).is_ok();
+    let lock: Tells = |master, _| master.broadcast(LockBrake, MotorSet::EMPTY).is_ok();
+    let stop: Tells = |master, _| {
+        master.broadcast.note_unnamed();
+        master.stop_all(StopKind::Off, MotorSet::EMPTY).is_ok()
+    };
+    for motors in [3, 4, 6, 12, 31] {
+        for (kind, tell) in [ask, ask_whoever, lock, stop].into_iter().enumerate() {
+            let mut master = Master::new(Config::CAN);
+            let mut asked = 0;
+            let (_, to_all) = told_with_all(&mut master, 0..200, MotorSet::EMPTY, |master, now| {
+                for motor in first(motors) {
+                    master.stop(motor, StopKind::Off).unwrap();
+                }
+                if kind != 3 || now == 100 {
+                    asked += u64::from(tell(master, first(motors).collect()));
+                }
+            });
+            let least = if kind == 3 { 1 } else { 10 };
+            assert!(to_all >= least, "{to_all} of {asked} beside stops of {motors}, {kind}");
+        }
+    }
+}
+
+/// Others stream, one is stopped, and all are asked for something, in every cycle.
+#[test]
+fn a_shutdown_that_is_asked_for_waits_for_no_broadcast_of_every_cycle() {
+    for motors in [4, 6, 8, 10] {
         let mut master = Master::new(Config::CAN);
-        let mut broadcasts = 0;
-        told(&mut master, 0..200, MotorSet::EMPTY, |master, _| {
-            for motor in first(motors) {
-                master.stop(motor, StopKind::Off).unwrap();
+        let mut streams = stream(first(motors).filter(|&motor| motor > id(2)).collect());
+        let told = told(&mut master, 0..600, MotorSet::EMPTY, |master, now| {
+            streams(master, now);
+            master.stop(id(2), StopKind::Off).unwrap();
+            let _active = master.broadcast(ReadMultiTurnAngle, first(motors).collect());
+            if now == 100 {
+                let _off = master.request(id(1), Shutdown).unwrap();
             }
-            let asks = master.broadcast(ReadMultiTurnAngle, first(motors).collect());
-            broadcasts += u32::from(asks.is_ok());
         });
-        assert!(broadcasts >= 10, "{broadcasts} beside stops of {motors}");
+        // As long as one command to all may take, and the next.
+        let (at, _) = told[0];
+        assert!(at.is_some_and(|at| at <= 141), "of {motors}: {at:?}");
     }
 }
 

@@ -465,3 +465,38 @@ fn a_broadcast_and_requests_go_beside_a_stop_of_every_cycle() {
     }
     assert!(is_broadcast && is_asked);
 }
+
+/// All are asked again and again, and one of them never answers, or nobody is expected to. Motor 1 streams, answers after
+/// 900 us, and is asked for something once.
+#[test]
+fn what_was_asked_before_has_its_turn_beside_broadcasts_of_every_cycle() {
+    for expected in [[1, 2].map(id).into_iter().collect(), id(1).into(), MotorSet::EMPTY] {
+        let mut master = Master::<2>::new(Config::CAN);
+        let _unheard = master.request(id(2), ReadModel).unwrap();
+        let (mut answers, mut asked_at) = (Vec::new(), None);
+        for slot in 0..4_000 {
+            let now = Instant::from_micros(125 * slot);
+            if let Some(at) = answers.iter().position(|&(due, _)| due <= slot) {
+                let (_, data) = answers.remove(at);
+                reply(&mut master, 1, data, now);
+            }
+            master.set_point(id(1), torque(1.0), now).unwrap();
+            let _active = master.broadcast(ReadMultiTurnAngle, expected);
+            if slot == 2_000 {
+                let _read = master.request(id(1), ReadRunTime).unwrap();
+            }
+            events(&mut master, now);
+            while let Some(packet) = master.poll_transmit(now) {
+                master.handle_transmitted(now);
+                match packet.data[0] {
+                    0xA1 => answers.push((slot + 7, TORQUE_REPLY)),
+                    0x92 => answers.push((slot + 7, ANGLE_REPLY)),
+                    0xB1 => asked_at = asked_at.or(Some(slot)),
+                    _ => {}
+                }
+            }
+        }
+        // Until a broadcast that was put before it is over, and nobody answers that late: 62 ms.
+        assert!(asked_at.is_some_and(|slot| slot - 2_000 <= 8 * 63), "{asked_at:?}");
+    }
+}

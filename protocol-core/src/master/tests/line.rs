@@ -429,3 +429,22 @@ fn a_stop_that_is_called_again_waits_for_no_patience_of_others() {
         assert_eq!(told_at, Some(asked_at + 50), "{is_given_up_before}");
     }
 }
+
+/// The first stop of motor 2 is lost. Motor 1 is stopped anew every millisecond, and answers after 900 us.
+#[test]
+fn a_stop_that_was_lost_goes_again_though_another_motor_is_stopped_anew_in_every_cycle() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop(id(2), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to(2, Shutdown.encode())]);
+    let told = (1..1_000).find(|&now| {
+        master.lift_stop_of(id(1));
+        master.stop(id(1), StopKind::Off).unwrap();
+        let [Packet { channel: Channel::Command(address), data }] = sent(&mut master, ms(now))[..]
+        else {
+            return false;
+        };
+        let answered = ms(now) + Duration::from_micros(900);
+        master.handle_line(&Frame { address, data }, answered) == confirmed(2)
+    });
+    assert!(told.is_some_and(|now| now <= 260), "{told:?}");
+}

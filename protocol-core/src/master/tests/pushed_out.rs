@@ -265,3 +265,17 @@ fn what_is_offered_and_taken_does_not_become_too_old_meanwhile() {
     let at = expired + Duration::from_millis(2);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), at), None);
 }
+
+/// Else its request has each turn of what makes way again and again.
+#[test]
+fn a_set_point_that_is_handed_back_has_its_turn_again() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    let _read = master.request(id(1), ReadModel).unwrap();
+    for _ in 0..3 {
+        let offered = master.poll_transmit(ms(0)).unwrap();
+        assert_eq!(offered.data[0], 0xA1);
+        master.handle_transmitted(ms(0));
+        master.handle_pushed_out(&offered);
+    }
+}

@@ -43,13 +43,16 @@ fn a_request_waits_until_a_command_to_all_is_over() {
 }
 
 #[test]
-fn a_move_of_all_does_not_wait_for_a_request_that_waits_for_it() {
+fn a_move_of_all_goes_behind_what_was_asked_before_it_and_before_what_is_asked_then() {
     let mut master = Master::<2>::new(Config::CAN);
     let _ = master.request(id(1), ReadModel).unwrap();
     master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
-    let packets = sent(&mut master, ms(0));
+    let _ = master.request(id(2), ReadModel).unwrap();
+    assert!(is_to(&sent(&mut master, ms(0)), 1));
+    reply(&mut master, 1, MODEL_REPLY, ms(1)).unwrap();
+    let packets = sent(&mut master, ms(1));
     assert_eq!(packets[0], to_all(torque(1.0).encode()));
-    assert!(is_to(&packets[1..], 1), "{packets:?}");
+    assert!(is_to(&packets[1..], 2), "{packets:?}");
 }
 
 #[test]
