@@ -124,8 +124,8 @@ impl<const N: usize> Master<N> {
         let mut first: Option<(u32, Offer)> = None;
         for (place, motor) in self.at(ready) {
             let is_first = first.is_none_or(|(round, _)| motor.is_behind(round));
-            let may_go = motor.is_settled(now) && (!is_held_back || motor.waits_to_end_motion());
-            if is_first && may_go {
+            let may_go = || motor.is_settled(now) && (!is_held_back || motor.waits_to_end_motion());
+            if is_first && may_go() {
                 first = self.next_of(place, motor).map(|offer| (motor.round, offer)).or(first);
             }
         }
@@ -250,10 +250,10 @@ impl<const N: usize> Master<N> {
     }
 
     /// CAN: when what all are told has left its mailbox, where it may lie there yet.
+    #[inline]
     pub(super) fn all_are_told_at(&self) -> Option<Instant> {
-        let sent = self.broadcast.sent_at().max(self.stop_to_all_sent);
-        let latest = sent + self.config.reply_timeout;
-        self.may_lie_for_all.then(|| self.quiet_at().min(latest))
+        let sent = || self.broadcast.sent_at().max(self.stop_to_all_sent);
+        self.may_lie_for_all.then(|| self.quiet_at().min(sent() + self.config.reply_timeout))
     }
 
     /// When the first reply in flight is due on a quiet bus. On RS485 only one is asked at a time.

@@ -5,10 +5,10 @@
 //! if all are meant, has confirmed, the bus has carried the command to all that were meant, none of them moves on, and
 //! none that was to hold still is known, or may be feared, to hold nothing, else 1.
 
-use myactuator_protocol_core::Target;
 use myactuator_protocol_core::command::{ReadStatus1, ReadStatus2};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Bus, MotorSet, StopKind};
+use myactuator_protocol_core::{MotorId, Target};
 
 use super::moving::{LONGEST_OUTAGE, LONGEST_WAIT, named};
 use super::session::{Motors, Session, say};
@@ -18,7 +18,7 @@ use crate::cli::{Outcome, Unfinished};
 /// How a stop of all goes, for the help.
 pub(super) const OF_ALL: &str = "\
 A stop of all takes about 1 s on CAN and 2 s on RS485 at 115200 bit/s (4 s where nobody answers), to listen and to wait \
-for ids that no motor has: motors are told at its beginning. A motor whose confirmation never comes is like none: it is not named.
+for ids that no motor has: motors are told at its beginning. A motor that says nothing at all is like none: it is not named.
 A serial bus (slcan:, rs485:) can be opened by one program at a time: if another moves the motors, end that one.";
 
 /// How often the stop to all goes on a line: as often as a motor by itself is sent one that it does not confirm.
@@ -93,9 +93,11 @@ fn stop_every_id(session: &mut Session, kind: StopKind) -> Outcome<MotorSet> {
         session.garbled_by_all += session.master.bus.garbled() - garbled;
     }
     let confirmed = session.master.confirmed;
-    let silent = meant.without(confirmed);
-    let all_have = silent.is_empty() || !on_line;
-    if all_have && outage.is_none() && !confirmed.is_empty() {
+    // On CAN every id is meant: who was heard is there, and those that say nothing are like none.
+    let master = session.master.master();
+    let is_there = |motor: &MotorId| on_line || master.health(*motor).last_seen.is_some();
+    let silent: MotorSet = meant.without(confirmed).iter().filter(is_there).collect();
+    if silent.is_empty() && outage.is_none() && !confirmed.is_empty() {
         return Ok(confirmed);
     }
     let others = match outage {
@@ -203,12 +205,15 @@ mod tests {
     use myactuator_host_std::sim::bus::rs485::TransceiverConfig;
     use myactuator_host_std::sim::bus::trace::{Event, Log};
     use myactuator_host_std::sim::{DriveHandle, Fleet, MotorSetup};
-    use myactuator_protocol_core::command::{Shutdown, Speed, Stop};
+    use myactuator_protocol_core::command::{
+        ActiveReply, ReportedCommand, Shutdown, Speed, Stop, Switch,
+    };
+    use myactuator_protocol_core::drive::Quirks;
     use myactuator_protocol_core::io::{CanMaster, SerialMaster, bring_up};
     use myactuator_protocol_core::master::Config;
     use myactuator_protocol_core::time::{Duration, Instant};
-    use myactuator_protocol_core::units::{MaxTorque, Milliseconds, SpeedTarget};
-    use myactuator_protocol_core::{Channel, MotorId, Packet};
+    use myactuator_protocol_core::units::{MaxTorque, Milliseconds, ReportInterval, SpeedTarget};
+    use myactuator_protocol_core::{Channel, Opcode, Packet};
 
     use super::super::simulated::{OtherMaster, Sends, to_first, typed};
     use super::*;
@@ -242,6 +247,20 @@ mod tests {
             _ => None,
         });
         assert_eq!(first.unwrap()[..4], [0x3E, 0xCD, 0x08, 0x81]);
+    }
+
+    /// Motor 1 reports by itself, and answers nothing meanwhile.
+    #[test]
+    fn who_is_heard_and_does_not_confirm_is_named() {
+        let quirks = Quirks { silent_while_reporting: true, ..Quirks::default() };
+        let fleet = Fleet::new(2).quirks(quirks).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let command = ReportedCommand::of(Opcode::ReadStatus2).unwrap();
+        let interval = ReportInterval::from_raw(1);
+        session.ask(MotorId::MIN, ActiveReply { command, enable: Switch::On, interval }).unwrap();
+        let outcome = stop_every_id(&mut session, StopKind::Hold);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.contains("from motor 2 only: cut the power of motor 1 on"), "{told}");
     }
 
     #[test]

@@ -311,8 +311,8 @@ mod tests {
             }
             let log = fleet.world.log();
             run_to_end(&mut session, TURN, (0.3, true, StopKind::Off), || {}).unwrap();
-            let ends = commands(&log).into_iter().filter(|byte| matches!(byte, 0x80 | 0x81));
-            assert_eq!(ends.last(), Some(last));
+            let mut ends = commands(&log).into_iter().filter(|byte| matches!(byte, 0x80 | 0x81));
+            assert_eq!(ends.next_back(), Some(last));
         }
     }
 

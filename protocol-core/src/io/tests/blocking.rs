@@ -12,8 +12,8 @@ use super::{id, step, torque};
 use crate::command::{NoReply, ReadMultiTurnAngle, ReadStatus1, Reset, Stop};
 use crate::error::RequestError;
 use crate::io::{BlockingCan, CallError, CanMaster, Clock, Runner, SerialMaster, bring_up};
-use crate::master::{Config, Event, Failure, StopKind};
-use crate::time::Instant;
+use crate::master::{Config, Event, Failure, Patience, StopKind};
+use crate::time::{Duration, Instant};
 use crate::wire::can::{self, SimpleFrame};
 use crate::wire::rs485::Frame;
 use crate::{Channel, Packet, Target};
@@ -223,6 +223,25 @@ fn a_question_waits_for_the_one_that_an_error_of_the_bus_left_behind() {
     bus.state().receive_fails = false;
     for _ in 0..10 {
         assert!(arm.ask(id(1), ReadMultiTurnAngle).is_ok());
+    }
+}
+
+/// The request that keeps the motor busy is waited for, for 5 s.
+#[test]
+fn a_question_waits_for_its_turn_for_two_seconds_and_no_longer() {
+    for is_together in [false, true] {
+        let (_, clock, mut arm) = can();
+        let patience = Patience { reply_timeout: Duration::from_secs(5), attempts: 1 };
+        let _first = arm.master().request_with(id(9), ReadStatus1, patience).unwrap();
+        let refused = Err(CallError::Refused { motor: id(9), refusal: RequestError::Busy });
+        let outcome = if is_together {
+            let [outcome] = arm.ask_together([(id(9), ReadMultiTurnAngle)]);
+            outcome
+        } else {
+            arm.ask(id(9), ReadMultiTurnAngle)
+        };
+        assert_eq!(outcome, refused);
+        assert!((2_000_000..2_011_000).contains(&clock.micros()), "{}", clock.micros());
     }
 }
 

@@ -262,6 +262,18 @@ fn a_motor_is_there_or_is_not() {
     assert_eq!(gone, Err(BringUpError::NotThere(id(9))));
 }
 
+/// Each restart lets a load go.
+#[test]
+fn who_is_not_there_afterwards_or_is_but_as_its_old_id_was_told_once_to_restart() {
+    for motor in [1, 9] {
+        let (bus, mut arm) = arm();
+        let gone = bring_up::restart(&mut arm, id(motor), id(9));
+        assert_eq!(gone, Err(BringUpError::NotThere(id(9))));
+        let resets = bus.sent().iter().filter(|&&data| data == Reset.encode()).count();
+        assert_eq!(resets, 1, "motor {motor}");
+    }
+}
+
 #[test]
 fn a_zero_that_reads_otherwise_is_not_kept() {
     // The offset is the one that was stored; the angle is 360 degrees.
@@ -326,6 +338,16 @@ fn a_motor_that_answers_and_does_nothing_is_there() {
     assert_eq!(asked, Err(CallError::Failed { motor: id(1), failure: Failure::NotExecuted }));
     assert_eq!(bring_up::is_there(&mut arm, id(1)), Ok(true));
     assert_eq!(bring_up::scan(&mut arm, id(1).into(), |_, _| {}), Ok(id(1).into()));
+}
+
+/// It had run for 3 s, and says 3 s again 2 s after it was told to restart: had it not heard that it would be 5 s. Its
+/// clock need not agree with ours.
+#[test]
+fn a_drive_of_which_the_clock_is_fast_has_restarted_where_it_has_run_for_less_than_it_would_have() {
+    let (bus, mut arm) = saying([[0xB1, 0, 0, 0, 0xB8, 0x0B, 0, 0]]);
+    assert_eq!(bring_up::restart(&mut arm, id(1), id(1)), Ok(()));
+    let resets = bus.sent().iter().filter(|&&data| data == Reset.encode()).count();
+    assert_eq!(resets, 1);
 }
 
 #[test]

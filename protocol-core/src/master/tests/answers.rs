@@ -730,3 +730,31 @@ fn a_copy_of_the_last_answer_is_none_to_the_same_question_to_all() {
     let answer = reply(&mut master, 1, ANGLE_REPLY, micros(2_000));
     assert!(matches!(answer, Some(Event::BroadcastReply { .. })), "{answer:?}");
 }
+
+/// Only what was answered last comes once more.
+#[test]
+fn an_answer_to_all_so_soon_after_a_report_of_its_kind_is_none_doubled() {
+    let micros = Instant::from_micros;
+    let mut master = Master::<2>::new(Config::CAN);
+    let _ = ask(&mut master, 1, ReadModel, micros(0));
+    reply(&mut master, 1, *b"\xB5X8S2V10", micros(500)).unwrap();
+    let unasked = reply(&mut master, 1, ANGLE_REPLY, micros(1_000));
+    assert!(matches!(unasked, Some(Event::Stray { .. })), "{unasked:?}");
+    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
+    assert_eq!(sent(&mut master, micros(1_050)).len(), 1);
+    let answer = reply(&mut master, 1, ANGLE_REPLY, micros(1_450));
+    assert!(matches!(answer, Some(Event::BroadcastReply { .. })), "{answer:?}");
+}
+
+/// What is sent again and again goes on owing answers: as many are counted as two stops have sendings.
+#[test]
+fn thirty_late_answers_to_one_question_are_told_apart_from_the_next() {
+    use crate::master::late::{LateReplies, Of, Question};
+    let stop = Question::without_key(Opcode::Stop.into());
+    let mut late = LateReplies::default();
+    for _ in 0..3 {
+        late.expect(stop, Of::Nobody, 15, ms(1));
+    }
+    let is_one = |_: &u32| late.take(false, &Stop.encode(), false).is_some();
+    assert_eq!((0..100).take_while(is_one).count(), 30);
+}

@@ -500,3 +500,42 @@ fn what_was_asked_before_has_its_turn_beside_broadcasts_of_every_cycle() {
         assert!(asked_at.is_some_and(|slot| slot - 2_000 <= 8 * 63), "{asked_at:?}");
     }
 }
+
+/// One that a controller has handed back made way for a more urgent frame. That it did is over with it, too.
+#[test]
+fn a_stop_that_is_called_again_gives_way_to_no_broadcast_that_is_over() {
+    for is_handed_back in [false, true] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+        let to_all = [packet_to_all(ReadModel.encode())];
+        assert_eq!(sent(&mut master, ms(0)), to_all);
+        if is_handed_back {
+            master.handle_pushed_out(&to_all[0]);
+            assert_eq!(sent(&mut master, ms(1)), to_all);
+        }
+        let over = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true };
+        assert_eq!(events(&mut master, ms(1)), [over]);
+        // Answers to it cannot come any more: 20.4 ms and 40.8 ms.
+        for now in [100, 102] {
+            master.stop(id(1), StopKind::Off).unwrap();
+            assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
+            assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 1)), confirmed(1));
+        }
+    }
+}
+
+/// The broadcast waits for a read that was given up, of which the answer may still come.
+#[test]
+fn a_stop_that_is_called_again_gives_way_to_no_broadcast_that_may_not_go() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    let _read = master.request_with(id(2), ReadModel, once).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(events(&mut master, ms(5)).len(), 1);
+    master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    for now in [6, 8] {
+        master.stop(id(1), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
+        assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(now + 1)), confirmed(1));
+    }
+}

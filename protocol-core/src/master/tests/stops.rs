@@ -275,6 +275,25 @@ fn on_rs485_the_living_are_stopped_before_the_dead() {
     assert_eq!(sent(&mut master, now)[0].channel, Channel::Command(Target::Motor(id(4))));
 }
 
+/// Motor 1 has answered once, and no more; motor 2 was told last. Nothing else than that brings motor 2 forward.
+#[test]
+fn on_rs485_who_was_heard_once_and_is_silent_now_is_stopped_after_the_living() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
+    for (motor, at, is_there) in [(1, 0, true), (1, 10, false), (2, 40, true)] {
+        let _ticket = master.request_with(id(motor), ReadModel, once).unwrap();
+        assert_eq!(sent(&mut master, ms(at)).len(), 1);
+        if is_there {
+            let line = Frame { address: Target::Motor(id(motor)), data: *b"\xB5X8S2V10" };
+            master.handle_line(&line, ms(at + 1)).unwrap();
+        }
+        events(&mut master, ms(at + 6));
+    }
+    master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+    assert_eq!(sent(&mut master, ms(50)), [packet_to_all(Stop.encode())]);
+    assert_eq!(sent(&mut master, ms(56)), [packet_to(2, Stop.encode())]);
+}
+
 #[test]
 fn a_stop_that_is_lifted_before_it_was_sent_is_sent_all_the_same() {
     let mut master = Master::<2>::new(Config::CAN);
