@@ -289,14 +289,17 @@ mod tests {
         let fleet = Fleet::new(2).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
         let stations = [0, 1].map(|at| fleet.drives[at].station());
-        for (cut, answers) in [(0, 1), (1, 0), (0, 1)] {
+        fleet.world.cut(stations[0]);
+        let confirmed = stop_every_id(&mut session, StopKind::Hold);
+        assert_eq!(confirmed, Ok(MotorId::new(2).unwrap().into()), "nobody has heard the other");
+        for (cut, answers) in [(1, 0), (0, 1)] {
             fleet.world.cut(stations[cut]);
             fleet.world.mend(stations[answers]);
-            let confirmed = stop_every_id(&mut session, StopKind::Hold);
-            assert_eq!(
-                confirmed.map(|motors| motors.iter().map(MotorId::index).collect()),
-                Ok(vec![answers])
-            );
+            let outcome = stop_every_id(&mut session, StopKind::Hold);
+            let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+            let only =
+                format!("from motor {} only: cut the power of motor {}", answers + 1, cut + 1);
+            assert!(told.contains(&only), "{told}");
         }
     }
 
