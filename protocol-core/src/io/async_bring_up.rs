@@ -165,10 +165,18 @@ pub async fn is_there<R: AsyncRunner<N>, const N: usize>(
     runner: &mut R,
     motor: MotorId,
 ) -> Result<bool, CallError<R::Error>> {
-    match scan(runner, motor.into(), |_, _| {}).await {
-        Ok(found) => Ok(found.contains(motor)),
-        // A bus without anybody who acknowledges carries nothing.
-        Err(CallError::Failed { .. }) => Ok(false),
+    let patience = runner.master().patience(ATTEMPTS);
+    let is_known = runner.master().motors().contains(motor);
+    match runner.ask_with(motor, ReadStatus1, Some(patience), |_| {}).await {
+        Ok(_) | Err(CallError::Refused { refusal: RequestError::Reported(_), .. }) => Ok(true),
+        Err(CallError::Failed { failure, .. }) if shows_motor(failure) => Ok(true),
+        Err(CallError::Failed { .. }) => {
+            if !is_known {
+                // Else every stop of all would wait for an id at which there is nobody.
+                runner.master().forget(motor);
+            }
+            Ok(false)
+        }
         Err(error) => Err(error),
     }
 }

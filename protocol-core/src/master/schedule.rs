@@ -30,7 +30,7 @@ impl<const N: usize> Master<N> {
         if let Some(stop) = self.choose_stop() {
             return Some(self.stop_or_other(stop, now));
         }
-        if self.broadcast.is_waiting() && self.broadcast_may_go() {
+        if self.broadcast.is_waiting() && self.broadcast_may_go() && !self.is_stops_turn() {
             return Some(Offer::Broadcast);
         }
         self.choose_motor(now)
@@ -106,8 +106,20 @@ impl<const N: usize> Master<N> {
         let next = motor.round.wrapping_add(1);
         let mut all = self.at(self.places.in_flight);
         all.any(|(_, other)| other.is_behind(next) && !other.had_its_chance())
-            || self.broadcast.is_waiting() && self.broadcast_may_go()
             || self.may_lie_for_all
+            || self.broadcast.is_waiting() && !self.has_given_way(motor) && self.broadcast_may_go()
+    }
+
+    /// Whether all were told something since this motor was.
+    fn has_given_way(&self, motor: &Motor) -> bool {
+        motor.sent < self.told_all_at()
+    }
+
+    /// On CAN: whether a stop that is called again has given way to the last command to all, and goes before the next.
+    fn is_stops_turn(&self) -> bool {
+        let mut stops = self.at(self.places.stops);
+        !self.config.is_rs485()
+            && stops.any(|(_, motor)| motor.is_stop_called_again() && self.has_given_way(motor))
     }
 
     /// On a line: a stop, and when it waits no longer for the exchange under way, however patient that is.
@@ -156,8 +168,11 @@ impl<const N: usize> Master<N> {
     /// Whether a motor's request could be sent now.
     #[inline(never)]
     fn request_may_go(&self, motor: &Motor, asked: &Asked) -> bool {
-        // A broadcast that waits lets what was asked before it go, and what ends motion: it waits for their end.
-        let is_first = self.broadcast.is_after(motor.ticket) || asked.kind().ends_motion();
+        // A broadcast that waits lets what was asked before it go, attempts of what has begun, and what ends motion: it
+        // waits for their end.
+        let is_first = asked.unanswered > 0
+            || self.broadcast.is_after(motor.ticket)
+            || asked.kind().ends_motion();
         motor.may_send_request(asked, self.is_undone_with_all(motor))
             && (is_first && self.broadcast.is_waiting() || !self.broadcast.keeps_requests_back())
             && !self.is_confusable(motor)
@@ -252,8 +267,13 @@ impl<const N: usize> Master<N> {
     /// CAN: when what all are told has left its mailbox, where it may lie there yet.
     #[inline]
     pub(super) fn all_are_told_at(&self) -> Option<Instant> {
-        let sent = || self.broadcast.sent_at().max(self.stop_to_all_sent);
-        self.may_lie_for_all.then(|| self.quiet_at().min(sent() + self.config.reply_timeout))
+        let latest = || self.told_all_at() + self.config.reply_timeout;
+        self.may_lie_for_all.then(|| self.quiet_at().min(latest()))
+    }
+
+    /// When all were told something last, by a broadcast or to stop.
+    fn told_all_at(&self) -> Instant {
+        self.broadcast.sent_at().max(self.stop_to_all_sent)
     }
 
     /// When the first reply in flight is due on a quiet bus. On RS485 only one is asked at a time.

@@ -247,18 +247,30 @@ struct Arbitrating {
     queue: std::collections::VecDeque<Packet>,
     /// From which slot on each may come.
     answers: Vec<(u64, MotorId, Data)>,
+    /// How many there are.
+    motors: u8,
+    /// How often all were asked, and the first was stopped.
+    to_all: u32,
+    stops_of_first: u32,
 }
 
 impl Arbitrating {
-    fn new(room: usize) -> Self {
-        Self { room, queue: Default::default(), answers: Vec::new() }
+    fn new(room: usize, motors: u8) -> Self {
+        let (queue, answers) = Default::default();
+        Self { room, queue, answers, motors, to_all: 0, stops_of_first: 0 }
     }
 
     /// Carries a frame. Gives whose answer it is, if it is one.
     fn carry(&mut self, slot: u64) -> Option<(MotorId, Data)> {
         // The ids of commands are the lower ones.
         if let Some(packet) = self.queue.pop_front() {
+            if packet.channel == Channel::Command(Target::All) {
+                let answers = first(self.motors).map(|motor| (slot + 7, motor, ANGLE_REPLY));
+                self.answers.extend(answers);
+                self.to_all += 1;
+            }
             if let Channel::Command(Target::Motor(motor)) = packet.channel {
+                self.stops_of_first += u32::from(motor == id(1) && packet.data[0] == 0x80);
                 let is_torque = packet.data[0] == 0xA1;
                 let data = if is_torque { TORQUE_REPLY } else { packet.data };
                 self.answers.push((slot + 7, motor, data));
@@ -284,7 +296,7 @@ impl Arbitrating {
 #[test]
 fn a_stop_of_all_of_every_cycle_is_confirmed_by_each_motor_though_answers_arbitrate() {
     for motors in [8, 16, 32] {
-        let (mut master, mut bus) = (Master::<32>::new(Config::CAN), Arbitrating::new(10));
+        let (mut master, mut bus) = (Master::<32>::new(Config::CAN), Arbitrating::new(10, motors));
         let mut silent: MotorSet = first(motors).collect();
         for slot in 0..400 {
             let now = Instant::from_micros(125 * slot);
@@ -308,7 +320,8 @@ fn a_stop_of_all_of_every_cycle_is_confirmed_by_each_motor_though_answers_arbitr
 #[test]
 fn who_has_missed_an_answer_is_waited_for_when_it_is_stopped() {
     for (motors, lost) in [(6_u8, 1), (9, 1), (12, 1), (6, 2), (9, 2), (12, 2)] {
-        let (mut master, mut bus) = (Master::<32>::new(Config::CAN), Arbitrating::new(MAILBOXES));
+        let (mut master, mut bus) =
+            (Master::<32>::new(Config::CAN), Arbitrating::new(MAILBOXES, motors));
         let last = id(motors);
         let mut others = stream(first(motors - 1).collect());
         let (mut loses, mut stopped_at, mut told_at) = (0, 0, None);
@@ -338,6 +351,32 @@ fn who_has_missed_an_answer_is_waited_for_when_it_is_stopped() {
         assert!(
             told_after.is_some_and(|slots| slots <= 8 * 20),
             "{motors}, {lost}: {told_after:?}"
+        );
+    }
+}
+
+/// The others stream, and the bus is never quiet.
+#[test]
+fn a_stop_and_a_command_to_all_of_every_cycle_have_their_turns_on_a_full_bus() {
+    for (motors, room) in [(6_u8, MAILBOXES), (12, MAILBOXES), (6, 10), (12, 10)] {
+        let (mut master, mut bus) =
+            (Master::<32>::new(Config::CAN), Arbitrating::new(room, motors));
+        let mut others = stream(first(motors).filter(|&motor| motor > id(1)).collect());
+        for slot in 0..8_000 {
+            let now = Instant::from_micros(125 * slot);
+            if let Some((motor, data)) = bus.carry(slot) {
+                reply(&mut master, motor.get(), data, now);
+            }
+            others(&mut master, slot / 8);
+            master.stop(id(1), StopKind::Off).unwrap();
+            let _active = master.broadcast(ReadMultiTurnAngle, first(motors).collect());
+            events(&mut master, now);
+            bus.fill(&mut master, now);
+        }
+        let (to_all, stops) = (bus.to_all, bus.stops_of_first);
+        assert!(
+            to_all >= 40 && stops >= 40,
+            "of {motors}, {room}: {to_all} and {stops} in a second"
         );
     }
 }

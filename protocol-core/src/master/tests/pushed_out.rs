@@ -279,3 +279,21 @@ fn a_set_point_that_is_handed_back_has_its_turn_again() {
         master.handle_pushed_out(&offered);
     }
 }
+
+/// It goes once more, and waits for the attempts of what was asked since, which do not wait for it.
+#[test]
+fn what_ends_the_motion_of_all_and_what_was_asked_since_do_not_wait_for_each_other() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(LockBrake, MotorSet::EMPTY).unwrap();
+    let to_all = packet_to_all(LockBrake.encode());
+    assert_eq!(sent(&mut master, ms(0)), [to_all]);
+    let _read = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to(1, ReadModel.encode())]);
+    master.handle_pushed_out(&to_all);
+    // Three attempts of 20.4 ms, and somebody looks every millisecond.
+    let again = (1..200).find(|&now| {
+        events(&mut master, ms(now));
+        sent(&mut master, ms(now)).contains(&to_all)
+    });
+    assert_eq!(again, Some(63));
+}
