@@ -97,6 +97,11 @@ fn ask<C: Command, const N: usize>(
     ticket
 }
 
+/// One attempt, whose answer is waited for so long.
+fn once(millis: u64) -> Patience {
+    Patience { attempts: 1, reply_timeout: Duration::from_millis(millis) }
+}
+
 /// This motor was stopped and has confirmed none of the attempts from then on. Gives when that was told.
 fn is_given_up<const N: usize>(master: &mut Master<N>, motor: u8, from: u64) -> u64 {
     let unconfirmed = [Event::StopUnconfirmed { motor: id(motor) }];

@@ -69,6 +69,10 @@ fn is_sent(bus: &TestCan, data: Data) -> bool {
     bus.sent().contains(&data)
 }
 
+fn times_sent(bus: &TestCan, data: Data) -> usize {
+    bus.sent().iter().filter(|&&sent| sent == data).count()
+}
+
 #[test]
 fn what_becomes_of_anothers_set_point_says_nothing_of_this_one() {
     let master = Master::<4>::new(Config::CAN);
@@ -184,14 +188,14 @@ fn those_that_a_scan_has_found_keep_a_place_where_there_is_one_for_all() {
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 3>::new);
     assert_eq!(bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}), Ok(there));
     assert_eq!(arm.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
-    assert_eq!(bus.sent().iter().filter(|&&data| data == Stop.encode()).count(), 3);
+    assert_eq!(times_sent(&bus, Stop.encode()), 3);
 
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 2>::new);
     arm.ask(id(2), ReadMultiTurnAngle).unwrap();
     assert_eq!(bring_up::scan(&mut arm, MotorSet::ALL, |_, _| {}), Ok(there));
     assert_eq!(arm.master().motors(), id(2).into());
     assert_eq!(arm.stop_all(StopKind::Hold, MotorSet::EMPTY), MotorSet::EMPTY);
-    let stops = bus.sent().iter().filter(|&&data| data == Stop.encode()).count();
+    let stops = times_sent(&bus, Stop.encode());
     assert_eq!(stops, 2, "one of them to all");
 
     let (bus, _, mut arm) = on_can(CanMaster::<_, _, 4>::new);
@@ -269,7 +273,7 @@ fn who_is_not_there_afterwards_or_is_but_as_its_old_id_was_told_once_to_restart(
         let (bus, mut arm) = arm();
         let gone = bring_up::restart(&mut arm, id(motor), id(9));
         assert_eq!(gone, Err(BringUpError::NotThere(id(9))));
-        let resets = bus.sent().iter().filter(|&&data| data == Reset.encode()).count();
+        let resets = times_sent(&bus, Reset.encode());
         assert_eq!(resets, 1, "motor {motor}");
     }
 }
@@ -283,10 +287,10 @@ fn a_zero_that_reads_otherwise_is_not_kept() {
     assert!(is_sent(&bus, Shutdown.encode()), "some keep nothing without that");
 }
 
-/// A bus on which this is said instead of other answers to the same command.
-struct Says<const M: usize>(TestCan, [Data; M]);
+/// A bus on which something else is said.
+struct Says<F>(TestCan, F);
 
-impl<const M: usize> nb::Can for Says<M> {
+impl<F: FnMut(&mut Data)> nb::Can for Says<F> {
     type Frame = SimpleFrame;
     type Error = Broken;
 
@@ -296,15 +300,28 @@ impl<const M: usize> nb::Can for Says<M> {
 
     fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
         let frame = self.0.receive()?;
-        let Received::Packet(packet) = can::decode(&frame) else { return Ok(frame) };
-        let said = self.1.into_iter().find(|data| data[0] == packet.data[0]);
-        Ok(said.map_or(frame, |data| SimpleFrame::from_packet(&Packet { data, ..packet })))
+        let Received::Packet(mut packet) = can::decode(&frame) else { return Ok(frame) };
+        (self.1)(&mut packet.data);
+        Ok(SimpleFrame::from_packet(&packet))
     }
 }
 
-fn saying<const M: usize>(data: [Data; M]) -> (TestCan, CanMaster<Says<M>, TestClock, 4>) {
-    let (bus, _, arm) = on_can(|bus, clock, config| CanMaster::new(Says(bus, data), clock, config));
+type Saying<F> = (TestCan, CanMaster<Says<F>, TestClock, 4>);
+
+/// What is heard is changed so.
+fn says<F: FnMut(&mut Data)>(change: F) -> Saying<F> {
+    let (bus, _, arm) =
+        on_can(|bus, clock, config| CanMaster::new(Says(bus, change), clock, config));
     (bus, arm)
+}
+
+/// This is said instead of other answers to the same command.
+fn saying<const M: usize>(said: [Data; M]) -> Saying<impl FnMut(&mut Data)> {
+    says(move |heard| {
+        if let Some(data) = said.into_iter().find(|data| data[0] == heard[0]) {
+            *heard = data;
+        }
+    })
 }
 
 /// A bus on which each drive has lost its master, says so before every answer, and sends the question back.
@@ -346,7 +363,7 @@ fn a_motor_that_answers_and_does_nothing_is_there() {
 fn a_drive_of_which_the_clock_is_fast_has_restarted_where_it_has_run_for_less_than_it_would_have() {
     let (bus, mut arm) = saying([[0xB1, 0, 0, 0, 0xB8, 0x0B, 0, 0]]);
     assert_eq!(bring_up::restart(&mut arm, id(1), id(1)), Ok(()));
-    let resets = bus.sent().iter().filter(|&&data| data == Reset.encode()).count();
+    let resets = times_sent(&bus, Reset.encode());
     assert_eq!(resets, 1);
 }
 
@@ -512,37 +529,18 @@ fn a_motor_that_turns_has_not_arrived() {
     assert!((11..=13).contains(&of_errors), "{of_errors}");
 }
 
-/// A bus on which the drive has an error from its answer of this number to where it is on.
-struct Fails(TestCan, usize);
-
-impl nb::Can for Fails {
-    type Frame = SimpleFrame;
-    type Error = Broken;
-
-    fn transmit(&mut self, frame: &SimpleFrame) -> ::nb::Result<Option<SimpleFrame>, Broken> {
-        self.0.transmit(frame)
-    }
-
-    fn receive(&mut self) -> ::nb::Result<SimpleFrame, Broken> {
-        let frame = self.0.receive()?;
-        let Received::Packet(mut packet) = can::decode(&frame) else { return Ok(frame) };
-        match packet.data {
-            [0x92, ..] => self.1 = self.1.saturating_sub(1),
-            [0xB1, ..] => packet.data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0],
-            // Stalled (2.14.3).
-            [0x9A, ..] if self.1 == 0 => packet.data[6] = 0x02,
-            _ => {}
-        }
-        Ok(SimpleFrame::from_packet(&packet))
-    }
-}
-
 /// The motor that runs nothing comes no nearer for a second, and has an error with one of its last answers.
 #[test]
 fn an_error_that_ends_a_move_is_why_it_has_not_arrived() {
+    // From its answer of this number to where it is on.
     for answer in 48..=53 {
-        let (_, _, mut arm) = on_can(|bus, clock, config| {
-            CanMaster::<_, _, 4>::new(Fails(bus, answer), clock, config)
+        let mut answers = 0;
+        let (_, mut arm) = says(|data| match data {
+            [0x92, ..] => answers += 1,
+            [0xB1, ..] => *data = [0xB1, 0, 0, 0, 0x60, 0xEA, 0, 0],
+            // Stalled (2.14.3).
+            [0x9A, ..] if answers >= answer => data[6] = 0x02,
+            _ => {}
         });
         let (max_speed, angle) = (MaxSpeed::from_raw(100), Angle::from_raw(0));
         let target = AbsolutePosition { max_speed, angle };
@@ -611,7 +609,7 @@ fn what_the_controller_hands_back_is_sent_all_the_same() {
     });
     let moved = arm.ask_together([1, 2].map(|motor| (id(motor), step())));
     assert!(moved.iter().all(|outcome| outcome.is_ok()), "{moved:?}");
-    let moves = bus.sent().iter().filter(|data| **data == step().encode()).count();
+    let moves = times_sent(&bus, step().encode());
     assert_eq!(moves, 2, "each once");
     assert_eq!(arm.master().motors(), [1, 2].map(id).into_iter().collect::<MotorSet>());
 }

@@ -315,8 +315,7 @@ fn a_short_frame_completes_nothing() {
 #[test]
 fn a_timeout_of_nothing_still_lets_a_reply_come() {
     let mut master = Master::<2>::new(Config::CAN);
-    let once = Patience { reply_timeout: Duration::ZERO, attempts: 1 };
-    let ticket = master.request_with(id(1), ReadModel, once).unwrap();
+    let ticket = master.request_with(id(1), ReadModel, once(0)).unwrap();
     sent(&mut master, ms(1));
     assert_eq!(events(&mut master, ms(1)), []);
     let now = ms(1) + Duration::from_micros(700);
@@ -360,14 +359,13 @@ fn a_request_and_a_stream_of_the_same_kind_exclude_each_other() {
 #[test]
 fn only_what_is_surely_a_late_answer_ends_the_wait_for_it() {
     let mut master = Master::<2>::new(Config::CAN);
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
     master.set_point(id(1), torque(1.0), ms(0)).unwrap();
     sent(&mut master, ms(0));
     events(&mut master, ms(21));
-    let _first = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+    let _first = master.request_with(id(1), ReadMultiTurnAngle, once(5)).unwrap();
     sent(&mut master, ms(22));
     events(&mut master, ms(28));
-    let second = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+    let second = master.request_with(id(1), ReadMultiTurnAngle, once(5)).unwrap();
     // Late feedback of the lost set-point, twice; an error report.
     for (data, at) in
         [(TORQUE_REPLY, 30), (TORQUE_REPLY, 30), ([0x9A, 50, 40, 0, 0xE0, 1, 2, 0], 35)]
@@ -456,12 +454,11 @@ fn a_motor_with_nothing_to_do_by_itself_is_not_looked_at() {
 
 #[test]
 fn the_fourth_question_waits_for_the_end_of_the_first_that_was_given_up() {
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
     let mut master = Master::<2>::new(Config::CAN);
     for index in [1, 4, 5] {
         let at = 10 * u64::from(index);
         let index = PidIndex::from_raw(index);
-        let _ticket = master.request_with(id(1), ReadPid { index }, once).unwrap();
+        let _ticket = master.request_with(id(1), ReadPid { index }, once(5)).unwrap();
         sent(&mut master, ms(at));
         assert_eq!(events(&mut master, ms(at + 5)).len(), 1, "it is given up");
     }
@@ -595,8 +592,7 @@ fn no_request_is_taken_before_it_was_told_that_a_stop_took_the_place_of_the_last
 #[test]
 fn a_motor_is_not_forgotten_before_its_failure_was_told_or_while_it_restarts() {
     let mut master = Master::<2>::new(Config::CAN);
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
-    let _read = master.request_with(id(1), ReadModel, once).unwrap();
+    let _read = master.request_with(id(1), ReadModel, once(5)).unwrap();
     sent(&mut master, ms(0));
     master.handle_timeout(ms(5));
     assert!(!master.forget(id(1)));

@@ -167,34 +167,45 @@ fn streams_of_all_have_equal_shares() {
     }
 }
 
-/// It is more than the mailboxes hold that is stopped in every cycle, and all of it goes before a command to all,
-/// whether that has an answer, is expected to have one, or is a stop itself.
+/// How often all were told something in 200 ms in which so many motors are stopped in every cycle: more than the
+/// mailboxes hold, and all of it goes before a command to all.
+fn told_all_beside_stops(motors: u8, mut tell: impl FnMut(&mut Master<32>, u64)) -> u64 {
+    let mut master = Master::new(Config::CAN);
+    let (_, to_all) = told_with_all(&mut master, 0..200, MotorSet::EMPTY, |master, now| {
+        for motor in first(motors) {
+            master.stop(motor, StopKind::Off).unwrap();
+        }
+        tell(master, now);
+    });
+    to_all
+}
+
 #[test]
 fn what_all_are_told_goes_though_motors_are_stopped_in_every_cycle() {
-    type Tells = fn(&mut Master<32>, MotorSet) -> bool;
-    let ask: Tells = |master, all| master.broadcast(ReadMultiTurnAngle, all).is_ok();
-    let ask_whoever: Tells =
-        |master, _| master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).is_ok();
-    let lock: Tells = |master, _| master.broadcast(LockBrake, MotorSet::EMPTY).is_ok();
-    let stop: Tells = |master, _| {
-        master.broadcast.note_unnamed();
-        master.stop_all(StopKind::Off, MotorSet::EMPTY).is_ok()
-    };
     for motors in [3, 4, 6, 12, 31] {
-        for (kind, tell) in [ask, ask_whoever, lock, stop].into_iter().enumerate() {
-            let mut master = Master::new(Config::CAN);
-            let mut asked = 0;
-            let (_, to_all) = told_with_all(&mut master, 0..200, MotorSet::EMPTY, |master, now| {
-                for motor in first(motors) {
-                    master.stop(motor, StopKind::Off).unwrap();
-                }
-                if kind != 3 || now == 100 {
-                    asked += u64::from(tell(master, first(motors).collect()));
-                }
+        for expected in [first(motors).collect(), MotorSet::EMPTY] {
+            let reads = told_all_beside_stops(motors, |master, _| {
+                let _active = master.broadcast(ReadMultiTurnAngle, expected);
             });
-            let least = if kind == 3 { 1 } else { 10 };
-            assert!(to_all >= least, "{to_all} of {asked} beside stops of {motors}, {kind}");
+            assert!(reads >= 10, "{reads} beside stops of {motors}, {expected:?}");
         }
+        let locks = told_all_beside_stops(motors, |master, _| {
+            let _active = master.broadcast(LockBrake, MotorSet::EMPTY);
+        });
+        assert!(locks >= 10, "{locks} beside stops of {motors}");
+    }
+}
+
+#[test]
+fn a_stop_to_all_goes_though_motors_are_stopped_in_every_cycle() {
+    for motors in [3, 4, 6, 12, 31] {
+        let stops = told_all_beside_stops(motors, |master, now| {
+            if now == 100 {
+                master.broadcast.note_unnamed();
+                master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
+            }
+        });
+        assert!(stops >= 1, "beside stops of {motors}");
     }
 }
 

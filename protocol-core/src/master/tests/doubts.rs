@@ -124,8 +124,7 @@ fn restarted(between: impl FnOnce(&mut Master<2>) -> Packet) -> (Master<2>, Pack
     let mut master = Master::<2>::new(Config::CAN);
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
     reply(&mut master, 1, ANGLE_REPLY, ms(1)).unwrap();
-    let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(20) };
-    let _ = master.request_with(id(1), ReadModel, once).unwrap();
+    let _ = master.request_with(id(1), ReadModel, once(20)).unwrap();
     sent(&mut master, ms(2));
     events(&mut master, ms(70));
     let in_mailbox = between(&mut master);

@@ -65,8 +65,7 @@ fn a_stop_that_was_confirmed_once_is_tried_fourteen_times_when_it_is_called_agai
 #[test]
 fn who_was_told_and_is_let_go_with_all_goes_behind_who_was_told_nothing_yet() {
     let mut master = Master::<2>::new(Config::CAN);
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
-    let _read = master.request_with(id(2), ReadModel, once).unwrap();
+    let _read = master.request_with(id(2), ReadModel, once(5)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     assert_eq!(events(&mut master, ms(5)).len(), 1);
     master.stop_all(StopKind::Hold, id(1).into()).unwrap();
@@ -528,8 +527,7 @@ fn a_stop_that_is_called_again_gives_way_to_no_broadcast_that_is_over() {
 #[test]
 fn a_stop_that_is_called_again_gives_way_to_no_broadcast_that_may_not_go() {
     let mut master = Master::<2>::new(Config::CAN);
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
-    let _read = master.request_with(id(2), ReadModel, once).unwrap();
+    let _read = master.request_with(id(2), ReadModel, once(5)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     assert_eq!(events(&mut master, ms(5)).len(), 1);
     master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();

@@ -211,11 +211,10 @@ fn no_status_goes_first_that_the_caller_asks_for_or_whose_answer_has_no_place() 
     // Three other questions may be answered late.
     let config = Config { late_window: ms(100) - ms(0), ..Config::rs485(1_000_000, false) };
     let mut master = Master::<4>::new(config);
-    let once = Patience { reply_timeout: ms(5) - ms(0), attempts: 1 };
     for (at, index) in
         [(0, PidIndex::CURRENT_KP), (6, PidIndex::SPEED_KP), (12, PidIndex::POSITION_KP)]
     {
-        let _read = master.request_with(id(1), ReadPid { index }, once).unwrap();
+        let _read = master.request_with(id(1), ReadPid { index }, once(5)).unwrap();
         assert_eq!(sent(&mut master, ms(at)).len(), 1);
         assert_eq!(events(&mut master, ms(at + 5)).len(), 1);
     }
@@ -391,11 +390,10 @@ fn who_is_told_once_more_goes_behind_who_was_told_nothing_yet() {
 #[test]
 fn who_was_heard_since_it_was_asked_is_stopped_before_who_was_not() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
-    let once = Patience { reply_timeout: Duration::from_millis(2), attempts: 1 };
-    let _ = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+    let _ = master.request_with(id(1), ReadMultiTurnAngle, once(2)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
     assert_eq!(events(&mut master, ms(2)).len(), 1);
-    let _ = master.request_with(id(2), ReadMultiTurnAngle, once).unwrap();
+    let _ = master.request_with(id(2), ReadMultiTurnAngle, once(2)).unwrap();
     assert_eq!(sent(&mut master, ms(3)).len(), 1);
     assert_eq!(events(&mut master, ms(5)).len(), 1);
     master.handle_line(&Frame { address: Target::Motor(id(2)), data: ANGLE_REPLY }, ms(6)).unwrap();

@@ -99,8 +99,7 @@ fn a_stop_that_a_drive_has_ignored_goes_again_also_after_its_last_attempt() {
 
 #[test]
 fn an_ignored_command_goes_once_more_only_if_that_is_harmless_and_attempts_are_left() {
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
-    let twice = Patience { attempts: 2, ..once };
+    let twice = Patience { attempts: 2, ..once(5) };
     let not_executed = Failure::NotExecuted;
     let mut master = Master::<2>::new(Config::CAN);
     reply(&mut master, 1, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(0));
@@ -111,7 +110,7 @@ fn an_ignored_command_goes_once_more_only_if_that_is_harmless_and_attempts_are_l
     assert_eq!(moved.outcome(&events(&mut master, ms(2))[0]), Some(Err(not_executed)));
 
     reply(&mut master, 2, [LOST_MASTER_BYTE, 0, 0, 0, 0, 0, 0, 0], ms(10));
-    let read = master.request_with(id(2), ReadMultiTurnAngle, once).unwrap();
+    let read = master.request_with(id(2), ReadMultiTurnAngle, once(5)).unwrap();
     sent(&mut master, ms(11));
     assert_eq!(reply(&mut master, 2, ReadMultiTurnAngle.encode(), ms(12)), None);
     assert_eq!(sent(&mut master, ms(12)), []);

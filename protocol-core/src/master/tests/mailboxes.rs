@@ -281,8 +281,7 @@ fn three_lost_moves() -> Master<2> {
     master.set_point(id(1), torque(1.0), ms(21)).unwrap();
     sent(&mut master, ms(21));
     events(&mut master, ms(42));
-    let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(5) };
-    let _ = master.request_with(id(1), step(), once).unwrap();
+    let _ = master.request_with(id(1), step(), once(5)).unwrap();
     sent(&mut master, ms(42));
     assert_eq!(events(&mut master, ms(47)).len(), 1);
     master
@@ -359,8 +358,7 @@ fn what_became_of_an_earlier_stop_is_not_told_of_the_next() {
 fn what_was_on_its_way_before_a_cut_does_not_say_that_the_bus_is_whole_again() {
     for is_to_all in [false, true] {
         let mut master = Master::<2>::new(Config::CAN);
-        let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(5) };
-        let _ = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+        let _ = master.request_with(id(1), ReadMultiTurnAngle, once(5)).unwrap();
         sent(&mut master, ms(0));
         assert_eq!(events(&mut master, ms(5)).len(), 1);
         master.set_point(id(2), torque(1.0), ms(5)).unwrap();
@@ -731,8 +729,7 @@ fn a_read_that_is_not_answered_does_not_say_that_a_move_may_come() {
     reply(&mut master, 2, ANGLE_REPLY, ms(30)).unwrap();
     events(&mut master, ms(30));
     events(&mut master, ms(75));
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
-    let _ = master.request_with(id(1), ReadModel, once).unwrap();
+    let _ = master.request_with(id(1), ReadModel, once(5)).unwrap();
     assert_eq!(sent(&mut master, ms(80)).len(), 1);
     assert_eq!(events(&mut master, ms(85)).len(), 1);
     assert!(master.forget(id(1)));

@@ -259,8 +259,7 @@ fn on_rs485_the_living_are_stopped_before_the_dead() {
     let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
     let mut now = ms(0);
     for motor in 1..=4 {
-        let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
-        let _ticket = master.request_with(id(motor), ReadModel, once).unwrap();
+        let _ticket = master.request_with(id(motor), ReadModel, once(5)).unwrap();
         assert_eq!(sent(&mut master, now).len(), 1);
         now += Duration::from_millis(1);
         if motor == 4 {
@@ -279,9 +278,8 @@ fn on_rs485_the_living_are_stopped_before_the_dead() {
 #[test]
 fn on_rs485_who_was_heard_once_and_is_silent_now_is_stopped_after_the_living() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
     for (motor, at, is_there) in [(1, 0, true), (1, 10, false), (2, 40, true)] {
-        let _ticket = master.request_with(id(motor), ReadModel, once).unwrap();
+        let _ticket = master.request_with(id(motor), ReadModel, once(5)).unwrap();
         assert_eq!(sent(&mut master, ms(at)).len(), 1);
         if is_there {
             let line = Frame { address: Target::Motor(id(motor)), data: *b"\xB5X8S2V10" };
@@ -429,15 +427,14 @@ fn a_stop_is_confirmed_only_when_no_command_to_all_can_move_the_motor_any_more()
 #[test]
 fn what_may_still_move_the_motor_makes_way_for_no_other_late_reply() {
     let mut master = Master::<2>::new(Config::CAN);
-    let once = Patience { attempts: 1, reply_timeout: Duration::from_millis(5) };
     // A move and a read were given up, and a second read is in flight when the motor is stopped.
-    let _ = master.request_with(id(1), step(), once).unwrap();
+    let _ = master.request_with(id(1), step(), once(5)).unwrap();
     sent(&mut master, ms(0));
     events(&mut master, ms(5));
-    let _ = master.request_with(id(1), ReadMultiTurnAngle, once).unwrap();
+    let _ = master.request_with(id(1), ReadMultiTurnAngle, once(5)).unwrap();
     sent(&mut master, ms(5));
     events(&mut master, ms(10));
-    let _ = master.request_with(id(1), ReadModel, once).unwrap();
+    let _ = master.request_with(id(1), ReadModel, once(5)).unwrap();
     sent(&mut master, ms(10));
     master.stop(id(1), StopKind::Off).unwrap();
     sent(&mut master, ms(11));

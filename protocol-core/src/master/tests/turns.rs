@@ -15,10 +15,6 @@ fn is_to(packets: &[Packet], motor: u8) -> bool {
     matches!(packets, [Packet { channel: Channel::Command(Target::Motor(to)), .. }] if *to == id(motor))
 }
 
-fn once(millis: u64) -> Patience {
-    Patience { attempts: 1, reply_timeout: Duration::from_millis(millis) }
-}
-
 /// A read that nobody answers: its reply may come late.
 fn give_up<C: Command>(master: &mut Master<2>, command: C, now: u64) {
     let _ = master.request_with(id(1), command, once(5)).unwrap();
@@ -450,14 +446,13 @@ fn a_set_point_and_a_request_of_one_motor_go_in_turn() {
 
 #[test]
 fn a_motor_whose_request_has_to_wait_keeps_no_turn() {
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
     let mut master = Master::<2>::new(Config::CAN);
     // Motor 1 has the first place and was served more often.
     for now in [0, 2, 4] {
         let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(now));
         reply(&mut master, 1, ANGLE_REPLY, ms(now + 1)).unwrap();
     }
-    let _given_up = master.request_with(id(2), ReadMultiTurnAngle, once).unwrap();
+    let _given_up = master.request_with(id(2), ReadMultiTurnAngle, once(5)).unwrap();
     sent(&mut master, ms(6));
     assert_eq!(events(&mut master, ms(11)).len(), 1, "it is given up");
     let _ = ask(&mut master, 1, ReadMultiTurnAngle, ms(12));

@@ -382,8 +382,7 @@ fn each_unconfirmed_stop_goes_when_it_is_time_for_it() {
 #[test]
 fn a_stop_that_is_called_for_as_soon_as_it_was_given_up_is_confirmed_by_its_first_answer() {
     let mut master = Master::<2>::new(Config::CAN);
-    let once = Patience { reply_timeout: Duration::from_millis(5), attempts: 1 };
-    let _read = master.request_with(id(1), ReadModel, once).unwrap();
+    let _read = master.request_with(id(1), ReadModel, once(5)).unwrap();
     sent(&mut master, ms(0));
     assert_eq!(events(&mut master, ms(5)).len(), 1);
     master.stop(id(1), StopKind::Off).unwrap();
@@ -598,8 +597,7 @@ fn the_sendings_of_a_hold_are_none_of_the_off_that_it_was_told_since() {
     let mut master = Master::<2>::new(Config::CAN);
     master.stop(id(1), StopKind::Hold).unwrap();
     let now = is_given_up(&mut master, 1, 0);
-    let once = Patience { reply_timeout: Duration::from_millis(20), attempts: 1 };
-    let off = master.request_with(id(1), Shutdown, once).unwrap();
+    let off = master.request_with(id(1), Shutdown, once(20)).unwrap();
     assert_eq!(sent(&mut master, ms(now)).len(), 1);
     let told = events(&mut master, ms(now + 21));
     assert_eq!(told, [Event::Failed { ticket: off.id(), failure: Failure::NoReply }]);
