@@ -94,7 +94,7 @@ use places::Places;
 use request::Request;
 use round_trips::RoundTrips;
 use schedule::Earliest;
-use transmit::Offer;
+use transmit::{ForAll, Offer};
 
 /// As late as can be.
 const NEVER: Instant = Instant::from_micros(u64::MAX);
@@ -165,10 +165,8 @@ pub struct Master<const N: usize> {
     stop_to_all: Option<StopKind>,
     /// When one was sent last; zero before that.
     stop_to_all_sent: Instant,
-    /// CAN: what all were told last, by a broadcast or to stop, may lie in a mailbox: the bus was not quiet since.
-    may_lie_for_all: bool,
-    /// A controller has handed that back: nothing but what ends motion is to push it out once more.
-    made_way_for_all: bool,
+    /// CAN: where that is which all were told last, by a broadcast or to stop.
+    for_all: ForAll,
     /// The caller has switched somebody off since the last one was sent.
     is_any_off_since: bool,
     /// What was sent last was a stop that had been called for again.
@@ -209,8 +207,7 @@ impl<const N: usize> Master<N> {
             lost_master: MotorSet::EMPTY,
             stop_to_all: None,
             stop_to_all_sent: Instant::ZERO,
-            may_lie_for_all: false,
-            made_way_for_all: false,
+            for_all: ForAll::Gone,
             is_any_off_since: false,
             was_called_again: false,
             pace: 0,
@@ -229,7 +226,7 @@ impl<const N: usize> Master<N> {
             self.stop_again(now);
         }
         if self.all_are_told_at().is_some_and(|at| at <= now) {
-            (self.may_lie_for_all, self.made_way_for_all) = (false, false);
+            self.for_all = ForAll::Gone;
         }
         if now >= self.due {
             let heard_at = self.heard_at_least();

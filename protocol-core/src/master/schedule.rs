@@ -4,6 +4,7 @@ use crate::kind::Kind;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Round};
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
+use crate::master::transmit::ForAll;
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
@@ -106,7 +107,7 @@ impl<const N: usize> Master<N> {
         let next = motor.round.wrapping_add(1);
         let mut all = self.at(self.places.in_flight);
         all.any(|(_, other)| other.is_behind(next) && !other.had_its_chance())
-            || self.may_lie_for_all
+            || self.for_all.may_lie()
             || self.broadcast.is_waiting() && !self.has_given_way(motor) && self.broadcast_may_go()
     }
 
@@ -131,7 +132,7 @@ impl<const N: usize> Master<N> {
 
     /// Of the motor that was served least of those that have something to be sent now, and no stop.
     fn choose_motor(&self, now: Instant) -> Option<Offer> {
-        let is_held_back = self.may_lie_for_all && self.made_way_for_all;
+        let is_held_back = self.for_all == ForAll::LiesAgain;
         let ready = self.places.waiting.without(self.places.in_flight).without(self.places.stops);
         let mut first: Option<(u32, Offer)> = None;
         for (place, motor) in self.at(ready) {
@@ -268,7 +269,7 @@ impl<const N: usize> Master<N> {
     #[inline]
     pub(super) fn all_are_told_at(&self) -> Option<Instant> {
         let latest = || self.told_all_at() + self.config.reply_timeout;
-        self.may_lie_for_all.then(|| self.quiet_at().min(latest()))
+        self.for_all.may_lie().then(|| self.quiet_at().min(latest()))
     }
 
     /// When all were told something last, by a broadcast or to stop.
@@ -308,7 +309,8 @@ impl<const N: usize> Master<N> {
         }
         earliest.take(self.broadcast.deadline(&self.config));
         let mut stops = self.at(self.places.stops);
-        if self.made_way_for_all || stops.any(|(_, motor)| motor.is_stop_called_again()) {
+        if self.for_all == ForAll::LiesAgain || stops.any(|(_, motor)| motor.is_stop_called_again())
+        {
             earliest.take(self.all_are_told_at());
         }
         earliest.take(self.stops_again_at());

@@ -27,6 +27,33 @@ pub(super) enum Offer {
     Status(u8),
 }
 
+/// Where on CAN the last command to all is, as far as is known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum ForAll {
+    /// The bus has carried it: it was quiet since.
+    Gone,
+    /// It may lie in a mailbox.
+    Lies,
+    /// A controller has handed it back.
+    HandedBack,
+    /// It may lie in a mailbox once more: nothing but what ends motion is to push it out again.
+    LiesAgain,
+}
+
+impl ForAll {
+    pub(super) fn may_lie(self) -> bool {
+        matches!(self, Self::Lies | Self::LiesAgain)
+    }
+
+    /// The same when a command to all is sent.
+    fn sent(self) -> Self {
+        match self {
+            Self::Gone | Self::Lies => Self::Lies,
+            Self::HandedBack | Self::LiesAgain => Self::LiesAgain,
+        }
+    }
+}
+
 impl<const N: usize> Master<N> {
     /// What to send next. It counts as sent only after [`handle_transmitted`](Self::handle_transmitted);
     /// until then each call chooses anew, so that what was offered is never staler than what waits.
@@ -148,7 +175,9 @@ impl<const N: usize> Master<N> {
             self.line_is_free_after_turnaround(now + silence);
         } else {
             self.bus_is_busy(now);
-            self.may_lie_for_all |= matches!(offer, Offer::Broadcast | Offer::StopToAll);
+            if matches!(offer, Offer::Broadcast | Offer::StopToAll) {
+                self.for_all = self.for_all.sent();
+            }
         }
     }
 
@@ -176,7 +205,7 @@ impl<const N: usize> Master<N> {
                 });
             }
             Channel::Command(Target::All) | Channel::BusId => {
-                (self.may_lie_for_all, self.made_way_for_all) = (false, true);
+                self.for_all = ForAll::HandedBack;
                 // A command to all of long ago may have been the same.
                 let is_broadcast =
                     !self.broadcast.is_unsent() && self.broadcast.packet().as_ref() == Some(packet);

@@ -63,9 +63,13 @@ pub(super) fn run<C: Command + Copy>(
     may_run(session)?;
     let locked = session.ready(motor)?.brake == BrakeCommand::LOCK;
     let opens = run.needs_open_brake && locked;
-    // Where only the motor holds a load, it would fall.
-    let is_held = !locked && session.ask(motor, ReadRunningMode)?.mode.raw() != 0;
-    let end = if is_held { StopKind::Hold } else { run.end };
+    let end = match run.end {
+        // Where only the motor holds a load, it would fall.
+        StopKind::Off if !locked && session.ask(motor, ReadRunningMode)?.mode.raw() != 0 => {
+            StopKind::Hold
+        }
+        end => end,
+    };
     let first = if opens { "have its brake released and " } else { "" };
     let then = match end {
         StopKind::Hold => "then stop and hold still",
