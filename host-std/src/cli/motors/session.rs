@@ -238,6 +238,9 @@ impl Session {
             CallError::Failed { failure: Failure::NoReply, .. } if self.has_garbled() => {
                 Unfinished::Failed(format!("{error}; {NO_FRAME}"))
             }
+            CallError::Failed { failure: Failure::NoReply, .. } => {
+                Unfinished::Failed(format!("{error}{}", self.echo_told_of()))
+            }
             error => error.into(),
         })
     }
@@ -304,7 +307,7 @@ impl Session {
         self.master.bus.garbled() != self.garbled_by_all
     }
 
-    /// What a stop that is not confirmed may be due to, where an echo was told of: an answer of the command's own
+    /// What a missing answer may be due to, where an echo was told of: an answer of the command's own
     /// bytes counts as the echo, also where none comes.
     pub(super) fn echo_told_of(&mut self) -> &'static str {
         match self.master.master().config().bus {
@@ -355,6 +358,8 @@ pub(super) fn healthy(motor: MotorId, errors: ErrorFlags) -> Outcome {
 mod tests {
     use myactuator_host_std::port::PortError;
     use myactuator_host_std::sim::Fleet;
+    use myactuator_protocol_core::command::ReleaseBrake;
+    use myactuator_protocol_core::io::SerialMaster;
 
     use super::*;
 
@@ -389,6 +394,18 @@ mod tests {
         assert!(both.ends_with(hint), "{both}");
         let nobody = told_of(&Fleet::new(1), 2);
         assert!(nobody.ends_with("is this its id?"), "{nobody}");
+    }
+
+    #[test]
+    fn an_echo_that_was_told_of_and_does_not_come_is_named_where_an_answer_counts_as_one() {
+        let world = Fleet::new(1).on_rs485(115_200).unwrap().world;
+        let config = Config::rs485(115_200, true);
+        let master = SerialMaster::new(world.port(), world.clock(), config);
+        let mut session = Session::by(AnyMaster::SimulatedRs485(master));
+        session.ask(MotorId::MIN, ReadStatus1).unwrap();
+        let outcome = session.ask(MotorId::MIN, ReleaseBrake);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.contains("leave ',echo' away"), "{told}");
     }
 
     #[test]
