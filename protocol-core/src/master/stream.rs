@@ -39,6 +39,10 @@ impl Stream {
         self.in_flight.as_ref()
     }
 
+    pub(super) fn is_none(&self) -> bool {
+        self.waiting.is_none() && self.in_flight.is_none()
+    }
+
     /// When the set-point that waits is dropped.
     pub(super) fn expiry(&self) -> Option<Instant> {
         self.waiting.map(|_| self.expiry)

@@ -149,10 +149,12 @@ impl Motor {
     /// Whether it has nothing under way and nothing to tell, and nothing that was sent may move it yet. A stop that
     /// nobody has confirmed, and that goes again and again, is nothing.
     pub(super) fn is_idle(&self, now: Instant) -> bool {
-        let has_nothing = self.request.is_none() && !self.is_waiting() && !self.is_in_flight();
         let goes_again = |asked: &Asked| asked.purpose == Purpose::StopAgain;
-        let is_free = has_nothing || self.request.under_way().is_some_and(goes_again);
-        is_free && self.news.is_empty() && self.is_settled(now) && !self.may_yet_move()
+        (self.request.is_none() || self.request.under_way().is_some_and(goes_again))
+            && self.stream.is_none()
+            && self.news.is_empty()
+            && self.is_settled(now)
+            && !self.may_yet_move()
     }
 
     pub(super) fn has_news(&self) -> bool {

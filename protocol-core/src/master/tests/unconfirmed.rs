@@ -76,6 +76,17 @@ fn who_confirms_no_stop_is_forgotten_all_the_same() {
     }
 }
 
+#[test]
+fn who_confirms_no_stop_is_not_forgotten_with_a_set_point_that_waits() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    let now = is_given_up(&mut master, 1, 0);
+    assert_eq!(sent(&mut master, ms(now + 100)).len(), 1, "the stop once more");
+    master.lift_stop();
+    master.set_point(id(1), torque(1.0), ms(now + 100)).unwrap();
+    assert!(!master.forget(id(1)), "it would be lost without a word");
+}
+
 /// Each of their stops keeps the line for 5.262 ms.
 #[test]
 fn who_confirms_no_stop_leaves_three_quarters_of_a_line_to_the_others() {
