@@ -98,8 +98,12 @@ fn parse_sentence(error: &clap::Error) -> String {
     let told = told.split("\n\nFor more information").next().unwrap_or(told);
     let words: Vec<&str> = told.split_whitespace().collect();
     let sentence = words.join(" ").trim_start_matches("error: ").replace(" tip: ", "; ");
+    let stray = error.get(ContextKind::InvalidArg).map(ToString::to_string);
     match error.kind() {
         ErrorKind::InvalidSubcommand => format!("{sentence}; --help lists those that there are"),
+        ErrorKind::UnknownArgument if stray.is_some_and(|it| arguments::target(&it).is_ok()) => {
+            format!("{sentence}; if a motor is meant, --id names it")
+        }
         _ => sentence,
     }
 }

@@ -42,7 +42,7 @@ pub(super) fn end(outcome: Outcome) -> u8 {
     match wait_for_reader(&printer::OUT) {
         Ok(true) => {}
         Ok(false) => return if status == 0 { INTERRUPTED } else { status },
-        Err(error) if status == 0 => return last(report_end(Err(unwritten(&error)))),
+        Err(error) if status == 0 => return last(report_end(Err(unsaid(&error)))),
         Err(_) => {}
     }
     last(status)
@@ -88,6 +88,14 @@ fn wait_for_reader(stream: &printer::Printer) -> io::Result<bool> {
 /// Prints a line in its turn and does not wait until it is written: for whoever runs motors.
 pub(super) fn say(line: &str) -> Outcome {
     printer::OUT.print(format!("{}\n", printable(line))).map_err(|error| unwritten(&error))
+}
+
+/// What was asked is done, and cannot be said.
+fn unsaid(error: &io::Error) -> Unfinished {
+    match unwritten(error) {
+        Unfinished::Failed(why) => Unfinished::Failed(format!("{why}; all that was asked is done")),
+        other => other,
+    }
 }
 
 /// Output that cannot be written, where the status says how the motors did.

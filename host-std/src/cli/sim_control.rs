@@ -163,6 +163,7 @@ enum Cable {
     /// The motor hears and says nothing
     Cut,
     /// It does again
+    #[value(alias = "mend")]
     Whole,
 }
 

@@ -199,7 +199,7 @@ mod tests {
             let is_on = fleet.drives[0].with(|drive| drive.state().output_on);
             assert_eq!(is_on, first == 0x81);
             let latest = session.master.now();
-            assert!(latest < Instant::from_millis(650), "{latest:?}");
+            assert!(latest < Instant::from_millis(750), "{latest:?}");
         }
     }
 }

@@ -14,6 +14,8 @@ use crate::cli::{Outcome, Unfinished, printer, report, unwritten};
 
 /// How long a motor may take to come to rest.
 const LONGEST_BRAKING: Duration = Duration::from_secs(3);
+/// A motor stands that has not turned for so long: one that swings stands for a moment, too.
+const STANDS_AFTER: Duration = Duration::from_millis(100);
 /// How long to listen whether something else moves a motor that was stopped: who commands it, does so more often.
 const LISTENING: Duration = Duration::from_millis(250);
 /// For how long a bus that carries nothing is tried again.
@@ -190,12 +192,14 @@ impl Session {
     /// them.
     fn that_hold_nothing(&mut self, motors: MotorSet) -> Vec<(MotorId, String)> {
         let mut holding_nothing = Vec::new();
-        let mut may_run_nothing = MotorSet::EMPTY;
+        let mut without_errors = MotorSet::EMPTY;
+        let mut locked = MotorSet::EMPTY;
         for (motor, status) in self.ask_each(motors, ReadStatus1, None).outcomes {
             let told = match status {
                 Ok(status) if status.errors.is_empty() => {
-                    if status.brake != BrakeCommand::LOCK {
-                        may_run_nothing.insert(motor);
+                    without_errors.insert(motor);
+                    if status.brake == BrakeCommand::LOCK {
+                        locked.insert(motor);
                     }
                     continue;
                 }
@@ -211,11 +215,18 @@ impl Session {
             holding_nothing.push((motor, told));
         }
         // A drive that has lost its master confirms 0x81 and does not run it until it hears it steadily (2.31.1).
-        for (motor, reply) in self.ask_each(may_run_nothing, ReadRunningMode, None).outcomes {
+        for (motor, reply) in self.ask_each(without_errors, ReadRunningMode, None).outcomes {
             if reply.is_ok_and(|reply| reply.mode.raw() == 0) {
-                let told = "has confirmed the stop (0x81) but runs nothing (mode 0), as a drive does that has heard \
-                            nothing for too long ('myactuator timeout'): its shaft is free";
-                holding_nothing.push((motor, told.to_owned()));
+                // What it says of its brake is what that was told last, also where it has none.
+                let shaft = match locked.contains(motor) {
+                    true => "nothing but a locked brake holds its shaft",
+                    false => "its shaft is free",
+                };
+                let told = format!(
+                    "has confirmed the stop (0x81) but runs nothing (mode 0), as a drive does that has heard \
+                     nothing for too long ('myactuator timeout'): {shaft}"
+                );
+                holding_nothing.push((motor, told));
             }
         }
         holding_nothing
@@ -238,22 +249,32 @@ impl Session {
         let mut restless = Vec::new();
         let mut turning = motors;
         let latest = self.master.now() + LONGEST_BRAKING;
-        // The slowest of each so far, and when it has to be slower.
-        let mut slowing = [(u16::MAX, latest); MotorId::COUNT];
+        // The slowest of each so far, when it has to be slower, and since when it stands.
+        let mut slowing = [(u16::MAX, latest, None); MotorId::COUNT];
         while !turning.is_empty() {
             for (motor, reply) in self.ask_each(turning, ReadStatus2, None).outcomes {
-                let (slowest, latest) = &mut slowing[motor.index()];
+                let (slowest, latest, stands_since) = &mut slowing[motor.index()];
                 let now = self.master.now();
                 let told = match reply.map(|reply| reply.speed) {
-                    Ok(speed) if !bring_up::turns(speed) => None,
+                    Ok(speed) if !bring_up::turns(speed) => {
+                        let since = *stands_since.get_or_insert(now);
+                        if now - since < STANDS_AFTER && !self.is_not_to_wait() {
+                            continue;
+                        }
+                        None
+                    }
                     Ok(speed) if self.is_not_to_wait() => Some(format!(
                         "has confirmed the stop (0x81) and turns yet at {speed}: its rest was not waited for"
                     )),
                     Ok(speed) if speed.raw().unsigned_abs() < *slowest => {
-                        (*slowest, *latest) = (speed.raw().unsigned_abs(), now + LONGEST_BRAKING);
+                        let slower = speed.raw().unsigned_abs();
+                        (*slowest, *latest, *stands_since) = (slower, now + LONGEST_BRAKING, None);
                         continue;
                     }
-                    Ok(_) if now < *latest => continue,
+                    Ok(_) if now < *latest => {
+                        *stands_since = None;
+                        continue;
+                    }
                     Ok(speed) => Some(format!(
                         "has confirmed the stop (0x81), but turns at {speed} and becomes no slower: cut its power"
                     )),
@@ -357,10 +378,12 @@ pub(super) fn told_with_stop(why: Unfinished, stopped: Outcome<String>) -> Unfin
 #[cfg(test)]
 mod tests {
     use myactuator_host_std::open::AnyMaster;
+    use myactuator_host_std::sim::plant::{Arm, Load};
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{
         AbsolutePosition, AccelerationIndex, Speed, WriteAcceleration,
     };
+    use myactuator_protocol_core::drive::Quirks;
     use myactuator_protocol_core::io::bring_up;
     use myactuator_protocol_core::units::{
         Acceleration, Angle, MaxSpeed, MaxTorque, Milliseconds, SpeedTarget,
@@ -449,6 +472,23 @@ mod tests {
         assert_eq!(told(&mut session), (Ok(holds), true));
     }
 
+    /// It says that its brake is locked whenever it obeys no motion command, and has none.
+    #[test]
+    fn nor_is_one_that_says_its_brake_is_locked() {
+        let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
+        let fleet = Fleet::new(1).quirks(quirks).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let silence = Milliseconds::from_raw(100);
+        bring_up::protect(&mut session.master, MotorId::MIN, silence).unwrap();
+        let later = session.master.now() + Duration::from_millis(200);
+        session.wait_until(later).unwrap();
+        session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
+        assert!(!fleet.drives[0].with(|drive| drive.state().output_on));
+        let outcome = session.stopped(MotorId::MIN.into());
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.contains("nothing but a locked brake holds its shaft"), "{told}");
+    }
+
     #[test]
     fn a_stop_is_looked_after_without_a_silence_in_which_a_drive_lets_go() {
         let motor = MotorId::MIN;
@@ -523,6 +563,17 @@ mod tests {
             "{told}"
         );
         assert!(session.master.now() - begun < Duration::from_millis(3_100));
+    }
+
+    #[test]
+    fn an_arm_that_swings_does_not_stand_where_it_turns_back() {
+        let arm = Arm { mass_kg: 5.0, length_m: 0.4, down_deg: 0.0 };
+        let load = Load { arm: Some(arm), ..Load::NONE };
+        let fleet = Fleet::new(1).load(load).start_angle_deg(90.0).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let outcome = session.come_to_rest(MotorId::MIN);
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.contains("becomes no slower"), "{told}");
     }
 
     #[test]

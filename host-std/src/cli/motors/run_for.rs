@@ -79,9 +79,11 @@ pub(super) fn run<C: Command + Copy>(
     // Until the answer a shaft may have been turned.
     may_run(session)?;
     let ended = session.moving(motor, |session| {
-        if opens {
-            session.release_brake(motor)?;
-        }
+        // One that says "lock" all the same may have no brake that would hold a load.
+        let end = match opens && !session.release_brake(motor)? {
+            true => StopKind::Hold,
+            false => end,
+        };
         let mut ran = repeat(session, span, run.command, reading)?;
         let ended = match end {
             StopKind::Off if opens => put_down(session, motor),
@@ -207,6 +209,7 @@ mod tests {
         AccelerationIndex, ErrorFlags, MotionRanges, MotionSetPoint, Speed, Stop, Torque,
         WriteAcceleration,
     };
+    use myactuator_protocol_core::drive::Quirks;
     use myactuator_protocol_core::io::bring_up;
     use myactuator_protocol_core::time::Instant;
     use myactuator_protocol_core::units::{
@@ -318,6 +321,19 @@ mod tests {
             let mut ends = commands(&log).into_iter().filter(|byte| matches!(byte, 0x80 | 0x81));
             assert_eq!(ends.next_back(), Some(last));
         }
+    }
+
+    /// It says so also where there is no brake, and a load would fall.
+    #[test]
+    fn who_says_lock_after_an_acknowledged_release_is_held_at_the_end() {
+        let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
+        let fleet = Fleet::new(1).quirks(quirks).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        let log = fleet.world.log();
+        run_to_end(&mut session, TURN, (0.3, true, StopKind::Off), || {}).unwrap();
+        let mut ends = commands(&log).into_iter().filter(|byte| matches!(byte, 0x78 | 0x80 | 0x81));
+        assert_eq!((ends.next(), ends.next_back()), (Some(0x81), None));
+        assert!(fleet.drives[0].with(|drive| drive.state().output_on));
     }
 
     #[test]
@@ -458,7 +474,7 @@ mod tests {
             );
             assert_eq!(fleet.drives[0].with(|drive| drive.state().output_on), holds);
             let latest = session.master.now();
-            assert!(latest < Instant::from_millis(650), "{latest:?}");
+            assert!(latest < Instant::from_millis(750), "{latest:?}");
         }
     }
 

@@ -3,7 +3,9 @@
 use myactuator_host_std::BusKind;
 use myactuator_host_std::explain::{Explainer, FrameDirection};
 use myactuator_host_std::open::BusError;
-use myactuator_protocol_core::command::{AnyCommand, BusId, Phrase, RawCommand, awaits_reply};
+use myactuator_protocol_core::command::{
+    AnyCommand, BusId, Phrase, RawCommand, Speed, awaits_reply,
+};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Config, Event, Failure, MotorSet};
 use myactuator_protocol_core::opcode::{Reach, Repeat, ReplyRule};
@@ -77,7 +79,12 @@ fn reads(kind: Kind) -> bool {
 }
 
 fn needs_consent(kind: Kind) -> bool {
-    kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain
+    kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain || sets_gains(kind)
+}
+
+/// Gains take effect at once.
+fn sets_gains(kind: Kind) -> bool {
+    kind == Kind::Known(Opcode::WritePidRam)
 }
 
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
@@ -112,8 +119,7 @@ fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
         send(session)?;
         session.wait_for_reader()
     })?;
-    let go = if motors.len() == 1 { "goes" } else { "go" };
-    report("note", format!("{} {go} on: 'myactuator stop' ends it", named(motors)));
+    report("note", format!("{} may go on: 'myactuator stop' ends that", named(motors)));
     Ok(())
 }
 
@@ -151,6 +157,10 @@ impl Sending {
     fn question(&self, motors: MotorSet) -> String {
         let who = if motors.len() == 1 { "Motor" } else { "Motors" };
         let then = match (self.kind(), self.command) {
+            (_, AnyCommand::Speed(Speed { max_torque, .. })) if max_torque.raw() == 0 => {
+                "0 % is no limit of torque. This may set a shaft in motion, which goes on until it is told something else."
+            }
+            (kind, _) if sets_gains(kind) => "A motor that runs or holds may swing, or let go.",
             (kind, _) if kind.moves() => {
                 "This may set a shaft in motion, which goes on until it is told something else."
             }
