@@ -40,115 +40,87 @@ impl<E> CallError<E> {
     }
 }
 
-/// A question that is put as soon as the motor is free for it.
-#[derive(Debug)]
-pub(super) struct Asking<C> {
+/// Questions, each of which is put as soon as its motor is free for it.
+pub(super) struct Askings<C: Command, E, const M: usize> {
+    all: [Asking<C, E>; M],
+    patience: Option<Patience>,
+    /// Until when they wait for their turns.
+    latest_turn: Instant,
+}
+
+struct Asking<C: Command, E> {
     motor: MotorId,
     command: C,
-    patience: Option<Patience>,
-    /// Until when it waits for its turn.
-    latest_turn: Instant,
     /// Once it was put.
     ticket: Option<Ticket<C>>,
+    outcome: Option<Outcome<C, E>>,
 }
 
-impl<C: Command> Asking<C> {
-    pub(super) fn new(
-        motor: MotorId,
-        command: C,
-        patience: Option<Patience>,
-        now: Instant,
-    ) -> Self {
-        Self { motor, command, patience, latest_turn: now + LONGEST_TURN, ticket: None }
-    }
-
-    /// Puts it, unless it was put or the motor is busy, for a while.
-    pub(super) fn put<const N: usize, E>(
-        &mut self,
-        master: &mut Master<N>,
-        now: Instant,
-    ) -> Result<(), CallError<E>> {
-        if self.ticket.is_none() {
-            match master.put_request(self.motor, &self.command, self.patience) {
-                Ok(ticket) => self.ticket = Some(ticket),
-                Err(RequestError::Busy) if now < self.latest_turn => {}
-                Err(refusal) => return Err(CallError::Refused { motor: self.motor, refusal }),
-            }
-        }
-        Ok(())
-    }
-
-    /// Nobody waits for its answer any more.
-    pub(super) fn withdraw<const N: usize>(&self, master: &mut Master<N>) {
-        if let Some(ticket) = self.ticket {
-            master.withdraw(ticket.id());
-        }
-    }
-
-    /// Until when it waits for its turn, if it does.
-    pub(super) fn latest_turn(&self) -> Option<Instant> {
-        self.ticket.is_none().then_some(self.latest_turn)
-    }
-
-    pub(super) fn outcome<E>(&self, event: &Event) -> Option<Outcome<C, E>> {
-        let failed = |failure| CallError::Failed { motor: self.motor, failure };
-        Some(self.ticket?.outcome(event)?.map_err(failed))
-    }
-}
-
-/// Several questions at the same time.
-pub(super) struct Askings<C: Command, E, const M: usize>([Asked<C, E>; M]);
-
-/// One of them, and what came of it so far.
-type Asked<C, E> = (Asking<C>, Option<Outcome<C, E>>);
 type Outcome<C, E> = Result<<C as Command>::Reply, CallError<E>>;
 
 impl<C: Command, E, const M: usize> Askings<C, E, M> {
-    pub(super) fn new(questions: [(MotorId, C); M], now: Instant) -> Self {
-        Self(questions.map(|(motor, command)| (Asking::new(motor, command, None, now), None)))
+    pub(super) fn new(
+        questions: [(MotorId, C); M],
+        patience: Option<Patience>,
+        now: Instant,
+    ) -> Self {
+        let asking = |(motor, command)| Asking { motor, command, ticket: None, outcome: None };
+        Self { all: questions.map(asking), patience, latest_turn: now + LONGEST_TURN }
     }
 
-    /// Puts those that can be put. Gives whether any of them is still open.
+    /// Puts those that can be put; a motor may be busy, for a while. Gives whether any of them is still open.
     pub(super) fn put<const N: usize>(&mut self, master: &mut Master<N>, now: Instant) -> bool {
-        for (asking, outcome) in self.open() {
-            *outcome = asking.put(master, now).err().map(Err);
+        let (patience, may_wait) = (self.patience, now < self.latest_turn);
+        for it in self.open().filter(|it| it.ticket.is_none()) {
+            match master.put_request(it.motor, &it.command, patience) {
+                Ok(ticket) => it.ticket = Some(ticket),
+                Err(RequestError::Busy) if may_wait => {}
+                Err(refusal) => {
+                    it.outcome = Some(Err(CallError::Refused { motor: it.motor, refusal }))
+                }
+            }
         }
         self.open().next().is_some()
     }
 
     /// Nobody waits for their answers any more.
     pub(super) fn withdraw<const N: usize>(&self, master: &mut Master<N>) {
-        self.0.iter().for_each(|(asking, _)| asking.withdraw(master));
+        self.all.iter().filter_map(|it| it.ticket).for_each(|ticket| master.withdraw(ticket.id()));
     }
 
-    /// Until when the first of them waits for its turn, if any does.
+    /// Until when one of them waits for its turn, if any does.
     pub(super) fn latest_turn(&mut self) -> Option<Instant> {
-        self.open().filter_map(|(asking, _)| asking.latest_turn()).min()
+        let latest = self.latest_turn;
+        self.open().any(|it| it.ticket.is_none()).then_some(latest)
     }
 
-    pub(super) fn note(&mut self, event: &Event) {
-        for (asking, outcome) in self.open() {
-            *outcome = asking.outcome(event);
-        }
+    /// Gives whether the event is what came of one of them.
+    pub(super) fn note(&mut self, event: &Event) -> bool {
+        self.open().any(|it| {
+            let failed = |failure| CallError::Failed { motor: it.motor, failure };
+            it.outcome =
+                it.ticket.and_then(|ticket| ticket.outcome(event)).map(|it| it.map_err(failed));
+            it.outcome.is_some()
+        })
     }
 
     /// The bus has failed, which one of them is reported. The others may have been sent, and go on.
     pub(super) fn bus_has_failed(&mut self, error: E) {
-        if let Some((_, outcome)) = self.open().next() {
-            *outcome = Some(Err(CallError::Bus(error)));
+        if let Some(it) = self.open().next() {
+            it.outcome = Some(Err(CallError::Bus(error)));
         }
     }
 
     /// What came of each, once none is open.
     pub(super) fn outcomes(&mut self) -> [Outcome<C, E>; M] {
-        self.0.each_mut().map(|(asking, outcome)| {
-            let bus_is_down = CallError::Failed { motor: asking.motor, failure: Failure::BusDown };
-            outcome.take().unwrap_or(Err(bus_is_down))
+        self.all.each_mut().map(|it| {
+            let bus_is_down = CallError::Failed { motor: it.motor, failure: Failure::BusDown };
+            it.outcome.take().unwrap_or(Err(bus_is_down))
         })
     }
 
-    fn open(&mut self) -> impl Iterator<Item = &mut Asked<C, E>> {
-        self.0.iter_mut().filter(|(_, outcome)| outcome.is_none())
+    fn open(&mut self) -> impl Iterator<Item = &mut Asking<C, E>> {
+        self.all.iter_mut().filter(|it| it.outcome.is_none())
     }
 }
 

@@ -6,7 +6,7 @@ use embassy_futures::yield_now;
 
 use crate::command::{Command, SetPoint};
 use crate::id::MotorId;
-use crate::io::asking::{Asking, Askings, CallError, outcome_of_set_point};
+use crate::io::asking::{Askings, CallError, outcome_of_set_point};
 use crate::io::elapsed::Elapsed;
 use crate::io::on_drop::OnDrop;
 use crate::io::pump::RETRY_AFTER;
@@ -75,23 +75,10 @@ pub trait AsyncRunner<const N: usize> {
         motor: MotorId,
         command: C,
         patience: Option<Patience>,
-        mut on_event: impl FnMut(Event),
+        on_event: impl FnMut(Event),
     ) -> Result<C::Reply, CallError<Self::Error>> {
-        let asking = Asking::new(motor, command, patience, self.now());
-        let mut work = OnDrop::new((self, asking), |(runner, asking): &mut (&mut Self, _)| {
-            Asking::withdraw(asking, runner.master());
-        });
-        let (runner, asking) = &mut work.it;
-        loop {
-            let now = runner.now();
-            asking.put(runner.master(), now)?;
-            let event = runner.run(asking.latest_turn()).await.map_err(CallError::Bus)?;
-            let Some(event) = event else { continue };
-            match asking.outcome(&event) {
-                Some(outcome) => return outcome,
-                None => on_event(event),
-            }
-        }
+        let [outcome] = ask_all(self, [(motor, command)], patience, on_event).await;
+        outcome
     }
 
     /// As [`Runner::ask`](crate::io::Runner::ask).
@@ -108,21 +95,7 @@ pub trait AsyncRunner<const N: usize> {
         &mut self,
         questions: [(MotorId, C); M],
     ) -> [Result<C::Reply, CallError<Self::Error>>; M] {
-        let askings = Askings::new(questions, self.now());
-        let mut work = OnDrop::new((self, askings), |(runner, askings): &mut (&mut Self, _)| {
-            Askings::withdraw(askings, runner.master());
-        });
-        let (runner, askings) = &mut work.it;
-        loop {
-            let now = runner.now();
-            if !askings.put(runner.master(), now) {
-                return askings.outcomes();
-            }
-            match runner.run(askings.latest_turn()).await {
-                Ok(event) => event.iter().for_each(|event| askings.note(event)),
-                Err(error) => askings.bus_has_failed(error),
-            }
-        }
+        ask_all(self, questions, None, |_| {}).await
     }
 
     /// Puts a set-point in a motor's stream; see [`Master::set_point`]. It leaves at the next
@@ -197,4 +170,29 @@ async fn unconfirmed<R: AsyncRunner<N> + ?Sized, const N: usize>(
         }
     }
     unconfirmed
+}
+
+/// Asks, and waits for what comes of each question. If this is dropped, nobody waits for that any more.
+async fn ask_all<R: AsyncRunner<N> + ?Sized, C: Command, const M: usize, const N: usize>(
+    runner: &mut R,
+    questions: [(MotorId, C); M],
+    patience: Option<Patience>,
+    mut on_event: impl FnMut(Event),
+) -> [Result<C::Reply, CallError<R::Error>>; M] {
+    let askings = Askings::new(questions, patience, runner.now());
+    let mut work = OnDrop::new((runner, askings), |(runner, askings): &mut (&mut R, _)| {
+        Askings::withdraw(askings, runner.master());
+    });
+    let (runner, askings) = &mut work.it;
+    loop {
+        let now = runner.now();
+        if !askings.put(runner.master(), now) {
+            return askings.outcomes();
+        }
+        match runner.run(askings.latest_turn()).await {
+            Ok(Some(event)) if !askings.note(&event) => on_event(event),
+            Ok(_) => {}
+            Err(error) => askings.bus_has_failed(error),
+        }
+    }
 }

@@ -53,7 +53,7 @@ pub(super) struct Broadcast {
     others: MayUndo,
     /// Something that may move was sent, or motors were found that have no place: a stop of all has to reach whom nobody
     /// has named.
-    may_be_unnamed: bool,
+    pub(super) may_be_unnamed: bool,
     /// It was sent on CAN since these have ended their motion, and they have not answered it: it may lie in a mailbox,
     /// through cuts that nobody has noticed.
     moved_since: MotorSet,
@@ -156,16 +156,6 @@ impl Broadcast {
 
     pub(super) fn waits_to_end_motion(&self) -> bool {
         self.is_waiting() && self.kind.is_some_and(Kind::ends_motion)
-    }
-
-    /// Whether there may be motors, since ever, that only a stop to all reaches.
-    pub(super) fn may_be_unnamed(&self) -> bool {
-        self.may_be_unnamed
-    }
-
-    /// There are some.
-    pub(super) fn note_unnamed(&mut self) {
-        self.may_be_unnamed = true;
     }
 
     /// Whether what this motor answers when it ends its motion is to be answered twice: the first answer shows that the
@@ -334,7 +324,7 @@ impl Broadcast {
         }
         let answers = self.is_in_flight()
             && self.silent.contains(motor)
-            && self.kind.is_some_and(|kind| kind.answers(&self.data, data));
+            && self.question().is_some_and(|asked| asked.is_answered_by(false, data));
         if answers {
             self.silent.remove(motor);
             if self.silent.is_empty() {

@@ -52,7 +52,6 @@ pub(super) struct Record {
     /// If it was heard.
     heard_at: Instant,
     was_heard: bool,
-    pub(super) presence: Presence,
     round_trip_us: u32,
     pub(super) answered: u32,
     pub(super) lost: u16,
@@ -61,8 +60,8 @@ pub(super) struct Record {
 }
 
 impl Record {
-    pub(super) fn health(&self) -> Health {
-        let &Self { presence, answered, lost, stray, superseded, .. } = self;
+    pub(super) fn health(&self, presence: Presence) -> Health {
+        let &Self { answered, lost, stray, superseded, .. } = self;
         let (last_seen, round_trip) = (self.last_seen(), self.round_trip());
         Health { presence, last_seen, round_trip, answered, lost, stray, superseded }
     }
@@ -94,9 +93,8 @@ impl Record {
         }
     }
 
-    /// No reply came in time, so often in a row.
-    pub(super) fn count_miss(&mut self, in_a_row: u8) {
-        self.presence = if in_a_row < SILENT_AFTER { Presence::Late } else { Presence::Silent };
+    /// No reply came in time.
+    pub(super) fn count_miss(&mut self) {
         self.lost = self.lost.saturating_add(1);
     }
 
@@ -114,6 +112,6 @@ mod tests {
     fn the_first_round_trip_is_the_mean() {
         let mut record = Record::default();
         record.count_answer(Some(Duration::from_micros(1000)));
-        assert_eq!(record.health().round_trip, Duration::from_micros(1000));
+        assert_eq!(record.health(Presence::Unknown).round_trip, Duration::from_micros(1000));
     }
 }

@@ -91,8 +91,7 @@ impl LateReplies {
         replies: u8,
         until: Instant,
     ) -> bool {
-        let known = self.0.iter_mut().flatten().find(|late| late.question == question);
-        if let Some(late) = known {
+        if let Some(late) = self.of(question) {
             late.of = of;
             late.replies = late.replies.saturating_add(replies).min(MOST_REPLIES);
             late.until = late.until.max(until);
@@ -106,6 +105,18 @@ impl LateReplies {
         least.and_then(|place| place.replace(late)).is_some_and(|made_way| made_way.may_move())
     }
 
+    fn of(&mut self, question: Question) -> Option<&mut Late> {
+        self.0.iter_mut().flatten().find(|late| late.question == question)
+    }
+
+    /// So many fewer replies may come to the one in this place.
+    fn expect_fewer(place: &mut Option<Late>, replies: u8) {
+        *place = place.and_then(|late| {
+            let replies = late.replies.saturating_sub(replies);
+            (replies > 0).then_some(Late { replies, ..late })
+        });
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         matches!(self.0, [None, None, None])
     }
@@ -117,7 +128,7 @@ impl LateReplies {
 
     /// Whether the reply to this question could be one of these.
     pub(super) fn may_be_mistaken(&self, question: Question) -> bool {
-        self.0.iter().flatten().any(|late| late.question == question)
+        self.end_of(question).is_some()
     }
 
     /// Whether a command is among them that may move the motor: it may not have reached it yet.
@@ -128,12 +139,9 @@ impl LateReplies {
     /// Something else was answered by what may have been one of these: whose reply is still to come
     /// nobody knows, so it may come for as long as that of the last. Whether there is such a one.
     pub(super) fn prolong(&mut self, question: Question, until: Instant) -> bool {
-        let known = self.0.iter_mut().flatten().find(|late| late.question == question);
-        let known = known.map(|late| {
-            late.until = late.until.max(until);
-            late.of = Of::StreamAnswered;
-        });
-        known.is_some()
+        let Some(late) = self.of(question) else { return false };
+        (late.until, late.of) = (late.until.max(until), Of::StreamAnswered);
+        true
     }
 
     /// Takes a reply that is one of these, and gives what it is of and what it answers. One that may be the last one
@@ -147,13 +155,9 @@ impl LateReplies {
         let place = self.0.iter_mut().find(|place| {
             place.is_some_and(|late| late.question.is_answered_by(is_motion, reply))
         })?;
-        let late = place.as_mut()?;
-        let taken = (late.of, late.question);
-        late.replies = late.replies.saturating_sub(u8::from(!may_be_doubled));
-        if late.replies == 0 {
-            *place = None;
-        }
-        Some(taken)
+        let late = (*place)?;
+        Self::expect_fewer(place, u8::from(!may_be_doubled));
+        Some((late.of, late.question))
     }
 
     /// Forgets what cannot come any more. Whether a command that may move the motor was among it.
@@ -181,14 +185,8 @@ impl LateReplies {
 
     /// So many of these are no longer late: what they answer goes on.
     pub(super) fn withdraw(&mut self, question: Question, replies: u8) {
-        for place in &mut self.0 {
-            if let Some(late) = place.as_mut().filter(|late| late.question == question) {
-                late.replies = late.replies.saturating_sub(replies);
-                if late.replies == 0 {
-                    *place = None;
-                }
-            }
-        }
+        let of_that = |place: &&mut Option<Late>| place.is_some_and(|it| it.question == question);
+        self.0.iter_mut().filter(of_that).for_each(|place| Self::expect_fewer(place, replies));
     }
 
     /// When replies to this question cannot come any more.

@@ -280,13 +280,12 @@ impl<const N: usize> Master<N> {
 
     /// How well a motor answers.
     pub fn health(&self, motor: MotorId) -> Health {
-        self.motor(motor).map(|motor| motor.health.health()).unwrap_or_default()
+        self.motor(motor).map(|motor| motor.health()).unwrap_or_default()
     }
 
     /// The newest feedback of a motor's stream, and when it came; `None` before the first.
     pub fn latest_feedback(&self, motor: MotorId) -> Option<(AnyReply, Instant)> {
-        let motor = self.motor(motor)?;
-        Some((motor.latest?, motor.latest_at))
+        self.motor(motor)?.latest
     }
 
     /// The patience of now (see [`Config::longest_reply_timeout`]) with so many attempts, 1 to 15.

@@ -167,7 +167,7 @@ impl<const N: usize> Master<N> {
     /// These motors are there: a stop of all is for them. Where there is no place for all of them, one goes to all.
     pub(crate) fn note_found(&mut self, motors: MotorSet) {
         if self.give_places(motors).is_err() {
-            self.broadcast.note_unnamed();
+            self.broadcast.may_be_unnamed = true;
         }
     }
 
@@ -210,6 +210,7 @@ impl<const N: usize> Master<N> {
         motor: MotorId,
         change: impl FnOnce(&mut Motor, &Config) -> R,
     ) -> Option<R> {
+        self.due = self.now;
         self.change_at(self.places.of(motor)?, change)
     }
 

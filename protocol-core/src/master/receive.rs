@@ -103,7 +103,7 @@ impl<const N: usize> Master<N> {
             self.due = now;
             self.stop_who_is_back(id, now);
         }
-        match meaning.unwrap_or(Meaning::Unasked) {
+        match meaning.unwrap_or(Meaning::Unasked { is_doubled: false }) {
             Meaning::Feedback(reply, round_trip) => {
                 self.measured(round_trip);
                 Some(Event::Feedback { motor: id, reply })
@@ -138,8 +138,9 @@ impl<const N: usize> Master<N> {
                 }
                 Some(self.stray(id, &packet.data))
             }
-            Meaning::Doubled => Some(self.handle_unasked(id, packet, now, true)),
-            Meaning::Unasked => Some(self.handle_unasked(id, packet, now, false)),
+            Meaning::Unasked { is_doubled } => {
+                Some(self.handle_unasked(id, packet, now, is_doubled))
+            }
         }
     }
 
@@ -215,7 +216,6 @@ impl<const N: usize> Master<N> {
     }
 
     fn lost_master(&mut self, motor: MotorId, now: Instant) -> Event {
-        self.due = now;
         self.lost_master.insert(motor);
         self.change(motor, |motor, config| {
             motor.was_heard(config, now);

@@ -9,7 +9,7 @@ impl<const N: usize> Master<N> {
     /// room for it nothing can move it.
     pub fn note_restart(&mut self, motor: MotorId) {
         let now = self.now;
-        (self.offer, self.due) = (None, now);
+        self.offer = None;
         let _ = self.place_for(motor);
         self.change(motor, |motor, config| motor.has_begun_anew(config, now));
         self.cancel_move_after_restart();

@@ -127,7 +127,7 @@ impl<const N: usize> Master<N> {
     fn is_stop_to_all_due(&self, is_called_again: bool, is_no_place_left: bool) -> bool {
         let is_needed = self.config.is_rs485() || is_no_place_left;
         if !is_called_again {
-            return is_needed || self.broadcast.may_be_unnamed();
+            return is_needed || self.broadcast.may_be_unnamed;
         }
         let waits = |asked: &Asked| asked.round.waits();
         let (sent, mut stops) = (self.stop_to_all_sent, self.at(self.places.stops));
@@ -182,7 +182,6 @@ impl<const N: usize> Master<N> {
         }
         self.overtakes_broadcast(motor, kind);
         self.offer = None;
-        self.due = self.now;
         let (command, data) = kind.command();
         let mut stop = self.stop_of(command, data, purpose);
         let now = self.now;

@@ -10,8 +10,6 @@ use crate::time::{Duration, Instant};
 
 /// Feedback that takes so many times longer than usual is lost.
 const USUAL_TIMES: u32 = 3;
-/// So many commands in a row without an answer are no chance loss.
-const SELDOM: u8 = 2;
 
 impl Motor {
     /// Whether time alone changes anything about it, though nothing is under way.
@@ -34,7 +32,7 @@ impl Motor {
     /// nor when it stays away again and again.
     fn set_point_timeout(&self, config: &Config) -> Duration {
         let usual = self.health.round_trip();
-        let is_known = usual > Duration::ZERO && self.misses < SELDOM;
+        let is_known = usual > Duration::ZERO && !self.is_silent();
         if !is_known || !(self.had_its_chance() || config.is_rs485()) {
             return config.reply_timeout;
         }

@@ -12,18 +12,18 @@ use bitflags::bitflags;
 
 use crate::command::{AnyReply, awaits_reply};
 use crate::data::Data;
-use crate::id::{MotorId, Target};
+use crate::id::MotorId;
 use crate::kind::Kind;
 use crate::master::config::Config;
 use crate::master::event::Failure;
-use crate::master::health::{Presence, Record, SILENT_AFTER};
+use crate::master::health::{Health, Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
 use crate::master::request::{Asked, Purpose, Request, Round};
 use crate::master::stop::{LONGEST_STOP_TIMEOUT, STOP_ATTEMPTS};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
-use crate::packet::{Channel, Packet};
+use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 use restarts::Place;
 use stopping::LastStop;
@@ -111,8 +111,7 @@ pub(super) struct Motor {
     /// What it answered last.
     pub(super) last_answered: Option<Question>,
     /// The newest feedback of its stream, and when it came.
-    pub(super) latest: Option<AnyReply>,
-    pub(super) latest_at: Instant,
+    pub(super) latest: Option<(AnyReply, Instant)>,
     /// Where it was, as it said last just after that was measured, and when it said so.
     pub(super) place: Option<Place>,
     pub(super) placed_at: Instant,
@@ -227,6 +226,15 @@ impl Motor {
         }
     }
 
+    pub(super) fn health(&self) -> Health {
+        self.health.health(match self.misses.max(self.unreached) {
+            SILENT_AFTER.. => Presence::Silent,
+            _ if self.misses > 0 => Presence::Late,
+            _ if self.health.last_seen().is_some() => Presence::Present,
+            _ => Presence::Unknown,
+        })
+    }
+
     /// Whether it did not answer last time.
     pub(super) fn was_missed(&self) -> bool {
         self.misses > 0
@@ -243,19 +251,9 @@ impl Motor {
     #[inline]
     pub(super) fn is_waited_for(&self, round: u32) -> bool {
         let makes_way = self.last_sent.contains(LastSent::MAKES_WAY);
-        (makes_way || self.is_behind(round) && self.is_worth_waiting_for())
-            && !self.had_its_chance()
-    }
-
-    /// Whether its answer may come, or matters so much that it is waited for all the same.
-    #[inline]
-    fn is_worth_waiting_for(&self) -> bool {
-        !self.is_silent() || self.is_ending_motion()
-    }
-
-    #[inline(never)]
-    fn is_ending_motion(&self) -> bool {
-        self.request.in_flight().is_some_and(|asked| asked.kind().ends_motion())
+        let ends_motion = |asked: &Asked| asked.kind().ends_motion();
+        let may_answer = || !self.is_silent() || self.request.in_flight().is_some_and(ends_motion);
+        (makes_way || self.is_behind(round) && may_answer()) && !self.had_its_chance()
     }
 
     /// Whether it did not answer last time, and nothing was heard of it since it was last asked.
@@ -292,12 +290,17 @@ impl Motor {
 
     pub(super) fn request_packet(&self) -> Option<Packet> {
         let asked = self.request.waiting()?;
-        Some(Packet { channel: channel(self.id?, asked.kind()), data: asked.data })
+        self.packet(asked.question, asked.data)
     }
 
     pub(super) fn set_point_packet(&self) -> Option<Packet> {
         let set_point = self.stream.waiting()?;
-        Some(Packet { channel: channel(self.id?, set_point.question.kind), data: set_point.data })
+        self.packet(set_point.question, set_point.data)
+    }
+
+    fn packet(&self, question: Question, data: Data) -> Option<Packet> {
+        let channel = question.kind.channel_to(self.id?.into()).ok()?;
+        Some(Packet { channel, data })
     }
 
     fn was_sent(&mut self, what: LastSent, now: Instant) {
@@ -379,7 +382,6 @@ impl Motor {
         if self.is_waiting() && !self.is_stop_waiting() {
             self.unreached = self.unreached.saturating_add(1);
             if self.unreached >= SILENT_AFTER {
-                self.health.presence = Presence::Silent;
                 self.was_silent(config, now);
             }
         }
@@ -395,14 +397,13 @@ impl Motor {
     pub(super) fn has_missed(&mut self, config: &Config, now: Instant) {
         self.last_sent.remove(LastSent::MAKES_WAY);
         self.misses = self.misses.saturating_add(1);
-        self.health.count_miss(self.misses);
+        self.health.count_miss();
         self.was_silent(config, now);
     }
 
     pub(super) fn is_there(&mut self) {
         self.last_sent.remove(LastSent::MAKES_WAY);
         self.misses = 0;
-        self.health.presence = Presence::Present;
     }
 
     pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
@@ -429,8 +430,4 @@ impl Motor {
             _ => self.is_told(kind),
         }
     }
-}
-
-fn channel(motor: MotorId, kind: Kind) -> Channel {
-    if kind.is_motion() { Channel::Motion(motor) } else { Channel::Command(Target::Motor(motor)) }
 }

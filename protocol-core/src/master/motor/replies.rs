@@ -34,10 +34,8 @@ pub(in crate::master) enum Meaning {
     OfBroadcast,
     /// It is the late answer to something that was given up.
     Late,
-    /// It is what was answered last, once more.
-    Doubled,
-    /// It is none of these.
-    Unasked,
+    /// It is none of these; or what was answered last, once more.
+    Unasked { is_doubled: bool },
 }
 
 /// A reply, and what the master knows of the motor that it is from.
@@ -148,8 +146,9 @@ impl Motor {
             self.late_replies_say_nothing();
         }
         match self.take_late(is_motion, &packet.data, may_be_doubled) {
-            None if may_be_doubled && config.shortest_response > Duration::ZERO => Meaning::Doubled,
-            None => Meaning::Unasked,
+            None => Meaning::Unasked {
+                is_doubled: may_be_doubled && config.shortest_response > Duration::ZERO,
+            },
             Some(Of::Nobody) => Meaning::Nothing,
             Some(Of::Request | Of::RequestStopped | Of::RequestAnswered) => Meaning::Late,
             // Or it comes from before that, and the next command is what is ignored: nobody knows its bytes any more.
@@ -173,7 +172,7 @@ impl Motor {
         if let Some(place) = place {
             self.note_place(place, config, now);
         }
-        (self.latest, self.latest_at) = (Some(reply), now);
+        self.latest = Some((reply, now));
         Meaning::Feedback(reply, round_trip)
     }
 
@@ -185,7 +184,9 @@ impl Motor {
         config: &Config,
     ) -> Meaning {
         let &mut Heard { packet, at: now, .. } = heard;
-        let Ok(reply) = AnyReply::decode(packet, config.firmware) else { return Meaning::Unasked };
+        let Ok(reply) = AnyReply::decode(packet, config.firmware) else {
+            return Meaning::Unasked { is_doubled: false };
+        };
         self.on_its_way.bus_is_alive(now, config);
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
         let mut is_one_late = self.prolong_late(set_point.question, config, now);

@@ -201,7 +201,7 @@ fn a_stop_to_all_goes_though_motors_are_stopped_in_every_cycle() {
     for motors in [3, 4, 6, 12, 31] {
         let stops = told_all_beside_stops(motors, |master, now| {
             if now == 100 {
-                master.broadcast.note_unnamed();
+                master.broadcast.may_be_unnamed = true;
                 master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
             }
         });
