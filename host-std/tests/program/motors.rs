@@ -240,7 +240,10 @@ fn what_goes_on_after_send_is_told() {
     let told = told_beside(&format!("--id 1 {turn}"));
     assert!(told.contains("note: motor 1 may go on: 'myactuator stop' ends that\n"), "{told}");
     let told = told_beside(&format!("--id all {turn}"));
-    assert!(told.contains("note: motors 1 2 3 4 may go on: 'myactuator stop' ends that\n"), "{told}");
+    assert!(
+        told.contains("note: motors 1 2 3 4 may go on: 'myactuator stop' ends that\n"),
+        "{told}"
+    );
     assert!(!told_beside("--id 1 read-status2").contains("note"));
     assert!(!told_beside("--id 1 stop").contains("note"));
 }

@@ -13,6 +13,9 @@ use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
+/// One that could not go for so long is dropped: it would keep requests back.
+const LONGEST_WAIT: Duration = Duration::from_secs(2);
+
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum State {
     #[default]
@@ -36,6 +39,8 @@ pub(super) struct Broadcast {
     data: Data,
     /// That of the newest request when it was put.
     last_ticket: u32,
+    /// Since when it waits, if it does.
+    waits_since: Instant,
     /// Who is expected to answer it and has not.
     silent: MotorSet,
     /// Of whom it counted as lost when its time was up.
@@ -122,8 +127,15 @@ fn all_if(is_so: bool) -> MotorSet {
 }
 
 impl Broadcast {
-    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, last_ticket: u32) {
-        self.last_ticket = last_ticket;
+    /// It waits to be sent. `last_ticket` is that of the newest request.
+    pub(super) fn put(
+        &mut self,
+        (kind, data): (Kind, Data),
+        expected: MotorSet,
+        last_ticket: u32,
+        now: Instant,
+    ) {
+        (self.last_ticket, self.waits_since) = (last_ticket, now);
         (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
         self.kind = Some(kind);
         self.data = data;
@@ -343,9 +355,13 @@ impl Broadcast {
         self.is_in_flight().then_some(self.sent)
     }
 
-    /// When it is over though not all have answered.
+    /// When it is over though not all have answered, or could not be sent.
     pub(super) fn deadline(&self, config: &Config) -> Option<Instant> {
-        self.in_flight_since().map(|sent| sent + config.reply_timeout)
+        match self.state {
+            State::InFlight => Some(self.sent + config.reply_timeout),
+            State::Waiting | State::Again => Some(self.waits_since + LONGEST_WAIT),
+            State::None | State::Sent | State::Done | State::Dropped => None,
+        }
     }
 
     /// Whether it was not sent, or was handed back: what is handed back now only looks like it.
@@ -354,7 +370,8 @@ impl Broadcast {
     }
 
     /// A controller has handed it back: it was never on the bus, and moves nobody. Gives of whom it counted as lost.
-    pub(super) fn was_pushed_out(&mut self) -> MotorSet {
+    pub(super) fn was_pushed_out(&mut self, now: Instant) -> MotorSet {
+        self.waits_since = now;
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last = MayUndo::default();
@@ -392,7 +409,8 @@ impl Broadcast {
 impl<const N: usize> Master<N> {
     /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all have come or
     /// the time is up. It is sent when no request is in flight, and requests wait until it is over, but for those that
-    /// were asked before it, or end motion, while it waits. The next broadcast waits until all motors that have a place
+    /// were asked before it, or end motion, while it waits. If it cannot go for two seconds it is dropped, which is
+    /// reported. The next broadcast waits until all motors that have a place
     /// have answered this one, or its answers cannot come any more.
     ///
     /// On CAN it reaches motors whose id filter (function 2) is off. On RS485 the answers of several motors are likely
@@ -440,7 +458,7 @@ impl<const N: usize> Master<N> {
         if kind.may_move() {
             self.give_places(expected)?;
         }
-        self.broadcast.put(kind, data, expected, self.last_ticket);
+        self.broadcast.put((kind, data), expected, self.last_ticket, now);
         if kind.ends_motion() {
             // What was offered may be a set-point that this ends.
             self.offer = None;
@@ -459,13 +477,16 @@ impl<const N: usize> Master<N> {
         Ok(())
     }
 
-    /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may
+    /// Ends a broadcast whose time is up, to go or to be answered, or that would move a motor which has restarted. The silent ones may
     /// still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         self.cancel_move_after_restart();
         self.broadcast.age(now, self.heard_at_least(), &self.config);
         if self.broadcast.deadline(&self.config).is_none_or(|deadline| deadline > now) {
             return;
+        }
+        if self.broadcast.is_waiting() {
+            return self.broadcast.cancel();
         }
         self.broadcast.state = State::Done;
         self.broadcast.lost = self.broadcast.silent;

@@ -159,6 +159,13 @@ impl Config {
         }
     }
 
+    /// A doubled frame comes so soon after the first; no drive answers the next command so quickly. On CAN it takes its
+    /// time on the wire.
+    pub(super) fn doubled_within(&self) -> Duration {
+        let soon = Duration::from_micros(500);
+        if self.is_rs485() { soon } else { soon.max(self.frame_time.times(2)) }
+    }
+
     /// How long a motor is left alone after a command without reply.
     pub(super) fn hold_after(&self, kind: Kind) -> Duration {
         if kind == Kind::Known(Opcode::Reset) { self.restart_time } else { self.settle_time }

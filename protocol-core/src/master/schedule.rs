@@ -4,12 +4,12 @@ use crate::kind::Kind;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Round};
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
-use crate::master::transmit::ForAll;
+use crate::master::transmit::{ForAll, Turn};
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
-/// So long somebody's stop goes behind other motors' first ones, at the most.
+/// So long somebody's stop goes behind other motors' first ones, at the most; four times that where its motor is silent.
 const LONGEST_TURN_OF_OTHERS: Duration = Duration::from_millis(250);
 
 /// The earliest of several points in time.
@@ -44,7 +44,7 @@ impl<const N: usize> Master<N> {
     fn stop_or_other(&self, stop: Offer, now: Instant) -> Offer {
         let is_again = |(_, motor): (_, &Motor)| motor.is_stop_called_again();
         if !self.config.is_rs485()
-            || !self.was_called_again
+            || self.last_turn != Turn::StopCalledAgain
             || stop == Offer::StopToAll
             || !self.ready_stops().all(is_again)
         {
@@ -60,10 +60,14 @@ impl<const N: usize> Master<N> {
         ready.min_by_key(|&(sent, _)| sent).map_or(stop, |(_, offer)| offer)
     }
 
-    /// The one to all, then the most urgent of those of one motor.
+    /// The one to all, then the most urgent of those of one motor. On a line not two to all in a row where somebody's
+    /// first one waits: a caller may lift and call a stop of all in every cycle.
     pub(super) fn choose_stop(&self) -> Option<Offer> {
-        if self.stop_to_all.is_some() {
-            return Some(Offer::StopToAll);
+        if let Some(kind) = self.stop_to_all {
+            let was_it = self.config.is_rs485() && self.last_turn == Turn::StopToAll(kind);
+            if !was_it || !self.ready_stops().any(|(_, motor)| motor.waits_for_first_stop()) {
+                return Some(Offer::StopToAll);
+            }
         }
         if self.places.stops.is_empty() {
             return None;
@@ -72,15 +76,16 @@ impl<const N: usize> Master<N> {
     }
 
     /// Each motor's first stop before any second, and on a line those first that were heard last time: a
-    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest;
-    /// who has waited for long goes with the first, since a caller may lift and call stops all the time.
+    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
+    /// A caller may lift and call stops all the time: who has waited for long goes with the first, and whose stop was
+    /// lifted and is called again before anything else was sent to it, behind them.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
         let urgency = |(_, motor): &(_, &Motor)| {
-            let has_waited = || self.now - motor.sent >= LONGEST_TURN_OF_OTHERS;
+            let longest = LONGEST_TURN_OF_OTHERS.times(if motor.is_silent() { 4 } else { 1 });
             let turn = match motor.waits_for_first_stop() {
-                true => u8::from(motor.seems_dead()),
-                false if has_waited() && !motor.is_silent() => 0,
+                true => u8::from(motor.seems_dead() || motor.was_sent_stop()),
+                false if self.now - motor.sent >= longest => 0,
                 false => 2,
             };
             (turn, motor.sent)
@@ -212,21 +217,22 @@ impl<const N: usize> Master<N> {
         let waits_for_all = |motor: &Motor| {
             motor.request.waiting().is_some_and(is_again) && self.is_undone_with_all(motor)
         };
-        // Nor is it asked before what one was asked before it. What ends motion goes all the same.
+        // Nor is it asked before what one was asked before it. What ends motion goes before what does not.
+        let is_urgent = question.kind.ends_motion();
+        let is_before =
+            |asked: &Asked| !asked.is_stop() && (!is_urgent || asked.kind().ends_motion());
         let was_asked_before = |motor: &Motor| {
-            !question.kind.ends_motion()
-                && self.broadcast.is_after(motor.ticket)
+            let asked = motor.request.waiting().filter(|asked| is_before(asked));
+            self.broadcast.is_after(motor.ticket)
                 && motor.is_settled(self.now)
-                && motor
-                    .request
-                    .waiting()
-                    .is_some_and(|it| !it.is_stop() && self.request_may_go(motor, it))
+                && asked.is_some_and(|asked| self.request_may_go(motor, asked))
         };
+        // Feedback of a stream of this kind is none of its answers, however long it goes on.
         let keeps_back = |motor: &Motor| {
             motor.request.under_way().is_some_and(is_first)
                 || was_asked_before(motor)
                 || waits_for_all(motor)
-                || motor.late.may_be_mistaken(question)
+                || motor.late.may_be_mistaken(question) && !motor.stream.is_of(question)
         };
         !self.at(self.places.taken).any(|(_, motor)| keeps_back(motor))
             && (!question.kind.moves() || !self.has_any_restarted())

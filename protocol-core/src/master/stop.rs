@@ -80,7 +80,7 @@ impl<const N: usize> Master<N> {
     /// # Motors without a place
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or a scan has
     /// found more than there are places, or where there is none for all of `also`, one stop to all goes before each
-    /// motor's own. A motor without a place gets that single frame and confirms nothing. So name all motors that a
+    /// motor's own. So it does where no motor has a place. A motor without a place gets that single frame and confirms nothing. So name all motors that a
     /// broadcast may reach, there or in `also`. It goes again where this is called again, on CAN if there is no place for
     /// all of `also`, once in 100 ms at the most.
     ///
@@ -113,8 +113,7 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off = MotorSet::ALL;
         }
-        // Where nobody has a place it goes each time.
-        let is_called_again = was == Some(kind) && !self.places.taken.is_empty();
+        let is_called_again = was == Some(kind);
         let goes = was_same_for_all && self.is_stop_to_all_due(is_called_again, result.is_err());
         // One that waits has reached nobody yet.
         let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
@@ -125,6 +124,10 @@ impl<const N: usize> Master<N> {
     /// Whether one stop to all goes beside each motor's own: for motors without a place, which nothing else reaches.
     /// Called again it goes after a rest, when it prolongs nobody's wait for what is owed.
     fn is_stop_to_all_due(&self, is_called_again: bool, is_no_place_left: bool) -> bool {
+        // Nobody is known: it is all that can be done for whoever is there.
+        if self.places.taken.is_empty() {
+            return true;
+        }
         let is_needed = self.config.is_rs485() || is_no_place_left;
         if !is_called_again {
             return is_needed || self.broadcast.may_be_unnamed;
@@ -184,8 +187,9 @@ impl<const N: usize> Master<N> {
         self.offer = None;
         let (command, data) = kind.command();
         let mut stop = self.stop_of(command, data, purpose);
-        let now = self.now;
+        let (pace, now) = (self.pace, self.now);
         self.change(motor, |motor, config| {
+            motor.join(pace);
             if !was_stopped {
                 motor.last_stop = LastStop::None;
             } else if motor.is_stopping_already(&stop) {

@@ -3,10 +3,10 @@
 use crate::command::ReadStatus1;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
-use crate::master::Master;
 use crate::master::late::{Of, Question};
 use crate::master::motor::{LastSent, Motor, is_before};
 use crate::master::request::Asked;
+use crate::master::{Master, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -25,6 +25,15 @@ pub(super) enum Offer {
     StopToAll,
     /// A read of the status, for the transport, of the motor with this place.
     Status(u8),
+}
+
+/// What was sent last, as far as that has a say in what goes next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Turn {
+    /// A stop of one motor that had been called for again.
+    StopCalledAgain,
+    StopToAll(StopKind),
+    Other,
 }
 
 /// Where on CAN the last command to all is, as far as is known.
@@ -104,6 +113,21 @@ impl<const N: usize> Master<N> {
         Some(ReadStatus1.packet(motor.id?))
     }
 
+    /// Whose turn this is.
+    fn turn_of(&self, offer: Offer) -> Turn {
+        match offer {
+            Offer::StopToAll => self.stop_to_all.map_or(Turn::Other, Turn::StopToAll),
+            Offer::Request(_)
+                if self.requested_of(offer).is_some_and(Motor::is_stop_called_again) =>
+            {
+                Turn::StopCalledAgain
+            }
+            // What the transport asks is nobody's turn.
+            Offer::Status(_) => self.last_turn,
+            Offer::Request(_) | Offer::SetPoint(_) | Offer::Broadcast => Turn::Other,
+        }
+    }
+
     /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its
     /// last byte has left.
     ///
@@ -112,11 +136,7 @@ impl<const N: usize> Master<N> {
     pub fn handle_transmitted(&mut self, now: Instant) {
         self.now = now;
         let Some(offer) = self.offer.take() else { return };
-        // What the transport asks is nobody's turn.
-        if !matches!(offer, Offer::Status(_)) {
-            let motor = self.requested_of(offer);
-            self.was_called_again = motor.is_some_and(Motor::is_stop_called_again);
-        }
+        self.last_turn = self.turn_of(offer);
         // An answer that nobody waits for may come all the same, and must not meet a command.
         let mut silence = Duration::ZERO;
         match offer {
@@ -212,7 +232,7 @@ impl<const N: usize> Master<N> {
                 let is_newest = is_broadcast && self.broadcast.is_active();
                 let is_stop_to_all = !is_newest && self.stop_to_all_was_pushed_out(packet);
                 if !is_stop_to_all && is_broadcast {
-                    for motor in self.broadcast.was_pushed_out().iter() {
+                    for motor in self.broadcast.was_pushed_out(self.now).iter() {
                         self.change(motor, |motor, _| motor.health.uncount_miss());
                     }
                     self.end_motion_of_all();

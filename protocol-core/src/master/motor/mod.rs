@@ -60,6 +60,8 @@ bitflags! {
         /// A controller has handed its stop back since it answered, or did not, or whatever it was sent where it is silent:
         /// that made way for a more urgent frame.
         const MAKES_WAY = 1 << 4;
+        /// It was a stop.
+        const IS_STOP = 1 << 5;
     }
 }
 
@@ -70,9 +72,6 @@ const LONGEST_CLAIM: u32 = 4;
 pub(super) const fn is_before(round: u32, other: u32) -> bool {
     (round.wrapping_sub(other) as i32) < 0
 }
-
-/// A doubled frame comes so soon after the first; no drive answers the next command so quickly.
-pub(super) const DOUBLED_WITHIN: Duration = Duration::from_micros(500);
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Motor {
@@ -211,6 +210,10 @@ impl Motor {
         self.last_sent.contains(LastSent::BEFORE_IT_LOST_MASTER)
     }
 
+    pub(super) fn was_sent_stop(&self) -> bool {
+        self.last_sent.contains(LastSent::IS_STOP)
+    }
+
     /// Whether its last reply was due while the bus was quiet.
     pub(super) fn had_its_chance(&self) -> bool {
         self.last_sent.contains(LastSent::HAD_ITS_CHANCE)
@@ -313,7 +316,7 @@ impl Motor {
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
-        self.was_sent(LastSent::empty(), now);
+        self.was_sent(if asked.is_stop() { LastSent::IS_STOP } else { LastSent::empty() }, now);
         self.is_told(asked.kind());
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
@@ -419,7 +422,7 @@ impl Motor {
         let Some(before) = self.health.note_heard(now) else { return false };
         let silence = now - before;
         self.is_back_after(silence, config, now);
-        silence < DOUBLED_WITHIN
+        silence < config.doubled_within()
     }
 
     /// Keeps track of what commands without a reply change: where it believes it is, and what it reports by itself.

@@ -5,8 +5,8 @@ use crate::id::MotorId;
 use crate::kind::Kind;
 use crate::master::broadcast::Broadcast;
 use crate::master::late::{Of, Question};
+use crate::master::motor::Motor;
 use crate::master::motor::restarts::{HALF_A_TURN_TAKES, Place};
-use crate::master::motor::{DOUBLED_WITHIN, Motor};
 use crate::master::request::{Asked, Purpose, Request, Round};
 use crate::master::stop::STOP_ATTEMPTS;
 use crate::master::stream::SetPoint;
@@ -79,7 +79,7 @@ impl Motor {
         let is_same = |question: Question| question.is_answered_by(is_motion, data);
         let may_be_doubled = self.was_heard(config, now) && self.last_answered.is_some_and(is_same);
         let shortest = match config.shortest_response {
-            clear if may_be_doubled && clear > Duration::ZERO => clear.max(DOUBLED_WITHIN),
+            clear if may_be_doubled && clear > Duration::ZERO => clear.max(config.doubled_within()),
             clear => clear,
         };
         let is_in_time = now - self.sent >= shortest;

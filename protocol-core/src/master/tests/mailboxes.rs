@@ -675,7 +675,8 @@ fn no_restart_of_all_comes_back_behind_a_stop_of_all_though_nobody_has_a_place()
     assert_eq!(reset, [packet_to_all(Reset.encode())]);
     master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
     master.handle_pushed_out(&reset[0]);
-    for at in 1..100 {
+    assert_eq!(sent(&mut master, ms(1)), [packet_to_all(Stop.encode())]);
+    for at in 2..100 {
         assert_eq!(sent(&mut master, ms(at)), [], "at {at} ms");
     }
 }

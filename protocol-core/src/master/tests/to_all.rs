@@ -130,7 +130,8 @@ fn whom_a_broadcast_may_move_is_stopped_with_all() {
         // One to all, who may be more, and one each.
         (|master, both| master.broadcast(torque(1.0), both), 3),
         (|master, both| master.broadcast(ReleaseBrake, both), 3),
-        (|master, both| master.broadcast(ReadMultiTurnAngle, both), 0),
+        // Who has no place is reached by the one to all.
+        (|master, both| master.broadcast(ReadMultiTurnAngle, both), 1),
     ];
     for (put, stops) in puts {
         let mut master = Master::<2>::new(Config::CAN);
@@ -587,4 +588,75 @@ fn a_late_answer_to_all_does_not_say_that_a_set_point_has_come() {
     assert_eq!(sent(&mut master, us(15_250)), [packet_to(1, Shutdown.encode())]);
     assert_eq!(events(&mut master, us(16_000)), []);
     assert_eq!(master.handle_line(&line(Shutdown.encode()), us(16_100)), None, "once more");
+}
+
+/// Its late feedback may come for as long as others come that may be that one.
+#[test]
+fn a_broadcast_of_a_streams_kind_goes_though_a_feedback_was_lost_once() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    // It is lost.
+    assert_eq!(events(&mut master, ms(21)), [Event::SetPointUnanswered { motor: id(1) }]);
+    let mut ticket = None;
+    let mut outcome = None;
+    for now in (22..2_000).step_by(2) {
+        if now == 30 {
+            master.broadcast(torque(0.0), MotorSet::EMPTY).unwrap();
+            ticket = Some(master.request(id(2), ReadModel).unwrap());
+        }
+        master.set_point(id(1), torque(1.0), ms(now)).unwrap();
+        for packet in sent(&mut master, ms(now)) {
+            if packet.channel == Channel::Command(id(1).into()) {
+                reply(&mut master, 1, TORQUE_REPLY, ms(now + 1));
+            }
+            if packet == packet_to(2, ReadModel.encode()) {
+                outcome = Some(now);
+            }
+        }
+        events(&mut master, ms(now + 1));
+    }
+    assert!(ticket.is_some());
+    assert!(outcome.is_some_and(|at| at <= 150), "motor 2 was asked at {outcome:?}");
+}
+
+/// A read of motor 1 is lost, and its stop is called again all the time, so that the answer may come yet.
+#[test]
+fn a_broadcast_that_cannot_go_for_two_seconds_is_dropped_and_lets_requests_go() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
+    let (mut dropped, mut asked) = (None, None);
+    for now in 1..3_000 {
+        master.stop(id(1), StopKind::Off).unwrap();
+        if now == 5 {
+            master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+            let _read = master.request(id(2), ReadModel).unwrap();
+        }
+        for packet in sent(&mut master, ms(now)) {
+            assert_ne!(packet, packet_to_all(ReadMultiTurnAngle.encode()));
+            if packet == packet_to(1, Shutdown.encode()) {
+                reply(&mut master, 1, packet.data, ms(now) + Duration::from_micros(900));
+            } else if packet == packet_to(2, ReadModel.encode()) {
+                asked.get_or_insert(now);
+            }
+        }
+        let done = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: false };
+        if events(&mut master, ms(now)).contains(&done) {
+            dropped = Some(now);
+        }
+    }
+    assert_eq!(dropped, Some(2_004));
+    assert!(asked.is_some_and(|at| (2_004..2_030).contains(&at)), "{asked:?}");
+}
+
+#[test]
+fn who_sleeps_until_something_is_due_wakes_for_a_broadcast_that_cannot_go() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    let _long = master.request_with(id(1), ReadModel, once(10_000)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.handle_timeout(ms(10));
+    master.broadcast(ReadStatus1, MotorSet::EMPTY).unwrap();
+    assert_eq!(master.poll_at(), Some(ms(2_010)));
+    let done = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: false };
+    assert_eq!(events(&mut master, ms(2_010)), [done]);
 }

@@ -526,3 +526,12 @@ fn a_stop_of_more_than_there_is_room_for_goes_to_all_though_one_is_in_force() {
     assert_eq!(at.first(), Some(&3));
     assert!(at.len() > 1 && at.windows(2).all(|at| at[1] - at[0] >= 100), "{at:?}");
 }
+
+#[test]
+fn where_nobody_is_known_a_stop_of_all_goes_to_whoever_is_there() {
+    for config in [Config::CAN, Config::rs485(1_000_000, false)] {
+        let mut master = Master::<2>::new(config);
+        master.stop_all(StopKind::Hold, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(0)), [packet_to_all(Stop.encode())]);
+    }
+}
