@@ -7,9 +7,9 @@ use core::task::{Context, Poll};
 
 use embedded_can::{Frame, nb};
 
-use crate::io::async_clock::AsyncClock;
 use crate::io::async_runner::AsyncRunner;
 use crate::io::can::CanPort;
+use crate::io::clock::AsyncClock;
 use crate::io::pump::{Pump, earlier};
 use crate::io::rest::rest;
 use crate::master::{Config, Event, Master};

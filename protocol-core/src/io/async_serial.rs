@@ -7,9 +7,8 @@ use core::task::{Context, Poll};
 use embassy_futures::select::{Either, select};
 use embedded_io_async::{ErrorType, Read, Write};
 
-use crate::io::async_clock::AsyncClock;
 use crate::io::async_runner::AsyncRunner;
-use crate::io::clock::Clock;
+use crate::io::clock::{AsyncClock, Clock};
 use crate::io::line::Line;
 use crate::io::pump::{Port, Pump, STUCK_AFTER, earlier};
 use crate::io::rest::{rest, wait};

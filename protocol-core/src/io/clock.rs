@@ -39,3 +39,42 @@ impl<C: Clock + ?Sized> Clock for &C {
         (**self).idle(until);
     }
 }
+
+/// A clock that can wake a task, for the async loops of [`io`](crate::io).
+///
+/// With embassy, `Timer::at` is all there is to it:
+///
+/// ```
+/// # mod embassy_time {
+/// #     pub struct Instant;
+/// #     impl Instant {
+/// #         pub fn now() -> Self { Self }
+/// #         pub fn from_micros(_: u64) -> Self { Self }
+/// #         pub fn as_micros(&self) -> u64 { 0 }
+/// #     }
+/// #     pub struct Timer;
+/// #     impl Timer { pub async fn at(_: Instant) {} }
+/// # }
+/// use myactuator_protocol_core::io::{AsyncClock, Clock};
+/// use myactuator_protocol_core::time::Instant;
+///
+/// struct EmbassyClock;
+///
+/// impl Clock for EmbassyClock {
+///     fn now(&self) -> Instant {
+///         Instant::from_micros(embassy_time::Instant::now().as_micros())
+///     }
+/// }
+///
+/// impl AsyncClock for EmbassyClock {
+///     async fn wait_until(&mut self, until: Instant) {
+///         embassy_time::Timer::at(embassy_time::Instant::from_micros(until.as_micros())).await;
+///     }
+/// }
+/// ```
+#[allow(async_fn_in_trait, reason = "one task runs one bus, so nothing asks for Send")]
+pub trait AsyncClock: Clock {
+    /// Waits until the clock shows `until`, or a little later; not at all if it already does. The
+    /// loops drop this future whenever something arrives first.
+    async fn wait_until(&mut self, until: Instant);
+}

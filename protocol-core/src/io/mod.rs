@@ -19,7 +19,6 @@
 mod asking;
 pub mod async_bring_up;
 mod async_can;
-mod async_clock;
 mod async_runner;
 mod async_serial;
 pub mod bring_up;
@@ -45,11 +44,10 @@ mod tests;
 
 pub use asking::CallError;
 pub use async_can::{AsyncCan, AsyncCanMaster};
-pub use async_clock::{AsyncClock, DelayClock};
 pub use async_runner::AsyncRunner;
 pub use async_serial::AsyncSerialMaster;
 pub use can::{BlockingCan, CanMaster};
-pub use clock::Clock;
+pub use clock::{AsyncClock, Clock};
 pub use echo::EchoFilter;
 pub use elapsed::Elapsed;
 pub use guard::{Guard, guarded};

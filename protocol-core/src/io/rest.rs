@@ -4,7 +4,7 @@ use core::future::poll_fn;
 use core::pin::{Pin, pin};
 use core::task::Poll;
 
-use crate::io::async_clock::AsyncClock;
+use crate::io::clock::AsyncClock;
 use crate::time::Instant;
 
 /// Waits until something is received, which is kept in `received`, or until then; where a controller refuses what

@@ -459,6 +459,7 @@ impl<const N: usize> Master<N> {
             self.give_places(expected)?;
         }
         self.broadcast.put((kind, data), expected, self.last_ticket, now);
+        self.for_all = self.for_all.put_anew();
         if kind.ends_motion() {
             // What was offered may be a set-point that this ends.
             self.offer = None;

@@ -91,7 +91,7 @@ use crate::time::Instant;
 use broadcast::Broadcast;
 use motor::{Motor, News};
 use places::Places;
-use request::Request;
+use request::{Request, SHORTEST_TIMEOUT};
 use round_trips::RoundTrips;
 use schedule::Earliest;
 use transmit::{ForAll, Offer, Turn};
@@ -192,6 +192,7 @@ impl<const N: usize> Master<N> {
     pub fn new(mut config: Config) -> Self {
         const { Self::CAPACITY };
         let round_trips = RoundTrips::new(&mut config);
+        config.reply_timeout = config.reply_timeout.max(SHORTEST_TIMEOUT);
         // Nobody waits for what counts as lost.
         config.longest_response = config.longest_response.min(config.reply_timeout);
         Self {

@@ -104,7 +104,7 @@ impl Places {
         self.note(place, &Motor::default());
     }
 
-    /// Changes the motor with this place: the only way to do it.
+    /// Changes the motor with this place: the only way to do it while it has that.
     #[inline]
     pub(super) fn change<R>(
         &mut self,

@@ -12,14 +12,15 @@ use crate::master::{Failure, Master, Patience, StopKind, Ticket, TicketId};
 use crate::time::Duration;
 
 /// No reply comes sooner than that.
-const SHORTEST_TIMEOUT: Duration = Duration::from_millis(1);
+pub(super) const SHORTEST_TIMEOUT: Duration = Duration::from_millis(1);
 
 /// Who wants it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// The caller, who has a ticket for it.
     Caller,
-    /// The caller, but it is not sent again: nobody waits for it any more, or all were told to end their motion since.
+    /// The caller, but it is not sent again: nobody waits for it any more, or it moves and all were told to end their
+    /// motion since, or its motor has restarted.
     Once,
     /// A stop: before everything else, whatever is in flight.
     Stop,
@@ -284,6 +285,7 @@ impl<const N: usize> Master<N> {
     /// [loops](crate::io) withdraws what it asked when it is left.
     pub fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
         let now = self.now;
+        self.offer = None;
         self.change(motor, |motor, config| match &mut motor.request {
             _ if motor.ticket != number => {}
             Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)

@@ -12,8 +12,8 @@ use super::world::{Broken, TestCan, TestClock, TestSerial, block_on, on_can, on_
 use super::{id, step, torque};
 use crate::command::{PidIndex, ReadMultiTurnAngle, ReadPid, Reset};
 use crate::io::{
-    AsyncCanMaster, AsyncClock, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Clock,
-    DelayClock, Runner, SerialMaster,
+    AsyncCanMaster, AsyncRunner, AsyncSerialMaster, CallError, CanMaster, Clock, Runner,
+    SerialMaster,
 };
 use crate::master::{Event, Failure, MotorSet, StopKind};
 use crate::time::{Duration, Instant};
@@ -319,30 +319,6 @@ fn a_run_ends_in_time() {
     port.state().closed = true;
     assert_eq!(block_on(arm.run(Some(Instant::from_micros(1_010)))), Ok(None));
     assert_eq!(clock.micros(), 1_010);
-}
-
-/// A delay that is always a microsecond short.
-struct Short(TestClock, Vec<u32>);
-
-impl embedded_hal_async::delay::DelayNs for Short {
-    async fn delay_ns(&mut self, ns: u32) {
-        self.0.advance(u64::from(ns) / 1_000);
-    }
-
-    async fn delay_us(&mut self, us: u32) {
-        self.1.push(us);
-        self.0.advance(u64::from(us) - u64::from(us > 1));
-    }
-}
-
-#[test]
-fn a_delay_makes_a_clock_that_is_never_early() {
-    let clock = TestClock::default();
-    let mut timer = DelayClock::new(clock.clone(), Short(clock.clone(), Vec::new()));
-    block_on(timer.wait_until(Instant::from_millis(2_500)));
-    assert_eq!(clock.micros(), 2_500_000);
-    let (_, Short(_, delays)) = timer.release();
-    assert_eq!(delays, [1_000_000, 1_000_000, 500_002, 1]);
 }
 
 #[test]

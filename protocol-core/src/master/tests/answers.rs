@@ -762,3 +762,32 @@ fn thirty_late_answers_to_one_question_are_told_apart_from_the_next() {
     let is_one = |_: &u32| late.take(false, &Stop.encode(), false).is_some();
     assert_eq!((0..100).take_while(is_one).count(), 30);
 }
+
+#[test]
+fn who_is_heard_is_present_after_a_bus_that_was_down_and_before_any_answer() {
+    let report = [0x9A, 50, 30, 1, 0xE5, 0x01, 0, 0];
+    for downs in [0, 3] {
+        let mut master = Master::<2>::new(Config::CAN);
+        for now in 0..downs {
+            let _read = master.request(id(1), ReadMultiTurnAngle).unwrap();
+            master.handle_bus_down(ms(now));
+            events(&mut master, ms(now));
+        }
+        let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(10));
+        let before = if downs == 0 { Presence::Unknown } else { Presence::Silent };
+        assert_eq!(master.health(id(1)).presence, before);
+        reply(&mut master, 1, report, ms(11)).unwrap();
+        assert_eq!(master.health(id(1)).presence, Presence::Present, "{downs}");
+    }
+}
+
+#[test]
+fn no_set_point_and_no_command_to_all_counts_as_lost_before_a_millisecond_has_gone_by() {
+    let mut master = Master::<2>::new(Config { reply_timeout: Duration::ZERO, ..Config::CAN });
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.broadcast(ReadModel, id(2).into()).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(events(&mut master, Instant::from_micros(999)), []);
+    assert_eq!(events(&mut master, Instant::from_micros(1_000)).len(), 2);
+}

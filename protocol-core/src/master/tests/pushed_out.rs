@@ -297,3 +297,24 @@ fn what_ends_the_motion_of_all_and_what_was_asked_since_do_not_wait_for_each_oth
     });
     assert_eq!(again, Some(63));
 }
+
+/// That of before was handed back and ended by a stop, so that it never went again.
+#[test]
+fn a_new_command_to_all_holds_nobody_back_for_one_of_before() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    let in_mailbox = sent(&mut master, ms(0))[0];
+    master.handle_pushed_out(&in_mailbox);
+    master.stop(id(1), StopKind::Off).unwrap();
+    master.handle_bus_down(ms(1));
+    events(&mut master, ms(1));
+    assert_eq!(sent(&mut master, ms(1)), [packet_to(1, Shutdown.encode())]);
+    reply(&mut master, 1, Shutdown.encode(), ms(2)).unwrap();
+    master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+    let _read = master.request(id(2), ReadMultiTurnAngle).unwrap();
+    let packets = sent(&mut master, ms(100));
+    assert_eq!(
+        packets,
+        [packet_to_all(ReadModel.encode()), packet_to(2, ReadMultiTurnAngle.encode())]
+    );
+}
