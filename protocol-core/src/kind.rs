@@ -99,6 +99,11 @@ impl Kind {
         matches!(self, Self::Known(Shutdown | Stop | LockBrake | Reset))
     }
 
+    /// Whether it lets a motor go, so that a load falls: 0x80 and 0x76.
+    pub const fn lets_go(self) -> bool {
+        matches!(self, Self::Known(Opcode::Shutdown | Opcode::Reset))
+    }
+
     /// Whether it is a motion mode command, which travels on a channel of its own.
     pub const fn is_motion(self) -> bool {
         matches!(self, Self::Known(Opcode::Motion))

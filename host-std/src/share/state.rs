@@ -7,7 +7,7 @@ use std::time::Instant;
 use myactuator_protocol_core::command::AnyReply;
 use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::master::{Failure, MotorSet, StopKind};
-use myactuator_protocol_core::{Kind, MotorId, Opcode, time};
+use myactuator_protocol_core::{Kind, MotorId, time};
 
 use super::SharedBusError;
 use super::calls::{Order, Question, Untyped};
@@ -247,11 +247,7 @@ impl<E> State<E> {
 
     /// So does a command that ends motion with what moves, but for other such commands.
     pub(super) fn drop_what_is_ended(&mut self, motor: MotorId, by: Kind) {
-        let by = match by.opcode() {
-            Some(Opcode::Shutdown | Opcode::Reset) => Some(StopKind::Off),
-            Some(Opcode::Stop) => Some(StopKind::Hold),
-            _ => None,
-        };
+        let by = if by.lets_go() { Some(StopKind::Off) } else { StopKind::by(by) };
         self.end_motion(motor.into(), by, Kind::may_move);
     }
 

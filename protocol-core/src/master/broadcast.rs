@@ -84,9 +84,7 @@ impl MayUndo {
         let is_can = !config.is_rs485();
         Self {
             moves: all_if(kind.may_move()),
-            lets_go: all_if(
-                is_can && matches!(kind.opcode(), Some(Opcode::Shutdown | Opcode::Reset)),
-            ),
+            lets_go: all_if(is_can && kind.lets_go()),
             holds: all_if(is_can && kind == Kind::Known(Opcode::Stop)),
         }
     }
@@ -177,15 +175,15 @@ impl Broadcast {
     }
 
     /// It has answered what is to end its motion: what lies in a mailbox comes now, if ever.
-    pub(super) fn is_answered_by(&mut self, motor: MotorId, now: Instant, config: &Config) {
-        self.on_its_way.bus_is_alive(now, config);
+    pub(super) fn note_answer_of(&mut self, motor: MotorId, now: Instant, config: &Config) {
+        self.on_its_way.note_bus_alive(now, config);
         if self.moved_since.contains(motor) {
             self.on_its_way.extend(now + config.late_window);
         }
     }
 
     /// It has ended its motion for good.
-    pub(super) fn has_ended_motion_of(&mut self, motor: MotorId) {
+    pub(super) fn note_motion_ended_of(&mut self, motor: MotorId) {
         self.moved_since.remove(motor);
     }
 
@@ -492,7 +490,7 @@ impl<const N: usize> Master<N> {
         self.broadcast.state = State::Done;
         self.broadcast.lost = self.broadcast.silent;
         for motor in self.broadcast.lost.iter() {
-            self.change(motor, |motor, config| motor.has_missed(config, now));
+            self.change(motor, |motor, config| motor.note_miss(config, now));
         }
     }
 }

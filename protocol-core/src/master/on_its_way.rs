@@ -53,7 +53,7 @@ impl OnItsWay {
     }
 
     /// The bus is whole: if it lay in a mailbox all the time, it comes now.
-    pub(super) fn bus_is_alive(&mut self, now: Instant, config: &Config) {
+    pub(super) fn note_bus_alive(&mut self, now: Instant, config: &Config) {
         if let Self::WhileCut(at) = *self {
             *self = Self::Until(at.max(now + config.late_window));
         }
@@ -64,7 +64,7 @@ impl OnItsWay {
     #[inline(never)]
     pub(super) fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
         if self.end_on_whole_bus().is_some_and(|end| heard_at + config.late_window >= end) {
-            self.bus_is_alive(heard_at, config);
+            self.note_bus_alive(heard_at, config);
         }
         if let Some(end) = self.end().filter(|&end| end <= now) {
             *self = Self::OverByTime(end);
@@ -75,7 +75,7 @@ impl OnItsWay {
     }
 
     /// The drive has answered what ends its motion: nothing from before comes any more.
-    pub(super) fn has_ended(&mut self) {
+    pub(super) fn finish(&mut self) {
         *self = Self::No;
     }
 }

@@ -35,7 +35,7 @@ impl<const N: usize> Master<N> {
     /// [`EchoFilter`](crate::io::EchoFilter).
     pub fn handle_line(&mut self, frame: &rs485::Frame, now: Instant) -> Option<Event> {
         let before = self.busy_until;
-        self.line_is_free_after_turnaround(now);
+        self.free_line_after_turnaround(now);
         // Whoever fills the line holds no stop up.
         let is_stop_due = match self.choose_interruption() {
             Some((at, _)) => at <= now,
@@ -112,19 +112,19 @@ impl<const N: usize> Master<N> {
             Meaning::Answer(ticket, kind, round_trip) => {
                 self.measured(round_trip);
                 if kind.ends_motion() {
-                    self.broadcast.has_ended_motion_of(id);
+                    self.broadcast.note_motion_ended_of(id);
                 }
                 Some(Event::Reply { ticket, kind, data: packet.data })
             }
             Meaning::StopConfirmed(round_trip) => {
                 self.measured(round_trip);
-                self.broadcast.has_ended_motion_of(id);
+                self.broadcast.note_motion_ended_of(id);
                 Some(Event::StopConfirmed { motor: id })
             }
             Meaning::Nothing => None,
             Meaning::OnceMore => {
                 // No move to all goes between the attempts of that, either.
-                self.broadcast.is_answered_by(id, now, &self.config);
+                self.broadcast.note_answer_of(id, now, &self.config);
                 None
             }
             Meaning::OfBroadcast => {

@@ -43,12 +43,12 @@ pub(super) struct Asked {
     pub(super) attempts_left: u8,
     /// How often it was sent without a reply that came.
     pub(super) unanswered: u8,
-    pub(super) round: Round,
+    pub(super) proof: Proof,
 }
 
-/// What ends motion may have to be answered twice.
+/// How far it is shown that motion has ended: what ends it may have to be answered twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Round {
+pub(super) enum Proof {
     /// It was not answered.
     First,
     /// Perhaps it was not: its answers may be owed to earlier ones. It waits until nothing is owed any more.
@@ -59,7 +59,7 @@ pub(super) enum Round {
     Second,
 }
 
-impl Round {
+impl Proof {
     pub(super) fn waits(self) -> bool {
         matches!(self, Self::WaitsForOwed | Self::Waits)
     }
@@ -87,7 +87,7 @@ impl Asked {
             timeout: patience.reply_timeout.max(SHORTEST_TIMEOUT),
             attempts_left: patience.attempts.clamp(1, 15),
             unanswered: 0,
-            round: Round::First,
+            proof: Proof::First,
         }
     }
 

@@ -11,7 +11,7 @@ impl<const N: usize> Master<N> {
         let now = self.now;
         self.offer = None;
         let _ = self.place_for(motor);
-        self.change(motor, |motor, config| motor.has_begun_anew(config, now));
+        self.change(motor, |motor, config| motor.begin_anew(config, now));
         self.cancel_move_after_restart();
     }
 

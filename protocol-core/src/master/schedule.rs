@@ -2,7 +2,7 @@
 
 use crate::kind::Kind;
 use crate::master::motor::{LastSent, Motor};
-use crate::master::request::{Asked, Round};
+use crate::master::request::{Asked, Proof};
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::transmit::{ForAll, Turn};
 use crate::master::{Bus, Config, Master, Offer};
@@ -213,7 +213,7 @@ impl<const N: usize> Master<N> {
             asked.unanswered > 0 || may_move || holds && lets_go(asked)
         };
         // Nor is what one is to be told once more, when nothing that all were told can undo it: this would prolong that.
-        let is_again = |asked: &Asked| asked.round != Round::First;
+        let is_again = |asked: &Asked| asked.proof != Proof::First;
         let waits_for_all = |motor: &Motor| {
             motor.request.waiting().is_some_and(is_again) && self.is_undone_with_all(motor)
         };
@@ -254,12 +254,12 @@ impl<const N: usize> Master<N> {
     }
 
     /// Notes one more frame on the bus: behind what is queued already, or right now.
-    pub(super) fn bus_is_busy(&mut self, now: Instant) {
+    pub(super) fn note_bus_busy(&mut self, now: Instant) {
         self.busy_until = self.busy_until.max(now) + self.config.frame_time;
     }
 
     /// RS485: the drives turn around before the next command.
-    pub(super) fn line_is_free_after_turnaround(&mut self, now: Instant) {
+    pub(super) fn free_line_after_turnaround(&mut self, now: Instant) {
         if let Bus::Rs485 { turnaround, .. } = self.config.bus {
             self.busy_until = now + turnaround;
         }

@@ -132,7 +132,7 @@ impl<const N: usize> Master<N> {
         if !is_called_again {
             return is_needed || self.broadcast.may_be_unnamed;
         }
-        let waits = |asked: &Asked| asked.round.waits();
+        let waits = |asked: &Asked| asked.proof.waits();
         let (sent, mut stops) = (self.stop_to_all_sent, self.at(self.places.stops));
         is_needed
             && (sent == Instant::ZERO || self.now - sent >= STOP_AGAIN_AFTER)
@@ -192,7 +192,7 @@ impl<const N: usize> Master<N> {
             motor.join(pace);
             if !was_stopped {
                 motor.last_stop = LastStop::None;
-            } else if motor.is_stopping_already(&stop) {
+            } else if motor.keep_stop_under_way(&stop) {
                 return;
             }
             motor.let_others_go_first(&mut stop, was_stopped && had_place);
@@ -267,9 +267,8 @@ impl<const N: usize> Master<N> {
 
     /// What a motor that is about to be held gets instead where all are let go by this.
     pub(super) fn stop_that_lets_go(&self, all: Kind) -> Option<Asked> {
-        let lets_go = matches!(all.opcode(), Some(Opcode::Shutdown | Opcode::Reset));
         let (off, data) = StopKind::Off.command();
-        lets_go.then(|| self.stop_of(off, data, Purpose::Stop))
+        all.lets_go().then(|| self.stop_of(off, data, Purpose::Stop))
     }
 
     fn stop_of(&self, command: Kind, data: Data, purpose: Purpose) -> Asked {

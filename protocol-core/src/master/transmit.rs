@@ -197,9 +197,9 @@ impl<const N: usize> Master<N> {
             }
         }
         if self.config.is_rs485() {
-            self.line_is_free_after_turnaround(now + silence);
+            self.free_line_after_turnaround(now + silence);
         } else {
-            self.bus_is_busy(now);
+            self.note_bus_busy(now);
             if matches!(offer, Offer::Broadcast | Offer::StopToAll) {
                 self.for_all = self.for_all.sent();
             }

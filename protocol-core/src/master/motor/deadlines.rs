@@ -4,7 +4,7 @@ use crate::master::config::Config;
 use crate::master::event::Failure;
 use crate::master::late::Of;
 use crate::master::motor::{LastSent, Motor, News};
-use crate::master::request::{Request, Round};
+use crate::master::request::{Proof, Request};
 use crate::master::schedule::Earliest;
 use crate::time::{Duration, Instant};
 
@@ -69,7 +69,7 @@ impl Motor {
         if self.deadline(config).is_none_or(|deadline| deadline > now) {
             return;
         }
-        self.has_missed(config, now);
+        self.note_miss(config, now);
         if let Some(set_point) = self.stream.take_in_flight() {
             let until = now + config.late_window;
             self.expect_late(set_point.question, Of::Stream, 1, until, config);
@@ -78,8 +78,8 @@ impl Motor {
         let Request::InFlight(mut asked) = self.request else { return };
         if asked.kind().ends_motion() {
             // What it answered before a cut says nothing of what lies in a mailbox yet.
-            asked.round = Round::First;
-            self.bus_may_be_cut(now, config);
+            asked.proof = Proof::First;
+            self.note_bus_may_be_cut(now, config);
         }
         if asked.may_go_again() {
             self.request = Request::Waiting(asked);

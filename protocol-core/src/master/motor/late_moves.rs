@@ -28,7 +28,7 @@ impl Motor {
     }
 
     /// What ends its motion was not answered: the bus may be cut, and have been all the time.
-    pub(super) fn bus_may_be_cut(&mut self, now: Instant, config: &Config) {
+    pub(super) fn note_bus_may_be_cut(&mut self, now: Instant, config: &Config) {
         if self.may_lie_in_mailbox(config) {
             self.may_move_until(now + config.late_window, config);
         }
@@ -40,7 +40,7 @@ impl Motor {
     }
 
     /// What looks like one of the late replies may be another: it does not say that what moves has come.
-    pub(in crate::master) fn late_replies_say_nothing(&mut self) {
+    pub(in crate::master) fn note_late_replies_say_nothing(&mut self) {
         self.is_beyond_late |= self.may_yet_move();
     }
 
@@ -72,7 +72,7 @@ impl Motor {
         let (of, question) = self.late.take(is_motion, reply, may_be_doubled)?;
         self.last_answered = Some(question);
         if !self.late.may_move() && !self.is_beyond_late {
-            self.on_its_way.has_ended();
+            self.on_its_way.finish();
         }
         Some(of)
     }

@@ -19,13 +19,13 @@ use crate::master::event::Failure;
 use crate::master::health::{Health, Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
-use crate::master::request::{Asked, Purpose, Request, Round};
+use crate::master::request::{Asked, Proof, Purpose, Request};
 use crate::master::stop::{LONGEST_STOP_TIMEOUT, STOP_ATTEMPTS};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
-use restarts::Place;
+use restarts::Position;
 use stopping::LastStop;
 
 bitflags! {
@@ -112,8 +112,8 @@ pub(super) struct Motor {
     /// The newest feedback of its stream, and when it came.
     pub(super) latest: Option<(AnyReply, Instant)>,
     /// Where it was, as it said last just after that was measured, and when it said so.
-    pub(super) place: Option<Place>,
-    pub(super) placed_at: Instant,
+    pub(super) position: Option<Position>,
+    pub(super) position_at: Instant,
     pub(super) last_stop: LastStop,
     pub(super) health: Record,
 }
@@ -220,7 +220,7 @@ impl Motor {
     }
 
     /// What was sent to it goes no more if it moves, whatever becomes of it.
-    pub(super) fn is_sent_no_more(&mut self) {
+    pub(super) fn send_no_more(&mut self) {
         self.last_sent.insert(LastSent::IS_OLD);
         if let Request::InFlight(asked) | Request::Sent(asked) = &mut self.request {
             if asked.kind().may_move() {
@@ -274,8 +274,8 @@ impl Motor {
     /// Whether this is to end motion once more and waits: until no answer to its earlier attempts can be taken for that to
     /// the last, and, where it was answered for sure, until nothing that was sent before can move the motor any more.
     pub(super) fn waits_for_motion(&self, asked: &Asked, is_moved_with_all: bool) -> bool {
-        let moves = || asked.round == Round::Waits && (is_moved_with_all || self.may_yet_move());
-        asked.round.waits() && (moves() || self.late.may_be_mistaken(asked.question))
+        let moves = || asked.proof == Proof::Waits && (is_moved_with_all || self.may_yet_move());
+        asked.proof.waits() && (moves() || self.late.may_be_mistaken(asked.question))
     }
 
     /// Whether the set-point that waits may go. What ends motion was asked for before it, and comes first however
@@ -317,7 +317,7 @@ impl Motor {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
         self.was_sent(if asked.is_stop() { LastSent::IS_STOP } else { LastSent::empty() }, now);
-        self.is_told(asked.kind());
+        self.note_told(asked.kind());
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
             self.settled_at = self.settled_at.max(now + config.hold_after(asked.kind()));
@@ -334,7 +334,7 @@ impl Motor {
         }
         self.stop_set_point(late, config);
         asked.unanswered = asked.unanswered.saturating_add(1);
-        asked.round = asked.round.begun();
+        asked.proof = asked.proof.begun();
         self.request = Request::InFlight(asked);
         Some(false)
     }
@@ -385,7 +385,7 @@ impl Motor {
         if self.is_waiting() && !self.is_stop_waiting() {
             self.unreached = self.unreached.saturating_add(1);
             if self.unreached >= SILENT_AFTER {
-                self.was_silent(config, now);
+                self.note_silence(config, now);
             }
         }
         self.drop_waiting_set_point();
@@ -397,20 +397,20 @@ impl Motor {
     }
 
     /// A reply has not come in time.
-    pub(super) fn has_missed(&mut self, config: &Config, now: Instant) {
+    pub(super) fn note_miss(&mut self, config: &Config, now: Instant) {
         self.last_sent.remove(LastSent::MAKES_WAY);
         self.misses = self.misses.saturating_add(1);
         self.health.count_miss();
-        self.was_silent(config, now);
+        self.note_silence(config, now);
     }
 
-    pub(super) fn is_there(&mut self) {
+    pub(super) fn note_there(&mut self) {
         self.last_sent.remove(LastSent::MAKES_WAY);
         self.misses = 0;
     }
 
     pub(super) fn answered(&mut self, round_trip: Option<Duration>) {
-        self.is_there();
+        self.note_there();
         self.health.count_answer(round_trip);
     }
 
@@ -421,16 +421,16 @@ impl Motor {
         self.unreached = 0;
         let Some(before) = self.health.note_heard(now) else { return false };
         let silence = now - before;
-        self.is_back_after(silence, config, now);
+        self.note_back_after(silence, config, now);
         silence < config.doubled_within()
     }
 
     /// Keeps track of what commands without a reply change: where it believes it is, and what it reports by itself.
     pub(super) fn note_sent(&mut self, kind: Kind, data: &Data, config: &Config, now: Instant) {
         match kind.opcode() {
-            Some(Opcode::Reset) => self.has_begun_anew(config, now),
+            Some(Opcode::Reset) => self.begin_anew(config, now),
             Some(Opcode::ActiveReply) => self.note_reports(data),
-            _ => self.is_told(kind),
+            _ => self.note_told(kind),
         }
     }
 }

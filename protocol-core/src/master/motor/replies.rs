@@ -6,8 +6,8 @@ use crate::kind::Kind;
 use crate::master::broadcast::Broadcast;
 use crate::master::late::{Of, Question};
 use crate::master::motor::Motor;
-use crate::master::motor::restarts::{HALF_A_TURN_TAKES, Place};
-use crate::master::request::{Asked, Purpose, Request, Round};
+use crate::master::motor::restarts::{HALF_A_TURN_TAKES, Position};
+use crate::master::request::{Asked, Proof, Purpose, Request};
 use crate::master::stop::STOP_ATTEMPTS;
 use crate::master::stream::SetPoint;
 use crate::master::{Config, Failure, MotorSet, TicketId};
@@ -127,7 +127,7 @@ impl Motor {
         }
         // Nobody counts what may be the last one again: each would send one more.
         if !may_be_doubled {
-            self.is_not_confirmed_by_that(asked, config);
+            self.go_on_unconfirmed(asked, config);
         }
         Meaning::Nothing
     }
@@ -143,7 +143,7 @@ impl Motor {
         let &Heard { packet, at: now, .. } = heard;
         let is_motion = matches!(packet.channel, Channel::MotionReply(_));
         if heard.may_answer_broadcast() {
-            self.late_replies_say_nothing();
+            self.note_late_replies_say_nothing();
         }
         match self.take_late(is_motion, &packet.data, may_be_doubled) {
             None => Meaning::Unasked {
@@ -154,7 +154,7 @@ impl Motor {
             // Or it comes from before that, and the next command is what is ignored: nobody knows its bytes any more.
             Some(_) if heard.may_be_ignored_one() => Meaning::Late,
             Some(_) => match AnyReply::decode(packet, config.firmware) {
-                Ok(reply) => self.feedback(reply, Place::of(&reply), None, config, now),
+                Ok(reply) => self.feedback(reply, Position::of(&reply), None, config, now),
                 Err(_) => Meaning::Late,
             },
         }
@@ -164,13 +164,13 @@ impl Motor {
     fn feedback(
         &mut self,
         reply: AnyReply,
-        place: Option<Place>,
+        position: Option<Position>,
         round_trip: Option<Duration>,
         config: &Config,
         now: Instant,
     ) -> Meaning {
-        if let Some(place) = place {
-            self.note_place(place, config, now);
+        if let Some(position) = position {
+            self.note_position(position, config, now);
         }
         self.latest = Some((reply, now));
         Meaning::Feedback(reply, round_trip)
@@ -187,7 +187,7 @@ impl Motor {
         let Ok(reply) = AnyReply::decode(packet, config.firmware) else {
             return Meaning::Unasked { is_doubled: false };
         };
-        self.on_its_way.bus_is_alive(now, config);
+        self.on_its_way.note_bus_alive(now, config);
         // An earlier one may be what was ignored, and nobody knows its bytes any more.
         let mut is_one_late = self.prolong_late(set_point.question, config, now);
         let may_be_of_all = heard.may_answer_broadcast();
@@ -207,11 +207,13 @@ impl Motor {
         let round_trip = now - self.sent;
         self.answered(Some(round_trip));
         // Also where nobody has heard why, an echo says nothing of that.
-        let place = Place::of(&reply).filter(|_| !is_echo);
-        let meaning = self.feedback(reply, place, Some(round_trip), config, now);
+        let position = Position::of(&reply).filter(|_| !is_echo);
+        let meaning = self.feedback(reply, position, Some(round_trip), config, now);
         // That to a set-point before is hardly older, and a jump that is missed is worse than one that is none.
-        if let Some(place) = place.filter(|_| !may_be_of_all && round_trip <= HALF_A_TURN_TAKES) {
-            (self.place, self.placed_at) = (Some(place), now);
+        if let Some(position) =
+            position.filter(|_| !may_be_of_all && round_trip <= HALF_A_TURN_TAKES)
+        {
+            (self.position, self.position_at) = (Some(position), now);
         }
         meaning
     }
@@ -219,20 +221,20 @@ impl Motor {
     /// Its answer may be owed to an earlier stop, so that it goes once more: at once, unless the motor was stopped before
     /// and this is called again, or that has happened before. Then it waits until nothing is owed any more: stops
     /// that go on would go on owing.
-    fn is_not_confirmed_by_that(&mut self, stop: Asked, config: &Config) {
+    fn go_on_unconfirmed(&mut self, stop: Asked, config: &Config) {
         if stop.purpose == Purpose::StopCalledAgain || stop.unanswered > STOP_ATTEMPTS / 2 {
-            self.waits_to_go_once_more(stop, Round::WaitsForOwed, config);
+            self.waits_to_go_once_more(stop, Proof::WaitsForOwed, config);
         } else {
             self.request = Request::Waiting(stop);
         }
     }
 
     /// What ends its motion goes once more, when nobody can take an answer of before for that to the last.
-    fn waits_to_go_once_more(&mut self, mut asked: Asked, round: Round, config: &Config) {
+    fn waits_to_go_once_more(&mut self, mut asked: Asked, proof: Proof, config: &Config) {
         let until = self.sent + asked.timeout + config.late_window;
         let (of, replies) = (asked.of_others(), core::mem::take(&mut asked.unanswered));
         self.expect_late(asked.question, of, replies, until, config);
-        asked.round = round;
+        asked.proof = proof;
         self.request = Request::Waiting(asked);
     }
 
@@ -262,23 +264,23 @@ impl Motor {
             self.answered(round_trip);
         } else {
             // That counted as lost, or was to all.
-            self.is_there();
+            self.note_there();
         }
         let kind = asked.kind();
         if kind.ends_motion() {
             let may_undo = heard.to_all.may_undo(kind, motor);
             let may_lie = heard.to_all.has_moved_since(motor) || self.may_lie_in_mailbox(config);
             // The bus is whole, at last: what lies in a mailbox comes now.
-            if asked.round == Round::First && may_lie && !may_undo {
+            if asked.proof == Proof::First && may_lie && !may_undo {
                 self.may_move_until(now + config.late_window, config);
             }
             if may_undo || self.may_yet_move() {
                 // Nothing that moves it goes between the attempts of what ends its motion.
-                self.on_its_way.bus_is_alive(now, config);
-                self.waits_to_go_once_more(asked, Round::Waits, config);
+                self.on_its_way.note_bus_alive(now, config);
+                self.waits_to_go_once_more(asked, Proof::Waits, config);
                 return Meaning::OnceMore;
             }
-            self.has_ended_motion(kind);
+            self.note_motion_ended(kind);
         }
         self.finish_request(Request::None, config, now);
         if asked.is_stop() {
@@ -287,7 +289,7 @@ impl Motor {
         if let (Kind::Known(Opcode::ReadRunTime), Ok(reply)) =
             (kind, ReadRunTime::decode_reply(&data))
         {
-            self.has_run_for(reply, config, now);
+            self.note_run_time(reply, config, now);
         }
         let ticket = TicketId { motor, number: self.ticket };
         Meaning::Answer(ticket, kind, round_trip)

@@ -24,13 +24,13 @@ const STEP_TAKES: Duration = Duration::from_micros(2);
 
 /// Where the motor is, as feedback says.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::master) enum Place {
+pub(in crate::master) enum Position {
     Degrees(i16),
     /// In steps of the scale of motion mode.
     OfScale(u16),
 }
 
-impl Place {
+impl Position {
     pub(in crate::master) fn of(reply: &AnyReply) -> Option<Self> {
         match reply {
             AnyReply::Motion(raw) => Some(Self::OfScale(raw.position)),
@@ -58,49 +58,59 @@ impl Place {
 impl Motor {
     /// Who was silent for as long as a restart takes gets no more set-points: the first that it heard would move it
     /// from wherever it thinks it is.
-    pub(super) fn was_silent(&mut self, config: &Config, now: Instant) {
+    pub(super) fn note_silence(&mut self, config: &Config, now: Instant) {
         let is_silent = self.health.last_seen().is_some_and(|seen| now - seen >= RESTART_TAKES);
         if is_silent && !self.has_restarted {
-            self.has_begun_anew(config, now);
+            self.begin_anew(config, now);
         }
     }
 
     /// It is heard again after so long.
     #[inline]
-    pub(super) fn is_back_after(&mut self, silence: Duration, config: &Config, now: Instant) {
+    pub(super) fn note_back_after(&mut self, silence: Duration, config: &Config, now: Instant) {
         if self.was_missed() && silence >= RESTART_TAKES {
-            self.has_begun_anew(config, now);
+            self.begin_anew(config, now);
         }
     }
 
     /// It has said how long it has run.
-    pub(in crate::master) fn has_run_for(&mut self, runs: RunTime, config: &Config, now: Instant) {
+    pub(in crate::master) fn note_run_time(
+        &mut self,
+        runs: RunTime,
+        config: &Config,
+        now: Instant,
+    ) {
         let before_ms = core::mem::replace(&mut self.run_time_ms, runs.run_time.raw());
         let before = RunTime { run_time: Milliseconds::from_raw(before_ms) };
         if runs.shows_restart_since(before) {
-            self.has_begun_anew(config, now);
+            self.begin_anew(config, now);
         }
     }
 
     /// Feedback of its stream says where it is: further from where it was than it can have turned since.
     #[inline(never)]
-    pub(in crate::master) fn note_place(&mut self, place: Place, config: &Config, now: Instant) {
-        let shortest = self.place.and_then(|before| before.shortest_way_to(place));
-        if shortest.is_some_and(|shortest| shortest > now - self.placed_at) {
-            self.has_begun_anew(config, now);
+    pub(in crate::master) fn note_position(
+        &mut self,
+        position: Position,
+        config: &Config,
+        now: Instant,
+    ) {
+        let shortest = self.position.and_then(|before| before.shortest_way_to(position));
+        if shortest.is_some_and(|shortest| shortest > now - self.position_at) {
+            self.begin_anew(config, now);
         }
     }
 
     /// It has restarted, or may have: nothing moves it until the caller knows.
     #[inline(never)]
-    pub(in crate::master) fn has_begun_anew(&mut self, config: &Config, now: Instant) {
+    pub(in crate::master) fn begin_anew(&mut self, config: &Config, now: Instant) {
         self.has_restarted = true;
         self.reports = 0;
         self.run_time_ms = 0;
-        self.place = None;
-        self.last_stop.has_restarted();
+        self.position = None;
+        self.last_stop.end_by_restart();
         self.news.insert(News::RESTARTED);
         self.drop_what_moves(Failure::Dropped, config, now);
-        self.is_sent_no_more();
+        self.send_no_more();
     }
 }

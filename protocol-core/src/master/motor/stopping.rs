@@ -2,16 +2,16 @@
 //!
 //! # The way of a stop
 //! 1. It is put in the place of whatever waits ([`put_stop`](Motor::put_stop)), unless one like it is under way
-//!    ([`is_stopping_already`](Motor::is_stopping_already)). Answers to what was sent before are owed from then on.
+//!    ([`keep_stop_under_way`](Motor::keep_stop_under_way)). Answers to what was sent before are owed from then on.
 //! 2. It goes ([`schedule`](crate::master::schedule)): first stops before any other. One that is called for again
 //!    leaves every second turn on a line to others, and waits on CAN for whom was sent no more.
 //! 3. An answer comes ([`replies`](crate::master::motor::replies)).
 //!    - It may be owed to what was sent before: the stop goes again, at once or, if stops go on and on, when nothing is
-//!      owed any more ([`WaitsForOwed`](crate::master::request::Round::WaitsForOwed)).
+//!      owed any more ([`WaitsForOwed`](crate::master::request::Proof::WaitsForOwed)).
 //!    - It is the stop's, but something sent before may still move the motor: when that is over the stop goes once more,
-//!      and the answer to that counts ([`Waits`](crate::master::request::Round::Waits),
-//!      [`Second`](crate::master::request::Round::Second)).
-//!    - Else the motor has confirmed it ([`has_ended_motion`](Motor::has_ended_motion)).
+//!      and the answer to that counts ([`Waits`](crate::master::request::Proof::Waits),
+//!      [`Second`](crate::master::request::Proof::Second)).
+//!    - Else the motor has confirmed it ([`note_motion_ended`](Motor::note_motion_ended)).
 //! 4. None comes in time: it goes again ([`deadlines`](crate::master::motor::deadlines)) until it has no attempts left.
 //!    Then it was given up ([`stop_was_given_up`](Motor::stop_was_given_up)), which is reported, and goes once more from
 //!    time to time, and when the motor is heard, for as long as it is in force ([`Purpose::StopAgain`]).
@@ -48,7 +48,7 @@ pub(in crate::master) enum LastStop {
 
 impl LastStop {
     /// The motor has restarted: it is held no more.
-    pub(super) fn has_restarted(&mut self) {
+    pub(super) fn end_by_restart(&mut self) {
         if let Self::Confirmed(_) = self {
             *self = Self::None;
         }
@@ -67,7 +67,7 @@ impl LastStop {
 impl Motor {
     /// Whether a stop like this is under way already, so that it stays. One that goes but once has all its attempts
     /// from here.
-    pub(in crate::master) fn is_stopping_already(&mut self, stop: &Asked) -> bool {
+    pub(in crate::master) fn keep_stop_under_way(&mut self, stop: &Asked) -> bool {
         let is_same = |asked: &&mut Asked| asked.is_stop() && asked.question == stop.question;
         let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
         if asked.purpose == Purpose::StopAgain {
@@ -155,7 +155,7 @@ impl Motor {
 
     /// It was told this, by itself or with all. If that stops it, a stop that it has not confirmed goes on like that: a
     /// hold would switch on whom somebody has switched off since.
-    pub(in crate::master) fn is_told(&mut self, kind: Kind) {
+    pub(in crate::master) fn note_told(&mut self, kind: Kind) {
         let Some(told) = StopKind::by(kind) else { return };
         match &mut self.last_stop {
             LastStop::Confirmed(kind) if *kind != told => self.last_stop = LastStop::None,
@@ -178,8 +178,8 @@ impl Motor {
     }
 
     /// It has answered this, which ends its motion.
-    pub(in crate::master) fn has_ended_motion(&mut self, by: Kind) {
-        self.on_its_way.has_ended();
+    pub(in crate::master) fn note_motion_ended(&mut self, by: Kind) {
+        self.on_its_way.finish();
         // A drive that has no brake acknowledges its lock, too, and turns on.
         if let Some(stop) = StopKind::by(by) {
             self.last_stop = LastStop::Confirmed(stop);
@@ -233,7 +233,7 @@ impl Motor {
     /// The stop that tells it this, if that is under way. One that goes once more is confirmed by its own answer alone.
     fn own_stop(&mut self, told: Question) -> Option<&mut Asked> {
         let stop = self.request.under_way_mut()?;
-        (stop.is_stop() && stop.question == told && !stop.round.waits()).then_some(stop)
+        (stop.is_stop() && stop.question == told && !stop.proof.waits()).then_some(stop)
     }
 
     /// All are told to end their motion: nothing older of this motor's follows that.
@@ -251,6 +251,6 @@ impl Motor {
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);
-        self.is_sent_no_more();
+        self.send_no_more();
     }
 }
