@@ -8,12 +8,12 @@ use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::motor::is_before;
 use crate::master::on_its_way::OnItsWay;
-use crate::master::{Config, Event, Master, MotorSet, StopKind};
+use crate::master::{Config, Event, Master, MotorSet, NEVER, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
 
-/// One that could not go for so long is dropped: it would keep requests back.
+/// One that could not go for so long is dropped, for it keeps requests back, unless it ends motion.
 const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,7 +39,7 @@ pub(super) struct Broadcast {
     data: Data,
     /// That of the newest request when it was put.
     last_ticket: u32,
-    /// Since when it waits, if it does.
+    /// Since when it waits; [`NEVER`] until somebody looks at the time.
     waits_since: Instant,
     /// Who is expected to answer it and has not.
     silent: MotorSet,
@@ -126,14 +126,8 @@ fn all_if(is_so: bool) -> MotorSet {
 
 impl Broadcast {
     /// It waits to be sent. `last_ticket` is that of the newest request.
-    pub(super) fn put(
-        &mut self,
-        (kind, data): (Kind, Data),
-        expected: MotorSet,
-        last_ticket: u32,
-        now: Instant,
-    ) {
-        (self.last_ticket, self.waits_since) = (last_ticket, now);
+    pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, last_ticket: u32) {
+        (self.last_ticket, self.waits_since) = (last_ticket, NEVER);
         (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
         self.kind = Some(kind);
         self.data = data;
@@ -277,6 +271,7 @@ impl Broadcast {
 
     /// Takes note of the time; see [`OnItsWay::age`].
     fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
+        self.waits_since = self.waits_since.min(now);
         if !self.on_its_way.is_any() {
             return;
         }
@@ -357,8 +352,8 @@ impl Broadcast {
     pub(super) fn deadline(&self, config: &Config) -> Option<Instant> {
         match self.state {
             State::InFlight => Some(self.sent + config.reply_timeout),
-            State::Waiting | State::Again => Some(self.waits_since + LONGEST_WAIT),
-            State::None | State::Sent | State::Done | State::Dropped => None,
+            State::Waiting if !self.waits_to_end_motion() => Some(self.waits_since + LONGEST_WAIT),
+            _ => None,
         }
     }
 
@@ -368,8 +363,8 @@ impl Broadcast {
     }
 
     /// A controller has handed it back: it was never on the bus, and moves nobody. Gives of whom it counted as lost.
-    pub(super) fn was_pushed_out(&mut self, now: Instant) -> MotorSet {
-        self.waits_since = now;
+    pub(super) fn was_pushed_out(&mut self) -> MotorSet {
+        self.waits_since = NEVER;
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last = MayUndo::default();
@@ -407,8 +402,8 @@ impl Broadcast {
 impl<const N: usize> Master<N> {
     /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all have come or
     /// the time is up. It is sent when no request is in flight, and requests wait until it is over, but for those that
-    /// were asked before it, or end motion, while it waits. If it cannot go for two seconds it is dropped, which is
-    /// reported. The next broadcast waits until all motors that have a place
+    /// were asked before it, or end motion, while it waits. One that does not end motion and cannot go for two
+    /// seconds is dropped, which is reported. The next broadcast waits until all motors that have a place
     /// have answered this one, or its answers cannot come any more.
     ///
     /// On CAN it reaches motors whose id filter (function 2) is off. On RS485 the answers of several motors are likely
@@ -456,8 +451,10 @@ impl<const N: usize> Master<N> {
         if kind.may_move() {
             self.give_places(expected)?;
         }
-        self.broadcast.put((kind, data), expected, self.last_ticket, now);
-        self.for_all = self.for_all.put_anew();
+        self.broadcast.put(kind, data, expected, self.last_ticket);
+        if self.stop_to_all.is_none() {
+            self.for_all = self.for_all.put_anew();
+        }
         if kind.ends_motion() {
             // What was offered may be a set-point that this ends.
             self.offer = None;

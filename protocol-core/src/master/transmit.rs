@@ -174,7 +174,9 @@ impl<const N: usize> Master<N> {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
                             motor.note_sent(kind, &data, config, now);
-                            motor.last_sent.remove(LastSent::BEFORE_IT_LOST_MASTER);
+                            motor
+                                .last_sent
+                                .remove(LastSent::BEFORE_IT_LOST_MASTER | LastSent::IS_STOP);
                         });
                     }
                 }
@@ -237,7 +239,7 @@ impl<const N: usize> Master<N> {
                 let is_newest = is_broadcast && self.broadcast.is_active();
                 let is_stop_to_all = !is_newest && self.stop_to_all_was_pushed_out(packet);
                 if !is_stop_to_all && is_broadcast {
-                    for motor in self.broadcast.was_pushed_out(self.now).iter() {
+                    for motor in self.broadcast.was_pushed_out().iter() {
                         self.change(motor, |motor, _| motor.health.uncount_miss());
                     }
                     self.end_motion_of_all();

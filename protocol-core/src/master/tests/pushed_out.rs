@@ -318,3 +318,19 @@ fn a_new_command_to_all_holds_nobody_back_for_one_of_before() {
         [packet_to_all(ReadModel.encode()), packet_to(2, ReadMultiTurnAngle.encode())]
     );
 }
+
+#[test]
+fn a_stop_to_all_that_was_handed_back_keeps_its_claim_though_another_command_to_all_is_put() {
+    let mut master = Master::<1>::new(Config::CAN);
+    let both: MotorSet = [id(1), id(2)].into();
+    assert!(master.stop_all(StopKind::Off, both).is_err(), "there is one place");
+    let to_all = packet_to_all(Shutdown.encode());
+    assert_eq!(sent(&mut master, ms(0))[0], to_all);
+    reply(&mut master, 1, Shutdown.encode(), ms(1));
+    master.handle_pushed_out(&to_all);
+    master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
+    let _read = master.request(id(1), ReadModel).unwrap();
+    let packets = sent(&mut master, ms(1) + Duration::from_micros(10));
+    assert_eq!(packets[0], to_all);
+    assert!(!packets.contains(&packet_to(1, ReadModel.encode())), "it may push that out again");
+}

@@ -645,8 +645,8 @@ fn a_broadcast_that_cannot_go_for_two_seconds_is_dropped_and_lets_requests_go() 
             dropped = Some(now);
         }
     }
-    assert_eq!(dropped, Some(2_004));
-    assert!(asked.is_some_and(|at| (2_004..2_030).contains(&at)), "{asked:?}");
+    assert_eq!(dropped, Some(2_005));
+    assert!(asked.is_some_and(|at| (2_005..2_030).contains(&at)), "{asked:?}");
 }
 
 #[test]
@@ -654,9 +654,38 @@ fn who_sleeps_until_something_is_due_wakes_for_a_broadcast_that_cannot_go() {
     let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
     let _long = master.request_with(id(1), ReadModel, once(10_000)).unwrap();
     assert_eq!(sent(&mut master, ms(0)).len(), 1);
-    master.handle_timeout(ms(10));
     master.broadcast(ReadStatus1, MotorSet::EMPTY).unwrap();
+    master.handle_timeout(ms(10));
     assert_eq!(master.poll_at(), Some(ms(2_010)));
     let done = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: false };
     assert_eq!(events(&mut master, ms(2_010)), [done]);
+}
+
+/// The program did something else for three seconds, or has just begun on a clock that runs.
+#[test]
+fn a_broadcast_goes_though_nobody_has_told_the_time_for_long() {
+    let mut master = Master::<2>::new(Config::CAN);
+    for now in [5_000, 8_000] {
+        master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
+        assert_eq!(sent(&mut master, ms(now)), [packet_to_all(ReadModel.encode())]);
+        events(&mut master, ms(now));
+    }
+}
+
+/// The Shutdown waits for two seconds, until the drive has restarted.
+#[test]
+fn what_is_to_end_the_motion_of_all_is_dropped_for_no_wait() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _reset = ask(&mut master, 1, Reset, ms(0));
+    events(&mut master, ms(0));
+    let _off = master.request(id(1), Shutdown).unwrap();
+    master.broadcast(Stop, MotorSet::EMPTY).unwrap();
+    let went = (1..2_100).find(|&now| {
+        let packets = sent(&mut master, ms(now));
+        if packets.contains(&packet_to(1, Shutdown.encode())) {
+            reply(&mut master, 1, Shutdown.encode(), ms(now) + Duration::from_micros(900));
+        }
+        packets.contains(&packet_to_all(Stop.encode()))
+    });
+    assert!(went.is_some_and(|now| now > 2_000), "{went:?}");
 }
