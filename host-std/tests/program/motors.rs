@@ -211,9 +211,12 @@ fn a_command_to_all_is_answered_by_each() {
 #[test]
 fn stop_and_shutdown_reach_one_or_all() {
     let others = "; no other id has confirmed: a motor that is not named here may go on";
-    let all = "motors 1 2 3 4 are stopped and hold still (0x81)";
+    let by_brakes =
+        "are stopped and run nothing (mode 0): their brakes, which they say are locked, hold them";
+    let all = format!("motors 1 2 3 4 {by_brakes}");
     assert_eq!(done("stop"), [format!("{all}{others}")]);
-    assert_eq!(done("stop --id 2"), ["motor 2 is stopped and holds still (0x81)"]);
+    let by_brake = "motor 2 is stopped and runs nothing (mode 0): its brake, which it says is locked, holds it";
+    assert_eq!(done("stop --id 2"), [by_brake]);
     let off = "are off (0x80): their shafts are free unless brakes hold them";
     assert_eq!(
         done("shutdown --id all --bus sim:3,rs485"),
@@ -369,8 +372,8 @@ fn the_environment_names_a_bus_and_the_command_line_another() {
     let with = |bus: &str, arguments: &[&str]| {
         myactuator().env("MYACTUATOR_BUS", bus).args(arguments).output().unwrap()
     };
-    let stopped = "motors 1 2 are stopped and hold still (0x81); no other id has confirmed: a motor that is not named \
-                   here may go on\n";
+    let stopped = "motors 1 2 are stopped and run nothing (mode 0): their brakes, which they say are locked, hold them; no \
+                   other id has confirmed: a motor that is not named here may go on\n";
     assert_eq!(text(&with("sim:2", &["stop"]).stdout), stopped);
     assert_eq!(text(&with("sim:3", &["stop", "--bus", "sim:2"]).stdout), stopped);
     assert_eq!(with("", &["stop"]).status.code(), Some(2));

@@ -8,7 +8,7 @@ use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::motor::is_before;
 use crate::master::on_its_way::OnItsWay;
-use crate::master::{Config, Event, Master, MotorSet, NEVER, StopKind};
+use crate::master::{Config, Event, Master, MotorSet, NEVER, Offer, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
@@ -482,7 +482,11 @@ impl<const N: usize> Master<N> {
             return;
         }
         if self.broadcast.is_waiting() {
-            return self.broadcast.cancel();
+            // What was offered may be leaving.
+            if self.offer != Some(Offer::Broadcast) {
+                self.broadcast.cancel();
+            }
+            return;
         }
         self.broadcast.state = State::Done;
         self.broadcast.lost = self.broadcast.silent;

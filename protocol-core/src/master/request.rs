@@ -285,7 +285,6 @@ impl<const N: usize> Master<N> {
     /// [loops](crate::io) withdraws what it asked when it is left.
     pub fn withdraw(&mut self, TicketId { motor, number }: TicketId) {
         let now = self.now;
-        self.offer = None;
         self.change(motor, |motor, config| match &mut motor.request {
             _ if motor.ticket != number => {}
             Request::Waiting(asked) | Request::InFlight(asked) | Request::Sent(asked)

@@ -136,8 +136,8 @@ impl<const N: usize> Master<N> {
     /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its
     /// last byte has left.
     ///
-    /// Nothing may be asked of the master between the two: a call that puts, withdraws or stops something takes the
-    /// offer back, so that a frame which was taken all the same would count as never sent, and be sent again.
+    /// Nothing may be asked of the master between the two: a call that puts or stops something takes the offer
+    /// back, so that a frame which was taken all the same would count as never sent, and be sent again.
     pub fn handle_transmitted(&mut self, now: Instant) {
         self.now = now;
         let Some(offer) = self.offer.take() else { return };

@@ -2,16 +2,22 @@
 
 use clap::ValueEnum;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{BrakeCommand, LockBrake, ReadStatus1};
+use myactuator_protocol_core::command::{BrakeCommand, LockBrake, ReadStatus1, ReadStatus2};
+use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
+use myactuator_protocol_core::time::Duration;
 
+use super::moving::LONGEST_WAIT;
 use super::session::{OneMotor, Session, say};
 use crate::cli::{Outcome, Unfinished, report};
+
+/// In so long a load turns a shaft that its brake does not hold.
+const BRAKE_SHOWS: Duration = Duration::from_millis(200);
 
 /// Release or lock a motor's brake
 ///
 /// A turning motor's brake is not locked: stop the motor first. Exit status: 0 if the motor has
-/// acknowledged the command, and after a lock says that the brake was told so, 1 if not, 2 for wrong usage.
+/// acknowledged the command, and after a lock says that the brake was told so and stands, 1 if not, 2 for wrong usage.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
     /// What to do with it.
@@ -49,11 +55,15 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             session.standing(motor)?;
             session.ask(motor, LockBrake)?;
             match session.ask(motor, ReadStatus1)?.brake {
-                BrakeCommand::LOCK => say(&format!("motor {motor}: brake locked")),
-                other => Err(Unfinished::Failed(format!(
-                    "motor {motor}: the brake was told to lock and says {other}"
-                ))),
+                BrakeCommand::LOCK => {}
+                other => {
+                    return Err(Unfinished::Failed(format!(
+                        "motor {motor}: the brake was told to lock and says {other}"
+                    )));
+                }
             }
+            session.brake_holds(motor)?;
+            say(&format!("motor {motor}: brake locked"))
         }
     }
 }
@@ -74,8 +84,31 @@ impl Session {
                 );
                 Ok(false)
             }
+            Err(BringUpError::Call(error)) => Err(match self.failed(error) {
+                Unfinished::Failed(told) => {
+                    Unfinished::Failed(format!("{told}; its brake may be open all the same"))
+                }
+                other => other,
+            }),
             Err(error) => Err(error.into()),
         }
+    }
+
+    /// Sees that the shaft stands behind a brake that was told to lock: nothing else says that it does.
+    pub(super) fn brake_holds(&mut self, motor: MotorId) -> Outcome {
+        let has_closed = self.master.now() + BRAKE_SHOWS;
+        while self.master.now() < has_closed {
+            // A short communication-loss protection does not let a load go meanwhile.
+            self.ask(motor, ReadStatus2)?;
+            self.wait_until((self.master.now() + LONGEST_WAIT).min(has_closed))?;
+        }
+        let speed = self.ask(motor, ReadStatus2)?.speed;
+        if bring_up::turns(speed) {
+            return Err(Unfinished::Failed(format!(
+                "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
+            )));
+        }
+        Ok(())
     }
 }
 

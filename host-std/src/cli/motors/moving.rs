@@ -14,8 +14,9 @@ use crate::cli::{Outcome, Unfinished, printer, report, unwritten};
 
 /// How long a motor may take to come to rest.
 const LONGEST_BRAKING: Duration = Duration::from_secs(3);
-/// A motor stands that has not turned for so long: one that swings stands for a moment, too.
-const STANDS_AFTER: Duration = Duration::from_millis(100);
+/// A motor stands that has not turned for so long, and one that was seen to turn after the second: an arm that swings
+/// stands for a moment, too.
+const STANDS_AFTER: [Duration; 2] = [Duration::from_millis(100), Duration::from_millis(500)];
 /// How long to listen whether something else moves a motor that was stopped: who commands it, does so more often.
 const LISTENING: Duration = Duration::from_millis(250);
 /// For how long a bus that carries nothing is tried again.
@@ -41,9 +42,29 @@ speaks to the motor any more, and when that time is up its output is off and its
 /// What is true of a motor that was switched off.
 const OFF: &str = "is off (0x80): its shaft is free unless a brake holds it";
 
+/// What is true of one that runs nothing though it was told to hold.
+const RUNS_NOTHING: &str =
+    "has confirmed the stop (0x81) but runs nothing (mode 0): its shaft is free";
+
 /// What is true of one that was, elsewhere, and then told to hold still.
 const ON_AGAIN: &str =
     "was switched off and on again by something else on this bus: how it stands is not known";
+
+/// How motors are that were told to hold.
+#[derive(Default)]
+struct Looks {
+    /// With what is true of them: nobody may rely on these.
+    failing: Vec<(MotorId, String)>,
+    /// They have no error, and run nothing (mode 0).
+    idle: MotorSet,
+    /// They have no error, and their brakes were told to lock last.
+    locked: MotorSet,
+}
+
+/// The motors of which something is told.
+fn of(told: &[(MotorId, String)]) -> MotorSet {
+    told.iter().map(|(motor, _)| *motor).collect()
+}
 
 impl Session {
     /// Does `work`, which moves these motors. If it fails or panics, or Ctrl-C, Ctrl-\\, Ctrl-Z, a hang-up or
@@ -161,21 +182,29 @@ impl Session {
         motors.iter().filter(|motor| self.master.is_off(*motor)).collect()
     }
 
-    /// How motors are that have confirmed the stop: they hold still, or were switched off.
+    /// How motors are that have confirmed the stop: they hold still, are held by their brakes, or were switched off.
     ///
     /// # Errors
     /// The same, if one of them holds nothing, does not tell, or does not come to rest: nobody may rely on it.
     pub(super) fn stopped(&mut self, motors: MotorSet) -> Outcome<String> {
         let was_off = self.off(motors);
-        let of = |told: &[(MotorId, String)]| told.iter().map(|(motor, _)| *motor).collect();
-        let mut failing = self.that_hold_nothing(motors.without(was_off));
-        let resting = motors.without(was_off).without(of(&failing));
-        failing.extend(self.restless(resting));
-        // That takes its time, in which something else may do more to them.
+        let on = motors.without(was_off);
+        // By now they have heard this program for a while: who has lost its master runs what it only confirmed before.
+        let Looks { mut failing, idle, .. } = self.look_at_held(on);
+        if !idle.is_empty() {
+            self.confirm_stop(StopKind::Hold, idle)?;
+        }
+        failing.extend(self.restless(on.without(of(&failing))));
+        // That takes its time, in which more may happen to them.
+        let Looks { failing: since, idle, locked } = self.look_at_held(on.without(of(&failing)));
+        failing.extend(since);
         let off = self.off(motors);
+        let free = idle.without(locked).without(off);
+        failing.extend(free.iter().map(|motor| (motor, RUNS_NOTHING.to_owned())));
         failing.extend(was_off.without(off).iter().map(|motor| (motor, ON_AGAIN.to_owned())));
         let off = off.without(of(&failing));
-        let holding = motors.without(off).without(of(&failing));
+        let locked = idle.without(free).without(off);
+        let holding = motors.without(off).without(locked).without(of(&failing));
         let all_well = failing.is_empty();
         let mut others: Vec<_> = off.iter().map(|motor| (motor, OFF.to_owned())).collect();
         others.extend(failing);
@@ -184,22 +213,21 @@ impl Session {
         self.is_left_alone(motors, self.moved_on(motors))?;
         let others = others.into_iter().map(|(motor, told)| format!("motor {motor} {told}"));
         let holding = (!holding.is_empty()).then(|| hold_still(holding));
-        let told = holding.into_iter().chain(others).collect::<Vec<_>>().join("; ");
+        let braked = (!locked.is_empty()).then(|| braked(locked));
+        let told = holding.into_iter().chain(braked).chain(others).collect::<Vec<_>>().join("; ");
         if all_well { Ok(told) } else { Err(Unfinished::Failed(told)) }
     }
 
-    /// Those that have confirmed the stop (0x81) and do not hold still by it, or do not tell, with what is true of
-    /// them.
-    fn that_hold_nothing(&mut self, motors: MotorSet) -> Vec<(MotorId, String)> {
-        let mut holding_nothing = Vec::new();
+    /// A look at motors that have confirmed the stop (0x81): whether they run it.
+    fn look_at_held(&mut self, motors: MotorSet) -> Looks {
+        let mut looks = Looks::default();
         let mut without_errors = MotorSet::EMPTY;
-        let mut locked = MotorSet::EMPTY;
         for (motor, status) in self.ask_each(motors, ReadStatus1, None).outcomes {
             let told = match status {
                 Ok(status) if status.errors.is_empty() => {
                     without_errors.insert(motor);
                     if status.brake == BrakeCommand::LOCK {
-                        locked.insert(motor);
+                        looks.locked.insert(motor);
                     }
                     continue;
                 }
@@ -212,24 +240,14 @@ impl Session {
                            errors"
                     .to_owned(),
             };
-            holding_nothing.push((motor, told));
+            looks.failing.push((motor, told));
         }
-        // A drive that has lost its master confirms 0x81 and does not run it until it hears it steadily (2.31.1).
         for (motor, reply) in self.ask_each(without_errors, ReadRunningMode, None).outcomes {
             if reply.is_ok_and(|reply| reply.mode.raw() == 0) {
-                // What it says of its brake is what that was told last, also where it has none.
-                let shaft = match locked.contains(motor) {
-                    true => "nothing but a locked brake holds its shaft",
-                    false => "its shaft is free",
-                };
-                let told = format!(
-                    "has confirmed the stop (0x81) but runs nothing (mode 0), as a drive does that has heard \
-                     nothing for too long ('myactuator timeout'): {shaft}"
-                );
-                holding_nothing.push((motor, told));
+                looks.idle.insert(motor);
             }
         }
-        holding_nothing
+        looks
     }
 
     /// Waits until a motor that slows down stands.
@@ -258,7 +276,10 @@ impl Session {
                 let told = match reply.map(|reply| reply.speed) {
                     Ok(speed) if !bring_up::turns(speed) => {
                         let since = *stands_since.get_or_insert(now);
-                        if now - since < STANDS_AFTER && !self.is_not_to_wait() {
+                        let has_turned = *slowest < u16::MAX;
+                        if now - since < STANDS_AFTER[usize::from(has_turned)]
+                            && !self.is_not_to_wait()
+                        {
                             continue;
                         }
                         None
@@ -350,6 +371,17 @@ fn hold_still(motors: MotorSet) -> String {
     let are = match motors.len() {
         1 => "is stopped and holds still (0x81)",
         _ => "are stopped and hold still (0x81)",
+    };
+    format!("{} {are}", named(motors))
+}
+
+/// That these motors are stopped, and run nothing behind their brakes.
+fn braked(motors: MotorSet) -> String {
+    let are = match motors.len() {
+        1 => "is stopped and runs nothing (mode 0): its brake, which it says is locked, holds it",
+        _ => {
+            "are stopped and run nothing (mode 0): their brakes, which they say are locked, hold them"
+        }
     };
     format!("{} {are}", named(motors))
 }
@@ -452,29 +484,23 @@ mod tests {
     }
 
     #[test]
-    fn a_motor_that_has_lost_its_master_is_not_said_to_hold_still() {
+    fn a_motor_that_has_lost_its_master_is_told_to_hold_until_it_does() {
         let motor = MotorId::MIN;
         let (fleet, mut session) = protected_after(100);
         let later = session.master.now() + Duration::from_millis(200);
         session.wait_until(later).unwrap();
-        let told = |session: &mut Session| {
-            session.stop(StopKind::Hold, motor.into()).unwrap();
-            let is_on = fleet.drives[0].with(|drive| drive.state().output_on);
-            (session.stopped(motor.into()), is_on)
-        };
-        let (Err(Unfinished::Failed(sentence)), is_on) = told(&mut session) else {
-            panic!("nothing holds it")
-        };
-        assert!(sentence.contains("runs nothing (mode 0)"), "{sentence}");
-        assert!(!is_on, "{sentence}");
+        session.stop(StopKind::Hold, motor.into()).unwrap();
+        let is_on = || fleet.drives[0].with(|drive| drive.state().output_on);
+        assert!(!is_on(), "it has ignored that");
         // It hears it steadily now.
         let holds = "motor 1 is stopped and holds still (0x81)".to_owned();
-        assert_eq!(told(&mut session), (Ok(holds), true));
+        assert_eq!(session.stopped(motor.into()), Ok(holds));
+        assert!(is_on());
     }
 
     /// It says that its brake is locked whenever it obeys no motion command, and has none.
     #[test]
-    fn nor_is_one_that_says_its_brake_is_locked() {
+    fn so_is_one_that_says_its_brake_is_locked() {
         let quirks = Quirks { brake_told_by_motion: true, ..Quirks::default() };
         let fleet = Fleet::new(1).quirks(quirks).on_can(1_000_000).unwrap();
         let mut session = Session::on(&fleet);
@@ -483,10 +509,35 @@ mod tests {
         let later = session.master.now() + Duration::from_millis(200);
         session.wait_until(later).unwrap();
         session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
-        assert!(!fleet.drives[0].with(|drive| drive.state().output_on));
+        let holds = "motor 1 is stopped and holds still (0x81)".to_owned();
+        assert_eq!(session.stopped(MotorId::MIN.into()), Ok(holds));
+        assert!(fleet.drives[0].with(|drive| drive.state().output_on));
+    }
+
+    #[test]
+    fn a_motor_that_its_locked_brake_holds_is_stopped_and_not_said_to_hold_by_itself() {
+        let fleet = Fleet::new(1).brakes(true).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
+        let told = session.stopped(MotorId::MIN.into()).unwrap();
+        assert_eq!(told, braked(MotorId::MIN.into()));
+        // Unless the shaft turns all the same.
+        fleet.drives[0].with(|drive| drive.plant_mut().lead(0.0, 200.0)).unwrap();
         let outcome = session.stopped(MotorId::MIN.into());
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
-        assert!(told.contains("nothing but a locked brake holds its shaft"), "{told}");
+        assert!(told.contains("turns at 200"), "{told}");
+    }
+
+    #[test]
+    fn an_error_is_told_that_comes_while_a_motor_is_waited_for_to_stand() {
+        let fault = "stall@1+300ms".parse().unwrap();
+        let fleet = Fleet::new(1).faults([fault]).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        session.stop(StopKind::Hold, MotorId::MIN.into()).unwrap();
+        assert!(session.ready(MotorId::MIN).is_ok(), "it has not come yet");
+        let outcome = session.stopped(MotorId::MIN.into());
+        let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
+        assert!(told.contains("motor stalled"), "{told}");
     }
 
     #[test]

@@ -108,6 +108,14 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.come_to_rest(motor)?;
     session.moving(motor, |session| session.ask(motor, LockBrake))?;
     session.stop(StopKind::Off, motor.into())?;
+    if let Err(why) = session.brake_holds(motor) {
+        // The motor held it, so it is to hold it again.
+        session.master.off = session.master.off.without(motor.into());
+        session.master.master().lift_stop_of(motor);
+        let held = session.stop(StopKind::Hold, motor.into());
+        let held = held.and_then(|()| session.stopped(motor.into()));
+        return Err(told_with_stop(why, held));
+    }
     Ok(format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)"))
 }
 

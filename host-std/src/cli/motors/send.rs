@@ -82,9 +82,9 @@ fn needs_consent(kind: Kind) -> bool {
     kind.is_refused_while_stopped() || kind.repeat() == Repeat::ActsAgain || sets_gains(kind)
 }
 
-/// Gains take effect at once.
+/// Gains take effect at once, those in ROM too.
 fn sets_gains(kind: Kind) -> bool {
-    kind == Kind::Known(Opcode::WritePidRam)
+    matches!(kind, Kind::Known(Opcode::WritePidRam | Opcode::WritePidRom))
 }
 
 fn run_on(session: &mut Session, arguments: &Arguments) -> Outcome {
@@ -184,11 +184,16 @@ impl Sending {
                 self.print(session, motor, data)
             }
             Ok(_) => self.print_sent(motor.into()),
-            Err(error) => Err(self.failure(motor, error)),
+            Err(error) => Err(self.failure(session, motor, error)),
         }
     }
 
-    fn failure(&self, motor: MotorId, error: CallError<BusError>) -> Unfinished {
+    fn failure(
+        &self,
+        session: &mut Session,
+        motor: MotorId,
+        error: CallError<BusError>,
+    ) -> Unfinished {
         match (self.kind(), error) {
             (Kind::Raw { byte, .. }, CallError::Failed { failure: Failure::NoReply, .. }) => {
                 Unfinished::Failed(format!(
@@ -205,7 +210,7 @@ impl Sending {
                      keeps before you send it again"
                 ))
             }
-            (_, error) => error.into(),
+            (_, error) => session.failed(error),
         }
     }
 

@@ -234,7 +234,12 @@ impl Session {
     }
 
     pub(super) fn ask<C: Command>(&mut self, motor: MotorId, command: C) -> Outcome<C::Reply> {
-        self.master.ask(motor, command).map_err(|error| match error {
+        self.master.ask(motor, command).map_err(|error| self.failed(error))
+    }
+
+    /// Why a call has no answer, and what that may be due to.
+    pub(super) fn failed(&mut self, error: CallError<BusError>) -> Unfinished {
+        match error {
             CallError::Failed { failure: Failure::NoReply, .. } if self.has_garbled() => {
                 Unfinished::Failed(format!("{error}; {NO_FRAME}"))
             }
@@ -242,7 +247,7 @@ impl Session {
                 Unfinished::Failed(format!("{error}{}", self.echo_told_of()))
             }
             error => error.into(),
-        })
+        }
     }
 
     /// Whether two motors seem to have this id.
@@ -358,7 +363,6 @@ pub(super) fn healthy(motor: MotorId, errors: ErrorFlags) -> Outcome {
 mod tests {
     use myactuator_host_std::port::PortError;
     use myactuator_host_std::sim::Fleet;
-    use myactuator_protocol_core::command::ReleaseBrake;
     use myactuator_protocol_core::io::SerialMaster;
 
     use super::*;
@@ -403,9 +407,10 @@ mod tests {
         let master = SerialMaster::new(world.port(), world.clock(), config);
         let mut session = Session::by(AnyMaster::SimulatedRs485(master));
         session.ask(MotorId::MIN, ReadStatus1).unwrap();
-        let outcome = session.ask(MotorId::MIN, ReleaseBrake);
+        let outcome = session.release_brake(MotorId::MIN);
         let Err(Unfinished::Failed(told)) = outcome else { panic!("{outcome:?}") };
         assert!(told.contains("leave ',echo' away"), "{told}");
+        assert!(told.ends_with("its brake may be open all the same"), "{told}");
     }
 
     #[test]

@@ -30,7 +30,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         _ => format!("Motor {motor} will cut its output when it hears nothing for {time}."),
     })?;
     session.is_not_left_halfway()?;
-    let told = bring_up::protect(&mut session.master, motor, time)?;
+    let told = bring_up::protect(&mut session.master, motor, time)
+        .map_err(|error| session.failed(error))?;
     say(&sentence(motor, time, told))
 }
 

@@ -629,3 +629,23 @@ fn a_first_stop_goes_before_all_second_ones_of_who_is_not_there() {
         assert!(at.is_some_and(|at| at <= 24), "{at:?} of {}", told.len());
     }
 }
+
+/// Motor 1 was stopped, and asked something since that was lifted.
+#[test]
+fn a_stop_of_who_was_asked_something_since_the_last_is_a_first_one() {
+    let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
+    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
+    for motor in [2, 1] {
+        master.stop(id(motor), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, ms(0)), [packet_to(motor, Shutdown.encode())]);
+        master.handle_line(&line(motor, Shutdown.encode()), ms(0)).unwrap();
+        master.busy_until = ms(0);
+    }
+    master.lift_stop();
+    let _read = master.request(id(1), ReadModel).unwrap();
+    assert_eq!(sent(&mut master, ms(10)).len(), 1);
+    master.handle_line(&line(1, *b"\xB5X8S2V10"), ms(11)).unwrap();
+    master.stop(id(2), StopKind::Off).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(20)), [packet_to(1, Shutdown.encode())]);
+}

@@ -689,3 +689,28 @@ fn what_is_to_end_the_motion_of_all_is_dropped_for_no_wait() {
     });
     assert!(went.is_some_and(|now| now > 2_000), "{went:?}");
 }
+
+#[test]
+fn what_is_leaving_for_all_when_its_time_is_up_counts_as_sent() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
+    master.handle_timeout(ms(0));
+    assert!(master.poll_transmit(ms(1_999)).is_some());
+    assert_eq!(events(&mut master, ms(2_000)), []);
+    master.handle_transmitted(ms(2_000));
+    let done = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true };
+    assert_eq!(events(&mut master, ms(2_000)), [done]);
+}
+
+#[test]
+fn a_command_to_all_waits_for_a_late_answer_of_its_kind_beside_a_stream_of_another() {
+    let mut master = Master::<2>::new(Config::CAN);
+    let _lost = master.request_with(id(1), torque(1.0), once(5)).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    assert_eq!(events(&mut master, ms(6)).len(), 1);
+    let go = AbsolutePosition { max_speed: MaxSpeed::from_raw(1), angle: Angle::from_raw(0) };
+    master.set_point(id(1), go, ms(7)).unwrap();
+    master.broadcast(torque(0.0), MotorSet::EMPTY).unwrap();
+    let packets = sent(&mut master, ms(7));
+    assert_eq!(packets, [packet_to(1, go.encode())]);
+}
