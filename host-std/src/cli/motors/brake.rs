@@ -96,17 +96,15 @@ impl Session {
 
     /// Sees that the shaft stands behind a brake that was told to lock: nothing else says that it does.
     pub(super) fn brake_holds(&mut self, motor: MotorId) -> Outcome {
-        let has_closed = self.master.now() + BRAKE_SHOWS;
-        while self.master.now() < has_closed {
-            // A short communication-loss protection does not let a load go meanwhile.
-            self.ask(motor, ReadStatus2)?;
-            self.wait_until((self.master.now() + LONGEST_WAIT).min(has_closed))?;
-        }
-        let speed = self.ask(motor, ReadStatus2)?.speed;
-        if bring_up::turns(speed) {
-            return Err(Unfinished::Failed(format!(
-                "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
-            )));
+        let end = self.master.now() + BRAKE_SHOWS;
+        while self.master.now() < end {
+            let speed = self.ask(motor, ReadStatus2)?.speed;
+            if bring_up::turns(speed) {
+                return Err(Unfinished::Failed(format!(
+                    "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
+                )));
+            }
+            self.wait_until(self.master.now() + LONGEST_WAIT)?;
         }
         Ok(())
     }

@@ -7,7 +7,8 @@ use std::mem::replace;
 
 use myactuator_protocol_core::MotorId;
 use myactuator_protocol_core::command::{
-    BrakeCommand, Command, LockBrake, ReadRunTime, ReadRunningMode, ReadStatus1, RunTime,
+    BrakeCommand, Command, LockBrake, ReadRunTime, ReadRunningMode, ReadStatus1, ReleaseBrake,
+    RunTime,
 };
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Failure, StopKind};
@@ -109,11 +110,13 @@ fn put_down(session: &mut Session, motor: MotorId) -> Outcome<String> {
     session.moving(motor, |session| session.ask(motor, LockBrake))?;
     session.stop(StopKind::Off, motor.into())?;
     if let Err(why) = session.brake_holds(motor) {
-        // The motor held it, so it is to hold it again.
+        // The motor held its load, so it is to hold that again: no drive does behind a locked brake.
         session.master.off = session.master.off.without(motor.into());
         session.master.master().lift_stop_of(motor);
-        let held = session.stop(StopKind::Hold, motor.into());
-        let held = held.and_then(|()| session.stopped(motor.into()));
+        let held = session
+            .ask(motor, ReleaseBrake)
+            .and_then(|_| session.stop(StopKind::Hold, motor.into()))
+            .and_then(|()| session.stopped(motor.into()));
         return Err(told_with_stop(why, held));
     }
     Ok(format!("motor {motor} is stopped, its brake locked again (0x78) and it is off (0x80)"))
@@ -212,6 +215,7 @@ mod tests {
     use std::sync::atomic::{AtomicBool, Ordering};
 
     use myactuator_host_std::sim::bus::trace::Log;
+    use myactuator_host_std::sim::plant::Load;
     use myactuator_host_std::sim::{CanFleet, Fleet};
     use myactuator_protocol_core::command::{
         AccelerationIndex, ErrorFlags, MotionRanges, MotionSetPoint, Speed, Stop, Torque,
@@ -279,6 +283,21 @@ mod tests {
         let sent: Vec<u8> = commands(&log).into_iter().filter(|byte| *byte < 0x90).collect();
         assert_eq!(sent, [0x81, 0x78, 0x80]);
         session.standing(MotorId::MIN).unwrap();
+    }
+
+    #[test]
+    fn where_a_brake_does_not_hold_the_motor_holds_its_load_again() {
+        let load = Load { torque_nm: 5.0, ..Load::NONE };
+        let fleet = Fleet::new(1).brakes(true).load(load).on_can(1_000_000).unwrap();
+        let mut session = Session::on(&fleet);
+        assert!(session.release_brake(MotorId::MIN).unwrap());
+        fleet.drives[0].with(|drive| drive.plant_mut().force_brake(Some(true)));
+        let Err(Unfinished::Failed(told)) = put_down(&mut session, MotorId::MIN) else {
+            panic!("its load falls")
+        };
+        assert!(told.contains("its brake was told to lock (0x78) and does not hold"), "{told}");
+        assert!(told.ends_with("motor 1 is stopped and holds still (0x81)"), "{told}");
+        assert!(fleet.drives[0].with(|drive| drive.state().output_on));
     }
 
     #[test]
