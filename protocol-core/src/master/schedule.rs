@@ -9,9 +9,8 @@ use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
-/// So long somebody's stop goes behind other motors' first ones, at the most: longer than a first stop of each takes on a
-/// line where nobody answers.
-const LONGEST_TURN_OF_OTHERS: Duration = Duration::from_secs(2);
+/// So long somebody's stop goes behind those of motors that are lifted and called again, at the most.
+const LONGEST_TURN_OF_OTHERS: Duration = Duration::from_millis(250);
 
 /// The earliest of several points in time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -78,16 +77,15 @@ impl<const N: usize> Master<N> {
 
     /// Each motor's first stop before any second, and on a line those first that were heard last time: a
     /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
-    /// A caller may lift and call stops all the time: who was sent a stop last is told already, and who has waited for
-    /// long goes with the first.
+    /// A caller may lift and call stops all the time: who was sent a stop last goes behind those who were not, and with
+    /// them who has waited for long.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
         let urgency = |(_, motor): &(_, &Motor)| {
             let has_waited = || self.now - motor.sent >= LONGEST_TURN_OF_OTHERS;
             let turn = match motor.waits_for_first_stop() {
-                true if motor.was_sent_stop() => 2,
-                true => u8::from(motor.seems_dead()),
-                false if has_waited() && !motor.is_silent() => 0,
+                true => u8::from(motor.seems_dead() || motor.was_sent_stop()),
+                false if has_waited() && !motor.is_silent() => 1,
                 false => 2,
             };
             (turn, motor.sent)

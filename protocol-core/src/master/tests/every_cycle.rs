@@ -587,31 +587,6 @@ fn a_first_stop_of_who_seems_dead_goes_though_another_is_stopped_anew_in_every_c
     assert!(told.is_some_and(|now| now <= 300), "{told:?}");
 }
 
-/// Two stops of motor 2 are lost, which is there.
-#[test]
-fn a_third_attempt_goes_though_another_is_stopped_anew_in_every_cycle() {
-    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
-    master.stop(id(2), StopKind::Off).unwrap();
-    let mut lost = 0;
-    let told = (0..3_000).find(|&now| {
-        if now > 10 {
-            master.lift_stop_of(id(1));
-            master.stop(id(1), StopKind::Off).unwrap();
-        }
-        let [Packet { channel: Channel::Command(address), data }] = sent(&mut master, ms(now))[..]
-        else {
-            return false;
-        };
-        if address == Target::Motor(id(2)) {
-            lost += 1;
-            return lost > 2;
-        }
-        master.handle_line(&Frame { address, data }, ms(now) + Duration::from_micros(900));
-        false
-    });
-    assert!(told.is_some_and(|now| now <= 1_100), "{told:?} {lost}");
-}
-
 /// Which was asked nothing while the other had 2,000 turns.
 #[test]
 fn a_stream_goes_on_beside_a_motor_that_is_not_there_and_is_stopped_anew_in_every_cycle() {
