@@ -23,7 +23,7 @@ use crate::master::request::{Asked, Proof, Purpose, Request};
 use crate::master::stop::{LONGEST_STOP_TIMEOUT, STOP_ATTEMPTS};
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
-use crate::packet::Packet;
+use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 use restarts::Position;
 use stopping::LastStop;
@@ -301,8 +301,13 @@ impl Motor {
         self.packet(set_point.question, set_point.data)
     }
 
+    #[inline]
     fn packet(&self, question: Question, data: Data) -> Option<Packet> {
-        let channel = question.kind.channel_to(self.id?.into()).ok()?;
+        let motor = self.id?;
+        let channel = match question.kind.is_motion() {
+            true => Channel::Motion(motor),
+            false => Channel::Command(motor.into()),
+        };
         Some(Packet { channel, data })
     }
 
