@@ -271,7 +271,9 @@ impl Broadcast {
 
     /// Takes note of the time; see [`OnItsWay::age`].
     fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
-        self.waits_since = self.waits_since.min(now);
+        if self.is_waiting() {
+            self.waits_since = self.waits_since.min(now);
+        }
         if !self.on_its_way.is_any() {
             return;
         }

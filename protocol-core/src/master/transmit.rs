@@ -118,21 +118,6 @@ impl<const N: usize> Master<N> {
         Some(ReadStatus1.packet(motor.id?))
     }
 
-    /// Whose turn this is.
-    fn turn_of(&self, offer: Offer) -> Turn {
-        match offer {
-            Offer::StopToAll => self.stop_to_all.map_or(Turn::Other, Turn::StopToAll),
-            Offer::Request(_)
-                if self.requested_of(offer).is_some_and(Motor::is_stop_called_again) =>
-            {
-                Turn::StopCalledAgain
-            }
-            // What the transport asks is nobody's turn.
-            Offer::Status(_) => self.last_turn,
-            Offer::Request(_) | Offer::SetPoint(_) | Offer::Broadcast => Turn::Other,
-        }
-    }
-
     /// The bus has taken what [`poll_transmit`](Self::poll_transmit) offered last. On RS485: its
     /// last byte has left.
     ///
@@ -141,16 +126,17 @@ impl<const N: usize> Master<N> {
     pub fn handle_transmitted(&mut self, now: Instant) {
         self.now = now;
         let Some(offer) = self.offer.take() else { return };
-        self.last_turn = self.turn_of(offer);
         // An answer that nobody waits for may come all the same, and must not meet a command.
         let mut silence = Duration::ZERO;
         match offer {
             Offer::Request(place) => {
                 let sent = self.change_at(usize::from(place), |motor, config| {
+                    let is_again = motor.is_stop_called_again();
                     let is_over = motor.request_was_sent(now, config)?;
-                    Some((is_over, motor.round))
+                    Some((is_over, is_again, motor.round))
                 });
-                let Some((is_over, round)) = sent.flatten() else { return };
+                let Some((is_over, is_again, round)) = sent.flatten() else { return };
+                self.last_turn = if is_again { Turn::StopCalledAgain } else { Turn::Other };
                 self.due = now;
                 self.keep_pace(round);
                 if is_over {
@@ -160,6 +146,7 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::SetPoint(place) => {
+                self.last_turn = Turn::Other;
                 self.due = self.due.min(now + self.config.longest_response);
                 let round = self.change_at(usize::from(place), |motor, _| {
                     motor.set_point_was_sent(now);
@@ -170,6 +157,7 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::Broadcast => {
+                self.last_turn = Turn::Other;
                 if let (Some(kind), data) = self.broadcast.command() {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
@@ -186,9 +174,11 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::StopToAll => {
+                self.last_turn = self.stop_to_all.map_or(Turn::Other, Turn::StopToAll);
                 self.stop_to_all_was_sent(now);
                 silence = self.config.settle_time;
             }
+            // What the transport asks is nobody's turn.
             Offer::Status(place) => {
                 silence = self.stop_timeout();
                 self.due = now;
