@@ -475,8 +475,8 @@ impl<const N: usize> Master<N> {
         Ok(())
     }
 
-    /// Ends a broadcast whose time is up, to go or to be answered, or that would move a motor which has restarted. The silent ones may
-    /// still answer it late.
+    /// Ends a broadcast whose time is up, to go or to be answered, or that would move a motor which has restarted. The
+    /// silent ones may still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         self.cancel_move_after_restart();
         self.broadcast.age(now, self.heard_at_least(), &self.config);

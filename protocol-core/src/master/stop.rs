@@ -76,6 +76,8 @@ impl<const N: usize> Master<N> {
     ///   RS485 every second turn is somebody else's then; on CAN a motor that has confirmed it is told again when
     ///   nobody who was told no more often may be waiting for a turn to answer. It leaves the motors no time for
     ///   requests; and after an answer that was lost the next confirmation comes only when that cannot come any more.
+    /// - Lifted and called again in every cycle each is a stop of its own: once answers were lost, none may be confirmed
+    ///   any more, nor be told as unconfirmed. Lift it when the motor is to move.
     ///
     /// # Motors without a place
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or a scan has
