@@ -170,8 +170,8 @@ pub enum MoveFailure<E> {
     Fault(ErrorFlags),
     /// It came no nearer for a while, and stands.
     #[error(
-        "it is at {at} and comes no nearer to {target} (a load, a brake, a limit of angle or what it grips already may hold it, or something else \
-         commands it)"
+        "it is at {at} and comes no nearer to {target} (a load, a brake, a limit of angle or what it grips already may \
+         hold it, or something else commands it)"
     )]
     Stalled {
         /// Where it is.
