@@ -8,13 +8,10 @@ use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::motor::is_before;
 use crate::master::on_its_way::OnItsWay;
-use crate::master::{Config, Event, Master, MotorSet, NEVER, Offer, StopKind};
+use crate::master::{Config, Event, Master, MotorSet, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::Packet;
 use crate::time::{Duration, Instant};
-
-/// One that could not go for so long is dropped, for it keeps requests back, unless it ends motion.
-const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum State {
@@ -39,8 +36,6 @@ pub(super) struct Broadcast {
     data: Data,
     /// That of the newest request when it was put.
     last_ticket: u32,
-    /// Since when it waits; [`NEVER`] until somebody looks at the time.
-    waits_since: Instant,
     /// Who is expected to answer it and has not.
     silent: MotorSet,
     /// Of whom it counted as lost when its time was up.
@@ -127,7 +122,7 @@ fn all_if(is_so: bool) -> MotorSet {
 impl Broadcast {
     /// It waits to be sent. `last_ticket` is that of the newest request.
     pub(super) fn put(&mut self, kind: Kind, data: Data, expected: MotorSet, last_ticket: u32) {
-        (self.last_ticket, self.waits_since) = (last_ticket, NEVER);
+        self.last_ticket = last_ticket;
         (self.held, self.off) = (MotorSet::EMPTY, MotorSet::EMPTY);
         self.kind = Some(kind);
         self.data = data;
@@ -271,9 +266,6 @@ impl Broadcast {
 
     /// Takes note of the time; see [`OnItsWay::age`].
     fn age(&mut self, now: Instant, heard_at: Instant, config: &Config) {
-        if self.is_waiting() {
-            self.waits_since = self.waits_since.min(now);
-        }
         if !self.on_its_way.is_any() {
             return;
         }
@@ -350,13 +342,9 @@ impl Broadcast {
         self.is_in_flight().then_some(self.sent)
     }
 
-    /// When it is over though not all have answered, or could not be sent.
+    /// When it is over though not all have answered.
     pub(super) fn deadline(&self, config: &Config) -> Option<Instant> {
-        match self.state {
-            State::InFlight => Some(self.sent + config.reply_timeout),
-            State::Waiting if !self.waits_to_end_motion() => Some(self.waits_since + LONGEST_WAIT),
-            _ => None,
-        }
+        self.in_flight_since().map(|sent| sent + config.reply_timeout)
     }
 
     /// Whether it was not sent, or was handed back: what is handed back now only looks like it.
@@ -366,7 +354,6 @@ impl Broadcast {
 
     /// A controller has handed it back: it was never on the bus, and moves nobody. Gives of whom it counted as lost.
     pub(super) fn was_pushed_out(&mut self) -> MotorSet {
-        self.waits_since = NEVER;
         // Nobody has heard it, so that it need not wait for answers to itself.
         self.may_answer = MotorSet::EMPTY;
         self.last = MayUndo::default();
@@ -404,8 +391,7 @@ impl Broadcast {
 impl<const N: usize> Master<N> {
     /// Asks all motors at once (CAN 0x280, RS485 0xCD) and collects the answers of `expected` until all have come or
     /// the time is up. It is sent when no request is in flight, and requests wait until it is over, but for those that
-    /// were asked before it, or end motion, while it waits. One that does not end motion and cannot go for two
-    /// seconds is dropped, which is reported. The next broadcast waits until all motors that have a place
+    /// were asked before it, or end motion, while it waits. The next broadcast waits until all motors that have a place
     /// have answered this one, or its answers cannot come any more.
     ///
     /// On CAN it reaches motors whose id filter (function 2) is off. On RS485 the answers of several motors are likely
@@ -475,19 +461,12 @@ impl<const N: usize> Master<N> {
         Ok(())
     }
 
-    /// Ends a broadcast whose time is up, to go or to be answered, or that would move a motor which has restarted. The
-    /// silent ones may still answer it late.
+    /// Ends a broadcast whose time is up, or that would move a motor which has restarted. The silent ones may
+    /// still answer it late.
     pub(super) fn age_broadcast(&mut self, now: Instant) {
         self.cancel_move_after_restart();
         self.broadcast.age(now, self.heard_at_least(), &self.config);
         if self.broadcast.deadline(&self.config).is_none_or(|deadline| deadline > now) {
-            return;
-        }
-        if self.broadcast.is_waiting() {
-            // What was offered may be leaving.
-            if self.offer != Some(Offer::Broadcast) {
-                self.broadcast.cancel();
-            }
             return;
         }
         self.broadcast.state = State::Done;

@@ -94,7 +94,7 @@ use places::Places;
 use request::{Request, SHORTEST_TIMEOUT};
 use round_trips::RoundTrips;
 use schedule::Earliest;
-use transmit::{ForAll, Offer, Turn};
+use transmit::{ForAll, Offer};
 
 /// As late as can be.
 const NEVER: Instant = Instant::from_micros(u64::MAX);
@@ -169,8 +169,8 @@ pub struct Master<const N: usize> {
     for_all: ForAll,
     /// The caller has switched somebody off since the last one was sent.
     is_any_off_since: bool,
-    /// On a line every second turn is somebody else's.
-    last_turn: Turn,
+    /// What was sent last was a stop that had been called for again.
+    was_called_again: bool,
     /// The round that the motors are in: that of the last one served.
     pace: u32,
     last_ticket: u32,
@@ -210,7 +210,7 @@ impl<const N: usize> Master<N> {
             stop_to_all_sent: Instant::ZERO,
             for_all: ForAll::Gone,
             is_any_off_since: false,
-            last_turn: Turn::Other,
+            was_called_again: false,
             pace: 0,
             last_ticket: 0,
             now: Instant::ZERO,

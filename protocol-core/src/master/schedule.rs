@@ -4,12 +4,12 @@ use crate::kind::Kind;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Proof};
 use crate::master::stop::LONGEST_STOP_TIMEOUT;
-use crate::master::transmit::{ForAll, Turn};
+use crate::master::transmit::ForAll;
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
 use crate::time::{Duration, Instant};
 
-/// So long somebody's stop goes behind those of motors that are lifted and called again, at the most.
+/// So long somebody's stop goes behind other motors' first ones, at the most.
 const LONGEST_TURN_OF_OTHERS: Duration = Duration::from_millis(250);
 
 /// The earliest of several points in time.
@@ -44,7 +44,7 @@ impl<const N: usize> Master<N> {
     fn stop_or_other(&self, stop: Offer, now: Instant) -> Offer {
         let is_again = |(_, motor): (_, &Motor)| motor.is_stop_called_again();
         if !self.config.is_rs485()
-            || self.last_turn != Turn::StopCalledAgain
+            || !self.was_called_again
             || stop == Offer::StopToAll
             || !self.ready_stops().all(is_again)
         {
@@ -60,14 +60,10 @@ impl<const N: usize> Master<N> {
         ready.min_by_key(|&(sent, _)| sent).map_or(stop, |(_, offer)| offer)
     }
 
-    /// The one to all, then the most urgent of those of one motor. On a line not two to all in a row where somebody's
-    /// first one waits: a caller may lift and call a stop of all in every cycle.
+    /// The one to all, then the most urgent of those of one motor.
     pub(super) fn choose_stop(&self) -> Option<Offer> {
-        if let Some(kind) = self.stop_to_all {
-            let was_it = self.config.is_rs485() && self.last_turn == Turn::StopToAll(kind);
-            if !was_it || !self.ready_stops().any(|(_, motor)| motor.waits_for_first_stop()) {
-                return Some(Offer::StopToAll);
-            }
+        if self.stop_to_all.is_some() {
+            return Some(Offer::StopToAll);
         }
         if self.places.stops.is_empty() {
             return None;
@@ -76,16 +72,15 @@ impl<const N: usize> Master<N> {
     }
 
     /// Each motor's first stop before any second, and on a line those first that were heard last time: a
-    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
-    /// A caller may lift and call stops all the time: who was sent a stop last goes behind those who were not, and with
-    /// them who has waited for long.
+    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest;
+    /// who has waited for long goes with the first, since a caller may lift and call stops all the time.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
         let urgency = |(_, motor): &(_, &Motor)| {
             let has_waited = || self.now - motor.sent >= LONGEST_TURN_OF_OTHERS;
             let turn = match motor.waits_for_first_stop() {
-                true => u8::from(motor.seems_dead() || motor.was_sent_stop()),
-                false if has_waited() && !motor.is_silent() => 1,
+                true => u8::from(motor.seems_dead()),
+                false if has_waited() && !motor.is_silent() => 0,
                 false => 2,
             };
             (turn, motor.sent)
@@ -217,15 +212,15 @@ impl<const N: usize> Master<N> {
         let waits_for_all = |motor: &Motor| {
             motor.request.waiting().is_some_and(is_again) && self.is_undone_with_all(motor)
         };
-        // Nor is it asked before what one was asked before it. What ends motion goes before what does not.
-        let is_urgent = question.kind.ends_motion();
-        let is_before =
-            |asked: &Asked| !asked.is_stop() && (!is_urgent || asked.kind().ends_motion());
+        // Nor is it asked before what one was asked before it. What ends motion goes all the same.
         let was_asked_before = |motor: &Motor| {
-            let asked = motor.request.waiting().filter(|asked| is_before(asked));
-            self.broadcast.is_after(motor.ticket)
+            !question.kind.ends_motion()
+                && self.broadcast.is_after(motor.ticket)
                 && motor.is_settled(self.now)
-                && asked.is_some_and(|asked| self.request_may_go(motor, asked))
+                && motor
+                    .request
+                    .waiting()
+                    .is_some_and(|it| !it.is_stop() && self.request_may_go(motor, it))
         };
         // Feedback of a stream of this kind is none of its answers, however long it goes on.
         let keeps_back = |motor: &Motor| {

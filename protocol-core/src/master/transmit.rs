@@ -3,10 +3,10 @@
 use crate::command::ReadStatus1;
 use crate::id::{MotorId, Target};
 use crate::kind::Kind;
+use crate::master::Master;
 use crate::master::late::{Of, Question};
 use crate::master::motor::{LastSent, Motor, is_before};
 use crate::master::request::Asked;
-use crate::master::{Master, StopKind};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
@@ -25,15 +25,6 @@ pub(super) enum Offer {
     StopToAll,
     /// A read of the status, for the transport, of the motor with this place.
     Status(u8),
-}
-
-/// What was sent last, as far as that has a say in what goes next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Turn {
-    /// A stop of one motor that had been called for again.
-    StopCalledAgain,
-    StopToAll(StopKind),
-    Other,
 }
 
 /// Where on CAN the last command to all is, as far as is known.
@@ -126,17 +117,20 @@ impl<const N: usize> Master<N> {
     pub fn handle_transmitted(&mut self, now: Instant) {
         self.now = now;
         let Some(offer) = self.offer.take() else { return };
+        // What the transport asks is nobody's turn.
+        if !matches!(offer, Offer::Status(_)) {
+            let motor = self.requested_of(offer);
+            self.was_called_again = motor.is_some_and(Motor::is_stop_called_again);
+        }
         // An answer that nobody waits for may come all the same, and must not meet a command.
         let mut silence = Duration::ZERO;
         match offer {
             Offer::Request(place) => {
                 let sent = self.change_at(usize::from(place), |motor, config| {
-                    let is_again = motor.is_stop_called_again();
                     let is_over = motor.request_was_sent(now, config)?;
-                    Some((is_over, is_again, motor.round))
+                    Some((is_over, motor.round))
                 });
-                let Some((is_over, is_again, round)) = sent.flatten() else { return };
-                self.last_turn = if is_again { Turn::StopCalledAgain } else { Turn::Other };
+                let Some((is_over, round)) = sent.flatten() else { return };
                 self.due = now;
                 self.keep_pace(round);
                 if is_over {
@@ -146,7 +140,6 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::SetPoint(place) => {
-                self.last_turn = Turn::Other;
                 self.due = self.due.min(now + self.config.longest_response);
                 let round = self.change_at(usize::from(place), |motor, _| {
                     motor.set_point_was_sent(now);
@@ -157,14 +150,11 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::Broadcast => {
-                self.last_turn = Turn::Other;
                 if let (Some(kind), data) = self.broadcast.command() {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
                             motor.note_sent(kind, &data, config, now);
-                            motor
-                                .last_sent
-                                .remove(LastSent::BEFORE_IT_LOST_MASTER | LastSent::IS_STOP);
+                            motor.last_sent.remove(LastSent::BEFORE_IT_LOST_MASTER);
                         });
                     }
                 }
@@ -174,11 +164,9 @@ impl<const N: usize> Master<N> {
                 }
             }
             Offer::StopToAll => {
-                self.last_turn = self.stop_to_all.map_or(Turn::Other, Turn::StopToAll);
                 self.stop_to_all_was_sent(now);
                 silence = self.config.settle_time;
             }
-            // What the transport asks is nobody's turn.
             Offer::Status(place) => {
                 silence = self.stop_timeout();
                 self.due = now;

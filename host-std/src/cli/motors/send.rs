@@ -432,6 +432,13 @@ mod tests {
             ("raw C0 0 0 0 0 0 0 0", "What it does is not known here: it may write memory."),
             ("bus-id --access write --motor-id 2", "motor id 2. All that are connected take this"),
             ("set-current-position-zero", "(0x64). This may write memory."),
+            ("write-pid-ram --index speed-kp --value 1", "A motor that runs or holds may swing,"),
+            ("write-pid-rom --index speed-kp --value 1", "A motor that runs or holds may swing,"),
+            ("speed --speed-dps 1 --max-torque-pct 0", "0 % is no limit of torque. This may set a"),
+            (
+                "speed --speed-dps 1 --max-torque-pct 1",
+                "speed 1 dps. This may set a shaft in motion,",
+            ),
         ] {
             let asked = question(line).unwrap();
             assert!(asked.starts_with("Motor 1 will be sent ") && asked.contains(told), "{asked}");

@@ -60,8 +60,6 @@ bitflags! {
         /// A controller has handed its stop back since it answered, or did not, or whatever it was sent where it is silent:
         /// that made way for a more urgent frame.
         const MAKES_WAY = 1 << 4;
-        /// It was a stop.
-        const IS_STOP = 1 << 5;
     }
 }
 
@@ -210,10 +208,6 @@ impl Motor {
         self.last_sent.contains(LastSent::BEFORE_IT_LOST_MASTER)
     }
 
-    pub(super) fn was_sent_stop(&self) -> bool {
-        self.last_sent.contains(LastSent::IS_STOP)
-    }
-
     /// Whether its last reply was due while the bus was quiet.
     pub(super) fn had_its_chance(&self) -> bool {
         self.last_sent.contains(LastSent::HAD_ITS_CHANCE)
@@ -321,7 +315,7 @@ impl Motor {
     pub(super) fn request_was_sent(&mut self, now: Instant, config: &Config) -> Option<bool> {
         let Request::Waiting(mut asked) = self.request else { return None };
         let late = now + asked.timeout + config.late_window;
-        self.was_sent(if asked.is_stop() { LastSent::IS_STOP } else { LastSent::empty() }, now);
+        self.was_sent(LastSent::empty(), now);
         self.note_told(asked.kind());
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {

@@ -538,55 +538,6 @@ fn a_stop_that_is_called_again_gives_way_to_no_broadcast_that_may_not_go() {
     }
 }
 
-/// The one to all and the pause behind it take 5 ms, and are due with each call.
-#[test]
-fn each_motor_gets_its_own_stop_though_all_are_lifted_and_stopped_in_every_cycle_of_a_line() {
-    for period in [1, 2, 5, 6] {
-        let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
-        let all: MotorSet = [id(1), id(2)].into();
-        let mut own = 0;
-        for now in 0..1_000 {
-            if now % period == 0 {
-                master.lift_stop();
-                master.stop_all(StopKind::Off, all).unwrap();
-            }
-            for packet in sent(&mut master, ms(now)) {
-                if packet != packet_to_all(Shutdown.encode()) {
-                    own += 1;
-                }
-            }
-        }
-        assert!(own > 0, "none in a second, every {period} ms");
-    }
-}
-
-/// Motor 2 is there, but one answer of it was lost last.
-#[test]
-fn a_first_stop_of_who_seems_dead_goes_though_another_is_stopped_anew_in_every_cycle() {
-    let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
-    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
-    let _read = master.request_with(id(2), ReadModel, once(5)).unwrap();
-    sent(&mut master, ms(0));
-    master.handle_line(&line(2, *b"\xB5X8S2V10"), ms(1)).unwrap();
-    let _lost = master.request_with(id(2), ReadModel, once(5)).unwrap();
-    sent(&mut master, ms(2));
-    events(&mut master, ms(20));
-    master.lift_stop_of(id(1));
-    master.stop(id(1), StopKind::Off).unwrap();
-    master.stop(id(2), StopKind::Off).unwrap();
-    let told = (20..3_000).find(|&now| {
-        master.lift_stop_of(id(1));
-        master.stop(id(1), StopKind::Off).unwrap();
-        let [Packet { channel: Channel::Command(address), data }] = sent(&mut master, ms(now))[..]
-        else {
-            return false;
-        };
-        master.handle_line(&Frame { address, data }, ms(now) + Duration::from_micros(900));
-        address == Target::Motor(id(2))
-    });
-    assert!(told.is_some_and(|now| now <= 300), "{told:?}");
-}
-
 /// Which was asked nothing while the other had 2,000 turns.
 #[test]
 fn a_stream_goes_on_beside_a_motor_that_is_not_there_and_is_stopped_anew_in_every_cycle() {
@@ -608,24 +559,4 @@ fn a_stream_goes_on_beside_a_motor_that_is_not_there_and_is_stopped_anew_in_ever
     }
     assert!(shares[0] > 1_900, "{shares:?}");
     assert!(shares[1] > 200, "{shares:?}");
-}
-
-#[test]
-fn a_shutdown_that_is_asked_for_goes_beside_one_of_all_of_every_cycle_on_a_line() {
-    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
-    let _place = master.request(id(1), ReadModel).unwrap();
-    sent(&mut master, ms(0));
-    events(&mut master, ms(100));
-    events(&mut master, ms(200));
-    let mut asked = false;
-    let told = (200..3_000).find(|&now| {
-        let _active = master.broadcast(Shutdown, id(1).into());
-        if now > 250 && !asked {
-            asked = master.request(id(1), Shutdown).is_ok();
-        }
-        let packets = sent(&mut master, ms(now));
-        events(&mut master, ms(now));
-        packets.contains(&packet_to(1, Shutdown.encode()))
-    });
-    assert!(asked && told.is_some_and(|now| now <= 400), "{asked} {told:?}");
 }

@@ -350,15 +350,3 @@ fn what_was_handed_back_once_is_pushed_out_by_no_read_again() {
     let quiet = master.poll_at().unwrap();
     assert_eq!(sent(&mut master, quiet), [packet_to(2, ReadModel.encode())]);
 }
-
-#[test]
-fn what_is_handed_back_has_two_seconds_from_then_to_go() {
-    let reply_timeout = Duration::from_secs(3);
-    let mut master = Master::<2>::new(Config { reply_timeout, ..Config::CAN });
-    let to_all = packet_to_all(ReadMultiTurnAngle.encode());
-    master.broadcast(ReadMultiTurnAngle, id(1).into()).unwrap();
-    assert_eq!(sent(&mut master, ms(0)), [to_all]);
-    assert_eq!(events(&mut master, ms(2_500)), []);
-    master.handle_pushed_out(&to_all);
-    assert_eq!(sent(&mut master, ms(2_501)), [to_all]);
-}

@@ -1,6 +1,5 @@
 //! Stops, and when they are confirmed.
 
-use super::unnamed::{channels, to};
 use super::*;
 
 #[test]
@@ -592,60 +591,4 @@ fn who_gets_a_place_by_a_stop_that_is_called_again_is_told_before_the_others_are
         assert_eq!(reply(&mut master, 2, Stop.encode(), ms(3)), confirmed(2));
         assert_eq!(sent(&mut master, ms(3)), [packet_to(1, Stop.encode())]);
     }
-}
-
-/// Of 24 motors nobody is there; another was told to stop last by itself and then moves with all, or one answer of it was
-/// lost. Its first stop waits for no second one.
-#[test]
-fn a_first_stop_goes_before_all_second_ones_of_who_is_not_there() {
-    let line = |data| Frame { address: Target::Motor(id(32)), data };
-    for is_moved_with_all in [false, true] {
-        let reply_timeout = Duration::from_millis(50);
-        let mut master =
-            Master::<32>::new(Config { reply_timeout, ..Config::rs485(115_200, false) });
-        if is_moved_with_all {
-            master.stop(id(32), StopKind::Off).unwrap();
-            sent(&mut master, ms(0));
-            assert_eq!(master.handle_line(&line(Shutdown.encode()), ms(1)), confirmed(32));
-            master.lift_stop();
-            master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
-            assert_eq!(sent(&mut master, ms(20)).len(), 1);
-        } else {
-            let _read = master.request_with(id(32), ReadModel, once(5)).unwrap();
-            sent(&mut master, ms(0));
-            master.handle_line(&line(*b"\xB5X8S2V10"), ms(1)).unwrap();
-            let _lost = master.request_with(id(32), ReadModel, once(5)).unwrap();
-            sent(&mut master, ms(2));
-        }
-        events(&mut master, ms(20));
-        (1..=24).for_each(|motor| master.stop(id(motor), StopKind::Off).unwrap());
-        master.stop(id(32), StopKind::Off).unwrap();
-        let mut told = Vec::new();
-        for now in 30..3_000 {
-            told.extend(channels(&sent(&mut master, ms(now))));
-            events(&mut master, ms(now));
-        }
-        let at = told.iter().position(|&it| it == to(32));
-        assert!(at.is_some_and(|at| at <= 24), "{at:?} of {}", told.len());
-    }
-}
-
-/// Motor 1 was stopped, and asked something since that was lifted.
-#[test]
-fn a_stop_of_who_was_asked_something_since_the_last_is_a_first_one() {
-    let line = |motor, data| Frame { address: Target::Motor(id(motor)), data };
-    let mut master = Master::<4>::new(Config::rs485(1_000_000, false));
-    for motor in [2, 1] {
-        master.stop(id(motor), StopKind::Off).unwrap();
-        assert_eq!(sent(&mut master, ms(0)), [packet_to(motor, Shutdown.encode())]);
-        master.handle_line(&line(motor, Shutdown.encode()), ms(0)).unwrap();
-        master.busy_until = ms(0);
-    }
-    master.lift_stop();
-    let _read = master.request(id(1), ReadModel).unwrap();
-    assert_eq!(sent(&mut master, ms(10)).len(), 1);
-    master.handle_line(&line(1, *b"\xB5X8S2V10"), ms(11)).unwrap();
-    master.stop(id(2), StopKind::Off).unwrap();
-    master.stop(id(1), StopKind::Off).unwrap();
-    assert_eq!(sent(&mut master, ms(20)), [packet_to(1, Shutdown.encode())]);
 }

@@ -620,61 +620,9 @@ fn a_broadcast_of_a_streams_kind_goes_though_a_feedback_was_lost_once() {
     assert!(outcome.is_some_and(|at| at <= 150), "motor 2 was asked at {outcome:?}");
 }
 
-/// A read of motor 1 is lost, and its stop is called again all the time, so that the answer may come yet.
-#[test]
-fn a_broadcast_that_cannot_go_for_two_seconds_is_dropped_and_lets_requests_go() {
-    let mut master = Master::<2>::new(Config::CAN);
-    let _read = ask(&mut master, 1, ReadMultiTurnAngle, ms(0));
-    let (mut dropped, mut asked) = (None, None);
-    for now in 1..3_000 {
-        master.stop(id(1), StopKind::Off).unwrap();
-        if now == 5 {
-            master.broadcast(ReadMultiTurnAngle, MotorSet::EMPTY).unwrap();
-            let _read = master.request(id(2), ReadModel).unwrap();
-        }
-        for packet in sent(&mut master, ms(now)) {
-            assert_ne!(packet, packet_to_all(ReadMultiTurnAngle.encode()));
-            if packet == packet_to(1, Shutdown.encode()) {
-                reply(&mut master, 1, packet.data, ms(now) + Duration::from_micros(900));
-            } else if packet == packet_to(2, ReadModel.encode()) {
-                asked.get_or_insert(now);
-            }
-        }
-        let done = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: false };
-        if events(&mut master, ms(now)).contains(&done) {
-            dropped = Some(now);
-        }
-    }
-    assert_eq!(dropped, Some(2_005));
-    assert!(asked.is_some_and(|at| (2_005..2_030).contains(&at)), "{asked:?}");
-}
-
-#[test]
-fn who_sleeps_until_something_is_due_wakes_for_a_broadcast_that_cannot_go() {
-    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
-    let _long = master.request_with(id(1), ReadModel, once(10_000)).unwrap();
-    assert_eq!(sent(&mut master, ms(0)).len(), 1);
-    master.broadcast(ReadStatus1, MotorSet::EMPTY).unwrap();
-    master.handle_timeout(ms(10));
-    assert_eq!(master.poll_at(), Some(ms(2_010)));
-    let done = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: false };
-    assert_eq!(events(&mut master, ms(2_010)), [done]);
-}
-
-/// The program did something else for three seconds, or has just begun on a clock that runs.
-#[test]
-fn a_broadcast_goes_though_nobody_has_told_the_time_for_long() {
-    let mut master = Master::<2>::new(Config::CAN);
-    for now in [5_000, 8_000] {
-        master.broadcast(ReadModel, MotorSet::EMPTY).unwrap();
-        assert_eq!(sent(&mut master, ms(now)), [packet_to_all(ReadModel.encode())]);
-        events(&mut master, ms(now));
-    }
-}
-
 /// The Shutdown waits for two seconds, until the drive has restarted.
 #[test]
-fn what_is_to_end_the_motion_of_all_is_dropped_for_no_wait() {
+fn a_hold_of_all_waits_for_a_shutdown_that_waits_for_the_end_of_a_restart() {
     let mut master = Master::<2>::new(Config::CAN);
     let _reset = ask(&mut master, 1, Reset, ms(0));
     events(&mut master, ms(0));
@@ -688,18 +636,6 @@ fn what_is_to_end_the_motion_of_all_is_dropped_for_no_wait() {
         packets.contains(&packet_to_all(Stop.encode()))
     });
     assert!(went.is_some_and(|now| now > 2_000), "{went:?}");
-}
-
-#[test]
-fn what_is_leaving_for_all_when_its_time_is_up_counts_as_sent() {
-    let mut master = Master::<2>::new(Config::CAN);
-    master.broadcast(torque(1.0), MotorSet::EMPTY).unwrap();
-    master.handle_timeout(ms(0));
-    assert!(master.poll_transmit(ms(1_999)).is_some());
-    assert_eq!(events(&mut master, ms(2_000)), []);
-    master.handle_transmitted(ms(2_000));
-    let done = Event::BroadcastDone { silent: MotorSet::EMPTY, was_sent: true };
-    assert_eq!(events(&mut master, ms(2_000)), [done]);
 }
 
 #[test]
