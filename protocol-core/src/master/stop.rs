@@ -81,10 +81,10 @@ impl<const N: usize> Master<N> {
     ///
     /// # Motors without a place
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or a scan has
-    /// found more than there are places, or where there is none for all of `also`, one stop to all goes before each
-    /// motor's own. So it does where no motor has a place. A motor without a place gets that single frame and confirms nothing. So name all motors that a
-    /// broadcast may reach, there or in `also`. It goes again where this is called again, on CAN if there is no place for
-    /// all of `also`, once in 100 ms at the most.
+    /// found more than there are places, or where there is none for all of `also`, or no motor has one, one stop to all
+    /// goes before each motor's own. A motor without a place gets that single frame and confirms nothing. So name all
+    /// motors that a broadcast may reach, there or in `also`. It goes again where this is called again, on CAN if there
+    /// is no place for all of `also`, once in 100 ms at the most, or each time where no motor has one.
     ///
     /// # A motor that is off stays off
     /// A motor that a stop has switched off is not switched on by another stop: until the first is lifted it gets

@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use myactuator_protocol_core::MotorId;
-use myactuator_protocol_core::command::{BrakeCommand, LockBrake, ReadStatus1, ReadStatus2};
+use myactuator_protocol_core::command::{BrakeCommand, LockBrake, ReadStatus1};
 use myactuator_protocol_core::io::Runner;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::time::Duration;
@@ -54,13 +54,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             let mut session = Session::open_to_stop(&arguments.motor.on)?;
             session.standing(motor)?;
             session.ask(motor, LockBrake)?;
-            match session.ask(motor, ReadStatus1)?.brake {
-                BrakeCommand::LOCK => {}
-                other => {
-                    return Err(Unfinished::Failed(format!(
-                        "motor {motor}: the brake was told to lock and says {other}"
-                    )));
-                }
+            let says = session.ask(motor, ReadStatus1)?.brake;
+            if says != BrakeCommand::LOCK {
+                return Err(Unfinished::Failed(format!(
+                    "motor {motor}: the brake was told to lock and says {says}"
+                )));
             }
             session.brake_holds(motor)?;
             say(&format!("motor {motor}: brake locked"))
@@ -98,8 +96,7 @@ impl Session {
     pub(super) fn brake_holds(&mut self, motor: MotorId) -> Outcome {
         let end = self.master.now() + BRAKE_SHOWS;
         while self.master.now() < end {
-            let speed = self.ask(motor, ReadStatus2)?.speed;
-            if bring_up::turns(speed) {
+            if let Some(speed) = self.turns_at(motor)? {
                 return Err(Unfinished::Failed(format!(
                     "motor {motor}: its brake was told to lock (0x78) and does not hold: the shaft turns at {speed}"
                 )));

@@ -8,15 +8,17 @@ use myactuator_protocol_core::command::{BrakeCommand, ReadRunningMode, ReadStatu
 use myactuator_protocol_core::io::{Runner, bring_up};
 use myactuator_protocol_core::master::{MotorSet, StopKind};
 use myactuator_protocol_core::time::{Duration, Instant};
+use myactuator_protocol_core::units::CoarseSpeed;
 
 use super::session::Session;
 use crate::cli::{Outcome, Unfinished, printer, report, unwritten};
 
 /// How long a motor may take to come to rest.
 const LONGEST_BRAKING: Duration = Duration::from_secs(3);
-/// A motor stands that has not turned for so long, and one that was seen to turn after the second: an arm that swings
-/// stands for a moment, too.
-const STANDS_AFTER: [Duration; 2] = [Duration::from_millis(100), Duration::from_millis(500)];
+/// A motor stands that has not turned for so long: an arm that swings stands for a moment, too.
+const STANDS_AFTER: Duration = Duration::from_millis(100);
+/// The same of one that was seen to turn.
+const STANDS_AFTER_TURNING: Duration = Duration::from_millis(500);
 /// How long to listen whether something else moves a motor that was stopped: who commands it, does so more often.
 const LISTENING: Duration = Duration::from_millis(250);
 /// For how long a bus that carries nothing is tried again.
@@ -64,6 +66,38 @@ struct Looks {
 /// The motors of which something is told.
 fn of(told: &[(MotorId, String)]) -> MotorSet {
     told.iter().map(|(motor, _)| *motor).collect()
+}
+
+/// A motor that is waited for to stand.
+#[derive(Clone, Copy)]
+struct Slowing {
+    /// The slowest turning that was seen, of one that was seen to turn, in raw units.
+    slowest: Option<u16>,
+    /// When it has to be slower.
+    latest: Instant,
+    stands_since: Option<Instant>,
+}
+
+impl Slowing {
+    /// It does not turn now. Gives whether it stands.
+    fn note_standing(&mut self, now: Instant) -> bool {
+        let since = *self.stands_since.get_or_insert(now);
+        let after = match self.slowest {
+            Some(_) => STANDS_AFTER_TURNING,
+            None => STANDS_AFTER,
+        };
+        now - since >= after
+    }
+
+    /// It turns so. Gives whether it becomes slower, or has time for that.
+    fn note_turning(&mut self, speed: CoarseSpeed, now: Instant) -> bool {
+        self.stands_since = None;
+        let turns = speed.raw().unsigned_abs();
+        if self.slowest.is_none_or(|slowest| turns < slowest) {
+            (self.slowest, self.latest) = (Some(turns), now + LONGEST_BRAKING);
+        }
+        now < self.latest
+    }
 }
 
 impl Session {
@@ -267,19 +301,14 @@ impl Session {
         let mut restless = Vec::new();
         let mut turning = motors;
         let latest = self.master.now() + LONGEST_BRAKING;
-        // The slowest of each so far, when it has to be slower, and since when it stands.
-        let mut slowing = [(u16::MAX, latest, None); MotorId::COUNT];
+        let mut slowing = [Slowing { slowest: None, latest, stands_since: None }; MotorId::COUNT];
         while !turning.is_empty() {
             for (motor, reply) in self.ask_each(turning, ReadStatus2, None).outcomes {
-                let (slowest, latest, stands_since) = &mut slowing[motor.index()];
+                let slowing = &mut slowing[motor.index()];
                 let now = self.master.now();
                 let told = match reply.map(|reply| reply.speed) {
                     Ok(speed) if !bring_up::turns(speed) => {
-                        let since = *stands_since.get_or_insert(now);
-                        let has_turned = *slowest < u16::MAX;
-                        if now - since < STANDS_AFTER[usize::from(has_turned)]
-                            && !self.is_not_to_wait()
-                        {
+                        if !slowing.note_standing(now) && !self.is_not_to_wait() {
                             continue;
                         }
                         None
@@ -287,15 +316,7 @@ impl Session {
                     Ok(speed) if self.is_not_to_wait() => Some(format!(
                         "has confirmed the stop (0x81) and turns yet at {speed}: its rest was not waited for"
                     )),
-                    Ok(speed) if speed.raw().unsigned_abs() < *slowest => {
-                        let slower = speed.raw().unsigned_abs();
-                        (*slowest, *latest, *stands_since) = (slower, now + LONGEST_BRAKING, None);
-                        continue;
-                    }
-                    Ok(_) if now < *latest => {
-                        *stands_since = None;
-                        continue;
-                    }
+                    Ok(speed) if slowing.note_turning(speed, now) => continue,
                     Ok(speed) => Some(format!(
                         "has confirmed the stop (0x81), but turns at {speed} and becomes no slower: cut its power"
                     )),

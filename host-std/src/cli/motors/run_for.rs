@@ -81,10 +81,8 @@ pub(super) fn run<C: Command + Copy>(
     may_run(session)?;
     let ended = session.moving(motor, |session| {
         // One that says "lock" all the same may have no brake that would hold a load.
-        let end = match opens && !session.release_brake(motor)? {
-            true => StopKind::Hold,
-            false => end,
-        };
+        let says_open = !opens || session.release_brake(motor)?;
+        let end = if says_open { end } else { StopKind::Hold };
         let mut ran = repeat(session, span, run.command, reading)?;
         let ended = match end {
             StopKind::Off if opens => put_down(session, motor),

@@ -157,9 +157,6 @@ impl Sending {
     fn question(&self, motors: MotorSet) -> String {
         let who = if motors.len() == 1 { "Motor" } else { "Motors" };
         let then = match (self.kind(), self.command) {
-            (_, AnyCommand::Speed(Speed { max_torque, .. })) if max_torque.raw() == 0 => {
-                "0 % is no limit of torque. This may set a shaft in motion, which goes on until it is told something else."
-            }
             (kind, _) if sets_gains(kind) => "A motor that runs or holds may swing, or let go.",
             (kind, _) if kind.moves() => {
                 "This may set a shaft in motion, which goes on until it is told something else."
@@ -170,7 +167,13 @@ impl Sending {
             (Kind::Known(Opcode::Reset), _) => "Hold the shaft if a load pulls at it.",
             _ => "This may write memory.",
         };
-        format!("{who} {motors} will be sent {}. {then}", self.words())
+        let unlimited = match self.command {
+            AnyCommand::Speed(Speed { max_torque, .. }) if max_torque.raw() == 0 => {
+                "0 % is no limit of torque. "
+            }
+            _ => "",
+        };
+        format!("{who} {motors} will be sent {}. {unlimited}{then}", self.words())
     }
 
     fn to_one(&self, session: &mut Session, motor: MotorId) -> Outcome {

@@ -14,6 +14,7 @@ use myactuator_protocol_core::error::RequestError;
 use myactuator_protocol_core::io::bring_up::{self, BringUpError};
 use myactuator_protocol_core::io::{CallError, Runner};
 use myactuator_protocol_core::master::{Bus, Config, Event, Failure, MotorSet};
+use myactuator_protocol_core::units::CoarseSpeed;
 use myactuator_protocol_core::{MotorId, Target};
 
 use super::elsewhere::Watched;
@@ -331,13 +332,18 @@ impl Session {
 
     /// Refuses a motor that turns.
     pub(super) fn standing(&mut self, motor: MotorId) -> Outcome {
-        let speed = self.ask(motor, ReadStatus2)?.speed;
-        if bring_up::turns(speed) {
-            return Err(Unfinished::Failed(format!(
-                "motor {motor} turns at {speed}: stop it first"
-            )));
+        match self.turns_at(motor)? {
+            Some(speed) => {
+                Err(Unfinished::Failed(format!("motor {motor} turns at {speed}: stop it first")))
+            }
+            None => Ok(()),
         }
-        Ok(())
+    }
+
+    /// How fast a motor turns, if it does.
+    pub(super) fn turns_at(&mut self, motor: MotorId) -> Outcome<Option<CoarseSpeed>> {
+        let speed = self.ask(motor, ReadStatus2)?.speed;
+        Ok(Some(speed).filter(|speed| bring_up::turns(*speed)))
     }
 }
 
