@@ -46,6 +46,10 @@ const AT_FIRST: usize = 2 * (DRIVES as usize + 1);
 /// were seen, for time is real, and the machine may be busy.
 const EMULATOR_BYTE_US: u32 = 60;
 
+/// A machine that does other things beside misses the least rate, which is told; by more than so many times only
+/// firmware does.
+const BUSY_TIMES: u32 = 3;
+
 /// The least set-points a second that each motor answers: what the wire carries, were it not for the
 /// emulator's bytes.
 fn least_rate(program: &str) -> u32 {
@@ -110,9 +114,17 @@ fn motors_are_found_moved_and_shut_down(program: Program) {
         assert!(least_deg > -FOLLOWS_DEG, "{least_deg}");
         assert!((most_deg - AMPLITUDE_DEG).abs() < FOLLOWS_DEG, "{most_deg}");
     }
-    let least = least_rate(program.1);
-    if seconds.iter().any(|second| second.slowest < least) {
-        firmware.fail(&format!("a motor answered less than {least} set-points in a second"));
+    let (least, slowest) =
+        (least_rate(program.1), seconds.iter().map(|second| second.slowest).min());
+    let slowest = slowest.unwrap_or(0);
+    if slowest < least / BUSY_TIMES {
+        firmware
+            .fail(&format!("a motor answered {slowest} set-points in a second, and not {least}"));
+    } else if slowest < least {
+        not_judged(&format!(
+            "the rate of {program:?}: this machine was too busy, or a motor answers {slowest} set-points in a \
+             second and not {least}"
+        ));
     }
 
     let pressed = firmware.drives().now();
