@@ -175,19 +175,19 @@ impl<const N: usize> State<N> {
         true
     }
 
-    /// A stop like the one that is under way changes nothing. Once off a motor stays so.
+    /// A stop like the one that is under way changes nothing, for nothing moves before that is over, though it was lifted.
+    /// Once off a motor stays so.
     fn stops(&mut self, motor: usize, kind: StopKind) {
         let number = self.world.calls;
-        let stops_all = self.world.stops_all;
         let truth = &mut self.world.truth[motor];
         let is_off = kind == StopKind::Off || truth.is_off;
-        let was_stopped = stops_all || truth.is_stopped;
         let kind = if is_off { StopKind::Off } else { StopKind::Hold };
-        let goes_on = was_stopped && truth.is_stopping && truth.stop_kind == Some(kind);
+        let goes_on = truth.is_stopping && truth.stop_kind == Some(kind);
         (truth.is_off, truth.wants, truth.stop_kind) = (is_off, Some(kind), Some(kind));
+        truth.last_stop = number;
         if !goes_on {
             (truth.is_stopping, truth.is_wanted_sent) = (true, false);
-            (truth.stop_call, truth.last_stop) = (number, number);
+            truth.stop_call = number;
         }
     }
 }

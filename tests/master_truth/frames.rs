@@ -34,7 +34,9 @@ impl Truth {
                         self.breaks(format!("{name:X?} moves all, and motor {motor} is stopped"));
                     }
                     // Who does not answer is counted as missing that.
-                    self.page(motor).answered_newest &= is_stop;
+                    let page = self.page(motor);
+                    page.answered_newest &= is_stop;
+                    page.is_told &= !name.moves();
                     self.note_taken(motor, packet, put);
                 }
             }
@@ -72,6 +74,7 @@ impl Truth {
             let page = self.page(motor);
             let called = page.stop_called;
             page.stops_taken += 1;
+            page.is_told = true;
             self.note_taken(motor, packet, called);
             return;
         }
@@ -97,6 +100,7 @@ impl Truth {
         } else {
             ""
         };
+        page.is_told &= !is_dangerous;
         if name.is_set_point() {
             page.newest_set_point = page.newest_set_point.max(name.token);
         }
@@ -151,6 +155,7 @@ impl Truth {
             if is_stop {
                 // One to all is nobody's own.
                 page.stops_taken = page.stops_taken.saturating_sub(u32::from(is_own));
+                page.is_told &= !is_own || page.stops_taken > 0 || page.was_told;
             } else if name.is_set_point() && page.newest_set_point == name.token {
                 // It may go again.
                 page.newest_set_point -= 1;

@@ -179,15 +179,14 @@ impl Oracle {
                 let may_be = std::mem::take(&mut page.may_be_stopping);
                 let was_stopping = std::mem::take(&mut page.is_stopping) || may_be;
                 let taken = page.stops_taken;
-                // The first counts as the second where it has confirmed that before.
                 let attempts = match std::mem::replace(&mut page.was_given_up, true) {
                     true => 1,
-                    false => STOP_ATTEMPTS - u32::from(page.is_stopped_again),
+                    false => STOP_ATTEMPTS,
                 };
                 if page.is_stopped {
                     // It goes on, and nothing more is told of that but its confirmation.
                     (page.may_be_stopping, page.may_be_stopping_since) = (true, moment);
-                    (page.is_stopped_again, page.stops_taken) = (true, 0);
+                    (page.stops_taken, page.was_told) = (0, page.is_told);
                 }
                 if !was_stopping || taken < attempts {
                     truth.breaks(format!("{event:?} after {taken} attempts"));

@@ -111,7 +111,7 @@ impl Truth {
     /// A stop was taken: every motor gets its first stop before any gets its second, and in time.
     pub(super) fn check_stops(&mut self, motor: MotorId) {
         let page = self.page(motor);
-        let is_second = page.stops_taken > 0 || page.is_stopped_again;
+        let is_second = page.stops_taken > 0 || page.is_told;
         let is_sure = !page.is_begun_anew && !page.may_be_stopping;
         if is_second && is_sure && self.is_first_stop_due() {
             let first: MotorSet = MotorId::all()

@@ -179,8 +179,10 @@ impl Truth {
             self.ends_alone(motor, byte);
             let page = self.page(motor);
             page.stop_asked = asked;
+            page.set_points.may_be_dropped();
             let is_again = std::mem::replace(&mut page.is_stopped, true);
-            let goes_on = is_again && page.is_stopping && page.stop.byte == byte;
+            // Nothing moves it before that is over, whether it was lifted or not.
+            let goes_on = page.is_stopping && page.stop.byte == byte;
             let is_unsure = page.may_be_stopping || !page.other_stops.is_empty();
             if goes_on && page.stops_taken >= STOP_ATTEMPTS || is_again && is_unsure {
                 // Unless it is over, and nobody was told yet.
@@ -197,7 +199,7 @@ impl Truth {
         let steady = self.clocks.steady;
         let page = self.page(motor);
         if page.may_be_stopping {
-            (page.is_stopping, page.may_be_stopping, page.is_stopped_again) = (true, false, false);
+            (page.is_stopping, page.may_be_stopping) = (true, false);
             page.stop_called = page.may_be_stopping_since;
             page.stop_due_since = page.stop_called;
             (page.stop_called_at, page.stopping_since) = (now, steady);
@@ -216,18 +218,22 @@ impl Truth {
         let (answers, until) = (self.answers(motor), now + STOP_TAKES + self.late_window);
         let page = self.page(motor);
         page.turning.was_given_up(until);
-        // Who waits for its first yet was told nothing.
-        let is_told = page.is_confirmed || page.stops_taken > 0 || page.is_stopped_again;
-        if !is_again || page.stop != stop {
+        let may_go_on = page.stop == stop || page.may_be_stopping;
+        if !may_go_on || !is_again && !page.is_told {
             page.stop_due_since = called;
+        }
+        page.other_stops.clear();
+        // What may be under way already may go on in its place.
+        page.is_begun_anew = page.may_be_stopping;
+        if page.may_be_stopping {
+            page.other_stops.push(page.stop);
         }
         (page.is_stopping, page.may_be_stopping, page.is_confirmed) = (true, false, false);
         (page.stop_called, page.stop_called_at) = (called, now);
-        (page.stops_taken, page.is_told_with_all) = (0, false);
-        (page.stop, page.is_begun_anew, page.is_stopped_again) = (stop, false, is_again && is_told);
+        (page.stops_taken, page.is_told_with_all, page.was_told) = (0, false, page.is_told);
+        page.stop = stop;
         page.was_given_up = false;
         page.stopping_since = steady;
-        page.other_stops.clear();
         page.answers = answers;
         page.set_points.may_be_dropped();
         self.clocks.disturb(Quiet::Steady);

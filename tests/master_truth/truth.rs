@@ -75,8 +75,10 @@ pub(crate) struct Page {
     pub(super) other_stops: Vec<Name>,
     /// It has heard the stop to all, an answer to which confirms it.
     pub(super) is_told_with_all: bool,
-    /// It is told so again before a stop was lifted: each other's first goes before that.
-    pub(super) is_stopped_again: bool,
+    /// The bus has taken a stop of it, and nothing since that a stop refuses: each other's first goes before one more.
+    pub(super) is_told: bool,
+    /// So it was when this stop was called.
+    pub(super) was_told: bool,
     /// It may have been begun anew, so that nobody knows which of its sendings is the first.
     pub(super) is_begun_anew: bool,
     /// When it was called, in steady time.
@@ -225,7 +227,7 @@ impl Page {
     }
 
     pub(crate) fn waits_for_first_stop(&self) -> bool {
-        let is_told = self.stops_taken > 0 || self.is_told_with_all || self.is_stopped_again;
+        let is_told = self.stops_taken > 0 || self.is_told || self.is_told_with_all;
         self.is_stopping && !is_told
     }
 
@@ -235,6 +237,7 @@ impl Page {
             self.is_begun_anew = true;
         } else {
             (self.may_be_stopping, self.stops_taken) = (true, 0);
+            self.was_told = self.is_told;
             self.is_told_with_all = false;
         }
         self.other_stops.push(self.stop);

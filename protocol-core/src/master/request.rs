@@ -8,6 +8,7 @@ use crate::kind::Kind;
 use crate::master::late::{Of, Question};
 use crate::master::motor::News;
 use crate::master::motor::reports::reported_bit;
+use crate::master::stop::STOP_ATTEMPTS;
 use crate::master::{Failure, Master, Patience, StopKind, Ticket, TicketId};
 use crate::time::Duration;
 
@@ -24,8 +25,8 @@ pub(super) enum Purpose {
     Once,
     /// A stop: before everything else, whatever is in flight.
     Stop,
-    /// A stop like one that came to its end, and is in force yet. On a line every second turn is somebody else's;
-    /// on CAN it waits for whom was sent no more and may be waiting for its turn.
+    /// A stop like one that came to its end, with nothing sent since that a stop would refuse. On a line every second
+    /// turn is somebody else's; on CAN it waits for whom was sent no more and may be waiting for its turn.
     StopCalledAgain,
     /// A stop that was given up and goes once more.
     StopAgain,
@@ -98,6 +99,11 @@ impl Asked {
     /// What its other sendings are of, once one has an answer.
     pub(super) fn of_others(&self) -> Of {
         if self.is_stop() { Of::Nobody } else { Of::RequestAnswered }
+    }
+
+    /// Whether this stop was not sent yet, or handed back.
+    pub(super) fn was_never_sent(&self) -> bool {
+        self.attempts_left == STOP_ATTEMPTS
     }
 
     /// It is not sent again.

@@ -7,10 +7,7 @@ use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::transmit::ForAll;
 use crate::master::{Bus, Config, Master, Offer};
 use crate::opcode::Opcode;
-use crate::time::{Duration, Instant};
-
-/// So long somebody's stop goes behind other motors' first ones, at the most.
-const LONGEST_TURN_OF_OTHERS: Duration = Duration::from_millis(250);
+use crate::time::Instant;
 
 /// The earliest of several points in time.
 #[derive(Clone, Copy, Debug, Default)]
@@ -72,15 +69,12 @@ impl<const N: usize> Master<N> {
     }
 
     /// Each motor's first stop before any second, and on a line those first that were heard last time: a
-    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest;
-    /// who has waited for long goes with the first, since a caller may lift and call stops all the time.
+    /// motor that is not there keeps it for as long as a stop is waited for. Then whoever was sent nothing for longest.
     #[inline(never)]
     fn most_urgent_stop(&self) -> Option<Offer> {
         let urgency = |(_, motor): &(_, &Motor)| {
-            let has_waited = || self.now - motor.sent >= LONGEST_TURN_OF_OTHERS;
             let turn = match motor.waits_for_first_stop() {
                 true => u8::from(motor.seems_dead()),
-                false if has_waited() && !motor.is_silent() => 0,
                 false => 2,
             };
             (turn, motor.sent)

@@ -7,7 +7,6 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::motor::Motor;
-use crate::master::motor::stopping::LastStop;
 use crate::master::request::{Asked, Purpose};
 use crate::master::{Bus, Master, MotorSet, Patience};
 use crate::opcode::Opcode;
@@ -65,26 +64,27 @@ impl<const N: usize> Master<N> {
     ///
     /// - Requests and set-points that wait are dropped. Until [`lift_stop`](Self::lift_stop) whatever may move a
     ///   motor [is refused](Kind::is_refused_while_stopped), as are restarts and writes to ROM. Reads are not.
-    /// - Each motor gets its first stop before any gets its second. A stop that is not confirmed within
+    /// - Each motor gets its first stop before any gets its second. One that was stopped before, and was sent nothing since
+    ///   that a stop would refuse, has had its first. A stop that is not confirmed within
     ///   [`Config::reply_timeout`](crate::master::Config::reply_timeout), or 50 ms where that is longer, is repeated,
     ///   up to 15 times in all.
     /// - Then its confirmation, or its absence, comes as an event. A confirmation counts only once nothing that was
     ///   sent before the stop, and may lie in a controller's mailbox for example, can move the motor any more.
     /// - A motor that has not confirmed gets one more stop every 100 ms, or as often as a line has time for it, for as
     ///   long as the stop is in force, and at once when it is heard: it may be back on the bus at any time.
-    /// - Called again before it was lifted it goes on with what is under way: a program may call it in every cycle. On
-    ///   RS485 every second turn is somebody else's then; on CAN a motor that has confirmed it is told again when
-    ///   nobody who was told no more often may be waiting for a turn to answer. It leaves the motors no time for
-    ///   requests; and after an answer that was lost the next confirmation comes only when that cannot come any more.
-    /// - Lifted and called again in every cycle each is a stop of its own: once answers were lost, none may be confirmed
-    ///   any more, nor be told as unconfirmed. Lift it when the motor is to move.
+    /// - Called again, lifted meanwhile or not, it goes on with what is under way, since nothing that moves goes before
+    ///   that is over: a program may call it in every cycle. On RS485 every second turn is somebody else's then; on CAN a
+    ///   motor that has confirmed it, and was sent nothing since that a stop would refuse, is told again when nobody who
+    ///   was told no more often may be waiting for a turn to answer. It leaves the motors no time for requests; and after
+    ///   an answer that was lost the next confirmation comes only when that cannot come any more.
     ///
     /// # Motors without a place
     /// On RS485, and on CAN once a [`broadcast`](Self::broadcast) may have moved motors that have no place, or a scan has
     /// found more than there are places, or where there is none for all of `also`, or no motor has one, one stop to all
     /// goes before each motor's own. A motor without a place gets that single frame and confirms nothing. So name all
     /// motors that a broadcast may reach, there or in `also`. It goes again where this is called again, on CAN if there
-    /// is no place for all of `also`, once in 100 ms at the most, or each time where no motor has one.
+    /// is no place for all of `also`, once in 100 ms at the most if nothing moved meanwhile, or each time where no motor
+    /// has one.
     ///
     /// # A motor that is off stays off
     /// A motor that a stop has switched off is not switched on by another stop: until the first is lifted it gets
@@ -101,13 +101,12 @@ impl<const N: usize> Master<N> {
         let (was, was_same_for_all) = (self.stops_all, self.is_same_for_all(kind));
         self.broadcast.cancel();
         self.broadcast.all_were_stopped(kind);
-        let known = self.motors();
         let mut result = Ok(());
         for motor in also.iter() {
             result = result.and(self.place_for(motor).map(|_| ()));
         }
         for motor in self.motors().iter() {
-            self.put_stop(motor, kind, Purpose::Stop, known.contains(motor));
+            self.put_stop(motor, kind, Purpose::Stop);
         }
         if self.stops_all != Some(StopKind::Off) {
             self.stops_all = Some(kind);
@@ -115,7 +114,7 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off = MotorSet::ALL;
         }
-        let is_called_again = was == Some(kind);
+        let is_called_again = [was, self.all_are_told].contains(&Some(kind));
         let goes = was_same_for_all && self.is_stop_to_all_due(is_called_again, result.is_err());
         // One that waits has reached nobody yet.
         let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
@@ -154,9 +153,8 @@ impl<const N: usize> Master<N> {
     pub fn stop(&mut self, motor: MotorId, kind: StopKind) -> Result<(), RequestError> {
         self.let_line_answer();
         self.broadcast.cancel_what_moves();
-        let had_place = self.places.of(motor).is_some();
         self.place_for(motor)?;
-        self.put_stop(motor, kind, Purpose::Stop, had_place);
+        self.put_stop(motor, kind, Purpose::Stop);
         self.stopped.insert(motor);
         Ok(())
     }
@@ -175,11 +173,8 @@ impl<const N: usize> Master<N> {
         of_motors.chain(self.broadcast.in_flight_since()).max()
     }
 
-    /// Where the motor was stopped already, so that nothing has moved it since, a stop that is under way goes on. Who
-    /// `had_place` then was told, however that ended, and goes behind those who were not.
     #[inline(never)]
-    fn put_stop(&mut self, motor: MotorId, kind: StopKind, purpose: Purpose, had_place: bool) {
-        let was_stopped = self.is_stopped(motor);
+    fn put_stop(&mut self, motor: MotorId, kind: StopKind, purpose: Purpose) {
         let kind = if self.switched_off.contains(motor) { StopKind::Off } else { kind };
         // What goes again by itself is the last that the motor was told, by whomever, and no stop that anybody called for.
         if kind == StopKind::Off && purpose == Purpose::Stop {
@@ -188,17 +183,11 @@ impl<const N: usize> Master<N> {
         self.overtakes_broadcast(motor, kind);
         self.offer = None;
         let (command, data) = kind.command();
-        let mut stop = self.stop_of(command, data, purpose);
+        let stop = self.stop_of(command, data, purpose);
         let (pace, now) = (self.pace, self.now);
         self.change(motor, |motor, config| {
             motor.join(pace);
-            if !was_stopped {
-                motor.last_stop = LastStop::None;
-            } else if motor.keep_stop_under_way(&stop) {
-                return;
-            }
-            motor.let_others_go_first(&mut stop, was_stopped && had_place);
-            motor.go_on_stopping(stop, config, now);
+            motor.stop(stop, config, now);
         });
     }
 
@@ -229,7 +218,7 @@ impl<const N: usize> Master<N> {
         let stop = self.motors.get(place).and_then(|motor| self.unconfirmed_stop(motor));
         if let Some((motor, kind, _)) = stop.filter(|(.., since)| *since + rest <= now) {
             self.let_line_answer();
-            self.put_stop(motor, kind, Purpose::StopAgain, true);
+            self.put_stop(motor, kind, Purpose::StopAgain);
         }
     }
 
@@ -346,6 +335,7 @@ impl<const N: usize> Master<N> {
         let Some(kind) = self.stop_to_all.take() else { return };
         self.is_any_off_since = false;
         self.stop_to_all_sent = now.max(Instant::from_micros(1));
+        self.all_are_told = Some(kind);
         self.due = now;
         let told = kind.question();
         let until = now + self.config.reply_timeout + self.config.late_window;

@@ -5,6 +5,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::Master;
 use crate::master::late::{Of, Question};
+use crate::master::motor::stopping::Told;
 use crate::master::motor::{LastSent, Motor, is_before};
 use crate::master::request::Asked;
 use crate::opcode::Opcode;
@@ -122,6 +123,9 @@ impl<const N: usize> Master<N> {
             let motor = self.requested_of(offer);
             self.was_called_again = motor.is_some_and(Motor::is_stop_called_again);
         }
+        if self.would_be_refused(offer) {
+            self.all_are_told = None;
+        }
         // An answer that nobody waits for may come all the same, and must not meet a command.
         let mut silence = Duration::ZERO;
         match offer {
@@ -154,6 +158,9 @@ impl<const N: usize> Master<N> {
                     for place in self.places.taken.iter() {
                         self.change_at(place, |motor, config| {
                             motor.note_sent(kind, &data, config, now);
+                            if kind.is_refused_while_stopped() {
+                                motor.told = Told::Nothing;
+                            }
                             motor.last_sent.remove(LastSent::BEFORE_IT_LOST_MASTER);
                         });
                     }
@@ -186,6 +193,19 @@ impl<const N: usize> Master<N> {
         }
     }
 
+    /// Whether a stop would refuse what was offered.
+    fn would_be_refused(&self, offer: Offer) -> bool {
+        let kind = match offer {
+            Offer::SetPoint(_) => return true,
+            Offer::Request(_) => {
+                self.requested_of(offer).and_then(|motor| motor.request.waiting()).map(Asked::kind)
+            }
+            Offer::Broadcast => self.broadcast.command().0,
+            Offer::StopToAll | Offer::Status(_) => None,
+        };
+        kind.is_some_and(Kind::is_refused_while_stopped)
+    }
+
     /// Nobody has had more turns than this. A stop of who has rested is no step back.
     #[inline]
     fn keep_pace(&mut self, round: u32) {
@@ -211,6 +231,7 @@ impl<const N: usize> Master<N> {
             }
             Channel::Command(Target::All) | Channel::BusId => {
                 self.for_all = ForAll::HandedBack;
+                self.all_are_told = None;
                 // A command to all of long ago may have been the same.
                 let is_broadcast =
                     !self.broadcast.is_unsent() && self.broadcast.packet().as_ref() == Some(packet);

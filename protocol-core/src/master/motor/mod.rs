@@ -20,13 +20,13 @@ use crate::master::health::{Health, Presence, Record, SILENT_AFTER};
 use crate::master::late::{LateReplies, Of, Question};
 use crate::master::on_its_way::OnItsWay;
 use crate::master::request::{Asked, Proof, Purpose, Request};
-use crate::master::stop::{LONGEST_STOP_TIMEOUT, STOP_ATTEMPTS};
+use crate::master::stop::LONGEST_STOP_TIMEOUT;
 use crate::master::stream::{SetPoint, Stream};
 use crate::opcode::Opcode;
 use crate::packet::{Channel, Packet};
 use crate::time::{Duration, Instant};
 use restarts::Position;
-use stopping::LastStop;
+use stopping::{LastStop, Told};
 
 bitflags! {
     /// What is to be reported of a motor, beside the outcome of its request.
@@ -83,6 +83,7 @@ pub(super) struct Motor {
     pub(super) last_sent: LastSent,
     /// Its newest set-point was dropped before it was sent, whatever is in flight.
     pub(super) is_newest_dropped: bool,
+    pub(super) told: Told,
     /// It has restarted: no set-points until the caller knows.
     pub(super) has_restarted: bool,
     /// Commands in a row that were not answered in time.
@@ -129,11 +130,10 @@ impl Motor {
         self.request.waiting().is_some_and(Asked::is_stop)
     }
 
-    /// Whether it was not told yet what is to stop it.
+    /// Whether it was not told yet to stop, and may be moving.
     pub(super) fn waits_for_first_stop(&self) -> bool {
-        self.request.waiting().is_some_and(|asked| {
-            asked.purpose == Purpose::Stop && asked.attempts_left == STOP_ATTEMPTS
-        })
+        let is_first = |asked: &Asked| asked.purpose == Purpose::Stop && asked.was_never_sent();
+        self.told == Told::Nothing && self.request.waiting().is_some_and(is_first)
     }
 
     /// Whether a stop that is called for again waits.
@@ -317,6 +317,7 @@ impl Motor {
         let late = now + asked.timeout + config.late_window;
         self.was_sent(LastSent::empty(), now);
         self.note_told(asked.kind());
+        self.note_whether_told(&asked);
         asked.attempts_left = asked.attempts_left.saturating_sub(1);
         if !awaits_reply(asked.kind(), &asked.data) {
             self.settled_at = self.settled_at.max(now + config.hold_after(asked.kind()));
@@ -340,6 +341,7 @@ impl Motor {
 
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
         self.was_sent(LastSent::REQUESTS_TURN, now);
+        self.told = Told::Nothing;
         self.stream.was_sent();
     }
 

@@ -4,6 +4,7 @@ use crate::data::Data;
 use crate::kind::Kind;
 use crate::master::event::Failure;
 use crate::master::late::Of;
+use crate::master::motor::stopping::Told;
 use crate::master::motor::{LastSent, Motor};
 use crate::master::request::{Asked, Request};
 use crate::packet::{Channel, Packet};
@@ -44,6 +45,9 @@ impl Motor {
         }
         asked.attempts_left = asked.attempts_left.saturating_add(1);
         asked.unanswered = asked.unanswered.saturating_sub(1);
+        if self.told == Told::ByThis && asked.was_never_sent() {
+            self.told = Told::Nothing;
+        }
         self.last_sent.insert(LastSent::REQUESTS_TURN);
         if asked.is_stop() || self.is_silent() {
             self.last_sent.insert(LastSent::MAKES_WAY);

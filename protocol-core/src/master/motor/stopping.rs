@@ -2,7 +2,8 @@
 //!
 //! # The way of a stop
 //! 1. It is put in the place of whatever waits ([`put_stop`](Motor::put_stop)), unless one like it is under way
-//!    ([`keep_stop_under_way`](Motor::keep_stop_under_way)). Answers to what was sent before are owed from then on.
+//!    ([`keep_stop_under_way`](Motor::keep_stop_under_way)): nothing that moves goes before that is over, so that it is no
+//!    matter whether it was lifted meanwhile. Answers to what was sent before are owed from then on.
 //! 2. It goes ([`schedule`](crate::master::schedule)): first stops before any other. One that is called for again
 //!    leaves every second turn on a line to others, and waits on CAN for whom was sent no more.
 //! 3. An answer comes ([`replies`](crate::master::motor::replies)).
@@ -26,6 +27,18 @@ use crate::master::request::{Asked, Purpose, Request};
 use crate::master::stop::StopKind;
 use crate::opcode::Opcode;
 use crate::time::Instant;
+
+/// Whether a stop was sent to a motor, and nothing since that a stop would refuse.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::master) enum Told {
+    /// None was, or something since that may have moved it.
+    #[default]
+    Nothing,
+    /// The one under way was. If a controller hands that back, it was not.
+    ByThis,
+    /// An earlier one was.
+    Before,
+}
 
 /// What became of a motor's last stop.
 #[derive(Clone, Copy, Debug, Default)]
@@ -67,7 +80,7 @@ impl LastStop {
 impl Motor {
     /// Whether a stop like this is under way already, so that it stays. One that goes but once has all its attempts
     /// from here.
-    pub(in crate::master) fn keep_stop_under_way(&mut self, stop: &Asked) -> bool {
+    fn keep_stop_under_way(&mut self, stop: &Asked) -> bool {
         let is_same = |asked: &&mut Asked| asked.is_stop() && asked.question == stop.question;
         let Some(asked) = self.request.under_way_mut().filter(is_same) else { return false };
         if asked.purpose == Purpose::StopAgain {
@@ -75,42 +88,34 @@ impl Motor {
             // What became of an earlier stop says nothing of this one.
             self.news.remove(News::UNCONFIRMED);
         }
+        self.drop_waiting_set_point();
         true
     }
 
-    /// It is stopped like this. A stop like it that was given up, and that nothing has undone since, goes on: an answer
-    /// to any frame of that confirms it.
-    pub(in crate::master) fn go_on_stopping(
-        &mut self,
-        mut stop: Asked,
-        config: &Config,
-        now: Instant,
-    ) {
+    /// It is stopped like this. What became of a stop like it holds yet where nothing has undone that since: it is called
+    /// again, and where it was given up, an answer to any frame of that confirms this.
+    pub(in crate::master) fn stop(&mut self, mut stop: Asked, config: &Config, now: Instant) {
+        if self.keep_stop_under_way(&stop) {
+            return;
+        }
         let last = core::mem::take(&mut self.last_stop);
-        match last {
-            LastStop::Unconfirmed { sendings, .. } if last.is_like(&stop) => {
+        if self.told != Told::Nothing && last.is_like(&stop) {
+            if stop.purpose == Purpose::Stop {
+                stop.purpose = Purpose::StopCalledAgain;
+            }
+            if let LastStop::Unconfirmed { sendings, .. } = last {
                 stop.unanswered = sendings;
             }
-            _ => {}
         }
         self.put_stop(stop, config, now);
         self.late.withdraw(stop.question, stop.unanswered);
     }
 
-    /// If it `is_told` to stop already, and not only about to be, one more goes behind the first stops of motors that
-    /// were not, as a second attempt does. If it has confirmed just that, or that was given up, it is called again.
-    pub(in crate::master) fn let_others_go_first(&self, stop: &mut Asked, is_told: bool) {
-        if !is_told || self.waits_for_first_stop() {
-            return;
-        }
-        stop.attempts_left = stop.attempts_left.saturating_sub(1);
-        if self.last_stop.is_like(stop) && stop.purpose == Purpose::Stop {
-            stop.purpose = Purpose::StopCalledAgain;
-        }
-    }
-
     /// Puts a stop in the place of whatever waits. What is in flight may still be answered.
     pub(in crate::master) fn put_stop(&mut self, stop: Asked, config: &Config, now: Instant) {
+        if self.told == Told::ByThis {
+            self.told = Told::Before;
+        }
         self.drop_waiting_set_point();
         if stop.purpose != Purpose::StopAgain {
             // What became of an earlier stop says nothing of this one.
@@ -151,6 +156,15 @@ impl Motor {
         if self.late.may_be_mistaken(other) {
             self.may_move_until(now + end.timeout + config.late_window, config);
         }
+    }
+
+    /// It was sent this by itself.
+    pub(super) fn note_whether_told(&mut self, asked: &Asked) {
+        self.told = match self.told {
+            Told::Nothing if asked.is_stop() => Told::ByThis,
+            _ if asked.kind().is_refused_while_stopped() => Told::Nothing,
+            told => told,
+        };
     }
 
     /// It was told this, by itself or with all. If that stops it, a stop that it has not confirmed goes on like that: a
@@ -245,9 +259,7 @@ impl Motor {
         now: Instant,
     ) {
         let holds = |asked: &Asked| asked.kind() == Kind::Known(Opcode::Stop);
-        if let Some(mut off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
-            let is_stopping = self.request.under_way().is_some_and(Asked::is_stop);
-            self.let_others_go_first(&mut off, is_stopping);
+        if let Some(off) = off.filter(|_| self.request.under_way().is_some_and(holds)) {
             self.put_stop(off, config, now);
         }
         self.drop_what_moves(Failure::Stopped, config, now);

@@ -233,12 +233,15 @@ fn a_stop_to_all_that_is_handed_back_behind_the_next_stop_owes_that_no_answer() 
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     let packets = sent(&mut master, ms(100));
     assert_eq!(channels(&packets), [TO_ALL, to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
     master.lift_stop();
+    master.set_point(id(1), torque(1.0), ms(102)).unwrap();
+    assert_eq!(sent(&mut master, ms(102)).len(), 1);
+    reply(&mut master, 1, TORQUE_REPLY, ms(103)).unwrap();
     master.stop_all(StopKind::Off, MotorSet::EMPTY).unwrap();
     master.handle_pushed_out(&packets[0]);
-    assert_eq!(channels(&sent(&mut master, ms(101))), [TO_ALL, to(1)]);
-    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(102)), None, "that to the first");
-    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(103)), confirmed(1));
+    assert_eq!(channels(&sent(&mut master, ms(104))), [TO_ALL, to(1)]);
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(105)), confirmed(1));
 }
 
 #[test]

@@ -428,21 +428,46 @@ fn a_stop_that_is_called_again_waits_for_no_patience_of_others() {
     }
 }
 
-/// The first stop of motor 2 is lost. Motor 1 is stopped anew every millisecond, and answers after 900 us.
-#[test]
-fn a_stop_that_was_lost_goes_again_though_another_motor_is_stopped_anew_in_every_cycle() {
-    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
-    master.stop(id(2), StopKind::Off).unwrap();
-    assert_eq!(sent(&mut master, ms(0)), [packet_to(2, Shutdown.encode())]);
-    let told = (1..1_000).find(|&now| {
+/// When motor 2 confirms its stop, at least 1 ms from now, while motor 1 is let go and stopped anew every millisecond and
+/// answers after 900 us.
+fn confirms_beside_one_that_is_stopped_anew(master: &mut Master<2>, from: u64) -> Option<u64> {
+    (from + 1..from + 1_000).find(|&now| {
         master.lift_stop_of(id(1));
         master.stop(id(1), StopKind::Off).unwrap();
-        let [Packet { channel: Channel::Command(address), data }] = sent(&mut master, ms(now))[..]
+        let [Packet { channel: Channel::Command(address), data }] = sent(master, ms(now))[..]
         else {
             return false;
         };
         let answered = ms(now) + Duration::from_micros(900);
         master.handle_line(&Frame { address, data }, answered) == confirmed(2)
-    });
-    assert!(told.is_some_and(|now| now <= 260), "{told:?}");
+    })
+}
+
+#[test]
+fn a_stop_that_was_lost_goes_again_though_another_motor_is_stopped_anew_in_every_cycle() {
+    let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+    master.stop(id(2), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(0)), [packet_to(2, Shutdown.encode())]);
+    // Behind the time-out of the first.
+    assert_eq!(confirms_beside_one_that_is_stopped_anew(&mut master, 0), Some(7));
+}
+
+/// Motor 2 seems dead, and nobody knows that it is not.
+#[test]
+fn who_has_lost_answers_is_stopped_though_another_motor_is_stopped_anew_in_every_cycle() {
+    for lost in 1..4 {
+        let mut master = Master::<2>::new(Config::rs485(1_000_000, false));
+        let mut now = 0;
+        for _ in 0..lost {
+            let _read = master.request_with(id(2), ReadModel, once(5)).unwrap();
+            assert_eq!(sent(&mut master, ms(now)).len(), 1);
+            now += 40;
+            assert_eq!(events(&mut master, ms(now)).len(), 1);
+        }
+        master.stop(id(1), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
+        master.stop(id(2), StopKind::Off).unwrap();
+        let at = confirms_beside_one_that_is_stopped_anew(&mut master, now);
+        assert_eq!(at, Some(now + 6), "{lost} answers were lost");
+    }
 }

@@ -261,6 +261,8 @@ fn a_copy_of_an_answer_that_is_owed_brings_no_other_sending_about() {
     assert_eq!(attempts, 3);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(43)), confirmed(1));
     master.lift_stop();
+    let _read = master.request(id(1), RawCommand::new([0x55; 8], ReplyRule::Silent, true)).unwrap();
+    assert_eq!(sent(&mut master, ms(43)).len(), 1);
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(sent(&mut master, ms(44)).len(), 1);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(45)), None);

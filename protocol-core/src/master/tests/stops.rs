@@ -303,6 +303,46 @@ fn a_stop_that_is_lifted_before_it_was_sent_is_sent_all_the_same() {
     assert_eq!(packets[0].data, Stop.encode(), "before anything newer");
 }
 
+/// Nothing was sent between the two: an answer to the first shows that the motor stands.
+#[test]
+fn a_stop_that_is_lifted_and_called_again_goes_on_unless_something_moves_the_motor_between() {
+    let read = ReadMultiTurnAngle.encode();
+    let brake = ReleaseBrake.encode();
+    for (between, answer, goes_on) in [
+        (None, None, true),
+        (Some(read), Some(ANGLE_REPLY), true),
+        (Some(brake), Some(brake), false),
+    ] {
+        let mut master = Master::<2>::new(Config::CAN);
+        master.stop(id(1), StopKind::Off).unwrap();
+        let now = is_given_up(&mut master, 1, 0);
+        master.lift_stop();
+        if let Some(data) = between {
+            let moves = data == brake;
+            let _ = ask(&mut master, 1, RawCommand::new(data, ReplyRule::Same, moves), ms(now));
+            reply(&mut master, 1, answer.unwrap(), ms(now + 1)).unwrap();
+        }
+        master.stop(id(1), StopKind::Off).unwrap();
+        assert_eq!(sent(&mut master, ms(now + 2)), [packet_to(1, Shutdown.encode())]);
+        let told = reply(&mut master, 1, Shutdown.encode(), ms(now + 3));
+        assert_eq!(told == confirmed(1), goes_on, "{between:X?}");
+    }
+}
+
+/// It was put behind the stop, and is older than the next one.
+#[test]
+fn a_set_point_that_waits_for_a_lifted_stop_is_dropped_by_the_next() {
+    let mut master = Master::<2>::new(Config::CAN);
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(sent(&mut master, ms(0)).len(), 1);
+    master.lift_stop();
+    master.set_point(id(1), torque(1.0), ms(0)).unwrap();
+    master.stop(id(1), StopKind::Off).unwrap();
+    assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(1)), confirmed(1));
+    assert_eq!(sent(&mut master, ms(1)), []);
+    assert_eq!(events(&mut master, ms(1)), [Event::SetPointDropped { motor: id(1) }]);
+}
+
 #[test]
 fn what_was_switched_off_is_switched_on_by_no_other_stop() {
     let mut master = Master::<4>::new(Config::CAN);

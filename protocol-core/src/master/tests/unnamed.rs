@@ -312,6 +312,8 @@ fn a_doubled_answer_to_an_earlier_stop_confirms_none_that_waits() {
     assert_eq!(sent(&mut master, ms(100)).len(), 2);
     assert_eq!(reply(&mut master, 1, Shutdown.encode(), ms(101)), confirmed(1));
     master.lift_stop();
+    let _release = ask(&mut master, 1, ReleaseBrake, ms(101));
+    reply(&mut master, 1, ReleaseBrake.encode(), ms(102)).unwrap();
     master.stop(id(1), StopKind::Off).unwrap();
     assert_eq!(channels(&sent(&mut master, ms(102))), [to(1)]);
     // The answer to the other of the first two, twice, before this one goes once more.
