@@ -100,7 +100,8 @@ impl Truth {
         } else {
             ""
         };
-        page.is_told &= !is_dangerous;
+        // What is refused while it is stopped: reports (0xB6), too.
+        page.is_told &= !is_dangerous && name.byte != 0xB6;
         if name.is_set_point() {
             page.newest_set_point = page.newest_set_point.max(name.token);
         }

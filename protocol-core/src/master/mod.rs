@@ -165,8 +165,8 @@ pub struct Master<const N: usize> {
     stop_to_all: Option<StopKind>,
     /// When one was sent last; zero before that.
     stop_to_all_sent: Instant,
-    /// The last one that was sent, if nothing was since that a stop would refuse.
-    all_are_told: Option<StopKind>,
+    /// The last one that was sent, unless it was handed back.
+    stop_to_all_was: Option<StopKind>,
     /// CAN: where that is which all were told last, by a broadcast or to stop.
     for_all: ForAll,
     /// The caller has switched somebody off since the last one was sent.
@@ -210,7 +210,7 @@ impl<const N: usize> Master<N> {
             lost_master: MotorSet::EMPTY,
             stop_to_all: None,
             stop_to_all_sent: Instant::ZERO,
-            all_are_told: None,
+            stop_to_all_was: None,
             for_all: ForAll::Gone,
             is_any_off_since: false,
             was_called_again: false,

@@ -7,6 +7,7 @@ use crate::id::{MotorId, Target};
 use crate::kind::Kind;
 use crate::master::late::Question;
 use crate::master::motor::Motor;
+use crate::master::motor::stopping::Told;
 use crate::master::request::{Asked, Purpose};
 use crate::master::{Bus, Master, MotorSet, Patience};
 use crate::opcode::Opcode;
@@ -99,6 +100,8 @@ impl<const N: usize> Master<N> {
     pub fn stop_all(&mut self, kind: StopKind, also: MotorSet) -> Result<(), RequestError> {
         self.let_line_answer();
         let (was, was_same_for_all) = (self.stops_all, self.is_same_for_all(kind));
+        let is_called_again =
+            was == Some(kind) || self.stop_to_all_was == Some(kind) && !self.was_any_moved();
         self.broadcast.cancel();
         self.broadcast.all_were_stopped(kind);
         let mut result = Ok(());
@@ -114,12 +117,18 @@ impl<const N: usize> Master<N> {
         if kind == StopKind::Off {
             self.switched_off = MotorSet::ALL;
         }
-        let is_called_again = [was, self.all_are_told].contains(&Some(kind));
         let goes = was_same_for_all && self.is_stop_to_all_due(is_called_again, result.is_err());
         // One that waits has reached nobody yet.
         let waits = self.stop_to_all.filter(|&it| was.is_some() && self.is_same_for_all(it));
         self.stop_to_all = goes.then_some(kind).or(waits);
         result
+    }
+
+    /// Whether any motor was sent something since its last stop that a stop would refuse.
+    #[inline(never)]
+    fn was_any_moved(&self) -> bool {
+        let stands = |motor: &Motor| motor.told != Told::Nothing || motor.waits_for_first_stop();
+        !self.at(self.places.taken).all(|(_, motor)| stands(motor))
     }
 
     /// Whether one stop to all goes beside each motor's own: for motors without a place, which nothing else reaches.
@@ -335,7 +344,7 @@ impl<const N: usize> Master<N> {
         let Some(kind) = self.stop_to_all.take() else { return };
         self.is_any_off_since = false;
         self.stop_to_all_sent = now.max(Instant::from_micros(1));
-        self.all_are_told = Some(kind);
+        self.stop_to_all_was = Some(kind);
         self.due = now;
         let told = kind.question();
         let until = now + self.config.reply_timeout + self.config.late_window;

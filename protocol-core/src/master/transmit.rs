@@ -123,9 +123,6 @@ impl<const N: usize> Master<N> {
             let motor = self.requested_of(offer);
             self.was_called_again = motor.is_some_and(Motor::is_stop_called_again);
         }
-        if self.would_be_refused(offer) {
-            self.all_are_told = None;
-        }
         // An answer that nobody waits for may come all the same, and must not meet a command.
         let mut silence = Duration::ZERO;
         match offer {
@@ -193,19 +190,6 @@ impl<const N: usize> Master<N> {
         }
     }
 
-    /// Whether a stop would refuse what was offered.
-    fn would_be_refused(&self, offer: Offer) -> bool {
-        let kind = match offer {
-            Offer::SetPoint(_) => return true,
-            Offer::Request(_) => {
-                self.requested_of(offer).and_then(|motor| motor.request.waiting()).map(Asked::kind)
-            }
-            Offer::Broadcast => self.broadcast.command().0,
-            Offer::StopToAll | Offer::Status(_) => None,
-        };
-        kind.is_some_and(Kind::is_refused_while_stopped)
-    }
-
     /// Nobody has had more turns than this. A stop of who has rested is no step back.
     #[inline]
     fn keep_pace(&mut self, round: u32) {
@@ -231,7 +215,7 @@ impl<const N: usize> Master<N> {
             }
             Channel::Command(Target::All) | Channel::BusId => {
                 self.for_all = ForAll::HandedBack;
-                self.all_are_told = None;
+                self.stop_to_all_was = None;
                 // A command to all of long ago may have been the same.
                 let is_broadcast =
                     !self.broadcast.is_unsent() && self.broadcast.packet().as_ref() == Some(packet);

@@ -341,8 +341,8 @@ impl Motor {
 
     pub(super) fn set_point_was_sent(&mut self, now: Instant) {
         self.was_sent(LastSent::REQUESTS_TURN, now);
-        self.told = Told::Nothing;
         self.stream.was_sent();
+        self.told = Told::Nothing;
     }
 
     /// When what is in flight has had its time. No caller's patience makes that longer than a stop's.

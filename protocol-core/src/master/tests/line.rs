@@ -461,8 +461,8 @@ fn who_has_lost_answers_is_stopped_though_another_motor_is_stopped_anew_in_every
         for _ in 0..lost {
             let _read = master.request_with(id(2), ReadModel, once(5)).unwrap();
             assert_eq!(sent(&mut master, ms(now)).len(), 1);
+            assert_eq!(events(&mut master, ms(now + 6)).len(), 1);
             now += 40;
-            assert_eq!(events(&mut master, ms(now)).len(), 1);
         }
         master.stop(id(1), StopKind::Off).unwrap();
         assert_eq!(sent(&mut master, ms(now)), [packet_to(1, Shutdown.encode())]);
