@@ -10,10 +10,8 @@ use super::truth::DONE;
 
 /// No reply to these is the same bytes.
 const NEVER_LIKE_THEIR_REPLY: [u8; 3] = [0x9A, 0xB2, 0xB5];
-/// So many answers without an echo show that there is none; after something that looked like one, as many as it takes
-/// where that was believed.
-const ANSWERS: u8 = 2;
-const ANSWERS_THEN: u8 = 4;
+/// So many answers without an echo show that there is none.
+const ANSWERS: u8 = 4;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Doubt {
@@ -53,7 +51,7 @@ impl Doubt {
             return;
         }
         if packet.data[3] != DONE {
-            *left = ANSWERS_THEN;
+            *left = ANSWERS;
         } else if asked.take_if(|asked| *asked == (motor, byte)).is_some() {
             *left = left.saturating_sub(1);
         }

@@ -192,6 +192,7 @@ fn a_safe_stop_under_50_percent_loss_reaches_all_or_says_who_was_not_reached() {
         }
     }
     // Each attempt works with 0.25, so 15 of them fail with 0.75^15 = 1.3 %: of 25,600 some 340. Whom something sent
-    // before may move yet needs two that work, and another two where the bus may have been cut between them.
-    assert!((1..=1_150).contains(&missed), "{missed} of 25,600 not reached");
+    // before may move yet needs two that work, and another two where the bus may have been cut between them. On a line
+    // nobody confirms it before four answers have shown that there is no echo.
+    assert!((1..=1_300).contains(&missed), "{missed} of 25,600 not reached");
 }

@@ -315,7 +315,7 @@ impl<W: Wire> Rig<W> {
     }
 
     /// So many answers of the first motor show that the adapter does not echo.
-    pub const SHOWN: u32 = 2;
+    pub const SHOWN: u32 = 4;
 
     /// They come, so that each acknowledgement counts from now on.
     pub fn shows_no_echo(&mut self) {

@@ -9,10 +9,8 @@ use crate::wire::rs485::Frame;
 /// An echo does not come later after its sending, if somebody looks: adapters hand over what they received every
 /// 16 ms.
 const LONGEST_WAIT: Duration = Duration::from_millis(100);
-/// So many answers in a row without an echo show that there is none. Noise may take one.
-const ARE_ENOUGH: u8 = 2;
-/// As that, where an echo was found before.
-const SHOW_OTHERWISE: u8 = 4;
+/// So many answers in a row without an echo show that there is none. Noise may take some.
+const ARE_ENOUGH: u8 = 4;
 /// So many sendings may wait for their echo.
 const SENDINGS: usize = 8;
 
@@ -24,15 +22,15 @@ const SENDINGS: usize = 8;
 /// their echoes came, because reading failed, no acknowledgement counts until those must have come.
 ///
 /// This holds, too, for an adapter of which nobody has said that it echoes, until it is shown that it does not: by
-/// two answers in a row that came without the echo of what they answer. A drive has heard that command, and an echo
+/// four answers in a row that came without the echo of what they answer. A drive has heard that command, and an echo
 /// comes before the answer. Only a command counts whose answer never is the same bytes: a read of the status, the date
 /// or the model. So before the loops send one whose answer may be, they read that motor's status. Only the first
-/// attempt of a stop does not wait for that, and is confirmed by the next one then; but once one seems answered, that
+/// attempt of a stop does not wait for that, and is confirmed by a later one then; but once one seems answered, that
 /// motor's status goes before the stops of others, each of which would be waited for in vain.
 ///
 /// An adapter is found to echo by what comes back and no drive sends: a frame to all, or two such reads of one motor.
 /// One may be handed back by a drive that has lost its master (0xF1) and ignored it; where that was heard, it shows
-/// nothing. After four answers in a row without an echo the adapter counts as quiet.
+/// nothing. It counts as quiet after as many answers in a row without an echo.
 #[derive(Clone, Debug)]
 pub struct EchoFilter {
     adapter: Adapter,
@@ -229,7 +227,7 @@ impl Adapter {
     fn has_not_echoed(self) -> Self {
         match self {
             Self::Echoes => self,
-            Self::FoundEchoing { answers } if answers + 1 < SHOW_OTHERWISE => {
+            Self::FoundEchoing { answers } if answers + 1 < ARE_ENOUGH => {
                 Self::FoundEchoing { answers: answers + 1 }
             }
             Self::NoneFound { answers, suspected } if answers + 1 < ARE_ENOUGH => {
@@ -413,15 +411,17 @@ mod tests {
     }
 
     #[test]
-    fn what_may_be_an_echo_is_one_until_two_answers_came_without_theirs() {
+    fn what_may_be_an_echo_is_one_until_four_answers_came_without_theirs() {
         let mut filter = EchoFilter::new(false);
         assert!(asks(&filter));
         // Once, if nobody answers.
         filter.sent(frame(ReadStatus1), ms(1));
         assert!(!asks(&filter) && !believes(&mut filter) && asks(&filter));
-        exchange(&mut filter, 1, false);
-        assert!(!believes(&mut filter) && asks(&filter), "noise may have taken that echo");
-        exchange(&mut filter, 2, false);
+        for motor in 1..=3 {
+            exchange(&mut filter, motor, false);
+            assert!(!believes(&mut filter) && asks(&filter), "noise may have taken {motor} echoes");
+        }
+        exchange(&mut filter, 4, false);
         assert!(believes(&mut filter) && !asks(&filter));
     }
 
@@ -496,7 +496,7 @@ mod tests {
     #[test]
     fn on_a_quiet_adapter_an_acknowledgement_counts_however_much_was_sent_since() {
         let mut filter = EchoFilter::new(false);
-        (1..=2).for_each(|motor| exchange(&mut filter, motor, false));
+        (1..=4).for_each(|motor| exchange(&mut filter, motor, false));
         filter.sent(frame(Stop), ms(1));
         (0..8).for_each(|_| filter.sent(frame(ReadMultiTurnAngle), ms(1)));
         assert!(!filter.is_echo(&frame(Stop)));
@@ -545,10 +545,10 @@ mod tests {
         }
         // Also where answers have shown that there is none; one alone is in doubt until others do again.
         let mut quiet = EchoFilter::new(false);
-        (1..=2).for_each(|motor| exchange(&mut quiet, motor, false));
+        (1..=4).for_each(|motor| exchange(&mut quiet, motor, false));
         exchange(&mut quiet, 1, true);
         assert!(!quiet.is_echoing() && !believes(&mut quiet));
-        (1..=2).for_each(|motor| exchange(&mut quiet, motor, false));
+        (1..=4).for_each(|motor| exchange(&mut quiet, motor, false));
         exchange(&mut quiet, 1, true);
         assert!(!quiet.is_echoing(), "it has answered in between");
         exchange(&mut quiet, 1, true);

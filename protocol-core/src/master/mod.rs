@@ -39,9 +39,9 @@
 //! same time, or if a drive reports by itself what it was asked for (an error, or what it was told to report no more
 //! and has not heard). A drive that has lost its master sends back the first command and ignores it: if its message
 //! of that was not heard, this may be taken for the acknowledgement of a command, or for values that are all 0. On
-//! RS485 an echo that nobody configured confirms a stop if noise
-//! has taken the echoes of two reads in a row, and neither these reads nor their answers, or the echo of one, where an
-//! answer came late or twice while the next read went into a cut; and any echo does that comes more than 100 ms after
+//! RS485 an echo that nobody configured confirms a stop, or passes for values that are all 0, if noise has taken the
+//! echoes of four reads in a row, and neither these reads nor their answers, or fewer, where answers came late or twice
+//! while the next read went into a cut; and any echo does that comes more than 100 ms after
 //! its sending although the port was found empty meanwhile. A restart shows by a second in which nothing is
 //! heard of the motor and an answer that does not come, by a run time that has gone back when it is read
 //! (0xB1), or by an angle that jumps under a stream; one that shows by none of these is not noticed. Feedback

@@ -140,7 +140,7 @@ fn the_first_attempt_of_a_stop_waits_for_nothing_and_the_others_for_one_read_eac
 }
 
 #[test]
-fn a_line_on_which_motors_answer_is_asked_twice_and_no_more() {
+fn a_line_on_which_motors_answer_is_asked_four_times_and_no_more() {
     let (port, mut arm) = quiet(UNTOLD);
     for _ in 0..5 {
         arm.ask(id(1), ReadMultiTurnAngle).unwrap();
@@ -152,8 +152,8 @@ fn a_line_on_which_motors_answer_is_asked_twice_and_no_more() {
     port.state().read_fails = false;
     arm.ask(id(1), ReadMultiTurnAngle).unwrap();
     let reads = sent(&port).iter().take_while(|&&(_, byte)| byte == 0x9A).count();
-    assert_eq!(reads, 2);
-    assert_eq!(sent(&port).iter().filter(|&&(_, byte)| byte == 0x9A).count(), 2);
+    assert_eq!(reads, 4);
+    assert_eq!(sent(&port).iter().filter(|&&(_, byte)| byte == 0x9A).count(), 4);
 }
 
 #[test]
